@@ -1,0 +1,51 @@
+"""Time for the loop. `time_s` is monotonic, `utc` is for storage only; neither is ever used as the other."""
+
+import select
+import time
+from typing import Protocol
+
+
+class Port(Protocol):
+    """What the clock needs of an open serial port: a file descriptor, and counted bytes for lock-step."""
+
+    bytes_out: int
+    bytes_in: int
+
+    def fileno(self) -> int:
+        """Descriptor to wait on."""
+        ...
+
+
+class Clock(Protocol):
+    """Who owns time: the machine (`RealClock`) or the simulated board (`SimClock`)."""
+
+    def now(self) -> float:
+        """Monotonic time [s]."""
+        ...
+
+    def utc(self) -> float:
+        """Seconds since 1970, for storage."""
+        ...
+
+    def wait(self, port: Port | None, wake: int | None, until_s: float) -> None:
+        """Return when `until_s` is reached, when `port` has bytes, or when descriptor `wake` is readable."""
+        ...
+
+
+class RealClock:
+    """The machine's clocks."""
+
+    def now(self) -> float:
+        """CLOCK_MONOTONIC [s]."""
+        return time.monotonic()
+
+    def utc(self) -> float:
+        """Wall clock [s since 1970]."""
+        return time.time()
+
+    def wait(self, port: Port | None, wake: int | None, until_s: float) -> None:
+        """Sleep in the kernel until bytes, a wake-up or the time."""
+        descriptors = [wake] if wake is not None else []
+        if port is not None:
+            descriptors.append(port.fileno())
+        select.select(descriptors, [], [], max(0.0, until_s - self.now()))

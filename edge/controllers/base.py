@@ -1,0 +1,60 @@
+"""The one seam of every controller: `decide(context) -> Decision`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.messages import Command, Decision, Estimate
+
+Floats = NDArray[np.float64]
+Columns = Mapping[str, Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the safety supervisor will let through now; a controller plans inside it."""
+
+    heater_max_duty: float = 1.0
+    fan_hold_steps: int = 0  # steps for which the relay must keep its present state (minimum on/off time)
+    fan_min_on_steps: int = 1  # a switch on lasts at least this long [steps]
+    fan_min_off_steps: int = 1
+    temp_air_max_c: float = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """All that a controller may know at a tick.
+
+    history : columns of equal length n (at most 120), one row per past tick, oldest first; the last row is
+        now. `temp_air` [°C] holds estimates and has no NaN; `temp_air_measured` may; `temp_ambient` [°C];
+        `heater_duty`, `fan_on` as sent, NaN in the last row (not decided yet); `utc` [s]; other signals of
+        `edge.names` where the board has them.
+    reference : target for the air temperature after each of the next steps, shape [K], K >= any horizon [°C];
+        with `reference_known` False a controller may use only reference[0] (the paper's MPC).
+    """
+
+    now_s: float
+    utc: float
+    step_s: float
+    history: Columns
+    estimate: Estimate
+    reference: Floats
+    last_sent: Command
+    limits: Limits
+
+
+class Controller(Protocol):
+    """Pure in its decisions: the same context gives the same decision."""
+
+    name: str
+
+    def decide(self, context: Context) -> Decision:
+        """Choose the command for the step that begins now."""
+        ...
+
+    def reset(self) -> None:
+        """Forget warm starts and integrals: called when the controller is switched in."""
+        ...

@@ -1,0 +1,127 @@
+"""The values that travel down the line of one tick. All frozen; time is always given, never asked for."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+
+class Quality(Enum):
+    """How far a number can be trusted. Only GOOD ones reach a controller or allow heating."""
+
+    GOOD = "good"
+    STALE = "stale"  # no sample within 3 sample periods
+    RANGE = "range"  # outside the datasheet range
+    SPIKE = "spike"  # a jump no greenhouse can make
+    STUCK = "stuck"  # does not move while the box must
+    FAULT = "fault"  # the board reported an error
+    ABSENT = "absent"  # this board has no such sensor
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One raw sample of one signal."""
+
+    signal: str  # a key of edge.names.SIGNALS
+    value: float | None  # in the signal's unit; None when there is no number
+    time_s: float  # host monotonic time of the sample
+    quality: Quality
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the actuators shall do. The default is the safe one: nothing on."""
+
+    heater_duty: float = 0.0  # 0..1 in steps of 1/20
+    fan_on: bool = False
+    led: float = 0.0  # 0..1
+    valve_pulse_s: float = 0.0  # one pulse, given once [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One rule's reason why a command that was wanted was not sent as it was."""
+
+    rule: str  # stable id, e.g. "heater.over_temperature"
+    actuator: str  # a key of edge.names.ACTUATORS
+    wanted: float
+    sent: float
+    reason: str
+
+
+class Severity(Enum):
+    """How an event is shown."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ALARM = "alarm"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened, once. `key` is stable, `text` is for people."""
+
+    key: str  # e.g. "board.link_lost"
+    severity: Severity
+    text: str
+    time_s: float
+    utc: float  # [s since 1970]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Filtered state: what the models start from."""
+
+    temp_air: float  # [°C]; NaN before the first good measurement
+    temp_air_sd: float  # standard deviation [K]
+    offset: float  # disturbance: what the model misses per step [K/step]
+    innovation: float | None  # measured minus predicted at this tick [K]; None without a measurement
+    temp_ambient: float  # last good value, else the configured default [°C]
+    time_s: float  # time of the last good air temperature; -inf before the first
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What a controller wants, and its why."""
+
+    command: Command
+    controller: str  # public name, e.g. "MPC-P"
+    forecast: tuple[float, ...] = ()  # air temperature after each of the next steps [°C]
+    why: Mapping[str, Any] = field(default_factory=dict)  # JSON values only
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """What the board really drives."""
+
+    heater_duty: float
+    fan_on: bool
+    led: float
+    valve_open: bool
+    tripped: bool
+    trip_cause: str  # "" when not tripped
+    time_s: float  # when it was received
+
+
+@dataclass(frozen=True, slots=True)
+class TickRecord:
+    """All of one tick: written to the history, published, shown."""
+
+    seq: int
+    time_s: float
+    utc: float  # start of the tick [s since 1970]
+    step_s: float
+    mode: str  # operator mode: "auto", "manual", "off", "fan_only", "heat"; "emergency_stop" overrides
+    readings: Mapping[str, Reading]
+    estimate: Estimate
+    reference_c: float  # target for the end of this step
+    decision: Decision
+    wanted: Command  # after the operator's mode, before safety
+    changes: tuple[Change, ...]
+    sent: Command
+    echo: Echo | None  # None when the board did not acknowledge in time
+    link_up: bool
+    events: tuple[Event, ...]
+    ticks_skipped: int  # ticks lost before this one (host suspended, overloaded)
+    late_s: float  # how late this tick began [s]
+    decide_ms: float  # wall time of the decision

@@ -1,0 +1,90 @@
+"""A TickRecord as plain JSON values: one form for telemetry, the control socket and the display."""
+
+import math
+from typing import Any
+
+from edge.messages import Command, Echo, Event, TickRecord
+from edge.names import SIGNALS
+
+
+def number(value: float | None, digits: int = 4) -> float | None:
+    """`value` rounded, or None where JSON has no number for it (None, NaN, infinity)."""
+    if value is None or not math.isfinite(value):
+        return None
+    return round(value, digits)
+
+
+def command_json(command: Command) -> dict[str, Any]:
+    """A command with units in its keys."""
+    return {
+        "heater_duty": number(command.heater_duty),
+        "fan_on": int(command.fan_on),
+        "led": number(command.led),
+        "valve_pulse_s": number(command.valve_pulse_s),
+    }
+
+
+def event_json(event: Event) -> dict[str, Any]:
+    """An event; `utc` in seconds since 1970."""
+    return {
+        "key": event.key,
+        "severity": event.severity.value,
+        "text": event.text,
+        "utc": number(event.utc, 3),
+    }
+
+
+def _echo_json(echo: Echo | None) -> dict[str, Any] | None:
+    if echo is None:
+        return None
+    return {
+        "heater_duty": number(echo.heater_duty),
+        "fan_on": int(echo.fan_on),
+        "led": number(echo.led),
+        "valve_open": int(echo.valve_open),
+        "tripped": int(echo.tripped),
+        "trip_cause": echo.trip_cause,
+    }
+
+
+def tick_json(record: TickRecord) -> dict[str, Any]:
+    """The whole record; missing numbers are null, never 0."""
+    return {
+        "seq": record.seq,
+        "utc": number(record.utc, 3),
+        "step_s": record.step_s,
+        "mode": record.mode,
+        "readings": {
+            SIGNALS[name].key: {"value": number(reading.value), "quality": reading.quality.value}
+            for name, reading in record.readings.items()
+        },
+        "estimate": {
+            "temp_air_c": number(record.estimate.temp_air),
+            "temp_air_sd_k": number(record.estimate.temp_air_sd),
+            "offset_k_per_step": number(record.estimate.offset, 6),
+            "innovation_k": number(record.estimate.innovation),
+            "temp_ambient_c": number(record.estimate.temp_ambient),
+        },
+        "reference_c": number(record.reference_c),
+        "controller": record.decision.controller,
+        "forecast_c": [number(value) for value in record.decision.forecast],
+        "why": dict(record.decision.why),
+        "wanted": command_json(record.wanted),
+        "sent": command_json(record.sent),
+        "changes": [
+            {
+                "rule": change.rule,
+                "actuator": change.actuator,
+                "wanted": number(change.wanted),
+                "sent": number(change.sent),
+                "reason": change.reason,
+            }
+            for change in record.changes
+        ],
+        "echo": _echo_json(record.echo),
+        "link_up": int(record.link_up),
+        "events": [event_json(event) for event in record.events],
+        "ticks_skipped": record.ticks_skipped,
+        "late_s": number(record.late_s),
+        "decide_ms": number(record.decide_ms),
+    }
