@@ -1,0 +1,284 @@
+"""The board at the other end of a serial line: the one place in edge/ that knows the wire.
+
+Everything here is a value or an event: an unplugged port, a lost link or a refused command never raises.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from edge.clock import Clock
+from edge.messages import Command, Echo, Event, Quality, Reading, Severity
+from edge.names import HEATER_LEVELS, SIGNALS
+from edge.serial_port import PortGone, SerialPort
+from firmware_protocol import link as wire
+from firmware_protocol import messages as wire_messages
+
+LEASE_S = 10.0  # outputs fall to their safe state this long after the host's last word
+RENEW_S = 3.0  # so two renewals may be lost before a lease ends
+REOPEN_S = 1.0  # between two tries to open a missing port
+SAMPLES_KEPT = 600  # reports between two ticks; more are dropped, oldest first
+
+_QUALITY = {
+    wire_messages.Quality.GOOD: Quality.GOOD,
+    wire_messages.Quality.STALE: Quality.STALE,
+    wire_messages.Quality.RANGE: Quality.RANGE,
+    wire_messages.Quality.FAULT: Quality.FAULT,
+    wire_messages.Quality.ABSENT: Quality.ABSENT,
+}
+
+Sample = Mapping[str, Reading]
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What the board is told to do, and until when without a new decision."""
+
+    command: Command
+    cutoff_open: bool
+    until_s: float
+
+
+class Board:
+    """An open port (or none), its link, and what the board said last."""
+
+    def __init__(self, path: str, baudrate: int, clock: Clock, session: int) -> None:
+        self._path = path
+        self._baudrate = baudrate
+        self._clock = clock
+        self._link = wire.Link(session=session, now=clock.now())
+        self._port: SerialPort | None = None
+        self._open_at_s = clock.now()
+        self._open_failed = False
+        self._driven: Driven | None = None
+        self._renew_at_s = float("inf")
+        self._waiting_for_echo = False
+        self._samples: list[Sample] = []
+        self._events: list[Event] = []
+        self.echo: Echo | None = None
+        self.hello: wire_messages.Hello | None = None
+
+    @property
+    def link_up(self) -> bool:
+        """The board answers and speaks our version."""
+        return self._port is not None and self._link.state == "up"
+
+    @property
+    def statistics(self) -> Mapping[str, int]:
+        """Counters of the line since the start."""
+        return self._link.statistics
+
+    def take_samples(self) -> list[Sample]:
+        """The sensor reports since the last call, oldest first."""
+        samples, self._samples = self._samples, []
+        return samples
+
+    def take_events(self) -> list[Event]:
+        """What happened on the line since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
+        """Send a decision; its lease is renewed for `valid_s` from now, and never longer."""
+        now = self._clock.now()
+        self._driven = Driven(command, cutoff_open, now + valid_s)
+        self._waiting_for_echo = True
+        self._send_command(now)
+        # The valve pulse is given once; a renewal must not open the valve again.
+        self._driven = replace(self._driven, command=replace(command, valve_pulse_s=0.0))
+
+    def emergency_stop(self) -> None:
+        """Trip the board at once."""
+        self._driven = None
+        self._link.request(wire_messages.EmergencyStop(), self._clock.now())
+
+    def clear_trip(self) -> None:
+        """Ask the board to forget its trip; it refuses while the cause lasts."""
+        self._link.request(wire_messages.ClearTrip(), self._clock.now())
+
+    def serve(
+        self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Keep the line alive until `until_s`, a byte on `wake`, or `done()`."""
+        while True:
+            now = self._clock.now()
+            self._keep_open(now)
+            self._take(self._link.poll(now), now)
+            self._renew(now)
+            self._flush(now)
+            if now >= until_s or done():
+                return
+            self._clock.wait(self._port, wake, min(until_s, self._next_deadline()))
+            self._read(self._clock.now())
+            if wake is not None and _readable(wake):
+                return
+
+    def serve_until_echo(self, timeout_s: float) -> Echo | None:
+        """Wait for the board's answer to the last command; None when it does not come in time."""
+        self.serve(self._clock.now() + timeout_s, done=lambda: not self._waiting_for_echo or not self.link_up)
+        return None if self._waiting_for_echo or not self.link_up else self.echo
+
+    def close(self) -> None:
+        """Close the port; what the board drives ends with its lease."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _next_deadline(self) -> float:
+        if self._port is None:
+            return self._open_at_s
+        return min(self._link.next_deadline(), self._renew_at_s)
+
+    def _keep_open(self, now: float) -> None:
+        if self._port is not None or now < self._open_at_s:
+            return
+        try:
+            self._port = SerialPort(self._path, self._baudrate)
+        except PortGone as error:
+            self._open_at_s = now + REOPEN_S
+            if not self._open_failed:
+                self._open_failed = True
+                self._tell("board.port_missing", Severity.ALARM, f"{self._path} can't be opened: {error}")
+            return
+        self._open_failed = False
+        self._tell("board.port_open", Severity.INFO, f"{self._path} is open")
+
+    def _lose_port(self, error: PortGone, now: float) -> None:
+        self.close()
+        self._open_at_s = now + REOPEN_S
+        self._open_failed = True
+        self._take(self._link.disconnected(now), now)
+        self._tell("board.unplugged", Severity.ALARM, f"{self._path} is gone: {error}")
+
+    def _read(self, now: float) -> None:
+        if self._port is None:
+            return
+        try:
+            data = self._port.read()
+        except PortGone as error:
+            self._lose_port(error, now)
+            return
+        if data:
+            self._take(self._link.receive(data, now), now)
+
+    def _flush(self, now: float) -> None:
+        if self._port is None:
+            return
+        data = self._link.outgoing()
+        if not data:
+            return
+        try:
+            self._port.write(data)
+        except PortGone as error:
+            self._lose_port(error, now)
+
+    def _send_command(self, now: float) -> None:
+        assert self._driven is not None
+        command, left_s = self._driven.command, self._driven.until_s - now
+        self._renew_at_s = now + RENEW_S
+        self._link.request(
+            wire_messages.CommandMessage(
+                heater_steps=round(command.heater_duty * HEATER_LEVELS),
+                fan_on=int(command.fan_on),
+                led_pct=round(command.led * 100),
+                valve_pulse_s=command.valve_pulse_s,
+                cutoff_open=int(self._driven.cutoff_open),
+                lease_s=min(LEASE_S, left_s),
+            ),
+            now,
+        )
+
+    def _renew(self, now: float) -> None:
+        if self._driven is None or now < self._renew_at_s:
+            return
+        if not now < self._driven.until_s:  # no new decision came: let the lease run out
+            self._driven = None
+            self._renew_at_s = float("inf")
+            return
+        if self.link_up:
+            self._send_command(now)
+        else:
+            self._renew_at_s = now + RENEW_S
+
+    def _take(self, events: list[wire.LinkEvent], now: float) -> None:
+        for event in events:
+            match event:
+                case wire.Report(report):
+                    self._samples.append(_readings(report, now))
+                    del self._samples[:-SAMPLES_KEPT]
+                case wire.Echo(state, request):
+                    self._take_echo(state, request, now)
+                case _:
+                    self._tell_link(event)
+
+    def _take_echo(
+        self, state: wire_messages.StateEcho, request: wire_messages.Message | None, now: float
+    ) -> None:
+        was_tripped = self.echo is not None and self.echo.tripped
+        self.echo = _echo(state, now)
+        if isinstance(request, wire_messages.CommandMessage):
+            self._waiting_for_echo = False
+        if self.echo.tripped and not was_tripped:
+            self._tell("board.tripped", Severity.ALARM, f"the board has tripped: {self.echo.trip_cause}")
+
+    def _tell_link(self, event: wire.LinkEvent) -> None:
+        match event:
+            case wire.LinkUp(hello):
+                self.hello = hello
+                firmware = f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
+                self._tell(
+                    "board.link_up", Severity.INFO, f"board {hello.board_id:016x}, firmware {firmware}"
+                )
+            case wire.LinkLost(silent_s):
+                self.echo = None
+                self._tell(
+                    "board.link_lost", Severity.ALARM, f"the board has been silent for {silent_s:.1f} s"
+                )
+            case wire.BoardReset(hello):
+                cause = wire_messages.ResetCause(hello.reset_cause).name.lower()
+                self._tell(
+                    "board.reset", Severity.WARNING, f"the board has reset ({cause}), boot {hello.boot_count}"
+                )
+            case wire.VersionRefused(low, high):
+                self._tell(
+                    "board.version", Severity.ALARM, f"the board speaks protocol {low} to {high}, not 1"
+                )
+            case wire.Refused(error, request):
+                code = wire_messages.ErrorCode(error.code).name.lower()
+                text = f"the board refused {type(request).__name__}: {code} ({error.detail})"
+                self._tell("board.refused", Severity.WARNING, text)
+            case wire.RequestTimedOut(request):
+                self._tell("board.no_answer", Severity.WARNING, f"no answer to {type(request).__name__}")
+
+    def _tell(self, key: str, severity: Severity, text: str) -> None:
+        self._events.append(Event(key, severity, text, self._clock.now(), self._clock.utc()))
+
+
+def _readable(descriptor: int) -> bool:
+    import select
+
+    return bool(select.select([descriptor], [], [], 0)[0])
+
+
+def _readings(report: wire_messages.SensorReport, now: float) -> Sample:
+    return {
+        name: Reading(
+            name,
+            getattr(report, signal.key),
+            now,
+            _QUALITY[wire_messages.Quality(getattr(report, f"{name}_quality"))],
+        )
+        for name, signal in SIGNALS.items()
+    }
+
+
+def _echo(state: wire_messages.StateEcho, now: float) -> Echo:
+    cause = wire_messages.TripCause(state.trip_cause)
+    return Echo(
+        heater_duty=state.heater_steps / HEATER_LEVELS,
+        fan_on=bool(state.fan_on),
+        led=state.led_pct / 100,
+        valve_open=bool(state.valve_open),
+        tripped=bool(state.tripped),
+        trip_cause="" if cause is wire_messages.TripCause.NONE else cause.name.lower(),
+        time_s=now,
+    )

@@ -1,0 +1,63 @@
+"""A controller in a thread of its own, so that a slow or hanging one can't hold up the loop."""
+
+import queue
+import threading
+import time
+from dataclasses import dataclass
+
+from edge.controllers.base import Context, Controller
+from edge.messages import Decision
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came of one question: a decision, or why there is none."""
+
+    decision: Decision | None
+    failure: str  # "" with a decision; else "late" or the exception's text
+    wall_ms: float
+
+
+class DecisionThread:
+    """Asks controllers one question at a time. One that never answers costs this thread, and a new one is begun."""
+
+    def __init__(self) -> None:
+        self._start()
+
+    def ask(self, controller: Controller, context: Context, deadline_s: float) -> Answer:
+        """The controller's decision if it comes within `deadline_s` of wall time."""
+        begun = time.perf_counter()
+        questions, answers = self._questions, self._answers
+        questions.put((controller, context))
+        try:
+            decision, failure = answers.get(timeout=deadline_s)
+        except queue.Empty:
+            questions.put(None)  # ends the old thread if its controller ever comes back
+            self._start()
+            decision, failure = None, "late"
+        return Answer(decision, failure, 1e3 * (time.perf_counter() - begun))
+
+    def close(self) -> None:
+        """End the thread; one that hangs is a daemon thread and dies with the process."""
+        self._questions.put(None)
+        self._thread.join(timeout=1.0)
+
+    def _start(self) -> None:
+        self._questions: queue.SimpleQueue[tuple[Controller, Context] | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[tuple[Decision | None, str]] = queue.SimpleQueue()
+        self._thread = threading.Thread(
+            target=_answer, args=(self._questions, self._answers), name="decision", daemon=True
+        )
+        self._thread.start()
+
+
+def _answer(
+    questions: "queue.SimpleQueue[tuple[Controller, Context] | None]",
+    answers: "queue.SimpleQueue[tuple[Decision | None, str]]",
+) -> None:
+    while (question := questions.get()) is not None:
+        controller, context = question
+        try:
+            answers.put((controller.decide(context), ""))
+        except Exception as error:  # whatever a controller does, the loop falls back to the next one
+            answers.put((None, f"{type(error).__name__}: {error}"))

@@ -1,0 +1,381 @@
+"""The control loop: the only file that knows the order of a tick.
+
+    board -> readings -> estimate -> controller -> safety -> board
+                                                        \\-> history, telemetry
+
+`tick` is that arrow; `run` says when to tick; what each failure gets stands in `edge/failures.py`.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import tzinfo
+from typing import Any, Protocol
+
+import numpy as np
+
+from edge.clock import Clock
+from edge.conditions import Conditions
+from edge.controllers.base import Context, Controller
+from edge.decision_thread import DecisionThread
+from edge.errors import RequestError
+from edge.estimator import Estimator
+from edge.inbox import Inbox, Reply, Request
+from edge.lighting import led_level
+from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
+from edge.operation import Operation, apply_orders, operate
+from edge.reference import Reference, seconds_of_day
+from edge.safety import SafetyMemory, SafetyView, Verdict, clear_trip, planning_limits, supervise
+from edge.sensor_health import SensorHealth
+from edge.settings import Settings
+from edge.watering import Watering
+
+LEASE_S = 10.0  # a decision outlives its step by this much, and no more
+ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
+REFERENCE_STEPS = 60  # how far ahead controllers may see the reference [steps]
+ESTIMATE_AGE_MAX_S = 900.0  # after so long without a good air temperature a plan is a guess
+DECISION_BLOCK_MAX_S = 5.0  # a lease is renewed every 3 s and lasts 10 s: a wait of 5 s can't end one
+LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
+CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
+
+
+class BoardLine(Protocol):
+    """What a tick needs of a board, real or recorded."""
+
+    echo: Echo | None
+
+    @property
+    def link_up(self) -> bool: ...
+    def take_samples(self) -> list[Mapping[str, Reading]]: ...
+    def take_events(self) -> list[Event]: ...
+    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None: ...
+    def serve(self, until_s: float, wake: int | None = None) -> None: ...
+    def serve_until_echo(self, timeout_s: float) -> Echo | None: ...
+    def emergency_stop(self) -> None: ...
+    def clear_trip(self) -> None: ...
+
+
+class Sink(Protocol):
+    """Where records go. Never waits, never raises; its own faults come back as conditions."""
+
+    def write(self, record: TickRecord) -> None: ...
+    def faults(self) -> Mapping[str, str]: ...  # key of the failure table -> detail, for each that holds now
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """All that a loop is wired to."""
+
+    settings: Settings
+    clock: Clock
+    board: BoardLine
+    sensors: SensorHealth
+    estimator: Estimator
+    reference: Reference
+    zone: tzinfo | None
+    controllers: Mapping[str, Controller]
+    sinks: Sequence[Sink]
+    inbox: Inbox
+    save_state: Callable[[Operation, SafetyMemory], None]
+    after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
+    stop_at_s: float = math.inf  # end of an experiment
+
+
+class Loop:
+    """State that lives from tick to tick, and nothing else."""
+
+    def __init__(self, rig: Rig, operation: Operation, memory: SafetyMemory, first_seq: int) -> None:
+        self._rig = rig
+        self._operation = operation
+        self._memory = memory
+        self._seq = first_seq
+        self._step_s = rig.settings.control.step_s
+        self._start_s = rig.clock.now()
+        self._sent = Command()
+        self._last_decision = Decision(Command(), "none")
+        self._last_verdict: Verdict | None = None
+        self._active = ""  # controller that decided last
+        self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
+        self._conditions = Conditions()
+        self._events: list[Event] = []
+        self._decisions = DecisionThread()
+        self._watering = Watering(rig.settings.watering)
+        self._stopping = False
+        self.last_record: TickRecord | None = None
+
+    def run(self) -> None:
+        """Tick on a fixed grid until stopped; then everything off, confirmed by the board if it still answers."""
+        number = 0  # of the grid point that is next
+        skipped = 0
+        try:
+            while self._serve_until(self._start_s + number * self._step_s):
+                now = self._rig.clock.now()
+                late_s = now - (self._start_s + number * self._step_s)
+                self.tick(now, late_s, skipped)
+                # Grid points that went by meanwhile are counted and never made up for.
+                following = max(number + 1, math.ceil((self._rig.clock.now() - self._start_s) / self._step_s))
+                skipped, number = following - number - 1, following
+        finally:
+            self._shut_down()
+
+    def stop(self) -> None:
+        """Ask the loop to end; safe in a signal handler and from any thread."""
+        self._stopping = True
+        self._rig.inbox.ring()
+
+    def tick(self, now: float, late_s: float = 0.0, skipped: int = 0) -> TickRecord:
+        """One step of control: the arrow."""
+        rig, utc = self._rig, self._rig.clock.utc()
+        readings = rig.sensors.readings(rig.board.take_samples(), now)
+        estimate = rig.estimator.update(readings, now, utc)
+        context = self._context(estimate, now, utc)
+        decision, decide_ms = self._decide(context)
+        wanted, orders = apply_orders(
+            self._operation, self._with_light_and_water(decision.command, readings, now, utc)
+        )
+        verdict = self._supervise(wanted, readings, estimate, now, utc)
+        echo = self._drive(verdict)
+        rig.estimator.record_sent(self._sent)
+        self._note_conditions(readings, estimate, echo, late_s, now, utc)
+        record = TickRecord(
+            seq=self._seq,
+            time_s=now,
+            utc=utc,
+            step_s=self._step_s,
+            mode="emergency_stop" if self._operation.emergency_stop else self._operation.mode.value,
+            readings=readings,
+            estimate=estimate,
+            reference_c=float(context.reference[0]),
+            decision=decision,
+            wanted=wanted,
+            changes=orders + verdict.changes,
+            sent=verdict.sent,
+            echo=echo,
+            link_up=rig.board.link_up,
+            events=self._take_events(verdict),
+            ticks_skipped=skipped,
+            late_s=late_s,
+            decide_ms=decide_ms,
+        )
+        self._hand_out(record)
+        return record
+
+    def _context(self, estimate: Estimate, now: float, utc: float) -> Context:
+        rig = self._rig
+        reference = rig.reference.ahead(now - self._start_s, utc, rig.zone, self._step_s, REFERENCE_STEPS)
+        if self._operation.reference_c is not None:
+            reference = np.full(REFERENCE_STEPS, self._operation.reference_c)
+        return Context(
+            now_s=now,
+            utc=utc,
+            step_s=self._step_s,
+            history=rig.estimator.history(),
+            estimate=estimate,
+            reference=reference,
+            last_sent=self._sent,
+            limits=planning_limits(self._memory, rig.settings.safety, now, self._step_s),
+        )
+
+    def _decide(self, context: Context) -> tuple[Decision, float]:
+        """The chosen controller's decision, else the fallback's, else the safe command."""
+        old = not context.now_s - context.estimate.time_s <= ESTIMATE_AGE_MAX_S
+        self._conditions.set("estimate.old", old, context.now_s, context.utc)
+        if old:
+            return Decision(Command(), "none", why={"failure": "estimate.old"}), 0.0
+        chosen, fallback = self._operation.controller, self._rig.settings.control.fallback
+        decision, failure, wall_ms = self._ask(chosen, context)
+        for key in ("controller.raised", "controller.not_a_number", "controller.late"):
+            self._conditions.set(key, key == failure, context.now_s, context.utc, f"{chosen}")
+        if decision is not None:
+            return decision, wall_ms
+        decision, fallback_failure, more_ms = self._ask(fallback, context)
+        self._conditions.set(
+            "fallback.failed", decision is None, context.now_s, context.utc, fallback_failure
+        )
+        if decision is None:
+            return Decision(Command(), "none", why={"failure": failure}), wall_ms + more_ms
+        return replace(
+            decision, why={**decision.why, "instead_of": chosen, "failure": failure}
+        ), wall_ms + more_ms
+
+    def _ask(self, name: str, context: Context) -> tuple[Decision | None, str, float]:
+        """One controller's decision, or the failure-table key of what went wrong; and the wall time [ms]."""
+        controller = self._rig.controllers[name]
+        if name != self._active:
+            controller.reset()
+            self._active = name
+        settings = self._rig.settings.control
+        deadline_s = min(settings.decision_deadline_s, self._step_s / 2, DECISION_BLOCK_MAX_S)
+        answer = self._decisions.ask(controller, context, deadline_s)
+        if answer.decision is None:
+            failure = "controller.late" if answer.failure == "late" else "controller.raised"
+            if failure == "controller.raised":
+                self._tell("controller.error", Severity.WARNING, f"{name}: {answer.failure}", context.now_s)
+            return None, failure, answer.wall_ms
+        if not _is_finite(answer.decision.command):
+            return None, "controller.not_a_number", answer.wall_ms
+        return answer.decision, "", answer.wall_ms
+
+    def _with_light_and_water(
+        self, command: Command, readings: Mapping[str, Reading], now: float, utc: float
+    ) -> Command:
+        """Heater and fan are the controller's; LED and valve follow their own simple rules."""
+        level = led_level(self._rig.settings.lighting, seconds_of_day(utc, self._rig.zone))
+        return replace(
+            command, led=level, valve_pulse_s=self._watering.pulse(readings.get("soil_moisture"), now)
+        )
+
+    def _supervise(
+        self, wanted: Command, readings: Mapping[str, Reading], estimate: Estimate, now: float, utc: float
+    ) -> Verdict:
+        rig = self._rig
+        view = SafetyView(
+            readings=readings,
+            estimate=estimate,
+            echo=rig.board.echo,
+            link_up=rig.board.link_up,
+            emergency_stop=self._operation.emergency_stop,
+            maintenance=self._operation.in_maintenance(utc),
+            now_s=now,
+            utc=utc,
+            dt_s=self._step_s,
+        )
+        verdict = supervise(wanted, view, self._memory, rig.settings.safety)
+        if verdict.memory.trips != self._memory.trips:
+            rig.save_state(self._operation, verdict.memory)
+        self._memory, self._last_verdict = verdict.memory, verdict
+        return verdict
+
+    def _drive(self, verdict: Verdict) -> Echo | None:
+        """Send what safety allows; what the board confirms is what counts from here on."""
+        board = self._rig.board
+        board.drive(verdict.sent, verdict.open_cutoff, self._step_s + LEASE_S)
+        echo = board.serve_until_echo(min(ECHO_TIMEOUT_S, self._step_s / 2)) if board.link_up else None
+        self._watering.given(verdict.sent.valve_pulse_s if board.link_up else 0.0, self._rig.clock.now())
+        self._sent = Command() if echo is None else _driven(echo)
+        return echo
+
+    def _note_conditions(
+        self,
+        readings: Mapping[str, Reading],
+        estimate: Estimate,
+        echo: Echo | None,
+        late_s: float,
+        now: float,
+        utc: float,
+    ) -> None:
+        air = readings.get("temp_air")
+        quality = Quality.ABSENT if air is None else air.quality
+        link_up = self._rig.board.link_up
+        note = self._conditions.set
+        note("reading.not_good", quality is not Quality.GOOD, now, utc, quality.value)
+        note("board.link_down", not link_up, now, utc)
+        note("board.no_echo", link_up and echo is None, now, utc)
+        note("tick.late", late_s > LATE_SHARE * self._step_s, now, utc, f"{late_s:.2f} s")
+        jump_s = (utc - now) - self._wall_minus_monotonic
+        self._wall_minus_monotonic = utc - now
+        note("clock.jumped", abs(jump_s) > CLOCK_JUMP_S, now, utc, f"by {jump_s:+.0f} s")
+        faults = {key: detail for sink in self._rig.sinks for key, detail in sink.faults().items()}
+        for key in ("history.behind", "history.replaced", "telemetry.offline", "state.unwritten"):
+            note(key, key in faults, now, utc, faults.get(key, ""))
+
+    def _take_events(self, verdict: Verdict) -> tuple[Event, ...]:
+        own, self._events = self._events, []
+        return (*own, *self._rig.board.take_events(), *verdict.events, *self._conditions.take_events())
+
+    def _hand_out(self, record: TickRecord) -> None:
+        self._seq += 1
+        self._last_decision = record.decision
+        self.last_record = record
+        for sink in self._rig.sinks:
+            sink.write(record)
+        self._rig.after_tick(record)
+
+    def _serve_until(self, tick_s: float) -> bool:
+        """Keep the line alive and answer requests until the tick is due; False when the loop shall end."""
+        while not self._stopping and self._rig.clock.now() < self._rig.stop_at_s:
+            self._rig.board.serve(tick_s, self._rig.inbox.wake)
+            for letter in self._rig.inbox.take():
+                letter.answer.put(self._answer(letter.request))
+            if self._rig.clock.now() >= tick_s:
+                return not self._stopping
+        return False
+
+    def _answer(self, request: Request) -> Reply:
+        """A person's request, carried out or refused with the reason."""
+        try:
+            match request.get("do"):
+                case "status":
+                    pass
+                case "clear_trip":
+                    self._clear_trip()
+                case _:
+                    self._order(request)
+        except RequestError as error:
+            return {"ok": False, "error": str(error)}
+        return {"ok": True, **self.status()}
+
+    def status(self) -> dict[str, Any]:
+        """Standing orders and the last tick, as JSON values."""
+        from edge.operation import to_dict
+        from edge.tick_json import tick_json
+
+        last = None if self.last_record is None else tick_json(self.last_record)
+        return {"operation": to_dict(self._operation), "trips": list(self._memory.trips), "tick": last}
+
+    def _order(self, request: Request) -> None:
+        clock = self._rig.clock
+        before = self._operation
+        self._operation = operate(before, request, clock.utc(), tuple(self._rig.controllers))
+        if self._operation.emergency_stop and not before.emergency_stop:
+            self._rig.board.emergency_stop()
+        if before.emergency_stop and not self._operation.emergency_stop:
+            self._rig.board.clear_trip()
+        self._rig.save_state(self._operation, self._memory)
+        self._tell("operator.order", Severity.INFO, _in_words(request), clock.now())
+        self._act_now()
+
+    def _clear_trip(self) -> None:
+        clock = self._rig.clock
+        self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air(), clock.now())
+        self._rig.board.clear_trip()
+        self._rig.save_state(self._operation, self._memory)
+        self._tell("operator.clear_trip", Severity.INFO, "trips cleared", clock.now())
+
+    def _act_now(self) -> None:
+        """An order takes effect at once, not at the next tick: the last decision under the new orders."""
+        record = self.last_record
+        if record is None:
+            return
+        now, utc = self._rig.clock.now(), self._rig.clock.utc()
+        command = replace(self._last_decision.command, led=record.wanted.led)
+        wanted, _ = apply_orders(self._operation, command)
+        self._drive(self._supervise(wanted, record.readings, record.estimate, now, utc))
+        self._rig.estimator.record_sent(self._sent)
+
+    def _temp_air(self) -> float | None:
+        reading = self.last_record.readings.get("temp_air") if self.last_record else None
+        return reading.value if reading is not None and reading.quality is Quality.GOOD else None
+
+    def _shut_down(self) -> None:
+        self._rig.board.drive(Command(), False, LEASE_S)
+        if self._rig.board.link_up:
+            self._rig.board.serve_until_echo(ECHO_TIMEOUT_S)
+        self._decisions.close()
+
+    def _tell(self, key: str, severity: Severity, text: str, now: float) -> None:
+        self._events.append(Event(key, severity, text, now, self._rig.clock.utc()))
+
+
+def _is_finite(command: Command) -> bool:
+    return all(map(math.isfinite, (command.heater_duty, command.led, command.valve_pulse_s)))
+
+
+def _driven(echo: Echo) -> Command:
+    return Command(heater_duty=echo.heater_duty, fan_on=echo.fan_on, led=echo.led)
+
+
+def _in_words(request: Request) -> str:
+    return ", ".join(f"{key} {value}" for key, value in request.items() if key != "do") or str(
+        request.get("do")
+    )

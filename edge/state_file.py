@@ -1,0 +1,84 @@
+"""The few values that must outlive the process: standing orders and latched trips.
+
+A small JSON file, not the history database: it must be there when the database is not. Written in its own
+thread, because a slow disk must not hold up control; written beside and renamed, so a power cut leaves the old or
+the new one and never half of one.
+"""
+
+import json
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+
+class StateFileBroken(Exception):
+    """The file is there and can't be understood; the text names it."""
+
+
+def read(path: Path) -> dict[str, Any] | None:
+    """What was last written, or None when nothing ever was. Errors: StateFileBroken."""
+    try:
+        values = json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise StateFileBroken(f"{path}: {error}") from error
+    if not isinstance(values, dict):
+        raise StateFileBroken(f"{path}: not a JSON object")
+    return values
+
+
+def write(path: Path, values: dict[str, Any]) -> None:
+    """Replace the file whole. Errors: OSError."""
+    beside = path.with_name(path.name + ".new")
+    with beside.open("w") as file:
+        json.dump(values, file, indent=1)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+    directory = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
+class StateWriter:
+    """Writes the newest values in a thread of its own; older ones that wait are dropped."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._condition = threading.Condition()
+        self._next: dict[str, Any] | None = None
+        self._closing = False
+        self.failures = 0  # writes that did not reach the disk
+        self.last_error = ""
+        self._thread = threading.Thread(target=self._run, name="state-file", daemon=True)
+        self._thread.start()
+
+    def save(self, values: dict[str, Any]) -> None:
+        """Never waits, never raises."""
+        with self._condition:
+            self._next = values
+            self._condition.notify()
+
+    def close(self) -> None:
+        """Write what waits, then end."""
+        with self._condition:
+            self._closing = True
+            self._condition.notify()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._next is not None or self._closing)
+                values, self._next = self._next, None
+            if values is None:
+                return
+            try:
+                write(self._path, values)
+            except OSError as error:
+                self.failures += 1
+                self.last_error = str(error)
