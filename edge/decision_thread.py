@@ -19,7 +19,7 @@ class Answer:
 
 
 class DecisionThread:
-    """Asks controllers one question at a time. One that never answers costs this thread, and a new one is begun."""
+    """Asks controllers one question at a time. One that hangs costs this thread; a new one is begun."""
 
     def __init__(self) -> None:
         self._start()

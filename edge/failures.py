@@ -47,7 +47,7 @@ _ROWS = (
         "board.no_echo",
         Severity.WARNING,
         "the board did not confirm the command",
-        "its lease is not renewed by hope: the next renewal asks again, the heater counts as off until it answers",
+        "the next renewal asks again; until it answers the heater counts as off",
     ),
     Failure(
         "tick.late",

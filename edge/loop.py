@@ -23,11 +23,12 @@ from edge.estimator import Estimator
 from edge.inbox import Inbox, Reply, Request
 from edge.lighting import led_level
 from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
-from edge.operation import Operation, apply_orders, operate
+from edge.operation import Desk, Operation, apply_orders, operate, to_dict
 from edge.reference import Reference, seconds_of_day
 from edge.safety import SafetyMemory, SafetyView, Verdict, clear_trip, planning_limits, supervise
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
+from edge.tick_json import tick_json
 from edge.watering import Watering
 
 LEASE_S = 10.0  # a decision outlives its step by this much, and no more
@@ -104,7 +105,7 @@ class Loop:
         self.last_record: TickRecord | None = None
 
     def run(self) -> None:
-        """Tick on a fixed grid until stopped; then everything off, confirmed by the board if it still answers."""
+        """Tick on a fixed grid until stopped; then all off, confirmed by a board that still answers."""
         number = 0  # of the grid point that is next
         skipped = 0
         try:
@@ -317,16 +318,13 @@ class Loop:
 
     def status(self) -> dict[str, Any]:
         """Standing orders and the last tick, as JSON values."""
-        from edge.operation import to_dict
-        from edge.tick_json import tick_json
-
         last = None if self.last_record is None else tick_json(self.last_record)
         return {"operation": to_dict(self._operation), "trips": list(self._memory.trips), "tick": last}
 
     def _order(self, request: Request) -> None:
         clock = self._rig.clock
         before = self._operation
-        self._operation = operate(before, request, clock.utc(), tuple(self._rig.controllers))
+        self._operation = operate(before, request, self._desk())
         if self._operation.emergency_stop and not before.emergency_stop:
             self._rig.board.emergency_stop()
         if before.emergency_stop and not self._operation.emergency_stop:
@@ -334,6 +332,10 @@ class Loop:
         self._rig.save_state(self._operation, self._memory)
         self._tell("operator.order", Severity.INFO, _in_words(request), clock.now())
         self._act_now()
+
+    def _desk(self) -> Desk:
+        limits = self._rig.settings.reference
+        return Desk(self._rig.clock.utc(), tuple(self._rig.controllers), limits.min_c, limits.max_c)
 
     def _clear_trip(self) -> None:
         clock = self._rig.clock

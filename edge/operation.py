@@ -1,17 +1,17 @@
-"""What a person has asked of the rig: mode, controller, reference, manual command, emergency stop, maintenance.
+"""What a person has asked of the rig: mode, controller, reference, manual command, stop, maintenance.
 
 Command line, MQTT and, later, a language model end in the same `operate`. All of it survives a restart.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
 from enum import Enum
 from typing import Any
 
 from edge.errors import RequestError
-from edge.hard_limits import MAINTENANCE_MAX_MIN, REFERENCE_MAX_C, REFERENCE_MIN_C
+from edge.hard_limits import MAINTENANCE_MAX_MIN
 from edge.messages import Change, Command
 from edge.names import ACTUATORS, HEATER_LEVELS
 
@@ -42,7 +42,7 @@ class Operation:
     mode: Mode = Mode.AUTO
     fan_mode: FanMode = FanMode.AUTO
     reference_c: float | None = None  # overrides the configured reference when set
-    manual: Command = Command()
+    manual: Command = field(default_factory=Command)
     emergency_stop: bool = False
     maintenance_until_utc: float | None = None
 
@@ -50,6 +50,19 @@ class Operation:
         """Hands are in the box. A clock set back far does not prolong it beyond the longest allowed time."""
         until = self.maintenance_until_utc
         return until is not None and until - MAINTENANCE_MAX_MIN * 60 <= utc < until
+
+
+Request = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Desk:
+    """What an order is checked against."""
+
+    utc: float
+    controllers: tuple[str, ...]
+    reference_min_c: float
+    reference_max_c: float
 
 
 def apply_orders(operation: Operation, command: Command) -> tuple[Command, tuple[Change, ...]]:
@@ -83,9 +96,7 @@ def _ordered(operation: Operation, command: Command) -> Command:
     return command
 
 
-def operate(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def operate(operation: Operation, request: Request, desk: Desk) -> Operation:
     """The standing orders after `request`. Errors: RequestError, and nothing has changed."""
     kind = request.get("do")
     order = ORDERS.get(kind) if isinstance(kind, str) else None
@@ -93,57 +104,49 @@ def operate(
         near = get_close_matches(str(kind), ORDERS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(ORDERS)}"
         raise RequestError(f"unknown request {kind!r}{hint}")
-    return order(operation, request, utc, controllers)
+    return order(operation, request, desk)
 
 
-Order = Callable[[Operation, Mapping[str, Any], float, tuple[str, ...]], Operation]
+Order = Callable[[Operation, Request, Desk], Operation]
 
 
-def _number(request: Mapping[str, Any], key: str, low: float, high: float) -> float:
+def _number(request: Request, key: str, low: float, high: float) -> float:
     value = request.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise RequestError(f"{key}: {value!r} is not a number from {low:g} to {high:g}")
     return float(value)
 
 
-def _choice(request: Mapping[str, Any], key: str, known: tuple[str, ...]) -> str:
+def _choice(request: Request, key: str, known: tuple[str, ...]) -> str:
     value = request.get(key)
     if value not in known:
         raise RequestError(f"{key}: {value!r} is not one of {', '.join(known)}")
     return str(value)
 
 
-def _set_mode(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def _set_mode(operation: Operation, request: Request, desk: Desk) -> Operation:
     return replace(operation, mode=Mode(_choice(request, "mode", tuple(mode.value for mode in Mode))))
 
 
-def _set_fan_mode(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def _set_fan_mode(operation: Operation, request: Request, desk: Desk) -> Operation:
     return replace(
         operation, fan_mode=FanMode(_choice(request, "fan_mode", tuple(mode.value for mode in FanMode)))
     )
 
 
-def _set_reference(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def _set_reference(operation: Operation, request: Request, desk: Desk) -> Operation:
     if request.get("reference_c") is None:
         return replace(operation, reference_c=None)
-    return replace(operation, reference_c=_number(request, "reference_c", REFERENCE_MIN_C, REFERENCE_MAX_C))
+    return replace(
+        operation, reference_c=_number(request, "reference_c", desk.reference_min_c, desk.reference_max_c)
+    )
 
 
-def _set_controller(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
-    return replace(operation, controller=_choice(request, "name", controllers))
+def _set_controller(operation: Operation, request: Request, desk: Desk) -> Operation:
+    return replace(operation, controller=_choice(request, "name", desk.controllers))
 
 
-def _set_manual(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def _set_manual(operation: Operation, request: Request, desk: Desk) -> Operation:
     duty = _number({"heater_duty": operation.manual.heater_duty, **request}, "heater_duty", 0.0, 1.0)
     fan = _number({"fan_on": int(operation.manual.fan_on), **request}, "fan_on", 0, 1)
     led = _number({"led": operation.manual.led, **request}, "led", 0.0, 1.0)
@@ -151,23 +154,17 @@ def _set_manual(
     return replace(operation, mode=Mode.MANUAL, manual=manual)
 
 
-def _emergency_stop(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def _emergency_stop(operation: Operation, request: Request, desk: Desk) -> Operation:
     return replace(operation, emergency_stop=True)
 
 
-def _release(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def _release(operation: Operation, request: Request, desk: Desk) -> Operation:
     return replace(operation, emergency_stop=False)
 
 
-def _maintenance(
-    operation: Operation, request: Mapping[str, Any], utc: float, controllers: tuple[str, ...]
-) -> Operation:
+def _maintenance(operation: Operation, request: Request, desk: Desk) -> Operation:
     minutes = _number(request, "minutes", 0.0, MAINTENANCE_MAX_MIN)
-    return replace(operation, maintenance_until_utc=utc + minutes * 60 if minutes > 0 else None)
+    return replace(operation, maintenance_until_utc=desk.utc + minutes * 60 if minutes > 0 else None)
 
 
 ORDERS: dict[str, Order] = {

@@ -1,4 +1,4 @@
-"""The target of the air temperature over time: constant, steps, a daily schedule, a ramp, or a CSV profile."""
+"""The target of the air temperature over time: constant, steps, daily, a ramp, or a CSV profile."""
 
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
@@ -37,7 +37,7 @@ class Reference:
     def ahead(
         self, since_start_s: float, utc: float, zone: tzinfo | None, step_s: float, steps: int
     ) -> Floats:
-        """Targets for the next `steps` control steps; the first is the one of the step that begins now [°C]."""
+        """Targets for the next `steps` control steps, the one that begins now first [°C]."""
         offsets = step_s * np.arange(steps)
         return self.at(since_start_s + offsets, seconds_of_day(utc, zone) + offsets)
 

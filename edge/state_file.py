@@ -1,8 +1,8 @@
 """The few values that must outlive the process: standing orders and latched trips.
 
 A small JSON file, not the history database: it must be there when the database is not. Written in its own
-thread, because a slow disk must not hold up control; written beside and renamed, so a power cut leaves the old or
-the new one and never half of one.
+thread, because a slow disk must not hold up control; written beside and renamed, so a power cut leaves the
+old one or the new one and never half of one.
 """
 
 import json

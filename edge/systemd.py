@@ -43,7 +43,7 @@ class Notifier:
         try:
             self._socket.sendto(text.encode(), self._address)
         except OSError:
-            # A manager that is gone or busy must not stop control; a missing ping is what the watchdog is for.
+            # A manager that is gone must not stop control; a missing ping is what the watchdog is for.
             return
 
 
