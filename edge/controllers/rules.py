@@ -1,0 +1,49 @@
+"""Hysteresis thermostat: the fallback that needs no model."""
+
+from edge.controllers.base import Context
+from edge.messages import Command, Decision
+from edge.names import HEATER_LEVELS
+
+DEADBAND_K = 0.5  # half-width: the box cools and heats by less than this in a fraction of a minute
+COOLING_DEADBAND_K = 1.5  # the fan starts later than the heater stops, so that they never fight
+
+
+class Rules:
+    """Full heat below the band, none above it; the fan runs from further above until the reference."""
+
+    name = "rules"
+
+    def reset(self) -> None:
+        """Nothing to forget: its memory is the command last sent."""
+
+    def decide(self, context: Context) -> Decision:
+        """Heater and fan for this step; both off when the temperature is not known."""
+        temp, reference = context.estimate.temp_air, float(context.reference[0])
+        limits, last = context.limits, context.last_sent
+        error = temp - reference
+        known = error == error  # NaN is not
+        heat = _hysteresis(-error, last.heater_duty > 0.0, DEADBAND_K, -DEADBAND_K)
+        if not temp < limits.temp_air_max_c:
+            heat = False
+        cool = _hysteresis(error, last.fan_on, COOLING_DEADBAND_K, 0.0)
+        if limits.fan_hold_steps > 0:
+            cool = last.fan_on
+        levels = int(limits.heater_max_duty * HEATER_LEVELS + 1e-9)
+        duty = levels / HEATER_LEVELS if heat else 0.0
+        why = {"rule": _words(known, heat, cool), "reference_c": reference, "deadband_k": DEADBAND_K}
+        return Decision(Command(heater_duty=duty, fan_on=cool), self.name, why=why)
+
+
+def _hysteresis(excess: float, was_on: bool, on_above: float, off_below: float) -> bool:
+    """On above one threshold, off below the other, else as before; NaN is off."""
+    if excess > on_above:
+        return True
+    return was_on and excess > off_below
+
+
+def _words(known: bool, heat: bool, cool: bool) -> str:
+    if not known:
+        return "air temperature or reference unknown: heater off"
+    if heat:
+        return "below the reference: heat"
+    return "above the reference: cool" if cool else "inside the deadband: wait"
