@@ -6,10 +6,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define GH_MAX_PAYLOAD 52u                  /* header 4 + longest body 48 */
-#define GH_MAX_DECODED (GH_MAX_PAYLOAD + 2u) /* and the CRC */
-#define GH_MAX_LINE (GH_MAX_DECODED + 1u)   /* COBS adds one byte below 255 bytes; without the 0x00 */
-#define GH_MAX_FRAME (GH_MAX_LINE + 1u)     /* with the 0x00 */
+#include "gh_messages.h"
+
+#define GH_MAX_PAYLOAD ((size_t)GH_HEADER_LENGTH + GH_MAX_BODY)
+#define GH_MAX_DECODED (GH_MAX_PAYLOAD + 2) /* with the CRC */
+#define GH_MAX_LINE (GH_MAX_DECODED + 1)    /* COBS adds one byte to less than 255; without the 0x00 */
+#define GH_MAX_FRAME (GH_MAX_LINE + 1)      /* with the 0x00 */
 
 /* CRC-16/IBM-3740: polynomial 0x1021, initial 0xFFFF, check value 0x29B1. */
 uint16_t gh_crc16(const uint8_t *data, size_t length);
