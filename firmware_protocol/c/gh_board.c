@@ -260,10 +260,6 @@ static bool sent_by_boards(uint8_t kind)
 
 static void take_payload(gh_board *board, const uint8_t *payload, size_t length, uint32_t now_ms)
 {
-    if (length < GH_HEADER_LENGTH) {
-        board->not_for_us++;
-        return;
-    }
     const request request = {payload[1], payload[2], payload + GH_HEADER_LENGTH, length - GH_HEADER_LENGTH};
     if (payload[0] != GH_PROTOCOL_VERSION) {
         const uint8_t error[GH_ERROR_LENGTH] = {GH_ERROR_CODE_VERSION, GH_PROTOCOL_VERSION};

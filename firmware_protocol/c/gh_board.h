@@ -62,7 +62,7 @@ typedef struct {
     gh_answer answer;
     uint32_t report_ms; /* multiple of the report period that was passed last */
     uint32_t boot_count;
-    uint16_t not_for_us; /* whole frames dropped: too short, looped back, without seq */
+    uint16_t not_for_us; /* whole frames dropped: looped back or without seq */
     uint16_t waiting;    /* bytes in transmit */
     uint8_t reset_cause;
     uint8_t seq;

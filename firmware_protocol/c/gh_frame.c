@@ -31,21 +31,21 @@ static size_t cobs_encode(const uint8_t *data, size_t length, uint8_t *out)
     return length + 1;
 }
 
-/* Decodes in place: every code byte but the first stands for a zero. Returns the decoded length, 0 when a
- * distance points past the end. */
-static size_t cobs_decode(uint8_t *bytes, size_t length)
+/* Decodes in place: every code byte but the first stands for a zero. False when it ends inside a block. */
+static bool cobs_decode(uint8_t *bytes, size_t *length)
 {
     size_t code = 0;
-    while (code < length) {
+    while (code < *length) {
         size_t next = code + bytes[code];
         bytes[code] = 0;
         code = next;
     }
-    if (code != length) {
-        return 0;
+    if (code != *length) {
+        return false;
     }
-    memmove(bytes, bytes + 1, length - 1);
-    return length - 1;
+    *length -= 1;
+    memmove(bytes, bytes + 1, *length);
+    return true;
 }
 
 size_t gh_frame_encode(const uint8_t *payload, size_t length, uint8_t *out)
@@ -58,7 +58,7 @@ size_t gh_frame_encode(const uint8_t *payload, size_t length, uint8_t *out)
     uint16_t crc = gh_crc16(payload, length);
     plain[length] = (uint8_t)(crc >> 8);
     plain[length + 1] = (uint8_t)(crc & 0xFFu);
-    size_t written = cobs_encode(plain, length + 2, out);
+    size_t written = cobs_encode(plain, length + GH_CRC_LENGTH, out);
     out[written] = 0;
     return written + 1;
 }
@@ -71,16 +71,17 @@ void gh_frame_decoder_init(gh_frame_decoder *decoder)
 /* The payload's length when the collected line is a good frame, else 0. */
 static size_t decode_line(gh_frame_decoder *decoder)
 {
-    size_t length = cobs_decode(decoder->bytes, decoder->length);
-    if (length == 0) {
+    size_t length = decoder->length;
+    if (!cobs_decode(decoder->bytes, &length)) {
         decoder->bad_cobs++;
-        return 0;
-    }
-    if (length < 2 || gh_crc16(decoder->bytes, length) != 0) { /* the CRC over data and its own CRC is 0 */
+    } else if (length < GH_HEADER_LENGTH + GH_CRC_LENGTH) {
+        decoder->too_short++;
+    } else if (gh_crc16(decoder->bytes, length) != 0) { /* the CRC over data and its own CRC is 0 */
         decoder->bad_crc++;
-        return 0;
+    } else {
+        return length - GH_CRC_LENGTH;
     }
-    return length - 2;
+    return 0;
 }
 
 size_t gh_frame_push(gh_frame_decoder *decoder, uint8_t byte)

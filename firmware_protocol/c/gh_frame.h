@@ -9,9 +9,10 @@
 #include "gh_messages.h"
 
 #define GH_MAX_PAYLOAD ((size_t)GH_HEADER_LENGTH + GH_MAX_BODY)
-#define GH_MAX_DECODED (GH_MAX_PAYLOAD + 2) /* with the CRC */
-#define GH_MAX_LINE (GH_MAX_DECODED + 1)    /* COBS adds one byte to less than 255; without the 0x00 */
-#define GH_MAX_FRAME (GH_MAX_LINE + 1)      /* with the 0x00 */
+#define GH_CRC_LENGTH 2
+#define GH_MAX_DECODED (GH_MAX_PAYLOAD + GH_CRC_LENGTH)
+#define GH_MAX_LINE (GH_MAX_DECODED + 1) /* COBS adds one byte to less than 255; without the 0x00 */
+#define GH_MAX_FRAME (GH_MAX_LINE + 1)   /* with the 0x00 */
 
 /* CRC-16/IBM-3740: polynomial 0x1021, initial 0xFFFF, check value 0x29B1. */
 uint16_t gh_crc16(const uint8_t *data, size_t length);
@@ -24,7 +25,7 @@ typedef struct {
     uint8_t bytes[GH_MAX_LINE];
     uint8_t length;
     bool overlong; /* drop everything up to the next 0x00 */
-    uint16_t bad_crc, bad_cobs, too_long;
+    uint16_t too_long, bad_cobs, too_short, bad_crc;
 } gh_frame_decoder;
 
 void gh_frame_decoder_init(gh_frame_decoder *decoder);
