@@ -1,0 +1,105 @@
+"""edge.yaml becomes checked, frozen settings, once. Nobody passes dicts on."""
+
+import hashlib
+import json
+from dataclasses import asdict, fields
+from datetime import time
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import yaml
+
+from edge.config_schema import Section, SettingError, nearest
+from edge.errors import ConfigError
+from edge.settings import Settings
+from edge.strict_yaml import parse_yaml
+
+AnySection = TypeVar("AnySection", bound=Section)
+
+
+def default() -> Settings:
+    """Settings of an empty file."""
+    return Settings()
+
+
+def load(path: str | Path) -> Settings:
+    """Settings from a YAML file. Raises ConfigError, which names file and key."""
+    try:
+        source = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: can't be read: {error}") from error
+    return parse(source, str(path))
+
+
+def parse(source: str, place: str = "edge.yaml") -> Settings:
+    """Settings from YAML text; `place` is named in errors."""
+    try:
+        tree = parse_yaml(source)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{place}: {' '.join(str(error).split())}") from error
+    try:
+        return _section(Settings, tree, "")
+    except SettingError as error:
+        raise ConfigError(f"{place}: {error}") from error
+
+
+def config_hash(settings: Settings) -> str:
+    """Short name of these settings, equal for equal settings however their YAML was written."""
+    text = json.dumps(asdict(settings), default=str, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _section(kind: type[AnySection], tree: object, key: str) -> AnySection:
+    """One section from a mapping; a missing key keeps its default, an empty section is all defaults."""
+    if tree is None:
+        tree = {}
+    if not isinstance(tree, dict):
+        raise SettingError(key or "the file", f"must hold keys and values, not {tree!r}")
+    types = get_type_hints(kind)
+    known = [item.name for item in fields(kind)]
+    for name in tree:
+        if name not in known:
+            raise SettingError(key or "the file", f"unknown key {name!r}; {nearest(str(name), known)}")
+    values = {name: _value(types[name], value, _join(key, name)) for name, value in tree.items()}
+    try:
+        return kind(**values)
+    except SettingError as error:
+        raise SettingError(_join(key, error.key), error.problem) from error
+
+
+def _value(kind: Any, value: object, key: str) -> Any:
+    """`value` as the type a field asks for; never a guess between types."""
+    if get_origin(kind) is tuple:
+        return _list(get_args(kind)[0], value, key)
+    if issubclass(kind, Section):
+        return _section(kind, value, key)
+    if kind is time:
+        return _time(value, key)
+    if kind is float and type(value) is int:
+        return float(value)
+    if type(value) is not kind:
+        raise SettingError(key, f"must be {_WORDS[kind]}, not {value!r}")
+    return value
+
+
+_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text", time: '"HH:MM"'}
+
+
+def _list(kind: type[AnySection], value: object, key: str) -> tuple[AnySection, ...]:
+    if not isinstance(value, list):
+        raise SettingError(key, f"must be a list, not {value!r}")
+    return tuple(_section(kind, item, f"{key}[{index}]") for index, item in enumerate(value))
+
+
+def _time(value: object, key: str) -> time:
+    try:
+        result = time.fromisoformat(value) if isinstance(value, str) else None
+    except ValueError:
+        result = None
+    if result is None or result.tzinfo is not None:
+        raise SettingError(key, f"must be {_WORDS[time]}, not {value!r}")
+    return result
+
+
+def _join(key: str, name: str) -> str:
+    return f"{key}.{name}" if key else str(name)
