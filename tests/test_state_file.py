@@ -1,0 +1,45 @@
+"""edge/state_file.py: standing orders survive, whole or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from edge.state_file import StateFileBroken, StateWriter, read, write
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    write(path, {"mode": "off"})
+    write(path, {"mode": "heat"})
+    assert read(path) == {"mode": "heat"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state.json"]
+
+
+def test_nothing_written_is_none(tmp_path: Path) -> None:
+    assert read(tmp_path / "state.json") is None
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "\x00\xff", '{"a": 1'])
+def test_a_broken_file_is_told_with_its_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "state.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(StateFileBroken, match=r"state\.json"):
+        read(path)
+
+
+def test_the_writer_ends_with_the_newest_values(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    writer = StateWriter(path)
+    for number in range(50):
+        writer.save({"number": number})
+    writer.close()
+    assert read(path) == {"number": 49}
+
+
+def test_a_write_that_fails_is_counted_and_the_next_one_tried(tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "state.json"
+    writer = StateWriter(path)
+    writer.save({"number": 1})
+    writer.close()
+    assert writer.failures == 1
+    assert "missing" in writer.last_error
