@@ -1,0 +1,13 @@
+"""The board's clock: milliseconds in 32 bits, which wrap after 49.7 days."""
+
+_MASK = 0xFFFFFFFF
+
+
+def wrapped(ms: int) -> int:
+    """A time as the board's clock shows it."""
+    return ms & _MASK
+
+
+def elapsed(now_ms: int, since_ms: int) -> int:
+    """Time that passed [ms], right across a wrap; a clock that goes back shows as very much."""
+    return (now_ms - since_ms) & _MASK

@@ -1,0 +1,176 @@
+"""A board without pins, port or clock: bytes and samples in, pins and bytes out.
+
+The reference of PROTOCOL.md; c/gh_board.c is the same in C, and one test suite runs over both.
+"""
+
+from collections.abc import Mapping
+
+from firmware_protocol.errors import DecodeError
+from firmware_protocol.frame import FrameDecoder, encode
+from firmware_protocol.messages import (
+    LAYOUT_OF_KIND,
+    PROTOCOL_VERSION,
+    Capability,
+    ClearTrip,
+    CommandMessage,
+    EmergencyStop,
+    ErrorCode,
+    ErrorMessage,
+    Header,
+    HeaterOffCause,
+    HelloRequest,
+    Message,
+    ResetCause,
+    StateEcho,
+    TripCause,
+    pack,
+    read_header,
+    unpack,
+)
+from firmware_protocol.virtual_board.board_config import BoardConfig
+from firmware_protocol.virtual_board.board_safety import Pins, Safety
+from firmware_protocol.virtual_board.board_samples import AIR, Samples
+from firmware_protocol.virtual_board.board_time import elapsed, wrapped
+
+__all__ = ["BoardCore", "Pins"]
+
+_OPTIONAL = (("led_pct", Capability.LED), ("valve_pulse_s", Capability.VALVE),
+             ("cutoff_open", Capability.HEATER_CUTOFF))  # fmt: skip
+_COMMAND_FIELDS = tuple(CommandMessage.__dataclass_fields__)
+
+
+class BoardCore:
+    """One start of a board, from reset to reset. All times are the board's clock [ms], which may wrap."""
+
+    def __init__(self, config: BoardConfig, persistent: bytes, reset_cause: int, boot_count: int) -> None:
+        self.dropped = 0  # whole frames that no answer can be given to
+        self.decoder = FrameDecoder()
+        self._config = config
+        self._reset_cause = ResetCause(reset_cause)
+        self._boot_count = boot_count
+        self._safety = Safety(config, persistent)
+        self._samples = Samples()
+        self._seq = 0
+        self._answered: tuple[int, Message] | None = None  # newest request's seq and what was said to it
+        self._told: tuple[HeaterOffCause, TripCause] | None = None  # by the last state_echo since a hello
+        self._report_ms = 0  # multiple of the report period that was passed last
+        self._transmit = bytearray()
+        self._send_hello(0, 0)
+
+    def receive(self, data: bytes, now_ms: int) -> None:
+        """Bytes from the line."""
+        self._advance(now_ms)
+        for payload in self.decoder.feed(data):
+            self._take(payload, wrapped(now_ms))
+
+    def sample(self, samples: Mapping[str, tuple[float | None, int]], now_ms: int) -> None:
+        """New samples: a key of board_samples.SIGNALS -> (value in its unit or None, Quality)."""
+        self._advance(now_ms)
+        for signal, (value, quality) in samples.items():
+            sample = self._samples.take(signal, value, quality, wrapped(now_ms))
+            if signal == AIR:
+                self._safety.sample_air(sample)
+
+    def step(self, now_ms: int) -> Pins:
+        """What the pins must show from now on; to be called at least every 100 ms."""
+        self._advance(now_ms)
+        if self._told != (self._safety.heater_off_cause, self._safety.trip_cause):
+            self._send(self._state(wrapped(now_ms)), 0)
+        passed = elapsed(now_ms, self._report_ms) // self._config.report_period_ms
+        if passed > 0:
+            self._report_ms += passed * self._config.report_period_ms
+            self._send(self._samples.report(wrapped(now_ms)), 0)
+        return self._safety.pins()
+
+    def transmit(self) -> bytes:
+        """The bytes for the line since the last call."""
+        data = bytes(self._transmit)
+        self._transmit.clear()
+        return data
+
+    def persistent(self) -> bytes:
+        """What must survive a reset; to be stored when it changes."""
+        return self._safety.persistent()
+
+    def _advance(self, now_ms: int) -> None:
+        self._samples.advance(now_ms)
+        self._safety.advance(now_ms)
+
+    def _take(self, payload: bytes, now_ms: int) -> None:
+        header = read_header(payload)
+        if header.version != PROTOCOL_VERSION:
+            self._send(ErrorMessage(ErrorCode.VERSION, PROTOCOL_VERSION), header.seq)
+        elif _sent_by_boards(header.kind) or header.seq == 0:
+            self.dropped += 1  # a line that leads back to its sender would answer itself for ever
+        else:
+            self._serve(header, payload, now_ms)
+
+    def _serve(self, header: Header, payload: bytes, now_ms: int) -> None:
+        try:
+            message: Message | DecodeError = unpack(payload)[1]
+        except DecodeError as error:
+            message = error
+        if isinstance(message, HelloRequest):
+            self._safety.greeted = True
+            self._answered = None
+            self._send_hello(message.session, header.seq)
+            return
+        if self._answered is None or self._answered[0] != header.seq:
+            answer = self._answer(message, header.kind, now_ms)
+            if not self._safety.greeted:
+                self._send(answer, header.seq)
+                return
+            self._answered = header.seq, answer
+        self._send(self._answered[1], header.seq)
+
+    def _answer(self, message: Message | DecodeError, kind: int, now_ms: int) -> Message:
+        if isinstance(message, DecodeError):
+            return ErrorMessage(ErrorCode(message.code), message.detail)
+        if not self._safety.greeted:
+            return ErrorMessage(ErrorCode.NOT_GREETED, kind)
+        return self._refusal(message, now_ms) or self._state(now_ms)
+
+    def _refusal(self, message: Message, now_ms: int) -> ErrorMessage | None:
+        obeyed = True
+        match message:
+            case CommandMessage():
+                for name, part in _OPTIONAL:
+                    if getattr(message, name) and not self._config.has(part):
+                        return ErrorMessage(ErrorCode.NO_ACTUATOR, _COMMAND_FIELDS.index(name))
+                obeyed = self._safety.obey(message, now_ms)
+            case ClearTrip():
+                obeyed = self._safety.clear_trip()
+            case EmergencyStop():
+                self._safety.trip(TripCause.EMERGENCY_STOP)
+        return None if obeyed else ErrorMessage(ErrorCode.TRIPPED, self._safety.trip_cause)
+
+    def _state(self, now_ms: int) -> StateEcho:
+        safety = self._safety
+        pins = safety.pins()
+        self._told = safety.heater_off_cause, safety.trip_cause
+        return StateEcho(
+            board_ms=now_ms,
+            heater_steps=safety.heater_steps,
+            heater_off_cause=safety.heater_off_cause,
+            fan_on=pins.fan,
+            led_pct=safety.led_pct,
+            valve_open=pins.valve,
+            cutoff_open=pins.cutoff_open,
+            tripped=safety.tripped,
+            trip_cause=safety.trip_cause,
+            lease_left_s=safety.lease_left_ms(now_ms) / 1000,
+            fan_rpm=self._samples.fan_rpm(),
+        )
+
+    def _send_hello(self, session: int, ack: int) -> None:
+        self._send(self._config.hello(session, self._reset_cause, self._boot_count), ack)
+        self._told = None
+
+    def _send(self, message: Message, ack: int) -> None:
+        self._seq = self._seq % 255 + 1
+        self._transmit += encode(pack(message, self._seq, ack))
+
+
+def _sent_by_boards(kind: int) -> bool:
+    layout = LAYOUT_OF_KIND.get(kind)
+    return layout is not None and layout.from_board
