@@ -53,7 +53,6 @@ void gh_safety_init(gh_safety *safety, const gh_safety_config *config, const uin
 {
     memset(safety, 0, sizeof *safety);
     safety->config = *config;
-    safety->demand.cutoff_open = true;
     safety->trip_cause = trip_from(persistent);
 }
 
@@ -77,12 +76,14 @@ static void take_smaller_duty(gh_safety *safety)
 
 static void advance_slot(gh_safety *safety, uint32_t now_ms)
 {
-    uint32_t passed = (now_ms - safety->slot_start_ms) / safety->config.pwm_slot_ms;
-    if (passed > 0) {
-        safety->slot_start_ms += passed * safety->config.pwm_slot_ms;
-        safety->slot = (uint8_t)((safety->slot + passed) % GH_PWM_SLOTS);
-        safety->slot_steps = gh_safety_heater_steps(safety);
+    uint32_t elapsed = now_ms - safety->slot_start_ms;
+    if (elapsed < safety->config.pwm_slot_ms) {
+        return; /* most often: a 32-bit division takes an 8-bit board 40 us */
     }
+    uint32_t passed = elapsed / safety->config.pwm_slot_ms;
+    safety->slot_start_ms += passed * safety->config.pwm_slot_ms;
+    safety->slot = (uint8_t)((safety->slot + passed) % GH_PWM_SLOTS);
+    safety->slot_steps = gh_safety_heater_steps(safety);
 }
 
 void gh_safety_advance(gh_safety *safety, uint32_t now_ms)
@@ -155,7 +156,6 @@ void gh_safety_trip(gh_safety *safety, uint8_t cause)
     if (safety->trip_cause == GH_TRIP_CAUSE_NONE) {
         safety->trip_cause = cause;
     }
-    safety->demand.cutoff_open = true;
     safety->led.length_ms = 0;
     safety->valve.length_ms = 0;
     safety->valve_pulse.length_ms = 0;
@@ -216,7 +216,7 @@ gh_pins gh_safety_pins(const gh_safety *safety)
         .fan = tripped || (lease_runs(&safety->fan) ? demand->fan_on : safety->config.fan_safe_on),
         .led_pct = lease_runs(&safety->led) ? demand->led_pct : 0,
         .valve = lease_runs(&safety->valve) && lease_runs(&safety->valve_pulse),
-        .cutoff_open = safety->config.has_cutoff && (tripped || demand->cutoff_open),
+        .cutoff_open = safety->config.has_cutoff && (tripped || !lease_runs(&safety->heater) || demand->cutoff_open),
     };
     return pins;
 }
