@@ -1,0 +1,288 @@
+"""Parameters of the simulated greenhouse, read from chamber.yaml; the unit is in the name."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import yaml
+
+from firmware_protocol.virtual_board.effects import Effects
+
+DEFAULT_FILE = Path(__file__).with_name("chamber.yaml")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box:
+    width_m: float
+    depth_m: float
+    height_m: float
+    heater_zone_share: float
+
+    @property
+    def volume_m3(self) -> float:
+        return self.width_m * self.depth_m * self.height_m
+
+    @property
+    def floor_m2(self) -> float:
+        return self.width_m * self.depth_m
+
+    @property
+    def cover_m2(self) -> float:
+        """Four walls and the roof; the floor stands on the table."""
+        return self.floor_m2 + 2.0 * (self.width_m + self.depth_m) * self.height_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Air:
+    density_kg_m3: float
+    heat_capacity_j_kg_k: float
+    contact_capacity_factor: float
+    mixing_flow_m3_s: float
+    fan_mixing_flow_m3_s: float
+    leak_flow_m3_s: float
+    stack_leak_flow_m3_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cover:
+    areal_mass_kg_m2: float
+    heat_capacity_j_kg_k: float
+    gap_w_m2_k: float
+    inner_film_w_m2_k: float
+    inner_film_fan_w_m2_k: float
+    outer_film_w_m2_k: float
+    film_reference_k: float
+    emissivity: float
+    draught_share: float
+    draught_tau_s: float
+    ua_drift_per_day: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heater:
+    power_w: float
+    capacity_j_k: float
+    surface_m2: float
+    emissivity: float
+    diameter_m: float
+    fan_convection_factor: float
+    view_cover: float
+    view_soil: float
+    view_plant: float
+    efficiency: float
+    deadtime_s: float
+    saturation_duty: float
+    sag: float
+    duty_window_s: float
+    thermostat_c: float
+    thermostat_share_per_k: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fan:
+    flow_m3_s: float
+    effectiveness: float
+    short_circuit: float
+    spinup_s: float
+    deadtime_s: float
+    motor_heat_w: float
+    clogging_per_day: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Soil:
+    capacity_j_k: float
+    air_w_k: float
+    floor_w_k: float
+    longwave_m2: float
+    evaporation_w_kpa: float
+    water_capacity_kg: float
+    water_start: float
+    dry_below: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plant:
+    capacity_j_k: float
+    leaf_m2: float
+    dark_share: float
+    film_w_m2_k: float
+    transpiration_w_kpa: float
+    photosynthesis_mol_s: float
+    half_saturation_ppm: float
+    respiration_mol_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Led:
+    power_w: float
+    light_share: float
+    light_to_plant: float
+    light_to_soil: float
+    light_to_cover: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tank:
+    volume_kg: float
+    start_level: float
+    valve_flow_kg_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Room:
+    temp_c: float
+    diurnal_k: float
+    warmest_hour: float
+    wander_sd_k: float
+    wander_tau_s: float
+    rel_humidity_pct: float
+    humidity_wander_pct: float
+    humidity_tau_s: float
+    co2_ppm: float
+    co2_wander_ppm: float
+    co2_tau_s: float
+    start_hour: float
+    start_day: float
+    sun_w: float
+    sun_from_hour: float
+    sun_to_hour: float
+    sun_light: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mains:
+    run_sd: float
+    wander_sd: float
+    wander_tau_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Events:
+    door_w_k: float
+    door_interval_s: float
+    door_shortest_s: float
+    door_longest_s: float
+    constant_heat_w: float
+    heat_noise_w: float
+    heat_noise_tau_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensors:
+    air_lag_s: float
+    air_bias_k: float
+    air_noise_k: float
+    temp_step_k: float
+    air_drift_k_day: float
+    radiation_k_w: float
+    ambient_offset_k: float
+    ambient_noise_k: float
+    humidity_lag_s: float
+    humidity_bias_pct: float
+    humidity_noise_pct: float
+    humidity_step_pct: float
+    co2_lag_s: float
+    co2_noise_ppm: float
+    light_noise: float
+    soil_noise: float
+    tank_noise: float
+    period_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChamberParameters:
+    """All sections of chamber.yaml."""
+
+    box: Box
+    air: Air
+    cover: Cover
+    heater: Heater
+    fan: Fan
+    soil: Soil
+    plant: Plant
+    led: Led
+    tank: Tank
+    room: Room
+    mains: Mains
+    events: Events
+    sensors: Sensors
+
+
+# Values that may be negative; every other one is 0 or more, and above 0 where it divides.
+_SIGNED = frozenset(
+    {"temp_c", "air_bias_k", "air_drift_k_day", "ambient_offset_k", "humidity_bias_pct", "constant_heat_w",
+     "ua_drift_per_day", "start_day"}
+)  # fmt: skip
+_POSITIVE_ENDINGS = ("_tau_s", "_interval_s")
+_POSITIVE = frozenset(
+    {"width_m", "depth_m", "height_m", "heater_zone_share", "density_kg_m3", "heat_capacity_j_kg_k",
+     "contact_capacity_factor", "mixing_flow_m3_s", "areal_mass_kg_m2", "gap_w_m2_k", "inner_film_w_m2_k",
+     "film_reference_k", "surface_m2", "diameter_m", "leaf_m2", "film_w_m2_k", "water_capacity_kg", "volume_kg",
+     "half_saturation_ppm", "period_s", "temp_step_k", "humidity_step_pct", "dry_below"}
+)  # fmt: skip
+
+
+def load(path: Path | None = None) -> tuple[ChamberParameters, Effects]:
+    """The default parameters and effects, with what the file at `path` changes.
+
+    A value is a number or `{value: number, source: text}`. Raises ValueError, which names file, section and
+    key, for an unknown key, a value that is not a number or one outside its range.
+    """
+    sections = _read(DEFAULT_FILE)
+    if path is not None:
+        changes = _read(path)
+        _refuse_unknown(changes, sections, path.name)
+        for name, section in changes.items():
+            if name != "effects":
+                _refuse_unknown(section, sections[name], f"{path.name}.{name}")
+            sections[name] = sections[name] | section
+    file = DEFAULT_FILE.name if path is None else path.name
+    effects = Effects.from_mapping(sections.pop("effects", {}), f"{file}.effects")
+    return from_sections(sections, file), effects
+
+
+def from_sections(sections: Mapping[str, Mapping[str, Any]], place: str) -> ChamberParameters:
+    """Checked parameters from `{section: {key: value}}`, all sections and keys present."""
+    types = get_type_hints(ChamberParameters)
+    return ChamberParameters(
+        **{name: _section(types[name], sections[name], f"{place}.{name}") for name in types}
+    )
+
+
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    raw = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    if not isinstance(raw, dict) or not all(isinstance(section, dict) for section in raw.values()):
+        raise ValueError(f"{path.name}: not a mapping of sections")
+    return {name: {key: _bare(value) for key, value in section.items()} for name, section in raw.items()}
+
+
+def _bare(value: object) -> object:
+    return value["value"] if isinstance(value, dict) and "value" in value else value
+
+
+def _refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any], place: str) -> None:
+    for key in given:
+        if key not in known:
+            raise ValueError(f"{place}: unknown key '{key}'; known keys: {sorted(known)}")
+
+
+def _section(section_type: type, values: Mapping[str, Any], place: str) -> Any:
+    names = [field.name for field in fields(section_type)]
+    _refuse_unknown(values, dict.fromkeys(names), place)
+    for name in names:
+        if name not in values:
+            raise ValueError(f"{place}: missing key '{name}'")
+        _check(name, values[name], f"{place}.{name}")
+    return section_type(**{name: float(values[name]) for name in names})
+
+
+def _check(name: str, value: object, place: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{place}: {value!r} is not a finite number")
+    if name not in _SIGNED and not value >= 0.0:
+        raise ValueError(f"{place}: {value} is below 0")
+    if (name in _POSITIVE or name.endswith(_POSITIVE_ENDINGS)) and not value > 0.0:
+        raise ValueError(f"{place}: {value} is not above 0")

@@ -1,0 +1,229 @@
+"""The thermal network: seven nodes, one implicit step.
+
+Nodes: h heater element, p leaf and stem, s soil, o outer sheet, w inner sheet, u air of the heater's zone
+(upper), l air of the zone with sensor and intake (lower). h, p, s, o and w may be without mass.
+
+    h -film- u,  h -radiation-> w, s, p (and u),  u -exchange- l,  u, l -film- w,  l -film- p, s,
+    p, s -radiation- w -gap- o -film, radiation- room,  s -floor- room,  room -fan-> l -fan-> u -fan-> room
+
+One step is SDIRK2 (Alexander 1977: two stages, L-stable, stiffly accurate) on the equations with the
+coefficients of the step's beginning, so a step of 1 s is right for air that answers in 6 s, and a node
+without mass keeps its balance. h, p, s and o touch only w, u and l, so they are eliminated by hand; what
+remains is 3 x 3. Each flow is taken at the same mean temperatures at both of its ends: energy is conserved
+to rounding.
+"""
+
+import math
+from dataclasses import dataclass
+
+from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
+from firmware_protocol.virtual_board.effects import Effects
+
+STEFAN_BOLTZMANN = 5.670374e-8  # [W/(m² K⁴)]
+KELVIN = 273.15
+WELL_MIXED_W_K = 1.0e6  # exchange that makes two zones one
+HEATER_REFERENCE_K = 200.0  # element above air at full power, where constant films are evaluated
+SMALLEST_DIFFERENCE_K = 0.5  # natural convection never stops wholly: a room's air moves
+LEAF_AND_SOIL_EMISSIVITY = 0.95
+MASSLESS_PASSES = 6  # of Newton, for an element without mass
+
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+_SECOND_STAGE = (1.0 - GAMMA) / GAMMA
+
+Temperatures = list[float]  # h p s o w u l [degC]; replaced, never changed in place
+
+
+@dataclass(slots=True)
+class Loads:
+    """What acts on the network during one step; constant within it."""
+
+    room_c: float = 20.0
+    draught: float = 1.0  # factor on the outer film
+    ageing: float = 1.0  # factor on the loss to the room
+    fan_speed: float = 0.0  # 0..1
+    ventilation_w_k: float = 0.0  # heat capacity rate of the fan's flow
+    leak_w_k: float = 0.0  # of leaks and the door, half from each zone
+    heater_w: float = 0.0
+    upper_w: float = 0.0
+    lower_w: float = 0.0
+    plant_w: float = 0.0
+    soil_w: float = 0.0
+    cover_w: float = 0.0
+
+
+class ThermalNetwork:
+    """Temperatures of the nodes, and the heat that has left the box by each way."""
+
+    def __init__(self, parameters: ChamberParameters, effects: Effects, temp_c: float) -> None:
+        self._p, self._e = parameters, effects
+        box, heater = parameters.box, parameters.heater
+        self.capacities = _capacities(parameters, effects)
+        walls_m2 = box.cover_m2 - box.floor_m2
+        self._upper_m2 = box.floor_m2 + walls_m2 * box.heater_zone_share
+        self._lower_m2 = walls_m2 * (1.0 - box.heater_zone_share)
+        self._emitting = heater.surface_m2 * heater.emissivity * STEFAN_BOLTZMANN
+        views = heater.view_cover + heater.view_soil + heater.view_plant
+        self._views = [view / views for view in (heater.view_cover, heater.view_soil, heater.view_plant)]
+        self._to_cover, self._to_soil, self._to_plant = (
+            effects.radiative_split * view for view in self._views
+        )
+        self._to_upper = 1.0 - effects.radiative_split
+        self.temps: Temperatures = [temp_c] * 7
+        self.start = self.mean = self.temps  # mean: over the last step
+        self.radiated_w = 0.0  # by the heater, mean over the last step
+        self.cover_j = self.floor_j = self.air_j = 0.0  # heat that has left
+
+    def stored_j(self) -> float:
+        """Heat stored since the start [J]."""
+        return sum(c * (t - t0) for c, t, t0 in zip(self.capacities, self.temps, self.start, strict=True))
+
+    def step(self, dt_s: float, loads: Loads) -> None:
+        """Move on by dt_s, which is short against all nodes with mass but the air."""
+        self._link_surfaces(loads)
+        self._link_heater(loads)
+        self._eliminate(GAMMA * dt_s, loads)
+        first = self._stage(self.temps, loads)
+        base = [old + _SECOND_STAGE * (new - old) for old, new in zip(self.temps, first, strict=True)]
+        self.temps = self._stage(base, loads)
+        self.mean = [a + GAMMA * (b - a) for a, b in zip(first, self.temps, strict=True)]
+        h, _, s, o, _, u, l = self.mean  # noqa: E741
+        room = loads.room_c
+        self.radiated_w = self._rad_w + self._rad_w_k * h
+        self.cover_j += dt_s * self._oa * (o - room)
+        self.floor_j += dt_s * self._sa * (s - room)
+        leak = 0.5 * loads.leak_w_k
+        self.air_j += dt_s * ((loads.ventilation_w_k + leak) * (u - room) + leak * (l - room))
+
+    def _link_surfaces(self, loads: Loads) -> None:
+        """Conductances between air, sheets, soil, leaf and room at the present temperatures."""
+        _, p, s, o, w, u, l = self.temps  # noqa: E741
+        cover, soil, plant, air, effects = self._p.cover, self._p.soil, self._p.plant, self._p.air, self._e
+        room, speed, cover_m2 = loads.room_c, loads.fan_speed, self._p.box.cover_m2
+        forced = cover.inner_film_fan_w_m2_k * speed
+        power = 0.25 * effects.natural_convection
+        reference = cover.film_reference_k
+        self._wu = self._upper_m2 * (cover.inner_film_w_m2_k * _growth(u - w, reference, power) + forced)
+        self._wl = self._lower_m2 * (cover.inner_film_w_m2_k * _growth(l - w, reference, power) + forced)
+        self._wo = cover_m2 * cover.gap_w_m2_k * loads.ageing
+        outer_film = cover.outer_film_w_m2_k * _growth(o - room, reference, power)
+        self._oa = (
+            cover_m2 * outer_film * loads.draught * loads.ageing * effects.wall_loss
+            + effects.longwave_radiation * longwave_conductance(cover_m2 * cover.emissivity, o, room)
+        )
+        interior = effects.interior_longwave * LEAF_AND_SOIL_EMISSIVITY
+        self._pl = 2.0 * plant.leaf_m2 * plant.film_w_m2_k
+        self._pw = interior * longwave_conductance(plant.leaf_m2, p, w)
+        self._sl = soil.air_w_k
+        self._sw = interior * longwave_conductance(soil.longwave_m2, s, w)
+        self._sa = soil.floor_w_k * loads.ageing * effects.wall_loss
+        mixing_flow = air.mixing_flow_m3_s + air.fan_mixing_flow_m3_s * speed
+        exchange = mixing_flow * air.density_kg_m3 * air.heat_capacity_j_kg_k
+        self._ul = exchange / effects.imperfect_mixing if effects.imperfect_mixing > 0.0 else WELL_MIXED_W_K
+
+    def _link_heater(self, loads: Loads) -> None:
+        """Film of the element and the tangent of its radiation, q = _rad_w + _rad_w_k T."""
+        h, p, s, _, w, u, _ = self.temps
+        cover, soil, plant = self._views
+        sinks = cover * (w + KELVIN) ** 4 + soil * (s + KELVIN) ** 4 + plant * (p + KELVIN) ** 4
+        passes = 1 if self.capacities[0] > 0.0 else MASSLESS_PASSES
+        for _ in range(passes):
+            self._hu = self._heater_film(h - u, loads.fan_speed)
+            kelvin = h + KELVIN
+            self._rad_w_k = 4.0 * self._emitting * kelvin**3
+            self._rad_w = self._emitting * (kelvin**4 - sinks) - self._rad_w_k * h
+            if passes > 1:  # without mass the element jumps: follow it before the tangent is drawn
+                h = (loads.heater_w - self._rad_w + self._hu * u) / (self._hu + self._rad_w_k)
+
+    def _heater_film(self, difference_k: float, fan_speed: float) -> float:
+        """Convection of the element [W/K]: horizontal cylinder, 1.32 (dT/D)^0.25 (Holman 2010, table 7-2)."""
+        heater = self._p.heater
+        growth = _growth(difference_k, HEATER_REFERENCE_K, 0.25 * self._e.natural_convection)
+        still: float = 1.32 * (HEATER_REFERENCE_K / heater.diameter_m) ** 0.25 * growth
+        return heater.surface_m2 * still * (1.0 + (heater.fan_convection_factor - 1.0) * fan_speed)
+
+    def _eliminate(self, theta_s: float, loads: Loads) -> None:
+        """Diagonals of h, p, s, o and the 3 x 3 system that is left, for a stage of length theta_s."""
+        h, p, s, o, w, u, l = self._rates = [c / theta_s for c in self.capacities]  # noqa: E741
+        leak = 0.5 * loads.leak_w_k
+        self._dh = dh = h + self._rad_w_k + self._hu
+        self._dp = dp = p + self._pl + self._pw
+        self._ds = ds = s + self._sl + self._sw + self._sa
+        self._do = do = o + self._wo + self._oa
+        self._via = via = self._hu * self._rad_w_k / dh  # radiation per kelvin of the air around the heater
+        p_w, p_l, p_u = self._pw / dp, self._pl / dp, self._to_plant * via / dp
+        s_w, s_l, s_u = self._sw / ds, self._sl / ds, self._to_soil * via / ds
+        self._ww = (
+            w + self._wu + self._wl + self._wo + self._pw + self._sw
+            - self._wo * self._wo / do - self._pw * p_w - self._sw * s_w
+        )  # fmt: skip
+        self._w_u = self._wu + self._to_cover * via + self._pw * p_u + self._sw * s_u
+        self._w_l = self._wl + self._pw * p_l + self._sw * s_l
+        flow = self._ul + loads.ventilation_w_k
+        uu = u + self._wu + flow + leak + self._hu - self._hu * self._hu / dh - self._to_upper * via
+        ll = l + self._wl + flow + leak + self._pl + self._sl - self._pl * p_l - self._sl * s_l
+        self._l_w = self._wl + self._pl * p_w + self._sl * s_w
+        l_u = self._ul + self._pl * p_u + self._sl * s_u
+        self._uu = uu - self._wu * self._w_u / self._ww
+        self._u_l = flow + self._wu * self._w_l / self._ww
+        self._l_u = l_u + self._l_w * self._w_u / self._ww
+        self._ll = ll - self._l_w * self._w_l / self._ww
+        self._determinant = self._uu * self._ll - self._u_l * self._l_u
+
+    def _stage(self, base: Temperatures, loads: Loads) -> Temperatures:
+        """Temperatures at a stage's end from those it starts at."""
+        ch, cp, cs, co, cw, cu, cl = self._rates
+        h, p, s, o, w, u, l = base  # noqa: E741
+        room, leak = loads.room_c, 0.5 * loads.leak_w_k
+        h_in = ch * h + loads.heater_w - self._rad_w
+        radiated = (
+            self._rad_w + self._rad_w_k * h_in / self._dh
+        )  # but for the part that the air's warmth adds
+        p_in = cp * p + loads.plant_w + self._to_plant * radiated
+        s_in = cs * s + loads.soil_w + self._to_soil * radiated + self._sa * room
+        o_in = co * o + self._oa * room
+        w_in = (
+            cw * w + loads.cover_w + self._to_cover * radiated
+            + self._wo * o_in / self._do + self._pw * p_in / self._dp + self._sw * s_in / self._ds
+        )  # fmt: skip
+        u_in = cu * u + loads.upper_w + self._hu * h_in / self._dh + self._to_upper * radiated + leak * room
+        l_in = (
+            cl * l + loads.lower_w + (loads.ventilation_w_k + leak) * room
+            + self._pl * p_in / self._dp + self._sl * s_in / self._ds
+        )  # fmt: skip
+        u_in += self._wu * w_in / self._ww
+        l_in += self._l_w * w_in / self._ww
+        u = (u_in * self._ll + self._u_l * l_in) / self._determinant
+        l = (l_in * self._uu + self._l_u * u_in) / self._determinant  # noqa: E741
+        w = (w_in + self._w_u * u + self._w_l * l) / self._ww
+        h = (h_in + self._hu * u) / self._dh
+        p = (p_in + self._to_plant * self._via * u + self._pl * l + self._pw * w) / self._dp
+        s = (s_in + self._to_soil * self._via * u + self._sl * l + self._sw * w) / self._ds
+        return [h, p, s, (o_in + self._wo * w) / self._do, w, u, l]
+
+
+def longwave_conductance(area_m2: float, one_c: float, other_c: float) -> float:
+    """Heat per kelvin between two surfaces, exact in T^4 [W/K]; area_m2 is area times emissivity."""
+    one, other = one_c + KELVIN, other_c + KELVIN
+    return area_m2 * STEFAN_BOLTZMANN * (one * one + other * other) * (one + other)
+
+
+def _growth(difference_k: float, reference_k: float, power: float) -> float:
+    """Factor on a film of natural convection whose value is given at reference_k."""
+    return math.pow(max(abs(difference_k), SMALLEST_DIFFERENCE_K) / reference_k, power)
+
+
+def _capacities(parameters: ChamberParameters, effects: Effects) -> Temperatures:
+    """Heat capacities of the nodes [J/K]."""
+    box, air, cover = parameters.box, parameters.air, parameters.cover
+    contact = max(1.0 + effects.extra_capacity * (air.contact_capacity_factor - 1.0), 0.1)
+    air_j_k = air.density_kg_m3 * air.heat_capacity_j_kg_k * box.volume_m3 * contact
+    sheet_j_k = effects.wall_mass * 0.5 * cover.areal_mass_kg_m2 * cover.heat_capacity_j_kg_k * box.cover_m2
+    return [
+        effects.heater_lag * parameters.heater.capacity_j_k,
+        effects.plant_mass * parameters.plant.capacity_j_k,
+        effects.soil_mass * parameters.soil.capacity_j_k,
+        sheet_j_k,
+        sheet_j_k,
+        air_j_k * box.heater_zone_share,
+        air_j_k * (1.0 - box.heater_zone_share),
+    ]
