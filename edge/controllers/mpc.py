@@ -38,9 +38,9 @@ class Mpc:
         begun = time.perf_counter()
         problem = plan_problem(context, self._model, self._weight, self._horizon, self._preview)
         solution = solve(problem, self._node_budget, self._time_box_s, node_limit)
-        temps = problem.temperatures(solution.levels, solution.fan)
-        command = Command(heater_duty=float(solution.levels[0]) / HEATER_LEVELS, fan_on=bool(solution.fan[0]))
-        why = {"solve_ms": 1e3 * (time.perf_counter() - begun), "cost": solution.cost, "bound": solution.bound,
+        temps = problem.temperatures(solution.plan.levels, solution.plan.fan)
+        command = Command(heater_duty=float(solution.plan.levels[0]) / HEATER_LEVELS, fan_on=bool(solution.plan.fan[0]))
+        why = {"solve_ms": 1e3 * (time.perf_counter() - begun), "cost": solution.plan.cost, "bound": solution.bound,
                "proven": solution.proven, "nodes": solution.nodes, "model": self._model.version}
         return Decision(command, self.name, tuple(float(t) for t in temps), why)
 

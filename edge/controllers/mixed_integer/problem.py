@@ -1,6 +1,6 @@
 """The planning problem in condensed form, and what a plan costs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 TRACKING_WEIGHT = 10.0  # paper, section MPC: w_T
 
 
@@ -19,6 +20,26 @@ class FanRules:
     hold: int = 0  # steps for which it must keep that state
     min_on: int = 1  # a switch on lasts at least this long [steps]
     min_off: int = 1
+
+    @property
+    def holds(self) -> int:
+        """How many different holds there can be: 1 where the relay may switch at every step."""
+        return max(self.hold, self.min_on - 1, self.min_off - 1) + 1
+
+    def next_hold(self, before: Ints, hold: Ints, after: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+        """Steps to hold after going from state `before` to `after`, and whether that was allowed."""
+        switched = before != after
+        begun = np.where(after == 1, self.min_on, self.min_off) - 1
+        return np.where(switched, begun, np.maximum(hold - 1, 0)), ~(switched & (hold > 0))
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Inputs over the horizon; `cost` is all they cost."""
+
+    levels: Ints  # heater duty in steps of 1/20, [N]
+    fan: Ints  # [N]
+    cost: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +61,7 @@ class Problem:
     heater_weight: float = 0.0
     fan_weight: float = 0.0
     heater_levels: int = HEATER_LEVELS
-    fan_rules: FanRules = FanRules()
+    fan_rules: FanRules = field(default=FanRules())
     temp_max: float = np.inf
     limit_weight: float = 0.0
 
@@ -49,61 +70,50 @@ class Problem:
         """N."""
         return len(self.free)
 
-    def temperatures(self, levels: NDArray[np.int64], fan: NDArray[np.int64]) -> Floats:
-        """Air temperature after each step of plans [..., N] (heater in steps of 1/20) [°C]."""
+    def temperatures(self, levels: Ints, fan: Ints) -> Floats:
+        """Air temperature after each step of plans [..., N] [°C]."""
         n = self.horizon
-        return (
-            self.free
-            + (levels / HEATER_LEVELS) @ lower_toeplitz(self.heater, n).T
-            + fan @ lower_toeplitz(self.fan, n).T
-        )
+        heated: Floats = (levels / HEATER_LEVELS) @ lower_toeplitz(self.heater, n).T
+        return self.free + heated + fan @ lower_toeplitz(self.fan, n).T
 
-    def tracking(self, temps: Floats) -> Floats:
-        """Cost of each air temperature [..., N]."""
-        cost: Floats = TRACKING_WEIGHT * (temps - self.reference) ** 2
+    def tracking(self, temps: Floats, steps: int | slice = slice(None)) -> Floats:
+        """Cost of air temperatures [..., steps]."""
+        cost: Floats = TRACKING_WEIGHT * (temps - self.reference[steps]) ** 2
         if self.limit_weight:
             cost = cost + self.limit_weight * np.maximum(temps - self.temp_max, 0.0) ** 2
         return cost
 
     def tracking_slope(self, temps: Floats) -> Floats:
-        """Derivative of `tracking` with respect to each air temperature."""
+        """Derivative of `tracking` with respect to each air temperature [N]."""
         slope: Floats = 2.0 * TRACKING_WEIGHT * (temps - self.reference)
         if self.limit_weight:
             slope = slope + 2.0 * self.limit_weight * np.maximum(temps - self.temp_max, 0.0)
         return slope
 
-    def cost(self, levels: NDArray[np.int64], fan: NDArray[np.int64]) -> Floats:
+    def effort(self, levels: Ints, fan: Ints) -> Floats:
+        """Cost of inputs, one by one."""
+        effort: Floats = self.heater_weight * (levels / HEATER_LEVELS) ** 2 + self.fan_weight * fan
+        return effort
+
+    def cost(self, levels: Ints, fan: Ints) -> Floats:
         """Total cost of plans [..., N]."""
-        effort = self.heater_weight * (levels / HEATER_LEVELS) ** 2 + self.fan_weight * fan
-        total: Floats = (self.tracking(self.temperatures(levels, fan)) + effort).sum(axis=-1)
+        total: Floats = (self.tracking(self.temperatures(levels, fan)) + self.effort(levels, fan)).sum(axis=-1)
         return total
 
-    def shorter(self, horizon: int) -> "Problem":
-        """The same problem over its first steps."""
-        return replace(
-            self,
-            free=self.free[:horizon],
-            heater=self.heater[:horizon],
-            fan=self.fan[:horizon],
-            reference=self.reference[:horizon],
-        )
+    def allows(self, levels: Ints, fan: Ints) -> NDArray[np.bool_]:
+        """Which plans [..., N] keep the heater's bounds and the relay's rules."""
+        allowed = ((levels >= 0) & (levels <= self.heater_levels)).all(axis=-1)
+        allowed &= ((fan == 0) | (fan == 1)).all(axis=-1)
+        state = np.full(fan.shape[:-1], int(self.fan_rules.on))
+        hold = np.full(fan.shape[:-1], self.fan_rules.hold)
+        for k in range(self.horizon):
+            hold, fine = self.fan_rules.next_hold(state, hold, fan[..., k])
+            allowed &= fine
+            state = fan[..., k]
+        return np.asarray(allowed)
 
 
 def lower_toeplitz(response: Floats, n: int) -> Floats:
     """[n, n], entry [k, j] = response[k - j] where k >= j, else 0."""
     lag = np.arange(n)[:, None] - np.arange(n)[None, :]
     return np.where(lag >= 0, response[np.maximum(lag, 0)], 0.0)
-
-
-def fan_allowed(rules: FanRules, fan: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which fan plans [..., N] keep the relay's rules."""
-    allowed = np.ones(fan.shape[:-1], dtype=bool)
-    state = np.full(fan.shape[:-1], int(rules.on))
-    hold = np.full(fan.shape[:-1], rules.hold)
-    for k in range(fan.shape[-1]):
-        switched = fan[..., k] != state
-        allowed &= ~(switched & (hold > 0))
-        after = np.where(fan[..., k] == 1, rules.min_on, rules.min_off) - 1
-        hold = np.where(switched, after, np.maximum(hold - 1, 0))
-        state = fan[..., k]
-    return allowed

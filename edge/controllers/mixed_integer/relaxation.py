@@ -1,4 +1,4 @@
-"""The problem with heater and fan continuous: where to take tangents. Its accuracy is no part of any proof."""
+"""The problem with heater and fan continuous: where to take the tangent. Its accuracy is no part of any proof."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,65 +7,56 @@ from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Problem, low
 from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
-_ITERATIONS = 12  # at most; an interior-point method gains a digit or more with each
-_TO_BOUND = 0.95  # share of the way to the bound that a step may go
-_GAP = 1e-7  # complementarity at which it stops [cost]
+_ITERATIONS = 12
+_GAP = 1e-5  # mean complementarity at which it stops; what is left only loosens the bound by about N times this
+_TO_BOUND = 0.95  # share of the way to a bound that a step may go
+_NARROW = 1e-3  # width of the box of a heater that is capped at 0
+_SIDES = np.array([[1.0], [-1.0]])  # distance to the lower bound grows with the input, that to the upper shrinks
 
 
 def relaxed_temperatures(problem: Problem) -> Floats:
     """Air temperatures [N] of inputs in their box that nearly minimise the relaxed cost [°C].
 
-    Primal-dual interior point with Mehrotra's centring; the Newton system in the inputs is diagonal plus
-    rank N, so only an N x N one is solved.
+    Mehrotra's primal-dual interior point (Nocedal and Wright, Numerical Optimization, ch. 16.6). The Newton
+    system in the inputs is diagonal plus rank N, so only an N x N matrix is inverted.
     """
     n = problem.horizon
     response = np.hstack([lower_toeplitz(problem.heater, n), lower_toeplitz(problem.fan, n)])
-    high = np.repeat([max(problem.heater_levels, 1e-3) / HEATER_LEVELS, 1.0], n)
-    if problem.fan_rules.hold:  # inputs that are decided already get a box without width
-        held = slice(n, n + problem.fan_rules.hold)
-        fixed = problem.free + response[:, held].sum(axis=1) * problem.fan_rules.on
-        response[:, held] = 0.0
-    else:
-        fixed = problem.free
+    held = slice(n, n + problem.fan_rules.hold)  # the relay's state there is no choice
+    fixed = problem.free + response[:, held].sum(axis=1) * problem.fan_rules.on
+    response[:, held] = 0.0
+    high = np.repeat([problem.heater_levels / HEATER_LEVELS + _NARROW * (problem.heater_levels == 0), 1.0], n)
     curvature = np.repeat([2.0 * problem.heater_weight, 0.0], n)
     linear = np.repeat([0.0, problem.fan_weight], n)
-    inputs, low_dual, high_dual = 0.5 * high, np.ones(2 * n), np.ones(2 * n)
+    inputs = 0.5 * high
+    dual = np.ones((2, 2 * n))
     for _ in range(_ITERATIONS):
-        temps = fixed + response @ inputs
-        room = high - inputs
-        gap = float(inputs @ low_dual + room @ high_dual) / (4 * n)
-        gradient = response.T @ problem.tracking_slope(temps) + curvature * inputs + linear
-        if gap < _GAP and np.abs(gradient - low_dual + high_dual).max() < 1e-6:
+        distance = np.stack([inputs, high - inputs])
+        gap = float((distance * dual).mean())
+        if gap < _GAP:
             break
-        diagonal = curvature + low_dual / inputs + high_dual / room
-        weight = 2.0 * (TRACKING_WEIGHT + problem.limit_weight * (temps > problem.temp_max))
+        temps = fixed + response @ inputs
+        gradient = response.T @ problem.tracking_slope(temps) + curvature * inputs + linear
+        ratio = dual / distance
+        diagonal = curvature + ratio.sum(axis=0)
         scaled = response / diagonal
         system = scaled @ response.T
-        system[np.diag_indices(n)] += 1.0 / weight
+        system[np.diag_indices(n)] += 0.5 / (TRACKING_WEIGHT + problem.limit_weight * (temps > problem.temp_max))
         inverse = np.linalg.inv(system)
-        
-        def newton(low_target, high_target):
-            right = -gradient + low_target / inputs - high_target / room
+        target = np.zeros_like(dual)
+        for _ in range(2):  # first straight to the optimum, then corrected towards the central path
+            right = (_SIDES * target / distance).sum(axis=0) - gradient
             step = right / diagonal - scaled.T @ (inverse @ (scaled @ right))
-            low_step = low_target / inputs - low_dual - low_dual / inputs * step
-            high_step = high_target / room - high_dual + high_dual / room * step
-            return step, low_step, high_step
-        zero = np.zeros(2 * n)
-        step, low_step, high_step = newton(zero, zero)
-        scale = min(_longest(inputs, step), _longest(room, -step))
-        dual_scale = min(_longest(low_dual, low_step), _longest(high_dual, high_step))
-        after = float((inputs + scale * step) @ (low_dual + dual_scale * low_step) + (room - scale * step) @ (high_dual + dual_scale * high_step)) / (4 * n)
-        centre = gap * (after / gap) ** 3
-        step, low_step, high_step = newton(centre - step * low_step, centre + step * high_step)
-        scale = _TO_BOUND * min(_longest(inputs, step), _longest(room, -step), 1/_TO_BOUND)
-        dual_scale = _TO_BOUND * min(_longest(low_dual, low_step), _longest(high_dual, high_step), 1/_TO_BOUND)
-        inputs = inputs + scale * step
-        low_dual = low_dual + dual_scale * low_step
-        high_dual = high_dual + dual_scale * high_step
+            distance_step = _SIDES * step
+            dual_step = target / distance - dual - ratio * distance_step
+            reach, dual_reach = _reach(distance, distance_step), _reach(dual, dual_step)
+            after = ((distance + reach * distance_step) * (dual + dual_reach * dual_step)).mean()
+            target = gap * (after / gap) ** 3 - distance_step * dual_step
+        inputs = inputs + reach * step
+        dual = dual + dual_reach * dual_step
     return fixed + response @ inputs
 
 
-def _longest(values: Floats, step: Floats) -> float:
-    """Largest share of `step` (at most 1) that keeps `values` positive."""
-    ratio = np.min(np.where(step < 0.0, values / np.where(step<0,-step,1.0), np.inf))
-    return float(min(1.0, ratio))
+def _reach(values: Floats, step: Floats) -> float:
+    """Share of `step`, at most 1, after which all `values` are still positive."""
+    return float(_TO_BOUND / max(_TO_BOUND, (-step / values).max()))

@@ -1,88 +1,160 @@
-"""Breadth-first branch and bound over the steps of the horizon, with a limited width."""
+"""Breadth-first branch and bound over the steps of the horizon, with a limited width.
 
+A level holds the first k inputs of many plans. Its children are pruned against the best plan known, by a
+certified bound on the cost to go and by dominance (dominance.py). Where more survive than the width, those
+with the highest bounds are dropped, and the lowest bound among them limits what is proven.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import Problem
-from edge.controllers.mixed_integer.tangents import Tangents
+from edge.controllers.mixed_integer.dominance import undominated
+from edge.controllers.mixed_integer.problem import Plan, Problem
+from edge.controllers.mixed_integer.tangent import Tangent
 from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pass:
-    levels: Ints | None
-    fan: Ints | None
-    cost: float
-    bound: float  # no plan costs less than min(bound, cost)
+class Level:
+    """M partial plans.
+
+    cost : of the steps taken, [M]
+    bound : certified, on the cost of every completion, [M]
+    free : air temperatures of the steps to come with every further input 0, [M, N - k] [°C]
+    fan, hold : the relay's state and the steps it must still hold, [M]
+    """
+
+    cost: Floats
+    bound: Floats
+    free: Floats
+    fan: Ints
+    hold: Ints
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Outcome of one search: a better plan or None; every plan not looked at costs at least `bound`."""
+
+    plan: Plan | None
+    bound: float
     nodes: int
+    stopped: bool = False
 
 
-def search(problem: Problem, bounds: Tangents, width: int, best: float, keep_first=None) -> Pass:
-    n = problem.horizon
-    rules = problem.fan_rules
-    L = problem.heater_levels + 1
-    levels_opt = np.tile(np.arange(L), 2)
-    fan_opt = np.repeat([0, 1], L)
-    duty = levels_opt / HEATER_LEVELS
-    effort = problem.heater_weight * duty**2 + problem.fan_weight * fan_opt
-    push = duty * problem.heater[0] + fan_opt * problem.fan[0]
-    tol = 1e-9 * (1 + best) if np.isfinite(best) else 0.0
-    cost = np.zeros(1)
-    free = problem.free[None, :]
-    dot = (bounds.slope @ problem.free)[None, :]  # M,K
-    state = np.array([int(rules.on)])
-    hold = np.array([rules.hold])
-    dropped = np.inf
-    nodes = 0
-    trace = []
-    for k in range(n):
-        nodes += len(cost)
-        temp = free[:, :1] + push
-        track = 10.0 * (temp - problem.reference[k]) ** 2
-        if problem.limit_weight:
-            track += problem.limit_weight * np.maximum(temp - problem.temp_max, 0) ** 2
-        new_cost = cost[:, None] + track + effort
-        # fan rules
-        switched = fan_opt[None, :] != state[:, None]
-        bad = switched & (hold[:, None] > 0)
-        new_hold = np.where(switched, np.where(fan_opt == 1, rules.min_on, rules.min_off)[None, :] - 1, np.maximum(hold[:, None] - 1, 0))
-        base = dot - bounds.slope[:, k] * free[:, :1]
-        gh = (bounds.heater[:, k] - bounds.slope[:, k] * problem.heater[0])
-        gf = (bounds.fan[:, k] - bounds.slope[:, k] * problem.fan[0])
-        add = gh[:, None] * duty + gf[:, None] * fan_opt  # K,O
-        togo = None
-        for i in range(bounds.slope.shape[0]):
-            const = bounds.constant[i, k + 1][fan_opt[None, :], new_hold]
-            t = base[:, i, None] + add[i] + const
-            togo = t if togo is None else np.maximum(togo, t)
-        bound = new_cost + togo
-        bound[bad] = np.inf
-        flat = bound.ravel()
-        keep = np.flatnonzero(flat < best - tol)
-        if len(keep) > width:
-            b = flat[keep]
-            part = np.argpartition(b, width)
-            dropped = min(dropped, float(b[part[width]]))
-            keep = keep[np.sort(part[:width])]
-        if len(keep) == 0:
-            return Pass(None, None, np.inf, dropped, nodes)
-        parent, opt = np.divmod(keep, 2 * L)
-        trace.append((parent, opt))
-        cost = new_cost.ravel()[keep]
-        state = fan_opt[opt]
-        hold = new_hold.ravel()[keep]
-        dot = base[parent] + add.T[opt]
-        free = free[parent, 1:] + duty[opt, None] * problem.heater[1 : n - k] + fan_opt[opt, None] * problem.fan[1 : n - k]
-    i = int(np.argmin(cost))
-    final = float(cost[i])
-    lv = np.zeros(n, int); fn = np.zeros(n, int)
-    for k in range(n - 1, -1, -1):
-        parent, opt = trace[k]
-        lv[k], fn[k] = levels_opt[opt[i]], fan_opt[opt[i]]
-        i = parent[i]
-    return Pass(lv, fn, final, dropped, nodes)
+@dataclass(frozen=True, slots=True, eq=False)
+class Options:
+    """Every input one step can have, fan off first."""
+
+    levels: Ints
+    fan: Ints
+    duty: Floats
+    effort: Floats
+    push: Floats  # on the air temperature at the end of the step [K]
+
+
+def search(
+    problem: Problem,
+    bounds: Tangent,
+    width: int,
+    best: float,
+    stop: Callable[[int], bool] = lambda nodes: False,
+    other_than: tuple[int, int] | None = None,
+) -> Found:
+    """Look for a plan that costs less than `best`.
+
+    stop : asked before each level with the nodes done
+    other_than : heater level and fan that the first step must not have
+    """
+    options = _options(problem)
+    margin = rounding_margin(best)
+    level = Level(
+        np.zeros(1), np.full(1, -np.inf), problem.free[None, :],
+        np.array([int(problem.fan_rules.on)]), np.array([problem.fan_rules.hold]),
+    )  # fmt: skip
+    dropped, nodes = np.inf, 0
+    trace: list[tuple[Ints, Ints]] = []
+    for k in range(problem.horizon):
+        if stop(nodes):
+            return Found(None, min(dropped, float(level.bound.min())), nodes, stopped=True)
+        nodes += len(level.cost)
+        cost, bound, hold = _children(problem, bounds, options, level, k)
+        if k == 0 and other_than is not None:
+            bound[:, (options.levels == other_than[0]) & (options.fan == other_than[1])] = np.inf
+        kept = np.flatnonzero(bound < best - margin)
+        if len(kept) > width:
+            kept, lowest = _lowest(kept, bound.ravel()[kept], width)
+            dropped = min(dropped, lowest)
+        level, parent, choice = _next_level(problem, options, level, kept, cost, bound, hold)
+        if len(kept) > 1 and k < problem.horizon - 1 and np.isfinite(best):
+            alive = undominated(problem, level.free, level.cost, level.fan, level.hold, best, margin)
+            level = Level(*(array[alive] for array in (level.cost, level.bound, level.free, level.fan, level.hold)))
+            parent, choice = parent[alive], choice[alive]
+        trace.append((parent, choice))
+        if not len(level.cost):
+            return Found(None, dropped, nodes)
+    return Found(_trace_back(options, trace, level.cost), dropped, nodes)
+
+
+def rounding_margin(cost: float) -> float:
+    """What rounding errors are allowed in comparisons of costs near `cost`, so that they never prove anything."""
+    return _ROUNDING * (1.0 + cost) if np.isfinite(cost) else 0.0
+
+
+def _options(problem: Problem) -> Options:
+    count = problem.heater_levels + 1
+    levels, fan = np.tile(np.arange(count), 2), np.repeat([0, 1], count)
+    duty = levels / HEATER_LEVELS
+    push = duty * problem.heater[0] + fan * problem.fan[0]
+    return Options(levels, fan, duty, problem.effort(levels, fan), push)
+
+
+def _children(
+    problem: Problem, bounds: Tangent, options: Options, level: Level, k: int
+) -> tuple[Floats, Floats, Ints]:
+    """Cost, bound (infinite where the relay forbids it) and hold of every node with every option, [M, options]."""
+    left = problem.horizon - k
+    slope = bounds.slope[k + 1 :]
+    cost = level.cost[:, None] + options.effort
+    cost += problem.tracking(level.free[:, :1] + options.push, k)
+    heater, fan = float(slope @ problem.heater[1:left]), float(slope @ problem.fan[1:left])
+    linear = (level.free[:, 1:] @ slope)[:, None] + (heater * options.duty + fan * options.fan)
+    hold, allowed = problem.fan_rules.next_hold(level.fan[:, None], level.hold[:, None], options.fan[None, :])
+    bound = cost + linear + bounds.constant[k + 1, options.fan, hold]
+    bound[~allowed] = np.inf
+    return cost, bound, hold
+
+
+def _lowest(kept: Ints, bound: Floats, width: int) -> tuple[Ints, float]:
+    """The `width` nodes of lowest bound, in their order, and the lowest bound of the others."""
+    split = np.argpartition(bound, width)
+    return kept[np.sort(split[:width])], float(bound[split[width]])
+
+
+def _next_level(
+    problem: Problem, options: Options, level: Level, kept: Ints, cost: Floats, bound: Floats, hold: Ints
+) -> tuple[Level, Ints, Ints]:
+    """The kept children as a level, with their parents' places and their options."""
+    parent, choice = np.divmod(kept, len(options.levels))
+    left = level.free.shape[1]
+    free = level.free[parent, 1:] + options.duty[choice, None] * problem.heater[1:left]
+    free += options.fan[choice, None] * problem.fan[1:left]
+    chosen = Level(cost.ravel()[kept], bound.ravel()[kept], free, options.fan[choice], hold.ravel()[kept])
+    return chosen, parent, choice
+
+
+def _trace_back(options: Options, trace: list[tuple[Ints, Ints]], cost: Floats) -> Plan:
+    node = int(np.argmin(cost))
+    least = float(cost[node])
+    choices = np.empty(len(trace), dtype=np.int64)
+    for k in range(len(trace) - 1, -1, -1):
+        parent, choice = trace[k]
+        choices[k] = choice[node]
+        node = int(parent[node])
+    return Plan(options.levels[choices], options.fan[choices], least)

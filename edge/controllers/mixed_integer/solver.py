@@ -1,52 +1,97 @@
 """Solve a planning problem inside a budget of nodes, guarded by a time box."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import Problem, fan_allowed
+from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
-from edge.controllers.mixed_integer.search import search
-from edge.controllers.mixed_integer.tangents import tangents
+from edge.controllers.mixed_integer.search import rounding_margin, search
+from edge.controllers.mixed_integer.tangent import Tangent, tangent
+from edge.errors import DataError
 
-Ints = NDArray[np.int64]
-_WIDTHS = (16, 256, 4096)
+_WIDTHS = (16, 256, 2048, 16384)  # each search is wider than the one before, until one drops nothing
+_RUNNER_UP_WIDTH = 8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Solution:
     """The best plan found and how good it is known to be."""
 
-    levels: Ints  # heater in steps of 1/20, [N]
-    fan: Ints  # [N]
-    cost: float
+    plan: Plan
     bound: float  # certified: no plan costs less
-    proven: bool
-    nodes: int
+    proven: bool  # the plan is the cheapest, within rounding errors
+    runner_up: Plan | None  # best plan found with another first step; None where there is no other
+    nodes: int  # partial plans looked into
     time_box_fired: bool
 
+    @property
+    def gap(self) -> float:
+        """How much the plan may cost above the cheapest, as a share of its cost."""
+        return (self.plan.cost - self.bound) / self.plan.cost if self.plan.cost > self.bound else 0.0
 
-def solve(problem: Problem, node_budget: int, time_box_s: float, node_limit=None, warm=None) -> Solution:
-    """Thin version."""
-    bounds = tangents(problem, relaxed_temperatures(problem)[None, :])
-    rules = problem.fan_rules
-    start = min(rules.hold, bounds.constant.shape[3] - 1)
-    bound = float(bounds.constant[0, 0, int(rules.on), start] + bounds.slope[0] @ problem.free)
-    best, cost, nodes, proven = None, np.inf, 0, False
-    if warm is not None and fan_allowed(rules, warm[1]):
-        best, cost = warm, float(problem.cost(*warm))
-    for width in _WIDTHS:
-        width = min(width, (node_budget - nodes) // problem.horizon)
-        if width < 1 and best is not None:
+
+def solve(
+    problem: Problem,
+    node_budget: int,
+    time_box_s: float,
+    node_limit: int | None = None,
+    warm: tuple[Ints, Ints] | None = None,
+) -> Solution:
+    """The cheapest plan, or the best there is when the budget or the time is used up.
+
+    node_budget : nodes that may be looked into; the same budget gives the same plan, bit for bit
+    time_box_s : wall time after which no further level is begun; the first, narrow search always ends
+    node_limit : stop where a time box fired after so many nodes, to replay that solve
+    warm : heater levels and fan to start from, used where they are allowed
+    """
+    deadline = time.monotonic() + time_box_s
+    bounds = tangent(problem, relaxed_temperatures(problem))
+    best = _warm_plan(problem, warm)
+    bound, nodes, proven, stopped = _root_bound(problem, bounds), 0, False, False
+    for table_width in _WIDTHS:
+        width = min(table_width, (node_budget - nodes) // problem.horizon)
+        if best is None:
+            found = search(problem, bounds, max(width, 1), np.inf)
+        elif width < 1:
             break
-        found = search(problem, bounds, max(width, 1), cost)
+        else:
+            stop = _stop(deadline, None if node_limit is None else node_limit - nodes)
+            found = search(problem, bounds, width, best.cost, stop)
         nodes += found.nodes
-        if found.cost < cost:
-            best, cost = (found.levels, found.fan), found.cost
-        bound = max(bound, min(found.bound, cost))
-        if found.bound >= cost:
-            proven = True
+        best = found.plan or best
+        if best is None:
+            raise DataError("plan: the problem holds a value that is no number")
+        margin = rounding_margin(best.cost)
+        bound = max(bound, min(found.bound, best.cost) - margin)
+        proven, stopped = found.bound >= best.cost - margin, found.stopped
+        if proven or stopped or width < table_width:
             break
-    return Solution(best[0], best[1], cost, min(bound, cost), proven, nodes, False)
+    runner_up = search(problem, bounds, _RUNNER_UP_WIDTH, np.inf, other_than=_first_step(best)).plan
+    if runner_up is not None and runner_up.cost < best.cost:
+        best, runner_up = runner_up, best
+    return Solution(best, min(bound, best.cost), proven, runner_up, nodes, stopped)
+
+
+def _stop(deadline: float, nodes_left: int | None) -> Callable[[int], bool]:
+    """Asked before each level: is the time over, or the node reached at which it once was?"""
+    return lambda nodes: time.monotonic() > deadline or (nodes_left is not None and nodes >= nodes_left)
+
+
+def _warm_plan(problem: Problem, warm: tuple[Ints, Ints] | None) -> Plan | None:
+    if warm is None or len(warm[0]) != problem.horizon or not problem.allows(*warm):
+        return None
+    cost = float(problem.cost(*warm))
+    return Plan(*warm, cost) if np.isfinite(cost) else None
+
+
+def _root_bound(problem: Problem, bounds: Tangent) -> float:
+    rules = problem.fan_rules
+    bound = float(bounds.constant[0, int(rules.on), rules.hold] + bounds.slope @ problem.free)
+    return max(bound - rounding_margin(abs(bound)), 0.0)
+
+
+def _first_step(plan: Plan) -> tuple[int, int]:
+    return int(plan.levels[0]), int(plan.fan[0])
