@@ -1,0 +1,80 @@
+"""Run a board made of software behind a pseudo-terminal; README.md beside this file says how."""
+
+import argparse
+import contextlib
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from firmware_protocol.messages import Capability, ResetCause
+from firmware_protocol.virtual_board.board_config import RIG_PARTS, BoardConfig
+from firmware_protocol.virtual_board.chamber import Chamber
+from firmware_protocol.virtual_board.chamber_parameters import load
+from firmware_protocol.virtual_board.claim import PathInUse, claim
+from firmware_protocol.virtual_board.device import Boot, Core, Device
+from firmware_protocol.virtual_board.faults import FaultError, read_script
+from firmware_protocol.virtual_board.plant import Plant
+from firmware_protocol.virtual_board.port import Port
+from firmware_protocol.virtual_board.server import Server
+from firmware_protocol.virtual_board.store import Store, StoreError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run until SIGTERM, SIGINT or a `quit`; the exit code."""
+    options = _parser().parse_args(arguments)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: sys.exit(0))
+    try:
+        device = _device(options)
+        with contextlib.ExitStack() as stack:
+            for path in (options.link, options.control):
+                stack.enter_context(claim(path))
+            server = Server(device, Port(options.link), options.control, options.seed, options.real_time)
+            stack.callback(server.close)
+            server.run()
+    except (FaultError, PathInUse, StoreError, ValueError, OSError) as error:
+        print(f"virtual board: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m firmware_protocol.virtual_board", description=__doc__)
+    parser.add_argument("--link", type=Path, required=True, help="symlink to make to the serial port")
+    parser.add_argument("--control", type=Path, required=True, help="Unix socket to listen on")
+    parser.add_argument("--core", choices=("python", "c"), default="python", help="c needs a compiler")
+    parser.add_argument("--seed", type=int, default=0, help="of the chamber and of the faults")
+    parser.add_argument("--real-time", action="store_true", help="else time moves only when told")
+    parser.add_argument("--faults", type=Path, help="YAML list of faults")
+    parser.add_argument("--chamber", type=Path, help="YAML that changes parameters or effects of the box")
+    parser.add_argument("--state", type=Path, help="file that keeps trip and boot count")
+    parser.add_argument("--cutoff", action="store_true", help="with a second cut-off in the heater's supply")
+    parts = [part.name.lower() for part in RIG_PARTS if part.name]
+    parser.add_argument("--without", choices=parts, action="append", default=[], help="it lacks this part")
+    return parser
+
+
+def _device(options: argparse.Namespace) -> Device:
+    parts = RIG_PARTS | Capability.HEATER_CUTOFF if options.cutoff else RIG_PARTS
+    for name in options.without:
+        parts &= ~Capability[name.upper()]
+    plant = Plant(Chamber(*load(options.chamber), options.seed), parts)
+    faults = [] if options.faults is None else read_script(options.faults, options.seed)
+    return Device(_boot(options.core, BoardConfig(capabilities=parts)), plant, Store(options.state), faults)
+
+
+def _boot(core: str, config: BoardConfig) -> Boot:
+    if core == "c":
+        from firmware_protocol.virtual_board.c_core import CBoardCore as BoardCore
+    else:
+        from firmware_protocol.virtual_board.core import BoardCore  # type: ignore[assignment]
+
+    def boot(persistent: bytes, cause: ResetCause, boot_count: int) -> Core:
+        return BoardCore(config, persistent, cause, boot_count)
+
+    return boot
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+"""The board as a thing: its firmware, the box it feels and heats, its store, and the faults in them."""
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from firmware_protocol.messages import ResetCause
+from firmware_protocol.virtual_board.board_clock import BoardClock
+from firmware_protocol.virtual_board.core import Pins
+from firmware_protocol.virtual_board.faults import Fault, Schedule
+from firmware_protocol.virtual_board.line import Line
+from firmware_protocol.virtual_board.plant import Plant
+from firmware_protocol.virtual_board.sensor_faults import Sample, SensorFaults
+from firmware_protocol.virtual_board.store import Store
+
+STEP_MS = 100  # firmware runs at least this often
+TURNAROUND_MS = 5  # a request of 30 bytes takes 3 ms at 115200 baud, then the firmware answers
+SAMPLE_MS = 1000  # sensors are read this often
+
+
+class Core(Protocol):
+    """The firmware: `core.BoardCore`, or the C one."""
+
+    def receive(self, data: bytes, now_ms: int) -> None: ...
+    def sample(self, samples: Mapping[str, Sample], now_ms: int) -> None: ...
+    def step(self, now_ms: int) -> Pins: ...
+    def transmit(self) -> bytes: ...
+    def persistent(self) -> bytes: ...
+
+
+Boot = Callable[[bytes, ResetCause, int], Core]  # persistent bytes, cause, boot count -> running firmware
+
+
+class Device:
+    """Moves in steps from one simulated millisecond to a later one; bytes go in and out between steps."""
+
+    def __init__(self, boot: Boot, plant: Plant, store: Store, faults: list[Fault]) -> None:
+        self.now_ms = 0
+        self.boots: list[tuple[float, ResetCause]] = []
+        self.plant = plant
+        self.to_board = Line("to_board")
+        self.to_host = Line("to_host")
+        self.schedule = Schedule([])
+        self._boot, self._store = boot, store
+        self._sensors = SensorFaults()
+        self._clock = BoardClock(0)
+        self._core: Core | None = None
+        self._boot_due: list[tuple[int, ResetCause, int]] = []  # reset at, cause, boot time [ms]
+        self._boots_at_ms = 0
+        self._boots_from = ResetCause.POWER_ON
+        self._sample_at_ms = 0
+        self._turnaround_at_ms: float = float("inf")
+        for fault in faults:
+            self.schedule.add(fault)
+        self._work()
+
+    @property
+    def unplugged(self) -> bool:
+        """A fault has pulled the plug."""
+        return any(fault.name == "unplug" for fault in self.schedule.active)
+
+    @property
+    def boot_count(self) -> int:
+        """Boots since the store was blank."""
+        return self._store.boot_count
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host, now."""
+        self.to_board.send(data, self.now_ms)
+        if self.to_board.next_arrival_ms <= self.now_ms:
+            self._turnaround_at_ms = self.now_ms + TURNAROUND_MS
+            self._take_host_bytes()
+
+    def transmit(self) -> bytes:
+        """Bytes that have arrived at the host by now."""
+        return self.to_host.arrive(self.now_ms)
+
+    def inject(self, fault: Fault) -> None:
+        """One more fault; it begins now or later."""
+        self.schedule.add(fault)
+        if fault.start_ms <= self.now_ms:
+            self._change_faults()
+
+    def clear_faults(self) -> None:
+        """End all faults that last or wait."""
+        self.schedule.clear()
+        self._boot_due.clear()
+        self._change_faults()
+
+    @property
+    def next_step_ms(self) -> int:
+        """When something can happen next; always later than now."""
+        due = min(
+            (self.now_ms // STEP_MS + 1) * STEP_MS,
+            self._turnaround_at_ms,
+            self.schedule.next_change_ms,
+            self.to_board.next_arrival_ms,
+            self.to_host.next_arrival_ms,
+        )
+        return max(int(due), self.now_ms + 1)
+
+    def step(self, until_ms: int) -> None:
+        """Let time pass to the next thing that can happen, or to `until_ms`."""
+        self.now_ms = min(self.next_step_ms, until_ms)
+        self._work()
+
+    def _work(self) -> None:
+        now_ms = self.now_ms
+        if now_ms >= self.schedule.next_change_ms:
+            self._change_faults()
+        if now_ms >= self._turnaround_at_ms:
+            self._turnaround_at_ms = float("inf")
+        if self._boot_due and now_ms >= self._boot_due[0][0]:
+            self._reset(*self._boot_due.pop(0)[1:])
+        if self._core is None and now_ms >= self._boots_at_ms:
+            self._start_firmware()
+        if now_ms >= self._sample_at_ms:
+            self._take_samples()
+        self._take_host_bytes()
+        if self._core is not None:
+            self.plant.drive(self._core.step(self._clock.read(now_ms)), now_ms)
+            self.to_host.send(self._core.transmit(), now_ms)
+            self._store.keep(self._core.persistent())
+
+    def _take_samples(self) -> None:
+        self._sample_at_ms = (self.now_ms // SAMPLE_MS + 1) * SAMPLE_MS
+        samples = self._sensors.spoil(self.plant.sense(self.now_ms))
+        if self._core is not None:
+            self._core.sample(samples, self._clock.read(self.now_ms))
+
+    def _take_host_bytes(self) -> None:
+        data = self.to_board.arrive(self.now_ms)
+        if data and self._core is not None:  # a booting board hears nothing
+            self._core.receive(data, self._clock.read(self.now_ms))
+
+    def _start_firmware(self) -> None:
+        self._clock = BoardClock(self.now_ms)
+        self._store.count_boot()
+        self._core = self._boot(self._store.persistent, self._boots_from, self._store.boot_count)
+        self.boots.append((self.now_ms / 1000, self._boots_from))
+        self._set_clock_rate()
+
+    def _reset(self, cause: ResetCause, boot_time_ms: int) -> None:
+        self._core = None
+        self._boots_from = cause
+        self._boots_at_ms = self.now_ms + boot_time_ms
+        self.plant.let_go(self.now_ms)
+
+    def _change_faults(self) -> None:
+        begun = self.schedule.pass_to(self.now_ms)
+        active = self.schedule.active
+        self.to_board.set_faults(active)
+        self.to_host.set_faults(active)
+        self._sensors.set_faults(active)
+        self.plant.set_faults({fault.name for fault in active}, self.now_ms)
+        self._set_clock_rate()
+        if self.unplugged:
+            self.to_board.cut()
+            self.to_host.cut()
+        for fault in begun:
+            self._begin(fault)
+
+    def _set_clock_rate(self) -> None:
+        factor = 1.0
+        for fault in self.schedule.active:
+            if fault.name == "clock_drift":
+                factor *= fault.number("factor")
+        self._clock.set_factor(factor, self.now_ms)
+
+    def _begin(self, fault: Fault) -> None:
+        match fault.name:
+            case "garbage":
+                self.to_board.garbage(fault, self.now_ms)
+                self.to_host.garbage(fault, self.now_ms)
+            case "clock_wrap":
+                self._clock.set_before_wrap(fault.number("before_s"), self.now_ms)
+            case "reset":
+                self._plan_resets(ResetCause[str(fault.parameters["cause"]).upper()], fault, 1, 0.0)
+            case "brown_out":
+                count, period_s = int(fault.number("count")), fault.number("period_s")
+                self._plan_resets(ResetCause.BROWN_OUT, fault, count, period_s)
+
+    def _plan_resets(self, cause: ResetCause, fault: Fault, count: int, period_s: float) -> None:
+        boot_time_ms = round(fault.number("boot_time_s") * 1000)
+        times = [fault.start_ms + round(number * period_s * 1000) for number in range(count)]
+        self._boot_due += [(time, cause, boot_time_ms) for time in times]
+        self._boot_due.sort()

@@ -1,0 +1,95 @@
+"""The board's end of the serial line: a pseudo-terminal behind a symlink, which can be unplugged.
+
+A host that closes its end gets a new pseudo-terminal at its next opening, so bytes are counted from there.
+"""
+
+import errno
+import fcntl
+import os
+import struct
+import termios
+import tty
+from pathlib import Path
+
+_CHUNK = 4096
+_UNLOCK = 0x40045431  # TIOCSPTLCK, linux/asm-generic/ioctls.h
+_NUMBER = 0x80045430  # TIOCGPTN
+
+
+class Port:
+    """A pseudo-terminal, or none while unplugged. `bytes_in`, `bytes_out` count from its creation."""
+
+    def __init__(self, link: Path) -> None:
+        self._link = link
+        self._master: int | None = None
+        self.bytes_in = 0
+        self.bytes_out = 0
+        self.bytes_lost = 0  # sent while nobody read, since the start
+        self.user: object = None  # whoever opened this one in lock-step, see lockstep.py
+
+    @property
+    def plugged(self) -> bool:
+        """There is a device a host can open, or has open."""
+        return self._master is not None
+
+    def fileno(self) -> int:
+        """Descriptor to wait on; -1 while unplugged."""
+        return -1 if self._master is None else self._master
+
+    def plug(self) -> None:
+        """Make a new pseudo-terminal, point the symlink at it, count from 0."""
+        self.unplug()
+        self._master, device = _open_pseudo_terminal()
+        self.bytes_in = self.bytes_out = 0
+        self.user = None
+        beside = self._link.with_name(self._link.name + ".new")
+        beside.unlink(missing_ok=True)
+        beside.symlink_to(device)
+        beside.replace(self._link)
+
+    def unplug(self) -> None:
+        """Take symlink and device away; the host's reads and writes fail from now on."""
+        if self._master is None:
+            return
+        self._link.unlink(missing_ok=True)
+        os.close(self._master)
+        self._master = None
+
+    def read(self) -> bytes:
+        """All bytes the host has written, maybe none. When it has closed, the next one gets a new device."""
+        data = bytearray()
+        while self._master is not None:
+            try:
+                data += os.read(self._master, _CHUNK)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if error.errno != errno.EIO:
+                    raise
+                self.plug()
+                return bytes(data)
+        self.bytes_in += len(data)
+        return bytes(data)
+
+    def write(self, data: bytes) -> None:
+        """Hand `data` to the host; what finds no room or no host is lost, as on a wire."""
+        try:
+            written = 0 if self._master is None else os.write(self._master, data)
+        except OSError as error:
+            if error.errno not in (errno.EAGAIN, errno.EIO):
+                raise
+            written = 0
+        self.bytes_out += written
+        self.bytes_lost += len(data) - written
+
+
+def _open_pseudo_terminal() -> tuple[int, str]:
+    """A raw, non-blocking master and the name of its device, which is not opened here.
+
+    So the master hangs up when, and only when, a host has closed the device.
+    """
+    master = os.open("/dev/ptmx", os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+    fcntl.ioctl(master, _UNLOCK, struct.pack("i", 0))
+    (number,) = struct.unpack("i", fcntl.ioctl(master, _NUMBER, struct.pack("i", 0)))
+    tty.setraw(master, termios.TCSANOW)
+    return master, f"/dev/pts/{number}"
