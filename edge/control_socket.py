@@ -1,0 +1,210 @@
+"""The command line's way into the running daemon: JSON lines on a Unix socket.
+
+One request object a line, one answer object a line, in order. The file's permissions are the access control.
+"""
+
+import contextlib
+import json
+import os
+import selectors
+import socket
+import stat
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from edge.errors import ConfigError, RequestError
+from edge.strict_json import parse_object
+
+Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
+
+LINE_MAX = 65536  # longest request [bytes]
+UNREAD_MAX = 1 << 20  # a client that leaves so much unread is dropped [bytes]
+CLIENTS_MAX = 32
+MODE = 0o660
+
+
+class _Client:
+    """One connection and what is under way on it."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.connection = connection
+        self.unread = b""  # of us: no whole line yet
+        self.unsent = b""
+        self.ending = False  # close as soon as `unsent` is out
+
+
+class ControlSocket:
+    """Server side, in a thread of its own.
+
+    ask : gives a request to the control thread and waits for the answer, with a time limit of its own
+    Errors : ConfigError when the place is taken by a running daemon or can't hold a socket
+    """
+
+    def __init__(self, path: Path, ask: Ask) -> None:
+        self._path, self._ask = path, ask
+        self._listener, self._inode = _listen(path)
+        self._wake, self._ring = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._wake, selectors.EVENT_READ)
+        self._clients: dict[socket.socket, _Client] = {}
+        self._thread = threading.Thread(target=self._run, name="control-socket", daemon=True)
+        self._thread.start()
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Take the file away and end the thread; one that waits for an answer is left to its time limit."""
+        with contextlib.suppress(OSError):
+            if self._path.stat().st_ino == self._inode:
+                self._path.unlink()
+        self._ring.close()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            for key, events in self._selector.select():
+                if key.fileobj is self._wake:
+                    return self._shut_down()
+                if key.fileobj is self._listener:
+                    self._accept()
+                else:
+                    self._serve(key.data, events)
+
+    def _shut_down(self) -> None:
+        for client in list(self._clients.values()):
+            self._drop(client)
+        self._selector.close()
+        self._listener.close()
+        self._wake.close()
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:
+            return  # the client is gone again, or we are out of descriptors until another one leaves
+        connection.setblocking(False)
+        client = self._clients[connection] = _Client(connection)
+        self._selector.register(connection, selectors.EVENT_READ, client)
+        if len(self._clients) > CLIENTS_MAX:
+            self._end(client, "too many clients")
+
+    def _serve(self, client: _Client, events: int) -> None:
+        try:
+            if events & selectors.EVENT_READ:
+                self._receive(client)
+            self._send(client)
+        except OSError:
+            self._drop(client)
+
+    def _receive(self, client: _Client) -> None:
+        data = client.connection.recv(LINE_MAX)
+        if not data:
+            client.ending = True
+            return
+        *lines, client.unread = (client.unread + data).split(b"\n")
+        for line in lines:
+            client.unsent += _line(self._answer(line))
+        if len(client.unread) > LINE_MAX:
+            self._end(client, f"request is longer than {LINE_MAX} bytes")
+        elif len(client.unsent) > UNREAD_MAX:
+            raise ConnectionAbortedError("the client does not read its answers")
+
+    def _answer(self, line: bytes) -> dict[str, Any]:
+        if len(line) > LINE_MAX:
+            return _error(f"request is longer than {LINE_MAX} bytes")
+        try:
+            request = parse_object(line)
+        except ValueError as error:
+            return _error(f"request: {error}")
+        return self._ask(request)
+
+    def _end(self, client: _Client, reason: str) -> None:
+        client.unread = b""
+        client.unsent += _line(_error(reason))
+        client.ending = True
+
+    def _send(self, client: _Client) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while client.unsent:
+                client.unsent = client.unsent[client.connection.send(client.unsent) :]
+        if client.ending and not client.unsent:
+            self._drop(client)
+            return
+        reading = 0 if client.ending else selectors.EVENT_READ
+        self._selector.modify(
+            client.connection, reading | (selectors.EVENT_WRITE if client.unsent else 0), client
+        )
+
+    def _drop(self, client: _Client) -> None:
+        self._selector.unregister(client.connection)
+        client.connection.close()
+        del self._clients[client.connection]
+
+
+def request(path: Path, message: Mapping[str, Any], timeout_s: float = 15.0) -> dict[str, Any]:
+    """Client side: send one request, wait for its answer. Errors: RequestError."""
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+            connection.settimeout(timeout_s)
+            connection.connect(str(path))
+            connection.sendall(_line(message))
+            with connection.makefile("rb") as answers:
+                answer = answers.readline()
+    except (FileNotFoundError, ConnectionRefusedError):
+        raise RequestError(f"no daemon listens at {path}") from None
+    except TimeoutError:
+        raise RequestError(f"the daemon at {path} did not answer within {timeout_s:g} s") from None
+    except OSError as error:
+        raise RequestError(f"{path}: {error.strerror or error}") from None
+    if not answer.endswith(b"\n"):
+        raise RequestError(f"the daemon at {path} went away before it answered")
+    return parse_object(answer)
+
+
+def _line(message: Mapping[str, Any]) -> bytes:
+    return json.dumps(message, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
+def _error(text: str) -> dict[str, Any]:
+    return {"ok": False, "error": text}
+
+
+def _listen(path: Path) -> tuple[socket.socket, int]:
+    """A listening socket at `path`, and its inode; a stale file is replaced, a live one refused."""
+    _refuse_live(path)
+    # The name appears by a rename, with the final permissions on it: at no moment can others get in.
+    fresh = path.with_name(f"{path.name}.{os.getpid()}")
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            fresh.unlink()
+        listener.bind(str(fresh))
+        fresh.chmod(MODE)
+        inode = fresh.stat().st_ino
+        listener.listen(CLIENTS_MAX)
+        listener.setblocking(False)
+        fresh.rename(path)
+    except OSError as error:
+        listener.close()
+        fresh.unlink(missing_ok=True)
+        raise ConfigError(f"control_socket.path: {path}: {error.strerror or error}") from None
+    return listener, inode
+
+
+def _refuse_live(path: Path) -> None:
+    try:
+        mode = path.lstat().st_mode
+    except OSError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise ConfigError(f"control_socket.path: {path}: exists and is not a socket")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            return
+        except OSError as error:
+            raise ConfigError(f"control_socket.path: {path}: {error.strerror or error}") from None
+    raise ConfigError(f"control_socket.path: {path}: another daemon listens there")
