@@ -1,0 +1,127 @@
+"""Commands from the broker: text in, Request out. Pure and strict; what passes still goes through safety."""
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from edge.errors import RequestError
+from edge.hard_limits import MAINTENANCE_MAX_MIN
+from edge.operation import FanMode, Mode
+from edge.settings import CONTROLLERS, ReferenceSettings
+from edge.strict_json import parse_object
+
+Request = dict[str, Any]
+
+PAYLOAD_MAX = 1024  # [bytes]
+SEQ_MAX = 2**63 - 1  # SQLite's largest integer
+PRESS = "PRESS"  # what a Home Assistant button sends
+_NUMBER = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")  # no "nan", no "1_0", no digits of other scripts
+
+
+def parse(what: str, payload: bytes, reference: ReferenceSettings) -> Request:
+    """The request that `payload` on the topic `set/<what>` means.
+
+    reference : gives the range of temperatures an operator may ask for
+    Errors : RequestError with a text for the sender
+    """
+    parser = _PARSERS.get(what)
+    if parser is None:
+        raise RequestError(f"unknown command; known: {', '.join(_PARSERS)}")
+    if len(payload) > PAYLOAD_MAX:
+        raise RequestError(f"payload is longer than {PAYLOAD_MAX} bytes")
+    try:
+        text = payload.decode()
+    except UnicodeDecodeError:
+        raise RequestError("payload is not UTF-8") from None
+    return parser(text, reference)
+
+
+def _mode(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "set_mode", "mode": _choice(text, tuple(mode.value for mode in Mode))}
+
+
+def _fan_mode(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "set_fan_mode", "fan_mode": _choice(text, tuple(mode.value for mode in FanMode))}
+
+
+def _temperature(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "set_reference", "reference_c": _number(text, reference.min_c, reference.max_c)}
+
+
+def _controller(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "set_controller", "name": _choice(text, CONTROLLERS)}
+
+
+def _maintenance(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "maintenance", "minutes": _number(text, 0.0, MAINTENANCE_MAX_MIN)}
+
+
+def _manual(text: str, reference: ReferenceSettings) -> Request:
+    values = _object(text, ("heater_duty", "fan_on", "led"))
+    for key, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+            raise RequestError(f"{key}: {value!r} is not a number from 0 to 1")
+    return {"do": "set_manual", **values}
+
+
+def _resend(text: str, reference: ReferenceSettings) -> Request:
+    values = _object(text, ("first_seq", "last_seq"))
+    for key in ("first_seq", "last_seq"):
+        value = values.get(key)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= SEQ_MAX:
+            raise RequestError(f"{key}: {value!r} is not a sequence number")
+    if values["last_seq"] < values["first_seq"]:
+        raise RequestError("last_seq is before first_seq")
+    return {"do": "resend", **values}
+
+
+def _press(request: Request) -> Callable[[str, ReferenceSettings], Request]:
+    def parse_press(text: str, reference: ReferenceSettings) -> Request:
+        _choice(text, (PRESS,))
+        return dict(request)
+
+    return parse_press
+
+
+def _choice(text: str, known: tuple[str, ...]) -> str:
+    if text not in known:
+        raise RequestError(f"{_shown(text)} is not one of {', '.join(known)}")
+    return text
+
+
+def _number(text: str, low: float, high: float) -> float:
+    if not _NUMBER.fullmatch(text) or not low <= float(text) <= high:
+        raise RequestError(f"{_shown(text)} is not a number from {low:g} to {high:g}")
+    return float(text)
+
+
+def _object(text: str, known: tuple[str, ...]) -> dict[str, Any]:
+    try:
+        values = parse_object(text)
+    except ValueError as error:
+        raise RequestError(f"payload: {error}") from None
+    unknown = values.keys() - set(known)
+    if unknown or not values:
+        raise RequestError(f"payload must be a JSON object with {', '.join(known)}")
+    return values
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 40 else f"{text[:40]}...")
+
+
+_PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
+    "mode": _mode,
+    "temperature": _temperature,
+    "fan_mode": _fan_mode,
+    "controller": _controller,
+    "manual": _manual,
+    "maintenance": _maintenance,
+    "resend": _resend,
+    "emergency_stop": _press({"do": "emergency_stop"}),
+    "release_emergency_stop": _press({"do": "release_emergency_stop"}),
+    "clear_trip": _press({"do": "clear_trip"}),
+    "follow_schedule": _press({"do": "set_reference", "reference_c": None}),
+    "status": _press({"do": "status"}),
+}
+COMMANDS = tuple(_PARSERS)

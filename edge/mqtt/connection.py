@@ -1,0 +1,66 @@
+"""The paho client, set up from the settings: session, last will, TLS, user."""
+
+import ssl
+
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+
+from edge.errors import ConfigError
+from edge.mqtt.topics import Topics
+from edge.secrets import read_secret, secret_path
+from edge.settings import MqttSettings
+
+RECONNECT_MIN_S = 1
+RECONNECT_MAX_S = 60
+CONNECT_TIMEOUT_S = 5.0
+
+
+def make_client(settings: MqttSettings) -> Client:
+    """A client that is not connected yet. Errors: ConfigError for what no waiting can mend."""
+    topics = Topics.of(settings)
+    # MQTT 5 because only there a broker says that it refused a message; 3.1.1 acknowledges and drops it.
+    # A clean session, so that no command given while this rig was away is waiting for it.
+    client = Client(
+        CallbackAPIVersion.VERSION2,
+        client_id=f"{settings.topic_prefix}-{settings.rig}",
+        protocol=MQTTProtocolVersion.MQTTv5,
+    )
+    client.will_set(topics.availability, "offline", qos=1, retain=True)
+    client.reconnect_delay_set(RECONNECT_MIN_S, RECONNECT_MAX_S)
+    client.connect_timeout = CONNECT_TIMEOUT_S
+    client.max_inflight_messages_set(0)  # the drain keeps its own window
+    _set_credentials(client, settings)
+    if settings.tls:
+        client.tls_set_context(_tls(settings))
+    try:
+        settings.host.encode("idna")
+        client.connect_async(settings.host, settings.port, keepalive=settings.keepalive_s)
+    except ValueError as error:  # UnicodeError is one
+        raise ConfigError(f"mqtt.host: {settings.host!r} is no host name: {error}") from None
+    return client
+
+
+def _set_credentials(client: Client, settings: MqttSettings) -> None:
+    if not settings.username:
+        return
+    password = None
+    if settings.password_file:
+        password = read_secret(settings.password_file, "mqtt.password_file").value
+    client.username_pw_set(settings.username, password)
+
+
+def _tls(settings: MqttSettings) -> ssl.SSLContext:
+    try:
+        context = ssl.create_default_context(cafile=settings.ca or None)
+    except OSError as error:
+        raise ConfigError(f"mqtt.ca: {settings.ca}: {error.strerror or error}") from None
+    if settings.client_cert:
+        key = secret_path(settings.client_key, "mqtt.client_key")
+        try:
+            # Without a password OpenSSL would ask the terminal for that of an encrypted key, and wait.
+            context.load_cert_chain(settings.client_cert, key, password="")
+        except OSError as error:
+            raise ConfigError(
+                f"mqtt.client_cert: {settings.client_cert} with {key}: {error.strerror or error}"
+            ) from None
+    return context

@@ -1,0 +1,246 @@
+"""Home Assistant device-based discovery: one retained message that describes the whole rig.
+
+Keys are written in full: the abbreviations changed between versions. Source: Home Assistant core,
+`components/mqtt/schemas.py` and the schema of each platform.
+"""
+
+import math
+from typing import Any
+
+from edge import __version__
+from edge.hard_limits import MAINTENANCE_MAX_MIN
+from edge.mqtt.commands import PRESS
+from edge.mqtt.topics import Topics
+from edge.names import HEATER_LEVELS
+from edge.operation import FanMode
+from edge.settings import CONTROLLERS, Settings
+
+Json = dict[str, Any]
+
+CLIMATE_MODES = ("off", "heat", "fan_only", "auto")
+MAINTENANCE_MIN = 30  # what the switch asks for; it ends by itself
+EXPIRE_STEPS = 3  # values this many control steps old are shown as unavailable
+EXPIRE_MIN_S = 30
+URL = "https://www.home-assistant.io/integrations/mqtt/"
+
+
+def device(settings: Settings) -> Json:
+    """The payload for `Topics.discovery`."""
+    topics = Topics.of(settings.mqtt)
+    return {
+        "device": {
+            "identifiers": [settings.mqtt.rig],
+            "name": settings.mqtt.rig,
+            "model": "Miniature greenhouse",
+            "manufacturer": "greenhouse-twin",
+            "sw_version": __version__,
+        },
+        "origin": {"name": "greenhouse-twin", "sw_version": __version__},
+        "availability_topic": topics.availability,
+        "payload_available": "online",
+        "payload_not_available": "offline",
+        "state_topic": topics.state,
+        "qos": 1,
+        "components": _components(settings, topics),
+    }
+
+
+def _components(settings: Settings, topics: Topics) -> Json:
+    expire_s = max(EXPIRE_MIN_S, math.ceil(EXPIRE_STEPS * settings.control.step_s))
+    groups = (
+        {"climate": _climate(settings, topics)},
+        {key: {"expire_after": expire_s, **sensor} for key, sensor in _sensors().items()},
+        {"controller": _controller_sensor(topics), "last_event": _event_sensor(topics)},
+        _binary_sensors(),
+        _buttons(topics),
+        _inputs(topics),
+    )
+    rig = settings.mqtt.rig
+    slug = rig.lower().replace("-", "_")
+    return {
+        key: {
+            **component,
+            "unique_id": f"{rig}_{key}",
+            "default_entity_id": f"{component['platform']}.{slug}_{key}",
+        }
+        for group in groups
+        for key, component in group.items()
+    }
+
+
+def _climate(settings: Settings, topics: Topics) -> Json:
+    state = topics.state
+    return {
+        "platform": "climate",
+        "name": None,  # the device's main feature carries the device's name
+        "modes": list(CLIMATE_MODES),
+        "mode_command_topic": topics.command("mode"),
+        "mode_state_topic": state,
+        "mode_state_template": _value("hvac_mode"),
+        "temperature_command_topic": topics.command("temperature"),
+        "temperature_state_topic": state,
+        "temperature_state_template": _value("reference_c"),
+        "temperature_unit": "C",
+        "min_temp": settings.reference.min_c,
+        "max_temp": settings.reference.max_c,
+        "temp_step": 0.5,
+        "precision": 0.1,
+        "current_temperature_topic": state,
+        "current_temperature_template": _value("temp_air_c"),
+        "current_humidity_topic": state,
+        "current_humidity_template": _value("rel_humidity_pct"),
+        "action_topic": state,
+        "action_template": _value("action"),
+        "fan_modes": [mode.value for mode in FanMode],
+        "fan_mode_command_topic": topics.command("fan_mode"),
+        "fan_mode_state_topic": state,
+        "fan_mode_state_template": _value("fan_mode"),
+        "preset_modes": list(CONTROLLERS),
+        "preset_mode_command_topic": topics.command("controller"),
+        "preset_mode_state_topic": state,
+        "preset_mode_value_template": _value("controller"),
+    }
+
+
+def _sensors() -> dict[str, Json]:
+    return {
+        "temp_air": _sensor("Air temperature", _value("temp_air_c"), "°C", "temperature", 1),
+        "temp_ambient": _sensor("Room temperature", _value("temp_ambient_c"), "°C", "temperature", 1),
+        "estimate": _sensor("Estimated air temperature", _value("estimate_c"), "°C", "temperature", 2),
+        "reference": _sensor("Reference", _value("reference_c"), "°C", "temperature", 1),
+        "rel_humidity": _sensor("Relative humidity", _value("rel_humidity_pct"), "%", "humidity", 0),
+        "co2": _sensor("CO2", _value("co2_ppm"), "ppm", "carbon_dioxide", 0),
+        "light": _sensor("Light", _percent("light"), "%", None, 0),
+        "soil_moisture": _sensor("Soil moisture", _percent("soil_moisture"), "%", "moisture", 0),
+        "tank_level": _sensor("Tank level", _percent("tank_level"), "%", None, 0),
+        "heater_duty": _sensor("Heater duty", _percent("heater_duty"), "%", None, 0),
+        "led": _sensor("LED light", _percent("led"), "%", None, 0),
+        "tick_late": _diagnostic("Start of tick late by", "late_s", "s", "duration", 3),
+        "decide_time": _diagnostic("Decision time", "decide_ms", "ms", "duration", 1),
+        "ticks_late": _counter("Late ticks", "ticks_late"),
+        "ticks_skipped": _counter("Skipped ticks", "ticks_skipped"),
+        "outbox_depth": _diagnostic("Messages waiting", "outbox_depth", None, None, 0),
+    }
+
+
+def _sensor(name: str, template: str, unit: str | None, device_class: str | None, digits: int) -> Json:
+    sensor: Json = {
+        "platform": "sensor",
+        "name": name,
+        "value_template": template,
+        "state_class": "measurement",
+        "suggested_display_precision": digits,
+    }
+    if unit is not None:
+        sensor["unit_of_measurement"] = unit
+    if device_class is not None:
+        sensor["device_class"] = device_class
+    return sensor
+
+
+def _diagnostic(name: str, key: str, unit: str | None, device_class: str | None, digits: int) -> Json:
+    return {**_sensor(name, _value(key), unit, device_class, digits), "entity_category": "diagnostic"}
+
+
+def _counter(name: str, key: str) -> Json:
+    return {**_diagnostic(name, key, None, None, 0), "state_class": "total_increasing"}
+
+
+def _controller_sensor(topics: Topics) -> Json:
+    """Who decided the last step (not always the chosen one), with the whole "why" as attributes."""
+    return {
+        "platform": "sensor",
+        "name": "Decided by",
+        "state_topic": topics.decision,
+        "value_template": _value("controller"),
+        "json_attributes_topic": topics.decision,
+        "entity_category": "diagnostic",
+    }
+
+
+def _event_sensor(topics: Topics) -> Json:
+    return {
+        "platform": "sensor",
+        "name": "Last event",
+        "state_topic": topics.event,
+        "value_template": "{{ value_json.text[:255] }}",  # a state holds no more
+        "json_attributes_topic": topics.event,
+        "entity_category": "diagnostic",
+    }
+
+
+def _binary_sensors() -> dict[str, Json]:
+    return {
+        "fan": _binary("Fan", "fan_on", "running"),
+        "valve": _binary("Water valve", "valve_open", "opening"),
+        "tripped": _binary("Tripped", "tripped", "problem"),
+        "problem": _binary("Problem", "problem", "problem"),
+        "link": {**_binary("Board link", "link_up", "connectivity"), "entity_category": "diagnostic"},
+        "emergency": _binary("Emergency stop", "emergency_stop", "safety"),
+    }
+
+
+def _binary(name: str, key: str, device_class: str) -> Json:
+    return {
+        "platform": "binary_sensor",
+        "name": name,
+        "device_class": device_class,
+        # "None" makes the sensor unknown, where the board did not say.
+        "value_template": f"{{{{ {{1: 'ON', 0: 'OFF'}}.get(value_json.{key}) }}}}",
+        "payload_on": "ON",
+        "payload_off": "OFF",
+    }
+
+
+def _buttons(topics: Topics) -> dict[str, Json]:
+    names = {
+        "emergency_stop": "Emergency stop",
+        "release_emergency_stop": "Release emergency stop",
+        "clear_trip": "Clear trip",
+        "follow_schedule": "Follow the schedule",
+    }
+    return {
+        what: {
+            "platform": "button",
+            "name": name,
+            "command_topic": topics.command(what),
+            "payload_press": PRESS,
+        }
+        for what, name in names.items()
+    }
+
+
+def _inputs(topics: Topics) -> dict[str, Json]:
+    return {
+        "maintenance": {
+            "platform": "switch",
+            "name": "Maintenance",
+            "command_topic": topics.command("maintenance"),
+            "payload_on": str(min(MAINTENANCE_MIN, int(MAINTENANCE_MAX_MIN))),
+            "payload_off": "0",
+            "value_template": _value("maintenance"),
+            "state_on": "1",
+            "state_off": "0",
+        },
+        "manual_heater_duty": {
+            "platform": "number",
+            "name": "Manual heater duty",
+            "command_topic": topics.command("manual"),
+            "command_template": '{"heater_duty": {{ value / 100 }}}',
+            "value_template": _percent("manual_heater_duty"),
+            "min": 0,
+            "max": 100,
+            "step": 100 / HEATER_LEVELS,
+            "unit_of_measurement": "%",
+            "entity_category": "config",
+        },
+    }
+
+
+def _value(key: str) -> str:
+    return f"{{{{ value_json.{key} }}}}"
+
+
+def _percent(key: str) -> str:
+    """A share as percent; an unknown one stays unknown."""
+    return f"{{{{ None if value_json.{key} is none else (value_json.{key} * 100) | round(1) }}}}"

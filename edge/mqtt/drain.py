@@ -1,0 +1,87 @@
+"""Store and forward: empties the outbox in order, forgetting a row only when the broker has it.
+
+At least once: a row whose PUBACK was lost is sent again. Payloads carry history id and sequence number, so a
+subscriber can drop what it has and see what is missing.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from paho.mqtt.client import Client, MQTTMessageInfo
+
+BATCH_ROWS = 500  # rows read, and forgotten, in one go
+REFUSED_PAUSE_S = 30.0  # a broker that refuses (access list, quota) is asked again after this long
+
+
+class Row(Protocol):
+    """One message that waits."""
+
+    @property
+    def id(self) -> int: ...
+    @property
+    def topic(self) -> str: ...
+    @property
+    def payload(self) -> str | bytes: ...
+
+
+class Outbox(Protocol):
+    """Rows in the order they were written; a row leaves by `acknowledge` alone."""
+
+    def pending(self, limit: int) -> Sequence[Row]: ...
+    def acknowledge(self, ids: Sequence[int]) -> None: ...
+    def depth(self) -> int: ...
+    def resend(self, first_seq: int, last_seq: int) -> int: ...
+
+
+class Drain:
+    """Moves rows from the outbox to the broker, as many in flight as the broker takes.
+
+    What is in flight when the connection breaks stays with the MQTT client, which sends it again after it has
+    reconnected; so nothing here depends on the connection, and the order is kept.
+    """
+
+    def __init__(self, outbox: Outbox, client: Client, clock: Callable[[], float]) -> None:
+        self._outbox, self._client, self._clock = outbox, client, clock
+        self.window = BATCH_ROWS  # most in flight at once
+        self.refusal = ""  # the broker's last word against a row; "" since it took one
+        self._waiting: deque[Row] = deque()  # read, not given to the client yet
+        self._in_flight: deque[tuple[Row, MQTTMessageInfo]] = deque()
+        self._taken: list[int] = []
+        self._refused: dict[int, str] = {}  # message id -> reason; written by the network thread
+        self._pause_until = 0.0
+
+    def refused(self, mid: int, reason: str) -> None:
+        """The broker answered with a failure. Called by the network thread, before `is_published` is true."""
+        self._refused[mid] = reason
+
+    def step(self) -> bool:
+        """Do what can be done without waiting. Returns whether rows are in flight."""
+        self._collect()
+        if not self._waiting and not self._in_flight:
+            self._forget()
+            if self._clock() < self._pause_until:
+                return False
+            self._waiting.extend(self._outbox.pending(BATCH_ROWS))
+        while self._waiting and len(self._in_flight) < self.window:
+            row = self._waiting.popleft()
+            self._in_flight.append((row, self._client.publish(row.topic, row.payload, qos=1)))
+        return bool(self._in_flight)
+
+    def _collect(self) -> None:
+        """Take off the front what the broker has answered."""
+        while self._in_flight and self._in_flight[0][1].is_published():
+            row, info = self._in_flight.popleft()
+            reason = self._refused.pop(info.mid, "")
+            if reason:
+                self.refusal = reason
+                self._pause_until = self._clock() + REFUSED_PAUSE_S
+            else:
+                self._taken.append(row.id)
+
+    def _forget(self) -> None:
+        if self._taken:
+            self._outbox.acknowledge(self._taken)
+            self._taken = []
+            if not self._clock() < self._pause_until:
+                self.refusal = ""

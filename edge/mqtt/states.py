@@ -1,0 +1,114 @@
+"""What the live topics say, made from the control loop's own status answer."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from edge.names import SIGNALS
+
+Json = dict[str, Any]
+
+
+def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json:
+    """One flat object for Home Assistant's templates; what is not known is null, never 0.
+
+    status : the answer to `{"do": "status"}`, with a tick in it
+    counters : diagnostics of the daemon itself
+    """
+    tick, operation = status["tick"], status["operation"]
+    echo = tick["echo"]
+    return {
+        "seq": tick["seq"],
+        "utc": tick["utc"],
+        **_measurements(tick["readings"]),
+        "estimate_c": tick["estimate"]["temp_air_c"],
+        "reference_c": _reference(tick, operation),
+        "mode": operation["mode"],
+        "emergency_stop": int(operation["emergency_stop"]),
+        "maintenance": int(_in_maintenance(tick, operation)),
+        "fan_mode": operation["fan_mode"],
+        "controller": operation["controller"],
+        "manual_heater_duty": operation["manual"]["heater_duty"],
+        "hvac_mode": _hvac_mode(operation),
+        "action": _action(operation, echo),
+        "heater_duty": echo and echo["heater_duty"],
+        "fan_on": echo and echo["fan_on"],
+        "led": echo and echo["led"],
+        "valve_open": echo and echo["valve_open"],
+        "link_up": tick["link_up"],
+        "tripped": int(_is_tripped(status)),
+        "trips": ", ".join(_trips(status)),
+        "problem": int(_has_problem(status)),
+        "late_s": tick["late_s"],
+        "decide_ms": tick["decide_ms"],
+        **counters,
+    }
+
+
+def decision(status: Mapping[str, Any]) -> Json:
+    """What the controller wanted, what was sent, and why."""
+    tick = status["tick"]
+    keys = ("seq", "utc", "mode", "controller", "reference_c", "wanted", "sent", "changes", "why")
+    return {key: tick[key] for key in keys}
+
+
+def forecast(status: Mapping[str, Any]) -> Json:
+    """Air temperature expected after each of the next steps of `step_s`, counted from `utc`."""
+    tick = status["tick"]
+    return {key: tick[key] for key in ("seq", "utc", "step_s", "reference_c", "forecast_c")}
+
+
+def _measurements(readings: Mapping[str, Any]) -> Json:
+    """Values of good readings alone; a bad one is null and its quality says why."""
+    values: Json = {}
+    for signal in SIGNALS.values():
+        reading = readings.get(signal.key, {"value": None, "quality": "absent"})
+        values[signal.key] = reading["value"] if reading["quality"] == "good" else None
+        values[f"{signal.name}_quality"] = reading["quality"]
+    return values
+
+
+def _reference(tick: Mapping[str, Any], operation: Mapping[str, Any]) -> float | None:
+    """An order counts at once, the tick's own reference until then."""
+    ordered: float | None = operation["reference_c"]
+    return tick["reference_c"] if ordered is None else ordered
+
+
+def _in_maintenance(tick: Mapping[str, Any], operation: Mapping[str, Any]) -> bool:
+    until = operation["maintenance_until_utc"]
+    return until is not None and tick["utc"] < until
+
+
+def _hvac_mode(operation: Mapping[str, Any]) -> str | None:
+    """A mode Home Assistant knows; null (unknown) while a person drives by hand."""
+    if operation["emergency_stop"]:
+        return "off"
+    return None if operation["mode"] == "manual" else operation["mode"]
+
+
+def _action(operation: Mapping[str, Any], echo: Mapping[str, Any] | None) -> str | None:
+    """From what the board really drives; null when it did not say."""
+    if echo is None:
+        return None
+    if echo["heater_duty"] > 0:
+        return "heating"
+    if echo["fan_on"]:
+        return "fan"
+    return "off" if _hvac_mode(operation) == "off" else "idle"
+
+
+def _trips(status: Mapping[str, Any]) -> list[str]:
+    echo = status["tick"]["echo"]
+    board = [echo["trip_cause"]] if echo and echo["tripped"] else []
+    return [str(trip) for trip in (*status["trips"], *board)]
+
+
+def _is_tripped(status: Mapping[str, Any]) -> bool:
+    return bool(_trips(status))
+
+
+def _has_problem(status: Mapping[str, Any]) -> bool:
+    """A person should look: tripped, no board, no confirmation, or no trustworthy air temperature."""
+    tick = status["tick"]
+    air = tick["readings"].get(SIGNALS["temp_air"].key)
+    air_is_good = air is not None and air["quality"] == "good"
+    return _is_tripped(status) or not tick["link_up"] or tick["echo"] is None or not air_is_good

@@ -1,0 +1,248 @@
+"""Telemetry and remote commands over MQTT, in threads of their own: control never waits for a broker."""
+
+import contextlib
+import json
+import queue
+import sqlite3
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from paho.mqtt.client import Client, ConnectFlags, MQTTMessage
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from edge.errors import RequestError
+from edge.messages import Event, Severity, TickRecord
+from edge.mqtt import discovery, states
+from edge.mqtt.commands import parse
+from edge.mqtt.connection import make_client
+from edge.mqtt.drain import BATCH_ROWS, Drain, Outbox
+from edge.mqtt.topics import Topics
+from edge.settings import Settings
+from edge.tick_json import event_json
+
+Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
+
+POLL_S = 1.0  # how often the outbox is looked into when nothing else happens
+COMMANDS_WAITING_MAX = 16
+EVENTS_WAITING_MAX = 200  # live events while the broker is away; all of them are in the outbox too
+LATE_SHARE = 0.1  # a tick that begins later than this share of a step counts as late
+WINDOW_RESERVE = 4  # room in the broker's receive window for messages that are not the outbox's
+
+
+class Telemetry:
+    """A sink of tick records, and a source of requests.
+
+    ask : gives a request to the control thread and waits for the answer, with a time limit of its own
+    open_outbox : called once, in the thread that will use it
+    Errors : ConfigError for a wrong file or host; a broker that is away is none
+    """
+
+    def __init__(self, settings: Settings, ask: Ask, open_outbox: Callable[[], Outbox]) -> None:
+        self._settings, self._ask, self._open_outbox = settings, ask, open_outbox
+        self._topics = Topics.of(settings.mqtt)
+        self._offline = f"not connected to {settings.mqtt.host}:{settings.mqtt.port} yet"
+        self._outbox_fault = ""
+        self._ticks_late = 0
+        self._ticks_skipped = 0
+        self._new_state = False
+        self._greet = False
+        self._events: deque[Event] = deque(maxlen=EVENTS_WAITING_MAX)
+        self._commands: queue.Queue[tuple[str, bytes]] = queue.Queue(COMMANDS_WAITING_MAX)
+        self._closing = False
+        self._wake = threading.Event()
+        self._outbox: Outbox | None = None
+        self._drain: Drain | None = None
+        self._receive_maximum = BATCH_ROWS
+        self._client = make_client(settings.mqtt)
+        self._set_callbacks(self._client)
+        self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
+        self._thread.start()
+        self._client.loop_start()
+
+    # called by the control thread: nothing here waits
+
+    def write(self, record: TickRecord) -> None:
+        """A new tick: its state is published, as soon as there is a broker; only the newest matters."""
+        self._ticks_late += record.late_s > LATE_SHARE * record.step_s
+        self._ticks_skipped += record.ticks_skipped
+        self._events.extend(record.events)
+        self._new_state = True
+        self._wake.set()
+
+    def faults(self) -> Mapping[str, str]:
+        """What is wrong now, by key of the failure table."""
+        refusal = self._drain.refusal if self._drain else ""
+        detail = self._offline or self._outbox_fault or (refusal and f"the broker refuses: {refusal}")
+        return {"telemetry.offline": detail} if detail else {}
+
+    def close(self) -> None:
+        """Say `offline`, as the last will would, and end; takes a few seconds at most."""
+        self._closing = True
+        self._wake.set()
+        self._thread.join(2.0)
+        if not self._offline:
+            last = self._client.publish(self._topics.availability, "offline", qos=1, retain=True)
+            with contextlib.suppress(RuntimeError, ValueError):  # the connection broke at this moment
+                last.wait_for_publish(1.0)
+        self._client.disconnect()
+        # The network thread may stand in a name look-up, which nothing can cut short.
+        stopping = threading.Thread(target=self._client.loop_stop, daemon=True)
+        stopping.start()
+        stopping.join(2.0)
+
+    # called by the network thread: notes what happened and wakes the worker
+
+    def _set_callbacks(self, client: Client) -> None:
+        client.on_connect = self._on_connect
+        client.on_connect_fail = self._on_connect_fail
+        client.on_disconnect = self._on_disconnect
+        client.on_publish = self._on_publish
+        client.on_message = self._on_message
+
+    def _on_connect(
+        self, client: Client, _: object, flags: ConnectFlags, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        if code.is_failure:
+            self._offline = f"the broker refuses the connection: {code}"
+            return
+        self._receive_maximum = getattr(properties, "ReceiveMaximum", BATCH_ROWS)
+        client.subscribe([(self._topics.command("+"), 1), (self._topics.home_assistant_status, 1)])
+        client.publish(self._topics.availability, "online", qos=1, retain=True)
+        self._offline = ""
+        self._greet = True
+        self._wake.set()
+
+    def _on_connect_fail(self, client: Client, _: object) -> None:
+        self._offline = f"{self._settings.mqtt.host}:{self._settings.mqtt.port} can't be reached"
+
+    def _on_disconnect(
+        self, client: Client, _: object, flags: object, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        self._offline = self._offline or f"disconnected: {code}"
+
+    def _on_publish(
+        self, client: Client, _: object, mid: int, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        if code.is_failure and self._drain is not None:
+            self._drain.refused(mid, str(code))
+        self._wake.set()
+
+    def _on_message(self, client: Client, _: object, message: MQTTMessage) -> None:
+        if message.retain:
+            return  # an old order, from before this connection, must not act; what is wanted now is said now
+        if message.topic == self._topics.home_assistant_status:
+            self._greet = self._greet or message.payload == b"online"
+        else:
+            what = message.topic.rpartition("/")[2]
+            try:
+                self._commands.put_nowait((what, bytes(message.payload)))
+            except queue.Full:
+                self._reply(what, {"ok": False, "error": "too many commands are waiting"})
+        self._wake.set()
+
+    # the worker
+
+    def _run(self) -> None:
+        while not self._closing:
+            self._wake.wait(POLL_S)
+            self._wake.clear()
+            self._answer_commands()
+            if not self._offline:
+                self._publish_news()
+                self._empty_outbox()
+
+    def _answer_commands(self) -> None:
+        while not self._commands.empty():
+            what, payload = self._commands.get_nowait()
+            try:
+                answer = self._carry_out(parse(what, payload, self._settings.reference))
+            except RequestError as error:
+                answer = {"ok": False, "error": str(error)}
+                self._events.append(_bad_command(what, str(error)))
+            if answer.get("tick"):
+                self._publish_state(answer)
+            self._reply(what, answer if what == "status" else _short(answer))
+
+    def _carry_out(self, request: dict[str, Any]) -> dict[str, Any]:
+        if request["do"] != "resend":
+            return self._ask(request)
+        if self._outbox is None:
+            raise RequestError("the outbox is not open")
+        return {"ok": True, "rows": self._outbox.resend(request["first_seq"], request["last_seq"])}
+
+    def _publish_news(self) -> None:
+        if self._greet:
+            self._greet, self._new_state = False, True
+            self._publish(self._topics.discovery, discovery.device(self._settings), qos=1, retain=True)
+        if self._new_state:
+            self._new_state = False
+            status = self._ask({"do": "status"})
+            if status.get("tick"):
+                self._publish_state(status)
+        while self._events:
+            self._publish(self._topics.event, event_json(self._events.popleft()), qos=1)
+
+    def _publish_state(self, status: Mapping[str, Any]) -> None:
+        counters: dict[str, int | None] = {
+            "ticks_late": self._ticks_late,
+            "ticks_skipped": self._ticks_skipped,
+            "outbox_depth": self._outbox_depth(),
+        }
+        self._publish(self._topics.state, states.state(status, counters), retain=True)
+        self._publish(self._topics.decision, states.decision(status), retain=True)
+        self._publish(self._topics.forecast, states.forecast(status), retain=True)
+
+    def _empty_outbox(self) -> None:
+        try:
+            if self._outbox is None or self._drain is None:
+                self._outbox = self._open_outbox()
+                self._drain = Drain(self._outbox, self._client, time.monotonic)
+            self._drain.window = max(1, min(BATCH_ROWS, self._receive_maximum - WINDOW_RESERVE))
+            self._drain.step()
+            self._outbox_fault = ""
+        except sqlite3.Error as error:
+            self._outbox_fault = f"the outbox can't be read: {error}"  # tried again at the next wake
+
+    def _outbox_depth(self) -> int | None:
+        try:
+            return self._outbox.depth() if self._outbox else None
+        except sqlite3.Error:
+            return None  # shown as unknown; the drain meets the same error and reports it
+
+    def _reply(self, what: str, answer: Mapping[str, Any]) -> None:
+        self._publish(self._topics.reply, {"command": what, **answer}, qos=1)
+
+    def _publish(self, topic: str, message: Mapping[str, Any], qos: int = 0, retain: bool = False) -> None:
+        payload = json.dumps(message, separators=(",", ":"), allow_nan=False)
+        self._client.publish(topic, payload, qos=qos, retain=retain)
+
+
+def remove(settings: Settings, timeout_s: float = 10.0) -> None:
+    """Take the rig out of Home Assistant and its retained messages off the broker. Errors: RequestError."""
+    topics = Topics.of(settings.mqtt)
+    client = make_client(settings.mqtt)
+    client.will_clear()
+    retained = (topics.discovery, topics.availability, topics.state, topics.decision, topics.forecast)
+    sent = [client.publish(topic, b"", qos=1, retain=True) for topic in retained]
+    client.loop_start()
+    try:
+        deadline = time.monotonic() + timeout_s
+        while not all(info.is_published() for info in sent):
+            if time.monotonic() > deadline:
+                raise RequestError(f"{settings.mqtt.host}: took no message within {timeout_s:g} s")
+            time.sleep(0.05)
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
+def _short(answer: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: answer[key] for key in ("ok", "error", "rows") if key in answer}
+
+
+def _bad_command(what: str, error: str) -> Event:
+    return Event("mqtt.bad_command", Severity.WARNING, f"set/{what}: {error}", time.monotonic(), time.time())

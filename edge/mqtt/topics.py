@@ -1,0 +1,57 @@
+"""Every topic of one rig."""
+
+from dataclasses import dataclass
+
+from edge.settings import MqttSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """All under `root`, but for the two that Home Assistant prescribes."""
+
+    root: str  # <prefix>/<rig>
+    discovery: str  # Home Assistant's device discovery, retained
+    home_assistant_status: str  # "online" when Home Assistant has started
+
+    @classmethod
+    def of(cls, settings: MqttSettings) -> "Topics":
+        """The topics that the settings give."""
+        return cls(
+            root=f"{settings.topic_prefix}/{settings.rig}",
+            discovery=f"{settings.discovery_prefix}/device/{settings.rig}/config",
+            home_assistant_status=f"{settings.discovery_prefix}/status",
+        )
+
+    @property
+    def availability(self) -> str:
+        """`online` or `offline`, retained; `offline` is the last will."""
+        return f"{self.root}/availability"
+
+    @property
+    def state(self) -> str:
+        """What holds now: one flat JSON object, retained."""
+        return f"{self.root}/state"
+
+    @property
+    def forecast(self) -> str:
+        """Air temperature expected after each of the next steps, retained."""
+        return f"{self.root}/forecast"
+
+    @property
+    def decision(self) -> str:
+        """What the controller wanted, what safety made of it, and why; retained."""
+        return f"{self.root}/decision"
+
+    @property
+    def event(self) -> str:
+        """One message per event."""
+        return f"{self.root}/event"
+
+    @property
+    def reply(self) -> str:
+        """Answer to each command."""
+        return f"{self.root}/reply"
+
+    def command(self, what: str) -> str:
+        """Where the command `what` is received; "+" for all."""
+        return f"{self.root}/set/{what}"
