@@ -98,6 +98,10 @@ class FrameDecoder:
         self._append(rest)
         return payloads
 
+    def reset(self) -> None:
+        """Forget half a frame: the line was cut."""
+        self._run.clear()
+
     def _append(self, piece: bytes) -> None:
         self._run += piece[: MAX_ENCODED + 1 - len(self._run)]  # one byte too many marks a run as too long
 

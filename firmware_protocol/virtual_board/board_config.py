@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from firmware_protocol.messages import PROTOCOL_VERSION, Capability, Hello, ResetCause, pack
 
-RIG_PARTS = Capability(0x03FF) & ~Capability.HEATER_CUTOFF  # the rig has all parts but the second cut-off
+# The rig has no second cut-off and no tacho.
+RIG_PARTS = Capability(0x03FF) & ~(Capability.HEATER_CUTOFF | Capability.FAN_TACHO)
 PWM_SLOTS = 20
 
 

@@ -1,0 +1,76 @@
+"""What the host's end of the link tells its caller."""
+
+from dataclasses import dataclass
+
+from firmware_protocol.messages import ErrorMessage, Hello, Message, SensorReport, StateEcho
+
+
+@dataclass(frozen=True, slots=True)
+class LinkUp:
+    """The board answered the greeting; requests may be sent."""
+
+    hello: Hello
+
+
+@dataclass(frozen=True, slots=True)
+class LinkLost:
+    """The session is over: silence, no answer to a request, a board that knows no session, a lost port."""
+
+    silent_s: float  # since the last whole frame
+
+
+@dataclass(frozen=True, slots=True)
+class BoardReset:
+    """The board has started anew since it was last heard; the session, if there was one, is over."""
+
+    hello: Hello
+
+
+@dataclass(frozen=True, slots=True)
+class VersionRefused:
+    """The board speaks only other versions than ours."""
+
+    protocol_min: int
+    protocol_max: int
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The board's sensors."""
+
+    report: SensorReport
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """What the board drives; `request` is the one it answers, None when it was sent unasked."""
+
+    state: StateEcho
+    request: Message | None
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The board did not obey a request."""
+
+    error: ErrorMessage
+    request: Message
+
+
+@dataclass(frozen=True, slots=True)
+class RequestTimedOut:
+    """A request that is given up; whether the board obeyed it is not known. It is not sent again."""
+
+    request: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Nonsense:
+    """Frames that were damaged or meant nothing."""
+
+    count: int
+
+
+LinkEvent = (
+    LinkUp | LinkLost | BoardReset | VersionRefused | Report | Echo | Refused | RequestTimedOut | Nonsense
+)
