@@ -211,27 +211,43 @@ class ChamberParameters:
     sensors: Sensors
 
 
-# Values that may be negative; every other one is 0 or more, and above 0 where it divides.
+# Bounds by name: these may be negative, these are shares of 1, these divide; the rest is 0 or more.
 _SIGNED = frozenset(
     {"temp_c", "air_bias_k", "air_drift_k_day", "ambient_offset_k", "humidity_bias_pct", "constant_heat_w",
-     "ua_drift_per_day", "start_day"}
+     "ua_drift_per_day", "start_day", "thermostat_c"}
 )  # fmt: skip
-_POSITIVE_ENDINGS = ("_tau_s", "_interval_s")
-_POSITIVE = frozenset(
-    {"width_m", "depth_m", "height_m", "heater_zone_share", "density_kg_m3", "heat_capacity_j_kg_k",
-     "contact_capacity_factor", "mixing_flow_m3_s", "areal_mass_kg_m2", "gap_w_m2_k", "inner_film_w_m2_k",
-     "film_reference_k", "surface_m2", "diameter_m", "leaf_m2", "film_w_m2_k", "water_capacity_kg", "volume_kg",
-     "half_saturation_ppm", "period_s", "temp_step_k", "humidity_step_pct", "dry_below"}
+_SHARES = frozenset(
+    {"dark_share", "light_share", "light_to_plant", "light_to_soil", "light_to_cover", "emissivity",
+     "efficiency", "effectiveness", "short_circuit", "saturation_duty", "water_start", "start_level",
+     "draught_share", "sun_light"}
 )  # fmt: skip
+_DIVISORS = frozenset(
+    {"width_m", "depth_m", "height_m", "density_kg_m3", "heat_capacity_j_kg_k", "mixing_flow_m3_s",
+     "gap_w_m2_k", "inner_film_w_m2_k", "film_reference_k", "surface_m2", "diameter_m", "leaf_m2",
+     "film_w_m2_k", "air_w_k", "view_cover", "water_capacity_kg", "volume_kg", "half_saturation_ppm",
+     "period_s", "temp_step_k", "humidity_step_pct", "dry_below", "door_interval_s"}
+)  # fmt: skip
+_SMALLEST = 1e-9
+_LARGEST = 1e9
+
+
+def _bounds(name: str) -> tuple[float, float]:
+    """Smallest and largest value of a key."""
+    if name == "heater_zone_share":
+        return 0.05, 0.95
+    if name in _SIGNED:
+        return -_LARGEST, _LARGEST
+    low = _SMALLEST if name in _DIVISORS or name.endswith("_tau_s") else 0.0
+    return low, 1.0 if name in _SHARES else _LARGEST
 
 
 def load(path: Path | None = None) -> tuple[ChamberParameters, Effects]:
     """The default parameters and effects, with what the file at `path` changes.
 
-    A value is a number or `{value: number, source: text}`. Raises ValueError, which names file, section and
-    key, for an unknown key, a value that is not a number or one outside its range.
+    A value is a number or `{value: number, source: text}`. Raises ValueError, which names file, section
+    and key, for an unknown key, a value that is not a number or one outside its range.
     """
-    sections = _read(DEFAULT_FILE)
+    sections = _read(DEFAULT_FILE) | {"effects": {}}
     if path is not None:
         changes = _read(path)
         _refuse_unknown(changes, sections, path.name)
@@ -240,7 +256,7 @@ def load(path: Path | None = None) -> tuple[ChamberParameters, Effects]:
                 _refuse_unknown(section, sections[name], f"{path.name}.{name}")
             sections[name] = sections[name] | section
     file = DEFAULT_FILE.name if path is None else path.name
-    effects = Effects.from_mapping(sections.pop("effects", {}), f"{file}.effects")
+    effects = Effects.from_mapping(sections.pop("effects"), f"{file}.effects")
     return from_sections(sections, file), effects
 
 
@@ -282,7 +298,6 @@ def _section(section_type: type, values: Mapping[str, Any], place: str) -> Any:
 def _check(name: str, value: object, place: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{place}: {value!r} is not a finite number")
-    if name not in _SIGNED and not value >= 0.0:
-        raise ValueError(f"{place}: {value} is below 0")
-    if (name in _POSITIVE or name.endswith(_POSITIVE_ENDINGS)) and not value > 0.0:
-        raise ValueError(f"{place}: {value} is not above 0")
+    low, high = _bounds(name)
+    if not low <= value <= high:
+        raise ValueError(f"{place}: {value} is outside {low:g}..{high:g}")
