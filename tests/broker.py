@@ -1,0 +1,128 @@
+"""A real mosquitto on a free loopback port, for tests."""
+
+import json
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from pathlib import Path
+from typing import Any, Self
+
+import pytest
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+
+MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+PATIENCE_S = 20.0  # a wait in a test ends when what it waits for happens; this is only for when it never does
+
+
+def wait_for(condition: Any, what: str = "") -> None:
+    """Return once `condition()` holds."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"never happened: {what or condition}"
+        time.sleep(0.01)
+
+
+class Broker:
+    """`with Broker(tmp_path, "allow_anonymous true") as broker:`; `extra` is lines of mosquitto.conf."""
+
+    def __init__(self, folder: Path, extra: str = "allow_anonymous true") -> None:
+        self.port = _free_port()
+        self._folder = folder
+        self._config = folder / "mosquitto.conf"
+        self._config.write_text(f"listener {self.port} 127.0.0.1\n{extra}\n")
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Start, and wait until it listens."""
+        assert MOSQUITTO is not None
+        with (self._folder / "mosquitto.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                [MOSQUITTO, "-c", str(self._config), "-v"], stdout=log, stderr=log
+            )
+        wait_for(self._listens, f"mosquitto listens, see {self._folder}/mosquitto.log")
+
+    def stop(self) -> None:
+        """End in good order."""
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait(PATIENCE_S)
+            self._process = None
+
+    def kill(self) -> None:
+        """kill -9: whatever it held in memory is gone."""
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait(PATIENCE_S)
+        self._process = None
+
+    @property
+    def log(self) -> str:
+        """What it said so far."""
+        return (self._folder / "mosquitto.log").read_text(errors="replace")
+
+    def _listens(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+
+class Listener:
+    """A subscriber that keeps all it hears, and can publish. Use as a context manager."""
+
+    def __init__(self, port: int, topic: str = "#", user: str = "", password: str = "", context: Any = None):
+        self.heard: list[MQTTMessage] = []
+        self._subscribed = threading.Event()
+        self._topic = topic
+        self.client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+        self.client.reconnect_delay_set(1, 1)
+        if user:
+            self.client.username_pw_set(user, password)
+        if context is not None:
+            self.client.tls_set_context(context)
+        self.client.on_connect = lambda client, *_: client.subscribe(self._topic, qos=1)
+        self.client.on_subscribe = lambda *_: self._subscribed.set()
+        self.client.on_disconnect = lambda *_: self._subscribed.clear()
+        self.client.on_message = lambda client, data, message: self.heard.append(message)
+        self.client.connect_async("127.0.0.1", port)
+
+    def __enter__(self) -> Self:
+        self.client.loop_start()
+        self.wait_until_subscribed()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+    def wait_until_subscribed(self) -> None:
+        """After a restart of the broker, too."""
+        assert self._subscribed.wait(PATIENCE_S), "never subscribed"
+
+    def payloads(self, topic: str) -> list[bytes]:
+        """All payloads heard on `topic`, in order."""
+        return [bytes(message.payload) for message in list(self.heard) if message.topic == topic]
+
+    def objects(self, topic: str) -> list[Any]:
+        """The same as JSON values."""
+        return [json.loads(payload) for payload in self.payloads(topic) if payload]
+
+    def send(self, topic: str, payload: str | bytes, retain: bool = False) -> None:
+        """Publish with QoS 1 and wait for the broker's acknowledgement."""
+        self.client.publish(topic, payload, qos=1, retain=retain).wait_for_publish(PATIENCE_S)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

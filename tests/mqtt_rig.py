@@ -1,0 +1,112 @@
+"""What telemetry is tied to in tests: settings, a control loop that answers, an outbox in memory."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from edge.errors import RequestError
+from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, TickRecord
+from edge.operation import Desk, Operation, operate, to_dict
+from edge.settings import CONTROLLERS, MqttSettings, Settings
+from edge.tick_json import tick_json
+
+ROOT = "greenhouse/rig-1"
+
+
+def settings(port: int = 1883, **mqtt: Any) -> Settings:
+    """Defaults, but for the broker."""
+    given = {"enabled": True, "host": "127.0.0.1", "port": port, "rig": "rig-1", **mqtt}
+    return replace(Settings(), mqtt=MqttSettings(**given))
+
+
+def record(seq: int = 1, temp_air: float | None = 24.5, events: tuple[Event, ...] = (), **changes: Any):
+    """One tick with a board that drives what it was sent."""
+    command = Command(heater_duty=0.35)
+    tick = TickRecord(
+        seq=seq,
+        time_s=100.0,
+        utc=1.7e9,
+        step_s=60.0,
+        mode="auto",
+        readings={"temp_air": Reading("temp_air", temp_air, 99.0, Quality.GOOD)},
+        estimate=Estimate(24.4, 0.1, 0.0, 0.1, 21.0, 99.0),
+        reference_c=26.0,
+        decision=Decision(command, "MPC", (24.9, 25.3), {"solve_ms": 1.5}),
+        wanted=command,
+        changes=(),
+        sent=command,
+        echo=Echo(0.35, False, 0.0, False, False, "", 100.1),
+        link_up=True,
+        events=events,
+        ticks_skipped=0,
+        late_s=0.0,
+        decide_ms=2.0,
+    )
+    return replace(tick, **changes)
+
+
+class ControlLoop:
+    """Answers requests as the real one does, without a board."""
+
+    def __init__(self) -> None:
+        self.operation = Operation("MPC")
+        self.trips: tuple[str, ...] = ()
+        self.last_record = record()
+        self.requests: list[Mapping[str, Any]] = []
+
+    def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        if request["do"] != "status":
+            self.requests.append(request)
+        if request["do"] not in ("status", "clear_trip"):
+            try:
+                self.operation = operate(self.operation, request, desk())
+            except RequestError as error:
+                return {"ok": False, "error": str(error)}
+        return {"ok": True, **self.status()}
+
+    def status(self) -> dict[str, Any]:
+        return {
+            "operation": to_dict(self.operation),
+            "trips": list(self.trips),
+            "tick": tick_json(self.last_record),
+        }
+
+
+@dataclass(frozen=True)
+class Row:
+    """One message of an outbox."""
+
+    id: int
+    topic: str
+    payload: str
+
+
+class MemoryOutbox:
+    """An outbox of `count` rows numbered from 1; keeps what was acknowledged."""
+
+    def __init__(self, count: int = 0) -> None:
+        self.rows = {number: row(number) for number in range(1, count + 1)}
+        self.acknowledged: list[int] = []
+
+    def pending(self, limit: int) -> Sequence[Row]:
+        return [self.rows[key] for key in sorted(self.rows)[:limit]]
+
+    def acknowledge(self, ids: Sequence[int]) -> None:
+        for key in ids:
+            del self.rows[key]
+        self.acknowledged.extend(ids)
+
+    def depth(self) -> int:
+        return len(self.rows)
+
+    def resend(self, first_seq: int, last_seq: int) -> int:
+        self.rows.update({number: row(number) for number in range(first_seq, last_seq + 1)})
+        return last_seq - first_seq + 1
+
+
+def row(number: int) -> Row:
+    return Row(number, f"{ROOT}/history", f'{{"history_id":"h1","seq":{number}}}')
+
+
+def desk() -> Desk:
+    return Desk(utc=1.7e9, controllers=CONTROLLERS, reference_min_c=15.0, reference_max_c=38.0)
