@@ -3,6 +3,7 @@
 Everything here is a value or an event: an unplugged port, a lost link or a refused command never raises.
 """
 
+import select
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -82,7 +83,8 @@ class Board:
         now = self._clock.now()
         self._driven = Driven(command, cutoff_open, now + valid_s)
         self._waiting_for_echo = True
-        self._send_command(now)
+        if self.link_up:
+            self._send_command(now)
         # The valve pulse is given once; a renewal must not open the valve again.
         self._driven = replace(self._driven, command=replace(command, valve_pulse_s=0.0))
 
@@ -102,13 +104,13 @@ class Board:
         while True:
             now = self._clock.now()
             self._keep_open(now)
+            self._read(now)  # first: after a long wait what has arrived must not count as silence
             self._take(self._link.poll(now), now)
             self._renew(now)
             self._flush(now)
             if now >= until_s or done():
                 return
             self._clock.wait(self._port, wake, min(until_s, self._next_deadline()))
-            self._read(self._clock.now())
             if wake is not None and _readable(wake):
                 return
 
@@ -178,10 +180,10 @@ class Board:
         self._link.request(
             wire_messages.CommandMessage(
                 heater_steps=round(command.heater_duty * HEATER_LEVELS),
-                fan_on=int(command.fan_on),
+                fan_on=command.fan_on,
                 led_pct=round(command.led * 100),
                 valve_pulse_s=command.valve_pulse_s,
-                cutoff_open=int(self._driven.cutoff_open),
+                cutoff_open=self._driven.cutoff_open,
                 lease_s=min(LEASE_S, left_s),
             ),
             now,
@@ -197,7 +199,7 @@ class Board:
         if self.link_up:
             self._send_command(now)
         else:
-            self._renew_at_s = now + RENEW_S
+            self._renew_at_s = float("inf")  # a link that comes up renews at once
 
     def _take(self, events: list[wire.LinkEvent], now: float) -> None:
         for event in events:
@@ -224,6 +226,7 @@ class Board:
         match event:
             case wire.LinkUp(hello):
                 self.hello = hello
+                self._renew_at_s = self._clock.now()
                 firmware = f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
                 self._tell(
                     "board.link_up", Severity.INFO, f"board {hello.board_id:016x}, firmware {firmware}"
@@ -248,14 +251,14 @@ class Board:
                 self._tell("board.refused", Severity.WARNING, text)
             case wire.RequestTimedOut(request):
                 self._tell("board.no_answer", Severity.WARNING, f"no answer to {type(request).__name__}")
+            case wire.Nonsense():
+                pass  # counted in `statistics`
 
     def _tell(self, key: str, severity: Severity, text: str) -> None:
         self._events.append(Event(key, severity, text, self._clock.now(), self._clock.utc()))
 
 
 def _readable(descriptor: int) -> bool:
-    import select
-
     return bool(select.select([descriptor], [], [], 0)[0])
 
 
