@@ -5,6 +5,7 @@ Keys are written in full: the abbreviations changed between versions. Source: Ho
 """
 
 import math
+import re
 from typing import Any
 
 from edge import __version__
@@ -21,7 +22,6 @@ CLIMATE_MODES = ("off", "heat", "fan_only", "auto")
 MAINTENANCE_MIN = 30  # what the switch asks for; it ends by itself
 EXPIRE_STEPS = 3  # values this many control steps old are shown as unavailable
 EXPIRE_MIN_S = 30
-URL = "https://www.home-assistant.io/integrations/mqtt/"
 
 
 def device(settings: Settings) -> Json:
@@ -40,7 +40,6 @@ def device(settings: Settings) -> Json:
         "payload_available": "online",
         "payload_not_available": "offline",
         "state_topic": topics.state,
-        "qos": 1,
         "components": _components(settings, topics),
     }
 
@@ -56,12 +55,13 @@ def _components(settings: Settings, topics: Topics) -> Json:
         _inputs(topics),
     )
     rig = settings.mqtt.rig
-    slug = rig.lower().replace("-", "_")
+    slug = re.findall("[a-z0-9]+", rig.lower())
     return {
         key: {
             **component,
             "unique_id": f"{rig}_{key}",
-            "default_entity_id": f"{component['platform']}.{slug}_{key}",
+            "default_entity_id": f"{component['platform']}.{'_'.join([*slug, key])}",
+            "qos": 1,  # at the root it reaches the entities in some versions only
         }
         for group in groups
         for key, component in group.items()
