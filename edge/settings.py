@@ -188,14 +188,17 @@ class EstimatorSettings(Section):
 class SensorHealthSettings(Section):
     """When a reading is no measurement."""
 
+    sample_period_s: float = number(
+        1.0, "the board's report period; three periods without a sample are stale", "s", 0.1, 10.0
+    )
     air_jump_k: float = number(
-        2.0, "an air temperature this far from the last ones is a spike until it is confirmed", "K", 0.3, 20.0
+        2.0, "a temperature this far from the last one is a spike until it is confirmed", "K", 0.3, 20.0
     )
     stuck_after_s: float = number(
-        1800.0,
-        "an air temperature that stands still so long while the heater works is stuck",
+        600.0,
+        "an air temperature exactly the same so long while the heat has changed is stuck",
         "s",
-        300.0,
+        120.0,
         86400.0,
     )
 

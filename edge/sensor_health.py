@@ -1,0 +1,161 @@
+"""Board samples in, one reading per signal and tick out: checked, averaged, calibrated.
+
+A tick of a minute has 60 samples. The reading is the mean of the good ones of the last AVERAGE_S seconds
+without the lowest and the highest: noise of half a step makes the mean finer than the sensor's 0.1 K steps,
+one wild sample changes nothing, and 5 s is little beside the sensor's own lag. Older samples only add delay.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from edge.messages import Command, Quality, Reading
+from edge.names import SIGNALS
+from edge.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
+
+AVERAGE_S = 5.0
+STALE_PERIODS = 3  # as Quality.STALE
+CONFIRM_SAMPLES = 5  # so many in a row that agree are a step, not a spike
+AIR_RATE_MAX_K_S = 0.1  # no box of this kind warms or cools faster; a gap widens the allowed jump by it
+STUCK_DRIVE_S = (
+    60.0  # 6 kJ more or less than before, counted in full-duty seconds: about 1 K in the whole box
+)
+TEMPERATURES = ("temp_air", "temp_ambient")  # light and moisture may jump
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What is remembered of one signal."""
+
+    newest: Reading | None = None  # whatever came last
+    accepted: tuple[Reading, ...] = ()  # good samples of the last AVERAGE_S, and always the last good one
+    suspects: tuple[Reading, ...] = ()  # samples in a row that jumped
+    still_since_s: float = math.inf  # since when the raw value has been exactly the same
+    still_duty: float = 0.0  # heater duty at that time
+    still_drive_s: float = 0.0  # integral of |duty - still_duty| since then [s]
+    told_s: float = math.inf  # up to when still_drive_s is counted
+
+
+class SensorHealth:
+    """The tracks of all signals."""
+
+    def __init__(self, settings: SensorHealthSettings, calibration: CalibrationSettings) -> None:
+        self._settings = settings
+        self._calibration = calibration
+        self._tracks = {name: Track() for name in SIGNALS}
+
+    def readings(
+        self, samples: Sequence[Mapping[str, Reading]], now: float, driven: Command
+    ) -> dict[str, Reading]:
+        """One reading per signal.
+
+        samples : since the last call, oldest first
+        driven : what the board has driven since the last call
+        """
+        result = {}
+        for name, track in self._tracks.items():
+            new = [sample[name] for sample in samples if name in sample]
+            track = follow(track, new, self._settings)
+            track = watch_stillness(track, now, driven.heater_duty)
+            self._tracks[name] = track
+            result[name] = assess(name, track, now, self._settings, getattr(self._calibration, name))
+        return result
+
+
+def follow(track: Track, samples: Iterable[Reading], settings: SensorHealthSettings) -> Track:
+    """The track after more samples."""
+    for sample in samples:
+        track = replace(track, newest=sample)
+        if sample_quality(sample) is Quality.GOOD:
+            track = _accept_or_suspect(track, sample, settings)
+    return track
+
+
+def sample_quality(sample: Reading) -> Quality:
+    """Quality of one sample by itself: the board's word, then number, then the datasheet's range."""
+    if sample.quality is not Quality.GOOD:
+        return sample.quality
+    if sample.value is None or not math.isfinite(sample.value):
+        return Quality.FAULT
+    signal = SIGNALS[sample.signal]
+    return Quality.GOOD if signal.low <= sample.value <= signal.high else Quality.RANGE
+
+
+def _accept_or_suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
+    if not track.accepted or not _jumps(track.accepted[-1], sample, settings):
+        return _accept(track, (sample,))
+    agree = not track.suspects or not _jumps(track.suspects[-1], sample, settings)
+    suspects = (*track.suspects, sample) if agree else (sample,)
+    if len(suspects) < CONFIRM_SAMPLES:
+        return replace(track, suspects=suspects)
+    return _accept(replace(track, accepted=()), suspects)
+
+
+def _accept(track: Track, samples: tuple[Reading, ...]) -> Track:
+    last = samples[-1]
+    recent = (s for s in (*track.accepted, *samples) if last.time_s - s.time_s < AVERAGE_S)
+    moved = not track.accepted or track.accepted[-1].value != last.value
+    return replace(
+        track,
+        accepted=tuple(recent),
+        suspects=(),
+        still_since_s=last.time_s if moved else track.still_since_s,
+        still_drive_s=0.0 if moved else track.still_drive_s,
+        told_s=last.time_s if moved else track.told_s,
+    )
+
+
+def _jumps(before: Reading, sample: Reading, settings: SensorHealthSettings) -> bool:
+    if sample.signal not in TEMPERATURES:
+        return False
+    assert before.value is not None and sample.value is not None  # both are good
+    allowed = settings.air_jump_k + AIR_RATE_MAX_K_S * max(0.0, sample.time_s - before.time_s)
+    return abs(sample.value - before.value) > allowed
+
+
+def watch_stillness(track: Track, now: float, duty: float) -> Track:
+    """Count how much the heat has differed since the raw value last moved."""
+    if track.still_drive_s == 0.0 and track.told_s == track.still_since_s:
+        track = replace(track, still_duty=duty)
+    passed_s = max(0.0, now - track.told_s)
+    drive_s = track.still_drive_s + abs(duty - track.still_duty) * passed_s
+    return replace(track, still_drive_s=drive_s, told_s=max(now, track.told_s))
+
+
+def assess(
+    name: str, track: Track, now: float, settings: SensorHealthSettings, calibration: SensorCalibration
+) -> Reading:
+    """The reading of `name` at `now`."""
+    newest, limit_s = track.newest, STALE_PERIODS * settings.sample_period_s
+    if newest is None:
+        return Reading(name, None, -math.inf, Quality.STALE)
+    if not track.accepted or not now - track.accepted[-1].time_s <= limit_s:
+        return _not_good(track, newest, now, limit_s, calibration)
+    value = trimmed_mean([s.value for s in track.accepted if s.value is not None])
+    quality = Quality.STUCK if name == "temp_air" and _is_stuck(track, now, settings) else Quality.GOOD
+    return Reading(name, calibration.gain * value + calibration.offset, track.accepted[-1].time_s, quality)
+
+
+def _not_good(
+    track: Track, newest: Reading, now: float, limit_s: float, calibration: SensorCalibration
+) -> Reading:
+    quality = sample_quality(newest)
+    if quality is Quality.GOOD:
+        quality = Quality.SPIKE  # good by itself but not accepted
+    if quality is not Quality.ABSENT and not now - newest.time_s <= limit_s:
+        quality = Quality.STALE
+    number = newest.value is not None and math.isfinite(newest.value)
+    value = (
+        calibration.gain * newest.value + calibration.offset if number and newest.value is not None else None
+    )
+    return Reading(newest.signal, value, newest.time_s, quality)
+
+
+def _is_stuck(track: Track, now: float, settings: SensorHealthSettings) -> bool:
+    return now - track.still_since_s >= settings.stuck_after_s and track.still_drive_s >= STUCK_DRIVE_S
+
+
+def trimmed_mean(values: Sequence[float]) -> float:
+    """Mean without the lowest and the highest, where there are at least three values."""
+    inner = sorted(values)[1:-1] if len(values) >= 3 else values
+    return math.fsum(inner) / len(inner)
