@@ -64,6 +64,11 @@ class Board:
         return self._port is not None and self._link.state == "up"
 
     @property
+    def has_samples(self) -> bool:
+        """A sensor report waits to be taken."""
+        return bool(self._samples)
+
+    @property
     def statistics(self) -> Mapping[str, int]:
         """Counters of the line since the start."""
         return self._link.statistics

@@ -3,29 +3,35 @@
 import secrets
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, Self
 
 from edge import operation as orders
 from edge import state_file
 from edge.board import Board
 from edge.clock import Clock
+from edge.control_socket import ControlSocket
 from edge.controllers import registry
-from edge.errors import RequestError
+from edge.controllers.base import Controller
+from edge.errors import GreenhouseError
 from edge.estimator import Estimator
 from edge.inbox import Inbox, Reply, Request
-from edge.loop import BoardLine, Loop, Rig
+from edge.loop import Loop, Rig, Sink
 from edge.messages import TickRecord
+from edge.models.arx import Arx
 from edge.models.arx_file import DEFAULT_PATH, read_arx
+from edge.mqtt.telemetry import Telemetry
 from edge.operation import Operation
-from edge.reference import make_reference, zone_of
+from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
 from edge.settings import CONTROLLERS, Settings
-from edge.storage import Storage
+from edge.state_file import StateFileBroken, StateWriter
+from edge.storage import Outbox, Storage
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +40,7 @@ class Standing:
 
     operation: Operation
     memory: SafetyMemory
-    broken: str  # why the state file could not be understood, "" when it could
+    broken: str = ""  # why the state file could not be understood
 
 
 def read_standing(path: Path, settings: Settings) -> Standing:
@@ -43,10 +49,146 @@ def read_standing(path: Path, settings: Settings) -> Standing:
     try:
         values = state_file.read(path)
         if values is None:
-            return Standing(fresh, SafetyMemory(), "")
+            return Standing(fresh, SafetyMemory())
         operation = orders.from_dict(values["operation"])
         if operation.controller not in CONTROLLERS:
-            raise state_file.StateFileBroken(f"{path}: unknown controller {operation.controller!r}")
-        return Standing(operation, memory_from_dict(values["safety"]), "")
-    except (state_file.StateFileBroken, KeyError, TypeError, ValueError) as error:
-        return Standing(orders.stopped(fresh), SafetyMemory(), str(error) or repr(error))
+            raise StateFileBroken(f"{path}: unknown controller {operation.controller!r}")
+        return Standing(operation, memory_from_dict(values["safety"]))
+    except (StateFileBroken, KeyError, TypeError, ValueError) as error:
+        stopped = Operation(controller=settings.control.controller, emergency_stop=True)
+        return Standing(stopped, SafetyMemory(), str(error) or repr(error))
+
+
+@dataclass(slots=True)
+class StateSink:
+    """Saves standing orders in their own thread; tells the loop when the disk does not take them."""
+
+    writer: StateWriter
+    seen: int = 0
+
+    def save(self, operation: Operation, memory: SafetyMemory) -> None:
+        """Never waits."""
+        self.writer.save({"operation": orders.to_dict(operation), "safety": memory_to_dict(memory)})
+
+    def write(self, record: TickRecord) -> None:
+        """Ticks are none of its business."""
+
+    def faults(self) -> Mapping[str, str]:
+        """The last failed write, until one succeeds."""
+        return {"state.unwritten": self.writer.last_error} if self.writer.last_error else {}
+
+
+@dataclass(slots=True)
+class Daemon:
+    """Everything that a running rig holds open. Use as a context manager; `run` blocks until `stop`."""
+
+    settings: Settings
+    clock: Clock
+    after_tick: Callable[[TickRecord], None] = lambda record: None
+    reference: Reference | None = None  # instead of the configured one
+    stop_at_s: float = float("inf")
+    _stack: ExitStack = field(default_factory=ExitStack)
+    _loop: Loop | None = None
+    _outbox_path: Path | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            self._loop = self._wire()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stack.close()
+
+    def run(self) -> None:
+        """Until `stop`, SIGTERM or SIGINT, or the end of the experiment."""
+        assert self._loop is not None
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                before = signal.signal(number, self._on_signal)
+                self._stack.callback(signal.signal, number, before)
+        self._loop.run()
+
+    def stop(self) -> None:
+        """End after the tick that runs; from any thread."""
+        assert self._loop is not None
+        self._loop.stop()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.stop()
+
+    def _wire(self) -> Loop:
+        settings, stack = self.settings, self._stack
+        model = read_arx(Path(settings.control.model) if settings.control.model else DEFAULT_PATH)
+        if model.step_s != settings.control.step_s:
+            raise GreenhouseError(
+                f"control.model: {model.version} is made for steps of {model.step_s:g} s, "
+                f"control.step_s is {settings.control.step_s:g}"
+            )
+        standing = read_standing(Path(settings.state_file), settings)
+        inbox = Inbox()
+        stack.callback(inbox.close)
+        storage = Storage(settings, self.clock.utc)
+        first_seq = storage.open()
+        stack.callback(storage.close)
+        state = StateSink(StateWriter(Path(settings.state_file)))
+        stack.callback(state.writer.close)
+        sinks: list[Sink] = [storage, state]
+        if settings.mqtt.enabled:
+            telemetry = Telemetry(settings, self._ask(inbox), lambda: Outbox(Path(settings.history.path)))
+            stack.callback(telemetry.close)
+            sinks.append(telemetry)
+        socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox))
+        stack.callback(socket.close)
+        board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32))
+        stack.callback(board.close)
+        rig = Rig(
+            settings=settings,
+            clock=self.clock,
+            board=board,
+            sensors=SensorHealth(settings),
+            estimator=Estimator(settings, model),
+            reference=self.reference or make_reference(settings.reference),
+            zone=zone_of(settings.timezone),
+            controllers=_controllers(settings, model),
+            sinks=sinks,
+            inbox=inbox,
+            save_state=state.save,
+            after_tick=self.after_tick,
+            stop_at_s=self.stop_at_s,
+        )
+        loop = Loop(rig, standing.operation, standing.memory, first_seq)
+        if standing.broken:
+            loop.note("state.broken", standing.broken)
+        return loop
+
+    def _ask(self, inbox: Inbox) -> Callable[[Request], Reply]:
+        """Requests that need the disk are carried out in the asker's thread, all others in the control thread."""
+        path = Path(self.settings.history.path)
+
+        def ask(request: Request) -> Reply:
+            return _resend(path, request) if request.get("do") == "resend" else inbox.ask(request)
+
+        return ask
+
+
+def _resend(path: Path, request: Mapping[str, Any]) -> Reply:
+    first, last = request.get("first_seq"), request.get("last_seq")
+    if not isinstance(first, int) or not isinstance(last, int) or not 0 < first <= last:
+        return {
+            "ok": False,
+            "error": f"first_seq {first!r}, last_seq {last!r}: not a span of sequence numbers",
+        }
+    outbox = Outbox(path)
+    try:
+        return {"ok": True, "queued": outbox.resend(first, last)}
+    except OSError as error:
+        return {"ok": False, "error": str(error)}
+    finally:
+        outbox.close()
+
+
+def _controllers(settings: Settings, model: Arx) -> dict[str, Controller]:
+    return {name: registry.make(name, settings.control, model) for name in CONTROLLERS}

@@ -36,6 +36,7 @@ ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without
 REFERENCE_STEPS = 60  # how far ahead controllers may see the reference [steps]
 ESTIMATE_AGE_MAX_S = 900.0  # after so long without a good air temperature a plan is a guess
 DECISION_BLOCK_MAX_S = 5.0  # a lease is renewed every 3 s and lasts 10 s: a wait of 5 s can't end one
+START_WAIT_S = 5.0  # for the board, before the first tick
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
 
@@ -47,6 +48,8 @@ class BoardLine(Protocol):
 
     @property
     def link_up(self) -> bool: ...
+    @property
+    def has_samples(self) -> bool: ...
     def take_samples(self) -> list[Mapping[str, Reading]]: ...
     def take_events(self) -> list[Event]: ...
     def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None: ...
@@ -91,7 +94,7 @@ class Loop:
         self._memory = memory
         self._seq = first_seq
         self._step_s = rig.settings.control.step_s
-        self._start_s = rig.clock.now()
+        self._start_s = rig.clock.now()  # of the tick grid, set anew when the board is there
         self._sent = Command()
         self._last_decision = Decision(Command(), "none")
         self._last_verdict: Verdict | None = None
@@ -106,9 +109,9 @@ class Loop:
 
     def run(self) -> None:
         """Tick on a fixed grid until stopped; then all off, confirmed by a board that still answers."""
-        number = 0  # of the grid point that is next
-        skipped = 0
+        number = skipped = 0  # number: of the grid point that is next
         try:
+            self._wait_for_board()
             while self._serve_until(self._start_s + number * self._step_s):
                 now = self._rig.clock.now()
                 late_s = now - (self._start_s + number * self._step_s)
@@ -118,6 +121,10 @@ class Loop:
                 skipped, number = following - number - 1, following
         finally:
             self._shut_down()
+
+    def note(self, key: str, detail: str) -> None:
+        """A failure of the table that was found at start."""
+        self._conditions.set(key, True, self._rig.clock.now(), self._rig.clock.utc(), detail)
 
     def stop(self) -> None:
         """Ask the loop to end; safe in a signal handler and from any thread."""
@@ -291,6 +298,14 @@ class Loop:
         for sink in self._rig.sinks:
             sink.write(record)
         self._rig.after_tick(record)
+
+    def _wait_for_board(self) -> None:
+        """A first tick without readings would be a tick of alarms: give the board a moment to greet."""
+        board, clock = self._rig.board, self._rig.clock
+        give_up_s = clock.now() + START_WAIT_S
+        while not self._stopping and not (board.link_up and board.has_samples) and clock.now() < give_up_s:
+            board.serve(min(give_up_s, clock.now() + 0.1), self._rig.inbox.wake)
+        self._start_s = clock.now()
 
     def _serve_until(self, tick_s: float) -> bool:
         """Keep the line alive and answer requests until the tick is due; False when the loop shall end."""

@@ -53,7 +53,7 @@ class StateWriter:
         self._next: dict[str, Any] | None = None
         self._closing = False
         self.failures = 0  # writes that did not reach the disk
-        self.last_error = ""
+        self.last_error = ""  # of the newest write, empty when it succeeded
         self._thread = threading.Thread(target=self._run, name="state-file", daemon=True)
         self._thread.start()
 
@@ -82,3 +82,5 @@ class StateWriter:
             except OSError as error:
                 self.failures += 1
                 self.last_error = str(error)
+            else:
+                self.last_error = ""

@@ -1,4 +1,4 @@
-"""Soil-moisture watering: a pulse, then a pause for the water to arrive. The interlock is in edge/safety.py."""
+"""Soil-moisture watering: a pulse, then a pause to soak. The interlock is in edge/safety.py."""
 
 import math
 

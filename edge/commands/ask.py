@@ -1,4 +1,4 @@
-"""Commands that ask the running daemon over its control socket: `greenhouse status`, `mode`, `reference`, ..."""
+"""Commands that ask the running daemon over its control socket: `greenhouse status`, `mode`, ..."""
 
 import argparse
 import json

@@ -1,0 +1,55 @@
+"""A virtual board as a child process, for `greenhouse demo` and `greenhouse experiment --virtual`."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge.errors import GreenhouseError
+
+START_PATIENCE_S = 20.0  # real time; a single-board computer imports slowly
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualRig:
+    """Where the virtual board can be reached."""
+
+    port: Path
+    control: Path
+
+
+@contextmanager
+def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterator[VirtualRig]:
+    """Start the board, wait until it answers, and surely end it. Errors: GreenhouseError with its output."""
+    rig = VirtualRig(folder / "board", folder / "board.sock")
+    log = folder / "board.log"
+    program = [sys.executable, "-m", "firmware_protocol.virtual_board"]
+    places = ["--link", str(rig.port), "--control", str(rig.control), "--seed", str(seed)]
+    with log.open("w") as out:
+        # A session of its own: Ctrl-C is for the daemon, which still needs the board to turn the heater off.
+        process = subprocess.Popen(
+            [*program, *places, *options], stdout=out, stderr=subprocess.STDOUT, start_new_session=True
+        )
+    try:
+        _wait_until_ready(process, rig, log)
+        yield rig
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _wait_until_ready(process: "subprocess.Popen[bytes]", rig: VirtualRig, log: Path) -> None:
+    give_up = time.monotonic() + START_PATIENCE_S
+    while not (rig.control.exists() and rig.port.exists()):
+        if process.poll() is not None:
+            raise GreenhouseError(f"the virtual board did not start: {log.read_text().strip()}")
+        if time.monotonic() > give_up:
+            raise GreenhouseError(f"the virtual board was not ready within {START_PATIENCE_S:g} s")
+        time.sleep(0.02)
