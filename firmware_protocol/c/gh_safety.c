@@ -93,6 +93,9 @@ void gh_safety_advance(gh_safety *safety, uint32_t now_ms)
     lease_advance(&safety->led, now_ms);
     lease_advance(&safety->valve, now_ms);
     lease_advance(&safety->valve_pulse, now_ms);
+    if (!lease_runs(&safety->valve)) {
+        safety->valve_pulse.length_ms = 0; /* or the next command would open the valve again */
+    }
     if (safety->air_good && now_ms - safety->air_time_ms > GH_AIR_MAX_AGE_MS) {
         safety->air_good = false;
     }
