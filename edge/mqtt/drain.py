@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from paho.mqtt.client import Client, MQTTMessageInfo
+from paho.mqtt.client import Client
 
 BATCH_ROWS = 500  # rows read, and forgotten, in one go
 REFUSED_PAUSE_S = 30.0  # a broker that refuses (access list, quota) is asked again after this long
@@ -46,14 +46,18 @@ class Drain:
         self.window = BATCH_ROWS  # most in flight at once
         self.refusal = ""  # the broker's last word against a row; "" since it took one
         self._waiting: deque[Row] = deque()  # read, not given to the client yet
-        self._in_flight: deque[tuple[Row, MQTTMessageInfo]] = deque()
+        self._in_flight: deque[tuple[int, Row]] = deque()  # message id, row
         self._taken: list[int] = []
-        self._refused: dict[int, str] = {}  # message id -> reason; written by the network thread
+        self._answers: dict[int, str] = {}  # message id -> "" or why it was refused
         self._pause_until = 0.0
 
-    def refused(self, mid: int, reason: str) -> None:
-        """The broker answered with a failure. Called by the network thread, before `is_published` is true."""
-        self._refused[mid] = reason
+    def answered(self, mid: int, refusal: str) -> None:
+        """The broker answered the message `mid`, one of ours or not. Called by the network thread.
+
+        paho's own MQTTMessageInfo can't be asked: for a message queued without a connection it raises, even
+        long after the message has been sent.
+        """
+        self._answers[mid] = refusal
 
     def step(self) -> bool:
         """Do what can be done without waiting. Returns whether rows are in flight."""
@@ -62,19 +66,20 @@ class Drain:
             self._forget()
             if self._clock() < self._pause_until:
                 return False
+            self._answers.clear()  # of others; message ids come round again
             self._waiting.extend(self._outbox.pending(BATCH_ROWS))
         while self._waiting and len(self._in_flight) < self.window:
             row = self._waiting.popleft()
-            self._in_flight.append((row, self._client.publish(row.topic, row.payload, qos=1)))
+            self._in_flight.append((self._client.publish(row.topic, row.payload, qos=1).mid, row))
         return bool(self._in_flight)
 
     def _collect(self) -> None:
         """Take off the front what the broker has answered."""
-        while self._in_flight and self._in_flight[0][1].is_published():
-            row, info = self._in_flight.popleft()
-            reason = self._refused.pop(info.mid, "")
-            if reason:
-                self.refusal = reason
+        while self._in_flight and self._in_flight[0][0] in self._answers:
+            mid, row = self._in_flight.popleft()
+            refusal = self._answers.pop(mid)
+            if refusal:
+                self.refusal = refusal
                 self._pause_until = self._clock() + REFUSED_PAUSE_S
             else:
                 self._taken.append(row.id)

@@ -127,8 +127,8 @@ class Telemetry:
     def _on_publish(
         self, client: Client, _: object, mid: int, code: ReasonCode, properties: Properties | None
     ) -> None:
-        if code.is_failure and self._drain is not None:
-            self._drain.refused(mid, str(code))
+        if self._drain is not None:
+            self._drain.answered(mid, str(code) if code.is_failure else "")
         self._wake.set()
 
     def _on_message(self, client: Client, _: object, message: MQTTMessage) -> None:
@@ -224,17 +224,22 @@ class Telemetry:
 def remove(settings: Settings, timeout_s: float = 10.0) -> None:
     """Take the rig out of Home Assistant and its retained messages off the broker. Errors: RequestError."""
     topics = Topics.of(settings.mqtt)
+    retained = (topics.discovery, topics.availability, topics.state, topics.decision, topics.forecast)
     client = make_client(settings.mqtt)
     client.will_clear()
-    retained = (topics.discovery, topics.availability, topics.state, topics.decision, topics.forecast)
-    sent = [client.publish(topic, b"", qos=1, retain=True) for topic in retained]
+    left = {client.publish(topic, b"", qos=1, retain=True).mid for topic in retained}
+    done = threading.Event()
+
+    def on_publish(client: Client, _: object, mid: int, code: ReasonCode, properties: object) -> None:
+        left.discard(mid)
+        if not left:
+            done.set()
+
+    client.on_publish = on_publish
     client.loop_start()
     try:
-        deadline = time.monotonic() + timeout_s
-        while not all(info.is_published() for info in sent):
-            if time.monotonic() > deadline:
-                raise RequestError(f"{settings.mqtt.host}: took no message within {timeout_s:g} s")
-            time.sleep(0.05)
+        if not done.wait(timeout_s):
+            raise RequestError(f"{settings.mqtt.host}: took no message within {timeout_s:g} s")
     finally:
         client.disconnect()
         client.loop_stop()
