@@ -1,0 +1,224 @@
+"""Writes vectors.json and the examples of PROTOCOL.md: `python -m firmware_protocol.make_vectors`.
+
+A vector is what a decoder must make of bytes on the line. Fields are raw integers, as C sees them.
+"""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol.frame import MAX_ENCODED, cobs_encode, crc16, encode
+from firmware_protocol.messages import (
+    LAYOUTS,
+    PROTOCOL_VERSION,
+    Capability,
+    ClearTrip,
+    CommandMessage,
+    EmergencyStop,
+    ErrorCode,
+    ErrorMessage,
+    HeaterOffCause,
+    Hello,
+    HelloRequest,
+    Message,
+    Ping,
+    Quality,
+    ResetCause,
+    SensorReport,
+    StateEcho,
+    TripCause,
+    pack,
+)
+
+HERE = Path(__file__).parent
+VECTORS = HERE / "vectors.json"
+CONTRACT = HERE / "PROTOCOL.md"
+BEGIN, END = "<!-- examples: python -m firmware_protocol.make_vectors -->\n", "<!-- end of examples -->\n"
+
+
+
+def _crc(payload: bytes) -> bytes:
+    return crc16(payload).to_bytes(2, "big")
+
+
+def _framed(payload: bytes) -> bytes:
+    return cobs_encode(payload + _crc(payload)) + b"\0"
+
+
+def _flip(frame: bytes, at: int, bit: int) -> bytes:
+    return frame[:at] + bytes([frame[at] ^ bit]) + frame[at + 1 :]
+
+
+_HELLO = Hello(
+    0x12345678, 1, 1, 1, 0, 0, 0x0123456789ABCDEF, ResetCause.POWER_ON, 7, Capability(0xFF),
+    10.0, 45.0, 10.0, 20.0, 1.0, False,
+)  # fmt: skip
+_G, _A = Quality.GOOD, Quality.ABSENT
+_REPORT = SensorReport(
+    60000, 21.3, _G, 55.5, _G, 612, _G, 0.25, _G, 0.4321, _G, 1.0, _G, 20.9, _G,
+)  # fmt: skip
+_BLIND = SensorReport(0, None, Quality.FAULT, None, _A, None, _A, None, _A, None, _A, None, _A, None, _A)
+_COLD = SensorReport(2**32 - 1, -50.0, Quality.RANGE, 0, _G, 0, _G, 0, _G, 0, _G, 0, _G, -0.01, _G)
+_COMMAND = CommandMessage(10, True, 50, 2.5, False, 10.0)
+_ECHO = StateEcho(61000, 10, HeaterOffCause.NONE, True, 50, True, False, False, TripCause.NONE, 10.0, None)
+_TRIPPED = StateEcho(
+    61000, 0, HeaterOffCause.TRIPPED, True, 0, False, True, True, TripCause.OVER_TEMPERATURE, 0.0, 1500
+)
+
+# name, message, seq, ack
+_WHOLE: tuple[tuple[str, Message, int, int], ...] = (
+    ("hello_request", HelloRequest(0x12345678), 1, 0),
+    ("hello", _HELLO, 1, 1),
+    ("command", _COMMAND, 2, 0),
+    ("state_echo", _ECHO, 3, 2),
+    ("sensor_report", _REPORT, 4, 0),
+    ("clear_trip", ClearTrip(), 3, 0),
+    ("error", ErrorMessage(ErrorCode.TRIPPED, TripCause.OVER_TEMPERATURE), 5, 3),
+    ("ping", Ping(), 4, 0),
+    ("emergency_stop", EmergencyStop(), 255, 0),
+    ("hello unasked after a reset", replace(_HELLO, session=0, boot_count=8), 1, 0),
+    ("command of nothing", CommandMessage(0, False, 0, 0.0, False, 0.0), 1, 0),
+    ("command of everything", CommandMessage(20, True, 100, 25.5, True, 60.0), 255, 0),
+    ("sensor_report without a number", _BLIND, 1, 0),
+    ("sensor_report of the lowest numbers", _COLD, 255, 0),
+    ("state_echo while tripped", _TRIPPED, 6, 0),
+    ("error none", ErrorMessage(ErrorCode.NONE, 255), 7, 1),
+)
+_EXAMPLES = 9  # the first of them stand in PROTOCOL.md
+
+
+def _header(kind: type[Message]) -> bytes:
+    return bytes((PROTOCOL_VERSION, LAYOUTS[kind].kind, 9, 0))
+
+
+def _command_with(offset: int, byte: int) -> bytes:
+    body = bytearray(pack(_COMMAND, 9))
+    body[4 + offset] = byte
+    return bytes(body)
+
+
+# name, payload, code and detail of the error that it deserves
+_REFUSED: tuple[tuple[str, bytes, ErrorCode, int], ...] = (
+    ("version 0", b"\0\4\x09\0" + bytes(7), ErrorCode.VERSION, 1),
+    ("version 2, a kind of its own", b"\2\xc8\x09\0xyz", ErrorCode.VERSION, 1),
+    ("kind 0", b"\1\0\x09\0", ErrorCode.UNKNOWN_KIND, 0),
+    ("kind 10, the longest body", b"\1\x0a\x09\0" + b"\xff" * 48, ErrorCode.UNKNOWN_KIND, 10),
+    ("kind 255", b"\1\xff\x09\0", ErrorCode.UNKNOWN_KIND, 255),
+    ("command without a body", _header(CommandMessage), ErrorCode.LENGTH, 0),
+    ("command one byte short", pack(_COMMAND, 9)[:-1], ErrorCode.LENGTH, 6),
+    ("command one byte long", pack(_COMMAND, 9) + b"\0", ErrorCode.LENGTH, 8),
+    ("ping with a body", _header(Ping) + b"\0", ErrorCode.LENGTH, 1),
+    ("hello_request one byte short", _header(HelloRequest) + bytes(3), ErrorCode.LENGTH, 3),
+    ("command with 21 heater steps", _command_with(0, 21), ErrorCode.RANGE, 0),
+    ("command with fan 2", _command_with(1, 2), ErrorCode.RANGE, 1),
+    ("command with LED 101", _command_with(2, 101), ErrorCode.RANGE, 2),
+    ("command with cut-off 255", _command_with(4, 255), ErrorCode.RANGE, 4),
+    ("command with a lease of 60.001 s", pack(_COMMAND, 9)[:-2] + b"\x61\xea", ErrorCode.RANGE, 5),
+    ("command, two fields out of range", _command_with(0, 21)[:-2] + b"\xff\xff", ErrorCode.RANGE, 0),
+    ("sensor_report at -50.01 degC", pack(_REPORT, 9)[:8] + b"\x77\xec" + pack(_REPORT, 9)[10:],
+     ErrorCode.RANGE, 1),
+    ("sensor_report with quality 5", pack(_REPORT, 9)[:-1] + b"\5", ErrorCode.RANGE, 14),
+    ("state_echo with trip cause 4", pack(_ECHO, 9)[:15] + b"\4" + pack(_ECHO, 9)[16:], ErrorCode.RANGE, 8),
+)  # fmt: skip
+
+_PING = encode(pack(Ping(), 4))
+_LONG = encode(b"\1\x0a\x09\0" + b"\xff" * 48)
+# name, bytes on the line, counter that rises, or "" where nothing is dropped
+_BROKEN: tuple[tuple[str, bytes, str], ...] = (
+    ("idle line", b"\0\0\0", ""),
+    ("no end", _PING[:-1], ""),
+    ("a bit flipped in the body", _flip(encode(pack(_COMMAND, 2)), 8, 0x04), "bad_crc"),
+    ("a bit flipped in the CRC", _flip(_PING, len(_PING) - 2, 0x01), "bad_crc"),
+    ("a byte lost", encode(pack(_COMMAND, 2)).replace(b"\x0a", b"", 1), "bad_cobs"),
+    ("code byte beyond the end", b"\x05\x01\x02\0", "bad_cobs"),
+    ("code byte 255", b"\xff" + b"\1" * 54 + b"\0", "bad_cobs"),
+    ("only a code byte", b"\1\0", "too_short"),
+    ("a CRC without a header", cobs_encode(b"\xff\xff") + b"\0", "too_short"),
+    ("header one byte short, good CRC", _framed(b"\1\7\4"), "too_short"),
+    ("body one byte too long, good CRC", _framed(b"\1\x0a\x09\0" + b"\xff" * 49), "too_long"),
+    ("longest run and one more", b"\2" * (MAX_ENCODED + 1) + b"\0", "too_long"),
+    ("a very long run", b"\x55" * 1000 + b"\0", "too_long"),
+    ("CRC in the wrong order", cobs_encode(pack(Ping(), 4) + _crc(pack(Ping(), 4))[::-1]) + b"\0", "bad_crc"),
+)
+# name, bytes on the line, payloads that must come out
+_STREAMS: tuple[tuple[str, bytes, tuple[bytes, ...]], ...] = (
+    ("two frames", _PING + _PING, (pack(Ping(), 4),) * 2),
+    ("noise, 0x00, a frame", b"\x17\xfe\0" + _PING, (pack(Ping(), 4),)),
+    ("noise swallows the frame it touches, not the next", b"\x17\xfe" + _PING * 2, (pack(Ping(), 4),)),
+    ("a run too long, then a frame", b"\x55" * 300 + b"\0" + _PING, (pack(Ping(), 4),)),
+    ("the longest payload", _LONG, (b"\1\x0a\x09\0" + b"\xff" * 48,)),
+)
+
+
+def vectors() -> list[dict[str, Any]]:
+    """All of them. Keys: name, hex (bytes on the line), payloads, and one of
+
+    message : the one whole message, with `fields` as raw integers
+    error : code and detail that the one payload deserves
+    dropped : name of the decoder's counter that rises by one
+    """
+    found: list[dict[str, Any]] = []
+    for name, message, seq, ack in _WHOLE:
+        payload = pack(message, seq, ack)
+        found.append(_vector(name, encode(payload), (payload,)) | {"message": _described(message, seq, ack)})
+    for name, payload, code, detail in _REFUSED:
+        error = {"code": code.name.lower(), "code_number": int(code), "detail": detail}
+        found.append(_vector(name, encode(payload), (payload,)) | {"error": error})
+    for name, line, counter in _BROKEN:
+        found.append(_vector(name, line, ()) | ({"dropped": counter} if counter else {}))
+    return found + [_vector(*stream) for stream in _STREAMS]
+
+
+def _vector(name: str, line: bytes, payloads: tuple[bytes, ...]) -> dict[str, Any]:
+    return {"name": name, "hex": line.hex(), "payloads": [payload.hex() for payload in payloads]}
+
+
+def _described(message: Message, seq: int, ack: int) -> dict[str, Any]:
+    layout = LAYOUTS[type(message)]
+    raws = {field.name: field.to_raw(getattr(message, field.name)) for field in layout.fields}
+    return {"class": type(message).__name__, "kind": layout.kind, "seq": seq, "ack": ack, "fields": raws}
+
+
+def vectors_text() -> str:
+    """Text of vectors.json, one vector a line."""
+    lines = ",\n".join(json.dumps(vector) for vector in vectors())
+    return f"[\n{lines}\n]\n"
+
+
+def examples_text(found: list[dict[str, Any]]) -> str:
+    """The worked examples of the contract, from the first vectors."""
+    blocks = []
+    for vector in found[:_EXAMPLES]:
+        payload = vector["payloads"][0]
+        fields = "  ".join(f"{name}={raw}" for name, raw in vector["message"]["fields"].items())
+        blocks.append(
+            f"**{vector['name']}**{': ' if fields else ''}{fields}\n\n```\n"
+            f"header  {_spaced(payload[:8])}\nbody    {_spaced(payload[8:])}\n"
+            f"crc     {_crc(bytes.fromhex(payload)).hex(' ')}\nline    {_spaced(vector['hex'])}\n```\n"
+        )
+    return "\n".join(blocks)
+
+
+def _spaced(digits: str) -> str:
+    return bytes.fromhex(digits).hex(" ")
+
+
+def contract_with_examples(contract: str, found: list[dict[str, Any]]) -> str:
+    """PROTOCOL.md with its examples renewed."""
+    before, rest = contract.split(BEGIN)
+    after = rest.split(END)[1]
+    return f"{before}{BEGIN}\n{examples_text(found)}\n{END}{after}"
+
+
+def main() -> int:
+    """Write both files."""
+    VECTORS.write_text(vectors_text(), encoding="utf-8")
+    contract = CONTRACT.read_text(encoding="utf-8")
+    CONTRACT.write_text(contract_with_examples(contract, vectors()), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
