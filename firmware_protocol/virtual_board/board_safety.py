@@ -134,6 +134,8 @@ class Safety:
         """End what has run out."""
         for lease in self._leases.all():
             lease.advance(now_ms)
+        if not self._leases.valve.runs:
+            self._leases.valve_pulse.end()  # or the next command would open the valve again
         if not self._air.good:  # Samples.advance made it stale
             self._end_heat_and_fan()
         self._pwm.advance(now_ms, self.heater_steps)
