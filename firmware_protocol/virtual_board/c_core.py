@@ -67,7 +67,7 @@ def compile_board(target: Path, *arguments: str) -> Path:
     compiler = os.environ.get("CC", "gcc")
     if shutil.which(compiler) is None:
         raise CompilerMissing(
-            f"the C board needs a compiler and there is no {compiler!r}: install gcc or set CC"
+            f"the C board needs a C compiler; {compiler!r} is missing: install gcc or set CC"
         )
     sources = sorted(str(path) for path in SOURCES.glob("gh_*.c"))
     command = [compiler, "-std=c11", "-I", str(SOURCES), *sources, *arguments, "-o", str(target)]
@@ -163,4 +163,5 @@ class CBoardCore:
     def _drain(self) -> None:
         """Empties the board's own buffer, as a UART would meanwhile: what finds it full is lost."""
         out = ctypes.create_string_buffer(_TRANSMIT_SIZE)
-        self._waiting += out.raw[: self._library.gh_board_transmit(self._board, out, _TRANSMIT_SIZE)]
+        length = self._library.gh_board_transmit(self._board, out, _TRANSMIT_SIZE)
+        self._waiting += out.raw[:length]
