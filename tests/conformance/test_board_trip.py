@@ -1,0 +1,202 @@
+"""Over-temperature and emergency stop latch, survive a reset, and are cleared only by a cool clear_trip."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from board_bench import CONFIG, HEAT, IDLE, Bench, heating, is_error
+
+from firmware_protocol.frame import crc16
+from firmware_protocol.messages import (
+    ClearTrip,
+    CommandMessage,
+    EmergencyStop,
+    ErrorCode,
+    StateEcho,
+    TripCause,
+)
+
+OVER_TEMPERATURE = TripCause.OVER_TEMPERATURE
+BLANK = [b"", b"\xff\xff\xff\xff"]
+
+
+def tripped(new_board, **bench) -> Bench:
+    """A board that has just tripped while heating."""
+    hot = heating(new_board, replace(HEAT, fan_on=False, valve_pulse_s=5.0), **bench)
+    hot.run(1000)
+    return hot.air(45.0).air(45.0)
+
+
+def assert_safe(pins) -> None:
+    assert (pins.heater_relay, pins.fan, pins.cutoff_open) == (False, True, True)
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [
+        (45.0, 45.0), (44.995001, 45.0), (46.0, 45.0), (80.0, 80.0), (20.0, 45.0, 45.0, 20.0),
+        (45.0, None, 45.0), (45.0, math.nan, 45.0), (45.0, 99.0, 45.0),
+    ],
+)  # fmt: skip
+def test_two_hot_samples_trip(new_board, samples):
+    bench = heating(new_board)
+    for value in samples:
+        bench.air(value)
+    assert_safe(bench.step())
+    state = bench.state()
+    assert (state.tripped, state.trip_cause, state.heater_off_cause.name) == (
+        True,
+        OVER_TEMPERATURE,
+        "TRIPPED",
+    )
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [(45.0,), (44.99, 44.99, 44.99), (45.0, 44.99, 45.0), (99.0, 99.0), (None, 45.0), (44.994, 44.994)],
+)
+def test_less_does_not_trip(new_board, samples):
+    bench = heating(new_board)
+    for value in samples:
+        bench.air(value)
+    assert not bench.state().tripped
+
+
+def test_a_trip_ends_everything_at_once(new_board):
+    bench = tripped(new_board)
+    pins = bench.step()
+    assert_safe(pins)
+    assert (pins.led, pins.valve, bench.state().lease_left_s) == (0.0, False, 0.0)
+
+
+def test_a_trip_is_told_unasked(new_board):
+    bench = tripped(new_board)
+    bench.listen()
+    bench.step()
+    [(header, state)] = [(h, m) for h, m in bench.listen() if isinstance(m, StateEcho)]
+    assert header.ack == 0 and state.tripped
+
+
+def test_a_cool_box_does_not_clear_a_trip(new_board):
+    bench = tripped(new_board)
+    for pins in bench.run(60_000, air=20.0):
+        assert_safe(pins)
+    bench.greet()
+    assert bench.state().tripped
+
+
+@pytest.mark.parametrize("air", [42.01, 45.0, None, math.nan, -20.01])
+def test_clearing_is_refused_while_the_air_is_warm_or_not_known(new_board, air):
+    bench = tripped(new_board).air(air)
+    assert is_error(bench.ask(ClearTrip()), ErrorCode.TRIPPED, OVER_TEMPERATURE)
+    assert_safe(bench.step())
+
+
+def test_clearing_is_refused_when_the_sample_is_old(new_board):
+    bench = tripped(new_board).air(20.0)
+    bench.run(3100, air=None)
+    assert is_error(bench.ask(ClearTrip()), ErrorCode.TRIPPED, OVER_TEMPERATURE)
+
+
+@pytest.mark.parametrize("air", [42.0, 41.99, -20.0])
+def test_a_cleared_board_heats_again_only_by_a_new_command(new_board, air):
+    bench = tripped(new_board).air(air)
+    assert not bench.ask(ClearTrip()).tripped
+    pins = bench.step(100)
+    assert not pins.heater_relay and bench.state().heater_steps == 0
+    assert bench.ask(HEAT).heater_steps == 20
+
+
+def test_clearing_without_a_trip_changes_nothing(new_board):
+    bench = heating(new_board)
+    bench.air(44.0)
+    assert bench.ask(ClearTrip()).heater_steps == 20
+
+
+def test_heat_is_refused_while_tripped_and_so_is_the_rest_of_that_command(new_board):
+    bench = tripped(new_board)
+    assert is_error(bench.ask(replace(HEAT, heater_steps=1)), ErrorCode.TRIPPED, OVER_TEMPERATURE)
+    assert bench.state().led_pct == 0
+    assert bench.ask(replace(IDLE, led_pct=40, valve_pulse_s=1.0)).led_pct == 40
+    assert bench.step().valve
+    assert_safe(bench.pins)
+
+
+def test_a_trip_can_come_back(new_board):
+    bench = tripped(new_board).air(40.0)
+    bench.ask(ClearTrip())
+    bench.ask(HEAT)
+    bench.air(45.0)
+    assert not bench.state().tripped
+    bench.air(45.0)
+    assert bench.state().tripped
+
+
+def test_an_emergency_stop_latches(new_board):
+    bench = heating(new_board)
+    state = bench.ask(EmergencyStop())
+    assert (state.trip_cause, state.heater_steps, state.led_pct) == (TripCause.EMERGENCY_STOP, 0, 0)
+    assert_safe(bench.step())
+    assert is_error(bench.ask(HEAT), ErrorCode.TRIPPED, TripCause.EMERGENCY_STOP)
+
+
+def test_the_first_cause_stays(new_board):
+    assert tripped(new_board).ask(EmergencyStop()).trip_cause is OVER_TEMPERATURE
+    bench = heating(new_board)
+    bench.ask(EmergencyStop())
+    assert bench.air(45.0).air(45.0).state().trip_cause is TripCause.EMERGENCY_STOP
+
+
+# ---- the store
+
+
+def test_the_store_has_the_documented_bytes(new_board):
+    bench = Bench(new_board)
+    assert bench.board.persistent() == b"\x01\x00" + crc16(b"\x01\x00").to_bytes(2, "big")
+    assert tripped(new_board).board.persistent() == b"\x01\x01" + crc16(b"\x01\x01").to_bytes(2, "big")
+
+
+@pytest.mark.parametrize("reset_cause", range(6))
+def test_a_trip_survives_every_reset(new_board, reset_cause):
+    store = tripped(new_board).board.persistent()
+    bench = Bench(new_board, persistent=store, reset_cause=reset_cause)
+    assert_safe(bench.step())
+    bench.greet()
+    assert bench.state().trip_cause is OVER_TEMPERATURE
+    assert is_error(bench.air(25.0).ask(HEAT), ErrorCode.TRIPPED, OVER_TEMPERATURE)
+
+
+def test_a_cleared_trip_stays_cleared(new_board):
+    bench = tripped(new_board).air(40.0)
+    bench.ask(ClearTrip())
+    assert not Bench(new_board, persistent=bench.board.persistent()).greet().state().tripped
+
+
+@pytest.mark.parametrize("blank", BLANK)
+def test_a_blank_store_holds_no_trip(new_board, blank):
+    assert not Bench(new_board, persistent=blank).greet().state().tripped
+
+
+def test_every_damaged_store_is_a_trip(new_board):
+    good = Bench(new_board).board.persistent()
+    flipped = [
+        bytes(b ^ (1 << bit if k == at else 0) for k, b in enumerate(good))
+        for at in range(4)
+        for bit in range(8)
+    ]
+    torn = [good[:k] + b"\xff" * (4 - k) for k in range(1, 4)] + [bytes(4), good[:3], good + b"\0"]
+    unknown_cause = b"\x01\x04" + crc16(b"\x01\x04").to_bytes(2, "big")
+    unknown_layout = b"\x02\x00" + crc16(b"\x02\x00").to_bytes(2, "big")
+    for store in [*flipped, *torn, unknown_cause, unknown_layout]:
+        state = Bench(new_board, persistent=store).greet().state()
+        assert state.trip_cause is TripCause.STORAGE_DAMAGED, store.hex()
+
+
+@pytest.mark.parametrize("temp_trip_c", [0.0, 3.0, 30.0, 100.0])
+def test_the_limit_is_the_configured_one(new_board, temp_trip_c):
+    bench = Bench(new_board, replace(CONFIG, temp_trip_c=temp_trip_c)).greet()
+    bench.air(min(temp_trip_c, 80.01) - 0.01).air(min(temp_trip_c, 80.01) - 0.01)
+    assert not bench.state().tripped
+    bench.air(temp_trip_c).air(temp_trip_c)
+    assert bench.state().tripped is (temp_trip_c < 80)
+    assert isinstance(bench.ask(CommandMessage(0, False, 0, 0.0, False, 1.0)), StateEcho)
