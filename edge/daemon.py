@@ -148,8 +148,10 @@ class Daemon:
             settings=settings,
             clock=self.clock,
             board=board,
-            sensors=SensorHealth(settings),
-            estimator=Estimator(settings, model),
+            sensors=SensorHealth(settings.sensor_health, settings.calibration),
+            estimator=Estimator(
+                settings.estimator, model, settings.control.step_s, settings.control.ambient_default_c
+            ),
             reference=self.reference or make_reference(settings.reference),
             zone=zone_of(settings.timezone),
             controllers=_controllers(settings, model),
@@ -165,7 +167,7 @@ class Daemon:
         return loop
 
     def _ask(self, inbox: Inbox) -> Callable[[Request], Reply]:
-        """Requests that need the disk are carried out in the asker's thread, all others in the control thread."""
+        """Requests that need the disk are carried out in the asker's thread, others in the control thread."""
         path = Path(self.settings.history.path)
 
         def ask(request: Request) -> Reply:

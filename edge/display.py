@@ -1,10 +1,12 @@
 """What happens, live: a line per tick, or on a terminal a page that redraws itself (rich, imported late)."""
 
 from collections import deque
+from collections.abc import Mapping
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, TextIO
 
-from edge.messages import Quality, TickRecord
+from edge.messages import TickRecord
+from edge.tick_json import tick_json
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -14,18 +16,18 @@ CHART_ROWS = 14
 EVENTS_SHOWN = 6
 
 
-def tick_line(record: TickRecord) -> str:
-    """One tick on one line."""
-    air = record.readings.get("temp_air")
-    good = air is not None and air.quality is Quality.GOOD and air.value is not None
-    shown = f"{air.value:5.1f}" if good and air is not None else f"  ({air.quality.value if air else 'none'})"
-    rules = ",".join(dict.fromkeys(change.rule for change in record.changes)) or "-"
-    forecast = " ".join(f"{value:.1f}" for value in record.decision.forecast[:3]) or "-"
+def tick_line(tick: Mapping[str, Any]) -> str:
+    """One tick, in the form of `edge.tick_json`, on one line."""
+    air = tick["readings"].get("temp_air_c", {"value": None, "quality": "absent"})
+    shown = f"{air['value']:5.1f}" if air["value"] is not None else f"({air['quality']})"
+    rules = ",".join(dict.fromkeys(change["rule"] for change in tick["changes"])) or "-"
+    forecast = " ".join(f"{value:.1f}" for value in tick["forecast_c"][:3]) or "-"
+    events = "".join(f"  ! {event['text']}" for event in tick["events"])
     return (
-        f"{_clock(record.utc)}  tick {record.seq:<5d} air {shown} degC  ref {record.reference_c:4.1f}"
-        f"  heater {record.sent.heater_duty:4.2f}  fan {'on ' if record.sent.fan_on else 'off'}"
-        f"  {record.decision.controller:<7s} forecast {forecast}  safety {rules}"
-        f"{''.join(f'  ! {event.text}' for event in record.events)}"
+        f"{_clock(tick['utc'])}  tick {tick['seq']:<5d} air {shown} degC  ref {tick['reference_c']:4.1f}"
+        f"  heater {tick['sent']['heater_duty']:4.2f}  fan {'on ' if tick['sent']['fan_on'] else 'off'}"
+        f"  {tick['controller']:<7s} forecast {forecast}  safety {rules}"
+        f"{events}"
     )
 
 
@@ -37,7 +39,7 @@ class LineDisplay:
 
     def show(self, record: TickRecord) -> None:
         """Print the tick at once."""
-        print(tick_line(record), file=self._out, flush=True)
+        print(tick_line(tick_json(record)), file=self._out, flush=True)
 
     def close(self) -> None:
         """Nothing to give back."""

@@ -134,7 +134,7 @@ class Loop:
     def tick(self, now: float, late_s: float = 0.0, skipped: int = 0) -> TickRecord:
         """One step of control: the arrow."""
         rig, utc = self._rig, self._rig.clock.utc()
-        readings = rig.sensors.readings(rig.board.take_samples(), now)
+        readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
         estimate = rig.estimator.update(readings, now, utc)
         context = self._context(estimate, now, utc)
         decision, decide_ms = self._decide(context)

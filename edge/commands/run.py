@@ -1,7 +1,6 @@
 """`greenhouse run`: the daemon, as the systemd service starts it."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from edge import config
@@ -10,6 +9,7 @@ from edge.daemon import Daemon
 from edge.display import tick_line
 from edge.messages import TickRecord
 from edge.systemd import Notifier
+from edge.tick_json import tick_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,23 +17,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, default=Path("/etc/greenhouse/edge.yaml"))
 
 
+class _Told:
+    """Tells systemd and the log of every tick."""
+
+    def __init__(self) -> None:
+        self.notifier = Notifier.from_environment()
+        self._ready = False
+
+    def tick(self, record: TickRecord) -> None:
+        """Called by the loop at the end of a whole tick, and from nowhere else."""
+        print(tick_line(tick_json(record)), flush=True)
+        status = f"tick {record.seq}, {record.decision.controller}, mode {record.mode}"
+        if not self._ready:
+            self.notifier.ready(status)
+            self._ready = True
+        self.notifier.alive(status)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGTERM or Ctrl-C; one line per tick on standard output."""
     settings = config.load(arguments.config)
-    notifier = Notifier.from_environment()
-
-    def after_tick(record: TickRecord) -> None:
-        print(tick_line(record), flush=True)
-        status = f"tick {record.seq}, {record.decision.controller}, mode {record.mode}"
-        if after_tick.first:  # type: ignore[attr-defined]
-            notifier.ready(status)
-            after_tick.first = False  # type: ignore[attr-defined]
-        notifier.alive(status)
-
-    after_tick.first = True  # type: ignore[attr-defined]
-    with Daemon(settings, RealClock(), after_tick=after_tick) as daemon:
+    told = _Told()
+    with Daemon(settings, RealClock(), after_tick=told.tick) as daemon:
         daemon.run()
-    notifier.stopping()
-    notifier.close()
-    sys.stdout.flush()
+        told.notifier.stopping()
+    told.notifier.close()
     return 0
