@@ -1,0 +1,40 @@
+# make run     the daemon against a virtual board, live; Ctrl-C ends it
+# make test    everything, on a clean machine too: installs what the tests need
+# make lint    ruff and mypy
+# make bench   the tables of the README (up to an hour)
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: run test lint bench tools clean
+
+run: $(VENV)/edge.installed
+	$(BIN)/greenhouse demo $(ARGS)
+
+test: $(VENV)/dev.installed tools
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+
+lint: $(VENV)/dev.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(VENV)/bench.installed tools
+	$(BIN)/python -m bench $(ARGS)
+
+$(VENV)/edge.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --editable .
+	touch $@
+
+$(VENV)/%.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --editable '.[$*]'
+	touch $@
+
+tools:
+	sh tests/install_tools.sh
+
+clean:
+	rm -rf $(VENV) out build *.egg-info .mypy_cache .pytest_cache .ruff_cache

@@ -1,0 +1,23 @@
+#!/bin/sh
+# Debian packages that the tests use: a broker, compilers for the board's C code, openssl for test certificates.
+set -eu
+
+missing=""
+need() { command -v "$1" >/dev/null 2>&1 || missing="$missing $2"; }
+need mosquitto mosquitto
+need gcc gcc
+need avr-gcc gcc-avr
+need openssl openssl
+need strace strace
+need systemd-analyze systemd
+[ -e /usr/lib/avr/include/avr/io.h ] || missing="$missing avr-libc"
+[ -n "$missing" ] || exit 0
+
+if [ "$(id -u)" = 0 ]; then as_root=""; elif command -v sudo >/dev/null 2>&1; then as_root="sudo"; else
+    echo "The tests need these Debian packages:$missing" >&2
+    exit 1
+fi
+echo "installing$missing"
+$as_root apt-get update -qq
+# The broker comes with a service of its own that the tests do not use: policy-rc.d is Debian's way to say so.
+DEBIAN_FRONTEND=noninteractive $as_root apt-get install -y -qq --no-install-recommends $missing >/dev/null
