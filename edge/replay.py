@@ -1,0 +1,148 @@
+"""Recorded runs through the same tick, in shadow: what would have been decided, how good the forecasts were."""
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.controllers import registry
+from edge.estimator import Estimator
+from edge.inbox import Inbox
+from edge.loop import Loop, Rig
+from edge.messages import Quality, TickRecord
+from edge.models.base import Predictor
+from edge.operation import Operation
+from edge.recorded_board import RecordedBoard, ReplayClock
+from edge.reference import make_reference, zone_of
+from edge.run_file import Run
+from edge.safety import SafetyMemory
+from edge.sensor_health import SensorHealth
+from edge.settings import CONTROLLERS, Settings
+from edge.tick_json import tick_json
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Tape:
+    """Collects the records of one replay."""
+
+    records: list[TickRecord] = field(default_factory=list)
+
+    def write(self, record: TickRecord) -> None:
+        """Keep it."""
+        self.records.append(record)
+
+    def faults(self) -> dict[str, str]:
+        """A list has none."""
+        return {}
+
+
+def replay(run: Run, settings: Settings, model: Predictor, fan_always_on: bool) -> list[TickRecord]:
+    """One tick per step of the run. Decisions have no effect: the recorded inputs stand."""
+    start_s = float(run.columns["time_s"][0])
+    clock = ReplayClock(start_s, run.start_utc or 0.0)
+    step_s = settings.control.step_s
+    tape, inbox = Tape(), Inbox()
+    rig = Rig(
+        settings=settings,
+        clock=clock,
+        board=RecordedBoard(run, clock, step_s, fan_always_on),
+        sensors=SensorHealth(settings.sensor_health, settings.calibration),
+        estimator=Estimator(settings.estimator, model, step_s, settings.control.ambient_default_c),
+        reference=make_reference(settings.reference),
+        zone=zone_of(settings.timezone),
+        controllers={name: registry.make(name, settings.control, model) for name in CONTROLLERS},
+        sinks=[tape],
+        inbox=inbox,
+        save_state=lambda operation, memory: None,
+        stop_at_s=float(run.columns["time_s"][-1]),
+    )
+    try:
+        Loop(rig, Operation(settings.control.controller), SafetyMemory(), first_seq=1).run()
+    finally:
+        inbox.close()
+    return tape.records
+
+
+def decisions_digest(records: Sequence[TickRecord]) -> str:
+    """SHA-256 over every decision and command: equal digests mean equal bit for bit, wall times aside."""
+    digest = hashlib.sha256()
+    for record in records:
+        tick = tick_json(record)
+        tick["why"] = {key: value for key, value in tick["why"].items() if not key.endswith("_ms")}
+        tick["forecast_c"] = [value.hex() for value in record.decision.forecast]
+        del tick["decide_ms"]
+        digest.update(json.dumps(tick, sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Skill:
+    """Absolute errors of all forecasts at one horizon [K]."""
+
+    horizon_s: float
+    model: Floats
+    persistence: Floats
+
+    @property
+    def model_mae_k(self) -> float:
+        """Mean absolute error of the predictor."""
+        return float(self.model.mean()) if len(self.model) else math.nan
+
+    @property
+    def persistence_mae_k(self) -> float:
+        """Mean absolute error of "as it is now"."""
+        return float(self.persistence.mean()) if len(self.persistence) else math.nan
+
+
+def score(records: Sequence[TickRecord], model: Predictor, horizons_s: Sequence[float]) -> list[Skill]:
+    """Forecasts from every tick under the inputs that were then recorded, against what was then measured.
+
+    A forecast starts from the estimate and its offset at that tick, which know nothing of later rows.
+    """
+    if not records:
+        return [Skill(horizon, np.empty(0), np.empty(0)) for horizon in horizons_s]
+    step_s = records[0].step_s
+    steps = [max(1, round(horizon / step_s)) for horizon in horizons_s]
+    measured = np.array([_measured(record) for record in records])
+    estimates = np.array([record.estimate.temp_air for record in records])
+    inputs = np.array([_driven(record) for record in records])
+    ambient = np.array([record.estimate.temp_ambient for record in records])
+    errors: list[tuple[list[float], list[float]]] = [([], []) for _ in steps]
+    for tick in range(model.rows_needed - 1, len(records) - 1):
+        reach = min(max(steps), len(records) - 1 - tick)
+        history = {
+            "temp_air": estimates[: tick + 1],
+            "temp_ambient": ambient[: tick + 1],
+            "heater_duty": np.append(inputs[:tick, 0], np.nan),
+            "fan_on": np.append(inputs[:tick, 1], np.nan),
+        }
+        ahead = {
+            "temp_ambient": np.full(reach, ambient[tick]),
+            "offset": np.full(reach, records[tick].estimate.offset),
+        }
+        forecast = model.rollout(history, inputs[None, tick : tick + reach], ahead)[0]
+        for (of_model, of_persistence), count in zip(errors, steps, strict=True):
+            if count <= reach and math.isfinite(measured[tick + count]) and math.isfinite(measured[tick]):
+                of_model.append(abs(forecast[count - 1] - measured[tick + count]))
+                of_persistence.append(abs(measured[tick] - measured[tick + count]))
+    return [
+        Skill(horizon, np.array(of_model), np.array(of_persistence))
+        for horizon, (of_model, of_persistence) in zip(horizons_s, errors, strict=True)
+    ]
+
+
+def _measured(record: TickRecord) -> float:
+    reading = record.readings.get("temp_air")
+    good = reading is not None and reading.quality is Quality.GOOD and reading.value is not None
+    return float(reading.value) if good and reading is not None and reading.value is not None else math.nan
+
+
+def _driven(record: TickRecord) -> tuple[float, float]:
+    echo = record.echo
+    return (echo.heater_duty, float(echo.fan_on)) if echo is not None else (0.0, 0.0)
