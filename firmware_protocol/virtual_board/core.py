@@ -59,8 +59,8 @@ class BoardCore:
 
     def receive(self, data: bytes, now_ms: int) -> None:
         """Bytes from the line."""
-        self._advance(now_ms)
         for payload in self.decoder.feed(data):
+            self._advance(now_ms)
             self._take(payload, wrapped(now_ms))
 
     def sample(self, samples: Mapping[str, tuple[float | None, int]], now_ms: int) -> None:
