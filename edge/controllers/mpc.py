@@ -1,4 +1,4 @@
-"""Model predictive control, the paper's cost, solved as the mixed-integer problem it is."""
+"""Model predictive control: the paper's cost, solved as the mixed-integer problem it is."""
 
 import time
 from dataclasses import dataclass
@@ -7,46 +7,87 @@ from typing import Any
 import numpy as np
 
 from edge.controllers.base import Columns, Context, Floats
-from edge.controllers.mixed_integer.problem import FanRules, Problem
-from edge.controllers.mixed_integer.solver import solve
+from edge.controllers.heater import levels_allowed
+from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, Problem
+from edge.controllers.mixed_integer.solver import Solution, solve
+from edge.errors import DataError
 from edge.messages import Command, Decision
 from edge.models.base import Predictor
 from edge.names import HEATER_LEVELS
 
-_LIMIT_WEIGHT = 1000.0  # a soft limit on the air temperature: 1 K above it costs as much as 10 K off the reference
+_LIMIT_WEIGHT = 1000.0  # 1 K above the soft limit costs as much as 10 K off the reference
+
+
+@dataclass(frozen=True, slots=True)
+class MpcSettings:
+    """What an MPC is made with.
+
+    weight : on heater and fan effort, 0 for `MPC`, 1 for `MPC-P` (paper, section MPC)
+    node_budget, time_box_s : see `mixed_integer.solver.solve`
+    preview : plan for the coming reference; False is the paper's, which holds the present one
+    """
+
+    weight: float
+    horizon: int
+    node_budget: int
+    time_box_s: float
+    preview: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Previous:
+    now_s: float
+    levels: Ints
+    fan: Ints
 
 
 class Mpc:
-    """`MPC` with weight 0, `MPC-P` with weight 1 on heater and fan."""
+    """`MPC` and `MPC-P`."""
 
-    def __init__(self, name: str, model: Predictor, weight: float, horizon: int, node_budget: int,
-                 time_box_ms: float, preview: bool = False) -> None:
+    def __init__(self, name: str, model: Predictor, settings: MpcSettings) -> None:
         self.name = name
         self._model = model
-        self._weight = weight
-        self._horizon = horizon
-        self._node_budget = node_budget
-        self._time_box_s = 1e-3 * time_box_ms
-        self._preview = preview
-        self._previous: Any = None
+        self._settings = settings
+        self._previous: _Previous | None = None
 
     def reset(self) -> None:
-        """Forget the plan that the next search would start from."""
+        """Forget the last plan, which the next search would start from."""
         self._previous = None
 
     def decide(self, context: Context, node_limit: int | None = None) -> Decision:
+        """The first step of the cheapest plan found.
+
+        node_limit : replay a decision whose time box fired after so many nodes
+        Raises : DataError when the forecast or the reference is no number
+        """
         begun = time.perf_counter()
-        problem = plan_problem(context, self._model, self._weight, self._horizon, self._preview)
-        solution = solve(problem, self._node_budget, self._time_box_s, node_limit)
-        temps = problem.temperatures(solution.plan.levels, solution.plan.fan)
-        command = Command(heater_duty=float(solution.plan.levels[0]) / HEATER_LEVELS, fan_on=bool(solution.plan.fan[0]))
-        why = {"solve_ms": 1e3 * (time.perf_counter() - begun), "cost": solution.plan.cost, "bound": solution.bound,
-               "proven": solution.proven, "nodes": solution.nodes, "model": self._model.version}
-        return Decision(command, self.name, tuple(float(t) for t in temps), why)
+        settings = self._settings
+        problem = planning_problem(context, self._model, settings.weight, settings.horizon, settings.preview)
+        warm = _shifted(self._previous, context)
+        solution = solve(problem, settings.node_budget, settings.time_box_s, node_limit, warm)
+        plan = solution.plan
+        self._previous = _Previous(context.now_s, plan.levels, plan.fan)
+        temps = problem.temperatures(plan.levels, plan.fan)
+        why = {
+            **cost_split(problem, plan.levels / HEATER_LEVELS, plan.fan, temps),
+            **_search_facts(solution),
+            "binding": _binding(problem, plan, temps),
+            "runner_up": _runner_up(solution),
+            "reference_c": problem.reference.tolist() if settings.preview else float(problem.reference[0]),
+            "model": f"{self._model.name} {self._model.version}",
+            "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
+        }
+        return Decision(_command(plan), self.name, tuple(temps.tolist()), why)
 
 
-def plan_problem(context: Context, model: Predictor, weight: float, horizon: int, preview: bool) -> Problem:
-    """The context as a planning problem; inputs enter an ARX model linearly, so three rollouts tell all of it."""
+def planning_problem(
+    context: Context, model: Predictor, weight: float, horizon: int, preview: bool
+) -> Problem:
+    """The context as a planning problem.
+
+    The inputs enter the forecast linearly, so three rollouts tell all of it: nothing on, one step of full
+    heat, one step of fan. A history shorter than the model needs is taken as if its oldest row had lasted.
+    """
     controls = np.zeros((3, horizon, 2))
     controls[1, 0, 0] = 1.0
     controls[2, 0, 1] = 1.0
@@ -55,21 +96,97 @@ def plan_problem(context: Context, model: Predictor, weight: float, horizon: int
         "temp_ambient": np.full(horizon, estimate.temp_ambient),
         "offset": np.full(horizon, estimate.offset),
     }
-    free, heated, fanned = model.rollout(padded(context.history, model.rows_needed), controls, ahead)
+    free, heated, fanned = model.rollout(_padded(context.history, model.rows_needed), controls, ahead)
     reference = context.reference[:horizon] if preview else np.full(horizon, context.reference[0])
-    fan_rules = FanRules(context.last_sent.fan_on, min(limits.fan_hold_steps, horizon),
-                         max(limits.fan_min_on_steps, 1), max(limits.fan_min_off_steps, 1))
-    return Problem(free, heated - free, fanned - free, reference, weight, weight,
-                   int(limits.heater_max_duty * HEATER_LEVELS + 1e-9), fan_rules,
-                   limits.temp_air_max_c, _LIMIT_WEIGHT)
+    if len(reference) < horizon:
+        raise DataError(f"reference: {len(reference)} steps, the horizon has {horizon}")
+    heater, fan = heated - free, fanned - free
+    hottest = (free + np.cumsum(np.maximum(heater, 0.0))).max()
+    return Problem(
+        free=free,
+        heater=heater,
+        fan=fan,
+        reference=reference,
+        heater_weight=weight,
+        fan_weight=weight,
+        heater_levels=levels_allowed(limits.heater_max_duty),
+        fan_rules=FanRules(
+            on=context.last_sent.fan_on,
+            hold=min(max(limits.fan_hold_steps, 0), horizon),
+            min_on=max(limits.fan_min_on_steps, 1),
+            min_off=max(limits.fan_min_off_steps, 1),
+        ),
+        temp_max=limits.temp_air_max_c,
+        limit_weight=0.0 if hottest <= limits.temp_air_max_c else _LIMIT_WEIGHT,
+    )
 
 
-def padded(history: Columns, rows: int) -> Columns:
-    """A history that is too short to start from, as if the oldest row had lasted (its inputs were then off)."""
+def cost_split(problem: Problem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
+    """What a plan's cost is made of."""
+    heater = float(problem.heater_weight * (duty**2).sum())
+    fan_cost = float(problem.fan_weight * fan.sum())
+    tracking = float(problem.tracking(temps).sum())
+    return {
+        "cost": tracking + heater + fan_cost,
+        "cost_tracking": tracking,
+        "cost_heater": heater,
+        "cost_fan": fan_cost,
+    }
+
+
+def _padded(history: Columns, rows: int) -> Columns:
     missing = rows - len(history["temp_air"])
     if missing <= 0:
         return history
+    before = {"temp_air": history["temp_air"][0], "heater_duty": 0.0, "fan_on": 0.0}
+    return {key: np.concatenate([np.full(missing, value), history[key]]) for key, value in before.items()}
+
+
+def _shifted(previous: _Previous | None, context: Context) -> tuple[Ints, Ints] | None:
+    """The last plan as seen from now, its last inputs held."""
+    if previous is None:
+        return None
+    steps = round((context.now_s - previous.now_s) / context.step_s)
+    if not 0 < steps < len(previous.levels):
+        return None
+    kept = np.minimum(np.arange(len(previous.levels)) + steps, len(previous.levels) - 1)
+    return previous.levels[kept], previous.fan[kept]
+
+
+def _search_facts(solution: Solution) -> dict[str, Any]:
     return {
-        key: np.concatenate([np.full(missing, values[0] if key == "temp_air" else 0.0), values])
-        for key, values in history.items()
+        "bound": solution.bound,
+        "gap": solution.gap,
+        "proven": solution.proven,
+        "nodes": solution.nodes,
+        "time_box_fired": solution.time_box_fired,
     }
+
+
+def _binding(problem: Problem, plan: Plan, temps: Floats) -> list[str]:
+    """The constraints that shape the plan, those of the first step first."""
+    rules, binding = problem.fan_rules, []
+    if plan.levels[0] == problem.heater_levels:
+        binding.append("heater at its upper limit")
+    if plan.levels[0] == 0:
+        binding.append("heater at 0")
+    if rules.hold > 0:
+        binding.append(f"fan held {'on' if rules.on else 'off'} by its relay")
+    if not temps.max() < problem.temp_max:
+        binding.append("air temperature limit")
+    return binding
+
+
+def _runner_up(solution: Solution) -> dict[str, float | bool] | None:
+    if solution.runner_up is None:
+        return None
+    command = _command(solution.runner_up)
+    return {
+        "heater_duty": command.heater_duty,
+        "fan_on": command.fan_on,
+        "cost_more": solution.runner_up.cost - solution.plan.cost,
+    }
+
+
+def _command(plan: Plan) -> Command:
+    return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))

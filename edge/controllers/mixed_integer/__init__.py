@@ -1,1 +1,1 @@
-"""The MPC's problem solved as what it is: fan on or off, heater in steps of 1/20, proven or with an honest gap."""
+"""The MPC's problem solved as what it is: fan on or off, heater in steps of 1/20, with a certified gap."""

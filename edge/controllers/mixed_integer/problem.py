@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.errors import DataError
 from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
@@ -33,7 +34,7 @@ class FanRules:
         return np.where(switched, begun, np.maximum(hold - 1, 0)), ~(switched & (hold > 0))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """Inputs over the horizon; `cost` is all they cost."""
 
@@ -64,6 +65,12 @@ class Problem:
     fan_rules: FanRules = field(default=FanRules())
     temp_max: float = np.inf
     limit_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises DataError for a value that is no number: no comparison in the search would hold."""
+        for name in ("free", "heater", "fan", "reference"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise DataError(f"planning problem: {name}: a value is no number")
 
     @property
     def horizon(self) -> int:
@@ -97,8 +104,8 @@ class Problem:
 
     def cost(self, levels: Ints, fan: Ints) -> Floats:
         """Total cost of plans [..., N]."""
-        total: Floats = (self.tracking(self.temperatures(levels, fan)) + self.effort(levels, fan)).sum(axis=-1)
-        return total
+        tracking = self.tracking(self.temperatures(levels, fan))
+        return np.asarray((tracking + self.effort(levels, fan)).sum(axis=-1))
 
     def allows(self, levels: Ints, fan: Ints) -> NDArray[np.bool_]:
         """Which plans [..., N] keep the heater's bounds and the relay's rules."""

@@ -1,4 +1,4 @@
-"""The problem with heater and fan continuous: where to take the tangent. Its accuracy is no part of any proof."""
+"""The problem with heater and fan continuous: where to take the tangent. No proof rests on its accuracy."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,10 +8,10 @@ from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 _ITERATIONS = 12
-_GAP = 1e-5  # mean complementarity at which it stops; what is left only loosens the bound by about N times this
+_GAP = 1e-5  # mean complementarity at which it stops; the bound is then loose by about 4 N times this
 _TO_BOUND = 0.95  # share of the way to a bound that a step may go
 _NARROW = 1e-3  # width of the box of a heater that is capped at 0
-_SIDES = np.array([[1.0], [-1.0]])  # distance to the lower bound grows with the input, that to the upper shrinks
+_SIDES = np.array([[1.0], [-1.0]])  # how the distances to the lower and to the upper bound grow with an input
 
 
 def relaxed_temperatures(problem: Problem) -> Floats:
@@ -41,7 +41,8 @@ def relaxed_temperatures(problem: Problem) -> Floats:
         diagonal = curvature + ratio.sum(axis=0)
         scaled = response / diagonal
         system = scaled @ response.T
-        system[np.diag_indices(n)] += 0.5 / (TRACKING_WEIGHT + problem.limit_weight * (temps > problem.temp_max))
+        weight = TRACKING_WEIGHT + problem.limit_weight * (temps > problem.temp_max)
+        system[np.diag_indices(n)] += 0.5 / weight
         inverse = np.linalg.inv(system)
         target = np.zeros_like(dual)
         for _ in range(2):  # first straight to the optimum, then corrected towards the central path
@@ -54,7 +55,7 @@ def relaxed_temperatures(problem: Problem) -> Floats:
             target = gap * (after / gap) ** 3 - distance_step * dual_step
         inputs = inputs + reach * step
         dual = dual + dual_reach * dual_step
-    return fixed + response @ inputs
+    return np.asarray(fixed + response @ inputs)
 
 
 def _reach(values: Floats, step: Floats) -> float:

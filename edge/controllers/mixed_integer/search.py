@@ -37,6 +37,10 @@ class Level:
     fan: Ints
     hold: Ints
 
+    def only(self, mask: NDArray[np.bool_]) -> "Level":
+        """Some of the nodes."""
+        return Level(self.cost[mask], self.bound[mask], self.free[mask], self.fan[mask], self.hold[mask])
+
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -94,7 +98,7 @@ def search(
         level, parent, choice = _next_level(problem, options, level, kept, cost, bound, hold)
         if len(kept) > 1 and k < problem.horizon - 1 and np.isfinite(best):
             alive = undominated(problem, level.free, level.cost, level.fan, level.hold, best, margin)
-            level = Level(*(array[alive] for array in (level.cost, level.bound, level.free, level.fan, level.hold)))
+            level = level.only(alive)
             parent, choice = parent[alive], choice[alive]
         trace.append((parent, choice))
         if not len(level.cost):
@@ -103,7 +107,7 @@ def search(
 
 
 def rounding_margin(cost: float) -> float:
-    """What rounding errors are allowed in comparisons of costs near `cost`, so that they never prove anything."""
+    """Left in comparisons of costs near `cost`, so that rounding errors never prove anything."""
     return _ROUNDING * (1.0 + cost) if np.isfinite(cost) else 0.0
 
 
@@ -118,15 +122,19 @@ def _options(problem: Problem) -> Options:
 def _children(
     problem: Problem, bounds: Tangent, options: Options, level: Level, k: int
 ) -> tuple[Floats, Floats, Ints]:
-    """Cost, bound (infinite where the relay forbids it) and hold of every node with every option, [M, options]."""
+    """Cost, bound (infinite where the relay forbids it) and hold of every child, [M, options]."""
     left = problem.horizon - k
     slope = bounds.slope[k + 1 :]
     cost = level.cost[:, None] + options.effort
     cost += problem.tracking(level.free[:, :1] + options.push, k)
     heater, fan = float(slope @ problem.heater[1:left]), float(slope @ problem.fan[1:left])
     linear = (level.free[:, 1:] @ slope)[:, None] + (heater * options.duty + fan * options.fan)
+    bound = cost + linear
+    if problem.fan_rules.holds == 1:  # the relay may switch at every step
+        bound += bounds.constant[k + 1, 0, 0]
+        return cost, bound, np.zeros(bound.shape, dtype=np.int64)
     hold, allowed = problem.fan_rules.next_hold(level.fan[:, None], level.hold[:, None], options.fan[None, :])
-    bound = cost + linear + bounds.constant[k + 1, options.fan, hold]
+    bound += bounds.constant[k + 1, options.fan, hold]
     bound[~allowed] = np.inf
     return cost, bound, hold
 

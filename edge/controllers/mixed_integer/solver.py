@@ -10,10 +10,9 @@ from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import rounding_margin, search
 from edge.controllers.mixed_integer.tangent import Tangent, tangent
-from edge.errors import DataError
 
-_WIDTHS = (16, 256, 2048, 16384)  # each search is wider than the one before, until one drops nothing
-_RUNNER_UP_WIDTH = 8
+_WIDTHS = (16, 1024, 8192)  # each search is wider than the one before, until one drops nothing
+_RUNNER_UP_WIDTH = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,29 +49,32 @@ def solve(
     deadline = time.monotonic() + time_box_s
     bounds = tangent(problem, relaxed_temperatures(problem))
     best = _warm_plan(problem, warm)
-    bound, nodes, proven, stopped = _root_bound(problem, bounds), 0, False, False
-    for table_width in _WIDTHS:
-        width = min(table_width, (node_budget - nodes) // problem.horizon)
+    bound, nodes, width = _root_bound(problem, bounds), 0, 0
+    while True:
+        width = _next_width(width, (node_budget - nodes) // problem.horizon)
         if best is None:
-            found = search(problem, bounds, max(width, 1), np.inf)
-        elif width < 1:
-            break
+            found = search(problem, bounds, width, np.inf)
         else:
             stop = _stop(deadline, None if node_limit is None else node_limit - nodes)
             found = search(problem, bounds, width, best.cost, stop)
         nodes += found.nodes
         best = found.plan or best
-        if best is None:
-            raise DataError("plan: the problem holds a value that is no number")
+        assert best is not None  # the first search drops no last node
         margin = rounding_margin(best.cost)
         bound = max(bound, min(found.bound, best.cost) - margin)
-        proven, stopped = found.bound >= best.cost - margin, found.stopped
-        if proven or stopped or width < table_width:
+        proven = found.bound >= best.cost - margin
+        if proven or found.stopped or _next_width(width, (node_budget - nodes) // problem.horizon) <= width:
             break
     runner_up = search(problem, bounds, _RUNNER_UP_WIDTH, np.inf, other_than=_first_step(best)).plan
     if runner_up is not None and runner_up.cost < best.cost:
         best, runner_up = runner_up, best
-    return Solution(best, min(bound, best.cost), proven, runner_up, nodes, stopped)
+    return Solution(best, min(bound, best.cost), proven, runner_up, nodes, found.stopped)
+
+
+def _next_width(width: int, affordable: int) -> int:
+    """The next wider search, as far as the nodes that are left allow; 1 at least."""
+    wider = min((w for w in _WIDTHS if w > width), default=width)
+    return max(1, min(wider, affordable))
 
 
 def _stop(deadline: float, nodes_left: int | None) -> Callable[[int], bool]:

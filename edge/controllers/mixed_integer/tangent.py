@@ -45,7 +45,7 @@ def tangent(problem: Problem, temps: Floats) -> Tangent:
 
 
 def _constants(problem: Problem, intercept: Floats, fan_cost: Floats) -> Floats:
-    """Sum of `intercept` from each step on, plus the cheapest fan plan the relay allows (dynamic programming)."""
+    """Sum of `intercept` from each step on, plus the cheapest fan plan the relay allows, by recursion."""
     n, rules = problem.horizon, problem.fan_rules
     constant = np.zeros((n + 1, 2, rules.holds))
     if rules.holds == 1:
