@@ -1,14 +1,14 @@
 """The thermal network: seven nodes, one implicit step.
 
 Nodes: h heater element, p leaf and stem, s soil, o outer sheet, w inner sheet, u air of the heater's zone
-(upper), l air of the zone with sensor and intake (lower). h, p, s, o and w may be without mass.
+(upper), b air of the zone below, with sensor and intake. h, o and, when dry, p, s and w may be without mass.
 
-    h -film- u,  h -radiation-> w, s, p (and u),  u -exchange- l,  u, l -film- w,  l -film- p, s,
-    p, s -radiation- w -gap- o -film, radiation- room,  s -floor- room,  room -fan-> l -fan-> u -fan-> room
+    h -film- u,  h -radiation-> w, s, p (and u),  u -exchange- b,  u, b -film- w,  b -film- p, s,
+    p, s -radiation- w -gap- o -film, radiation- room,  s -floor- room,  room -fan-> b -fan-> u -fan-> room
 
 One step is SDIRK2 (Alexander 1977: two stages, L-stable, stiffly accurate) on the equations with the
 coefficients of the step's beginning, so a step of 1 s is right for air that answers in 6 s, and a node
-without mass keeps its balance. h, p, s and o touch only w, u and l, so they are eliminated by hand; what
+without mass keeps its balance. h, p, s and o touch only w, u and b, so they are eliminated by hand; what
 remains is 3 x 3. Each flow is taken at the same mean temperatures at both of its ends: energy is conserved
 to rounding.
 """
@@ -25,12 +25,16 @@ WELL_MIXED_W_K = 1.0e6  # exchange that makes two zones one
 HEATER_REFERENCE_K = 200.0  # element above air at full power, where constant films are evaluated
 SMALLEST_DIFFERENCE_K = 0.5  # natural convection never stops wholly: a room's air moves
 LEAF_AND_SOIL_EMISSIVITY = 0.95
-MASSLESS_PASSES = 6  # of Newton, for an element without mass
+TRACE_J_K = (
+    20.0  # least mass of a wet node: the heat of water is taken at a step's beginning, so not implicit
+)
+LIGHT_J_K = 5.0  # an element with less jumps within a step
+MASSLESS_PASSES = 6  # of Newton, for such an element
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 _SECOND_STAGE = (1.0 - GAMMA) / GAMMA
 
-Temperatures = list[float]  # h p s o w u l [degC]; replaced, never changed in place
+Temperatures = list[float]  # h p s o w u b [degC]; replaced, never changed in place
 
 
 @dataclass(slots=True)
@@ -86,24 +90,24 @@ class ThermalNetwork:
         base = [old + _SECOND_STAGE * (new - old) for old, new in zip(self.temps, first, strict=True)]
         self.temps = self._stage(base, loads)
         self.mean = [a + GAMMA * (b - a) for a, b in zip(first, self.temps, strict=True)]
-        h, _, s, o, _, u, l = self.mean  # noqa: E741
+        h, _, s, o, _, u, b = self.mean
         room = loads.room_c
         self.radiated_w = self._rad_w + self._rad_w_k * h
         self.cover_j += dt_s * self._oa * (o - room)
         self.floor_j += dt_s * self._sa * (s - room)
         leak = 0.5 * loads.leak_w_k
-        self.air_j += dt_s * ((loads.ventilation_w_k + leak) * (u - room) + leak * (l - room))
+        self.air_j += dt_s * ((loads.ventilation_w_k + leak) * (u - room) + leak * (b - room))
 
     def _link_surfaces(self, loads: Loads) -> None:
         """Conductances between air, sheets, soil, leaf and room at the present temperatures."""
-        _, p, s, o, w, u, l = self.temps  # noqa: E741
+        _, p, s, o, w, u, b = self.temps
         cover, soil, plant, air, effects = self._p.cover, self._p.soil, self._p.plant, self._p.air, self._e
         room, speed, cover_m2 = loads.room_c, loads.fan_speed, self._p.box.cover_m2
         forced = cover.inner_film_fan_w_m2_k * speed
         power = 0.25 * effects.natural_convection
         reference = cover.film_reference_k
         self._wu = self._upper_m2 * (cover.inner_film_w_m2_k * _growth(u - w, reference, power) + forced)
-        self._wl = self._lower_m2 * (cover.inner_film_w_m2_k * _growth(l - w, reference, power) + forced)
+        self._wb = self._lower_m2 * (cover.inner_film_w_m2_k * _growth(b - w, reference, power) + forced)
         self._wo = cover_m2 * cover.gap_w_m2_k * loads.ageing
         outer_film = cover.outer_film_w_m2_k * _growth(o - room, reference, power)
         self._oa = (
@@ -111,21 +115,22 @@ class ThermalNetwork:
             + effects.longwave_radiation * longwave_conductance(cover_m2 * cover.emissivity, o, room)
         )
         interior = effects.interior_longwave * LEAF_AND_SOIL_EMISSIVITY
-        self._pl = 2.0 * plant.leaf_m2 * plant.film_w_m2_k
+        self._pb = 2.0 * plant.leaf_m2 * plant.film_w_m2_k
         self._pw = interior * longwave_conductance(plant.leaf_m2, p, w)
-        self._sl = soil.air_w_k
+        self._sb = soil.air_w_k
         self._sw = interior * longwave_conductance(soil.longwave_m2, s, w)
         self._sa = soil.floor_w_k * loads.ageing * effects.wall_loss
         mixing_flow = air.mixing_flow_m3_s + air.fan_mixing_flow_m3_s * speed
         exchange = mixing_flow * air.density_kg_m3 * air.heat_capacity_j_kg_k
-        self._ul = exchange / effects.imperfect_mixing if effects.imperfect_mixing > 0.0 else WELL_MIXED_W_K
+        scale = effects.imperfect_mixing
+        self._ub = min(exchange / scale, WELL_MIXED_W_K) if scale > 0.0 else WELL_MIXED_W_K
 
     def _link_heater(self, loads: Loads) -> None:
         """Film of the element and the tangent of its radiation, q = _rad_w + _rad_w_k T."""
         h, p, s, _, w, u, _ = self.temps
         cover, soil, plant = self._views
         sinks = cover * (w + KELVIN) ** 4 + soil * (s + KELVIN) ** 4 + plant * (p + KELVIN) ** 4
-        passes = 1 if self.capacities[0] > 0.0 else MASSLESS_PASSES
+        passes = 1 if self.capacities[0] > LIGHT_J_K else MASSLESS_PASSES
         for _ in range(passes):
             self._hu = self._heater_film(h - u, loads.fan_speed)
             kelvin = h + KELVIN
@@ -143,41 +148,40 @@ class ThermalNetwork:
 
     def _eliminate(self, theta_s: float, loads: Loads) -> None:
         """Diagonals of h, p, s, o and the 3 x 3 system that is left, for a stage of length theta_s."""
-        h, p, s, o, w, u, l = self._rates = [c / theta_s for c in self.capacities]  # noqa: E741
+        h, p, s, o, w, u, b = self._rates = [c / theta_s for c in self.capacities]
         leak = 0.5 * loads.leak_w_k
         self._dh = dh = h + self._rad_w_k + self._hu
-        self._dp = dp = p + self._pl + self._pw
-        self._ds = ds = s + self._sl + self._sw + self._sa
+        self._dp = dp = p + self._pb + self._pw
+        self._ds = ds = s + self._sb + self._sw + self._sa
         self._do = do = o + self._wo + self._oa
         self._via = via = self._hu * self._rad_w_k / dh  # radiation per kelvin of the air around the heater
-        p_w, p_l, p_u = self._pw / dp, self._pl / dp, self._to_plant * via / dp
-        s_w, s_l, s_u = self._sw / ds, self._sl / ds, self._to_soil * via / ds
+        p_w, p_b, p_u = self._pw / dp, self._pb / dp, self._to_plant * via / dp
+        s_w, s_b, s_u = self._sw / ds, self._sb / ds, self._to_soil * via / ds
         self._ww = (
-            w + self._wu + self._wl + self._wo + self._pw + self._sw
+            w + self._wu + self._wb + self._wo + self._pw + self._sw
             - self._wo * self._wo / do - self._pw * p_w - self._sw * s_w
         )  # fmt: skip
         self._w_u = self._wu + self._to_cover * via + self._pw * p_u + self._sw * s_u
-        self._w_l = self._wl + self._pw * p_l + self._sw * s_l
-        flow = self._ul + loads.ventilation_w_k
+        self._w_b = self._wb + self._pw * p_b + self._sw * s_b
+        flow = self._ub + loads.ventilation_w_k
         uu = u + self._wu + flow + leak + self._hu - self._hu * self._hu / dh - self._to_upper * via
-        ll = l + self._wl + flow + leak + self._pl + self._sl - self._pl * p_l - self._sl * s_l
-        self._l_w = self._wl + self._pl * p_w + self._sl * s_w
-        l_u = self._ul + self._pl * p_u + self._sl * s_u
+        bb = b + self._wb + flow + leak + self._pb + self._sb - self._pb * p_b - self._sb * s_b
+        self._b_w = self._wb + self._pb * p_w + self._sb * s_w
+        b_u = self._ub + self._pb * p_u + self._sb * s_u
         self._uu = uu - self._wu * self._w_u / self._ww
-        self._u_l = flow + self._wu * self._w_l / self._ww
-        self._l_u = l_u + self._l_w * self._w_u / self._ww
-        self._ll = ll - self._l_w * self._w_l / self._ww
-        self._determinant = self._uu * self._ll - self._u_l * self._l_u
+        self._u_b = flow + self._wu * self._w_b / self._ww
+        self._b_u = b_u + self._b_w * self._w_u / self._ww
+        self._bb = bb - self._b_w * self._w_b / self._ww
+        self._determinant = self._uu * self._bb - self._u_b * self._b_u
 
     def _stage(self, base: Temperatures, loads: Loads) -> Temperatures:
         """Temperatures at a stage's end from those it starts at."""
-        ch, cp, cs, co, cw, cu, cl = self._rates
-        h, p, s, o, w, u, l = base  # noqa: E741
+        ch, cp, cs, co, cw, cu, cb = self._rates
+        h, p, s, o, w, u, b = base
         room, leak = loads.room_c, 0.5 * loads.leak_w_k
         h_in = ch * h + loads.heater_w - self._rad_w
-        radiated = (
-            self._rad_w + self._rad_w_k * h_in / self._dh
-        )  # but for the part that the air's warmth adds
+        # The part of the radiation that the air's warmth adds comes at the end, through _via.
+        radiated = self._rad_w + self._rad_w_k * h_in / self._dh
         p_in = cp * p + loads.plant_w + self._to_plant * radiated
         s_in = cs * s + loads.soil_w + self._to_soil * radiated + self._sa * room
         o_in = co * o + self._oa * room
@@ -186,19 +190,19 @@ class ThermalNetwork:
             + self._wo * o_in / self._do + self._pw * p_in / self._dp + self._sw * s_in / self._ds
         )  # fmt: skip
         u_in = cu * u + loads.upper_w + self._hu * h_in / self._dh + self._to_upper * radiated + leak * room
-        l_in = (
-            cl * l + loads.lower_w + (loads.ventilation_w_k + leak) * room
-            + self._pl * p_in / self._dp + self._sl * s_in / self._ds
+        b_in = (
+            cb * b + loads.lower_w + (loads.ventilation_w_k + leak) * room
+            + self._pb * p_in / self._dp + self._sb * s_in / self._ds
         )  # fmt: skip
         u_in += self._wu * w_in / self._ww
-        l_in += self._l_w * w_in / self._ww
-        u = (u_in * self._ll + self._u_l * l_in) / self._determinant
-        l = (l_in * self._uu + self._l_u * u_in) / self._determinant  # noqa: E741
-        w = (w_in + self._w_u * u + self._w_l * l) / self._ww
+        b_in += self._b_w * w_in / self._ww
+        u = (u_in * self._bb + self._u_b * b_in) / self._determinant
+        b = (b_in * self._uu + self._b_u * u_in) / self._determinant
+        w = (w_in + self._w_u * u + self._w_b * b) / self._ww
         h = (h_in + self._hu * u) / self._dh
-        p = (p_in + self._to_plant * self._via * u + self._pl * l + self._pw * w) / self._dp
-        s = (s_in + self._to_soil * self._via * u + self._sl * l + self._sw * w) / self._ds
-        return [h, p, s, (o_in + self._wo * w) / self._do, w, u, l]
+        p = (p_in + self._to_plant * self._via * u + self._pb * b + self._pw * w) / self._dp
+        s = (s_in + self._to_soil * self._via * u + self._sb * b + self._sw * w) / self._ds
+        return [h, p, s, (o_in + self._wo * w) / self._do, w, u, b]
 
 
 def longwave_conductance(area_m2: float, one_c: float, other_c: float) -> float:
@@ -218,12 +222,14 @@ def _capacities(parameters: ChamberParameters, effects: Effects) -> Temperatures
     contact = max(1.0 + effects.extra_capacity * (air.contact_capacity_factor - 1.0), 0.1)
     air_j_k = air.density_kg_m3 * air.heat_capacity_j_kg_k * box.volume_m3 * contact
     sheet_j_k = effects.wall_mass * 0.5 * cover.areal_mass_kg_m2 * cover.heat_capacity_j_kg_k * box.cover_m2
+    wet_j_k = TRACE_J_K if effects.evapotranspiration > 0.0 else 0.0
+    misted_j_k = TRACE_J_K if effects.condensation > 0.0 else 0.0
     return [
         effects.heater_lag * parameters.heater.capacity_j_k,
-        effects.plant_mass * parameters.plant.capacity_j_k,
-        effects.soil_mass * parameters.soil.capacity_j_k,
+        max(effects.plant_mass * parameters.plant.capacity_j_k, wet_j_k),
+        max(effects.soil_mass * parameters.soil.capacity_j_k, wet_j_k),
         sheet_j_k,
-        sheet_j_k,
+        max(sheet_j_k, misted_j_k),
         air_j_k * box.heater_zone_share,
         air_j_k * (1.0 - box.heater_zone_share),
     ]

@@ -7,6 +7,7 @@ from firmware_protocol.virtual_board.effects import Effects
 from firmware_protocol.virtual_board.noise import normal
 
 _STREAM = 100
+_SMALLEST_STEP = 1e-6
 
 
 class Sensors:
@@ -64,7 +65,7 @@ def _follow(dt_s: float, lag_s: float) -> float:
 
 
 def _rounded(value: float, step: float) -> float:
-    return round(round(value / step) * step, 6) if step > 0.0 else value
+    return round(round(value / step) * step, 6) if step > _SMALLEST_STEP else value
 
 
 def _unit(value: float) -> float:
