@@ -1,0 +1,90 @@
+"""The same script to the Python and the C board: the same bytes, the same pins, the same store."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.frame import encode
+from firmware_protocol.messages import (
+    Capability,
+    ClearTrip,
+    CommandMessage,
+    EmergencyStop,
+    HelloRequest,
+    Ping,
+    pack,
+)
+from firmware_protocol.virtual_board.board_config import BoardConfig
+from firmware_protocol.virtual_board.board_samples import SIGNALS
+from firmware_protocol.virtual_board.c_core import CBoardCore
+from firmware_protocol.virtual_board.core import BoardCore
+
+configs = st.builds(
+    BoardConfig,
+    report_period_s=st.sampled_from([0.1, 1.0, 1.234, 60.0]),
+    lease_max_s=st.sampled_from([0.1, 3.0, 10.0, 60.0]),
+    temp_trip_c=st.sampled_from([0.0, 25.0, 45.0, 100.0]),
+    valve_pulse_max_s=st.sampled_from([0.0, 0.1, 5.0, 60.0]),
+    pwm_window_s=st.sampled_from([1.0, 1.1, 20.0, 600.0]),
+    fan_safe_on=st.booleans(),
+    capabilities=st.one_of(st.just(0x3FF), st.integers(0, 0x3FF)).map(Capability),
+    board_id=st.integers(0, 2**64 - 1),
+    firmware=st.tuples(*[st.integers(0, 255)] * 3),
+)
+KNOWN_STORES = [b"", b"\xff" * 4, b"\x01\x00\x2e\x3e", b"\x01\x01", bytes(4), bytes(5)]
+stores = st.one_of(st.sampled_from(KNOWN_STORES), st.binary(max_size=4))
+commands = st.builds(
+    CommandMessage,
+    heater_steps=st.sampled_from([0, 1, 10, 19, 20]),
+    fan_on=st.booleans(),
+    led_pct=st.integers(0, 100),
+    valve_pulse_s=st.sampled_from([0.0, 0.1, 1.0, 25.5]),
+    cutoff_open=st.booleans(),
+    lease_s=st.sampled_from([0.0, 0.001, 0.1, 2.999, 10.0, 60.0]),
+)
+others = st.sampled_from([Ping(), ClearTrip(), EmergencyStop(), HelloRequest(9)])
+requests = st.one_of(commands, commands, others)
+frames = st.builds(lambda message, seq: encode(pack(message, seq)), requests, st.integers(0, 4))
+raw_frames = st.builds(
+    lambda version, kind, seq, body: encode(bytes((version, kind, seq, 0)) + body),
+    st.sampled_from([1, 1, 1, 0, 2]), st.integers(0, 12), st.integers(0, 4), st.binary(max_size=48),
+)  # fmt: skip
+lines = st.one_of(frames, frames, frames, raw_frames, st.binary(min_size=1, max_size=70))
+EDGES = [math.nan, math.inf, -math.inf, 44.99, 45.0, 42.0, 42.01, -20.0, -20.01, 80.0, 80.01, 1e300]
+numbers = st.one_of(st.none(), st.sampled_from(EDGES), st.floats(20.0, 30.0), st.floats(-400.0, 400.0))
+samples = st.dictionaries(
+    st.one_of(st.just("temp_air_c"), st.sampled_from(list(SIGNALS))),
+    st.tuples(numbers, st.sampled_from([0, 0, 0, 0, 1, 2, 3, 4, 5, 255, 256, -1])),
+    min_size=1,
+    max_size=3,
+)
+good_air = st.just({"temp_air_c": (25.0, 0)})
+delays = st.sampled_from([0, 0, 1, 10, 99, 100, 100, 101, 999, 1000, 2999, 3000, 3001, 10_000, 70_000, 2**31])
+actions = st.one_of(
+    st.tuples(st.just("receive"), lines),
+    st.tuples(st.just("sample"), st.one_of(good_air, good_air, samples)),
+    st.tuples(st.just("step"), st.none()),
+)
+GREETING = [(0, ("receive", encode(pack(HelloRequest(1), 1)))), (0, ("sample", {"temp_air_c": (21.0, 0)}))]
+starts = st.sampled_from([0, 1, 5000, 2**32 - 1, 2**32 - 1000, 2**32 - 12_345])
+
+
+@settings(max_examples=500, deadline=None)
+@given(configs, stores, starts, st.lists(st.tuples(delays, actions), max_size=40), st.booleans())
+def test_both_boards_do_the_same(config, store, start_ms, script, greeted):
+    boards = [make(config, store, 1, 42) for make in (BoardCore, CBoardCore)]
+    now_ms = start_ms
+    for delay, (action, what) in GREETING * greeted + script:
+        now_ms += delay
+        pins, said = [], []
+        for board in boards:
+            if action == "receive":
+                board.receive(what, now_ms % 2**32)
+            elif action == "sample":
+                board.sample(what, now_ms % 2**32)
+            pins.append(board.step(now_ms % 2**32) if action == "step" else None)
+            said.append(board.transmit().hex())
+        assert pins[0] == pins[1]
+        assert said[0] == said[1]
+        assert boards[0].persistent() == boards[1].persistent()
