@@ -1,0 +1,65 @@
+"""Profiles: CSV tables of what shall be applied over time; a row holds until the next."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.number_table import read_table
+
+Floats = NDArray[np.float64]
+
+# Column -> lowest and highest value; a reference's own limits are the daemon's settings, these are sanity.
+_RANGES = {
+    "heater_duty": (0.0, 1.0),
+    "fan_on": (0.0, 1.0),
+    "light": (0.0, 1.0),
+    "reference_c": (-20.0, 80.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Columns of equal length: `time_s` and either `heater_duty, fan_on[, light]` or `reference_c`."""
+
+    columns: Mapping[str, Floats]
+    path: Path
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether it says a target, not inputs."""
+        return "reference_c" in self.columns
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last row, which marks the end of an experiment [s]."""
+        return float(self.columns["time_s"][-1])
+
+    def at(self, time_s: float) -> dict[str, float]:
+        """The values that hold at `time_s` since the start; before 0 those of the first row."""
+        row = max(0, int(np.searchsorted(self.columns["time_s"], time_s, side="right")) - 1)
+        return {key: float(values[row]) for key, values in self.columns.items() if key != "time_s"}
+
+
+def read_profile(path: Path) -> Profile:
+    """Read a profile. Errors: DataError with file, line and column."""
+    path = Path(path)
+    table = read_table(path)
+    names = set(table.columns) - {"time_s"}
+    if not (
+        names == {"reference_c"} or {"heater_duty", "fan_on"} <= names <= {"heater_duty", "fan_on", "light"}
+    ):
+        raise DataError(
+            f"{path}: a profile has time_s and either heater_duty,fan_on[,light] or reference_c,"
+            f" not {sorted(names)}"
+        )
+    for name in names:
+        low, high = _RANGES[name]
+        values = table.columns[name]
+        table.refuse(name, ~((values >= low) & (values <= high)), f"is not in {low:g}..{high:g}")
+    if "fan_on" in names:
+        table.refuse("fan_on", ~np.isin(table.columns["fan_on"], (0.0, 1.0)), "is neither 0 nor 1")
+    return Profile(table.columns, path)

@@ -1,0 +1,147 @@
+"""Run files: recorded measurements and inputs as CSV, read strictly and brought to one period."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.number_table import NumberTable, read_table, write_table
+
+Floats = NDArray[np.float64]
+REQUIRED = ("time_s", "temp_air_c", "heater_duty")
+SHARES = ("heater_duty", "fan_on", "light", "soil_moisture", "tank_level")  # 0..1
+INPUTS = ("heater_duty", "fan_on", "led", "light", "reference_c")  # hold from their row to the next
+PERIOD_TOLERANCE = 0.01  # share of a period that a row may be off its place
+HOLE_PERIODS = 2.5  # a reading is not interpolated over a longer distance between rows
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Columns of equal length by their names in the file, the unit in each name; NaN is a missing reading."""
+
+    columns: Mapping[str, Floats]
+    facts: Mapping[str, str] = field(default_factory=dict)  # `start_utc`, `rig`, `role`, `notes`, ...
+    path: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.columns["time_s"])
+
+    @property
+    def start_utc(self) -> float | None:
+        """Wall clock time of the first row [s since 1970]; None where the file does not say. Errors: DataError."""
+        text = self.facts.get("start_utc")
+        if text is None:
+            return None
+        try:
+            moment = datetime.fromisoformat(text)
+        except ValueError:
+            raise DataError(
+                f"{self.path}: start_utc: {text!r} is no time like 2026-07-01T12:00:00Z"
+            ) from None
+        # A time without zone is what the fact's name says: UTC.
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def read_run(path: str | Path) -> Run:
+    """Read a run file; rows are kept as they are, see `resample`. Errors: DataError, naming line and column."""
+    table = read_table(Path(path))
+    for name in REQUIRED:
+        if name not in table.columns:
+            raise DataError(f"{path}: {name} is not among the columns {list(table.columns)}")
+    for name in set(SHARES) & set(table.columns):
+        _check_share(table, name)
+    run = Run(table.columns, table.facts, table.path)
+    _ = run.start_utc  # a wrong one is refused now, not when it is needed
+    return run
+
+
+def write_run(run: Run, path: str | Path) -> None:
+    """Write a run file that `read_run` reads back to the same numbers. Errors: DataError, OSError."""
+    write_table(Path(path), run.columns, run.facts)
+
+
+def period(run: Run) -> float:
+    """The one period of the rows [s]. Errors: DataError for a single row or irregular ones."""
+    time_s = run.columns["time_s"]
+    if len(time_s) < 2:
+        raise DataError(f"{run.path}: one row has no period")
+    step_s = float(time_s[-1] / (len(time_s) - 1))
+    off = np.abs(time_s - step_s * np.arange(len(time_s))) > PERIOD_TOLERANCE * step_s
+    if off.any():
+        raise DataError(
+            f"{run.path}: rows are irregular (first at {time_s[off.argmax()]:g} s): resample the run"
+        )
+    return step_s
+
+
+def resample(run: Run, step_s: float) -> Run:
+    """The run at rows 0, `step_s`, 2 `step_s`, ... as far as it reaches.
+
+    Inputs are the mean of what held during the new step, so that no heat is gained or lost; at the old period
+    or a shorter one that is what held. Readings are interpolated at the new instants: a mean over the step
+    would put into a row what its own input has not done yet, or lag half a step behind. Between two readings
+    that are far apart (HOLE_PERIODS of the longer period) there is none. A regular run at `step_s` stays as it is.
+
+    Errors : DataError for a period that is none
+    """
+    if not step_s > 0.0:
+        raise DataError(f"{run.path}: a period of {step_s} s")
+    time_s = run.columns["time_s"]
+    slack_s = PERIOD_TOLERANCE * step_s
+    grid = step_s * np.arange(int((time_s[-1] + slack_s) / step_s) + 1)
+    if len(grid) == len(time_s) and bool((np.abs(time_s - grid) <= slack_s).all()):
+        return replace(run, columns={**run.columns, "time_s": grid})
+    usual_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else step_s
+    hole_s = HOLE_PERIODS * max(step_s, usual_s)
+    columns = {
+        name: _held_mean(time_s, values, grid, step_s)
+        if _is_input(name)
+        else _interpolated(time_s, values, grid, hole_s, slack_s)
+        for name, values in run.columns.items()
+        if name != "time_s"
+    }
+    return replace(run, columns={"time_s": grid, **columns})
+
+
+def _check_share(table: NumberTable, name: str) -> None:
+    values = table.columns[name]
+    table.refuse(name, (values < 0.0) | (values > 1.0), "is not in 0..1")
+    if name in ("heater_duty", "fan_on"):
+        table.refuse(name, np.isnan(values), "is unknown; an input must be known in every row")
+
+
+def _is_input(name: str) -> bool:
+    """Columns that nobody here knows go by their names, e.g. `heater_2_duty`."""
+    return name in INPUTS or name.endswith(("_duty", "_on"))
+
+
+def _held_mean(time_s: Floats, values: Floats, grid: Floats, step_s: float) -> Floats:
+    """Mean over [grid, grid + step_s) of what holds from row to row, the last row for good; NaN if not all known."""
+    edges = np.append(time_s, max(time_s[-1], grid[-1]) + step_s)
+    known = ~np.isnan(values)
+
+    def means(held: Floats) -> Floats:
+        area = np.concatenate(([0.0], np.cumsum(held * np.diff(edges))))
+        # Rounded, so that sums of 1.0 over many rows are not 0.9999999999.
+        return np.round(np.diff(np.interp(np.append(grid, grid[-1] + step_s), edges, area)) / step_s, 9)
+
+    return np.where(means(known.astype(np.float64)) == 1.0, means(np.where(known, values, 0.0)), np.nan)
+
+
+def _interpolated(time_s: Floats, values: Floats, grid: Floats, hole_s: float, slack_s: float) -> Floats:
+    known = ~np.isnan(values)
+    if not known.any():
+        return np.full(len(grid), np.nan)
+    times = time_s[known]
+    after = np.minimum(np.searchsorted(times, grid), len(times) - 1)
+    before = np.maximum(np.searchsorted(times, grid, side="right") - 1, 0)
+    near = (
+        (times[after] - times[before] <= hole_s)
+        & (grid >= times[0] - slack_s)
+        & (grid <= times[-1] + slack_s)
+    )
+    return np.where(near, np.interp(grid, times, values[known]), np.nan)

@@ -1,0 +1,133 @@
+"""The writer's side of the history: one open file, one session in it, one transaction per batch."""
+
+import json
+import sqlite3
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from edge.messages import TickRecord
+from edge.storage.file import Unusable, connect, identity
+from edge.storage.retention import RetentionSettings, thin
+from edge.storage.tick_rows import insert_ticks
+
+BUSY_S = 1.0  # how long one statement waits for another process's lock
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """Which software and models a stretch of ticks was recorded with."""
+
+    software_version: str = ""
+    config_sha256: str = ""
+    models: Mapping[str, str] = field(default_factory=dict)  # name -> version
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Numbers that were given to ticks, or may have been, and are not in the file."""
+
+    first_seq: int
+    last_seq: int
+    reason: str
+
+
+class Archive:
+    """Used by one thread at a time. Every method may raise sqlite3.Error or OSError, see `file.fault_of`."""
+
+    def __init__(self, path: Path, session: Session) -> None:
+        self.path = path
+        self.first_seq = 0  # of the ticks in the file, 0 when there is none
+        self.last_seq = 0  # largest number ever given out as far as the file knows
+        self.ended_cleanly = True  # the session before this one
+        self._session = session
+        self._session_id: int | None = None
+        self._connection: sqlite3.Connection | None = None
+        self._identity: tuple[int, int] | None = None
+
+    def open(self) -> None:
+        """Open or make the file and learn where its numbers stand."""
+        self.close()
+        connection = connect(self.path, BUSY_S)
+        self._connection, self._identity = connection, identity(self.path)
+        self.first_seq, ticks_last, gaps_last, session_first = connection.execute(
+            "SELECT coalesce((SELECT min(seq) FROM ticks), 0), coalesce((SELECT max(seq) FROM ticks), 0),"
+            " coalesce((SELECT max(last_seq) FROM gaps), 0), coalesce((SELECT max(first_seq) FROM sessions), 1)"
+        ).fetchone()
+        # Negative numbers are imported runs: they don't count.
+        self.last_seq = max(ticks_last, gaps_last, session_first - 1)
+        ended = connection.execute("SELECT ended_utc FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
+        self.ended_cleanly = ended is None or ended[0] is not None
+
+    def check(self) -> None:
+        """Read the whole file. Errors: Unusable, when something is wrong with it."""
+        found = self._open_connection().execute("PRAGMA quick_check(1)").fetchone()[0]
+        if found != "ok":
+            raise Unusable(f"it is damaged: {' '.join(found.split())}")
+
+    def append(self, records: Sequence[TickRecord], gaps: Sequence[Gap], next_seq: int, utc: float) -> None:
+        """Write a batch, all or nothing; with the first one the session begins, at tick `next_seq`."""
+        connection = self._open_connection()
+        if identity(self.path) != self._identity:
+            raise Unusable("it was deleted or exchanged")
+        if self._session_id is None and not self.last_seq < next_seq:
+            raise Unusable(f"it holds another history's ticks, up to {self.last_seq}")
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            session_id = self._session_id or self._begin_session(connection, next_seq, utc)
+            insert_ticks(connection, records, session_id)
+            connection.executemany(
+                "INSERT INTO gaps VALUES (?, ?, ?, ?)",
+                [(gap.first_seq, gap.last_seq, utc, gap.reason) for gap in gaps],
+            )
+            connection.execute("COMMIT")
+        finally:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
+        self._session_id = session_id
+        if records:
+            self.first_seq = self.first_seq or records[0].seq
+            self.last_seq = records[-1].seq
+
+    def end_session(self, utc: float) -> None:
+        """Note that the session ended as it should."""
+        self._open_connection().execute(
+            "UPDATE sessions SET ended_utc = ? WHERE session = ?", (utc, self._session_id)
+        )
+
+    def thin(self, settings: RetentionSettings) -> tuple[bool, int]:
+        """One chunk of retention, see `retention.thin`."""
+        return thin(self._open_connection(), settings)
+
+    def close(self) -> None:
+        """Close the file; its name may be another file's afterwards."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def forget(self) -> None:
+        """Close for good: what is opened next is another file with a session of its own."""
+        self.close()
+        self._session_id = None
+        self.first_seq = self.last_seq = 0
+
+    def _open_connection(self) -> sqlite3.Connection:
+        if self._connection is None:
+            self.open()
+        assert self._connection is not None
+        return self._connection
+
+    def _begin_session(self, connection: sqlite3.Connection, next_seq: int, utc: float) -> int:
+        cursor = connection.execute(
+            "INSERT INTO sessions (first_seq, started_utc, software_version, config_sha256, models)"
+            " VALUES (?, ?, ?, ?, ?)",
+            (
+                next_seq,
+                utc,
+                self._session.software_version,
+                self._session.config_sha256,
+                json.dumps(dict(self._session.models), sort_keys=True),
+            ),
+        )
+        assert cursor.lastrowid is not None
+        return cursor.lastrowid

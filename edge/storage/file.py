@@ -1,0 +1,103 @@
+"""The history's file: opening it, telling what is wrong with it, setting it aside."""
+
+import sqlite3
+from contextlib import suppress
+from datetime import UTC, datetime
+from enum import Enum
+from pathlib import Path
+
+SCHEMA_VERSION = 2  # len(schema.MIGRATIONS), known here without importing sqlite_utils
+VIEWS = ("v_ticks", "v_changes", "v_decisions", "v_events", "v_ten_minutes", "v_gaps")
+WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
+CACHE_KB = 1024
+
+
+class Fault(Enum):
+    """What an sqlite3 error calls for."""
+
+    WAIT = "wait"  # locked, full, read-only, no such directory: try again later
+    REPLACE = "replace"  # corrupt, no database, from newer software: set it aside
+    RECORD = "record"  # the rows themselves can't be stored
+
+
+class Unusable(sqlite3.DatabaseError):
+    """There is something at the path that is no history this software may write to; the text says what."""
+
+
+_REPLACE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT)
+
+
+def fault_of(error: Exception) -> Fault:
+    """What to do about `error`. Anything that is not SQLite's word about its file is the record's fault."""
+    if isinstance(error, Unusable):
+        return Fault.REPLACE
+    code = getattr(error, "sqlite_errorcode", None)
+    if code is not None and code & 0xFF in _REPLACE:  # the low byte is the primary code
+        return Fault.REPLACE
+    # A table that is not there: somebody else's database, or one that lost its schema.
+    if isinstance(error, sqlite3.OperationalError) and "no such" in str(error):
+        return Fault.REPLACE
+    return Fault.WAIT if isinstance(error, (sqlite3.OperationalError, OSError)) else Fault.RECORD
+
+
+def connect(path: Path, busy_s: float) -> sqlite3.Connection:
+    """Open an existing or new history at the newest schema, for use by one thread at a time.
+
+    busy_s : how long a statement may wait for another process's lock [s]
+    Errors : sqlite3.Error, see `fault_of`; OSError for a directory that can't be made
+
+    synchronous is FULL: a kill -9 would be survived without it, but after a power cut NORMAL can forget
+    transactions that had been committed. Their ticks may have been published already, and the next start
+    would give their numbers to other ticks. One sync per tick, in a thread that nobody waits for, is cheap.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_dir():
+        raise Unusable("it is a directory")
+    if path.exists() and path.stat().st_size == 0:
+        raise Unusable("it is empty")  # as a power cut can leave a file: what it held is lost, so say so
+    connection = sqlite3.connect(path, timeout=busy_s, isolation_level=None, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")  # counts for a new file only
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute(f"PRAGMA journal_size_limit = {WAL_MAX_BYTES}")
+        connection.execute(f"PRAGMA cache_size = -{CACHE_KB}")
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+        if version > SCHEMA_VERSION:
+            # After a downgrade: newer software's file is not spoilt.
+            raise Unusable(f"its version {version} is newer than {SCHEMA_VERSION}, the newest known here")
+        if version < SCHEMA_VERSION:
+            from edge.storage.schema import migrate
+
+            migrate(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def identity(path: Path) -> tuple[int, int] | None:
+    """Device and inode of the file at `path`, None without one: tells when it was deleted or exchanged."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def set_aside(path: Path, utc: float) -> Path | None:
+    """Move the database and its companions out of the way, never delete them.
+
+    Returns : where the database is now, None when there was none. Errors: OSError
+    """
+    stamp = datetime.fromtimestamp(utc, UTC).strftime("%Y%m%dT%H%M%SZ")
+    target = path.with_name(f"{path.name}.aside-{stamp}")
+    number = 1
+    while target.exists():
+        number += 1
+        target = path.with_name(f"{path.name}.aside-{stamp}-{number}")
+    # The log first: a new database beside the old one's log would be taken for that log's own.
+    for suffix in ("-wal", "-shm", ""):
+        with suppress(FileNotFoundError):
+            Path(f"{path}{suffix}").rename(f"{target}{suffix}")
+    return target if target.exists() else None

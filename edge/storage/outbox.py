@@ -1,0 +1,107 @@
+"""Messages that wait for the broker: put there in their tick's transaction, taken away when it has them.
+
+A row names its tick; the payload is made from the stored tick when it is asked for. So nothing is written
+twice, and what is sent again long after is the same message.
+"""
+
+import json
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from edge.messages import TickRecord
+from edge.storage.file import connect, identity
+from edge.storage.tick_rows import read_ticks
+from edge.tick_json import event_json, tick_json
+
+BUSY_S = 5.0  # the writer holds its lock for milliseconds
+
+
+@dataclass(frozen=True, slots=True)
+class OutboxMessage:
+    """One message, to be acknowledged by its id."""
+
+    id: int
+    topic: str
+    payload: str  # JSON with `history_id`, `seq` and `is_resend` (0/1): what a subscriber tells duplicates by
+
+
+class Outbox:
+    """The messages of the history at `path`, oldest first. For one thread, on a connection of its own.
+
+    root : begins every topic: `<root>/history/tick` and `<root>/history/event`
+    Errors : sqlite3.Error from every method, while the file is locked, broken or not there; try again later
+    """
+
+    def __init__(self, path: str | Path, root: str) -> None:
+        self._path = Path(path)
+        self._root = root
+        self._connection: sqlite3.Connection | None = None
+        self._identity: tuple[int, int] | None = None
+        self._history_id = ""
+
+    def pending(self, limit: int) -> list[OutboxMessage]:
+        """Up to `limit` messages, oldest first; they stay until they are acknowledged."""
+        connection = self._open()
+        rows = connection.execute(
+            "SELECT id, seq, event, is_resend FROM outbox ORDER BY id LIMIT ?", (limit,)
+        ).fetchall()
+        ticks = read_ticks(connection, {seq for _, seq, _, _ in rows})
+        return [
+            self._message(id_, ticks[seq], event, is_resend)
+            for id_, seq, event, is_resend in rows
+            if seq in ticks
+        ]
+
+    def acknowledge(self, ids: Sequence[int]) -> None:
+        """Take these away. Ids of a file that has been replaced since mean nothing in the new one."""
+        if self._connection is not None and identity(self._path) == self._identity:
+            self._connection.execute(
+                "DELETE FROM outbox WHERE id IN (SELECT value FROM json_each(?))", (json.dumps(list(ids)),)
+            )
+
+    def resend(self, first_seq: int, last_seq: int) -> int:
+        """Queue stored ticks, both ends included, and their events again. Returns how many messages."""
+        connection = self._open()
+        chosen = (first_seq, last_seq)
+        cursor = connection.execute(
+            "INSERT INTO outbox (seq, event, is_resend) SELECT seq, event, 1 FROM"
+            " (SELECT seq, NULL AS event FROM ticks UNION ALL SELECT seq, number FROM events JOIN ticks USING (seq))"
+            " WHERE seq BETWEEN ? AND ? AND seq > 0 ORDER BY seq, event IS NULL, event",
+            chosen,
+        )
+        return cursor.rowcount
+
+    def depth(self) -> int:
+        """How many messages wait."""
+        return int(self._open().execute("SELECT count(*) FROM outbox").fetchone()[0])
+
+    def close(self) -> None:
+        """Close the connection; the next call opens it again."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _open(self) -> sqlite3.Connection:
+        """The connection to the file that is at the path now."""
+        if self._connection is None or identity(self._path) != self._identity:
+            self.close()
+            if not self._path.exists():
+                raise sqlite3.OperationalError(f"{self._path} is not there")  # the writer makes it
+            connection = connect(self._path, BUSY_S)
+            # A lost acknowledgement means a message twice, no more: that needs no sync.
+            connection.execute("PRAGMA synchronous = NORMAL")
+            self._history_id = connection.execute("SELECT id FROM history").fetchone()[0]
+            self._connection, self._identity = connection, identity(self._path)
+        return self._connection
+
+    def _message(self, id_: int, tick: TickRecord, event: int | None, is_resend: int) -> OutboxMessage:
+        head: dict[str, Any] = {"history_id": self._history_id, "seq": tick.seq, "is_resend": is_resend}
+        if event is None:
+            topic, body = "tick", tick_json(tick)
+        else:
+            topic, body = "event", {"number": event, **event_json(tick.events[event])}
+        payload = json.dumps({**head, **body}, separators=(",", ":"), ensure_ascii=False)
+        return OutboxMessage(id_, f"{self._root}/history/{topic}", payload)

@@ -1,0 +1,134 @@
+"""The history's tables and read views, grown step by step.
+
+Imports sqlite_utils (10 MB resident), so it is itself imported only for a file that is new or behind.
+"""
+
+import sqlite3
+import uuid
+from collections.abc import Callable
+
+from sqlite_utils import Database
+
+from edge.names import SIGNALS
+
+COMMAND_COLUMNS = {"heater_duty": float, "fan_on": int, "led": float, "valve_pulse_s": float}
+
+
+def create_tables(db: Database) -> None:
+    """Version 1. `utc` in seconds since 1970, units in the names; NULL where there was no number."""
+    db["history"].create({"id": str})
+    db["history"].insert({"id": str(uuid.uuid4())})
+    db["sessions"].create(
+        {
+            "session": int,
+            "first_seq": int,  # number given to its first tick
+            "started_utc": float,
+            "ended_utc": float,  # NULL while it runs, or when it was killed
+            "software_version": str,
+            "config_sha256": str,
+            "models": str,  # JSON: name -> version
+        },
+        pk="session",
+    )
+    db["ticks"].create(
+        {
+            "seq": int,
+            "session": int,
+            "utc": float,
+            "step_s": float,
+            "mode": str,
+            "controller": str,
+            "reference_c": float,
+            "estimate_temp_air_c": float,
+            "estimate_sd_k": float,
+            "estimate_offset_k_per_step": float,
+            "innovation_k": float,
+            "estimate_temp_ambient_c": float,
+            **{f"wanted_{key}": kind for key, kind in COMMAND_COLUMNS.items()},
+            **{f"sent_{key}": kind for key, kind in COMMAND_COLUMNS.items()},
+            "echo_heater_duty": float,  # echo_*: NULL when the board did not confirm in time
+            "echo_fan_on": int,
+            "echo_led": float,
+            "echo_valve_open": int,
+            "echo_tripped": int,
+            "echo_trip_cause": str,
+            "link_up": int,
+            "ticks_skipped": int,
+            "late_s": float,
+            "decide_ms": float,
+        },
+        pk="seq",
+    )
+    # sqlite_utils can't say WITHOUT ROWID, which spares these tables a second copy of their key.
+    db.conn.execute(
+        "CREATE TABLE readings (seq INTEGER, signal TEXT, value REAL, quality TEXT,"
+        " PRIMARY KEY (seq, signal)) WITHOUT ROWID"
+    )
+    db.conn.execute(
+        "CREATE TABLE changes (seq INTEGER, number INTEGER, rule TEXT, actuator TEXT, wanted REAL, sent REAL,"
+        " reason TEXT, PRIMARY KEY (seq, number)) WITHOUT ROWID"
+    )
+    db.conn.execute(
+        "CREATE TABLE events (seq INTEGER, number INTEGER, utc REAL, key TEXT, severity TEXT, text TEXT,"
+        " PRIMARY KEY (seq, number)) WITHOUT ROWID"
+    )
+    db.conn.execute(
+        "CREATE TABLE ten_minutes (start_utc INTEGER, quantity TEXT, rows INTEGER, mean REAL, low REAL,"
+        " high REAL, PRIMARY KEY (start_utc, quantity)) WITHOUT ROWID"
+    )
+    db["decisions"].create({"seq": int, "forecast_c": str, "why": str}, pk="seq")  # both JSON
+    db["runs"].create({"name": str, "role": str, "first_seq": int, "last_seq": int, "facts": str}, pk="name")
+    db["gaps"].create({"first_seq": int, "last_seq": int, "utc": float, "reason": str})
+    # AUTOINCREMENT: the id of a message that was taken away is never given to another one.
+    db.conn.execute(
+        "CREATE TABLE outbox (id INTEGER PRIMARY KEY AUTOINCREMENT, seq INTEGER, event INTEGER,"
+        " is_resend INTEGER)"
+    )
+
+
+def create_views(db: Database) -> None:
+    """Version 2: what may be read by those who may read only."""
+    readings = "".join(
+        f"(SELECT value FROM readings r WHERE r.seq = t.seq AND r.signal = '{signal.key}'"
+        f" AND r.quality = 'good') AS {signal.key}, "
+        for signal in SIGNALS.values()
+    )
+    db.create_view(
+        "v_ticks",
+        "SELECT t.seq, t.utc, strftime('%Y-%m-%dT%H:%M:%SZ', t.utc, 'unixepoch') AS time, t.step_s, t.mode,"
+        f" t.controller, {readings} t.estimate_temp_air_c, t.reference_c, t.wanted_heater_duty,"
+        " t.wanted_fan_on, t.sent_heater_duty, t.sent_fan_on,"
+        # What the board did not confirm counts as off, as it does in the loop.
+        " coalesce(t.echo_heater_duty, 0.0) AS heater_duty, coalesce(t.echo_fan_on, 0) AS fan_on,"
+        " coalesce(t.echo_led, 0.0) AS led, t.link_up, t.ticks_skipped FROM ticks t",
+    )
+    db.create_view(
+        "v_changes",
+        "SELECT c.seq, t.utc, c.rule, c.actuator, c.wanted, c.sent, c.reason"
+        " FROM changes c JOIN ticks t USING (seq)",
+    )
+    db.create_view(
+        "v_decisions",
+        "SELECT d.seq, t.utc, t.controller, d.forecast_c, d.why FROM decisions d JOIN ticks t USING (seq)",
+    )
+    db.create_view("v_events", "SELECT seq, utc, key, severity, text FROM events")
+    db.create_view("v_ten_minutes", "SELECT start_utc, quantity, rows, mean, low, high FROM ten_minutes")
+    db.create_view("v_gaps", "SELECT first_seq, last_seq, utc, reason FROM gaps")
+
+
+MIGRATIONS: tuple[Callable[[Database], None], ...] = (create_tables, create_views)
+
+
+def migrate(connection: sqlite3.Connection) -> None:
+    """Bring the open file to the newest version, all in one transaction. Errors: sqlite3.Error."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        # Read inside the transaction: another process may have come first.
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+        for step in MIGRATIONS[version:]:
+            step(Database(connection))
+        connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+        connection.execute("COMMIT")
+    finally:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")

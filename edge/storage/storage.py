@@ -1,0 +1,226 @@
+"""The history as the loop sees it: it takes ticks, never waits and never raises."""
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from edge.clock import Clock
+from edge.messages import Event, Severity, TickRecord
+from edge.storage.archive import Archive, Gap, Session
+from edge.storage.file import Fault, fault_of, set_aside
+from edge.storage.tick_queue import TickQueue
+
+BATCH_TICKS = 200  # most ticks in one transaction
+THIN_EVERY_TICKS = 60  # how often retention looks for something to do
+RETRY_FIRST_S = 0.5  # pause after a failed write, doubled with each further one
+RETRY_MAX_S = 30.0
+CLOSE_S = 5.0  # a history that can't be written may hold up the end of the daemon this long
+
+
+class HistorySettings(Protocol):
+    """What is needed of edge.settings.HistorySettings."""
+
+    @property
+    def path(self) -> str: ...
+    @property
+    def retention_days(self) -> float: ...
+    @property
+    def downsample_after_days(self) -> float: ...
+    @property
+    def queue_ticks(self) -> int: ...
+
+
+class Storage:
+    """Writes ticks in a thread of its own, and tells its faults instead of raising them."""
+
+    def __init__(self, settings: HistorySettings, clock: Clock, session: Session | None = None) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._archive = Archive(Path(settings.path), session or Session())
+        self._queue = TickQueue(settings.queue_ticks)
+        self._thread = threading.Thread(target=self._run, name="history", daemon=True)
+        self._written = threading.Condition()
+        self._written_seq = 0
+        self._next_seq = 1
+        self._gaps: list[Gap] = []  # to be written with the next batch
+        self._events: list[Event] = []
+        self._behind = ""  # why nothing can be written now
+        self._replaced = ""  # told once
+        self._ended = False
+        self._given_up = threading.Event()
+        self._ticks_since_thinning = 0
+        self.lost_ticks = 0  # dropped because the queue was full or their rows could not be stored
+
+    def open(self) -> int:
+        """Open or make the history, start the writer. Returns the number of the next tick.
+
+        No number is ever given twice: after a session that did not end cleanly as many numbers are left out
+        as ticks can have been given out without having been written, and the gap is recorded.
+        """
+        try:
+            self._open_file()
+            self._next_seq = self._archive.last_seq + 1
+            if not self._archive.ended_cleanly:
+                self._next_seq += self._settings.queue_ticks + BATCH_TICKS
+                self._note_unclean_stop(self._archive.last_seq, self._next_seq)
+        except Exception as error:
+            # Locked or unreadable for now. Ticks are at least 1 s apart, so no earlier one has this number.
+            self._next_seq = int(self._clock.utc())
+            self._behind = str(error)
+        self._written_seq = self._archive.last_seq
+        self._thread.start()
+        return self._next_seq
+
+    def write(self, record: TickRecord) -> None:
+        """Queue one tick. When the queue is full the oldest one is dropped and counted."""
+        self._queue.put(record)
+
+    @property
+    def written_seq(self) -> int:
+        """Number of the last tick that is on disk; 0 before the first."""
+        return self._written_seq
+
+    def faults(self) -> Mapping[str, str]:
+        """Rows of the failure table that hold now, with their details; a replaced file is told once."""
+        faults = {}
+        if self._behind:
+            faults["history.behind"] = f"{self._behind}; {len(self._queue)} ticks wait"
+        if self._replaced:
+            faults["history.replaced"], self._replaced = self._replaced, ""
+        return faults
+
+    def events_pending(self) -> list[Event]:
+        """What happened to the history since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def wait_written(self, seq: int, timeout_s: float) -> bool:
+        """Wait until the tick `seq` is on disk, at most `timeout_s`. Returns whether it is."""
+        with self._written:
+            return self._written.wait_for(lambda: self._written_seq >= seq, timeout_s)
+
+    def close(self, timeout_s: float = CLOSE_S) -> bool:
+        """Write what is queued and end the session. Returns False when that took longer than `timeout_s`."""
+        self._queue.close()
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+        self._given_up.set()
+        return self._ended
+
+    def _open_file(self) -> None:
+        try:
+            self._archive.open()
+        except Exception as error:
+            if fault_of(error) is not Fault.REPLACE or not self._replace(error):
+                raise
+            self._archive.open()
+
+    # the writer thread
+
+    def _run(self) -> None:
+        if self._attempt(self._archive.check) and self._store([]):
+            while records := self._queue.take(BATCH_TICKS):
+                if not self._store(records):
+                    break
+                self._thin(len(records))
+            else:
+                self._ended = self._attempt(lambda: self._archive.end_session(self._clock.utc()))
+        self._archive.close()
+
+    def _store(self, records: Sequence[TickRecord]) -> bool:
+        """Write the records; alone those that can't be stored are left out. False when given up."""
+        try:
+            return self._attempt(lambda: self._append(records))
+        except Exception as error:
+            if len(records) > 1:
+                return all(self._store([record]) for record in records)
+            for record in records:
+                self._note_lost(record.seq, record.seq, f"its rows can't be stored: {error!r}")
+            return True
+
+    def _attempt(self, action: Callable[[], None]) -> bool:
+        """Do it, waiting out what passes and replacing a broken file. False when closed before it was done.
+
+        Errors : whatever is neither the file's nor the disk's fault
+        """
+        pause_s = RETRY_FIRST_S
+        while True:
+            try:
+                action()
+                self._behind = ""
+                return True
+            except Exception as error:
+                fault = fault_of(error)
+                if fault is Fault.RECORD:
+                    raise
+                if fault is Fault.REPLACE and self._replace(error):
+                    continue
+                self._behind = str(error)
+            if self._queue.wait_closed(pause_s) and self._given_up.wait(RETRY_FIRST_S):
+                return False
+            pause_s = min(2.0 * pause_s, RETRY_MAX_S)
+
+    def _append(self, records: Sequence[TickRecord]) -> None:
+        for first, last in self._queue.take_lost():
+            self._note_lost(first, last, "the queue was full")
+        next_seq = records[0].seq if records else self._next_seq
+        self._archive.append(records, self._gaps, next_seq, self._clock.utc())
+        self._gaps.clear()
+        if records:
+            with self._written:
+                self._written_seq = records[-1].seq
+                self._written.notify_all()
+
+    def _thin(self, ticks: int) -> None:
+        """Retention, every THIN_EVERY_TICKS, a chunk at a time and only while no tick waits."""
+        self._ticks_since_thinning += ticks
+        more = self._ticks_since_thinning >= THIN_EVERY_TICKS
+        while more and not len(self._queue):
+            self._ticks_since_thinning = 0
+            try:
+                more, dropped = self._archive.thin(self._settings)
+            except Exception as error:
+                if fault_of(error) is Fault.REPLACE:
+                    self._replace(error)
+                return  # locked or full: the next round does it
+            if dropped:
+                self._tell(
+                    "outbox.dropped",
+                    Severity.ALARM,
+                    f"{dropped} messages were never sent: too old or too many",
+                )
+
+    def _replace(self, error: Exception) -> bool:
+        """Set the file aside, so that the next attempt begins a new one. False when it can't be moved."""
+        archive, utc = self._archive, self._clock.utc()
+        first, last = archive.first_seq, archive.last_seq
+        archive.forget()
+        try:
+            aside = set_aside(archive.path, utc)
+        except OSError:
+            return False
+        where = f"set aside as {aside.name}" if aside else "there is nothing left of it"
+        ticks = (
+            f"ticks {first} to {last} are no longer in the history" if last else "what was in it is unknown"
+        )
+        self._replaced = f"{archive.path.name}: {error}; {where}; {ticks}"
+        if last:
+            self._gaps.append(Gap(first, last, self._replaced))
+        return True
+
+    def _note_unclean_stop(self, last_seq: int, next_seq: int) -> None:
+        reason = "the session before did not end cleanly"
+        self._gaps.append(Gap(last_seq + 1, next_seq - 1, reason))
+        text = f"{reason}: tick {last_seq} is the last one written; the numbers go on at {next_seq}"
+        self._tell("history.unclean_stop", Severity.WARNING, text)
+
+    def _note_lost(self, first: int, last: int, reason: str) -> None:
+        self._gaps.append(Gap(first, last, reason))
+        self.lost_ticks += last - first + 1
+        self._tell(
+            "history.ticks_lost", Severity.ALARM, f"ticks {first} to {last} are not in the history: {reason}"
+        )
+
+    def _tell(self, key: str, severity: Severity, text: str) -> None:
+        self._events.append(Event(key, severity, text, self._clock.now(), self._clock.utc()))

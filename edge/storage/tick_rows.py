@@ -1,0 +1,213 @@
+"""A TickRecord as rows, and back."""
+
+import json
+import math
+import sqlite3
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from edge.messages import (
+    Change,
+    Command,
+    Decision,
+    Echo,
+    Estimate,
+    Event,
+    Quality,
+    Reading,
+    Severity,
+    TickRecord,
+)
+from edge.names import SIGNALS
+from edge.tick_json import number
+
+TICK_COLUMNS = (
+    "seq session utc step_s mode controller reference_c "
+    "estimate_temp_air_c estimate_sd_k estimate_offset_k_per_step innovation_k estimate_temp_ambient_c "
+    "wanted_heater_duty wanted_fan_on wanted_led wanted_valve_pulse_s "
+    "sent_heater_duty sent_fan_on sent_led sent_valve_pulse_s "
+    "echo_heater_duty echo_fan_on echo_led echo_valve_open echo_tripped echo_trip_cause "
+    "link_up ticks_skipped late_s decide_ms"
+).split()
+_INSERT_TICK = f"INSERT INTO ticks ({', '.join(TICK_COLUMNS)}) VALUES ({', '.join('?' * len(TICK_COLUMNS))})"
+_SIGNAL_OF_KEY = {signal.key: name for name, signal in SIGNALS.items()}
+NAN = math.nan
+
+
+def insert_ticks(connection: sqlite3.Connection, records: Sequence[TickRecord], session: int) -> None:
+    """Insert the records and queue them for telemetry. The caller holds the transaction."""
+    connection.executemany(_INSERT_TICK, [_tick_row(record, session) for record in records])
+    connection.executemany(
+        "INSERT INTO readings VALUES (?, ?, ?, ?)",
+        [
+            (record.seq, SIGNALS[name].key, _finite(reading.value), reading.quality.value)
+            for record in records
+            for name, reading in record.readings.items()
+        ],
+    )
+    connection.executemany(
+        "INSERT INTO decisions VALUES (?, ?, ?)",
+        [(r.seq, _json([number(t) for t in r.decision.forecast]), _json(r.decision.why)) for r in records],
+    )
+    connection.executemany(
+        "INSERT INTO changes VALUES (?, ?, ?, ?, ?, ?, ?)",
+        [
+            (record.seq, i, c.rule, c.actuator, _finite(c.wanted), _finite(c.sent), c.reason)
+            for record in records
+            for i, c in enumerate(record.changes)
+        ],
+    )
+    connection.executemany(
+        "INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)",
+        [
+            (record.seq, i, _finite(e.utc), e.key, e.severity.value, e.text)
+            for record in records
+            for i, e in enumerate(record.events)
+        ],
+    )
+    connection.executemany(
+        "INSERT INTO outbox (seq, event, is_resend) VALUES (?, ?, 0)",
+        [(r.seq, event) for r in records for event in (*range(len(r.events)), None)],
+    )
+
+
+def read_ticks(connection: sqlite3.Connection, seqs: Iterable[int]) -> dict[int, TickRecord]:
+    """The stored ticks with these numbers, without those that are not there.
+
+    What is not stored comes back as NaN: the monotonic times, which mean nothing after their process.
+    """
+    chosen = json.dumps(list(seqs))
+
+    def rows(columns: str, table: str) -> list[tuple[Any, ...]]:
+        query = f"SELECT {columns} FROM {table} WHERE seq IN (SELECT value FROM json_each(?)) ORDER BY 1, 2"
+        return connection.execute(query, (chosen,)).fetchall()
+
+    readings: defaultdict[int, dict[str, Reading]] = defaultdict(dict)
+    for seq, key, value, quality in rows("seq, signal, value, quality", "readings"):
+        readings[seq][_SIGNAL_OF_KEY[key]] = Reading(_SIGNAL_OF_KEY[key], value, NAN, Quality(quality))
+    changes: defaultdict[int, list[Change]] = defaultdict(list)
+    for seq, _, rule, actuator, wanted, sent, reason in rows("*", "changes"):
+        changes[seq].append(Change(rule, actuator, _or_nan(wanted), _or_nan(sent), reason))
+    events: defaultdict[int, list[Event]] = defaultdict(list)
+    for seq, _, utc, key, severity, text in rows("*", "events"):
+        events[seq].append(Event(key, Severity(severity), text, NAN, _or_nan(utc)))
+    decisions = {seq: (forecast, why) for seq, forecast, why in rows("*", "decisions")}
+    return {
+        row[0]: _record(
+            row, readings[row[0]], decisions.get(row[0]), tuple(changes[row[0]]), tuple(events[row[0]])
+        )
+        for row in rows(", ".join(TICK_COLUMNS), "ticks")
+    }
+
+
+def _tick_row(record: TickRecord, session: int) -> tuple[Any, ...]:
+    estimate, echo = record.estimate, record.echo
+    return (
+        record.seq,
+        session,
+        record.utc,
+        record.step_s,
+        record.mode,
+        record.decision.controller,
+        _finite(record.reference_c),
+        _finite(estimate.temp_air),
+        _finite(estimate.temp_air_sd),
+        _finite(estimate.offset),
+        _finite(estimate.innovation),
+        _finite(estimate.temp_ambient),
+        *_command_row(record.wanted),
+        *_command_row(record.sent),
+        *((None,) * 6 if echo is None else _echo_row(echo)),
+        int(record.link_up),
+        record.ticks_skipped,
+        _finite(record.late_s),
+        _finite(record.decide_ms),
+    )
+
+
+def _command_row(command: Command) -> tuple[float | None, ...]:
+    return (
+        _finite(command.heater_duty),
+        int(command.fan_on),
+        _finite(command.led),
+        _finite(command.valve_pulse_s),
+    )
+
+
+def _echo_row(echo: Echo) -> tuple[Any, ...]:
+    return (
+        _finite(echo.heater_duty),
+        int(echo.fan_on),
+        _finite(echo.led),
+        int(echo.valve_open),
+        int(echo.tripped),
+        echo.trip_cause,
+    )
+
+
+def _record(
+    row: tuple[Any, ...],
+    readings: dict[str, Reading],
+    decision: tuple[str, str] | None,
+    changes: tuple[Change, ...],
+    events: tuple[Event, ...],
+) -> TickRecord:
+    """One record from its row of `ticks` (columns as in TICK_COLUMNS) and its rows of the other tables."""
+    forecast, why = ("[]", "{}") if decision is None else decision
+    wanted, sent = _command(row[12:16]), _command(row[16:20])
+    return TickRecord(
+        seq=row[0],
+        time_s=NAN,
+        utc=row[2],
+        step_s=row[3],
+        mode=row[4],
+        readings=readings,
+        estimate=Estimate(
+            _or_nan(row[7]), _or_nan(row[8]), _or_nan(row[9]), row[10], _or_nan(row[11]), time_s=NAN
+        ),
+        reference_c=_or_nan(row[6]),
+        decision=Decision(wanted, row[5], tuple(_or_nan(t) for t in json.loads(forecast)), json.loads(why)),
+        wanted=wanted,
+        changes=changes,
+        sent=sent,
+        # Every echo has a trip cause, "" at least.
+        echo=None if row[25] is None else _echo(row[20:26]),
+        link_up=bool(row[26]),
+        events=events,
+        ticks_skipped=row[27],
+        late_s=_or_nan(row[28]),
+        decide_ms=_or_nan(row[29]),
+    )
+
+
+def _command(row: tuple[Any, ...]) -> Command:
+    return Command(_or_nan(row[0]), bool(row[1]), _or_nan(row[2]), _or_nan(row[3]))
+
+
+def _echo(row: tuple[Any, ...]) -> Echo:
+    duty, fan_on, led, valve_open, tripped, cause = row
+    return Echo(_or_nan(duty), bool(fan_on), _or_nan(led), bool(valve_open), bool(tripped), cause, time_s=NAN)
+
+
+def _json(value: Any) -> str:
+    return json.dumps(_json_value(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def _json_value(value: Any) -> Any:
+    """`value` with None for what JSON has no number for."""
+    if isinstance(value, float):
+        return _finite(value)
+    if isinstance(value, (list, tuple)):
+        return [_json_value(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: _json_value(item) for key, item in value.items()}
+    return value
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _or_nan(value: float | None) -> float:
+    return NAN if value is None else value
