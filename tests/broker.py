@@ -12,6 +12,8 @@ from typing import Any, Self
 import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
@@ -33,7 +35,10 @@ class Broker:
         self.port = _free_port()
         self._folder = folder
         self._config = folder / "mosquitto.conf"
-        self._config.write_text(f"listener {self.port} 127.0.0.1\n{extra}\n")
+        # Started as root it would become a user who can't read the test's files.
+        self._config.write_text(
+            f"user root\npersistence_location {folder}/\nlistener {self.port} 127.0.0.1\n{extra}\n"
+        )
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -83,7 +88,7 @@ class Listener:
         self.heard: list[MQTTMessage] = []
         self._subscribed = threading.Event()
         self._topic = topic
-        self.client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+        self.client = Client(CallbackAPIVersion.VERSION2, "listener", protocol=MQTTProtocolVersion.MQTTv5)
         self.client.reconnect_delay_set(1, 1)
         if user:
             self.client.username_pw_set(user, password)
@@ -93,7 +98,9 @@ class Listener:
         self.client.on_subscribe = lambda *_: self._subscribed.set()
         self.client.on_disconnect = lambda *_: self._subscribed.clear()
         self.client.on_message = lambda client, data, message: self.heard.append(message)
-        self.client.connect_async("127.0.0.1", port)
+        session = Properties(PacketTypes.CONNECT)
+        session.SessionExpiryInterval = 600  # a broker that keeps sessions keeps ours while it restarts [s]
+        self.client.connect_async("127.0.0.1", port, clean_start=False, properties=session)
 
     def __enter__(self) -> Self:
         self.client.loop_start()

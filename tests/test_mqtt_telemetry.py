@@ -15,9 +15,7 @@ from tests.broker import Broker, Listener, needs_mosquitto, wait_for
 from tests.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings
 
 pytestmark = needs_mosquitto
-AVAILABILITY, STATE, REPLY, EVENT = (
-    f"{ROOT}/{name}" for name in ("availability", "state", "reply", "event")
-)
+AVAILABILITY, STATE, REPLY, EVENT = (f"{ROOT}/{name}" for name in ("availability", "state", "reply", "event"))
 DISCOVERY, HISTORY = "homeassistant/device/rig-1/config", f"{ROOT}/history"
 
 

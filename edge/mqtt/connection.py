@@ -34,7 +34,7 @@ def make_client(settings: MqttSettings) -> Client:
         client.tls_set_context(_tls(settings))
     try:
         settings.host.encode("idna")
-        client.connect_async(settings.host, settings.port, keepalive=settings.keepalive_s)
+        client.connect_async(settings.host, settings.port, settings.keepalive_s, clean_start=True)
     except ValueError as error:  # UnicodeError is one
         raise ConfigError(f"mqtt.host: {settings.host!r} is no host name: {error}") from None
     return client
