@@ -1,4 +1,4 @@
-"""Strict CSV of numbers over time: `# key: value` lines, a header, rows. Run files and profiles are such tables."""
+"""Strict CSV of numbers over time, `# key: value` lines on top: what run files and profiles are."""
 
 import csv
 import re

@@ -32,7 +32,7 @@ class Run:
 
     @property
     def start_utc(self) -> float | None:
-        """Wall clock time of the first row [s since 1970]; None where the file does not say. Errors: DataError."""
+        """Time of the first row [s since 1970], None where the file does not say. Errors: DataError."""
         text = self.facts.get("start_utc")
         if text is None:
             return None
@@ -47,7 +47,7 @@ class Run:
 
 
 def read_run(path: str | Path) -> Run:
-    """Read a run file; rows are kept as they are, see `resample`. Errors: DataError, naming line and column."""
+    """Read a run file, its rows as they are (see `resample`). Errors: DataError, naming line and column."""
     table = read_table(Path(path))
     for name in REQUIRED:
         if name not in table.columns:
@@ -84,7 +84,8 @@ def resample(run: Run, step_s: float) -> Run:
     Inputs are the mean of what held during the new step, so that no heat is gained or lost; at the old period
     or a shorter one that is what held. Readings are interpolated at the new instants: a mean over the step
     would put into a row what its own input has not done yet, or lag half a step behind. Between two readings
-    that are far apart (HOLE_PERIODS of the longer period) there is none. A regular run at `step_s` stays as it is.
+    that are far apart (HOLE_PERIODS of the longer period) there is none. A run that has rows just there is
+    left as it is.
 
     Errors : DataError for a period that is none
     """
@@ -92,7 +93,7 @@ def resample(run: Run, step_s: float) -> Run:
         raise DataError(f"{run.path}: a period of {step_s} s")
     time_s = run.columns["time_s"]
     slack_s = PERIOD_TOLERANCE * step_s
-    grid = step_s * np.arange(int((time_s[-1] + slack_s) / step_s) + 1)
+    grid = step_s * np.arange(int((time_s[-1] + slack_s) / step_s) + 1, dtype=np.float64)
     if len(grid) == len(time_s) and bool((np.abs(time_s - grid) <= slack_s).all()):
         return replace(run, columns={**run.columns, "time_s": grid})
     usual_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else step_s
@@ -120,14 +121,15 @@ def _is_input(name: str) -> bool:
 
 
 def _held_mean(time_s: Floats, values: Floats, grid: Floats, step_s: float) -> Floats:
-    """Mean over [grid, grid + step_s) of what holds from row to row, the last row for good; NaN if not all known."""
+    """Mean over [grid, grid + step_s) of what holds from row to row, the last for good; NaN if not known."""
     edges = np.append(time_s, max(time_s[-1], grid[-1]) + step_s)
+    ends = np.append(grid, grid[-1] + step_s)
     known = ~np.isnan(values)
 
     def means(held: Floats) -> Floats:
         area = np.concatenate(([0.0], np.cumsum(held * np.diff(edges))))
         # Rounded, so that sums of 1.0 over many rows are not 0.9999999999.
-        return np.round(np.diff(np.interp(np.append(grid, grid[-1] + step_s), edges, area)) / step_s, 9)
+        return np.asarray(np.round(np.diff(np.interp(ends, edges, area)) / step_s, 9))
 
     return np.where(means(known.astype(np.float64)) == 1.0, means(np.where(known, values, 0.0)), np.nan)
 

@@ -51,8 +51,9 @@ class Archive:
         connection = connect(self.path, BUSY_S)
         self._connection, self._identity = connection, identity(self.path)
         self.first_seq, ticks_last, gaps_last, session_first = connection.execute(
-            "SELECT coalesce((SELECT min(seq) FROM ticks), 0), coalesce((SELECT max(seq) FROM ticks), 0),"
-            " coalesce((SELECT max(last_seq) FROM gaps), 0), coalesce((SELECT max(first_seq) FROM sessions), 1)"
+            "SELECT coalesce((SELECT min(seq) FROM ticks WHERE seq > 0), 0),"
+            " coalesce((SELECT max(seq) FROM ticks), 0), coalesce((SELECT max(last_seq) FROM gaps), 0),"
+            " coalesce((SELECT max(first_seq) FROM sessions), 1)"
         ).fetchone()
         # Negative numbers are imported runs: they don't count.
         self.last_seq = max(ticks_last, gaps_last, session_first - 1)

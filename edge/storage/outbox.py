@@ -68,7 +68,8 @@ class Outbox:
         chosen = (first_seq, last_seq)
         cursor = connection.execute(
             "INSERT INTO outbox (seq, event, is_resend) SELECT seq, event, 1 FROM"
-            " (SELECT seq, NULL AS event FROM ticks UNION ALL SELECT seq, number FROM events JOIN ticks USING (seq))"
+            " (SELECT seq, NULL AS event FROM ticks"
+            " UNION ALL SELECT seq, number FROM events JOIN ticks USING (seq))"
             " WHERE seq BETWEEN ? AND ? AND seq > 0 ORDER BY seq, event IS NULL, event",
             chosen,
         )

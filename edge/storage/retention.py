@@ -21,7 +21,7 @@ DAY_S = 86400.0
 _AMONG = "seq IN (SELECT value FROM json_each(:seqs))"
 _DOWNSAMPLE = f"""
 INSERT INTO ten_minutes
-SELECT CAST(floor(utc / {WINDOW_S}) AS INTEGER) * {WINDOW_S}, quantity, count(*), avg(value), min(value), max(value)
+SELECT CAST(utc / {WINDOW_S} AS INTEGER) * {WINDOW_S}, quantity, count(*), avg(value), min(value), max(value)
 FROM (
     SELECT utc, signal AS quantity, value FROM readings JOIN ticks USING (seq)
     WHERE {_AMONG} AND quality = 'good'

@@ -16,9 +16,9 @@ COMMAND_COLUMNS = {"heater_duty": float, "fan_on": int, "led": float, "valve_pul
 
 def create_tables(db: Database) -> None:
     """Version 1. `utc` in seconds since 1970, units in the names; NULL where there was no number."""
-    db["history"].create({"id": str})
-    db["history"].insert({"id": str(uuid.uuid4())})
-    db["sessions"].create(
+    db.table("history").create({"id": str})
+    db.table("history").insert({"id": str(uuid.uuid4())})
+    db.table("sessions").create(
         {
             "session": int,
             "first_seq": int,  # number given to its first tick
@@ -30,7 +30,7 @@ def create_tables(db: Database) -> None:
         },
         pk="session",
     )
-    db["ticks"].create(
+    db.table("ticks").create(
         {
             "seq": int,
             "session": int,
@@ -76,9 +76,11 @@ def create_tables(db: Database) -> None:
         "CREATE TABLE ten_minutes (start_utc INTEGER, quantity TEXT, rows INTEGER, mean REAL, low REAL,"
         " high REAL, PRIMARY KEY (start_utc, quantity)) WITHOUT ROWID"
     )
-    db["decisions"].create({"seq": int, "forecast_c": str, "why": str}, pk="seq")  # both JSON
-    db["runs"].create({"name": str, "role": str, "first_seq": int, "last_seq": int, "facts": str}, pk="name")
-    db["gaps"].create({"first_seq": int, "last_seq": int, "utc": float, "reason": str})
+    db.table("decisions").create({"seq": int, "forecast_c": str, "why": str}, pk="seq")  # both JSON
+    db.table("runs").create(
+        {"name": str, "role": str, "first_seq": int, "last_seq": int, "facts": str}, pk="name"
+    )
+    db.table("gaps").create({"first_seq": int, "last_seq": int, "utc": float, "reason": str})
     # AUTOINCREMENT: the id of a message that was taken away is never given to another one.
     db.conn.execute(
         "CREATE TABLE outbox (id INTEGER PRIMARY KEY AUTOINCREMENT, seq INTEGER, event INTEGER,"

@@ -1,6 +1,7 @@
 """The history as the loop sees it: it takes ticks, never waits and never raises."""
 
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -44,9 +45,9 @@ class Storage:
         self._written_seq = 0
         self._next_seq = 1
         self._gaps: list[Gap] = []  # to be written with the next batch
-        self._events: list[Event] = []
+        self._events: deque[Event] = deque()
         self._behind = ""  # why nothing can be written now
-        self._replaced = ""  # told once
+        self._replaced: deque[str] = deque()  # how each broken file ended
         self._ended = False
         self._given_up = threading.Event()
         self._ticks_since_thinning = 0
@@ -87,13 +88,12 @@ class Storage:
         if self._behind:
             faults["history.behind"] = f"{self._behind}; {len(self._queue)} ticks wait"
         if self._replaced:
-            faults["history.replaced"], self._replaced = self._replaced, ""
+            faults["history.replaced"] = self._replaced.popleft()
         return faults
 
     def events_pending(self) -> list[Event]:
         """What happened to the history since the last call."""
-        events, self._events = self._events, []
-        return events
+        return [self._events.popleft() for _ in range(len(self._events))]
 
     def wait_written(self, seq: int, timeout_s: float) -> bool:
         """Wait until the tick `seq` is on disk, at most `timeout_s`. Returns whether it is."""
@@ -119,14 +119,20 @@ class Storage:
     # the writer thread
 
     def _run(self) -> None:
-        if self._attempt(self._archive.check) and self._store([]):
-            while records := self._queue.take(BATCH_TICKS):
-                if not self._store(records):
-                    break
-                self._thin(len(records))
-            else:
-                self._ended = self._attempt(lambda: self._archive.end_session(self._clock.utc()))
-        self._archive.close()
+        try:
+            self._ended = self._write_until_closed() and self._attempt(self._end_session)
+            self._archive.close()
+        except Exception as error:  # our own mistake: the loop goes on, and shows it
+            self._behind = f"the writer has stopped: {error!r}"
+
+    def _write_until_closed(self) -> bool:
+        if not (self._attempt(self._archive.check) and self._store([])):
+            return False
+        while records := self._queue.take(BATCH_TICKS):
+            if not self._store(records):
+                return False
+            self._thin(len(records))
+        return True
 
     def _store(self, records: Sequence[TickRecord]) -> bool:
         """Write the records; alone those that can't be stored are left out. False when given up."""
@@ -160,6 +166,9 @@ class Storage:
             if self._queue.wait_closed(pause_s) and self._given_up.wait(RETRY_FIRST_S):
                 return False
             pause_s = min(2.0 * pause_s, RETRY_MAX_S)
+
+    def _end_session(self) -> None:
+        self._archive.end_session(self._clock.utc())
 
     def _append(self, records: Sequence[TickRecord]) -> None:
         for first, last in self._queue.take_lost():
@@ -204,9 +213,10 @@ class Storage:
         ticks = (
             f"ticks {first} to {last} are no longer in the history" if last else "what was in it is unknown"
         )
-        self._replaced = f"{archive.path.name}: {error}; {where}; {ticks}"
+        text = f"{archive.path.name}: {error}; {where}; {ticks}"
+        self._replaced.append(text)
         if last:
-            self._gaps.append(Gap(first, last, self._replaced))
+            self._gaps.append(Gap(first, last, text))
         return True
 
     def _note_unclean_stop(self, last_seq: int, next_seq: int) -> None:

@@ -22,14 +22,16 @@ from edge.messages import (
 from edge.names import SIGNALS
 from edge.tick_json import number
 
+_COMMAND_COLUMNS = ("heater_duty", "fan_on", "led", "valve_pulse_s")
 TICK_COLUMNS = (
-    "seq session utc step_s mode controller reference_c "
-    "estimate_temp_air_c estimate_sd_k estimate_offset_k_per_step innovation_k estimate_temp_ambient_c "
-    "wanted_heater_duty wanted_fan_on wanted_led wanted_valve_pulse_s "
-    "sent_heater_duty sent_fan_on sent_led sent_valve_pulse_s "
-    "echo_heater_duty echo_fan_on echo_led echo_valve_open echo_tripped echo_trip_cause "
-    "link_up ticks_skipped late_s decide_ms"
-).split()
+    *("seq", "session", "utc", "step_s", "mode", "controller", "reference_c"),
+    *("estimate_temp_air_c", "estimate_sd_k", "estimate_offset_k_per_step", "innovation_k"),
+    "estimate_temp_ambient_c",
+    *(f"wanted_{name}" for name in _COMMAND_COLUMNS),
+    *(f"sent_{name}" for name in _COMMAND_COLUMNS),
+    *("echo_heater_duty", "echo_fan_on", "echo_led", "echo_valve_open", "echo_tripped", "echo_trip_cause"),
+    *("link_up", "ticks_skipped", "late_s", "decide_ms"),
+)
 _INSERT_TICK = f"INSERT INTO ticks ({', '.join(TICK_COLUMNS)}) VALUES ({', '.join('?' * len(TICK_COLUMNS))})"
 _SIGNAL_OF_KEY = {signal.key: name for name, signal in SIGNALS.items()}
 NAN = math.nan
