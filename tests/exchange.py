@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, field
 
-from line import Line
-
 from firmware_protocol.frame import FrameDecoder
 from firmware_protocol.link import Link, LinkEvent
 from firmware_protocol.messages import ErrorMessage, Message, Quality, unpack
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.core import BoardCore, Pins
+from tests.line import Line
 
 STEP_MS = 10
 
