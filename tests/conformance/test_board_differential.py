@@ -1,7 +1,9 @@
 """The same script to the Python and the C board: the same bytes, the same pins, the same store."""
 
 import math
+import random
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,6 +72,23 @@ GREETING = [(0, ("receive", encode(pack(HelloRequest(1), 1)))), (0, ("sample", {
 starts = st.sampled_from([0, 1, 5000, 2**32 - 1, 2**32 - 1000, 2**32 - 12_345])
 
 
+def act_on(boards, action, what, now_ms):
+    """Does the same to both boards, asserts that they show the same, returns the pins of a step."""
+    pins, said = [], []
+    for board in boards:
+        if action == "receive":
+            board.receive(what, now_ms)
+        elif action == "sample":
+            board.sample(what, now_ms)
+        else:
+            pins.append(board.step(now_ms))
+        said.append(board.transmit().hex())
+    assert pins[:1] == pins[1:]
+    assert said[0] == said[1]
+    assert boards[0].persistent() == boards[1].persistent()
+    return pins[0] if pins else None
+
+
 @settings(max_examples=500, deadline=None)
 @given(configs, stores, starts, st.lists(st.tuples(delays, actions), max_size=40), st.booleans())
 def test_both_boards_do_the_same(config, store, start_ms, script, greeted):
@@ -77,14 +96,52 @@ def test_both_boards_do_the_same(config, store, start_ms, script, greeted):
     now_ms = start_ms
     for delay, (action, what) in GREETING * greeted + script:
         now_ms += delay
-        pins, said = [], []
-        for board in boards:
-            if action == "receive":
-                board.receive(what, now_ms % 2**32)
-            elif action == "sample":
-                board.sample(what, now_ms % 2**32)
-            pins.append(board.step(now_ms % 2**32) if action == "step" else None)
-            said.append(board.transmit().hex())
-        assert pins[0] == pins[1]
-        assert said[0] == said[1]
-        assert boards[0].persistent() == boards[1].persistent()
+        act_on(boards, action, what, now_ms % 2**32)
+
+
+def hour(random):
+    """(now_ms, action, what) of a board in use: commands, samples now and then spoiled, noise, silence."""
+    now_ms = random.choice([0, 2**32 - 600_000])
+    seq = 1
+    yield now_ms, "receive", encode(pack(HelloRequest(1), seq))
+    air = 25.0
+    for k in range(6000):
+        now_ms += random.choice([10, 50, 100, 100, 100, 100, random.randrange(1, 4000)])
+        air += random.uniform(-0.5, 0.55)
+        if k % 10 == 0:
+            spoiled = random.choice([None, math.nan, 200.0]) if random.random() < 0.05 else air
+            yield now_ms, "sample", {"temp_air_c": (spoiled, 0), "fan_rpm": (1500, 0)}
+        if random.random() < 0.05:
+            seq = seq % 255 + 1
+            yield now_ms, "receive", encode(pack(random_command(random), seq))
+        if random.random() < 0.01:
+            yield now_ms, "receive", random.randbytes(random.randrange(1, 80)) + b"\0"
+        if k % 500 == 499:
+            air = 25.0
+            yield now_ms, "sample", {"temp_air_c": (air, 0)}
+            seq = seq % 255 + 1
+            yield now_ms, "receive", encode(pack(ClearTrip(), seq))
+        yield now_ms, "step", None
+
+
+def random_command(random) -> CommandMessage:
+    return CommandMessage(
+        heater_steps=random.randrange(21),
+        fan_on=random.random() < 0.5,
+        led_pct=random.randrange(101),
+        valve_pulse_s=random.choice([0.0, 0.0, 0.3, 2.0]),
+        cutoff_open=random.random() < 0.1,
+        lease_s=random.choice([1.0, 10.0]),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_both_boards_do_the_same_in_use(seed):
+    config = BoardConfig(capabilities=Capability(0x3FF))
+    boards = [make(config, b"", 0, 1) for make in (BoardCore, CBoardCore)]
+    seen = set()
+    for now_ms, action, what in hour(random.Random(seed)):
+        pins = act_on(boards, action, what, now_ms % 2**32)
+        seen.add(pins)
+    assert {pins.heater_relay for pins in seen if pins} == {True, False}
+    assert {pins.valve for pins in seen if pins} == {True, False}

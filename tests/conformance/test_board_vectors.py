@@ -1,0 +1,134 @@
+"""The golden vectors: what each board answers, what C decodes, packs and unpacks."""
+
+import ctypes
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+from board_bench import Bench, is_error
+from board_kinds import SANITIZERS, STRICT
+
+import firmware_protocol
+from firmware_protocol.frame import encode
+from firmware_protocol.messages import Hello, StateEcho
+from firmware_protocol.virtual_board.c_core import compile_board, load_board
+
+VECTORS = json.loads((Path(firmware_protocol.__file__).parent / "vectors.json").read_text(encoding="utf-8"))
+FROM_BOARD = {2, 3, 5, 8}
+MESSAGE_NAME = {1: "hello_request", 2: "hello", 3: "sensor_report", 4: "command", 5: "state_echo", 8: "error"}
+COUNTERS = ("too_long", "bad_cobs", "too_short", "bad_crc")
+
+
+def by_name(vectors):
+    return pytest.mark.parametrize("vector", vectors, ids=lambda vector: vector["name"])
+
+
+class Decoder(ctypes.Structure):
+    """gh_frame_decoder"""
+
+    _fields_ = (
+        ("bytes", ctypes.c_uint8 * 55),
+        ("length", ctypes.c_uint8),
+        ("overlong", ctypes.c_bool),
+        *((name, ctypes.c_uint16) for name in COUNTERS),
+    )
+
+
+@by_name(VECTORS)
+def test_the_board_answers_what_the_vector_says(new_board, vector):
+    said = Bench(new_board).greet().receive(bytes.fromhex(vector["hex"]))
+    payloads = [bytes.fromhex(payload) for payload in vector["payloads"]]
+    asked = [p for p in payloads if p[0] != 1 or (p[1] not in FROM_BOARD and p[2] != 0)]
+    assert [header.ack for header, _ in said] == [payload[2] for payload in asked]
+    if not asked:
+        return
+    if "error" in vector:
+        assert is_error(said[0][1], vector["error"]["code_number"], vector["error"]["detail"])
+    elif asked[0][1] == 1:
+        assert isinstance(said[0][1], Hello)
+    elif "message" in vector and vector["name"] != "command of everything":
+        assert isinstance(said[0][1], StateEcho)
+
+
+@by_name(VECTORS)
+def test_c_cuts_the_same_payloads_from_the_line(vector):
+    library, decoder = load_board(), Decoder()
+    library.gh_frame_push.argtypes = (ctypes.POINTER(Decoder), ctypes.c_uint8)
+    library.gh_frame_push.restype = ctypes.c_size_t
+    payloads = []
+    for byte in bytes.fromhex(vector["hex"]):
+        length = library.gh_frame_push(decoder, byte)
+        if length:
+            payloads.append(bytes(decoder.bytes[:length]).hex())
+    assert payloads == vector["payloads"]
+    counted = {name: getattr(decoder, name) for name in COUNTERS if getattr(decoder, name)}
+    if not payloads:
+        assert counted == ({vector["dropped"]: 1} if "dropped" in vector else {})
+
+
+@by_name([vector for vector in VECTORS if len(vector["payloads"]) == 1])
+def test_c_frames_a_payload_as_python_does(vector):
+    payload = bytes.fromhex(vector["payloads"][0])
+    out = ctypes.create_string_buffer(64)
+    length = load_board().gh_frame_encode(payload, ctypes.c_size_t(len(payload)), out)
+    assert out.raw[:length] == encode(payload)
+
+
+def check_of(number: int, vector: dict) -> str:
+    """C that packs and unpacks one message and returns the vector's number when that goes wrong."""
+    name = MESSAGE_NAME[vector["message"]["kind"]]
+    fields = ", ".join(f".{field} = {value:d}" for field, value in vector["message"]["fields"].items())
+    body = ", ".join(f"{byte}" for byte in bytes.fromhex(vector["payloads"][0])[4:])
+    return f"""
+    {{
+        const uint8_t body[] = {{{body}}};
+        const gh_{name} message = {{{fields}}};
+        gh_{name} back;
+        uint8_t out[GH_MAX_BODY];
+        if (gh_pack_{name}(&message, out) != sizeof body || memcmp(out, body, sizeof body) != 0)
+            return {number};
+        if (gh_unpack_{name}(body, sizeof body, &back) != 0 || gh_pack_{name}(&back, out) != sizeof body)
+            return {number};
+        if (memcmp(out, body, sizeof body) != 0)
+            return {number};
+    }}"""
+
+
+def test_c_packs_and_unpacks_every_message_of_the_vectors(tmp_path):
+    wanted = [v for v in VECTORS if v.get("message", {}).get("fields")]
+    checks = "".join(check_of(k + 1, vector) for k, vector in enumerate(wanted))
+    source = tmp_path / "check.c"
+    source.write_text(
+        f'#include <string.h>\n#include "gh_messages.h"\nint main(void)\n{{{checks}\n    return 0;\n}}\n'
+    )
+    program = compile_board(tmp_path / "check", str(source), *STRICT, *SANITIZERS)
+    code = subprocess.run([str(program)], check=False).returncode
+    assert code == 0, wanted[code - 1]["name"]
+
+
+def refusal_of(number: int, vector: dict) -> str:
+    """C that unpacks one refused body and returns the vector's number when the refusal is another."""
+    payload = bytes.fromhex(vector["payloads"][0])
+    name, body = MESSAGE_NAME[payload[1]], ", ".join(f"{byte}" for byte in payload[4:]) or "0"
+    expected = f"GH_DECODE_ERROR({vector['error']['code_number']}, {vector['error']['detail']})"
+    return f"""
+    {{
+        const uint8_t body[] = {{{body}}};
+        gh_{name} back;
+        if (gh_unpack_{name}(body, {len(payload) - 4}, &back) != {expected})
+            return {number};
+    }}"""
+
+
+def test_c_refuses_what_the_vectors_refuse(tmp_path):
+    wanted = [
+        v for v in VECTORS if v.get("error", {}).get("code") in ("length", "range")
+        and bytes.fromhex(v["payloads"][0])[1] in MESSAGE_NAME
+    ]  # fmt: skip
+    checks = "".join(refusal_of(k + 1, vector) for k, vector in enumerate(wanted))
+    source = tmp_path / "check.c"
+    source.write_text(f'#include "gh_messages.h"\nint main(void)\n{{{checks}\n    return 0;\n}}\n')
+    program = compile_board(tmp_path / "check", str(source), *STRICT, *SANITIZERS)
+    code = subprocess.run([str(program)], check=False).returncode
+    assert wanted and code == 0, wanted[code - 1]["name"]

@@ -1,0 +1,98 @@
+"""The C board builds clean, keeps no state of its own, and fits a small board."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from firmware_protocol.virtual_board.c_core import SOURCES, CompilerMissing, compile_board
+
+C_FILES = sorted(SOURCES.glob("gh_*.c"))
+ALL_FILES = C_FILES + sorted(SOURCES.glob("gh_*.h"))
+STRICT = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic"]
+ALLOWED_HEADERS = {"stdint.h", "stddef.h", "string.h", "stdbool.h"}
+ALLOWED_CALLS = {"memcpy", "memmove", "memset", "memcmp"}
+MCU = "atmega2560"
+FLASH_BYTES, RAM_BYTES = 32_768, 2048  # those of an ATmega328P, so that the ATmega2560 has room for sensors
+
+
+def tool(name: str) -> str:
+    """A program of the build. A missing one fails the test: a build that nobody tried may not work."""
+    if shutil.which(name) is None:
+        pytest.fail(f"{name} is missing: `make test` installs gcc, gcc-avr and avr-libc")
+    return name
+
+
+def name_of(path) -> str:
+    return path.name
+
+
+def code_of(path) -> str:
+    """A source without comments and strings."""
+    return re.sub(r'/\*.*?\*/|//[^\n]*|"[^"\n]*"', " ", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("path", C_FILES, ids=name_of)
+@pytest.mark.parametrize("optimise", ["-O0", "-O2", "-Os"])
+def test_every_source_compiles_without_a_warning(path, optimise, tmp_path):
+    subprocess.run([tool("gcc"), *STRICT, optimise, "-c", str(path), "-o", str(tmp_path / "x.o")], check=True)
+
+
+def test_it_compiles_with_the_sanitizers(tmp_path):
+    tool("gcc")
+    main = tmp_path / "main.c"
+    main.write_text('#include "gh_board.h"\nint main(void) { return gh_board_size() == 0; }\n')
+    flags = [*STRICT, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    subprocess.run([str(compile_board(tmp_path / "main", str(main), *flags))], check=True)
+
+
+@pytest.mark.parametrize("path", ALL_FILES, ids=name_of)
+def test_nothing_but_the_freestanding_headers_and_string_h_is_included(path):
+    text = path.read_text(encoding="utf-8")
+    assert set(re.findall(r"#include <(.+?)>", text)) <= ALLOWED_HEADERS
+    assert all((SOURCES / name).exists() for name in re.findall(r'#include "(.+?)"', text))
+
+
+@pytest.mark.parametrize("path", ALL_FILES, ids=name_of)
+def test_there_is_no_floating_point(path):
+    assert not re.search(r"\b(float|double)\b|\d\.\d|\.\df?\b", code_of(path))
+
+
+@pytest.mark.parametrize("path", C_FILES, ids=name_of)
+def test_there_is_no_state_outside_the_board_and_no_call_outside_string_h(path, tmp_path):
+    target = tmp_path / "x.o"
+    subprocess.run([tool("gcc"), "-std=c11", "-O1", "-c", str(path), "-o", str(target)], check=True)
+    symbols = subprocess.run([tool("nm"), str(target)], check=True, capture_output=True, text=True).stdout
+    kinds = [(line.split()[-2], line.split()[-1]) for line in symbols.splitlines()]
+    assert [name for kind, name in kinds if kind in "bBdDcC"] == []
+    outside = {name for kind, name in kinds if kind == "U" and not name.startswith("gh_")}
+    assert outside <= ALLOWED_CALLS
+
+
+@pytest.fixture(scope="module")
+def avr_program(tmp_path_factory):
+    """The example as it would be flashed."""
+    target = tmp_path_factory.mktemp("avr") / "board.elf"
+    sources = [*map(str, C_FILES), str(SOURCES / "examples" / "avr_main.c")]
+    flags = [f"-mmcu={MCU}", "-std=gnu11", "-Os", "-Wall", "-Wextra", "-Werror", "-I", str(SOURCES)]
+    subprocess.run([tool("avr-gcc"), *flags, *sources, "-o", str(target)], check=True)
+    return target
+
+
+def test_the_example_fits_a_small_avr(avr_program):
+    rows = subprocess.run([tool("avr-size"), str(avr_program)], check=True, capture_output=True, text=True)
+    text, data, bss = map(int, rows.stdout.splitlines()[1].split()[:3])
+    assert 0 < text + data < FLASH_BYTES
+    assert 0 < data + bss < RAM_BYTES * 3 // 4  # the rest is for the stack
+
+
+def test_the_sensors_of_a_rig_are_a_hook_that_may_be_replaced(avr_program):
+    symbols = subprocess.run([tool("avr-nm"), str(avr_program)], check=True, capture_output=True, text=True)
+    assert re.search(r" W gh_read_sensors$", symbols.stdout, flags=re.MULTILINE)
+
+
+def test_a_missing_compiler_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(CompilerMissing, match=r"no-such-compiler.*install gcc"):
+        compile_board(tmp_path / "board.so", "-shared")
