@@ -49,7 +49,10 @@ class Context:
 class Controller(Protocol):
     """Pure in its decisions: the same context gives the same decision."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Public name, e.g. `MPC-P`."""
+        ...
 
     def decide(self, context: Context) -> Decision:
         """Choose the command for the step that begins now."""

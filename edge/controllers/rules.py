@@ -1,6 +1,9 @@
 """Hysteresis thermostat: the fallback that needs no model."""
 
+import math
+
 from edge.controllers.base import Context
+from edge.controllers.heater import levels_allowed
 from edge.messages import Command, Decision
 from edge.names import HEATER_LEVELS
 
@@ -21,16 +24,14 @@ class Rules:
         temp, reference = context.estimate.temp_air, float(context.reference[0])
         limits, last = context.limits, context.last_sent
         error = temp - reference
-        known = error == error  # NaN is not
         heat = _hysteresis(-error, last.heater_duty > 0.0, DEADBAND_K, -DEADBAND_K)
-        if not temp < limits.temp_air_max_c:
-            heat = False
+        heat = heat and temp < limits.temp_air_max_c
         cool = _hysteresis(error, last.fan_on, COOLING_DEADBAND_K, 0.0)
         if limits.fan_hold_steps > 0:
             cool = last.fan_on
-        levels = int(limits.heater_max_duty * HEATER_LEVELS + 1e-9)
-        duty = levels / HEATER_LEVELS if heat else 0.0
-        why = {"rule": _words(known, heat, cool), "reference_c": reference, "deadband_k": DEADBAND_K}
+        duty = levels_allowed(limits.heater_max_duty) / HEATER_LEVELS if heat else 0.0
+        rule = _words(math.isfinite(error), heat, cool)
+        why = {"rule": rule, "reference_c": reference, "deadband_k": DEADBAND_K}
         return Decision(Command(heater_duty=duty, fan_on=cool), self.name, why=why)
 
 

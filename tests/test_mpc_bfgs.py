@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+from contexts import context
+
+from edge.controllers.base import Limits
+from edge.controllers.mixed_integer.solver import solve
+from edge.controllers.mpc import planning_problem
+from edge.controllers.mpc_bfgs import MpcBfgs, rounded_bfgs
+from edge.messages import Command
+from edge.models.arx_file import read_arx
+
+MODEL = read_arx()
+
+
+def test_where_nothing_saturates_the_first_step_is_the_continuous_optimum_rounded():
+    problem = planning_problem(context(22.0, 24.0), MODEL, 1.0, 1, False)
+    heater, fan = problem.heater[0], problem.fan[0]
+    curvature = 20.0 * np.outer([heater, fan], [heater, fan]) + 2.0 * np.eye(2)
+    duty, _ = np.linalg.solve(curvature, 20.0 * (24.0 - problem.free[0]) * np.array([heater, fan]))
+    levels, fan_plan, _ = rounded_bfgs(problem)
+    assert 0.0 < duty < 1.0
+    assert levels[0] == round(20.0 * duty)
+    assert fan_plan[0] in (0, 1)
+
+
+@pytest.mark.parametrize("temp", [15.0, 21.0, 24.0, 30.0, 45.0])
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_plans_are_on_the_grid_and_never_better_than_the_exact_one(temp, weight):
+    problem = planning_problem(context(temp, 26.0), MODEL, weight, 6, False)
+    levels, fan, _ = rounded_bfgs(problem)
+    assert problem.allows(levels, fan)
+    exact = solve(problem, 100_000, 1e9)
+    assert float(problem.cost(levels, fan)) >= exact.bound
+
+
+def test_what_is_sent_keeps_the_cap_and_the_hold():
+    limits = Limits(heater_max_duty=0.2, fan_hold_steps=1)
+    decision = MpcBfgs("MPC-BFGS", MODEL, 0.0, 5).decide(context(21.0, 35.0, Command(fan_on=True), limits))
+    assert decision.command == Command(heater_duty=0.2, fan_on=True)
+
+
+def test_the_same_context_gives_the_same_decision():
+    controller = MpcBfgs("MPC-BFGS-P", MODEL, 1.0, 5)
+    one, two = controller.decide(context()), controller.decide(context())
+    assert (one.command, one.forecast) == (two.command, two.forecast)
