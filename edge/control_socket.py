@@ -20,19 +20,50 @@ from edge.strict_json import parse_object
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
 
 LINE_MAX = 65536  # longest request [bytes]
-UNREAD_MAX = 1 << 20  # a client that leaves so much unread is dropped [bytes]
 CLIENTS_MAX = 32
+BACKLOG = 128
 MODE = 0o660
 
 
 class _Client:
-    """One connection and what is under way on it."""
+    """One connection and what is under way on it.
+
+    A line is answered only when the answer before it is gone, and no more is read meanwhile: a client that
+    does not read its answers holds up itself alone, in bounded memory.
+    """
 
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
-        self.unread = b""  # of us: no whole line yet
+        self.unread = b""
         self.unsent = b""
-        self.ending = False  # close as soon as `unsent` is out
+        self.ended = False  # nothing more comes, or nothing more is wanted
+
+    @property
+    def is_busy(self) -> bool:
+        """There is a line to answer or an answer to send."""
+        return bool(self.unsent) or b"\n" in self.unread
+
+    def receive(self) -> None:
+        data = self.connection.recv(LINE_MAX)
+        self.ended = not data
+        self.unread += data
+        if len(self.unread) > LINE_MAX and b"\n" not in self.unread:
+            self.refuse(f"request is longer than {LINE_MAX} bytes")
+
+    def take_line(self) -> bytes | None:
+        line, end, rest = self.unread.partition(b"\n")
+        if self.unsent or not end:
+            return None
+        self.unread = rest
+        return line
+
+    def refuse(self, reason: str) -> None:
+        self.unread, self.unsent, self.ended = b"", _line(_error(reason)), True
+
+    def send(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while self.unsent:
+                self.unsent = self.unsent[self.connection.send(self.unsent) :]
 
 
 class ControlSocket:
@@ -87,28 +118,26 @@ class ControlSocket:
         client = self._clients[connection] = _Client(connection)
         self._selector.register(connection, selectors.EVENT_READ, client)
         if len(self._clients) > CLIENTS_MAX:
-            self._end(client, "too many clients")
+            client.refuse("too many clients")
+            self._serve(client, 0)
 
     def _serve(self, client: _Client, events: int) -> None:
+        """One line at most, so that clients take turns."""
         try:
             if events & selectors.EVENT_READ:
-                self._receive(client)
-            self._send(client)
+                client.receive()
+            line = client.take_line()
+            if line is not None:
+                client.unsent = _line(self._answer(line))
+            client.send()
         except OSError:
             self._drop(client)
-
-    def _receive(self, client: _Client) -> None:
-        data = client.connection.recv(LINE_MAX)
-        if not data:
-            client.ending = True
             return
-        *lines, client.unread = (client.unread + data).split(b"\n")
-        for line in lines:
-            client.unsent += _line(self._answer(line))
-        if len(client.unread) > LINE_MAX:
-            self._end(client, f"request is longer than {LINE_MAX} bytes")
-        elif len(client.unsent) > UNREAD_MAX:
-            raise ConnectionAbortedError("the client does not read its answers")
+        if client.ended and not client.is_busy:
+            self._drop(client)
+        else:
+            wanted = selectors.EVENT_WRITE if client.is_busy else selectors.EVENT_READ
+            self._selector.modify(client.connection, wanted, client)
 
     def _answer(self, line: bytes) -> dict[str, Any]:
         if len(line) > LINE_MAX:
@@ -118,23 +147,6 @@ class ControlSocket:
         except ValueError as error:
             return _error(f"request: {error}")
         return self._ask(request)
-
-    def _end(self, client: _Client, reason: str) -> None:
-        client.unread = b""
-        client.unsent += _line(_error(reason))
-        client.ending = True
-
-    def _send(self, client: _Client) -> None:
-        with contextlib.suppress(BlockingIOError):
-            while client.unsent:
-                client.unsent = client.unsent[client.connection.send(client.unsent) :]
-        if client.ending and not client.unsent:
-            self._drop(client)
-            return
-        reading = 0 if client.ending else selectors.EVENT_READ
-        self._selector.modify(
-            client.connection, reading | (selectors.EVENT_WRITE if client.unsent else 0), client
-        )
 
     def _drop(self, client: _Client) -> None:
         self._selector.unregister(client.connection)
@@ -182,7 +194,7 @@ def _listen(path: Path) -> tuple[socket.socket, int]:
         listener.bind(str(fresh))
         fresh.chmod(MODE)
         inode = fresh.stat().st_ino
-        listener.listen(CLIENTS_MAX)
+        listener.listen(BACKLOG)
         listener.setblocking(False)
         fresh.rename(path)
     except OSError as error:
