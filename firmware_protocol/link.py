@@ -135,7 +135,7 @@ class Link:
         """Do what is due: greet, repeat a request, give it up, notice silence."""
         events, self._untold = self._untold, []
         waiting = self._under_way
-        if self.state == "up" and now - self._heard_at >= self._silence_s:
+        if self.state == "up" and now >= self._silent_at:
             events += self._end_session(now)
         elif self.state == "up" and waiting is not None and now >= waiting.retry_at:
             if waiting.sends < SENDS:
@@ -163,8 +163,13 @@ class Link:
             return 0.0
         if self.state != "up":
             return self._greet_at
-        silent_at = self._heard_at + self._silence_s
-        return silent_at if self._under_way is None else min(silent_at, self._under_way.retry_at)
+        if self._under_way is None:
+            return self._silent_at
+        return min(self._silent_at, self._under_way.retry_at)
+
+    @property
+    def _silent_at(self) -> float:
+        return self._heard_at + self._silence_s
 
     def _take(self, payload: bytes, now: float) -> list[LinkEvent]:
         header = read_header(payload)

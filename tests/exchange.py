@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from firmware_protocol.frame import FrameDecoder
 from firmware_protocol.link import Link, LinkEvent
-from firmware_protocol.messages import ErrorMessage, Message, Quality, unpack
+from firmware_protocol.messages import CommandMessage, Message, Quality
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.core import BoardCore, Pins
 from tests.line import Line
@@ -25,8 +24,8 @@ class Exchange:
     boots: int = 0
     events: list[LinkEvent] = field(default_factory=list)
     pins: Pins | None = None
-    core_class: type = BoardCore
     persistent: bytes = b""
+    obeyed: list[tuple[int, CommandMessage]] = field(default_factory=list)  # time [ms] and command
 
     def __post_init__(self) -> None:
         self.link = Link(session=0x12345678, now=0.0)
@@ -34,7 +33,17 @@ class Exchange:
 
     def _boot(self) -> BoardCore:
         self.boots += 1
-        return self.core_class(self.config, self.persistent, 0, self.boots)
+        core = BoardCore(self.config, self.persistent, 0, self.boots)
+        obey = core._safety.obey
+
+        def record(command: CommandMessage, now_ms: int) -> bool:
+            obeyed = obey(command, now_ms)
+            if obeyed:
+                self.obeyed.append((self.now_ms, command))
+            return obeyed
+
+        core._safety.obey = record  # type: ignore[method-assign]
+        return core
 
     def reset_board(self) -> None:
         self.persistent = self.core.persistent()
@@ -65,13 +74,3 @@ class Exchange:
 
     def request(self, message: Message) -> None:
         self.link.request(message, self.now)
-
-
-def answers(core: BoardCore) -> list[Message]:
-    """The messages that a board has written and nobody has taken yet."""
-    return [unpack(payload)[1] for payload in FrameDecoder().feed(core.transmit())]
-
-
-def errors(core: BoardCore) -> list[ErrorMessage]:
-    """Only its errors."""
-    return [message for message in answers(core) if isinstance(message, ErrorMessage)]

@@ -17,14 +17,15 @@ class Line:
 
 @dataclass
 class BytewiseLine(Line):
-    """Delivers one byte each time it is asked."""
+    """Delivers a byte (or a few) each time it is asked."""
 
+    at_once: int = 1
     held: bytearray = field(default_factory=bytearray)
 
     def carry(self, data: bytes, now: float) -> bytes:
         self.held += data
-        arrived = bytes(self.held[:1])
-        del self.held[:1]
+        arrived = bytes(self.held[: self.at_once])
+        del self.held[: self.at_once]
         return arrived
 
 
