@@ -97,7 +97,7 @@ def test_a_well_formed_command_becomes_a_request(what, payload, request_):
         ("manual", b"\xff"),
         ("resend", b'{"first_seq": 1}'),
         ("resend", b'{"first_seq": 2, "last_seq": 1}'),
-        ("resend", b'{"first_seq": -1, "last_seq": 1}'),
+        ("resend", b'{"first_seq": 0, "last_seq": 1}'),
         ("resend", b'{"first_seq": 1.0, "last_seq": 2}'),
         ("resend", b'{"first_seq": 1, "last_seq": 9223372036854775808}'),
         ("reboot", b"PRESS"),

@@ -199,11 +199,12 @@ def test_ticks_that_were_late_or_skipped_are_counted(broker):
 
 
 def test_a_resend_command_fills_the_outbox_again(broker):
-    outbox = MemoryOutbox(3)
-    with Listener(broker.port) as listener, running(broker.port, outbox=outbox) as own:
+    outbox, loop = MemoryOutbox(3), ControlLoop()
+    loop.ask = lambda asked: {"ok": True, "queued": outbox.resend(asked["first_seq"], asked["last_seq"])}
+    with Listener(broker.port) as listener, running(broker.port, loop, outbox) as own:
         wait_for(lambda: not outbox.rows)
         listener.send(f"{ROOT}/set/resend", json.dumps({"first_seq": 2, "last_seq": 3}))
-        wait_for(lambda: listener.objects(REPLY) == [{"command": "resend", "ok": True, "rows": 2}])
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "resend", "ok": True, "queued": 2}])
         wait_for(lambda: [row["seq"] for row in listener.objects(HISTORY)] == [1, 2, 3, 2, 3])
         assert not own.faults()
 

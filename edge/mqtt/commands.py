@@ -68,7 +68,7 @@ def _resend(text: str, reference: ReferenceSettings) -> Request:
     values = _object(text, ("first_seq", "last_seq"))
     for key in ("first_seq", "last_seq"):
         value = values.get(key)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= SEQ_MAX:
+        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= SEQ_MAX:
             raise RequestError(f"{key}: {value!r} is not a sequence number")
     if values["last_seq"] < values["first_seq"]:
         raise RequestError("last_seq is before first_seq")

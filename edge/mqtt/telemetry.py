@@ -159,20 +159,13 @@ class Telemetry:
         while not self._commands.empty():
             what, payload = self._commands.get_nowait()
             try:
-                answer = self._carry_out(parse(what, payload, self._settings.reference))
+                answer = self._ask(parse(what, payload, self._settings.reference))
             except RequestError as error:
                 answer = {"ok": False, "error": str(error)}
                 self._events.append(_bad_command(what, str(error)))
             if answer.get("tick"):
                 self._publish_state(answer)
             self._reply(what, answer if what == "status" else _short(answer))
-
-    def _carry_out(self, request: dict[str, Any]) -> dict[str, Any]:
-        if request["do"] != "resend":
-            return self._ask(request)
-        if self._outbox is None:
-            raise RequestError("the outbox is not open")
-        return {"ok": True, "rows": self._outbox.resend(request["first_seq"], request["last_seq"])}
 
     def _publish_news(self) -> None:
         if self._greet:
@@ -246,7 +239,7 @@ def remove(settings: Settings, timeout_s: float = 10.0) -> None:
 
 
 def _short(answer: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: answer[key] for key in ("ok", "error", "rows") if key in answer}
+    return {key: answer[key] for key in ("ok", "error", "queued") if key in answer}
 
 
 def _bad_command(what: str, error: str) -> Event:
