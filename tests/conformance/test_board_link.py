@@ -3,15 +3,13 @@
 from itertools import pairwise
 
 import pytest
-from board_bench import CONFIG
+from board_exchange import BoardExchange
 
 from firmware_protocol.link import BoardReset, Echo, LinkLost, LinkUp, Refused, Report
 from firmware_protocol.messages import ClearTrip, CommandMessage, EmergencyStop, ErrorCode
-from tests.exchange import STEP_MS, Exchange
 from tests.line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, Line, LossyLine, NoisyLine
 
 LEASE_S = 5.0
-RENEW_S = 2.0
 HEATING = CommandMessage(20, True, 60, 0.0, False, LEASE_S)
 
 LINES = {
@@ -24,29 +22,10 @@ LINES = {
 }
 
 
-class Rig(Exchange):
-    """A host that renews its command, a board of the kind under test."""
-
-    def __init__(self, new_board, to_board=None, to_host=None):
-        super().__init__(to_board or Line(), to_host or Line(), CONFIG, temp_air=25.0, core_class=new_board)
-
-    def drive(self, duration_s: float, command: CommandMessage | None = None) -> list:
-        """The pins of every step."""
-        pins = []
-        for k in range(round(duration_s * 1000) // STEP_MS):
-            if command is not None and k % round(RENEW_S * 1000 / STEP_MS) == 0 and self.link.state == "up":
-                self.request(command)
-            pins.append(self.step())
-        return pins
-
-    def seen(self, kind: type) -> list:
-        return [event for event in self.events if isinstance(event, kind)]
-
-
 @pytest.fixture(params=LINES)
 def rig(request, new_board):
     line = LINES[request.param]
-    return Rig(new_board, line(1), line(2))
+    return BoardExchange(new_board, line(1), line(2))
 
 
 def test_the_link_comes_up_and_reports_arrive(rig):
@@ -85,7 +64,7 @@ def test_one_pulse_asked_for_is_at_most_one_pulse(rig):
 @pytest.mark.parametrize("way", ["to_board", "to_host", "both"])
 def test_a_cut_line_turns_the_heater_off_and_comes_back(new_board, way):
     cut = {name: CutLine(10.0, 20.0) for name in ("to_board", "to_host") if way in (name, "both")}
-    rig = Rig(new_board, **cut)
+    rig = BoardExchange(new_board, **cut)
     rig.drive(10, HEATING)
     assert rig.pins.heater_relay
     pins = rig.drive(10, HEATING)
@@ -97,7 +76,7 @@ def test_a_cut_line_turns_the_heater_off_and_comes_back(new_board, way):
 
 
 def test_a_reset_board_heats_only_after_a_new_greeting_and_command(new_board):
-    rig = Rig(new_board)
+    rig = BoardExchange(new_board)
     rig.drive(5, HEATING)
     assert rig.pins.heater_relay
     rig.reset_board()
@@ -109,7 +88,7 @@ def test_a_reset_board_heats_only_after_a_new_greeting_and_command(new_board):
 
 
 def test_a_reset_while_a_command_waits_for_its_answer_is_not_obeyed_twice(new_board):
-    rig = Rig(new_board, to_host=CutLine(5.0, 6.0))
+    rig = BoardExchange(new_board, to_host=CutLine(5.0, 6.0))
     rig.drive(5.0)
     rig.request(HEATING)
     rig.drive(0.1)
@@ -132,7 +111,7 @@ def test_an_emergency_stop_gets_through_and_latches(rig):
 
 
 def test_a_trip_is_cleared_by_the_host_and_heat_comes_back(new_board):
-    rig = Rig(new_board)
+    rig = BoardExchange(new_board)
     rig.drive(3, HEATING)
     rig.temp_air = 46.0
     assert not any(pins.heater_relay for pins in rig.drive(5, HEATING)[150:])
