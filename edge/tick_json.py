@@ -1,6 +1,7 @@
 """A TickRecord as plain JSON values: one form for telemetry, the control socket and the display."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from edge.messages import Command, Echo, Event, TickRecord
@@ -12,6 +13,19 @@ def number(value: float | None, digits: int = 4) -> float | None:
     if value is None or not math.isfinite(value):
         return None
     return round(value, digits)
+
+
+def json_value(value: Any) -> Any:
+    """`value` as JSON can carry it: NaN and infinity become None, numpy's types Python's own."""
+    if isinstance(value, Mapping):
+        return {str(key): json_value(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_value(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    return json_value(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
 def command_json(command: Command) -> dict[str, Any]:
@@ -68,7 +82,7 @@ def tick_json(record: TickRecord) -> dict[str, Any]:
         "reference_c": number(record.reference_c),
         "controller": record.decision.controller,
         "forecast_c": [number(value) for value in record.decision.forecast],
-        "why": dict(record.decision.why),
+        "why": json_value(record.decision.why),
         "wanted": command_json(record.wanted),
         "sent": command_json(record.sent),
         "changes": [
