@@ -1,6 +1,6 @@
 """What telemetry is tied to in tests: settings, a control loop that answers, an outbox in memory."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -53,10 +53,13 @@ class ControlLoop:
         self.trips: tuple[str, ...] = ()
         self.last_record = record()
         self.requests: list[Mapping[str, Any]] = []
+        self.resend: Callable[[int, int], int] = lambda first, last: 0
 
     def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if request["do"] != "status":
             self.requests.append(request)
+        if request["do"] == "resend":
+            return {"ok": True, "queued": self.resend(request["first_seq"], request["last_seq"])}
         if request["do"] not in ("status", "clear_trip"):
             try:
                 self.operation = operate(self.operation, request, desk())

@@ -23,7 +23,7 @@ def quick_reconnect(monkeypatch):
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory):
-    """An authority, certificates for a broker at 127.0.0.1 and for a client, and an authority nobody asked."""
+    """An authority, certificates of a broker at 127.0.0.1 and of a client, and a second authority."""
     folder = tmp_path_factory.mktemp("certificates")
     for authority in ("ca", "stranger"):
         openssl(

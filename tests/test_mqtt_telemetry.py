@@ -200,7 +200,7 @@ def test_ticks_that_were_late_or_skipped_are_counted(broker):
 
 def test_a_resend_command_fills_the_outbox_again(broker):
     outbox, loop = MemoryOutbox(3), ControlLoop()
-    loop.ask = lambda asked: {"ok": True, "queued": outbox.resend(asked["first_seq"], asked["last_seq"])}
+    loop.resend = outbox.resend
     with Listener(broker.port) as listener, running(broker.port, loop, outbox) as own:
         wait_for(lambda: not outbox.rows)
         listener.send(f"{ROOT}/set/resend", json.dumps({"first_seq": 2, "last_seq": 3}))
