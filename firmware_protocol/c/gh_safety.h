@@ -1,4 +1,4 @@
-/* The board's own safety: what may be driven now, whatever the host says. See PROTOCOL.md, "What the board does".
+/* The board's own safety: what may be driven now, whatever the host says. See PROTOCOL.md, "The board".
  * Time is passed in [ms], wraps, never goes back. Temperatures are in 0.01 degC. */
 #ifndef GH_SAFETY_H
 #define GH_SAFETY_H
