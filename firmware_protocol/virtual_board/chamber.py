@@ -24,7 +24,7 @@ from firmware_protocol.virtual_board.sensors import Sensors
 from firmware_protocol.virtual_board.weather import Weather
 
 MAX_STEP_S = 1.0  # the air's fastest time constant is 6 s
-_TINY_S = 1e-9
+_TINY_S = 1e-6  # above the rounding of time_s after years
 _AIR_MOL_M3 = 41.6  # at 20 degC and 1 atm
 _SUN_TO_COVER, _SUN_TO_SOIL, _SUN_TO_PLANT = 0.4, 0.4, 0.2  # where the absorbed sun goes
 _NODES = ("heater", "plant", "soil", "cover_outer", "cover_inner", "air_upper", "air_lower")
