@@ -26,14 +26,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: sys.exit(0))
     try:
-        device = _device(options)
         with contextlib.ExitStack() as stack:
             for path in (options.link, options.control):
                 stack.enter_context(claim(path))
+            device = _device(options)
             server = Server(device, Port(options.link), options.control, options.seed, options.real_time)
             stack.callback(server.close)
             server.run()
-    except (FaultError, PathInUse, StoreError, ValueError, OSError) as error:
+    except (FaultError, PathInUse, StoreError, ValueError, OSError, RuntimeError) as error:
         print(f"virtual board: {error}", file=sys.stderr)
         return 1
     return 0

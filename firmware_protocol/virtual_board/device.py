@@ -8,6 +8,7 @@ from firmware_protocol.virtual_board.board_clock import BoardClock
 from firmware_protocol.virtual_board.core import Pins
 from firmware_protocol.virtual_board.faults import Fault, Schedule
 from firmware_protocol.virtual_board.line import Line
+from firmware_protocol.virtual_board.other_protocol import OtherProtocol
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.sensor_faults import Sample, SensorFaults
 from firmware_protocol.virtual_board.store import Store
@@ -43,6 +44,7 @@ class Device:
         self._boot, self._store = boot, store
         self._sensors = SensorFaults()
         self._clock = BoardClock(0)
+        self._translator: OtherProtocol | None = None
         self._core: Core | None = None
         self._boot_due: list[tuple[int, ResetCause, int]] = []  # reset at, cause, boot time [ms]
         self._boots_at_ms = 0
@@ -118,7 +120,7 @@ class Device:
         self._take_host_bytes()
         if self._core is not None:
             self.plant.drive(self._core.step(self._clock.read(now_ms)), now_ms)
-            self.to_host.send(self._core.transmit(), now_ms)
+            self._send_host_bytes(self._core.transmit())
             self._store.keep(self._core.persistent())
 
     def _take_samples(self) -> None:
@@ -129,8 +131,16 @@ class Device:
 
     def _take_host_bytes(self) -> None:
         data = self.to_board.arrive(self.now_ms)
+        if self._translator is not None:
+            data = self._translator.to_firmware(data)
         if data and self._core is not None:  # a booting board hears nothing
             self._core.receive(data, self._clock.read(self.now_ms))
+
+    def _send_host_bytes(self, data: bytes) -> None:
+        if self._translator is not None:
+            data = self._translator.to_host(data)
+        if data:
+            self.to_host.send(data, self.now_ms)
 
     def _start_firmware(self) -> None:
         self._clock = BoardClock(self.now_ms)
@@ -153,6 +163,7 @@ class Device:
         self._sensors.set_faults(active)
         self.plant.set_faults({fault.name for fault in active}, self.now_ms)
         self._set_clock_rate()
+        self._set_protocol()
         if self.unplugged:
             self.to_board.cut()
             self.to_host.cut()
@@ -165,6 +176,16 @@ class Device:
             if fault.name == "clock_drift":
                 factor *= fault.number("factor")
         self._clock.set_factor(factor, self.now_ms)
+
+    def _set_protocol(self) -> None:
+        version = None
+        for fault in self.schedule.active:
+            if fault.name == "other_protocol":
+                version = int(fault.number("version"))
+        if version is None:
+            self._translator = None
+        elif self._translator is None or self._translator.version != version:
+            self._translator = OtherProtocol(version)
 
     def _begin(self, fault: Fault) -> None:
         match fault.name:

@@ -23,7 +23,7 @@ def advance(device: Device, port: Port, request: Mapping[str, Any], client: Clie
 
     It comes back early too when the plug is pulled or put in.
     """
-    until_ms = math.ceil(_number(request, "advance_to_s", LATEST_S) * 1000 - 1e-6)
+    until_ms = milliseconds(_number(request, "advance_to_s", LATEST_S))
     device.receive(port.read())
     plugged = port.plugged and "host_bytes" in request
     if plugged:
@@ -58,6 +58,12 @@ def follow_plug(device: Device, port: Port) -> bool:
     else:
         port.plug()
     return True
+
+
+def milliseconds(time_s: float) -> int:
+    """The first whole millisecond that is not before `time_s`, also after division: else a host waits for ever."""
+    time_ms = math.ceil(time_s * 1000)
+    return time_ms if time_ms / 1000 >= time_s else time_ms + 1
 
 
 def _same_opening(port: Port, user: tuple[Client, object]) -> bool:
