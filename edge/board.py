@@ -195,16 +195,13 @@ class Board:
         )
 
     def _renew(self, now: float) -> None:
-        if self._driven is None or now < self._renew_at_s:
+        if now < self._renew_at_s:
             return
-        if not now < self._driven.until_s:  # no new decision came: let the lease run out
-            self._driven = None
-            self._renew_at_s = float("inf")
-            return
-        if self.link_up:
+        self._renew_at_s = float("inf")  # a link that comes up renews at once
+        if self._driven is not None and not now < self._driven.until_s:
+            self._driven = None  # no new decision came: let the lease run out
+        if self._driven is not None and self.link_up:
             self._send_command(now)
-        else:
-            self._renew_at_s = float("inf")  # a link that comes up renews at once
 
     def _take(self, events: list[wire.LinkEvent], now: float) -> None:
         for event in events:

@@ -2,6 +2,7 @@
 
 import secrets
 import signal
+import sqlite3
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -11,9 +12,10 @@ from types import FrameType
 from typing import Any, Self
 
 from edge import operation as orders
-from edge import state_file
+from edge import __version__, state_file
 from edge.board import Board
 from edge.clock import Clock
+from edge.config import config_hash
 from edge.control_socket import ControlSocket
 from edge.controllers import registry
 from edge.controllers.base import Controller
@@ -25,13 +27,14 @@ from edge.messages import TickRecord
 from edge.models.arx import Arx
 from edge.models.arx_file import DEFAULT_PATH, read_arx
 from edge.mqtt.telemetry import Telemetry
+from edge.mqtt.topics import Topics
 from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
 from edge.settings import CONTROLLERS, Settings
 from edge.state_file import StateFileBroken, StateWriter
-from edge.storage import Outbox, Storage
+from edge.storage import Outbox, Session, Storage
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,14 +133,15 @@ class Daemon:
         standing = read_standing(Path(settings.state_file), settings)
         inbox = Inbox()
         stack.callback(inbox.close)
-        storage = Storage(settings, self.clock.utc)
+        session = Session(__version__, config_hash(settings), {model.name: model.version})
+        storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
         stack.callback(storage.close)
         state = StateSink(StateWriter(Path(settings.state_file)))
         stack.callback(state.writer.close)
         sinks: list[Sink] = [storage, state]
         if settings.mqtt.enabled:
-            telemetry = Telemetry(settings, self._ask(inbox), lambda: Outbox(Path(settings.history.path)))
+            telemetry = Telemetry(settings, self._ask(inbox), lambda: _outbox(settings))
             stack.callback(telemetry.close)
             sinks.append(telemetry)
         socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox))
@@ -156,6 +160,7 @@ class Daemon:
             zone=zone_of(settings.timezone),
             controllers=_controllers(settings, model),
             sinks=sinks,
+            more_events=storage.events_pending,
             inbox=inbox,
             save_state=state.save,
             after_tick=self.after_tick,
@@ -168,25 +173,28 @@ class Daemon:
 
     def _ask(self, inbox: Inbox) -> Callable[[Request], Reply]:
         """Requests that need the disk are carried out in the asker's thread, others in the control thread."""
-        path = Path(self.settings.history.path)
 
         def ask(request: Request) -> Reply:
-            return _resend(path, request) if request.get("do") == "resend" else inbox.ask(request)
+            return _resend(self.settings, request) if request.get("do") == "resend" else inbox.ask(request)
 
         return ask
 
 
-def _resend(path: Path, request: Mapping[str, Any]) -> Reply:
+def _outbox(settings: Settings) -> Outbox:
+    return Outbox(settings.history.path, Topics.of(settings.mqtt).root)
+
+
+def _resend(settings: Settings, request: Mapping[str, Any]) -> Reply:
     first, last = request.get("first_seq"), request.get("last_seq")
     if not isinstance(first, int) or not isinstance(last, int) or not 0 < first <= last:
         return {
             "ok": False,
             "error": f"first_seq {first!r}, last_seq {last!r}: not a span of sequence numbers",
         }
-    outbox = Outbox(path)
+    outbox = _outbox(settings)
     try:
         return {"ok": True, "queued": outbox.resend(first, last)}
-    except OSError as error:
+    except sqlite3.Error as error:
         return {"ok": False, "error": str(error)}
     finally:
         outbox.close()

@@ -79,6 +79,7 @@ class Rig:
     zone: tzinfo | None
     controllers: Mapping[str, Controller]
     sinks: Sequence[Sink]
+    more_events: Callable[[], list[Event]]  # of parts that are not asked each tick: the history's own
     inbox: Inbox
     save_state: Callable[[Operation, SafetyMemory], None]
     after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
@@ -289,7 +290,14 @@ class Loop:
 
     def _take_events(self, verdict: Verdict) -> tuple[Event, ...]:
         own, self._events = self._events, []
-        return (*own, *self._rig.board.take_events(), *verdict.events, *self._conditions.take_events())
+        rig = self._rig
+        return (
+            *own,
+            *rig.board.take_events(),
+            *verdict.events,
+            *rig.more_events(),
+            *self._conditions.take_events(),
+        )
 
     def _hand_out(self, record: TickRecord) -> None:
         self._seq += 1

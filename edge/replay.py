@@ -58,6 +58,7 @@ def replay(run: Run, settings: Settings, model: Predictor, fan_always_on: bool) 
         zone=zone_of(settings.timezone),
         controllers={name: registry.make(name, settings.control, model) for name in CONTROLLERS},
         sinks=[tape],
+        more_events=list,
         inbox=inbox,
         save_state=lambda operation, memory: None,
         stop_at_s=float(run.columns["time_s"][-1]),

@@ -13,10 +13,25 @@ Columns = Mapping[str, Floats]
 class Predictor(Protocol):
     """A model of the air temperature, stepped at `step_s`."""
 
-    name: str
-    version: str  # says which fit this is: file hash or fit date
-    step_s: float
-    rows_needed: int  # rows of history without which it can't start
+    @property
+    def name(self) -> str:
+        """Kind of model: arx, physics, lstm, hybrid."""
+        ...
+
+    @property
+    def version(self) -> str:
+        """Which fit this is: file hash or fit date."""
+        ...
+
+    @property
+    def step_s(self) -> float:
+        """Time from one row to the next [s]."""
+        ...
+
+    @property
+    def rows_needed(self) -> int:
+        """Rows of history without which it can't start."""
+        ...
 
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
         """Air temperature after each control.
