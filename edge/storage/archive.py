@@ -3,6 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -97,7 +98,12 @@ class Archive:
         )
 
     def thin(self, settings: RetentionSettings) -> tuple[bool, int]:
-        """One chunk of retention, see `retention.thin`."""
+        """One chunk of retention, see `retention.thin`; and a look at the file as a newcomer sees it.
+
+        What this connection has in its cache would hide for long that the file is broken.
+        """
+        with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as newcomer:
+            newcomer.execute("SELECT max(seq) FROM ticks").fetchone()
         return thin(self._open_connection(), settings)
 
     def close(self) -> None:

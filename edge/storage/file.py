@@ -8,6 +8,7 @@ from pathlib import Path
 
 SCHEMA_VERSION = 2  # len(schema.MIGRATIONS), known here without importing sqlite_utils
 VIEWS = ("v_ticks", "v_changes", "v_decisions", "v_events", "v_ten_minutes", "v_gaps")
+APPLICATION_ID = 0x67726E68  # "grnh", in the file's header: whose database this is
 WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
 CACHE_KB = 1024
 
@@ -34,7 +35,7 @@ def fault_of(error: Exception) -> Fault:
     code = getattr(error, "sqlite_errorcode", None)
     if code is not None and code & 0xFF in _REPLACE:  # the low byte is the primary code
         return Fault.REPLACE
-    # A table that is not there: somebody else's database, or one that lost its schema.
+    # A table that is not there: the file has lost its schema.
     if isinstance(error, sqlite3.OperationalError) and "no such" in str(error):
         return Fault.REPLACE
     return Fault.WAIT if isinstance(error, (sqlite3.OperationalError, OSError)) else Fault.RECORD
@@ -57,6 +58,7 @@ def connect(path: Path, busy_s: float) -> sqlite3.Connection:
         raise Unusable("it is empty")  # as a power cut can leave a file: what it held is lost, so say so
     connection = sqlite3.connect(path, timeout=busy_s, isolation_level=None, check_same_thread=False)
     try:
+        _check_owner(connection)
         connection.execute("PRAGMA auto_vacuum = INCREMENTAL")  # counts for a new file only
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
@@ -74,6 +76,12 @@ def connect(path: Path, busy_s: float) -> sqlite3.Connection:
         connection.close()
         raise
     return connection
+
+
+def _check_owner(connection: sqlite3.Connection) -> None:
+    tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+    if tables and connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+        raise Unusable("it is another program's database")
 
 
 def identity(path: Path) -> tuple[int, int] | None:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from sqlite_utils import Database
 
 from edge.names import SIGNALS
+from edge.storage.file import APPLICATION_ID
 
 COMMAND_COLUMNS = {"heater_duty": float, "fan_on": int, "led": float, "valve_pulse_s": float}
 
@@ -95,14 +96,17 @@ def create_views(db: Database) -> None:
         f" AND r.quality = 'good') AS {signal.key}, "
         for signal in SIGNALS.values()
     )
+    # What the board did not confirm counts as off, as it does in the loop.
+    driven = ", ".join(
+        f"CASE WHEN t.echo_trip_cause IS NULL THEN 0 ELSE t.echo_{name} END AS {name}"
+        for name in ("heater_duty", "fan_on", "led")
+    )
     db.create_view(
         "v_ticks",
         "SELECT t.seq, t.utc, strftime('%Y-%m-%dT%H:%M:%SZ', t.utc, 'unixepoch') AS time, t.step_s, t.mode,"
         f" t.controller, {readings} t.estimate_temp_air_c, t.reference_c, t.wanted_heater_duty,"
         " t.wanted_fan_on, t.sent_heater_duty, t.sent_fan_on,"
-        # What the board did not confirm counts as off, as it does in the loop.
-        " coalesce(t.echo_heater_duty, 0.0) AS heater_duty, coalesce(t.echo_fan_on, 0) AS fan_on,"
-        " coalesce(t.echo_led, 0.0) AS led, t.link_up, t.ticks_skipped FROM ticks t",
+        f" {driven}, t.link_up, t.ticks_skipped FROM ticks t",
     )
     db.create_view(
         "v_changes",
@@ -129,6 +133,7 @@ def migrate(connection: sqlite3.Connection) -> None:
         version = connection.execute("PRAGMA user_version").fetchone()[0]
         for step in MIGRATIONS[version:]:
             step(Database(connection))
+        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
         connection.execute("COMMIT")
     finally:

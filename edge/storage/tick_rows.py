@@ -38,7 +38,7 @@ NAN = math.nan
 
 
 def insert_ticks(connection: sqlite3.Connection, records: Sequence[TickRecord], session: int) -> None:
-    """Insert the records and queue them for telemetry. The caller holds the transaction."""
+    """Insert the records and queue them for telemetry, in the transaction that the caller holds."""
     connection.executemany(_INSERT_TICK, [_tick_row(record, session) for record in records])
     connection.executemany(
         "INSERT INTO readings VALUES (?, ?, ?, ?)",

@@ -1,0 +1,236 @@
+"""Stretches of the history as runs, and runs into the history."""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.messages import Event, Quality, Severity
+from edge.run_file import Run
+from edge.storage.file import SCHEMA_VERSION, connect
+
+Floats = NDArray[np.float64]
+BUSY_S = 10.0
+TICK_INPUTS = ("heater_duty", "fan_on", "led")  # columns of a run that the history keeps in `ticks`
+NAN = float("nan")
+
+
+def export_run(
+    path: str | Path,
+    name: str | None = None,
+    first_seq: int | None = None,
+    last_seq: int | None = None,
+    since_utc: float | None = None,
+    until_utc: float | None = None,
+) -> Run:
+    """A stretch of the history at `path` as a run: a named one, or what lies within all the bounds given.
+
+    Readings that were not good are missing. Inputs are what the board confirmed; what it did not confirm
+    counts as off, as in the loop. Time follows the loop's grid, and from session to session the wall clock.
+    Errors : DataError
+    """
+    with _reading(path) as connection:
+        facts: dict[str, str] = {}
+        if name is not None:
+            first_seq, last_seq, facts = _named(connection, path, name)
+        ticks = connection.execute(
+            "SELECT seq, session, utc, step_s, ticks_skipped, reference_c, echo_trip_cause IS NULL,"
+            " echo_heater_duty, echo_fan_on, echo_led FROM ticks"
+            " WHERE seq BETWEEN coalesce(?, 1) AND coalesce(?, 9e18)"
+            " AND utc BETWEEN coalesce(?, -9e18) AND coalesce(?, 9e18) ORDER BY seq",
+            (first_seq, last_seq, since_utc, until_utc),
+        ).fetchall()
+        if not ticks:
+            raise DataError(f"{path}: there are no ticks in this stretch")
+        seqs = [tick[0] for tick in ticks]
+        columns = {"time_s": _times(path, ticks), **_readings(connection, seqs), **_inputs(ticks)}
+        if seqs[0] > 0:
+            facts = _facts_of(connection, ticks) | facts
+    first = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
+    known = {
+        key: values for key, values in columns.items() if key == "temp_air_c" or not np.isnan(values).all()
+    }
+    ordered = sorted(known, key=lambda key: (first.index(key) if key in first else len(first), key))
+    return Run({key: known[key] for key in ordered}, facts, Path(path))
+
+
+def events_between(path: str | Path, since_utc: float, until_utc: float) -> list[Event]:
+    """Events of the history by their wall clock time, both ends included. Errors: DataError"""
+    with _reading(path) as connection:
+        rows = connection.execute(
+            "SELECT key, severity, text, utc FROM events WHERE utc BETWEEN ? AND ? ORDER BY utc, seq, number",
+            (since_utc, until_utc),
+        ).fetchall()
+    return [Event(key, Severity(severity), text, NAN, utc) for key, severity, text, utc in rows]
+
+
+def name_run(
+    path: str | Path, name: str, role: str, first_seq: int, last_seq: int, facts: Mapping[str, str]
+) -> None:
+    """Call a stretch of recorded ticks a run. Retention keeps its ticks. Errors: DataError"""
+    with _writing(path) as connection:
+        _insert_run(connection, path, name, role, first_seq, last_seq, facts)
+
+
+def import_run(path: str | Path, run: Run, name: str) -> tuple[int, int]:
+    """Put a run into the history, a new one if there is none, beside whatever a daemon writes meanwhile.
+
+    Its ticks get negative numbers, which no daemon gives and no subscriber is sent. Returns the first and the
+    last one. Errors: DataError
+    """
+    rows = len(run)
+    time_s = run.columns["time_s"]
+    start_utc = run.start_utc or 0.0
+    step_s = float(np.median(np.diff(time_s))) if rows > 1 else None
+    with _writing(path, new=True) as connection:
+        lowest = connection.execute("SELECT min(0, coalesce(min(seq), 0)) FROM ticks").fetchone()[0]
+        first, last = lowest - rows, lowest - 1
+        seqs = range(first, lowest)
+        cells = {key: [_or_none(value) for value in values] for key, values in run.columns.items()}
+        nothing = [None] * rows
+        columns: dict[str, list[Any]] = {
+            "seq": list(seqs),
+            "utc": [start_utc + t for t in time_s.tolist()],
+            "step_s": [step_s] * rows,
+            "mode": ["recorded"] * rows,
+            "controller": ["recorded"] * rows,
+            "reference_c": cells.get("reference_c", nothing),
+            "echo_trip_cause": [""] * rows,
+            **{f"echo_{key}": cells.get(key, nothing) for key in TICK_INPUTS},
+            **{f"sent_{key}": cells.get(key, nothing) for key in TICK_INPUTS},
+        }
+        from sqlite_utils import Database  # late: see edge/storage/schema.py
+
+        database = Database(connection)
+        database.table("ticks").insert_all(
+            dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
+        )
+        database.table("readings").insert_all(
+            {"seq": seq, "signal": key, "value": value, "quality": _quality(value).value}
+            for key in run.columns
+            if key not in ("time_s", "reference_c", *TICK_INPUTS)
+            for seq, value in zip(seqs, cells[key], strict=True)
+        )
+        _insert_run(connection, path, name, run.facts.get("role", ""), first, last, run.facts)
+    return first, last
+
+
+@contextmanager
+def _reading(path: str | Path) -> Iterator[sqlite3.Connection]:
+    """A connection that can't write. Errors: DataError"""
+    try:
+        uri = f"{Path(path).absolute().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as connection:
+            version = connection.execute("PRAGMA user_version").fetchone()[0]
+            if version != SCHEMA_VERSION:
+                raise DataError(
+                    f"{path}: its version is {version}, not {SCHEMA_VERSION}: let the daemon open it once"
+                )
+            yield connection
+    except sqlite3.Error as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+@contextmanager
+def _writing(path: str | Path, new: bool = False) -> Iterator[sqlite3.Connection]:
+    """A connection in a transaction of its own. Errors: DataError"""
+    if not new and not Path(path).exists():
+        raise DataError(f"{path}: there is no history")
+    try:
+        with closing(connect(Path(path), BUSY_S)) as connection:
+            connection.execute("BEGIN IMMEDIATE")
+            yield connection
+            connection.execute("COMMIT")  # closing without it takes everything back
+    except (sqlite3.Error, OSError) as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _insert_run(
+    connection: sqlite3.Connection,
+    path: str | Path,
+    name: str,
+    role: str,
+    first_seq: int,
+    last_seq: int,
+    facts: Mapping[str, str],
+) -> None:
+    if connection.execute("SELECT 1 FROM runs WHERE name = ?", (name,)).fetchone():
+        raise DataError(f"{path}: there is a run {name!r} already")
+    if not first_seq <= last_seq:
+        raise DataError(f"{path}: {name!r} would end at tick {last_seq}, before its start at {first_seq}")
+    connection.execute(
+        "INSERT INTO runs (name, role, first_seq, last_seq, facts) VALUES (?, ?, ?, ?, ?)",
+        (name, role, first_seq, last_seq, json.dumps(dict(facts), ensure_ascii=False)),
+    )
+
+
+def _named(connection: sqlite3.Connection, path: str | Path, name: str) -> tuple[int, int, dict[str, str]]:
+    row = connection.execute("SELECT first_seq, last_seq, facts FROM runs WHERE name = ?", (name,)).fetchone()
+    if row is None:
+        known = [other for (other,) in connection.execute("SELECT name FROM runs ORDER BY name LIMIT 20")]
+        raise DataError(f"{path}: there is no run {name!r}; known are {known}")
+    return row[0], row[1], json.loads(row[2])
+
+
+def _times(path: str | Path, ticks: list[tuple[Any, ...]]) -> Floats:
+    """Seconds since the first tick."""
+    times = [0.0]
+    for before, tick in pairwise(ticks):
+        (seq_before, session_before, utc_before), (seq, session, utc, step_s, skipped) = before[:3], tick[:5]
+        same_grid = session is not None and session == session_before
+        step = step_s * (seq - seq_before + skipped) if same_grid else utc - utc_before
+        if not step > 0.0:
+            raise DataError(f"{path}: tick {seq}: the wall clock went back; export what is on one side of it")
+        times.append(times[-1] + step)
+    return np.round(times, 3)
+
+
+def _readings(connection: sqlite3.Connection, seqs: list[int]) -> dict[str, Floats]:
+    row_of = {seq: row for row, seq in enumerate(seqs)}
+    columns: dict[str, Floats] = {"temp_air_c": np.full(len(seqs), NAN)}
+    stored = connection.execute(
+        "SELECT seq, signal, value FROM readings WHERE seq BETWEEN ? AND ? AND quality = 'good'",
+        (seqs[0], seqs[-1]),
+    )
+    for seq, signal, value in stored:
+        if seq in row_of:
+            columns.setdefault(signal, np.full(len(seqs), NAN))[row_of[seq]] = value
+    return columns
+
+
+def _inputs(ticks: list[tuple[Any, ...]]) -> dict[str, Floats]:
+    """What the board drove, 0 where it did not confirm, NaN where an imported run is silent; the target."""
+    table = np.array([[*tick[7:10], tick[5]] for tick in ticks], dtype=np.float64)
+    unconfirmed = np.array([tick[6] for tick in ticks], dtype=bool)
+    table[unconfirmed, :3] = 0.0
+    return dict(zip((*TICK_INPUTS, "reference_c"), table.T, strict=True))
+
+
+def _facts_of(connection: sqlite3.Connection, ticks: list[tuple[Any, ...]]) -> dict[str, str]:
+    first_seq, last_seq = ticks[0][0], ticks[-1][0]
+    controllers = connection.execute(
+        "SELECT DISTINCT controller FROM ticks WHERE seq BETWEEN ? AND ? ORDER BY 1", (first_seq, last_seq)
+    )
+    return {
+        "start_utc": datetime.fromtimestamp(ticks[0][2], UTC).isoformat(timespec="milliseconds"),
+        "history_id": connection.execute("SELECT id FROM history").fetchone()[0],
+        "first_seq": str(first_seq),
+        "last_seq": str(last_seq),
+        "controllers": ", ".join(name for (name,) in controllers),
+    }
+
+
+def _quality(value: float | None) -> Quality:
+    return Quality.ABSENT if value is None else Quality.GOOD
+
+
+def _or_none(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
