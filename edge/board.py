@@ -52,7 +52,7 @@ class Board:
         self._open_failed = False
         self._driven: Driven | None = None
         self._renew_at_s = float("inf")
-        self._waiting_for_echo = False
+        self._asked: wire_messages.CommandMessage | None = None  # the newest command, until it is confirmed
         self._samples: list[Sample] = []
         self._events: list[Event] = []
         self.echo: Echo | None = None
@@ -87,7 +87,7 @@ class Board:
         """Send a decision; its lease is renewed for `valid_s` from now, and never longer."""
         now = self._clock.now()
         self._driven = Driven(command, cutoff_open, now + valid_s)
-        self._waiting_for_echo = True
+        self._asked = None
         if self.link_up:
             self._send_command(now)
         # The valve pulse is given once; a renewal must not open the valve again.
@@ -121,8 +121,8 @@ class Board:
 
     def serve_until_echo(self, timeout_s: float) -> Echo | None:
         """Wait for the board's answer to the last command; None when it does not come in time."""
-        self.serve(self._clock.now() + timeout_s, done=lambda: not self._waiting_for_echo or not self.link_up)
-        return None if self._waiting_for_echo or not self.link_up else self.echo
+        self.serve(self._clock.now() + timeout_s, done=lambda: self._asked is None)
+        return self.echo if self._asked is None and self.link_up else None
 
     def close(self) -> None:
         """Close the port; what the board drives ends with its lease."""
@@ -182,17 +182,15 @@ class Board:
         assert self._driven is not None
         command, left_s = self._driven.command, self._driven.until_s - now
         self._renew_at_s = now + RENEW_S
-        self._link.request(
-            wire_messages.CommandMessage(
-                heater_steps=round(command.heater_duty * HEATER_LEVELS),
-                fan_on=command.fan_on,
-                led_pct=round(command.led * 100),
-                valve_pulse_s=command.valve_pulse_s,
-                cutoff_open=self._driven.cutoff_open,
-                lease_s=min(LEASE_S, left_s),
-            ),
-            now,
+        self._asked = wire_messages.CommandMessage(
+            heater_steps=round(command.heater_duty * HEATER_LEVELS),
+            fan_on=command.fan_on,
+            led_pct=round(command.led * 100),
+            valve_pulse_s=command.valve_pulse_s,
+            cutoff_open=self._driven.cutoff_open,
+            lease_s=min(LEASE_S, left_s),
         )
+        self._link.request(self._asked, now)
 
     def _renew(self, now: float) -> None:
         if now < self._renew_at_s:
@@ -219,8 +217,8 @@ class Board:
     ) -> None:
         was_tripped = self.echo is not None and self.echo.tripped
         self.echo = _echo(state, now)
-        if isinstance(request, wire_messages.CommandMessage):
-            self._waiting_for_echo = False
+        if request is self._asked:  # an older command's echo says nothing of the newest one
+            self._asked = None
         if self.echo.tripped and not was_tripped:
             self._tell("board.tripped", Severity.ALARM, f"the board has tripped: {self.echo.trip_cause}")
 
