@@ -43,7 +43,7 @@ class Storage:
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._written = threading.Condition()
         self._written_seq = 0
-        self._next_seq = 1
+        self._next_seq = 0
         self._gaps: list[Gap] = []  # to be written with the next batch
         self._events: deque[Event] = deque()
         self._behind = ""  # why nothing can be written now
@@ -65,11 +65,15 @@ class Storage:
             if not self._archive.ended_cleanly:
                 self._next_seq += self._settings.queue_ticks + BATCH_TICKS
                 self._note_unclean_stop(self._archive.last_seq, self._next_seq)
+            self._written_seq = self._archive.last_seq
+            # Before any number is given out: a kill from here on is an unclean end.
+            self._append([])
         except Exception as error:
-            # Locked or unreadable for now. Ticks are at least 1 s apart, so no earlier one has this number.
-            self._next_seq = int(self._clock.utc())
+            # Locked, full or unreadable for now: the writer keeps trying.
             self._behind = str(error)
-        self._written_seq = self._archive.last_seq
+            if self._next_seq == 0:
+                # Ticks are at least 1 s apart, so no earlier one has this number.
+                self._next_seq = int(self._clock.utc())
         self._thread.start()
         return self._next_seq
 
