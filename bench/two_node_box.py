@@ -39,10 +39,6 @@ class TwoNodeBox:
         air, cover = state[..., 0], state[..., 1]
         to_cover = self.air_cover_w_k * (air - cover)
         to_room = self.fan_w_k * fan * (air - room)
-        return np.stack(
-            [
-                (self.heater_w * heater - to_cover - to_room) / self.air_j_k,
-                (to_cover - self.cover_room_w_k * (cover - room)) / self.cover_j_k,
-            ],
-            axis=-1,
-        )
+        air_slope = (self.heater_w * heater - to_cover - to_room) / self.air_j_k
+        cover_slope = (to_cover - self.cover_room_w_k * (cover - room)) / self.cover_j_k
+        return np.stack(np.broadcast_arrays(air_slope, cover_slope), axis=-1)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from mixed_integer_problems import every_plan, problems, true_optimum
 
 from edge.controllers.mixed_integer.dominance import undominated
-from edge.controllers.mixed_integer.problem import FanRules, Problem
+from edge.controllers.mixed_integer.polish import polished
+from edge.controllers.mixed_integer.problem import FanRules, Plan, Problem
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import search
 from edge.controllers.mixed_integer.solver import solve
@@ -159,6 +160,18 @@ def test_no_bound_is_above_any_plan_of_a_long_problem(problem, seed):
     assert solution.bound <= min([solution.plan.cost, *costs]) + close(solution.plan.cost)
 
 
+@settings(deadline=None, max_examples=100)
+@given(problems(st.integers(1, 8), st.integers(0, 20)))
+def test_polish_keeps_the_rules_and_never_costs(problem):
+    nothing = np.zeros(problem.horizon, dtype=np.int64)
+    plan = Plan(nothing, nothing + int(problem.fan_rules.on), float("inf"))
+    plan = replace(plan, cost=float(problem.cost(plan.levels, plan.fan)))
+    better = polished(problem, plan)
+    assert problem.allows(better.levels, better.fan)
+    assert better.cost <= plan.cost
+    assert better.cost == pytest.approx(float(problem.cost(better.levels, better.fan)))
+
+
 def plain_problem(horizon: int = 20, **changes: object) -> Problem:
     """A box that must be cooled with a penalty on the fan: the search has to work for it."""
     decay = 0.75 ** np.arange(horizon)
@@ -265,6 +278,13 @@ def test_a_cheaper_node_does_not_dominate_where_it_goes_over_the_limit():
     assert undominated(limited, free, cost, none, none, 2.0, 1e-9).all()
     free_of_it = replace(limited, limit_weight=0.0)
     assert undominated(free_of_it, free, cost, none, none, 2.0, 1e-9).tolist() == [True, False]
+
+
+def test_polish_switches_a_fan_that_runs_for_nothing():
+    problem = plain_problem(reference=np.full(20, 24.0))
+    running = np.ones(20, dtype=np.int64)
+    plan = Plan(running * 0, running, float(problem.cost(running * 0, running)))
+    assert polished(problem, plan).cost < 0.1 * plan.cost
 
 
 def test_a_search_that_can_find_nothing_better_says_so():

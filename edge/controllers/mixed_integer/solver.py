@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge.controllers.mixed_integer.polish import polished
 from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import rounding_margin, search
 from edge.controllers.mixed_integer.tangent import Tangent, tangent
 
-_WIDTHS = (16, 1024, 8192)  # each search is wider than the one before, until one drops nothing
+_WIDTHS = (16, 128, 1024, 8192, 32768)  # each search is wider than the one before, until one drops nothing
+_POLISH_FROM = 128  # a plan that this width could not prove is worth some polish
 _RUNNER_UP_WIDTH = 4
 
 
@@ -42,7 +44,7 @@ def solve(
     """The cheapest plan, or the best there is when the budget or the time is used up.
 
     node_budget : nodes that may be looked into; the same budget gives the same plan, bit for bit
-    time_box_s : wall time after which no further level is begun; the first, narrow search always ends
+    time_box_s : wall time after which no further level is begun; without `warm` the first, narrow search ends
     node_limit : stop where a time box fired after so many nodes, to replay that solve
     warm : heater levels and fan to start from, used where they are allowed
     """
@@ -65,6 +67,8 @@ def solve(
         proven = found.bound >= best.cost - margin
         if proven or found.stopped or _next_width(width, (node_budget - nodes) // problem.horizon) <= width:
             break
+        if width == _POLISH_FROM:
+            best = polished(problem, best)
     runner_up = search(problem, bounds, _RUNNER_UP_WIDTH, np.inf, other_than=_first_step(best)).plan
     if runner_up is not None and runner_up.cost < best.cost:
         best, runner_up = runner_up, best
@@ -85,8 +89,7 @@ def _stop(deadline: float, nodes_left: int | None) -> Callable[[int], bool]:
 def _warm_plan(problem: Problem, warm: tuple[Ints, Ints] | None) -> Plan | None:
     if warm is None or len(warm[0]) != problem.horizon or not problem.allows(*warm):
         return None
-    cost = float(problem.cost(*warm))
-    return Plan(*warm, cost) if np.isfinite(cost) else None
+    return Plan(*warm, float(problem.cost(*warm)))
 
 
 def _root_bound(problem: Problem, bounds: Tangent) -> float:
