@@ -3,6 +3,7 @@
 import array
 import fcntl
 import json
+import os
 import select
 import socket
 import termios
@@ -43,6 +44,7 @@ class SimClock:
         self._now_s = 0.0
         self._board_bytes = 0
         self._port: Port | None = None
+        self._device = ""
         self._opening = 0
         self._gone = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -114,6 +116,11 @@ class SimClock:
         self._opening += 1
         self._board_bytes = 0
         self._gone = False
+        if port is not None:
+            try:
+                self._device = os.ttyname(port.fileno())
+            except OSError:  # hung up between its opening and now
+                self._gone = True
 
     def _bytes_pending(self) -> bool:
         """The port has something to read: bytes, or that it has been unplugged."""
@@ -125,7 +132,8 @@ class SimClock:
     def _advance(self, to_s: float) -> None:
         request: dict[str, Any] = {"advance_to_s": to_s}
         if self._port is not None:
-            request |= {"host_bytes": self._port.bytes_out, "opening": self._opening, "stop_on_bytes": True}
+            request |= {"host_bytes": self._port.bytes_out, "stop_on_bytes": True}
+            request |= {"device": self._device, "opening": self._opening}
         answer = self.request(request)
         # The board counts milliseconds: what it calls 0.3 may be a hair before the 0.1 + 0.2 that was asked for.
         reached = abs(float(answer["time_s"]) - to_s) < 1e-5

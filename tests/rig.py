@@ -1,6 +1,8 @@
 """A virtual board's process for tests: ready when it is handed over, surely dead afterwards."""
 
+import ctypes
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -13,6 +15,7 @@ from typing import Any
 
 import yaml
 
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, linux/prctl.h
 READY_S = 20.0  # the C core is compiled first
 
 
@@ -54,7 +57,9 @@ def virtual_board(
         script = directory / "faults.yaml"
         script.write_text(yaml.safe_dump(faults))
         options = (*options, "--faults", str(script))
-    process = subprocess.Popen(command(directory, *options), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command(directory, *options), stderr=subprocess.PIPE, text=True, preexec_fn=_die_with_parent
+    )
     board = VirtualBoard(process, directory / "port", directory / "control")
     try:
         _wait_until_ready(board)
@@ -63,6 +68,10 @@ def virtual_board(
         process.kill()
         process.wait()
         process.stderr.close()
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 def _wait_until_ready(board: VirtualBoard) -> None:

@@ -49,19 +49,24 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--faults", type=Path, help="YAML list of faults")
     parser.add_argument("--chamber", type=Path, help="YAML that changes parameters or effects of the box")
     parser.add_argument("--state", type=Path, help="file that keeps trip and boot count")
-    parser.add_argument("--cutoff", action="store_true", help="with a second cut-off in the heater's supply")
-    parts = [part.name.lower() for part in RIG_PARTS if part.name]
-    parser.add_argument("--without", choices=parts, action="append", default=[], help="it lacks this part")
+    names = [part.name.lower() for part in Capability if part.name]
+    for option, what in (("--with", "it has this part, e.g. heater_cutoff"), ("--without", "it has not")):
+        parser.add_argument(option, dest=option, choices=names, action="append", default=[], help=what)
     return parser
 
 
 def _device(options: argparse.Namespace) -> Device:
-    parts = RIG_PARTS | Capability.HEATER_CUTOFF if options.cutoff else RIG_PARTS
-    for name in options.without:
-        parts &= ~Capability[name.upper()]
+    parts = (RIG_PARTS | _parts(options, "--with")) & ~_parts(options, "--without")
     plant = Plant(Chamber(*load(options.chamber), options.seed), parts)
     faults = [] if options.faults is None else read_script(options.faults, options.seed)
     return Device(_boot(options.core, BoardConfig(capabilities=parts)), plant, Store(options.state), faults)
+
+
+def _parts(options: argparse.Namespace, option: str) -> Capability:
+    parts = Capability(0)
+    for name in getattr(options, option):
+        parts |= Capability[name.upper()]
+    return parts
 
 
 def _boot(core: str, config: BoardConfig) -> Boot:

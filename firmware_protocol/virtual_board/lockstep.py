@@ -18,7 +18,7 @@ def advance(device: Device, port: Port, request: Mapping[str, Any], client: Clie
     """Advance to `advance_to_s`; the answer is `{time_s, board_bytes, plugged}`.
 
     host_bytes : written by the host since its opening of the port; absent when it has none open
-    opening : tells one opening of the port by this client from another
+    device, opening : which port the host has open, and a number that tells one opening from another
     stop_on_bytes : come back as soon as the board has sent something
 
     It comes back early too when the plug is pulled or put in.
@@ -27,7 +27,7 @@ def advance(device: Device, port: Port, request: Mapping[str, Any], client: Clie
     device.receive(port.read())
     plugged = port.plugged and "host_bytes" in request
     if plugged:
-        plugged = _same_opening(port, (client, request.get("opening")))
+        plugged = _is_this_one(port, request, client)
     if plugged:
         _take_host_bytes(device, port, int(_number(request, "host_bytes", 2**53)))
     stop_on_bytes = request.get("stop_on_bytes") is True
@@ -66,12 +66,15 @@ def milliseconds(time_s: float) -> int:
     return time_ms if time_ms / 1000 >= time_s else time_ms + 1
 
 
-def _same_opening(port: Port, user: tuple[Client, object]) -> bool:
-    """Whether the port's bytes are all this user's.
+def _is_this_one(port: Port, request: Mapping[str, Any], client: Client) -> bool:
+    """Whether this port is the one the host has open, and all of its bytes are from this opening.
 
     The first to speak takes the port. Another one has opened it before the board saw the first one close it:
     whose bytes are whose is not known, so it gets a hang-up, and a device of its own at its next try.
     """
+    if request.get("device", port.device) != port.device:
+        return False
+    user = client, request.get("opening")
     if port.user is None:
         port.user = user
     elif port.user != user:

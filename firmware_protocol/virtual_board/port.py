@@ -25,7 +25,8 @@ class Port:
         self.bytes_in = 0
         self.bytes_out = 0
         self.bytes_lost = 0  # sent while nobody read, since the start
-        self.user: object = None  # whoever opened this one in lock-step, see lockstep.py
+        self.user: object = None  # who reads what is written; None: nobody yet
+        self.device = ""  # the file behind the symlink
 
     @property
     def plugged(self) -> bool:
@@ -39,12 +40,12 @@ class Port:
     def plug(self) -> None:
         """Make a new pseudo-terminal, point the symlink at it, count from 0."""
         self.unplug()
-        self._master, device = _open_pseudo_terminal()
+        self._master, self.device = _open_pseudo_terminal()
         self.bytes_in = self.bytes_out = 0
         self.user = None
         beside = self._link.with_name(self._link.name + ".new")
         beside.unlink(missing_ok=True)
-        beside.symlink_to(device)
+        beside.symlink_to(self.device)
         beside.replace(self._link)
 
     def unplug(self) -> None:
@@ -72,9 +73,9 @@ class Port:
         return bytes(data)
 
     def write(self, data: bytes) -> None:
-        """Hand `data` to the host; what finds no room or no host is lost, as on a wire."""
+        """Hand `data` to the host; what finds no room or no user is lost, as on a wire."""
         try:
-            written = 0 if self._master is None else os.write(self._master, data)
+            written = 0 if self._master is None or self.user is None else os.write(self._master, data)
         except OSError as error:
             if error.errno not in (errno.EAGAIN, errno.EIO):
                 raise

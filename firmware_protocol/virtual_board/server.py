@@ -16,7 +16,7 @@ from firmware_protocol.virtual_board.port import Port
 from firmware_protocol.virtual_board.truth import truth
 
 REQUESTS: dict[str, tuple[str, ...]] = {  # what is asked, and what may be said beside it
-    "advance_to_s": ("host_bytes", "opening", "stop_on_bytes"),
+    "advance_to_s": ("host_bytes", "device", "opening", "stop_on_bytes"),
     "fault": (),
     "clear_faults": (),
     "truth": (),
