@@ -157,10 +157,37 @@ def test_a_version_error_refuses_in_whatever_version_it_is_said(link: Link, fram
     assert link.state == "refused"
 
 
-def test_a_version_error_to_something_else_does_not(link: Link) -> None:
+@pytest.mark.parametrize(
+    "payload",
+    [
+        pytest.param(bytes((2, 8, 1, 7, ErrorCode.VERSION, 2)), id="to another request"),
+        pytest.param(bytes((2, 8, 1, 1, ErrorCode.VERSION)), id="without its detail"),
+        pytest.param(bytes((2, 7, 1, 1, ErrorCode.VERSION, 2)), id="of another kind"),
+        pytest.param(bytes((2, 8, 1, 1, ErrorCode.LENGTH, 2)), id="another error"),
+        pytest.param(bytes((1, 8, 1, 1, ErrorCode.LENGTH, 2)), id="another error in our version"),
+    ],
+)
+def test_nothing_else_refuses(link: Link, payload: bytes) -> None:
     link.poll(0.0)
-    link.receive(encode(bytes((2, 8, 1, 7, ErrorCode.VERSION, 2))), 0.1)
+    link.receive(encode(payload), 0.1)
     assert link.state == "down"
+
+
+def test_a_version_error_while_up_refuses_only_the_request(link: Link, up: Board) -> None:
+    link.request(COMMAND, 0.0)
+    error = ErrorMessage(ErrorCode.VERSION, 2)
+    assert up.says(error, 0.1, ack=2) == [Refused(error, COMMAND)]
+    assert link.state == "up"
+
+
+def test_the_next_deadline_is_the_repetition_or_the_end_of_the_silence(link: Link, up: Board) -> None:
+    assert link.next_deadline() == 3.0
+    link.request(COMMAND, 1.0)
+    assert link.next_deadline() == 1.25
+    link.poll(1.25)
+    assert link.next_deadline() == 1.5
+    up.says(STATE, 1.3, ack=2)
+    assert link.next_deadline() == 4.3
 
 
 def test_a_request_goes_out_once_and_its_answer_is_told_with_it(link: Link, up: Board) -> None:
