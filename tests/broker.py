@@ -17,6 +17,8 @@ from paho.mqtt.properties import Properties
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+# Lines of mosquitto.conf for a broker that forgets nothing when it is restarted in good order.
+KEEPS_SESSIONS = "allow_anonymous true\npersistence true\nmax_queued_messages 0"
 PATIENCE_S = 20.0  # a wait in a test ends when what it waits for happens; this is only for when it never does
 
 

@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from edge.mqtt import connection, drain, telemetry
 from edge.mqtt.drain import BATCH_ROWS, REFUSED_PAUSE_S, Drain
 from edge.mqtt.telemetry import Telemetry
-from tests.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
 from tests.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, settings
 
 HISTORY = f"{ROOT}/history"
-KEEPS_SESSIONS = "allow_anonymous true\npersistence true\nmax_queued_messages 0"
 
 
 class Client:

@@ -1,0 +1,19 @@
+"""Stores and publishes ticks as fast as it can, until it is killed: publisher.py PORT DATABASE."""
+
+import sys
+import time
+
+from edge.clock import RealClock
+from edge.mqtt.telemetry import Telemetry
+from edge.settings import HistorySettings
+from edge.storage import Outbox, Storage
+from tests.mqtt_rig import ROOT, ControlLoop, record, settings
+
+port, database = int(sys.argv[1]), sys.argv[2]
+storage = Storage(HistorySettings(path=database), RealClock())
+seq = storage.open()
+telemetry = Telemetry(settings(port), ControlLoop().ask, lambda: Outbox(database, ROOT))
+while True:
+    storage.write(record(seq, utc=1.7e9 + seq))
+    seq += 1
+    time.sleep(0.001)

@@ -1,0 +1,82 @@
+import random
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from edge.clock import RealClock
+from edge.mqtt import connection, telemetry
+from edge.mqtt.telemetry import Telemetry
+from edge.settings import HistorySettings
+from edge.storage import Outbox, Storage
+from tests.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
+from tests.mqtt_rig import ROOT, ControlLoop, record, settings
+
+pytestmark = needs_mosquitto
+TICKS = f"{ROOT}/history/tick"
+
+
+@pytest.fixture(autouse=True)
+def quick_reconnect(monkeypatch):
+    monkeypatch.setattr(connection, "RECONNECT_MIN_S", 0.1)
+    monkeypatch.setattr(connection, "RECONNECT_MAX_S", 0.2)
+    monkeypatch.setattr(telemetry, "POLL_S", 0.05)
+
+
+def stored(database):
+    with closing(sqlite3.connect(database)) as connection_:
+        return [seq for (seq,) in connection_.execute("SELECT seq FROM ticks WHERE seq > 0 ORDER BY seq")]
+
+
+def heard(listener):
+    return list(dict.fromkeys((tick["history_id"], tick["seq"]) for tick in listener.objects(TICKS)))
+
+
+def test_ticks_of_an_outage_arrive_in_order_once_the_broker_is_back(tmp_path):
+    database = str(tmp_path / "history.db")
+    storage = Storage(HistorySettings(path=database), RealClock())
+    first = storage.open()
+    with Broker(tmp_path, KEEPS_SESSIONS) as broker, Listener(broker.port, TICKS) as listener:
+        own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: Outbox(database, ROOT))
+        try:
+            wait_for(lambda: not own.faults())
+            broker.stop()
+            for number in range(300):
+                storage.write(record(first + number, utc=1.7e9 + 60 * number))
+            assert storage.wait_written(first + 299, 20)
+            broker.start()
+            wait_for(lambda: len(heard(listener)) == 300)
+            assert [seq for _, seq in heard(listener)] == stored(database)
+            assert len({history for history, _ in heard(listener)}) == 1
+            with closing(Outbox(database, ROOT)) as outbox:
+                wait_for(lambda: outbox.depth() == 0)
+        finally:
+            own.close()
+            storage.close()
+
+
+def test_killing_the_daemon_at_any_moment_loses_nothing_that_was_stored(tmp_path):
+    database = str(tmp_path / "history.db")
+    publisher = str(Path(__file__).with_name("publisher.py"))
+    moments = random.Random(5)
+    with Broker(tmp_path) as broker, Listener(broker.port, TICKS) as listener:
+        for _ in range(4):
+            process = subprocess.Popen(
+                [sys.executable, publisher, str(broker.port), database],
+                env={"PYTHONPATH": str(Path(__file__).parent.parent)},
+            )
+            try:
+                before = len(heard(listener))
+                some = moments.randrange(1, 300)
+                wait_for(lambda before=before, some=some: len(heard(listener)) >= before + some)
+            finally:
+                process.kill()
+                process.wait()
+        own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: Outbox(database, ROOT))
+        try:
+            wait_for(lambda: {seq for _, seq in heard(listener)} >= set(stored(database)))
+        finally:
+            own.close()
