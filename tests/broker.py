@@ -86,11 +86,19 @@ class Broker:
 class Listener:
     """A subscriber that keeps all it hears, and can publish. Use as a context manager."""
 
-    def __init__(self, port: int, topic: str = "#", user: str = "", password: str = "", context: Any = None):
+    def __init__(
+        self,
+        port: int,
+        topic: str = "#",
+        user: str = "",
+        password: str = "",
+        context: Any = None,
+        name: str = "listener",
+    ) -> None:
         self.heard: list[MQTTMessage] = []
         self._subscribed = threading.Event()
         self._topic = topic
-        self.client = Client(CallbackAPIVersion.VERSION2, "listener", protocol=MQTTProtocolVersion.MQTTv5)
+        self.client = Client(CallbackAPIVersion.VERSION2, name, protocol=MQTTProtocolVersion.MQTTv5)
         self.client.reconnect_delay_set(1, 1)
         if user:
             self.client.username_pw_set(user, password)

@@ -9,6 +9,7 @@ from edge.mqtt import connection, telemetry
 from edge.mqtt.connection import make_client
 from edge.mqtt.telemetry import Telemetry
 from tests.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.certificates import make_certificates
 from tests.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings
 
 PASSWORD = "correct horse"
@@ -23,30 +24,7 @@ def quick_reconnect(monkeypatch):
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory):
-    """An authority, certificates of a broker at 127.0.0.1 and of a client, and a second authority."""
-    folder = tmp_path_factory.mktemp("certificates")
-    for authority in ("ca", "stranger"):
-        openssl(
-            folder, f"req -x509 -days 2 -subj /CN={authority} -keyout {authority}.key -out {authority}.crt"
-        )
-    (folder / "broker.ext").write_text("subjectAltName=IP:127.0.0.1\n")
-    (folder / "client.ext").write_text("extendedKeyUsage=clientAuth\n")
-    for name in ("broker", "client"):
-        openssl(folder, f"req -subj /CN={name} -keyout {name}.key -out {name}.csr")
-        openssl(
-            folder,
-            f"x509 -req -days 2 -in {name}.csr -CA ca.crt -CAkey ca.key -CAcreateserial"
-            f" -extfile {name}.ext -out {name}.crt",
-            key=False,
-        )
-    for key in folder.glob("*.key"):
-        key.chmod(0o600)
-    return folder
-
-
-def openssl(folder, arguments, key=True):
-    new_key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"] if key else []
-    subprocess.run(["openssl", *arguments.split(), *new_key], cwd=folder, check=True, capture_output=True)
+    return make_certificates(tmp_path_factory.mktemp("certificates"))
 
 
 def tls_broker(folder, certificates, extra=""):
