@@ -1,6 +1,7 @@
 """What the plans are worth on the plant: closed loop on the two-node box."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,40 +16,69 @@ from edge.models.arx import Arx
 from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
-Policy = Callable[[Floats, Floats, Floats, float, int], Command]  # temps, inputs, state, reference, step
 ROOM_C = 21.0
 STEPS_PER_REFERENCE = 20
+OFFSET_GAIN = 0.3  # share of a forecast error that is taken for a lasting disturbance
 BEAM = 150
 _NODE_BUDGET = 20_000
 
 
+@dataclass(slots=True)
+class Episode:
+    """The box and what was recorded of it so far."""
+
+    state: Floats  # air, cover [°C]
+    temps: list[float]
+    inputs: list[tuple[float, float]]
+    offset: float = 0.0  # disturbance estimate [K/step]
+    forecast: float | None = None  # air temperature that the last decision expected now [°C]
+
+
+class Policy(Protocol):
+    """Chooses the command for the next step."""
+
+    def __call__(self, episode: Episode, reference: float) -> Command:
+        """May note its forecast in the episode."""
+        ...
+
+
+def by_model(controller: Mpc | MpcBfgs) -> Policy:
+    """A controller as the loop would ask it, with a disturbance estimate from its forecast errors."""
+
+    def policy(episode: Episode, reference: float) -> Command:
+        if episode.forecast is not None:
+            episode.offset += OFFSET_GAIN * (episode.temps[-1] - episode.forecast)
+        inputs = np.array(episode.inputs).reshape(-1, 2)
+        now_s = STEP_S * len(inputs)
+        here = box_context(np.array(episode.temps), inputs, ROOM_C, reference, episode.offset, now_s)
+        decision = controller.decide(here)
+        episode.forecast = decision.forecast[0]
+        return decision.command
+
+    return policy
+
+
 def policies(model: Arx, horizon: int, weight: float) -> dict[str, Policy]:
     """The controllers compared, by name."""
-    exact = Mpc("MPC", model, MpcSettings(weight, horizon, _NODE_BUDGET, 0.25))
-    paper = MpcBfgs("MPC-BFGS", model, weight, horizon)
-
-    def by_model(controller: Mpc | MpcBfgs) -> Policy:
-        return lambda temps, inputs, state, reference, step: (
-            controller.decide(box_context(temps, inputs, ROOM_C, reference, STEP_S * step)).command
-        )
-
-    def clairvoyant(temps: Floats, inputs: Floats, state: Floats, reference: float, step: int) -> Command:
-        return plan_on_box(state, reference, horizon, weight)
-
-    return {"MPC": by_model(exact), "MPC-BFGS": by_model(paper), "clairvoyant": clairvoyant}
+    exact = MpcSettings(weight, horizon, _NODE_BUDGET, time_box_s=0.25)
+    return {
+        "MPC": by_model(Mpc("MPC", model, exact)),
+        "MPC-BFGS": by_model(MpcBfgs("MPC-BFGS", model, weight, horizon)),
+        "clairvoyant": lambda episode, reference: plan_on_box(episode.state, reference, horizon, weight),
+    }
 
 
 def closed_loop_cost(policy: Policy, weight: float, references: int, seed: int) -> float:
     """Cost of an episode of reference steps: the planner's own stage cost, with what the box really does."""
     box, rng = TwoNodeBox(), np.random.default_rng([seed, 7])
-    state, temps, inputs, cost = np.full(2, ROOM_C), [ROOM_C], np.empty((0, 2)), 0.0
+    episode, cost = Episode(np.full(2, ROOM_C), [ROOM_C], []), 0.0
     for reference in np.repeat(rng.uniform(*REFERENCES_C, size=references), STEPS_PER_REFERENCE):
-        command = policy(np.array(temps), inputs, state, float(reference), len(inputs))
+        command = policy(episode, float(reference))
         duty, fan = command.heater_duty, float(command.fan_on)
-        state = box.step(state, duty, fan, ROOM_C, STEP_S)
-        temps.append(float(state[0]))
-        inputs = np.vstack([inputs, [duty, fan]])
-        cost += float(stage_cost(state[0], reference, weight, duty, fan))
+        episode.state = box.step(episode.state, np.float64(duty), np.float64(fan), ROOM_C, STEP_S)
+        episode.temps.append(float(episode.state[0]))
+        episode.inputs.append((duty, fan))
+        cost += float(stage_cost(episode.state[0], reference, weight, duty, fan))
     return cost
 
 

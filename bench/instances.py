@@ -85,7 +85,9 @@ def instances(model: Arx, count: int, horizon: int, weight: float, seed: int) ->
         )
 
 
-def box_context(temps: Floats, inputs: Floats, room: float, reference: float, now_s: float = 0.0) -> Context:
+def box_context(
+    temps: Floats, inputs: Floats, room: float, reference: float, offset: float = 0.0, now_s: float = 0.0
+) -> Context:
     """What a controller sees of the box: temperatures [n + 1] and inputs [n, 2] so far, all known exactly."""
     last = Command(float(inputs[-1, 0]), bool(inputs[-1, 1])) if len(inputs) else Command()
     history = {
@@ -94,5 +96,5 @@ def box_context(temps: Floats, inputs: Floats, room: float, reference: float, no
         "heater_duty": np.append(inputs[:, 0], np.nan),
         "fan_on": np.append(inputs[:, 1], np.nan),
     }
-    estimate = Estimate(float(temps[-1]), 0.0, 0.0, None, room, now_s)
+    estimate = Estimate(float(temps[-1]), 0.0, offset, None, room, now_s)
     return Context(now_s, now_s, STEP_S, history, estimate, np.full(60, reference), last, Limits())

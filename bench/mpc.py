@@ -112,7 +112,10 @@ def print_closed_loop(model: closed_loop.Arx, references: int, seed: int) -> Non
     print(
         f"\nclosed loop on the two-node box, N = 10, {references} reference steps of 20 min, no sensor noise;"
     )
-    print(f"clairvoyant: beam of {closed_loop.BEAM} on the box itself, same horizon, no preview")
+    print(f"clairvoyant: beam of {closed_loop.BEAM} on the box itself, same horizon, no preview;")
+    print(
+        "the others plan with the ARX model and a disturbance estimate; the box's fan is bilinear, ARX is not"
+    )
     for weight in (0.0, 1.0):
         policies = closed_loop.policies(model, 10, weight)
         costs = {

@@ -41,7 +41,7 @@ def _neighbours(fan: Ints) -> Ints:
 
 
 def _greedy_heater(problem: Problem, fan: Ints) -> Ints:
-    """For each fan plan [B, N] the heater level that is best for each step alone, one step after the other."""
+    """For each fan plan [B, N] the heater levels that are best step by step, looking no further."""
     n = problem.horizon
     off = np.zeros_like(fan)
     temps = problem.temperatures(off, fan)
