@@ -122,10 +122,15 @@ class Loop:
                 skipped, number = following - number - 1, following
         finally:
             self._shut_down()
+            self.close()
 
     def note(self, key: str, detail: str) -> None:
         """A failure of the table that was found at start."""
         self._conditions.set(key, True, self._rig.clock.now(), self._rig.clock.utc(), detail)
+
+    def close(self) -> None:
+        """End the decision thread; can be called twice."""
+        self._decisions.close()
 
     def stop(self) -> None:
         """Ask the loop to end; safe in a signal handler and from any thread."""
@@ -386,7 +391,6 @@ class Loop:
         self._rig.board.drive(Command(), False, LEASE_S)
         if self._rig.board.link_up:
             self._rig.board.serve_until_echo(ECHO_TIMEOUT_S)
-        self._decisions.close()
 
     def _tell(self, key: str, severity: Severity, text: str, now: float) -> None:
         self._events.append(Event(key, severity, text, now, self._rig.clock.utc()))

@@ -38,7 +38,7 @@ class Reference:
         self, since_start_s: float, utc: float, zone: tzinfo | None, step_s: float, steps: int
     ) -> Floats:
         """Targets for the next `steps` control steps, the one that begins now first [°C]."""
-        offsets = step_s * np.arange(steps)
+        offsets = step_s * np.arange(steps, dtype=np.float64)
         return self.at(since_start_s + offsets, seconds_of_day(utc, zone) + offsets)
 
 

@@ -1,0 +1,327 @@
+"""edge/loop.py: the order of a tick, and what each row of the failure table gets."""
+
+import json
+import math
+import select
+import threading
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loop_rig import LoopRig, is_safe
+
+from edge.daemon import read_standing
+from edge.failures import FAILURES
+from edge.messages import Command, Quality, TickRecord
+
+
+@pytest.fixture
+def rig() -> Iterator[LoopRig]:
+    rig = LoopRig()
+    yield rig
+    rig.close()
+
+
+def begins(record: TickRecord, key: str) -> bool:
+    """Whether this tick tells that `key` of the failure table begins."""
+    return key in {event.key for event in record.events}
+
+
+def ends(record: TickRecord, key: str) -> bool:
+    return f"{key}.over" in {event.key for event in record.events}
+
+
+def test_a_good_tick_sends_what_the_controller_wants(rig: LoopRig) -> None:
+    record = rig.tick()
+    assert record.decision.controller == "MPC"
+    assert record.sent == record.wanted == Command(heater_duty=0.5)
+    assert record.echo is not None
+    assert record.echo.heater_duty == 0.5
+    assert rig.board.driven[-1][2] == 70.0  # one step of 60 s and 10 s: never longer without a new decision
+    assert rig.sink.records == [record]
+
+
+def test_sequence_numbers_have_no_holes(rig: LoopRig) -> None:
+    assert [rig.tick().seq for _ in range(5)] == [1, 2, 3, 4, 5]
+
+
+def test_the_first_controller_is_reset_once_and_again_when_it_comes_back(rig: LoopRig) -> None:
+    rig.tick()
+    rig.tick()
+    assert rig.chosen.resets == 1
+    rig.loop._answer({"do": "set_controller", "name": "rules"})
+    rig.tick()
+    rig.loop._answer({"do": "set_controller", "name": "MPC"})
+    rig.tick()
+    assert (rig.chosen.resets, rig.fallback.resets) == (2, 1)
+
+
+# the failure table, row by row
+
+
+@pytest.mark.parametrize(
+    ("value", "quality"),
+    [
+        (None, Quality.FAULT),
+        (math.nan, Quality.GOOD),
+        (22.0, Quality.STALE),
+        (200.0, Quality.GOOD),
+        (None, Quality.ABSENT),
+    ],
+)
+def test_a_reading_that_is_not_good_turns_the_heater_off(
+    rig: LoopRig, value: float | None, quality: Quality
+) -> None:
+    rig.tick()
+    rig.board.temp_air, rig.board.quality = value, quality
+    record = rig.tick()
+    assert begins(record, "reading.not_good")
+    assert record.sent.heater_duty == 0.0
+    assert record.decision.controller == "MPC"  # still asked: the estimate goes on by model
+    assert math.isfinite(record.estimate.temp_air)
+    rig.board.temp_air, rig.board.quality = 22.0, Quality.GOOD
+    assert ends(rig.tick(), "reading.not_good")
+    assert rig.tick().sent.heater_duty == 0.5
+
+
+def test_an_estimate_too_old_asks_no_controller(rig: LoopRig) -> None:
+    rig.tick()
+    rig.board.quality = Quality.FAULT
+    records = [rig.tick() for _ in range(16)]  # 15 minutes are allowed
+    asked = rig.chosen.asked
+    last = rig.tick()
+    assert begins(records[-1], "estimate.old") or begins(last, "estimate.old")
+    assert last.decision.controller == "none"
+    assert is_safe(last.sent)
+    assert rig.chosen.asked == asked
+    assert last.decision.why["failure"] == "estimate.old"
+
+
+def test_before_any_reading_the_rig_is_safe(rig: LoopRig) -> None:
+    rig.board.quality = Quality.FAULT
+    record = rig.tick()
+    assert is_safe(record.sent)
+    assert rig.chosen.asked == 0
+
+
+def test_a_controller_that_raises_leaves_the_step_to_the_fallback(rig: LoopRig) -> None:
+    rig.chosen.error = RuntimeError("matrix is singular")
+    record = rig.tick()
+    assert begins(record, "controller.raised")
+    assert record.decision.controller == "rules"
+    assert record.decision.why["instead_of"] == "MPC"
+    assert record.sent.heater_duty == pytest.approx(0.1)
+    assert any("matrix is singular" in event.text for event in record.events)
+    rig.chosen.error = None
+    back = rig.tick()
+    assert ends(back, "controller.raised")
+    assert back.decision.controller == "MPC"
+
+
+@pytest.mark.parametrize("duty", [math.nan, math.inf, -math.inf])
+def test_a_controller_without_a_number_leaves_the_step_to_the_fallback(rig: LoopRig, duty: float) -> None:
+    rig.chosen.command = Command(heater_duty=duty)
+    record = rig.tick()
+    assert begins(record, "controller.not_a_number")
+    assert record.decision.controller == "rules"
+
+
+def test_a_controller_that_is_late_leaves_the_step_to_the_fallback(rig: LoopRig) -> None:
+    rig.chosen.hang_s = 0.5
+    record = rig.tick()
+    assert begins(record, "controller.late")
+    assert record.decision.controller == "rules"
+
+
+def test_when_the_fallback_fails_too_nothing_is_on(rig: LoopRig) -> None:
+    rig.chosen.error = rig.fallback.error = RuntimeError("broken")
+    record = rig.tick()
+    assert begins(record, "fallback.failed")
+    assert is_safe(record.sent)
+    assert record.decision.controller == "none"
+
+
+def test_without_a_link_the_heater_counts_as_off(rig: LoopRig) -> None:
+    rig.tick()
+    rig.board.link_up, rig.board.echo = False, None
+    record = rig.tick()
+    assert begins(record, "board.link_down")
+    assert record.echo is None
+    assert record.sent.heater_duty == 0.0
+    assert rig.rig.estimator.history()["heater_duty"][-1] == 0.0
+    rig.board.link_up = True
+    assert ends(rig.tick(), "board.link_down")
+
+
+def test_a_command_that_is_not_confirmed_counts_as_not_driven(rig: LoopRig) -> None:
+    rig.board.confirms = False
+    record = rig.tick()
+    assert begins(record, "board.no_echo")
+    assert record.echo is None
+    assert rig.rig.estimator.history()["heater_duty"][-1] == 0.0
+
+
+def test_a_late_tick_is_told(rig: LoopRig) -> None:
+    record = rig.loop.tick(rig.clock.now(), late_s=7.0)
+    assert begins(record, "tick.late")
+    assert record.late_s == 7.0
+
+
+def test_a_jump_of_the_wall_clock_is_told_and_changes_no_command(rig: LoopRig) -> None:
+    before = rig.tick()
+    rig.clock.utc_offset += 3600.0
+    record = rig.tick()
+    assert begins(record, "clock.jumped")
+    assert record.sent == before.sent
+    assert ends(rig.tick(), "clock.jumped")
+
+
+@pytest.mark.parametrize(
+    "key", ["history.behind", "history.replaced", "telemetry.offline", "state.unwritten"]
+)
+def test_what_ails_a_sink_is_told_and_control_goes_on(rig: LoopRig, key: str) -> None:
+    before = rig.tick()
+    rig.sink.ill = {key: "no space left on device"}
+    record = rig.tick()
+    assert begins(record, key)
+    assert any("no space left" in event.text for event in record.events)
+    assert record.sent == before.sent
+    rig.sink.ill = {}
+    assert ends(rig.tick(), key)
+
+
+def test_a_broken_state_file_is_an_emergency_stop(rig: LoopRig, tmp_path: Any) -> None:
+    path = tmp_path / "state.json"
+    path.write_text('{"operation": {"mode": "auto"')
+    standing = read_standing(path, rig.settings)
+    assert standing.operation.emergency_stop
+    rig.loop.note("state.broken", standing.broken)
+    assert begins(rig.tick(), "state.broken")
+
+
+def test_every_row_of_the_failure_table_is_tested() -> None:
+    source = Path(__file__).read_text()
+    assert [key for key in FAILURES if f'"{key}"' not in source] == []
+
+
+# when to tick
+
+
+def run_until(rig: LoopRig, ticks: int, each: Any = lambda record: None) -> list[TickRecord]:
+    def after(record: TickRecord) -> None:
+        each(record)
+        if len(rig.sink.records) >= ticks:
+            rig.loop.stop()
+
+    object.__setattr__(rig.rig, "after_tick", after)
+    rig.loop.run()
+    return rig.sink.records
+
+
+def test_ticks_keep_to_their_grid_however_long_they_take(rig: LoopRig) -> None:
+    def slow(record: TickRecord) -> None:
+        rig.clock.now_s += 3.7
+
+    records = run_until(rig, 10, slow)
+    starts = [record.time_s for record in records]
+    assert [b - a for a, b in pairwise(starts)] == [60.0] * 9
+    assert all(record.ticks_skipped == 0 for record in records)
+
+
+def test_ticks_that_were_missed_are_counted_and_not_made_up(rig: LoopRig) -> None:
+    def suspended_once(record: TickRecord) -> None:
+        if record.seq == 2:
+            rig.clock.now_s += 200.0  # grid points at +60, +120 and +180 s go by
+
+    records = run_until(rig, 4, suspended_once)
+    assert [record.ticks_skipped for record in records] == [0, 0, 3, 0]
+    assert records[2].time_s - records[1].time_s == 240.0
+
+
+def test_the_end_of_the_loop_turns_everything_off(rig: LoopRig) -> None:
+    run_until(rig, 2)
+    command, _, _ = rig.board.driven[-1]
+    assert command == Command()
+
+
+def test_an_error_of_our_own_ends_with_the_heater_off(rig: LoopRig) -> None:
+    def explode(record: TickRecord) -> None:
+        raise AssertionError("a bug")
+
+    object.__setattr__(rig.rig, "after_tick", explode)
+    with pytest.raises(AssertionError, match="a bug"):
+        rig.loop.run()
+    assert rig.board.driven[-1][0] == Command()
+
+
+# requests
+
+
+def test_an_emergency_stop_acts_at_once_and_stays(rig: LoopRig) -> None:
+    rig.tick()
+    reply = rig.loop._answer({"do": "emergency_stop"})
+    assert reply["ok"]
+    assert rig.board.stops == 1
+    assert is_safe(rig.board.driven[-1][0])
+    assert rig.saved[-1].emergency_stop
+    assert is_safe(rig.tick().sent)
+    assert rig.tick().mode == "emergency_stop"
+    rig.loop._answer({"do": "release_emergency_stop"})
+    assert rig.board.cleared == 1
+    assert rig.tick().sent.heater_duty == 0.5
+
+
+def test_an_order_takes_effect_before_the_next_tick(rig: LoopRig) -> None:
+    rig.tick()
+    rig.loop._answer({"do": "set_mode", "mode": "off"})
+    assert rig.board.driven[-1][0].heater_duty == 0.0
+    assert "operator.order" in {event.key for event in rig.tick().events}
+
+
+def test_a_refused_request_says_why_and_changes_nothing(rig: LoopRig) -> None:
+    rig.tick()
+    commands = len(rig.board.driven)
+    reply = rig.loop._answer({"do": "set_reference", "reference_c": 200})
+    assert reply["ok"] is False
+    assert "reference_c" in reply["error"]
+    assert len(rig.board.driven) == commands
+
+
+def test_maintenance_turns_everything_off_and_ends_by_itself(rig: LoopRig) -> None:
+    rig.tick()
+    rig.loop._answer({"do": "maintenance", "minutes": 2})
+    assert is_safe(rig.tick().sent)
+    assert is_safe(rig.tick(59.0).sent)
+    rig.tick()
+    assert rig.tick().sent.heater_duty == 0.5
+
+
+def test_status_is_plain_json(rig: LoopRig) -> None:
+    rig.tick()
+    status = rig.loop._answer({"do": "status"})
+    assert json.loads(json.dumps(status, allow_nan=False))["tick"]["seq"] == 1
+
+
+def test_requests_from_another_thread_are_answered_while_the_loop_runs(rig: LoopRig) -> None:
+    replies: list[dict[str, Any]] = []
+    asker = threading.Thread(target=lambda: replies.append(rig.inbox.ask({"do": "status"})))
+
+    def ask_once(record: TickRecord) -> None:
+        if record.seq == 1:
+            asker.start()
+            assert select.select([rig.inbox.wake], [], [], 5.0)[0]
+
+    run_until(rig, 3, ask_once)
+    asker.join(timeout=5.0)
+    assert replies[0]["ok"]
+
+
+def test_a_new_controller_takes_over_without_a_bump(rig: LoopRig) -> None:
+    rig.tick()
+    rig.fallback.command = rig.chosen.command
+    rig.loop._answer({"do": "set_controller", "name": "rules"})
+    record = rig.tick()
+    assert record.decision.controller == "rules"
+    assert record.sent == rig.sink.records[0].sent
