@@ -143,3 +143,10 @@ def test_the_decision_carries_its_why():
     shown = states.decision(ControlLoop().status())
     assert shown["why"] == {"solve_ms": 1.5}
     assert shown["sent"]["heater_duty"] == shown["wanted"]["heater_duty"] == 0.35
+
+
+def test_counters_of_the_line_are_told_and_unknown_where_there_is_no_line():
+    status = ControlLoop().status()
+    assert states.state(status, {})["line_bad_crc"] is None
+    shown = states.state({**status, "line": {"bad_crc": 3}}, {})
+    assert (shown["line_bad_crc"], shown["line_retries"]) == (3, 0)

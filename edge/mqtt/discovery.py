@@ -11,6 +11,7 @@ from typing import Any
 from edge import __version__
 from edge.hard_limits import MAINTENANCE_MAX_MIN
 from edge.mqtt.commands import PRESS
+from edge.mqtt.states import LINE_COUNTERS
 from edge.mqtt.topics import Topics
 from edge.names import HEATER_LEVELS
 from edge.operation import FanMode
@@ -120,6 +121,7 @@ def _sensors() -> dict[str, Json]:
         "ticks_late": _counter("Late ticks", "ticks_late"),
         "ticks_skipped": _counter("Skipped ticks", "ticks_skipped"),
         "outbox_depth": _diagnostic("Messages waiting", "outbox_depth", None, None, 0),
+        **{f"line_{key}": _counter(name, f"line_{key}") for key, name in LINE_COUNTERS.items()},
     }
 
 

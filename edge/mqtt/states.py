@@ -7,11 +7,19 @@ from edge.names import SIGNALS
 
 Json = dict[str, Any]
 
+LINE_COUNTERS = {
+    "bad_crc": "Frames with a wrong CRC",
+    "not_understood": "Messages not understood",
+    "retries": "Repeated requests",
+    "given_up": "Requests given up",
+    "greetings": "Greetings of the board",
+}  # of firmware_protocol.link -> what they count
+
 
 def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json:
     """One flat object for Home Assistant's templates; what is not known is null, never 0.
 
-    status : the answer to `{"do": "status"}`, with a tick in it
+    status : the answer to `{"do": "status"}`, with a tick in it; `line` holds the counters of the serial line
     counters : diagnostics of the daemon itself
     """
     tick, operation = status["tick"], status["operation"]
@@ -41,6 +49,7 @@ def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json
         "late_s": tick["late_s"],
         "decide_ms": tick["decide_ms"],
         **counters,
+        **_line_counters(status.get("line")),
     }
 
 
@@ -94,6 +103,11 @@ def _action(operation: Mapping[str, Any], echo: Mapping[str, Any] | None) -> str
     if echo["fan_on"]:
         return "fan"
     return "off" if _hvac_mode(operation) == "off" else "idle"
+
+
+def _line_counters(line: Mapping[str, int] | None) -> Json:
+    """A counter that never counted is not in `line`; without `line` (a recorded board) none is known."""
+    return {f"line_{key}": None if line is None else line.get(key, 0) for key in LINE_COUNTERS}
 
 
 def _trips(status: Mapping[str, Any]) -> list[str]:
