@@ -3,6 +3,7 @@
 import array
 import fcntl
 import json
+import math
 import os
 import select
 import socket
@@ -130,14 +131,14 @@ class SimClock:
         return SLICE_S if self._speed is None else min(SLICE_S, SLICE_REAL_S * self._speed)
 
     def _advance(self, to_s: float) -> None:
-        request: dict[str, Any] = {"advance_to_s": to_s}
+        asked_s = math.ceil(to_s * 1000 - 1e-3) / 1000  # the board counts ms: 0.1 + 0.2 s is 300
+        request: dict[str, Any] = {"advance_to_s": asked_s}
         if self._port is not None:
             request |= {"host_bytes": self._port.bytes_out, "stop_on_bytes": True}
             request |= {"device": self._device, "opening": self._opening}
         answer = self.request(request)
-        # The board counts milliseconds: what it calls 0.3 may be a hair before the 0.1 + 0.2 that was asked for.
-        reached = abs(float(answer["time_s"]) - to_s) < 1e-5
-        self._now_s = to_s if reached else float(answer["time_s"])
+        reached_s = float(answer["time_s"])
+        self._now_s = max(reached_s, to_s if reached_s >= asked_s else self._now_s)
         if self._port is None:
             return
         self._gone = not answer["plugged"]
@@ -168,7 +169,10 @@ def _await_delivery(port: Port, count: int) -> None:
     waiting = array.array("i", [0])
     deadline = time.monotonic() + DELIVERY_S
     while time.monotonic() < deadline:
-        fcntl.ioctl(port.fileno(), termios.FIONREAD, waiting)
+        try:
+            fcntl.ioctl(port.fileno(), termios.FIONREAD, waiting)
+        except OSError:  # the board process has died: the port says so when it is read
+            return
         if waiting[0] >= min(count, PTY_HOLDS):
             return
         time.sleep(0.0001)

@@ -10,14 +10,22 @@ from pathlib import Path
 
 import pytest
 import serial
+from line_host import LineHost
+from rig import VirtualBoard, command, virtual_board
 
 from edge.serial_port import SerialPort
 from edge.sim_clock import SimClock
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.link import BoardReset, LinkLost, LinkUp
-from firmware_protocol.messages import Capability, EmergencyStop, Hello, HelloRequest, SensorReport, pack, unpack
-from line_host import LineHost
-from rig import VirtualBoard, command, virtual_board
+from firmware_protocol.messages import (
+    Capability,
+    EmergencyStop,
+    Hello,
+    HelloRequest,
+    SensorReport,
+    pack,
+    unpack,
+)
 
 CORES = ("python", "c")
 NOISE = [

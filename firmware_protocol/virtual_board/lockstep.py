@@ -61,7 +61,7 @@ def follow_plug(device: Device, port: Port) -> bool:
 
 
 def milliseconds(time_s: float) -> int:
-    """The first whole millisecond that is not before `time_s`, also after division: else a host waits for ever."""
+    """The first whole millisecond not before `time_s`, divided too: else a host could wait for ever."""
     time_ms = math.ceil(time_s * 1000)
     return time_ms if time_ms / 1000 >= time_s else time_ms + 1
 
