@@ -50,6 +50,8 @@ class BoardLine(Protocol):
     def link_up(self) -> bool: ...
     @property
     def has_samples(self) -> bool: ...
+    @property
+    def statistics(self) -> Mapping[str, int]: ...  # counters of the line
     def take_samples(self) -> list[Mapping[str, Reading]]: ...
     def take_events(self) -> list[Event]: ...
     def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None: ...
@@ -345,9 +347,13 @@ class Loop:
         return {"ok": True, **self.status()}
 
     def status(self) -> dict[str, Any]:
-        """Standing orders and the last tick, as JSON values."""
-        last = None if self.last_record is None else tick_json(self.last_record)
-        return {"operation": to_dict(self._operation), "trips": list(self._memory.trips), "tick": last}
+        """Standing orders, the last tick and the line's counters, as JSON values."""
+        return {
+            "operation": to_dict(self._operation),
+            "trips": list(self._memory.trips),
+            "tick": None if self.last_record is None else tick_json(self.last_record),
+            "line": dict(self._rig.board.statistics),
+        }
 
     def _order(self, request: Request) -> None:
         clock = self._rig.clock

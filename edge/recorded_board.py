@@ -59,6 +59,11 @@ class RecordedBoard:
         """A recorded row waits to be taken."""
         return bool(self._waiting)
 
+    @property
+    def statistics(self) -> Mapping[str, int]:
+        """There is no line that could count."""
+        return {}
+
     def take_samples(self) -> list[Mapping[str, Reading]]:
         """The rows since the last call."""
         samples, self._waiting = self._waiting, []

@@ -56,6 +56,10 @@ class FakeBoard:
     def has_samples(self) -> bool:
         return self.link_up
 
+    @property
+    def statistics(self) -> Mapping[str, int]:
+        return {}
+
     def take_samples(self) -> list[Mapping[str, Reading]]:
         samples = []
         while self.link_up and self._sampled_s + 1.0 <= self.clock.now_s:
