@@ -51,9 +51,9 @@ def solve(
     deadline = time.monotonic() + time_box_s
     bounds = tangent(problem, relaxed_temperatures(problem))
     best = _warm_plan(problem, warm)
-    bound, nodes, width = _root_bound(problem, bounds), 0, 0
-    while True:
-        width = _next_width(width, (node_budget - nodes) // problem.horizon)
+    bound, nodes = _root_bound(problem, bounds), 0
+    width = max(1, _next_width(0, node_budget // problem.horizon))
+    while width:
         if best is None:
             found = search(problem, bounds, width, np.inf)
         else:
@@ -65,10 +65,12 @@ def solve(
         margin = rounding_margin(best.cost)
         bound = max(bound, min(found.bound, best.cost) - margin)
         proven = found.bound >= best.cost - margin
-        if proven or found.stopped or _next_width(width, (node_budget - nodes) // problem.horizon) <= width:
+        if proven or found.stopped:
             break
         if width == _POLISH_FROM:
             best = polished(problem, best)
+        width = _next_width(width, (node_budget - nodes) // problem.horizon)
+    assert best is not None
     runner_up = search(problem, bounds, _RUNNER_UP_WIDTH, np.inf, other_than=_first_step(best)).plan
     if runner_up is not None and runner_up.cost < best.cost:
         best, runner_up = runner_up, best
@@ -76,9 +78,9 @@ def solve(
 
 
 def _next_width(width: int, affordable: int) -> int:
-    """The next wider search, as far as the nodes that are left allow; 1 at least."""
-    wider = min((w for w in _WIDTHS if w > width), default=width)
-    return max(1, min(wider, affordable))
+    """The next wider search, as far as the nodes that are left allow; 0 when there is none."""
+    wider = min((listed for listed in _WIDTHS if listed > width), default=0)
+    return min(wider, affordable) if affordable > width else 0
 
 
 def _stop(deadline: float, nodes_left: int | None) -> Callable[[int], bool]:
