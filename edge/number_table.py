@@ -1,6 +1,7 @@
 """Strict CSV of numbers over time, `# key: value` lines on top: what run files and profiles are."""
 
 import csv
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from edge.errors import DataError
 
 Floats = NDArray[np.float64]
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,2})?", re.ASCII)  # no nan, no inf, no 1_000
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # no nan, no inf, no 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +111,7 @@ def _row(place: str, names: list[str], cells: list[str]) -> list[float]:
 def _number(place: str, name: str, cell: str) -> float:
     if not cell:
         return float("nan")
-    if not _NUMBER.fullmatch(cell):
+    if not (_NUMBER.fullmatch(cell) and math.isfinite(float(cell))):
         raise DataError(f"{place}: {name}: {cell!r} is no number")
     return float(cell)
 
