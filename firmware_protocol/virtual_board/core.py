@@ -28,7 +28,8 @@ from firmware_protocol.messages import (
     unpack,
 )
 from firmware_protocol.virtual_board.board_config import BoardConfig
-from firmware_protocol.virtual_board.board_safety import Pins, Safety
+from firmware_protocol.virtual_board.board_outputs import Pins
+from firmware_protocol.virtual_board.board_safety import Safety
 from firmware_protocol.virtual_board.board_samples import AIR, Samples
 from firmware_protocol.virtual_board.board_time import elapsed, wrapped
 
