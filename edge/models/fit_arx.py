@@ -14,7 +14,7 @@ from edge.models.arx import Arx
 from edge.models.resample import resample
 
 Floats = NDArray[np.float64]
-ORDERS = tuple((p, q) for p in (1, 2, 3, 4, 6) for q in (1, 2, 3, 4))
+ORDERS = tuple((p, q) for p in (1, 2, 3, 4, 6, 8, 12) for q in (1, 2, 3, 4))
 FREE_RUN_STEPS = 30
 _ROWS_PER_COEFFICIENT = 5  # fewer rows than this times the coefficients are no fit
 _TOLERANCE = 1.01  # the fewest coefficients within 1 % of the least free-run error are chosen
