@@ -1,4 +1,4 @@
-"""The board's own safety: what may be driven now, whatever the host says. See PROTOCOL.md, "Outputs" and "Trip"."""
+"""The board's own safety: what may be driven, whatever the host says. See PROTOCOL.md, "Outputs", "Trip"."""
 
 from dataclasses import dataclass, field
 

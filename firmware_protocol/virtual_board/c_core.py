@@ -12,7 +12,7 @@ from pathlib import Path
 from firmware_protocol.messages import LAYOUTS, Hello, ResetCause
 from firmware_protocol.virtual_board import board_samples
 from firmware_protocol.virtual_board.board_config import BoardConfig
-from firmware_protocol.virtual_board.board_safety import Pins
+from firmware_protocol.virtual_board.board_outputs import Pins
 from firmware_protocol.virtual_board.board_samples import to_raw
 
 SOURCES = Path(__file__).parents[1] / "c"
