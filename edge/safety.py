@@ -43,6 +43,15 @@ from edge.safety_state import (
     remember,
 )
 from edge.settings import SafetySettings
+from edge.thermal_supervision import (
+    FAN_NO_EFFECT,
+    GAP_MAX_S,
+    GAP_MAX_STEPS,
+    Finding,
+    Moment,
+    ThermalMemory,
+    look,
+)
 
 __all__ = [
     "SafetyMemory",
@@ -111,18 +120,46 @@ def clear_trip(
     if temp_air is None or not temp_air < limit:
         air = "unknown" if temp_air is None else f"{temp_air:.1f} °C"
         raise RequestError(f"clear_trip: the air is {air}; it must be below {limit:g} °C")
-    return replace(memory, trips=())
+    return replace(memory, trips=(), thermal=ThermalMemory())
 
 
 def _latch(
     view: SafetyView, memory: SafetyMemory, settings: SafetySettings, temp_air: float | None
 ) -> tuple[SafetyMemory, tuple[Event, ...]]:
     """Trips that begin now."""
-    if temp_air is None or temp_air < settings.temp_trip_c or OVER_TEMPERATURE in memory.trips:
-        return memory, ()
-    text = f"air {temp_air:.1f} °C, trip at {settings.temp_trip_c:g} °C: heater off until reset, fan on"
-    event = Event(f"safety.{OVER_TEMPERATURE}", Severity.ALARM, text, view.now_s, view.utc)
-    return replace(memory, trips=(*memory.trips, OVER_TEMPERATURE)), (event,)
+    memory, findings = _look(view, memory, temp_air)
+    if temp_air is not None and not temp_air < settings.temp_trip_c:
+        text = f"air {temp_air:.1f} °C, trip at {settings.temp_trip_c:g} °C"
+        findings = (Finding(OVER_TEMPERATURE, text), *findings)
+    new = tuple(finding for finding in findings if finding.trip not in memory.trips)
+    events = tuple(
+        Event(f"safety.{f.trip}", Severity.ALARM, f"{f.text}; no heat until reset", view.now_s, view.utc)
+        for f in new
+    )
+    return replace(memory, trips=memory.trips + tuple(finding.trip for finding in new)), events
+
+
+def _look(
+    view: SafetyView, memory: SafetyMemory, temp_air: float | None
+) -> tuple[SafetyMemory, tuple[Finding, ...]]:
+    """Thermal supervision of the time since the last decision; it begins anew where something is not known."""
+    echo, last_s = view.echo, memory.time_s
+    if temp_air is None or echo is None or last_s is None or not view.link_up:
+        return replace(memory, thermal=ThermalMemory()), ()
+    passed_s = view.now_s - last_s
+    if not 0.0 <= passed_s <= max(GAP_MAX_S, GAP_MAX_STEPS * view.dt_s):
+        return replace(memory, thermal=ThermalMemory()), ()
+    moment = Moment(
+        dt_s=passed_s,
+        temp_air=temp_air,
+        temp_ambient=known(view, "temp_ambient", GAP_MAX_S),
+        heater_duty=echo.heater_duty,
+        fan_on=echo.fan_on,
+        led=echo.led,
+        fan_trusted=FAN_NO_EFFECT not in memory.trips,
+    )
+    thermal, findings = look(memory.thermal, moment)
+    return replace(memory, thermal=thermal), findings
 
 
 def _limited(

@@ -11,9 +11,9 @@ from edge.messages import Quality
 from edge.names import HEATER_LEVELS, HEATER_MAX_W
 from edge.safety_state import DAY_S, HOUR_S, SafetyMemory, SafetyView, heat_wh, water_s
 from edge.settings import SafetySettings
+from edge.thermal_supervision import HEATER_STUCK_ON
 
 OVER_TEMPERATURE = "over_temperature"
-HEATER_STUCK_ON = "heater_stuck_on"
 HOT_TRIPS = frozenset({OVER_TEMPERATURE, HEATER_STUCK_ON})  # answered with the fan and the cut-off
 CLOCK_SLACK_S = 0.5  # a tick may begin this much early without breaking a relay time
 LED_LEVELS = 100

@@ -6,6 +6,7 @@ from typing import Any
 
 from edge.messages import Change, Command, Echo, Estimate, Event, Reading
 from edge.names import HEATER_MAX_W
+from edge.thermal_supervision import ThermalMemory
 
 HOUR_S = 3600.0
 DAY_S = 86400.0
@@ -53,6 +54,7 @@ class SafetyMemory:
     fan_since_s: float | None = None  # when the fan was last switched; None: not since the start
     heat: tuple[tuple[float, float], ...] = ()  # begin of a piece [s], heat in it [Wh]; the last 24 hours
     doses: tuple[Dose, ...] = ()
+    thermal: ThermalMemory = field(default_factory=ThermalMemory)
 
 
 @dataclass(frozen=True, slots=True)
