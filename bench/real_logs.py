@@ -1,0 +1,121 @@
+"""Measured logs through the same tick: ARX fitted on some runs, its forecasts scored on others, in shadow.
+
+python -m bench.real_logs [--data ../shared/data/heated_box] [--out bench/results]
+
+What these logs can't show: the fan was on all the time, so its effect is not in them; there was no ambient
+sensor, so the room's part of the loss is in the intercept.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from edge.commands.replay import settings_for, skill_table
+from edge.messages import TickRecord
+from edge.models.arx import Arx
+from edge.models.fit_arx import fit_arx
+from edge.replay import decisions_digest, replay, score
+from edge.run_file import Run, read_run
+
+STEP_S = 10.0
+HORIZONS_S = (10.0, 30.0, 60.0, 120.0, 300.0)
+REFERENCE_C = 23.0  # inside what the box reached, so that the shadow controller has something to do
+TRAINING, VALIDATION = 5, 3  # runs in the order of their dates; the rest is only scored
+SOURCE = "ESPerimentino PID, repository grobx/unimi-embedded-project, CC BY 4.0"
+
+
+def split(paths: Sequence[Path]) -> tuple[list[Run], list[Run], list[Run]]:
+    """Training, validation and test runs, by date: what comes later is not known when a model is fitted."""
+    runs = [read_run(path) for path in sorted(paths)]
+    end = TRAINING + VALIDATION
+    return runs[:TRAINING], runs[TRAINING:end], runs[end:]
+
+
+def main() -> None:
+    """Print the table, save it and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data/heated_box"))
+    parser.add_argument("--out", type=Path, default=Path("bench/results"))
+    parser.add_argument("--images", type=Path, default=Path("docs/images"))
+    arguments = parser.parse_args()
+    paths = list(arguments.data.glob("*.csv"))
+    if not paths:
+        raise SystemExit(f"{arguments.data}: no run files; they are from {SOURCE}")
+    training, validation, test = split(paths)
+    fit = fit_arx(training, validation, STEP_S, with_fan=False, with_ambient=False)
+    model = replace(fit.model, version="real logs")
+    settings = settings_for(STEP_S, "MPC", REFERENCE_C)
+    replays = [replay(run, settings, model, fan_always_on=True) for run in test]
+    again = [replay(run, settings, model, fan_always_on=True) for run in test]
+    same = [decisions_digest(a) == decisions_digest(b) for a, b in zip(replays, again, strict=True)]
+    lines = [
+        "python -m bench.real_logs",
+        f"{len(training)} runs fitted, {len(validation)} to choose the orders, {len(test)} scored only; "
+        f"steps of {STEP_S:g} s, {SOURCE}",
+        f"ARX p = {len(model.temp)}, q = {len(model.heater)}, without fan and ambient",
+        f"replayed twice: {sum(same)} of {len(same)} runs gave the same decisions bit for bit",
+        "",
+        *skill_table([score(records, model, HORIZONS_S) for records in replays]),
+    ]
+    print("\n".join(lines))
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    (arguments.out / "real_logs.txt").write_text("\n".join(lines) + "\n")
+    draw(replays[0], model, test[0], arguments.images / "real_logs.png")
+
+
+def draw(records: Sequence[TickRecord], model: Arx, run: Run, path: Path) -> None:
+    """Measured temperature with forecasts of 5 minutes from every third minute, and the inputs below."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    minutes = run.columns["time_s"] / 60.0
+    upper.plot(minutes, run.columns["temp_air_c"], color="black", linewidth=1.2, label="measured")
+    reach = round(300.0 / STEP_S)
+    for index, tick in enumerate(range(model.rows_needed - 1, len(records) - 1, 18)):
+        start, forecast = forecast_from(records, model, tick, reach)
+        label = "forecast of 5 min, with the inputs that stood" if index == 0 else None
+        upper.plot(start, forecast, color="tab:orange", linewidth=1.8, label=label)
+    upper.set_ylabel("air temperature [°C]")
+    upper.legend(loc="upper left")
+    upper.set_title(f"Replay of a measured run, {run.path.stem if run.path else ''}")
+    lower.step(
+        minutes, run.columns["heater_duty"], where="post", color="tab:red", label="recorded heater duty"
+    )
+    wanted = [record.wanted.heater_duty for record in records]
+    times = [record.time_s / 60.0 for record in records]
+    label = f"what MPC would have wanted, for {REFERENCE_C:g} °C"
+    lower.step(times, wanted, where="post", color="tab:blue", linewidth=0.9, label=label)
+    lower.set_ylabel("heater duty")
+    lower.set_ylim(-0.05, 1.55)
+    lower.legend(loc="upper right", ncols=2, fontsize="small")
+    lower.set_xlabel("time [min]")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def forecast_from(
+    records: Sequence[TickRecord], model: Arx, tick: int, reach: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times [min] and temperatures [°C] of the forecast made at `tick`, its start included."""
+    reach = min(reach, len(records) - 1 - tick)
+    driven = np.array([(r.echo.heater_duty, float(r.echo.fan_on)) if r.echo else (0.0, 0.0) for r in records])
+    history = {
+        "temp_air": np.array([record.estimate.temp_air for record in records[: tick + 1]]),
+        "heater_duty": np.append(driven[:tick, 0], np.nan),
+        "fan_on": np.append(driven[:tick, 1], np.nan),
+    }
+    ahead = {
+        "temp_ambient": np.full(reach, records[tick].estimate.temp_ambient),
+        "offset": np.full(reach, records[tick].estimate.offset),
+    }
+    forecast = model.rollout(history, driven[None, tick : tick + reach], ahead)[0]
+    times = records[tick].time_s + STEP_S * np.arange(reach + 1)
+    return times / 60.0, np.append(records[tick].estimate.temp_air, forecast)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""`greenhouse replay RUN.csv...`: recorded runs through the same tick, in shadow; how good the forecasts were."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from edge import config
+from edge.messages import TickRecord
+from edge.models.arx_file import DEFAULT_PATH, read_arx
+from edge.replay import Skill, decisions_digest, replay, score
+from edge.run_file import read_run
+from edge.settings import CONTROLLERS, Settings
+from edge.tick_json import tick_json
+
+HORIZONS_S = (60.0, 300.0, 900.0, 1800.0, 3600.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv")
+    parser.add_argument("--model", type=Path, default=DEFAULT_PATH, help="ARX file; its step is the replay's")
+    parser.add_argument("--controller", choices=CONTROLLERS, default="MPC")
+    parser.add_argument("--reference", type=float, default=24.0, metavar="DEGC", help="what it should hold")
+    parser.add_argument("--horizons", type=_horizons, default=HORIZONS_S, metavar="S,S,...")
+    parser.add_argument("--fan-always-on", action="store_true", help="for runs without a fan_on column")
+    parser.add_argument("--out", type=Path, help="folder for the ticks, one JSON line each")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the skill table and the digest of every run's decisions."""
+    model = read_arx(arguments.model)
+    settings = settings_for(model.step_s, arguments.controller, arguments.reference)
+    skills = []
+    for path in arguments.runs:
+        records = replay(read_run(path), settings, model, arguments.fan_always_on)
+        skills.append(score(records, model, arguments.horizons))
+        print(f"{path.name}: {len(records)} ticks, decisions {decisions_digest(records)[:16]}")
+        if arguments.out is not None:
+            _write(arguments.out / f"{path.stem}.jsonl", records)
+    print()
+    print("\n".join(skill_table(skills)))
+    return 0
+
+
+def settings_for(step_s: float, controller: str, reference_c: float) -> Settings:
+    """The default settings at another step, in shadow: limits in degrees and seconds stay as they are."""
+    settings = config.default()
+    return replace(
+        settings,
+        control=replace(settings.control, step_s=step_s, controller=controller),
+        reference=replace(settings.reference, reference_c=reference_c),
+    )
+
+
+def skill_table(skills: Sequence[Sequence[Skill]]) -> list[str]:
+    """All runs together, a line per horizon."""
+    lines = ["horizon_s  forecasts  mae_k  persistence_mae_k  ratio"]
+    for of_horizon in zip(*skills, strict=True):
+        model = np.concatenate([skill.model for skill in of_horizon])
+        persistence = np.concatenate([skill.persistence for skill in of_horizon])
+        if len(model) == 0:
+            lines.append(f"{of_horizon[0].horizon_s:9g}  {0:9d}      -                  -      -")
+            continue
+        mae, of_persistence = model.mean(), persistence.mean()
+        lines.append(
+            f"{of_horizon[0].horizon_s:9g}  {len(model):9d}  {mae:5.3f}  {of_persistence:17.3f}"
+            f"  {mae / of_persistence:5.2f}"
+        )
+    return lines
+
+
+def _horizons(text: str) -> tuple[float, ...]:
+    values = tuple(float(word) for word in text.split(","))
+    if not all(0 < value < 1e6 for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of times above 0")
+    return values
+
+
+def _write(path: Path, records: Sequence[TickRecord]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(json.dumps(tick_json(record)) + "\n" for record in records))
