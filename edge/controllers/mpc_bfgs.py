@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from edge.controllers.base import Context, Floats
-from edge.controllers.heater import levels_allowed
 from edge.controllers.mixed_integer.problem import Ints, Problem
 from edge.controllers.mpc import cost_split, planning_problem
 from edge.messages import Command, Decision
@@ -33,9 +32,10 @@ class MpcBfgs:
         begun = time.perf_counter()
         problem = planning_problem(context, self._model, self._weight, self._horizon, preview=False)
         levels, fan, iterations = rounded_bfgs(problem)
+        levels[0] = min(levels[0], problem.heater_levels)
+        if problem.fan_rules.hold:
+            fan[0] = problem.fan_rules.on
         temps = problem.temperatures(levels, fan)
-        level = min(int(levels[0]), levels_allowed(context.limits.heater_max_duty))
-        fan_on = context.last_sent.fan_on if problem.fan_rules.hold else bool(fan[0])
         why: dict[str, Any] = {
             **cost_split(problem, levels / HEATER_LEVELS, fan, temps),
             "iterations": iterations,
@@ -45,7 +45,8 @@ class MpcBfgs:
             "model": f"{self._model.name} {self._model.version}",
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
-        return Decision(Command(level / HEATER_LEVELS, fan_on), self.name, tuple(temps.tolist()), why)
+        command = Command(int(levels[0]) / HEATER_LEVELS, bool(fan[0]))
+        return Decision(command, self.name, tuple(temps.tolist()), why)
 
 
 def rounded_bfgs(problem: Problem) -> tuple[Ints, Ints, int]:
