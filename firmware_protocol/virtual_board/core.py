@@ -60,9 +60,10 @@ class BoardCore:
 
     def receive(self, data: bytes, now_ms: int) -> None:
         """Bytes from the line."""
+        self._advance(now_ms)
         for payload in self.decoder.feed(data):
-            self._advance(now_ms)
             self._take(payload, wrapped(now_ms))
+            self._advance(now_ms)  # a command with no lease has let go before the next frame is looked at
 
     def sample(self, samples: Mapping[str, tuple[float | None, int]], now_ms: int) -> None:
         """New samples: a key of board_samples.SIGNALS -> (value in its unit or None, Quality)."""
