@@ -12,4 +12,5 @@ REFERENCE_MAX_C = 45.0
 STEP_MIN_S = 1.0
 STEP_MAX_S = 600.0
 MAINTENANCE_MAX_MIN = 24 * 60.0
-CALIBRATION_OFFSET_MAX_K = 5.0  # a larger one hides a broken sensor and moves every limit with it
+AIR_OFFSET_MAX_K = 5.0  # a larger one hides a broken sensor and moves every temperature limit with it
+AIR_GAIN_ERROR_MAX = 0.1  # 4 K at 40 °C

@@ -224,11 +224,15 @@ class CalibrationSettings(Section):
     tank_level: SensorCalibration = field(default_factory=SensorCalibration)
 
     def cross_check(self) -> None:
-        """A wrong offset of the air temperature would defeat every temperature limit."""
-        if abs(self.temp_air.offset) > hard.CALIBRATION_OFFSET_MAX_K:
+        """A wrong calibration of the air temperature would defeat every temperature limit."""
+        air = self.temp_air
+        if not abs(air.offset) <= hard.AIR_OFFSET_MAX_K:
             self.refuse(
-                "temp_air.offset",
-                f"{self.temp_air.offset:g} is beyond the hard limit +-{hard.CALIBRATION_OFFSET_MAX_K:g}",
+                "temp_air.offset", f"{air.offset:g} is beyond the hard limit ±{hard.AIR_OFFSET_MAX_K:g}"
+            )
+        if not abs(air.gain - 1.0) <= hard.AIR_GAIN_ERROR_MAX:
+            self.refuse(
+                "temp_air.gain", f"{air.gain:g} is beyond the hard limit 1±{hard.AIR_GAIN_ERROR_MAX:g}"
             )
 
 
@@ -298,7 +302,6 @@ class WateringSettings(Section):
     pulse_s: float = number(2.0, "valve open per pulse", "s", 0.1, hard.VALVE_PULSE_MAX_S, hard=True)
     soak_s: float = number(600.0, "pause after a pulse, for the water to arrive", "s", 60.0, 86400.0)
     daily_max_s: float = number(30.0, "valve open in 24 hours", "s", 0.0, hard.VALVE_DAY_MAX_S, hard=True)
-    tank_min: float = number(0.1, "tank level below which no pulse is given", "1", 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
