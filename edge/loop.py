@@ -25,7 +25,15 @@ from edge.lighting import led_level
 from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
 from edge.operation import Desk, Operation, apply_orders, operate, to_dict
 from edge.reference import Reference, seconds_of_day
-from edge.safety import SafetyMemory, SafetyView, Verdict, clear_trip, planning_limits, supervise
+from edge.safety import (
+    SafetyMemory,
+    SafetyView,
+    Verdict,
+    clear_trip,
+    memory_to_dict,
+    planning_limits,
+    supervise,
+)
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
 from edge.tick_json import tick_json
@@ -235,8 +243,9 @@ class Loop:
     def _with_light_and_water(
         self, command: Command, readings: Mapping[str, Reading], now: float, utc: float
     ) -> Command:
-        """Heater and fan are the controller's; LED and valve follow their own simple rules."""
+        """Heater and fan are the controller's, light too where it asks for it; else simple rules decide."""
         level = led_level(self._rig.settings.lighting, seconds_of_day(utc, self._rig.zone))
+        level = max(level, command.led)
         return replace(
             command, led=level, valve_pulse_s=self._watering.pulse(readings.get("soil_moisture"), now)
         )
@@ -257,7 +266,7 @@ class Loop:
             dt_s=self._step_s,
         )
         verdict = supervise(wanted, view, self._memory, rig.settings.safety)
-        if verdict.memory.trips != self._memory.trips:
+        if memory_to_dict(verdict.memory) != memory_to_dict(self._memory):
             rig.save_state(self._operation, verdict.memory)
         self._memory, self._last_verdict = verdict.memory, verdict
         return verdict
@@ -373,7 +382,7 @@ class Loop:
 
     def _clear_trip(self) -> None:
         clock = self._rig.clock
-        self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air(), clock.now())
+        self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air())
         self._rig.board.clear_trip()
         self._rig.save_state(self._operation, self._memory)
         self._tell("operator.clear_trip", Severity.INFO, "trips cleared", clock.now())

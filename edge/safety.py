@@ -107,9 +107,7 @@ def planning_limits(memory: SafetyMemory, settings: SafetySettings, now_s: float
     )
 
 
-def clear_trip(
-    memory: SafetyMemory, settings: SafetySettings, temp_air: float | None, now_s: float
-) -> SafetyMemory:
+def clear_trip(memory: SafetyMemory, settings: SafetySettings, temp_air: float | None) -> SafetyMemory:
     """The memory without its trips. Errors: RequestError while the cause may still be there.
 
     temp_air : [°C]; None unless good
@@ -142,7 +140,7 @@ def _latch(
 def _look(
     view: SafetyView, memory: SafetyMemory, temp_air: float | None
 ) -> tuple[SafetyMemory, tuple[Finding, ...]]:
-    """Thermal supervision of the time since the last decision; it begins anew where something is not known."""
+    """Thermal supervision of the time since the last decision; anew where something is not known."""
     echo, last_s = view.echo, memory.time_s
     if temp_air is None or echo is None or last_s is None or not view.link_up:
         return replace(memory, thermal=ThermalMemory()), ()
