@@ -3,7 +3,6 @@
 TEMP_AIR_MAX_C = 60.0  # no plant and no glued seam of the box is made for more
 TEMP_TRIP_MAX_C = 65.0  # the latch must come before the box's plastic parts soften
 READING_AGE_MAX_S = 60.0  # heating on an older air temperature is heating blind
-SILENCE_MAX_S = 10.0  # not longer than the board's lease
 HEATER_RISE_MAX_PER_S = 1.0  # the full duty within a second is no limit at all
 VALVE_PULSE_MAX_S = 10.0  # one pulse; the board bounds it by itself as well
 VALVE_DAY_MAX_S = 600.0  # what can be spilled in a day if soil and tank sensors lie
@@ -13,4 +12,4 @@ STEP_MIN_S = 1.0
 STEP_MAX_S = 600.0
 MAINTENANCE_MAX_MIN = 24 * 60.0
 AIR_OFFSET_MAX_K = 5.0  # a larger one hides a broken sensor and moves every temperature limit with it
-AIR_GAIN_ERROR_MAX = 0.1  # 4 K at 40 °C
+AIR_GAIN_MIN, AIR_GAIN_MAX = 0.9, 1.1  # 4 K at 40 °C

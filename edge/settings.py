@@ -17,9 +17,6 @@ class BoardSettings(Section):
 
     port: str = text("/dev/greenhouse", "serial port; the udev rule makes this stable name")
     baudrate: int = whole(115200, "line speed", 9600, 921600, (9600, 57600, 115200, 230400, 460800, 921600))
-    silence_to_safe_s: float = number(
-        3.0, "a board silent for longer is lost: nothing on", "s", 1.0, hard.SILENCE_MAX_S, hard=True
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,9 +227,10 @@ class CalibrationSettings(Section):
             self.refuse(
                 "temp_air.offset", f"{air.offset:g} is beyond the hard limit ±{hard.AIR_OFFSET_MAX_K:g}"
             )
-        if not abs(air.gain - 1.0) <= hard.AIR_GAIN_ERROR_MAX:
+        if not hard.AIR_GAIN_MIN <= air.gain <= hard.AIR_GAIN_MAX:
             self.refuse(
-                "temp_air.gain", f"{air.gain:g} is beyond the hard limit 1±{hard.AIR_GAIN_ERROR_MAX:g}"
+                "temp_air.gain",
+                f"{air.gain:g} is beyond the hard limits {hard.AIR_GAIN_MIN:g} and {hard.AIR_GAIN_MAX:g}",
             )
 
 
