@@ -201,7 +201,7 @@ def test_a_killed_board_is_named(rig):
 
 
 def test_no_board_is_named(tmp_path):
-    with pytest.raises(BoardProcessGone, match="no virtual board listens at .*control"):
+    with pytest.raises(BoardProcessGone, match=r"no virtual board listens at .*control"):
         SimClock(tmp_path / "control")
 
 

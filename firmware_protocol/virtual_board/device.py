@@ -46,11 +46,11 @@ class Device:
         self._clock = BoardClock(0)
         self._translator: OtherProtocol | None = None
         self._core: Core | None = None
-        self._boot_due: list[tuple[int, ResetCause, int]] = []  # reset at, cause, boot time [ms]
+        self._resets_due: list[tuple[int, ResetCause, int]] = []  # reset at, cause, boot time [ms]
         self._boots_at_ms = 0
         self._boots_from = ResetCause.POWER_ON
         self._sample_at_ms = 0
-        self._turnaround_at_ms: float = float("inf")
+        self._turnaround_at_ms = float("inf")
         for fault in faults:
             self.schedule.add(fault)
         self._work()
@@ -85,7 +85,7 @@ class Device:
     def clear_faults(self) -> None:
         """End all faults that last or wait."""
         self.schedule.clear()
-        self._boot_due.clear()
+        self._resets_due.clear()
         self._change_faults()
 
     @property
@@ -107,14 +107,14 @@ class Device:
 
     def _work(self) -> None:
         now_ms = self.now_ms
+        if self._core is None and now_ms >= self._boots_at_ms:
+            self._start_firmware()
         if now_ms >= self.schedule.next_change_ms:
             self._change_faults()
         if now_ms >= self._turnaround_at_ms:
             self._turnaround_at_ms = float("inf")
-        if self._boot_due and now_ms >= self._boot_due[0][0]:
-            self._reset(*self._boot_due.pop(0)[1:])
-        if self._core is None and now_ms >= self._boots_at_ms:
-            self._start_firmware()
+        if self._resets_due and now_ms >= self._resets_due[0][0]:
+            self._reset(*self._resets_due.pop(0)[1:])
         if now_ms >= self._sample_at_ms:
             self._take_samples()
         self._take_host_bytes()
@@ -203,5 +203,5 @@ class Device:
     def _plan_resets(self, cause: ResetCause, fault: Fault, count: int, period_s: float) -> None:
         boot_time_ms = round(fault.number("boot_time_s") * 1000)
         times = [fault.start_ms + round(number * period_s * 1000) for number in range(count)]
-        self._boot_due += [(time, cause, boot_time_ms) for time in times]
-        self._boot_due.sort()
+        self._resets_due += [(time, cause, boot_time_ms) for time in times]
+        self._resets_due.sort()

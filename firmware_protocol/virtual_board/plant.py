@@ -33,7 +33,7 @@ class Plant:
 
     def __init__(self, chamber: Chamber, parts: Capability) -> None:
         self.chamber = chamber
-        self._absent = [signal for signal, part in _SENSORS.items() if not part & parts]
+        self._absent = {signal for signal, part in _SENSORS.items() if not part & parts}
         self._has_tacho = bool(parts & Capability.FAN_TACHO)
         has_cutoff = bool(parts & Capability.HEATER_CUTOFF)
         self.reset_pins = Pins(heater_relay=False, fan=False, led=0.0, valve=False, cutoff_open=has_cutoff)
@@ -68,7 +68,7 @@ class Plant:
         self._pass_to(now_ms)
         self.hottest_c = max(self.hottest_c, self.chamber.truth()["temp_air_c"])
         sensed = self.chamber.sense()
-        for signal in self._absent:
+        for signal in self._absent & sensed.keys():
             del sensed[signal]
         if self._has_tacho:
             sensed["fan_rpm"] = FAN_RPM if self.fan else 0.0
