@@ -4,15 +4,15 @@ import secrets
 import signal
 import sqlite3
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Self
 
-from edge import operation as orders
 from edge import __version__, state_file
+from edge import operation as orders
 from edge.board import Board
 from edge.clock import Clock
 from edge.config import config_hash
@@ -90,6 +90,8 @@ class Daemon:
     after_tick: Callable[[TickRecord], None] = lambda record: None
     reference: Reference | None = None  # instead of the configured one
     stop_at_s: float = float("inf")
+    experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
+    more_controllers: Sequence[Controller] = ()  # than those of settings.CONTROLLERS
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
     _outbox_path: Path | None = None
@@ -133,6 +135,9 @@ class Daemon:
         standing = read_standing(Path(settings.state_file), settings)
         inbox = Inbox()
         stack.callback(inbox.close)
+        # First of all that is shared: where a daemon runs already nothing else is touched.
+        socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox))
+        stack.callback(socket.close)
         session = Session(__version__, config_hash(settings), {model.name: model.version})
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
@@ -144,8 +149,6 @@ class Daemon:
             telemetry = Telemetry(settings, self._ask(inbox), lambda: _outbox(settings))
             stack.callback(telemetry.close)
             sinks.append(telemetry)
-        socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox))
-        stack.callback(socket.close)
         board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32))
         stack.callback(board.close)
         rig = Rig(
@@ -158,18 +161,44 @@ class Daemon:
             ),
             reference=self.reference or make_reference(settings.reference),
             zone=zone_of(settings.timezone),
-            controllers=_controllers(settings, model),
+            controllers=self._controllers(model),
             sinks=sinks,
             more_events=storage.events_pending,
             inbox=inbox,
-            save_state=state.save,
+            save_state=self._save(state, standing.operation),
             after_tick=self.after_tick,
             stop_at_s=self.stop_at_s,
         )
-        loop = Loop(rig, standing.operation, standing.memory, first_seq)
+        loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
         if standing.broken:
             loop.note("state.broken", standing.broken)
         return loop
+
+    def _controllers(self, model: Arx) -> dict[str, Controller]:
+        control = self.settings.control
+        known = [registry.make(name, control, model) for name in CONTROLLERS]
+        return {controller.name: controller for controller in (*known, *self.more_controllers)}
+
+    def _orders(self, standing: Operation) -> Operation:
+        if not self.experiment:
+            return standing
+        return Operation(
+            controller=self.experiment,
+            emergency_stop=standing.emergency_stop,
+            maintenance_until_utc=standing.maintenance_until_utc,
+        )
+
+    def _save(self, state: StateSink, standing: Operation) -> Callable[[Operation, SafetyMemory], None]:
+        """Of orders given in an experiment only stops outlive it."""
+        if not self.experiment:
+            return state.save
+
+        def save(operation: Operation, memory: SafetyMemory) -> None:
+            until = operation.maintenance_until_utc
+            stop = operation.emergency_stop
+            state.save(replace(standing, emergency_stop=stop, maintenance_until_utc=until), memory)
+
+        return save
 
     def _ask(self, inbox: Inbox) -> Callable[[Request], Reply]:
         """Requests that need the disk are carried out in the asker's thread, others in the control thread."""
@@ -198,7 +227,3 @@ def _resend(settings: Settings, request: Mapping[str, Any]) -> Reply:
         return {"ok": False, "error": str(error)}
     finally:
         outbox.close()
-
-
-def _controllers(settings: Settings, model: Arx) -> dict[str, Controller]:
-    return {name: registry.make(name, settings.control, model) for name in CONTROLLERS}
