@@ -1,0 +1,130 @@
+"""`greenhouse experiment PROFILE --out RUN`: apply a profile through the same loop and record a run."""
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from edge import config
+from edge.clock import Clock, RealClock
+from edge.controllers.input_profile import InputProfile
+from edge.errors import DataError
+from edge.experiment import ROLES, Experiment, describe_changes, run_experiment
+from edge.profile_file import Profile, read_profile
+from edge.run_file import Run, write_run
+from edge.settings import CONTROLLERS, Settings
+from edge.sim_clock import SimClock
+from edge.virtual_rig import virtual_rig
+
+RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
+HISTORY_FACTS = ("history_id", "first_seq", "last_seq")  # mean nothing where no history is kept
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "profile", type=Path, help="CSV: time_s,heater_duty,fan_on[,light] or time_s,reference_c"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="run file to write")
+    parser.add_argument(
+        "--config", type=Path, help=f"edge.yaml; else {RIG_CONFIG}, or the defaults with --virtual"
+    )
+    parser.add_argument("--role", choices=ROLES, help="what the run is for, kept among its facts")
+    parser.add_argument("--notes", help="kept among its facts")
+    parser.add_argument(
+        "--controller", choices=CONTROLLERS, help="that follows a reference profile, else MPC"
+    )
+    parser.add_argument("--minutes", type=float, help="end sooner than the profile")
+    virtual = parser.add_argument_group("with a virtual board, as fast as it goes")
+    virtual.add_argument("--virtual", action="store_true", help="start one, instead of the rig's board")
+    virtual.add_argument("--seed", type=int, default=1, help="of the virtual board")
+    virtual.add_argument("--chamber", type=Path, help="YAML that changes the simulated box")
+    virtual.add_argument("--history", type=Path, help="database that keeps the ticks; else none is kept")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 when the profile was applied to its end, 1 when stopped early; the run is written in both cases."""
+    profile = read_profile(arguments.profile)
+    _check_out(arguments.out)
+    with _rig(arguments) as (settings, clock):
+        facts = {"role": arguments.role, "notes": arguments.notes, **_virtual_facts(arguments)}
+        experiment = Experiment(
+            profile,
+            _controller(arguments, profile),
+            float("inf") if arguments.minutes is None else 60.0 * arguments.minutes,
+            {key: value for key, value in facts.items() if value is not None},
+        )
+        recorded, course = run_experiment(experiment, settings, clock)
+    if arguments.virtual and arguments.history is None:
+        kept = {key: value for key, value in recorded.facts.items() if key not in HISTORY_FACTS}
+        recorded = replace(recorded, facts=kept)
+    write_run(recorded, arguments.out)
+    print(f"{arguments.out}: {len(recorded)} rows, {_range(recorded)}; {describe_changes(course.changes)}")
+    if course.passed_s < experiment.end_s - 0.5 * settings.control.step_s:
+        print(f"stopped after {course.passed_s / 60:.0f} of {experiment.end_s / 60:.0f} min")
+        return 1
+    return 0
+
+
+def _check_out(path: Path) -> None:
+    """Known before hours are spent, not after."""
+    if path.exists():
+        raise DataError(f"{path}: exists already")
+    if not path.parent.is_dir():
+        raise DataError(f"{path}: {path.parent} is no folder")
+
+
+def _controller(arguments: argparse.Namespace, profile: Profile) -> str:
+    if profile.is_reference:
+        return arguments.controller or "MPC"
+    if arguments.controller is not None:
+        raise DataError(
+            f"{profile.path}: an input profile is applied as it is; --controller is for references"
+        )
+    return InputProfile.name
+
+
+@contextmanager
+def _rig(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
+    """The rig of the configuration, or a virtual one with files of its own."""
+    if not arguments.virtual:
+        yield config.load(arguments.config or RIG_CONFIG), RealClock()
+        return
+    settings = config.default() if arguments.config is None else config.load(arguments.config)
+    options = [] if arguments.chamber is None else ["--chamber", str(arguments.chamber)]
+    with tempfile.TemporaryDirectory(prefix="greenhouse-experiment-") as temporary:
+        folder = Path(temporary)
+        with virtual_rig(folder, arguments.seed, options) as rig:
+            clock = SimClock(rig.control)
+            try:
+                yield _placed(settings, folder, rig.port, arguments.history), clock
+            finally:
+                clock.close()
+
+
+def _placed(settings: Settings, folder: Path, port: Path, history: Path | None) -> Settings:
+    """The same rig without touching any file or broker of a real one."""
+    return replace(
+        settings,
+        state_file=str(folder / "state.json"),
+        board=replace(settings.board, port=str(port)),
+        control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
+        history=replace(settings.history, path=str(history or folder / "history.db")),
+        mqtt=replace(settings.mqtt, enabled=False),
+    )
+
+
+def _virtual_facts(arguments: argparse.Namespace) -> dict[str, str]:
+    if not arguments.virtual:
+        return {}
+    chamber = {} if arguments.chamber is None else {"chamber": arguments.chamber.name}
+    return {"rig": "virtual board", "seed": str(arguments.seed), **chamber}
+
+
+def _range(run: Run) -> str:
+    from math import isnan
+
+    temps = [value for value in run.columns["temp_air_c"].tolist() if not isnan(value)]
+    return f"air {min(temps):.1f} to {max(temps):.1f} degC"

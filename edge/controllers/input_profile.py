@@ -1,0 +1,28 @@
+"""A predefined input profile in a controller's place: open loop, behind the same safety."""
+
+from edge.controllers.base import Context
+from edge.messages import Command, Decision
+from edge.profile_file import Profile
+
+
+class InputProfile:
+    """Commands of a profile with `heater_duty, fan_on[, light]`; its time 0 is the first decision."""
+
+    name = "profile"
+
+    def __init__(self, profile: Profile) -> None:
+        self._profile = profile
+        self._start_s: float | None = None
+
+    def reset(self) -> None:
+        """Time goes on while another controller stands in."""
+
+    def decide(self, context: Context) -> Decision:
+        """The row that holds now, whatever the temperature."""
+        if self._start_s is None:
+            self._start_s = context.now_s
+        # Ticks begin some milliseconds late, rows stand on the grid.
+        steps = round((context.now_s - self._start_s) / context.step_s)
+        row = self._profile.at(steps * context.step_s)
+        command = Command(row["heater_duty"], row["fan_on"] == 1.0, row.get("light", 0.0))
+        return Decision(command, self.name, why={"profile_time_s": steps * context.step_s})
