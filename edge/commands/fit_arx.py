@@ -1,0 +1,64 @@
+"""`greenhouse fit-arx`: an ARX model from recorded runs, its orders chosen on others."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from edge.models.arx_file import write_arx
+from edge.models.fit_arx import Fit, fit_arx, provenance
+from edge.run_file import Run, read_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--train", type=Path, nargs="+", required=True, metavar="RUN", help="runs to fit on")
+    parser.add_argument(
+        "--validate", type=Path, nargs="+", required=True, metavar="RUN", help="runs to choose the orders on"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="model file, for control.model")
+    parser.add_argument("--step-s", type=float, default=60.0, help="control step the model is made for")
+    parser.add_argument(
+        "--no-fan", action="store_true", help="leave the fan out, e.g. where it never switched"
+    )
+    parser.add_argument("--no-ambient", action="store_true", help="leave the room temperature out")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0, and the scores of all orders on standard output."""
+    training = [read_run(path) for path in arguments.train]
+    validation = [read_run(path) for path in arguments.validate]
+    fit = fit_arx(
+        training,
+        validation,
+        arguments.step_s,
+        with_fan=not arguments.no_fan,
+        with_ambient=not arguments.no_ambient,
+    )
+    write_arx(fit.model, arguments.out, _provenance(fit, training, validation, arguments))
+    print_scores(fit)
+    print(f"{arguments.out}: p = {len(fit.model.temp)}, q = {len(fit.model.heater)}, {fit.rows} rows")
+    return 0
+
+
+def print_scores(fit: Fit) -> None:
+    """Free-run error of every pair of orders; the chosen one is marked."""
+    chosen = (len(fit.model.temp), len(fit.model.heater))
+    print(" p  q  free-run RMSE [K]")
+    for score in fit.scores:
+        mark = "  chosen" if (score.p, score.q) == chosen else ""
+        print(f"{score.p:2d} {score.q:2d}  {score.rmse_k:.3f}{mark}")
+
+
+def _provenance(
+    fit: Fit, training: Sequence[Run], validation: Sequence[Run], arguments: argparse.Namespace
+) -> dict[str, object]:
+    """As `fit_arx.provenance`, by file names: where the files lay says nothing to others."""
+    options = "".join(
+        f" --{name.replace('_', '-')}" for name in ("no_fan", "no_ambient") if getattr(arguments, name)
+    )
+    facts = provenance(
+        fit, training, validation, f"greenhouse fit-arx --step-s {arguments.step_s:g}{options}"
+    )
+    for key in ("training_sha256", "validation_sha256"):
+        facts[key] = {Path(path).name: digest for path, digest in facts[key].items()}
+    return facts
