@@ -146,7 +146,10 @@ class ControlSocket:
             request = parse_object(line)
         except ValueError as error:
             return _error(f"request: {error}")
-        return self._ask(request)
+        try:
+            return self._ask(request)
+        except Exception as error:  # told and gone on: a bug must not close the way to the emergency stop
+            return _error(f"internal error: {error!r}")
 
     def _drop(self, client: _Client) -> None:
         self._selector.unregister(client.connection)

@@ -117,6 +117,16 @@ def test_silent_and_half_finished_clients_block_nobody(server, path):
     silent.close()
 
 
+def test_a_bug_behind_one_request_does_not_take_the_others_away(path):
+    own = ControlSocket(path, lambda message: {"ok": 1 / message["divisor"]})
+    try:
+        answer = request(path, {"divisor": 0})
+        assert answer == {"ok": False, "error": "internal error: ZeroDivisionError('division by zero')"}
+        assert request(path, {"divisor": 1}) == {"ok": 1.0}
+    finally:
+        own.close()
+
+
 def test_a_client_that_does_not_read_holds_up_itself_alone(path):
     asked = []
     own = ControlSocket(path, lambda message: asked.append(message) or {"ok": True, "text": "x" * 60000})

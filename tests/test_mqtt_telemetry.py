@@ -1,6 +1,7 @@
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -216,6 +217,35 @@ def test_a_slow_loop_holds_up_neither_the_network_nor_the_control_thread(broker)
         own.write(record())
         wait_for(lambda: len(listener.objects(HISTORY)) == 10)
         assert listener.payloads(STATE) == []
+
+
+def test_a_bug_is_told_and_takes_neither_commands_nor_the_outbox_away(broker):
+    loop, outbox = ControlLoop(), MemoryOutbox()
+    answer = loop.ask
+    loop.ask = lambda request: answer(request) if request["do"] != "status" else 1 / 0
+    with Listener(broker.port) as listener, running(broker.port, loop, outbox) as own:
+        own.write(record())
+        wait_for(lambda: "ZeroDivisionError" in str(own.faults()))
+        listener.send(f"{ROOT}/set/emergency_stop", "PRESS")
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "emergency_stop", "ok": True}])
+        assert loop.operation.emergency_stop
+        outbox.resend(1, 3)
+        wait_for(lambda: outbox.depth() == 0)
+
+
+def test_an_outbox_that_cannot_be_read_is_told_and_tried_again(broker):
+    outbox = MemoryOutbox(3)
+    pending = outbox.pending
+
+    def locked(limit):
+        raise sqlite3.OperationalError("database is locked")
+
+    outbox.pending = locked
+    with running(broker.port, outbox=outbox) as own:
+        wait_for(lambda: "database is locked" in str(own.faults()))
+        outbox.pending = pending
+        wait_for(lambda: not own.faults())
+        wait_for(lambda: outbox.depth() == 0)
 
 
 def test_remove_takes_everything_retained_away(broker):

@@ -45,10 +45,11 @@ class Telemetry:
         self._settings, self._ask, self._open_outbox = settings, ask, open_outbox
         self._topics = Topics.of(settings.mqtt)
         self._offline = f"not connected to {settings.mqtt.host}:{settings.mqtt.port} yet"
-        self._outbox_fault = ""
+        self._fault = ""
         self._ticks_late = 0
         self._ticks_skipped = 0
-        self._new_state = False
+        self._ticks_written = 0
+        self._ticks_shown = 0
         self._greet = False
         self._events: deque[Event] = deque(maxlen=EVENTS_WAITING_MAX)
         self._commands: queue.Queue[tuple[str, bytes]] = queue.Queue(COMMANDS_WAITING_MAX)
@@ -70,13 +71,13 @@ class Telemetry:
         self._ticks_late += record.late_s > LATE_SHARE * record.step_s
         self._ticks_skipped += record.ticks_skipped
         self._events.extend(record.events)
-        self._new_state = True
+        self._ticks_written += 1
         self._wake.set()
 
     def faults(self) -> Mapping[str, str]:
         """What is wrong now, by key of the failure table."""
         refusal = self._drain.refusal if self._drain else ""
-        detail = self._offline or self._outbox_fault or (refusal and f"the broker refuses: {refusal}")
+        detail = self._offline or self._fault or (refusal and f"the broker refuses: {refusal}")
         return {"telemetry.offline": detail} if detail else {}
 
     def close(self) -> None:
@@ -150,10 +151,19 @@ class Telemetry:
         while not self._closing:
             self._wake.wait(POLL_S)
             self._wake.clear()
-            self._answer_commands()
-            if not self._offline:
-                self._publish_news()
-                self._empty_outbox()
+            try:
+                self._work()
+                self._fault = ""
+            except sqlite3.Error as error:
+                self._fault = f"the outbox can't be read: {error}"  # tried again at the next wake
+            except Exception as error:  # told and gone on: a bug must not close the way to the emergency stop
+                self._fault = f"internal error: {error!r}"
+
+    def _work(self) -> None:
+        self._answer_commands()
+        if not self._offline:
+            self._empty_outbox()
+            self._publish_news()
 
     def _answer_commands(self) -> None:
         while not self._commands.empty():
@@ -168,14 +178,15 @@ class Telemetry:
             self._reply(what, answer if what == "status" else _short(answer))
 
     def _publish_news(self) -> None:
-        if self._greet:
-            self._greet, self._new_state = False, True
+        greet, written = self._greet, self._ticks_written
+        if greet:
             self._publish(self._topics.discovery, discovery.device(self._settings), qos=1, retain=True)
-        if self._new_state:
-            self._new_state = False
+        if greet or written != self._ticks_shown:
             status = self._ask({"do": "status"})
             if status.get("tick"):
                 self._publish_state(status)
+            # What has come up meanwhile stays to be done.
+            self._greet, self._ticks_shown = self._greet and not greet, written
         while self._events:
             self._publish(self._topics.event, event_json(self._events.popleft()), qos=1)
 
@@ -190,15 +201,11 @@ class Telemetry:
         self._publish(self._topics.forecast, states.forecast(status), retain=True)
 
     def _empty_outbox(self) -> None:
-        try:
-            if self._outbox is None or self._drain is None:
-                self._outbox = self._open_outbox()
-                self._drain = Drain(self._outbox, self._client, time.monotonic)
-            self._drain.window = max(1, min(BATCH_ROWS, self._receive_maximum - WINDOW_RESERVE))
-            self._drain.step()
-            self._outbox_fault = ""
-        except sqlite3.Error as error:
-            self._outbox_fault = f"the outbox can't be read: {error}"  # tried again at the next wake
+        if self._outbox is None or self._drain is None:
+            self._outbox = self._open_outbox()
+            self._drain = Drain(self._outbox, self._client, time.monotonic)
+        self._drain.window = max(1, min(BATCH_ROWS, self._receive_maximum - WINDOW_RESERVE))
+        self._drain.step()
 
     def _outbox_depth(self) -> int | None:
         try:
