@@ -30,6 +30,8 @@ class Track:
     newest: Reading | None = None  # whatever came last
     accepted: tuple[Reading, ...] = ()  # good samples of the last AVERAGE_S, and always the last good one
     suspects: tuple[Reading, ...] = ()  # samples in a row that jumped
+    jumps_s: tuple[float, ...] = ()  # times of the samples of the last AVERAGE_S that jumped
+    stepped: bool = False  # a jump was confirmed since the last reading: true or not, it is worth an alarm
     still_since_s: float = math.inf  # since when the raw value has been exactly the same
     still_duty: float = 0.0  # heater duty at that time
     still_drive_s: float = 0.0  # integral of |duty - still_duty| since then [s]
@@ -55,7 +57,7 @@ class SensorHealth:
         result = {}
         for name, track in self._tracks.items():
             new = [sample[name] for sample in samples if name in sample]
-            track = follow(track, new, self._settings)
+            track = follow(replace(track, stepped=False), new, self._settings)
             track = watch_stillness(track, now, driven.heater_duty)
             self._tracks[name] = track
             result[name] = assess(name, track, now, self._settings, getattr(self._calibration, name))
@@ -84,11 +86,13 @@ def sample_quality(sample: Reading) -> Quality:
 def _accept_or_suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
     if not track.accepted or not _jumps(track.accepted[-1], sample, settings):
         return _accept(track, (sample,))
+    jumps_s = (*(t for t in track.jumps_s if sample.time_s - t < AVERAGE_S), sample.time_s)
+    track = replace(track, jumps_s=jumps_s)
     agree = not track.suspects or not _jumps(track.suspects[-1], sample, settings)
     suspects = (*track.suspects, sample) if agree else (sample,)
     if len(suspects) < CONFIRM_SAMPLES:
         return replace(track, suspects=suspects)
-    return _accept(replace(track, accepted=()), suspects)
+    return _accept(replace(track, accepted=(), stepped=True), suspects)
 
 
 def _accept(track: Track, samples: tuple[Reading, ...]) -> Track:
@@ -132,7 +136,10 @@ def assess(
     if not track.accepted or not now - track.accepted[-1].time_s <= limit_s:
         return _not_good(track, newest, now, limit_s, calibration)
     value = trimmed_mean([s.value for s in track.accepted if s.value is not None])
-    quality = Quality.STUCK if name == "temp_air" and _is_stuck(track, now, settings) else Quality.GOOD
+    jumps = sum(1 for t in track.jumps_s if track.accepted[-1].time_s - t < AVERAGE_S)
+    quality = Quality.SPIKE if track.stepped or jumps > len(track.accepted) else Quality.GOOD
+    if name == "temp_air" and _is_stuck(track, now, settings):
+        quality = Quality.STUCK
     return Reading(name, calibration.gain * value + calibration.offset, track.accepted[-1].time_s, quality)
 
 
