@@ -36,7 +36,7 @@ from edge.safety import (
 )
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
-from edge.tick_json import tick_json
+from edge.tick_json import echo_json, tick_json
 from edge.watering import Watering
 
 LEASE_S = 10.0  # a decision outlives its step by this much, and no more
@@ -356,11 +356,12 @@ class Loop:
         return {"ok": True, **self.status()}
 
     def status(self) -> dict[str, Any]:
-        """Standing orders, the last tick and the line's counters, as JSON values."""
+        """Standing orders, the last tick, what the board drives now, the line's counters; as JSON values."""
         return {
             "operation": to_dict(self._operation),
             "trips": list(self._memory.trips),
             "tick": None if self.last_record is None else tick_json(self.last_record),
+            "echo": echo_json(self._rig.board.echo),
             "line": dict(self._rig.board.statistics),
         }
 

@@ -48,7 +48,8 @@ def event_json(event: Event) -> dict[str, Any]:
     }
 
 
-def _echo_json(echo: Echo | None) -> dict[str, Any] | None:
+def echo_json(echo: Echo | None) -> dict[str, Any] | None:
+    """What the board drives; None when it did not say."""
     if echo is None:
         return None
     return {
@@ -95,7 +96,7 @@ def tick_json(record: TickRecord) -> dict[str, Any]:
             }
             for change in record.changes
         ],
-        "echo": _echo_json(record.echo),
+        "echo": echo_json(record.echo),
         "link_up": int(record.link_up),
         "events": [event_json(event) for event in record.events],
         "ticks_skipped": record.ticks_skipped,

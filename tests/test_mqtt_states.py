@@ -7,6 +7,7 @@ import pytest
 from edge.messages import Echo, Quality, Reading
 from edge.mqtt import states
 from edge.operation import FanMode, Mode
+from edge.tick_json import echo_json
 from tests.mqtt_rig import ControlLoop, record
 
 
@@ -150,3 +151,11 @@ def test_counters_of_the_line_are_told_and_unknown_where_there_is_no_line():
     assert states.state(status, {})["line_bad_crc"] is None
     shown = states.state({**status, "line": {"bad_crc": 3}}, {})
     assert (shown["line_bad_crc"], shown["line_retries"]) == (3, 0)
+
+
+def test_the_outputs_are_those_of_now_and_not_of_the_last_tick():
+    loop = ControlLoop()
+    assert loop.last_record.echo.heater_duty > 0.0
+    after_stop = {**loop.status(), "echo": echo_json(Echo(0.0, False, 0.0, False, False, "", 101.0))}
+    shown = states.state(after_stop, {})
+    assert (shown["heater_duty"], shown["action"]) == (0.0, "idle")

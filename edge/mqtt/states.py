@@ -23,7 +23,7 @@ def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json
     counters : diagnostics of the daemon itself
     """
     tick, operation = status["tick"], status["operation"]
-    echo = tick["echo"]
+    echo = status["echo"]  # an order acts at once, so the board's outputs may be newer than the tick
     return {
         "seq": tick["seq"],
         "utc": tick["utc"],
@@ -111,7 +111,7 @@ def _line_counters(line: Mapping[str, int] | None) -> Json:
 
 
 def _trips(status: Mapping[str, Any]) -> list[str]:
-    echo = status["tick"]["echo"]
+    echo = status["echo"]
     board = [echo["trip_cause"]] if echo and echo["tripped"] else []
     return [str(trip) for trip in (*status["trips"], *board)]
 
