@@ -39,14 +39,16 @@ class Port:
 
     def plug(self) -> None:
         """Make a new pseudo-terminal, point the symlink at it, count from 0."""
-        self.unplug()
+        old = self._master
         self._master, self.device = _open_pseudo_terminal()
         self.bytes_in = self.bytes_out = 0
         self.user = None
         beside = self._link.with_name(self._link.name + ".new")
         beside.unlink(missing_ok=True)
         beside.symlink_to(self.device)
-        beside.replace(self._link)
+        beside.replace(self._link)  # in one go: a host that opens now finds the old one or the new one
+        if old is not None:
+            os.close(old)
 
     def unplug(self) -> None:
         """Take symlink and device away; the host's reads and writes fail from now on."""
