@@ -70,8 +70,7 @@ class Archive:
     def append(self, records: Sequence[TickRecord], gaps: Sequence[Gap], next_seq: int, utc: float) -> None:
         """Write a batch, all or nothing; with the first one the session begins, at tick `next_seq`."""
         connection = self._open_connection()
-        if identity(self.path) != self._identity:
-            raise Unusable("it was deleted or exchanged")
+        self._look()
         if self._session_id is None and not self.last_seq < next_seq:
             raise Unusable(f"it holds another history's ticks, up to {self.last_seq}")
         connection.execute("BEGIN IMMEDIATE")
@@ -98,12 +97,7 @@ class Archive:
         )
 
     def thin(self, settings: RetentionSettings) -> tuple[bool, int]:
-        """One chunk of retention, see `retention.thin`; and a look at the file as a newcomer sees it.
-
-        What this connection has in its cache would hide for long that the file is broken.
-        """
-        with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as newcomer:
-            newcomer.execute("SELECT max(seq) FROM ticks").fetchone()
+        """One chunk of retention, see `retention.thin`."""
         return thin(self._open_connection(), settings)
 
     def close(self) -> None:
@@ -117,6 +111,13 @@ class Archive:
         self.close()
         self._session_id = None
         self.first_seq = self.last_seq = 0
+
+    def _look(self) -> None:
+        """See the file as a newcomer does: this connection's cache can hide for long that it is broken."""
+        if identity(self.path) != self._identity:
+            raise Unusable("it was deleted or exchanged")
+        with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as newcomer:
+            newcomer.execute("SELECT max(seq) FROM ticks").fetchone()
 
     def _open_connection(self) -> sqlite3.Connection:
         if self._connection is None:

@@ -4,7 +4,7 @@ import json
 import math
 import sqlite3
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from edge.messages import (
@@ -20,7 +20,7 @@ from edge.messages import (
     TickRecord,
 )
 from edge.names import SIGNALS
-from edge.tick_json import number
+from edge.tick_json import json_value, number
 
 _COMMAND_COLUMNS = ("heater_duty", "fan_on", "led", "valve_pulse_s")
 TICK_COLUMNS = (
@@ -193,22 +193,11 @@ def _echo(row: tuple[Any, ...]) -> Echo:
 
 
 def _json(value: Any) -> str:
-    return json.dumps(_json_value(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
-def _json_value(value: Any) -> Any:
-    """`value` with None for what JSON has no number for."""
-    if isinstance(value, float):
-        return _finite(value)
-    if isinstance(value, (list, tuple)):
-        return [_json_value(item) for item in value]
-    if isinstance(value, Mapping):
-        return {key: _json_value(item) for key, item in value.items()}
-    return value
+    return json.dumps(json_value(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
+    return float(value) if value is not None and math.isfinite(value) else None
 
 
 def _or_nan(value: float | None) -> float:
