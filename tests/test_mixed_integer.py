@@ -261,7 +261,7 @@ def test_the_relaxation_is_near_its_optimum_where_that_is_known():
 def test_a_node_is_dominated_only_by_a_cheaper_one_that_may_do_as_much():
     free = np.array([[20.0, 20.0], [20.0, 20.0], [20.0, 20.0]])
     cost = np.array([1.0, 2.0, 2.0])
-    fan, hold = np.array([0, 0, 1]), np.array([1, 1, 0])
+    fan, hold = np.array([0, 0, 1]), np.array([1, 1, 1])
     ruled = plain_problem(3, fan_rules=FanRules(min_on=2, min_off=2))
     assert undominated(ruled, free, cost, fan, hold, 10.0, 1e-9).tolist() == [True, False, True]
     assert undominated(ruled, free[:2], cost[:2], fan[:2], np.array([1, 0]), 10.0, 1e-9).all()  # less held
