@@ -2,11 +2,12 @@
 
 from typing import Any
 
+from rig import VirtualBoard
+
 from edge.serial_port import PortGone, SerialPort
 from edge.sim_clock import SimClock
 from firmware_protocol.link import Link, LinkEvent, Report
 from firmware_protocol.messages import CommandMessage
-from rig import VirtualBoard
 
 RENEW_S = 3.0
 
