@@ -67,12 +67,35 @@ def test_c_cuts_the_same_payloads_from_the_line(vector):
         assert counted == ({vector["dropped"]: 1} if "dropped" in vector else {})
 
 
-@by_name([vector for vector in VECTORS if len(vector["payloads"]) == 1])
-def test_c_frames_a_payload_as_python_does(vector):
+def framing_of(number: int, vector: dict) -> str:
+    """C that frames one payload and returns the vector's number when the line is not Python's."""
     payload = bytes.fromhex(vector["payloads"][0])
-    out = ctypes.create_string_buffer(64)
-    length = load_board().gh_frame_encode(payload, ctypes.c_size_t(len(payload)), out)
-    assert out.raw[:length] == encode(payload)
+    frame = encode(payload)
+    return f"""
+    {{
+        const uint8_t payload[] = {{{", ".join(map(str, payload))}}};
+        const uint8_t line[] = {{{", ".join(map(str, frame))}}};
+        uint8_t out[GH_MAX_FRAME];
+        if (gh_frame_encode(payload, sizeof payload, out) != sizeof line)
+            return {number};
+        if (memcmp(out, line, sizeof line) != 0)
+            return {number};
+    }}"""
+
+
+def test_c_frames_every_payload_as_python_does(tmp_path):
+    wanted = [vector for vector in VECTORS if len(vector["payloads"]) == 1]
+    code = run_checks(tmp_path, [framing_of(k + 1, vector) for k, vector in enumerate(wanted)])
+    assert wanted and code == 0, wanted[code - 1]["name"]
+
+
+def run_checks(directory: Path, checks: list[str]) -> int:
+    """Exit code of a sanitized program made of checks: the number of the first that fails, 0 for none."""
+    source = directory / "check.c"
+    includes = '#include <string.h>\n#include "gh_frame.h"\n'
+    source.write_text(f"{includes}int main(void)\n{{{''.join(checks)}\n    return 0;\n}}\n")
+    program = compile_board(directory / "check", str(source), *STRICT, *SANITIZERS)
+    return subprocess.run([str(program)], check=False).returncode
 
 
 def check_of(number: int, vector: dict) -> str:
@@ -96,15 +119,9 @@ def check_of(number: int, vector: dict) -> str:
 
 
 def test_c_packs_and_unpacks_every_message_of_the_vectors(tmp_path):
-    wanted = [v for v in VECTORS if v.get("message", {}).get("fields")]
-    checks = "".join(check_of(k + 1, vector) for k, vector in enumerate(wanted))
-    source = tmp_path / "check.c"
-    source.write_text(
-        f'#include <string.h>\n#include "gh_messages.h"\nint main(void)\n{{{checks}\n    return 0;\n}}\n'
-    )
-    program = compile_board(tmp_path / "check", str(source), *STRICT, *SANITIZERS)
-    code = subprocess.run([str(program)], check=False).returncode
-    assert code == 0, wanted[code - 1]["name"]
+    wanted = [vector for vector in VECTORS if vector.get("message", {}).get("fields")]
+    code = run_checks(tmp_path, [check_of(k + 1, vector) for k, vector in enumerate(wanted)])
+    assert wanted and code == 0, wanted[code - 1]["name"]
 
 
 def refusal_of(number: int, vector: dict) -> str:
@@ -126,9 +143,5 @@ def test_c_refuses_what_the_vectors_refuse(tmp_path):
         v for v in VECTORS if v.get("error", {}).get("code") in ("length", "range")
         and bytes.fromhex(v["payloads"][0])[1] in MESSAGE_NAME
     ]  # fmt: skip
-    checks = "".join(refusal_of(k + 1, vector) for k, vector in enumerate(wanted))
-    source = tmp_path / "check.c"
-    source.write_text(f'#include "gh_messages.h"\nint main(void)\n{{{checks}\n    return 0;\n}}\n')
-    program = compile_board(tmp_path / "check", str(source), *STRICT, *SANITIZERS)
-    code = subprocess.run([str(program)], check=False).returncode
+    code = run_checks(tmp_path, [refusal_of(k + 1, vector) for k, vector in enumerate(wanted)])
     assert wanted and code == 0, wanted[code - 1]["name"]
