@@ -8,6 +8,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.errors import DataError
 from edge.profile_file import read_profile
 from edge.settings import ReferenceSettings
 
@@ -77,6 +78,8 @@ def make_reference(settings: ReferenceSettings) -> Reference:
 def reference_from_profile(path: Path) -> Reference:
     """A profile file with `time_s,reference_c`. Errors: DataError."""
     profile = read_profile(path)
+    if not profile.is_reference:
+        raise DataError(f"{path}: reference_c is not among the columns {list(profile.columns)}")
     return Reference(profile.columns["time_s"], profile.columns["reference_c"])
 
 
