@@ -170,9 +170,7 @@ def _heater_is_off(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory
     memory = replace(memory, short=short, long=long)
     if heat_w <= 0.0:
         return memory, None
-    text = (
-        f"at least {heat_w:.0f} W more come in than anything but the heater can give: its relay is stuck on"
-    )
+    text = f"{heat_w:.0f} W or more come in that nobody ordered: heater relay stuck on (or a fan without air)"
     return memory, Finding(HEATER_STUCK_ON, text)
 
 
