@@ -76,7 +76,7 @@ class PageDisplay:
             return Text("waiting for the first tick ...")
         facts = Table.grid(padding=(0, 2))
         for name, value in _facts(records[-1]):
-            facts.add_row(Text(name, style="dim"), value)
+            facts.add_row(Text(name, style="dim"), Text(value))
         chart = Text("\n".join(chart_rows(records)))
         events = Text("\n".join(self._events) or "no events")
         return Group(
@@ -88,7 +88,6 @@ class PageDisplay:
 
 def _facts(record: TickRecord) -> list[tuple[str, str]]:
     air = record.readings.get("temp_air")
-    why: dict[str, Any] = dict(record.decision.why)
     safety = "; ".join(dict.fromkeys(f"{change.rule}: {change.reason}" for change in record.changes))
     bar = "#" * round(20 * record.sent.heater_duty)
     return [
@@ -101,7 +100,10 @@ def _facts(record: TickRecord) -> list[tuple[str, str]]:
         ("heater", f"{record.sent.heater_duty:4.2f} [{bar:<20s}]"),
         ("fan", "on" if record.sent.fan_on else "off"),
         ("controller", f"{record.decision.controller} ({record.mode}), {record.decide_ms:.1f} ms"),
-        ("why", ", ".join(f"{key} {_short(value)}" for key, value in why.items())[:160]),
+        (
+            "why",
+            ", ".join(f"{key} {_short(value)}" for key, value in record.decision.why.items() if value)[:200],
+        ),
         ("safety", safety or "nothing changed"),
         ("board", "answers" if record.link_up else "silent"),
     ]
@@ -129,7 +131,11 @@ def chart_rows(records: list[TickRecord]) -> list[str]:
 
 
 def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    if isinstance(value, dict):
+        return "(" + ", ".join(f"{key} {_short(item)}" for key, item in value.items()) + ")"
+    return "; ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _clock(utc: float) -> str:
