@@ -334,7 +334,7 @@ class Loop:
     def _serve_until(self, tick_s: float) -> bool:
         """Keep the line alive and answer requests until the tick is due; False when the loop shall end."""
         while not self._stopping and self._rig.clock.now() < self._rig.stop_at_s:
-            self._rig.board.serve(tick_s, self._rig.inbox.wake)
+            self._rig.board.serve(min(tick_s, self._rig.stop_at_s), self._rig.inbox.wake)
             for letter in self._rig.inbox.take():
                 letter.answer.put(self._answer(letter.request))
             if self._rig.clock.now() >= tick_s:

@@ -1,0 +1,51 @@
+"""`greenhouse demo`, as a newcomer runs it: a process, its output, its end."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+DEMO = [sys.executable, "-m", "edge", "demo"]
+
+
+def test_twenty_minutes_heat_the_box_and_end_with_the_heater_off(tmp_path: Path) -> None:
+    command = [*DEMO, "--speed", "0", "--minutes", "20", "--out", str(tmp_path / "kept")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    ticks = [line for line in done.stdout.splitlines() if " tick " in line]
+    assert len(ticks) == 20
+    assert "heater pin is off" in done.stdout.splitlines()[-1]
+    air = [float(line.split(" air ")[1].split()[0]) for line in ticks]
+    assert air[-1] > air[0] + 1.0  # the reference is above the room
+    assert (tmp_path / "kept" / "history.db").exists()
+
+
+def test_ctrl_c_stops_it_cleanly_with_the_heater_off(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [*DEMO, "--speed", "600"], stdout=subprocess.PIPE, text=True, start_new_session=True, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)},
+    )  # fmt: skip
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    assert " tick " in first
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)
+    rest, _ = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert rest.splitlines()[-1] == "stopped; the board's heater pin is off"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_controller_is_one_clear_line() -> None:
+    done = subprocess.run(
+        [*DEMO, "--controller", "MPD", "--minutes", "1"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "MPD" in done.stderr
