@@ -30,8 +30,10 @@ from edge.safety import (
     planning_limits,
     supervise,
 )
+from edge.safety_rules import energy_duty
 from edge.safety_state import DAY_S, Dose, book_heat, heat_wh, water_s
 from edge.settings import SafetySettings
+from edge.thermal_supervision import ThermalMemory
 
 LIMITS = SafetySettings()
 HEAT = Command(heater_duty=1.0)
@@ -60,7 +62,8 @@ def test_nothing_wanted_is_nothing_sent_without_a_reason_even_in_a_bad_world():
 def test_a_duty_that_is_no_number_from_0_up_is_off(wanted):
     verdict = judge(Command(heater_duty=wanted))
     assert verdict.sent.heater_duty == 0.0
-    assert only_change(verdict, "heater_duty").rule == "heater.not_a_number"
+    change = only_change(verdict, "heater_duty")
+    assert (change.rule, change.sent) == ("heater.not_a_number", 0.0)
 
 
 @pytest.mark.parametrize("wanted", [math.nan, math.inf, -math.inf, None, "on", -1.0])
@@ -383,6 +386,28 @@ def test_heat_of_an_hour_ago_counts_no_more(age_s, duty):
     assert judge(HEAT, memory=memory, energy_hour_max_wh=40.0).sent.heater_duty == duty
 
 
+def test_heat_is_kept_in_pieces_of_ten_minutes_for_a_day():
+    memory = SafetyMemory(sent=HEAT, time_s=NOW - 36.0, heat=((NOW - DAY_S, 7.0), (NOW - 599.9, 2.0)))
+    assert book_heat(memory, NOW, 60.0).heat == ((NOW - 599.9, 3.0),)
+    memory = replace(memory, heat=((NOW - DAY_S + 0.1, 7.0), (NOW - 600.0, 2.0)))
+    assert book_heat(memory, NOW, 60.0).heat == (*memory.heat, (NOW, 1.0))
+
+
+def test_a_heater_that_is_off_books_nothing():
+    assert book_heat(SafetyMemory(time_s=NOW - 60.0), NOW, 60.0).heat == ()
+
+
+@pytest.mark.parametrize(
+    ("cap_wh", "dt_s", "duty"),
+    [(100.0, 60.0, 1.0), (99.9, 60.0, 1.0), (31.0, 60.0, 0.6), (30.0, 60.0, 0.0), (29.0, 60.0, 0.0),
+     (31.0, 0.0, 0.0)],
+)  # fmt: skip
+def test_the_duty_left_is_what_the_cap_leaves(cap_wh, dt_s, duty):
+    memory = SafetyMemory(heat=((NOW - 100.0, 30.0),))
+    limits = SafetySettings(energy_hour_max_wh=cap_wh)
+    assert energy_duty(memory, limits, NOW, dt_s, 3600.0) == pytest.approx(duty)
+
+
 # Fan relay
 
 
@@ -402,6 +427,15 @@ def test_the_relay_stays_off_its_minimum_time(held_s, fan):
     verdict = judge(FAN, memory=memory)
     assert verdict.sent.fan_on is fan
     assert rules(verdict, "fan_on") == ([] if fan else ["fan.min_off"])
+
+
+@pytest.mark.parametrize(("fan", "wanted"), [(True, False), (False, True)])
+def test_each_relay_state_has_its_own_time(fan, wanted):
+    memory = SafetyMemory(sent=Command(fan_on=fan), fan_since_s=NOW - 100.0)
+    own = {"fan_min_on_s" if fan else "fan_min_off_s": 101.0}
+    other = {"fan_min_off_s" if fan else "fan_min_on_s": 101.0}
+    assert judge(Command(fan_on=wanted), memory=memory, **own).sent.fan_on is fan
+    assert judge(Command(fan_on=wanted), memory=memory, **other).sent.fan_on is wanted
 
 
 def test_safety_forces_the_fan_on_within_its_minimum_off_time():
@@ -481,8 +515,65 @@ def test_what_is_given_is_remembered_and_what_is_old_forgotten():
     assert water_s(after, NOW, UTC) == 2.0
 
 
+def test_no_pulse_is_no_dose():
+    assert judge(Command()).memory.doses == ()
+    assert len(judge(Command(valve_pulse_s=0.1)).memory.doses) == 1
+
+
 def test_the_valve_works_while_the_heater_is_tripped():
     assert judge(WATER, memory=SafetyMemory(trips=("over_temperature",))).sent.valve_pulse_s == 2.0
+
+
+# Thermal supervision: what it is shown
+
+WATCHED = ThermalMemory(off_s=100.0)
+
+
+@pytest.mark.parametrize(
+    ("passed_s", "dt_s", "goes_on"),
+    [(60.0, 60.0, True), (0.0, 60.0, True), (-0.01, 60.0, False), (0.5, 1.0, True), (150.0, 60.0, True),
+     (150.1, 60.0, False), (150.0, 1.0, True), (150.1, 1.0, False), (1500.0, 600.0, True),
+     (1500.1, 600.0, False), (math.nan, 60.0, False)],
+)  # fmt: skip
+def test_thermal_supervision_goes_on_over_short_gaps_only(passed_s, dt_s, goes_on):
+    memory = SafetyMemory(time_s=NOW - passed_s, thermal=WATCHED)
+    thermal = judge(Command(), view(dt_s=dt_s), memory).memory.thermal
+    assert thermal.off_s == (pytest.approx(100.0 + passed_s) if goes_on else 0.0)
+
+
+@pytest.mark.parametrize("unknown", [{"air": None}, {"echo": None}, {"link_up": False}])
+def test_thermal_supervision_begins_anew_where_something_is_not_known(unknown):
+    memory = SafetyMemory(time_s=NOW - 60.0, thermal=WATCHED)
+    assert judge(Command(), view(**unknown), memory).memory.thermal == ThermalMemory()
+
+
+def test_thermal_supervision_begins_with_the_second_decision():
+    assert judge(Command(), view(), SafetyMemory(thermal=WATCHED)).memory.thermal == ThermalMemory()
+
+
+def risen(minutes: int, memory: SafetyMemory) -> SafetyMemory:
+    """The board says that heater is off and fan on while the air stays 3.8 K above the room."""
+    for minute in range(minutes):
+        now = NOW + 60.0 * minute
+        seen = view(air=24.8, now_s=now, echo=echo(fan=True))
+        fresh = {name: replace(value, time_s=now) for name, value in seen.readings.items()}
+        memory = judge(Command(), replace(seen, readings=fresh), memory).memory
+    return memory
+
+
+def test_a_relay_that_is_stuck_on_latches():
+    memory = risen(30, SafetyMemory(trips=("sensor_offset",)))
+    assert "heater_stuck_on" in memory.trips and memory.trips[0] == "sensor_offset"
+    assert judge(HEAT, memory=memory).open_cutoff
+
+
+def test_a_fan_known_not_to_work_is_no_proof_of_heat():
+    assert "heater_stuck_on" not in risen(30, SafetyMemory(trips=("fan_no_effect",))).trips
+
+
+def test_clearing_a_trip_begins_thermal_supervision_anew():
+    cleared = clear_trip(SafetyMemory(trips=("heater_stuck_on",), thermal=WATCHED), LIMITS, 25.0)
+    assert cleared.thermal == ThermalMemory()
 
 
 # LED
