@@ -28,6 +28,7 @@ _QUALITY = {
 }
 
 Sample = Mapping[str, Reading]
+TripOrder = wire_messages.EmergencyStop | wire_messages.ClearTrip
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,7 @@ class Board:
         self._driven: Driven | None = None
         self._renew_at_s = float("inf")
         self._asked: wire_messages.CommandMessage | None = None  # the newest command, until it is confirmed
+        self._trip_order: TripOrder | None = None  # the newest, until it is answered
         self._samples: list[Sample] = []
         self._events: list[Event] = []
         self.echo: Echo | None = None
@@ -94,13 +96,13 @@ class Board:
         self._driven = replace(self._driven, command=replace(command, valve_pulse_s=0.0))
 
     def emergency_stop(self) -> None:
-        """Trip the board at once."""
+        """Trip the board at once; while the link is down, as soon as it is up."""
         self._driven = None
-        self._link.request(wire_messages.EmergencyStop(), self._clock.now())
+        self._order_trip(wire_messages.EmergencyStop())
 
     def clear_trip(self) -> None:
-        """Ask the board to forget its trip; it refuses while the cause lasts."""
-        self._link.request(wire_messages.ClearTrip(), self._clock.now())
+        """Ask the board to forget its trip; it refuses while the cause lasts. Waits for the link likewise."""
+        self._order_trip(wire_messages.ClearTrip())
 
     def serve(
         self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
@@ -192,6 +194,10 @@ class Board:
         )
         self._link.request(self._asked, now)
 
+    def _order_trip(self, order: TripOrder) -> None:
+        self._trip_order = order
+        self._link.request(order, self._clock.now())
+
     def _renew(self, now: float) -> None:
         if now < self._renew_at_s:
             return
@@ -219,6 +225,8 @@ class Board:
         self.echo = _echo(state, now)
         if request is self._asked:  # an older command's echo says nothing of the newest one
             self._asked = None
+        if request is self._trip_order:
+            self._trip_order = None
         if self.echo.tripped and not was_tripped:
             self._tell("board.tripped", Severity.ALARM, f"the board has tripped: {self.echo.trip_cause}")
 
@@ -227,6 +235,8 @@ class Board:
             case wire.LinkUp(hello):
                 self.hello = hello
                 self._renew_at_s = self._clock.now()
+                if self._trip_order is not None:  # a link that is down keeps no request
+                    self._link.request(self._trip_order, self._clock.now())
                 firmware = f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
                 self._tell(
                     "board.link_up", Severity.INFO, f"board {hello.board_id:016x}, firmware {firmware}"
@@ -246,6 +256,8 @@ class Board:
                     "board.version", Severity.ALARM, f"the board speaks protocol {low} to {high}, not 1"
                 )
             case wire.Refused(error, request):
+                if request is self._trip_order:
+                    self._trip_order = None
                 code = wire_messages.ErrorCode(error.code).name.lower()
                 text = f"the board refused {type(request).__name__}: {code} ({error.detail})"
                 self._tell("board.refused", Severity.WARNING, text)
