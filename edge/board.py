@@ -13,6 +13,7 @@ from edge.names import HEATER_LEVELS, SIGNALS
 from edge.serial_port import PortGone, SerialPort
 from firmware_protocol import link as wire
 from firmware_protocol import messages as wire_messages
+from firmware_protocol.messages import Capability
 
 LEASE_S = 10.0  # outputs fall to their safe state this long after the host's last word
 RENEW_S = 3.0  # so two renewals may be lost before a lease ends
@@ -181,17 +182,10 @@ class Board:
             self._lose_port(error, now)
 
     def _send_command(self, now: float) -> None:
-        assert self._driven is not None
-        command, left_s = self._driven.command, self._driven.until_s - now
+        assert self._driven is not None and self.hello is not None
         self._renew_at_s = now + RENEW_S
-        self._asked = wire_messages.CommandMessage(
-            heater_steps=round(command.heater_duty * HEATER_LEVELS),
-            fan_on=command.fan_on,
-            led_pct=round(command.led * 100),
-            valve_pulse_s=command.valve_pulse_s,
-            cutoff_open=self._driven.cutoff_open,
-            lease_s=min(LEASE_S, left_s),
-        )
+        parts = Capability(self.hello.capabilities)
+        self._asked = _message(self._driven, parts, min(LEASE_S, self._driven.until_s - now))
         self._link.request(self._asked, now)
 
     def _order_trip(self, order: TripOrder) -> None:
@@ -227,6 +221,8 @@ class Board:
             self._asked = None
         if request is self._trip_order:
             self._trip_order = None
+        if self.echo.tripped and self._driven is not None:  # it refuses heat; the fan may still be asked for
+            self._driven = replace(self._driven, command=replace(self._driven.command, heater_duty=0.0))
         if self.echo.tripped and not was_tripped:
             self._tell("board.tripped", Severity.ALARM, f"the board has tripped: {self.echo.trip_cause}")
 
@@ -272,6 +268,19 @@ class Board:
 
 def _readable(descriptor: int) -> bool:
     return bool(select.select([descriptor], [], [], 0)[0])
+
+
+def _message(driven: Driven, parts: Capability, lease_s: float) -> wire_messages.CommandMessage:
+    """The command without what this board does not have: it refuses one that drives a missing part whole."""
+    command = driven.command
+    return wire_messages.CommandMessage(
+        heater_steps=round(command.heater_duty * HEATER_LEVELS),
+        fan_on=command.fan_on,
+        led_pct=round(command.led * 100) if Capability.LED in parts else 0,
+        valve_pulse_s=command.valve_pulse_s if Capability.VALVE in parts else 0.0,
+        cutoff_open=driven.cutoff_open and Capability.HEATER_CUTOFF in parts,
+        lease_s=lease_s,
+    )
 
 
 def _readings(report: wire_messages.SensorReport, now: float) -> Sample:
