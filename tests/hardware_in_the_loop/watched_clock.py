@@ -1,0 +1,89 @@
+"""A lock-step clock that looks at what is really so in the box, every second, while the daemon waits."""
+
+import select
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from edge.clock import Port
+from edge.control_socket import request
+from edge.sim_clock import SimClock
+
+ARRIVAL_S = 10.0  # real time an order may take to reach the daemon
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """The truth at one moment."""
+
+    time_s: float
+    temp_air_c: float
+    heater_pin: bool
+    heater_pin_last_on_s: float | None
+    heat: bool  # what flows, whatever the pin says
+    fan: bool
+    cutoff_open: bool
+    tank_level: float
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A person's request over the control socket, and when."""
+
+    at_s: float
+    request: Mapping[str, Any]
+
+
+class WatchedClock:
+    """A `Clock`: that of the board, with looks every `period_s`; hands the orders over at their time."""
+
+    def __init__(self, board: SimClock, socket: Path, orders: Sequence[Order], period_s: float = 1.0) -> None:
+        self.looks: list[Look] = []
+        self.replies: list[Mapping[str, Any]] = []
+        self._board = board
+        self._socket = socket
+        self._orders = sorted(orders, key=lambda order: order.at_s)
+        self._period_s = period_s
+        self._look_s = 0.0
+
+    def now(self) -> float:
+        """Simulated time [s]."""
+        return self._board.now()
+
+    def utc(self) -> float:
+        """Simulated time [s since 1970]."""
+        return self._board.utc()
+
+    def wait(self, port: Port | None, wake: int | None, until_s: float) -> None:
+        """As SimClock; comes back early to look and to give orders."""
+        next_order_s = self._orders[0].at_s if self._orders else until_s
+        self._board.wait(port, wake, min(until_s, self._look_s, next_order_s))
+        if self.now() >= self._look_s:
+            self._look_s = self.now() + self._period_s
+            self.looks.append(_look(self._board.truth()))
+        if wake is not None and self._orders and self.now() >= self._orders[0].at_s:
+            self._give(self._orders.pop(0), wake)
+
+    def _give(self, order: Order, wake: int) -> None:
+        """Simulated time stands still until the order is in the daemon's inbox."""
+        threading.Thread(target=self._ask, args=(order.request,)).start()
+        arrived, _, _ = select.select([wake], [], [], ARRIVAL_S)
+        assert arrived, f"{order} did not reach the daemon"
+
+    def _ask(self, order: Mapping[str, Any]) -> None:
+        self.replies.append(request(self._socket, order))
+
+
+def _look(truth: Mapping[str, Any]) -> Look:
+    return Look(
+        time_s=truth["time_s"],
+        temp_air_c=truth["chamber"]["temp_air_c"],
+        heater_pin=truth["pins"]["heater_relay"],
+        heater_pin_last_on_s=truth["heater_pin_last_on_s"],
+        heat=truth["heat_on"],
+        fan=truth["fan_on"],
+        cutoff_open=truth["pins"]["cutoff_open"],
+        tank_level=truth["chamber"]["tank_level"],
+    )
