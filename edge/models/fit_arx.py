@@ -2,36 +2,22 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
 from edge.models.arx import Arx
-from edge.models.resample import resample
+from edge.run_file import Run, resample
 
 Floats = NDArray[np.float64]
 ORDERS = tuple((p, q) for p in (1, 2, 3, 4, 6, 8, 12) for q in (1, 2, 3, 4))
 FREE_RUN_STEPS = 30
 _ROWS_PER_COEFFICIENT = 5  # fewer rows than this times the coefficients are no fit
 _TOLERANCE = 1.01  # the fewest coefficients within 1 % of the least free-run error are chosen
-
-
-class RecordedRun(Protocol):
-    """What is read of a run file: columns by border key (NaN where missing) and where they came from."""
-
-    @property
-    def columns(self) -> Mapping[str, Floats]:
-        """`time_s`, `temp_air_c`, `heater_duty`, `fan_on`, `temp_ambient_c`, each [rows]."""
-        ...
-
-    @property
-    def path(self) -> Path | None:
-        """The file, for error messages and the hash."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +41,8 @@ class Fit:
 
 
 def fit_arx(
-    training: Sequence[RecordedRun],
-    validation: Sequence[RecordedRun],
+    training: Sequence[Run],
+    validation: Sequence[Run],
     step_s: float,
     orders: Sequence[tuple[int, int]] = ORDERS,
     with_fan: bool = True,
@@ -116,9 +102,7 @@ def free_run_rmse(model: Arx, runs: Sequence[Mapping[str, Floats]], steps: int =
     return float(np.sqrt(squares.mean())) if squares.size else float("nan")
 
 
-def provenance(
-    fit: Fit, training: Sequence[RecordedRun], validation: Sequence[RecordedRun], command: str
-) -> dict[str, Any]:
+def provenance(fit: Fit, training: Sequence[Run], validation: Sequence[Run], command: str) -> dict[str, Any]:
     """Where the model comes from, as JSON values for its file."""
     return {
         "command": command,
@@ -137,19 +121,18 @@ def _sha256(path: Path | None) -> str:
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _columns(run: RecordedRun, step_s: float, inputs: Sequence[str]) -> dict[str, Floats]:
+def _columns(run: Run, step_s: float, inputs: Sequence[str]) -> dict[str, Floats]:
     """The run at `step_s`; an input that is left out becomes 0."""
     place = str(run.path) if run.path is not None else "run"
     for key in ("time_s", "temp_air_c", *inputs):
         if key not in run.columns:
             raise DataError(f"{place}: {key}: the column is missing")
-    period = float(np.median(np.diff(run.columns["time_s"]))) if len(run.columns["time_s"]) > 1 else 0.0
+    time_s = run.columns["time_s"]
+    period = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
     if not 0.0 < period <= step_s * (1.0 + 1e-6):
         raise DataError(f"{place}: time_s: a period of {period:g} s does not fit a step of {step_s:g} s")
-    try:
-        columns = resample({key: run.columns[key] for key in ("time_s", "temp_air_c", *inputs)}, step_s)
-    except DataError as error:
-        raise DataError(f"{place}: {error}") from error
+    wanted = {key: run.columns[key] for key in ("time_s", "temp_air_c", *inputs)}
+    columns = resample(replace(run, columns=wanted), step_s).columns
     zeros = np.zeros(len(columns["time_s"]))
     return {"heater_duty": zeros, "fan_on": zeros, "temp_ambient_c": zeros, **columns}
 
