@@ -82,7 +82,7 @@ class ControlSettings(Section):
     fallback: str = text("rules", "controller used when the chosen one fails", CONTROLLERS)
     horizon: int = whole(10, "steps an MPC looks ahead", 1, 60)
     node_budget: int = whole(
-        4000, "nodes an MPC may search; the same log gives the same decisions", 1, 10_000_000
+        20_000, "nodes an MPC may search; the same log gives the same decisions", 1, 10_000_000
     )
     time_box_ms: float = number(250.0, "wall clock that guards the search", "ms", 1.0, 60_000.0)
     preview: bool = flag(False, "MPC and MPC-P know the coming reference")
