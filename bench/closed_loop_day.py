@@ -137,8 +137,8 @@ def _row(record: TickRecord, truth: dict[str, float]) -> dict[str, float]:
 
 
 TITLES = {  # column -> width; the safety changes stand after the last one
-    "seed": 4, "MAE": 6, "true": 6, "settled": 7, "true, settled": 13, "near": 5, "near, settled": 13, "heat": 5,
-    "fan": 5, "switches": 8, "travel": 6, "median": 6, "longest": 7, "box": 4,
+    "seed": 4, "MAE": 6, "true": 6, "settled": 7, "true, settled": 13, "near": 5, "near, settled": 13,
+    "heat": 5, "fan": 5, "switches": 8, "travel": 6, "median": 6, "longest": 7, "box": 4,
 }  # fmt: skip
 HEADER = "  ".join(["controller", *(f"{name:>{width}s}" for name, width in TITLES.items()), "safety changes"])
 
@@ -167,15 +167,15 @@ def table_line(day: Day) -> str:
 
 def _facts(command: str) -> list[str]:
     model = read_arx()
+    orders = f"ARX p = {len(model.temp)}, q = {len(model.heater)} ({model.version})"
     return [
         f"# {command}",
-        f"# greenhouse-twin {__version__}, ARX p = {len(model.temp)}, q = {len(model.heater)} ({model.version})",
-        f"# Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}",
-        "# MAE: mean |air at the end of a step - its reference| [K], by the measurement; true: in the simulated",
-        "# box, whose sensor reads 0.4 K high (its class is +-0.5 K); near: share of steps within 0.5 K,",
-        f"# measured [%]; settled: without the first {SETTLE_MIN} min after each change of the reference; heat [Wh];",
-        "# fan [min]; travel: sum of |change of duty|; median and longest solve [ms, wall, a shared machine];",
-        "# box: decisions that the wall clock cut short.",
+        f"# greenhouse-twin {__version__}, {orders}, Python {platform.python_version()}, numpy {np.__version__}",
+        "# MAE: mean |air at the end of a step - its reference| [K], by the measurement; true: in the",
+        "# simulated box, whose sensor reads 0.4 K high (its class is +-0.5 K); near: share of steps within",
+        f"# 0.5 K, measured [%]; settled: without the first {SETTLE_MIN} min after each change of the reference;",
+        "# heat [Wh]; fan [min]; travel: sum of |change of duty|; median and longest solve [ms of wall clock,",
+        "# on a shared machine]; box: decisions that the wall clock cut short.",
     ]
 
 
