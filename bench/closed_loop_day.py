@@ -168,14 +168,15 @@ def table_line(day: Day) -> str:
 def _facts(command: str) -> list[str]:
     model = read_arx()
     orders = f"ARX p = {len(model.temp)}, q = {len(model.heater)} ({model.version})"
+    versions = f"Python {platform.python_version()}, numpy {np.__version__}"
     return [
         f"# {command}",
-        f"# greenhouse-twin {__version__}, {orders}, Python {platform.python_version()}, numpy {np.__version__}",
+        f"# greenhouse-twin {__version__}, {orders}, {versions}",
         "# MAE: mean |air at the end of a step - its reference| [K], by the measurement; true: in the",
-        "# simulated box, whose sensor reads 0.4 K high (its class is +-0.5 K); near: share of steps within",
-        f"# 0.5 K, measured [%]; settled: without the first {SETTLE_MIN} min after each change of the reference;",
-        "# heat [Wh]; fan [min]; travel: sum of |change of duty|; median and longest solve [ms of wall clock,",
-        "# on a shared machine]; box: decisions that the wall clock cut short.",
+        "# simulated box, whose sensor reads 0.4 K high (its class is +-0.5 K); near: share of steps",
+        f"# within 0.5 K, measured [%]; settled: without the first {SETTLE_MIN} min after each change of",
+        "# the reference; heat [Wh]; fan [min]; travel: sum of |change of duty|; median and longest",
+        "# solve [ms of wall clock, on a shared machine]; box: decisions that the wall clock cut short.",
     ]
 
 

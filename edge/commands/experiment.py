@@ -9,6 +9,7 @@ from pathlib import Path
 
 from edge import config
 from edge.clock import Clock, RealClock
+from edge.commands.output import writing
 from edge.controllers.input_profile import InputProfile
 from edge.errors import DataError
 from edge.experiment import ROLES, Experiment, describe_changes, run_experiment
@@ -60,7 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.virtual and arguments.history is None:
         kept = {key: value for key, value in recorded.facts.items() if key not in HISTORY_FACTS}
         recorded = replace(recorded, facts=kept)
-    write_run(recorded, arguments.out)
+    with writing(arguments.out):
+        write_run(recorded, arguments.out)
     print(f"{arguments.out}: {len(recorded)} rows, {_range(recorded)}; {describe_changes(course.changes)}")
     if course.passed_s < experiment.end_s - 0.5 * settings.control.step_s:
         print(f"stopped after {course.passed_s / 60:.0f} of {experiment.end_s / 60:.0f} min")

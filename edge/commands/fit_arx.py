@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from edge.commands.output import writing
 from edge.models.arx_file import write_arx
 from edge.models.fit_arx import Fit, fit_arx, provenance
 from edge.run_file import Run, read_run
@@ -34,7 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
         with_fan=not arguments.no_fan,
         with_ambient=not arguments.no_ambient,
     )
-    write_arx(fit.model, arguments.out, _provenance(fit, training, validation, arguments))
+    facts = _provenance(fit, training, validation, arguments)
+    with writing(arguments.out):
+        write_arx(fit.model, arguments.out, facts)
     print_scores(fit)
     print(f"{arguments.out}: p = {len(fit.model.temp)}, q = {len(fit.model.heater)}, {fit.rows} rows")
     return 0

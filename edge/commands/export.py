@@ -1,0 +1,34 @@
+"""`greenhouse export --out RUN`: a stretch of the history, or a named run of it, as a run file."""
+
+import argparse
+from pathlib import Path
+
+from edge.commands.output import writing
+from edge.commands.stretch import add_bounds, moment
+from edge.run_file import write_run
+from edge.storage.runs import export_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_bounds(parser)
+    parser.add_argument("--run", dest="name", help="a run that the history knows by name, instead of bounds")
+    parser.add_argument("--first-seq", type=int, help="first tick")
+    parser.add_argument("--last-seq", type=int, help="last tick")
+    parser.add_argument("--out", type=Path, required=True, help="run file to write")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 when the run file is written."""
+    recorded = export_run(
+        arguments.history,
+        arguments.name,
+        arguments.first_seq,
+        arguments.last_seq,
+        moment(arguments.since),
+        moment(arguments.until),
+    )
+    with writing(arguments.out):
+        write_run(recorded, arguments.out)
+    print(f"{arguments.out}: {len(recorded)} rows")
+    return 0

@@ -1,0 +1,22 @@
+"""`greenhouse import RUN...`: run files into the history, beside whatever a daemon writes meanwhile."""
+
+import argparse
+from pathlib import Path
+
+from edge.run_file import read_run
+from edge.settings import HistorySettings
+from edge.storage.runs import import_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run file; its name names the run")
+    parser.add_argument("--history", type=Path, default=Path(HistorySettings().path), help="database")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 when all are in; those before a wrong one are in too."""
+    for path in arguments.runs:
+        first, last = import_run(arguments.history, read_run(path), path.stem)
+        print(f"{path}: run {path.stem}, ticks {first} to {last}")
+    return 0

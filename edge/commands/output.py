@@ -1,0 +1,16 @@
+"""Files that a command writes."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from edge.errors import DataError
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """A file that can't be written is told in one line. Errors: DataError"""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"{path}: can't be written: {error.strerror or error}") from error

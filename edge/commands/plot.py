@@ -1,0 +1,31 @@
+"""`greenhouse plot --out PICTURE [RUN]`: a picture of a run file, or of a stretch of the history."""
+
+import argparse
+from pathlib import Path
+
+from edge.commands.output import writing
+from edge.commands.stretch import add_bounds, moment
+from edge.errors import RequestError
+from edge.plot import plot_history, plot_run
+from edge.run_file import read_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("run_file", type=Path, nargs="?", metavar="RUN", help="run file; else the history")
+    add_bounds(parser)
+    parser.add_argument("--out", type=Path, required=True, help="picture: .png, .svg or .pdf")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 when the picture is written."""
+    since, until = moment(arguments.since), moment(arguments.until)
+    if arguments.run_file is not None and (since is not None or until is not None):
+        raise RequestError("--since and --until are for the history; a run file is drawn whole")
+    with writing(arguments.out):
+        if arguments.run_file is not None:
+            plot_run(read_run(arguments.run_file), arguments.out)
+        else:
+            plot_history(arguments.history, since, until, arguments.out)
+    print(arguments.out)
+    return 0
