@@ -9,6 +9,7 @@ from edge.config_schema import Section, clock, flag, items, number, text, whole
 
 NAME = r"[a-zA-Z0-9_-]{1,64}"  # fit for MQTT topics and Home Assistant ids
 CONTROLLERS = ("rules", "MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P")
+NEED_NO_MODEL = ("rules",)
 
 
 @dataclass(frozen=True, slots=True)

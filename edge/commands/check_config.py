@@ -3,6 +3,8 @@
 import argparse
 
 from edge import config
+from edge.models.configured import configured_model
+from edge.reference import make_reference, zone_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -11,7 +13,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 when the file is good; a ConfigError names the place otherwise."""
+    """0 when the daemon would start with it; an error names the place otherwise."""
     settings = config.load(arguments.file)
+    configured_model(settings.control)
+    make_reference(settings.reference)
+    zone_of(settings.timezone)
     print(f"{arguments.file} is good (settings {config.config_hash(settings)})")
     return 0
