@@ -29,7 +29,7 @@ class _Told:
         print(tick_line(tick_json(record)), flush=True)
         status = f"tick {record.seq}, {record.decision.controller}, mode {record.mode}"
         if not self._ready:
-            self.notifier.ready(status)
+            self.notifier.ready(status, record.step_s)
             self._ready = True
         self.notifier.alive(status)
 
