@@ -2,12 +2,15 @@
 
 import os
 import queue
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 Request = Mapping[str, Any]
 Reply = dict[str, Any]
+
+_STOPPING: Reply = {"ok": False, "error": "the daemon is stopping"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,8 @@ class Inbox:
 
     def __init__(self) -> None:
         self._letters: queue.SimpleQueue[Letter] = queue.SimpleQueue()
+        self._posting = threading.Lock()  # no letter comes in while it closes
+        self._closed = False
         self.wake, self._ring = os.pipe()
         os.set_blocking(self.wake, False)
         os.set_blocking(self._ring, False)
@@ -30,8 +35,11 @@ class Inbox:
     def ask(self, request: Request, timeout_s: float = 10.0) -> Reply:
         """Hand over a request and wait for its answer. Called from any thread but the control thread."""
         letter = Letter(request)
-        self._letters.put(letter)
-        self.ring()
+        with self._posting:
+            if self._closed:
+                return dict(_STOPPING)
+            self._letters.put(letter)
+            self.ring()
         try:
             return letter.answer.get(timeout=timeout_s)
         except queue.Empty:
@@ -59,6 +67,12 @@ class Inbox:
                 return letters
 
     def close(self) -> None:
-        """Close the pipe."""
-        os.close(self.wake)
-        os.close(self._ring)
+        """Nobody will answer any more: say so to all who wait and to all who come. Can be called twice."""
+        with self._posting:
+            if self._closed:
+                return
+            self._closed = True
+            for letter in self.take():
+                letter.answer.put(dict(_STOPPING))
+            os.close(self.wake)
+            os.close(self._ring)

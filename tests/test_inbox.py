@@ -34,3 +34,17 @@ def test_ringing_without_end_does_not_block() -> None:
         inbox.ring()
     assert inbox.take() == []
     inbox.close()
+
+
+def test_closing_answers_who_waits_and_who_comes_later() -> None:
+    inbox = Inbox()
+    replies: list[dict[str, object]] = []
+    asking = threading.Thread(target=lambda: replies.append(inbox.ask({"do": "status"}, timeout_s=60.0)))
+    asking.start()
+    assert select.select([inbox.wake], [], [], 5.0)[0] == [inbox.wake]  # the letter is there
+    inbox.close()
+    asking.join(timeout=5.0)
+    assert not asking.is_alive()
+    replies.append(inbox.ask({"do": "status"}, timeout_s=60.0))
+    inbox.close()
+    assert replies == [{"ok": False, "error": "the daemon is stopping"}] * 2
