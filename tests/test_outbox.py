@@ -153,3 +153,26 @@ def test_a_broken_history_is_an_sqlite_error_for_the_outbox(path: Path, outbox: 
     path.write_bytes(b"no database" * 1000)
     with pytest.raises(sqlite3.Error):
         outbox.pending(1)
+
+
+@pytest.mark.parametrize("limit", [1, 2, 10])
+def test_rows_whose_tick_was_deleted_stall_nothing_and_leave_a_gap(
+    path: Path, outbox: Outbox, limit: int
+) -> None:
+    store(path, tick(1), eventful_tick(2), tick(3), tick(4))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DELETE FROM ticks WHERE seq IN (1, 2)")
+    assert [seq for _, seq, _, _ in contents(outbox.pending(limit))] == [3, 4][:limit]
+    assert outbox.depth() == 2
+    with closing(sqlite3.connect(path)) as connection:
+        assert connection.execute("SELECT first_seq, last_seq, reason FROM gaps ORDER BY 1").fetchall() == [
+            (1, 1, "deleted before it was sent"),
+            (2, 2, "deleted before it was sent"),
+        ]
+
+
+def test_a_deleted_event_does_not_hold_up_its_tick(path: Path, outbox: Outbox) -> None:
+    store(path, eventful_tick(1))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DELETE FROM events WHERE number = 1")
+    assert [number for _, _, number, _ in contents(outbox.pending(10))] == [0, None]

@@ -17,6 +17,12 @@ from edge.storage.tick_rows import read_ticks
 from edge.tick_json import event_json, tick_json
 
 BUSY_S = 5.0  # the writer holds its lock for milliseconds
+_CHOSEN = "id IN (SELECT value FROM json_each(:ids))"
+_DELETE = f"DELETE FROM outbox WHERE {_CHOSEN}"
+_GAPS_OF_GONE = (
+    "INSERT INTO gaps SELECT seq, seq, CAST(strftime('%s', 'now') AS REAL), 'deleted before it was sent'"
+    f" FROM outbox WHERE event IS NULL AND NOT is_resend AND {_CHOSEN}"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,24 +49,25 @@ class Outbox:
         self._history_id = ""
 
     def pending(self, limit: int) -> list[OutboxMessage]:
-        """Up to `limit` messages, oldest first; they stay until they are acknowledged."""
+        """Up to `limit` messages, oldest first; they stay until they are acknowledged.
+
+        Rows whose tick or event was deleted by another hand can't be sent: they go, and leave a gap.
+        """
         connection = self._open()
-        rows = connection.execute(
-            "SELECT id, seq, event, is_resend FROM outbox ORDER BY id LIMIT ?", (limit,)
-        ).fetchall()
-        ticks = read_ticks(connection, {seq for _, seq, _, _ in rows})
-        return [
-            self._message(id_, ticks[seq], event, is_resend)
-            for id_, seq, event, is_resend in rows
-            if seq in ticks
-        ]
+        while True:
+            rows = connection.execute(
+                "SELECT id, seq, event, is_resend FROM outbox ORDER BY id LIMIT ?", (limit,)
+            ).fetchall()
+            ticks = read_ticks(connection, {seq for _, seq, _, _ in rows})
+            gone = [id_ for id_, seq, event, _ in rows if seq not in ticks or not _has(ticks[seq], event)]
+            if not gone:
+                return [self._message(id_, ticks[seq], event, resent) for id_, seq, event, resent in rows]
+            self._give_up(connection, gone)
 
     def acknowledge(self, ids: Sequence[int]) -> None:
         """Take these away. Ids of a file that has been replaced since mean nothing in the new one."""
         if self._connection is not None and identity(self._path) == self._identity:
-            self._connection.execute(
-                "DELETE FROM outbox WHERE id IN (SELECT value FROM json_each(?))", (json.dumps(list(ids)),)
-            )
+            self._connection.execute(_DELETE, {"ids": json.dumps(list(ids))})
 
     def resend(self, first_seq: int, last_seq: int) -> int:
         """Queue stored ticks, both ends included, and their events again. Returns how many messages."""
@@ -98,6 +105,17 @@ class Outbox:
             self._connection, self._identity = connection, identity(self._path)
         return self._connection
 
+    def _give_up(self, connection: sqlite3.Connection, ids: list[int]) -> None:
+        chosen = {"ids": json.dumps(ids)}
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            connection.execute(_GAPS_OF_GONE, chosen)
+            connection.execute(_DELETE, chosen)
+            connection.execute("COMMIT")
+        finally:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
+
     def _message(self, id_: int, tick: TickRecord, event: int | None, is_resend: int) -> OutboxMessage:
         head: dict[str, Any] = {"history_id": self._history_id, "seq": tick.seq, "is_resend": is_resend}
         if event is None:
@@ -106,3 +124,7 @@ class Outbox:
             topic, body = "event", {"number": event, **event_json(tick.events[event])}
         payload = json.dumps({**head, **body}, separators=(",", ":"), ensure_ascii=False)
         return OutboxMessage(id_, f"{self._root}/history/{topic}", payload)
+
+
+def _has(tick: TickRecord, event: int | None) -> bool:
+    return event is None or event < len(tick.events)
