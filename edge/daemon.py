@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
-from typing import Any, Self
+from typing import Any, Self, TypeGuard
 
 from edge import __version__, state_file
 from edge import operation as orders
@@ -26,6 +26,7 @@ from edge.loop import Loop, Rig, Sink
 from edge.messages import TickRecord
 from edge.models.arx import Arx
 from edge.models.arx_file import DEFAULT_PATH, read_arx
+from edge.mqtt.commands import SEQ_MAX
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 from edge.operation import Operation
@@ -151,6 +152,7 @@ class Daemon:
             sinks.append(telemetry)
         board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32))
         stack.callback(board.close)
+        stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
         rig = Rig(
             settings=settings,
             clock=self.clock,
@@ -215,7 +217,7 @@ def _outbox(settings: Settings) -> Outbox:
 
 def _resend(settings: Settings, request: Mapping[str, Any]) -> Reply:
     first, last = request.get("first_seq"), request.get("last_seq")
-    if not isinstance(first, int) or not isinstance(last, int) or not 0 < first <= last:
+    if not _is_seq(first) or not _is_seq(last) or not first <= last:
         return {
             "ok": False,
             "error": f"first_seq {first!r}, last_seq {last!r}: not a span of sequence numbers",
@@ -227,3 +229,7 @@ def _resend(settings: Settings, request: Mapping[str, Any]) -> Reply:
         return {"ok": False, "error": str(error)}
     finally:
         outbox.close()
+
+
+def _is_seq(value: object) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= SEQ_MAX
