@@ -29,7 +29,7 @@ def draw(days: Sequence[Drawn], out: Path) -> None:
     for (temperature, fan, heater), day in zip(axes.T, days, strict=True):
         columns = day.columns
         hours = (columns["time_s"] - columns["time_s"][0]) / 3600.0
-        temperature.set_title(day.controller)
+        temperature.set_title(day.controller, loc="left")
         temperature.plot(hours, columns["temp_air_c"], color="#c0392b", lw=0.9, label="air")
         temperature.step(
             hours, columns["reference_c"], "--", where="post", color="black", lw=1, label="reference"
@@ -41,11 +41,11 @@ def draw(days: Sequence[Drawn], out: Path) -> None:
         heater.fill_between(hours, columns["heater_duty"], step="post", color="#ca6f1e", alpha=0.6, lw=0)
         mean = float(columns["heater_duty"].mean())
         heater.axhline(mean, ls="--", color="black", lw=1, label=f"average {mean:.2f}")
-        heater.legend(loc="upper left", fontsize="small", framealpha=0.9)
+        heater.legend(loc="upper left", bbox_to_anchor=(0.0, 1.3), fontsize="small", frameon=False)
         heater.set_ylim(0.0, 1.05)
         heater.set_xlim(0.0, hours[-1])
         heater.set_xlabel("time [h]")
-    axes[0, 0].legend(loc="upper left", fontsize="small")
+    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize="small", frameon=False)
     for axis, label in zip(axes[:, 0], ("temperature [°C]", "fan", "heater duty [0..1]"), strict=True):
         axis.set_ylabel(label)
     figure.savefig(out, dpi=110)
