@@ -116,8 +116,11 @@ def _run(settings: Settings, clock: SimClock, seed: int, length_s: float) -> Day
         changes.update({change.rule: 1 for change in record.changes})
         boxes += bool(record.decision.why.get("time_box_fired", False))
 
-    with Daemon(settings, clock, after_tick=after_tick, stop_at_s=clock.now() + length_s) as daemon:
+    end_s = clock.now() + length_s
+    with Daemon(settings, clock, after_tick=after_tick, stop_at_s=end_s) as daemon:
         daemon.run()
+    if clock.now() < end_s:
+        raise KeyboardInterrupt  # the daemon took the signal for itself
     heater_off = not clock.truth()["pins"]["heater_relay"]
     columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
     return Day(settings.control.controller, seed, columns, changes, boxes, heater_off)
