@@ -3,17 +3,20 @@
 import hashlib
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers import registry
+from edge.controllers.base import Context, Controller
+from edge.controllers.mpc import Mpc
 from edge.estimator import Estimator
 from edge.inbox import Inbox
 from edge.loop import Loop, Rig
-from edge.messages import Quality, TickRecord
+from edge.messages import Decision, Quality, TickRecord
 from edge.models.base import Predictor
 from edge.operation import Operation
 from edge.recorded_board import RecordedBoard, ReplayClock
@@ -25,6 +28,7 @@ from edge.settings import CONTROLLERS, Settings
 from edge.tick_json import tick_json
 
 Floats = NDArray[np.float64]
+TIME_BOX_MAX_MS = 60_000.0
 
 
 @dataclass(slots=True)
@@ -42,8 +46,37 @@ class Tape:
         return {}
 
 
-def replay(run: Run, settings: Settings, model: Predictor, fan_always_on: bool) -> list[TickRecord]:
-    """One tick per step of the run. Decisions have no effect: the recorded inputs stand."""
+class Replayed:
+    """An MPC whose searches end where they ended before: the wall clock has no say in a replay.
+
+    node_limits : of each decision in turn, how many nodes it may look into; None where its budget decides
+    """
+
+    def __init__(self, inner: Mpc, node_limits: Sequence[int | None]) -> None:
+        self.name = inner.name
+        self._inner = inner
+        self._limits = iter(node_limits)
+
+    def decide(self, context: Context) -> Decision:
+        """As the inner one, within the nodes of the next decision."""
+        return self._inner.decide(context, node_limit=next(self._limits, None))
+
+    def reset(self) -> None:
+        """As the inner one."""
+        self._inner.reset()
+
+
+def replay(
+    run: Run,
+    settings: Settings,
+    model: Predictor,
+    fan_always_on: bool,
+    node_limits: Sequence[int | None] = (),
+) -> list[TickRecord]:
+    """One tick per step of the run. Decisions have no effect: the recorded inputs stand.
+
+    node_limits : see `Replayed`; `fired_limits` reads them from the ticks of an earlier replay
+    """
     start_s = float(run.columns["time_s"][0])
     clock = ReplayClock(start_s, run.start_utc or 0.0)
     step_s = settings.control.step_s
@@ -56,7 +89,7 @@ def replay(run: Run, settings: Settings, model: Predictor, fan_always_on: bool) 
         estimator=Estimator(settings.estimator, model, step_s, settings.control.ambient_default_c),
         reference=make_reference(settings.reference),
         zone=zone_of(settings.timezone),
-        controllers={name: registry.make(name, settings.control, model) for name in CONTROLLERS},
+        controllers={name: _controller(name, settings, model, node_limits) for name in CONTROLLERS},
         sinks=[tape],
         more_events=list,
         inbox=inbox,
@@ -68,6 +101,23 @@ def replay(run: Run, settings: Settings, model: Predictor, fan_always_on: bool) 
     finally:
         inbox.close()
     return tape.records
+
+
+def _controller(
+    name: str, settings: Settings, model: Predictor, node_limits: Sequence[int | None]
+) -> Controller:
+    # Nobody waits for a replay: only nodes bound its searches, unless they were cut short when recorded.
+    unhurried = replace(settings.control, time_box_ms=TIME_BOX_MAX_MS)
+    controller = registry.make(name, unhurried, model)
+    return Replayed(controller, node_limits) if isinstance(controller, Mpc) else controller
+
+
+def fired_limits(ticks: Sequence[Mapping[str, Any]]) -> list[int | None]:
+    """Node counts of the recorded decisions that the wall clock cut short, None for the others.
+
+    ticks : in the form of `edge.tick_json`
+    """
+    return [tick["why"]["nodes"] if tick["why"].get("time_box_fired") else None for tick in ticks]
 
 
 def decisions_digest(records: Sequence[TickRecord]) -> str:

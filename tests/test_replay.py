@@ -8,8 +8,9 @@ import pytest
 from edge.commands.replay import settings_for, skill_table
 from edge.messages import Quality, TickRecord
 from edge.models.arx import Arx
-from edge.replay import decisions_digest, replay, score
+from edge.replay import decisions_digest, fired_limits, replay, score
 from edge.run_file import Run, read_run
+from edge.tick_json import tick_json
 
 STEP_S = 10.0
 LOGS = Path(__file__).parent.parent.parent / "shared" / "data" / "heated_box"
@@ -125,3 +126,20 @@ def test_a_measured_log_replays_the_same_twice() -> None:
     first, second = (replay(run, settings, model, fan_always_on=True) for _ in range(2))
     assert decisions_digest(first) == decisions_digest(second)
     assert all(record.readings["temp_ambient"].quality is Quality.ABSENT for record in first)
+
+
+def test_a_decision_that_the_clock_cut_short_is_replayed_to_the_same_node() -> None:
+    run, settings = recording(), settings_for(STEP_S, "MPC", 24.0)
+    free = replay(run, settings, TRUE_BOX, fan_always_on=False)
+    nodes = [record.decision.why["nodes"] for record in free]
+    hardest = max(
+        range(1, len(nodes)), key=lambda tick: nodes[tick]
+    )  # the first one has no plan to fall back on
+    cut: list[int | None] = [None] * len(nodes)
+    cut[hardest] = 1
+    first = replay(run, settings, TRUE_BOX, False, cut)
+    assert first[hardest].decision.why["time_box_fired"] is True
+    recorded = [tick_json(record) for record in first]
+    again = replay(run, settings, TRUE_BOX, False, fired_limits(recorded))
+    assert decisions_digest(again) == decisions_digest(first)
+    assert decisions_digest(free) != decisions_digest(first)

@@ -5,13 +5,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from edge import config
+from edge.errors import DataError
 from edge.messages import TickRecord
 from edge.models.arx_file import DEFAULT_PATH, read_arx
-from edge.replay import Skill, decisions_digest, replay, score
+from edge.replay import Skill, decisions_digest, fired_limits, replay, score
 from edge.run_file import read_run
 from edge.settings import CONTROLLERS, Settings
 from edge.tick_json import tick_json
@@ -28,6 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--horizons", type=_horizons, default=HORIZONS_S, metavar="S,S,...")
     parser.add_argument("--fan-always-on", action="store_true", help="for runs without a fan_on column")
     parser.add_argument("--out", type=Path, help="folder for the ticks, one JSON line each")
+    parser.add_argument(
+        "--again",
+        type=Path,
+        help="folder of earlier ticks: searches that the clock cut short end there again",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,7 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
     settings = settings_for(model.step_s, arguments.controller, arguments.reference)
     skills = []
     for path in arguments.runs:
-        records = replay(read_run(path), settings, model, arguments.fan_always_on)
+        limits = (
+            [] if arguments.again is None else fired_limits(_read(arguments.again / f"{path.stem}.jsonl"))
+        )
+        records = replay(read_run(path), settings, model, arguments.fan_always_on, limits)
         skills.append(score(records, model, arguments.horizons))
         print(f"{path.name}: {len(records)} ticks, decisions {decisions_digest(records)[:16]}")
         if arguments.out is not None:
@@ -78,6 +88,13 @@ def _horizons(text: str) -> tuple[float, ...]:
     if not all(0 < value < 1e6 for value in values):
         raise argparse.ArgumentTypeError(f"{text!r} is no list of times above 0")
     return values
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    try:
+        return [json.loads(line) for line in path.read_text().splitlines()]
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: no ticks of an earlier replay: {error}") from error
 
 
 def _write(path: Path, records: Sequence[TickRecord]) -> None:
