@@ -1,5 +1,6 @@
 #!/bin/sh
-# Debian packages that the tests use: a broker, compilers for the board's C code, openssl for test certificates.
+# Debian packages that the tests use: a broker, compilers and a simulator for the board's C code,
+# openssl for test certificates.
 set -eu
 
 missing=""
@@ -11,6 +12,8 @@ need openssl openssl
 need strace strace
 need systemd-analyze systemd
 [ -e /usr/lib/avr/include/avr/io.h ] || missing="$missing avr-libc"
+[ -e /usr/include/simavr/sim_avr.h ] || missing="$missing libsimavr-dev"
+[ -e /usr/include/libelf.h ] || missing="$missing libelf-dev"
 [ -n "$missing" ] || exit 0
 
 if [ "$(id -u)" = 0 ]; then as_root=""; elif command -v sudo >/dev/null 2>&1; then as_root="sudo"; else
