@@ -1,5 +1,7 @@
 """A virtual board as a child process, for `greenhouse demo` and `greenhouse experiment --virtual`."""
 
+import ctypes
+import signal
 import subprocess
 import sys
 import time
@@ -10,6 +12,7 @@ from pathlib import Path
 
 from edge.errors import GreenhouseError
 
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, linux/prctl.h
 START_PATIENCE_S = 20.0  # real time; a single-board computer imports slowly
 
 
@@ -31,7 +34,11 @@ def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterato
     with log.open("w") as out:
         # A session of its own: Ctrl-C is for the daemon, which still needs the board to turn the heater off.
         process = subprocess.Popen(
-            [*program, *places, *options], stdout=out, stderr=subprocess.STDOUT, start_new_session=True
+            [*program, *places, *options],
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            preexec_fn=_die_with_parent,
         )
     try:
         _wait_until_ready(process, rig, log)
@@ -43,6 +50,11 @@ def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterato
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def _die_with_parent() -> None:
+    """Also when the daemon is killed and can clean up nothing."""
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 def _wait_until_ready(process: "subprocess.Popen[bytes]", rig: VirtualRig, log: Path) -> None:
