@@ -1,4 +1,4 @@
-"""Recorded runs through the same tick, in shadow: what would have been decided, how good the forecasts were."""
+"""Recorded runs through the same tick, in shadow: what would have been decided, and the forecasts' skill."""
 
 import hashlib
 import json

@@ -129,12 +129,10 @@ def test_a_measured_log_replays_the_same_twice() -> None:
 
 
 def test_a_decision_that_the_clock_cut_short_is_replayed_to_the_same_node() -> None:
-    run, settings = recording(), settings_for(STEP_S, "MPC", 24.0)
+    run, settings = recording(), settings_for(STEP_S, "MPC-P", 22.0)
     free = replay(run, settings, TRUE_BOX, fan_always_on=False)
     nodes = [record.decision.why["nodes"] for record in free]
-    hardest = max(
-        range(1, len(nodes)), key=lambda tick: nodes[tick]
-    )  # the first one has no plan to fall back on
+    hardest = nodes.index(max(nodes[1:]), 1)  # the first one has no plan to fall back on
     cut: list[int | None] = [None] * len(nodes)
     cut[hardest] = 1
     first = replay(run, settings, TRUE_BOX, False, cut)

@@ -1,4 +1,4 @@
-"""`greenhouse replay RUN.csv...`: recorded runs through the same tick, in shadow; how good the forecasts were."""
+"""`greenhouse replay RUN.csv...`: recorded runs through the same tick, in shadow, and the forecasts' skill."""
 
 import argparse
 import json
