@@ -1,4 +1,4 @@
-"""`greenhouse replay RUN.csv...`: recorded runs through the same tick, in shadow, and the forecasts' skill."""
+"""`greenhouse replay RUN.csv...`: recorded runs through the same tick, in shadow, and their skill."""
 
 import argparse
 import json
