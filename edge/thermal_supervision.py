@@ -4,8 +4,9 @@ No model is used that fitting could spoil: only bounds that every box of this ki
 an energy balance that knows the fan's state. Four questions, each with its own small memory:
 
 - heater on, fan off, and no rise: dead heater, or a sensor that does not feel it. Alarm once EXPECTED_RISE_K
-  would have come at the least: about 13 min at full duty near room temperature, 25 min if it dies between.
-  With the fan on nothing is concluded: the fan may carry all heat away (and then nothing can overheat).
+  would have come at the least: 14 min at full duty from room temperature, 35 min if it dies while it heats.
+  Nothing is concluded with the fan on, which may carry all heat away (and then nothing can overheat), nor
+  while the air is so warm that the weakest heater would not lift it further.
 - more heat than was ordered: relay stuck on. With the heater off, a balance over SHORT_S after SETTLE_S
   without switching: 15 to 25 min after the board was told off. Where heater and fan keep switching, a balance
   over LONG_S: within 2 h while little heat is ordered (while much is, the stuck relay gives what is wanted).
@@ -110,7 +111,7 @@ def look(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, tuple[Fi
     """The memory after one more step, and the faults found in it."""
     memory = _follow_inputs(memory, moment)
     findings = []
-    for question in (_heater_works, _heater_is_off, _fan_works, _sensors_agree):
+    for question in (_heater_works, _heat_is_ordered, _fan_works, _sensors_agree):
         memory, finding = question(memory, moment)
         if finding is not None:
             findings.append(finding)
@@ -155,7 +156,7 @@ def _heater_works(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory,
     return replace(memory, heating=Heating()), Finding(HEATER_NO_EFFECT, text)
 
 
-def _heater_is_off(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+def _heat_is_ordered(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
     """More heat than was ordered."""
     settled = memory.off_s >= SETTLE_S and memory.fan_same_s >= SETTLE_S
     short = _continue(memory.short, moment) if settled else None
