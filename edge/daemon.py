@@ -19,13 +19,14 @@ from edge.config import config_hash
 from edge.control_socket import ControlSocket
 from edge.controllers import registry
 from edge.controllers.base import Controller
-from edge.errors import GreenhouseError
+from edge.errors import ConfigError
 from edge.estimator import Estimator
 from edge.inbox import Inbox, Reply, Request
 from edge.loop import Loop, Rig, Sink
 from edge.messages import TickRecord
-from edge.models.arx import Arx
-from edge.models.arx_file import DEFAULT_PATH, read_arx
+from edge.models.base import Predictor
+from edge.models.configured import configured_model
+from edge.models.persistence import Persistence
 from edge.mqtt.commands import SEQ_MAX
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
@@ -33,7 +34,7 @@ from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
-from edge.settings import CONTROLLERS, Settings
+from edge.settings import CONTROLLERS, NEED_NO_MODEL, Settings
 from edge.state_file import StateFileBroken, StateWriter
 from edge.storage import Outbox, Session, Storage
 
@@ -127,13 +128,14 @@ class Daemon:
 
     def _wire(self) -> Loop:
         settings, stack = self.settings, self._stack
-        model = read_arx(Path(settings.control.model) if settings.control.model else DEFAULT_PATH)
-        if model.step_s != settings.control.step_s:
-            raise GreenhouseError(
-                f"control.model: {model.version} is made for steps of {model.step_s:g} s, "
-                f"control.step_s is {settings.control.step_s:g}"
-            )
+        model = configured_model(settings.control)
+        controllers = self._controllers(model)
+        if self.experiment and self.experiment not in controllers:
+            raise ConfigError(f"control: {self.experiment} needs a model for {settings.control.step_s:g} s")
         standing = read_standing(Path(settings.state_file), settings)
+        if standing.operation.controller not in controllers:  # chosen when the rig had a model
+            chosen = replace(standing.operation, controller=settings.control.controller)
+            standing = replace(standing, operation=chosen)
         inbox = Inbox()
         stack.callback(inbox.close)
         # First of all that is shared: where a daemon runs already nothing else is touched.
@@ -163,7 +165,7 @@ class Daemon:
             ),
             reference=self.reference or make_reference(settings.reference),
             zone=zone_of(settings.timezone),
-            controllers=self._controllers(model),
+            controllers=controllers,
             sinks=sinks,
             more_events=storage.events_pending,
             inbox=inbox,
@@ -176,9 +178,9 @@ class Daemon:
             loop.note("state.broken", standing.broken)
         return loop
 
-    def _controllers(self, model: Arx) -> dict[str, Controller]:
-        control = self.settings.control
-        known = [registry.make(name, control, model) for name in CONTROLLERS]
+    def _controllers(self, model: Predictor) -> dict[str, Controller]:
+        names = NEED_NO_MODEL if isinstance(model, Persistence) else CONTROLLERS
+        known = [registry.make(name, self.settings.control, model) for name in names]
         return {controller.name: controller for controller in (*known, *self.more_controllers)}
 
     def _orders(self, standing: Operation) -> Operation:
