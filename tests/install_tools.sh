@@ -11,6 +11,7 @@ need avr-gcc gcc-avr
 need openssl openssl
 need strace strace
 need systemd-analyze systemd
+need shellcheck shellcheck
 [ -e /usr/lib/avr/include/avr/io.h ] || missing="$missing avr-libc"
 [ -e /usr/include/simavr/sim_avr.h ] || missing="$missing libsimavr-dev"
 [ -e /usr/include/libelf.h ] || missing="$missing libelf-dev"
@@ -23,4 +24,5 @@ fi
 echo "installing$missing"
 $as_root apt-get update -qq
 # The broker comes with a service of its own that the tests do not use: policy-rc.d is Debian's way to say so.
+# shellcheck disable=SC2086 # words are meant
 DEBIAN_FRONTEND=noninteractive $as_root apt-get install -y -qq --no-install-recommends $missing >/dev/null

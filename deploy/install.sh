@@ -1,0 +1,107 @@
+#!/bin/sh
+# Puts the greenhouse daemon on this machine, or brings it up to date: run it as often as you like.
+# A configuration that is there is never overwritten; the daemon is restarted only when it accepts it.
+set -eu
+
+usage() {
+    cat <<EOF
+usage: install.sh [--dry-run] [--root DIR]
+  --dry-run   say what would be done, do nothing
+  --root DIR  install into DIR, a file system that is not running: no user, no service is touched
+Environment: PYTHON, the interpreter of the virtual environment (python3)
+EOF
+}
+
+die() {
+    echo "install.sh: $*" >&2
+    exit 1
+}
+
+run() { # a step: told, and done unless --dry-run
+    echo "  $*"
+    [ -n "$dry_run" ] || "$@"
+}
+
+install_user() {
+    getent group greenhouse >/dev/null || run groupadd --system greenhouse
+    getent passwd greenhouse >/dev/null || run useradd --system --gid greenhouse --groups dialout \
+        --home-dir /var/lib/greenhouse --no-create-home --shell /usr/sbin/nologin greenhouse
+}
+
+install_program() {
+    run install -d "$opt"
+    # The source as it was installed: the service's documentation, and a build that leaves this folder alone.
+    run rm -rf "$opt/src"
+    run install -d "$opt/src"
+    for part in pyproject.toml README.md CHANGELOG.md edge firmware_protocol deploy; do
+        run cp -R "$source/$part" "$opt/src/"
+    done
+    run find "$opt/src" -name __pycache__ -prune -exec rm -rf {} +
+    [ -x "$opt/venv/bin/python" ] || run "$python" -m venv "$opt/venv"
+    run "$opt/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$opt/src"
+    run install -d "$root/usr/local/bin"
+    run ln -sfn /opt/greenhouse/venv/bin/greenhouse "$root/usr/local/bin/greenhouse"
+}
+
+install_config() {
+    run install -d -m 0750 -g "$group" "$etc"
+    run install -d -m 0700 "$etc/credentials"
+    if [ -e "$etc/edge.yaml" ]; then
+        echo "  $etc/edge.yaml is kept"
+    else
+        run install -m 0640 -g "$group" "$source/deploy/edge.example.yaml" "$etc/edge.yaml"
+    fi
+}
+
+install_system_files() {
+    run install -D -m 0644 "$source/deploy/greenhouse.service" "$root/etc/systemd/system/greenhouse.service"
+    run install -D -m 0644 "$source/deploy/70-greenhouse.rules" "$root/etc/udev/rules.d/70-greenhouse.rules"
+}
+
+start_service() {
+    if [ -n "$root" ] || [ ! -d /run/systemd/system ]; then
+        echo "systemd does not run here: the service is in place, nothing is started"
+        return
+    fi
+    run udevadm control --reload
+    run udevadm trigger --subsystem-match=tty
+    run systemctl daemon-reload
+    run systemctl enable --quiet greenhouse.service
+    run systemctl try-restart greenhouse.service
+}
+
+dry_run="" root="" python="${PYTHON:-python3}"
+while [ $# -gt 0 ]; do
+    case "$1" in
+    --dry-run) dry_run=1 ;;
+    --root) root="${2:?--root needs a folder}" && shift ;;
+    -h | --help) usage && exit 0 ;;
+    *) usage >&2 && die "unknown argument $1" ;;
+    esac
+    shift
+done
+
+source=$(cd "$(dirname "$0")/.." && pwd)
+opt="$root/opt/greenhouse" etc="$root/etc/greenhouse"
+
+[ -n "$dry_run$root" ] || [ "$(id -u)" = 0 ] || die "must be run as root: sudo deploy/install.sh (or --dry-run)"
+command -v "$python" >/dev/null || die "$python is missing: apt install python3 python3-venv"
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+    die "$python is $("$python" -V 2>&1), Python 3.11 or newer is needed"
+"$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python3-venv"
+
+group=$(id -g) # of what the daemon may read and others may not
+if [ -z "$root" ]; then
+    group=greenhouse
+    install_user
+fi
+install_program
+install_config
+install_system_files
+run "$opt/venv/bin/greenhouse" check-config "$etc/edge.yaml"
+start_service
+[ -n "$dry_run" ] || cat <<EOF
+Installed. On a first installation now
+  edit $etc/edge.yaml, then: greenhouse check-config $etc/edge.yaml
+  systemctl start greenhouse; journalctl -fu greenhouse
+EOF

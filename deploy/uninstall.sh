@@ -1,0 +1,25 @@
+#!/bin/sh
+# Takes the daemon off this machine. Configuration, history and user stay; how to remove them is said at the end.
+set -eu
+
+root=""
+if [ "${1:-}" = --root ]; then root="${2:?--root needs a folder}"; fi
+if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
+    echo "uninstall.sh: must be run as root" >&2
+    exit 1
+fi
+if [ -z "$root" ] && [ -d /run/systemd/system ]; then
+    # Stopping turns the heater off.
+    systemctl disable --now greenhouse.service || true
+fi
+rm -f "$root/etc/systemd/system/greenhouse.service" "$root/etc/udev/rules.d/70-greenhouse.rules" \
+    "$root/usr/local/bin/greenhouse"
+rm -rf "$root/opt/greenhouse"
+if [ -z "$root" ] && [ -d /run/systemd/system ]; then
+    systemctl daemon-reload
+    udevadm control --reload
+fi
+cat <<EOF
+Removed. Kept: $root/etc/greenhouse and $root/var/lib/greenhouse.
+To remove those too: rm -r $root/etc/greenhouse $root/var/lib/greenhouse; userdel greenhouse
+EOF
