@@ -50,7 +50,7 @@ class Run:
         """The first event of one key."""
         return next((event for event in self.events if event.key == key), None)
 
-    def keys(self, severity: str | None = None) -> set[str]:
+    def told(self, severity: str | None = None) -> set[str]:
         """Keys of the events that were told."""
         return {event.key for event in self.events if severity in (None, event.severity)}
 
@@ -86,12 +86,14 @@ def run(
     boxes.write_text(yaml.safe_dump(_merged(DRY_SOIL, chamber or {})))
     options = ("--core", core, "--seed", str(seed), "--chamber", str(boxes), *board)
     records: list[TickRecord] = []
-    with virtual_board(folder, *options, faults=[dict(fault) for fault in faults]) as started:
-        with closing(SimClock(started.control)) as sim:
-            clock = WatchedClock(sim, folder / "daemon.sock", orders, look_s)
-            with Daemon(_settings(folder, settings or {}), clock, records.append, stop_at_s=end_s) as daemon:
-                daemon.run()
-            truth = sim.truth()
+    with (
+        virtual_board(folder, *options, faults=[dict(fault) for fault in faults]) as started,
+        closing(SimClock(started.control)) as sim,
+    ):
+        clock = WatchedClock(sim, folder / "daemon.sock", orders, look_s)
+        with Daemon(_settings(folder, settings or {}), clock, records.append, stop_at_s=end_s) as daemon:
+            daemon.run()
+        truth = sim.truth()
     return Run(clock.looks, records, _events(folder / "history.db"), clock.replies, truth)
 
 

@@ -31,7 +31,8 @@ def test_scenario(tmp_path, name, core):
 
 def check_heat(result: Run, scenario: Scenario) -> None:
     """On before it begins, off in time, on again."""
-    begin_s = min(thing.get("start_s", thing.get("at_s")) for thing in scenario.faults + scenario.orders)
+    begins = [fault["start_s"] for fault in scenario.faults] + [order["at_s"] for order in scenario.orders]
+    begin_s = min(begins, default=scenario.end_s)
     assert all(look.heater_pin for look in result.looks if HEAT_BEGINS_S < look.time_s < begin_s)
     for off in scenario.heater_off:
         limit_s = off.from_s + off.within_s
@@ -47,12 +48,12 @@ def check_heat(result: Run, scenario: Scenario) -> None:
 
 def check_history(result: Run, scenario: Scenario) -> None:
     """What had to be told was told, and no other alarm."""
-    assert set(scenario.told) <= result.keys()
+    assert set(scenario.told) <= result.told()
     for key in scenario.conditions:
         begin, end = result.first(key), result.first(f"{key}.over")
         assert begin and end and begin.time_s < end.time_s
-    assert result.keys("alarm") == set(scenario.alarms)
-    assert "board.refused" not in result.keys(), "the daemon asked for what the board can't do"
+    assert result.told("alarm") == set(scenario.alarms)
+    assert "board.refused" not in result.told(), "the daemon asked for what the board can't do"
     assert [record.seq for record in result.records] == list(range(1, len(result.records) + 1))
 
 
