@@ -14,6 +14,15 @@ Request = dict[str, Any]
 Fill = Callable[[argparse.ArgumentParser], None]
 
 
+def _target(text: str) -> float | None:
+    if text == "none":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a temperature nor none") from None
+
+
 def _mode(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("mode", choices=[mode.value for mode in Mode])
 
@@ -23,7 +32,9 @@ def _fan(parser: argparse.ArgumentParser) -> None:
 
 
 def _reference(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("reference_c", metavar="DEGC|none", help="a temperature, or none: as configured")
+    parser.add_argument(
+        "reference_c", metavar="DEGC|none", type=_target, help="a temperature, or none: as configured"
+    )
 
 
 def _controller(parser: argparse.ArgumentParser) -> None:
@@ -74,9 +85,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Ask, print the answer; 1 when the daemon refuses."""
     name = ASKS[arguments.command][0]
     values = {key: value for key, value in vars(arguments).items() if key not in ("command", "socket", "run")}
-    if values.get("reference_c") is not None:
-        text = values["reference_c"]
-        values["reference_c"] = None if text == "none" else float(text)
     answer = request(arguments.socket, {"do": name, **values})
     if not answer.get("ok", False):
         print(f"refused: {answer.get('error', answer)}")
