@@ -279,5 +279,5 @@ def test_a_good_configuration_is_told_and_a_wrong_one_named(tmp_path, capsys):
     bad.write_text("control: {horizont: 12}\n")
     assert main(["check-config", str(good)]) == 0
     assert "is good" in capsys.readouterr().out
-    assert "control.horizont" in refusal(capsys, "check-config", bad)
+    assert "unknown key 'horizont'; did you mean 'horizon'" in refusal(capsys, "check-config", bad)
     assert "none.yaml" in refusal(capsys, "check-config", tmp_path / "none.yaml")
