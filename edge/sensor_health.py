@@ -20,6 +20,7 @@ AIR_RATE_MAX_K_S = 0.1  # no box of this kind warms or cools faster; a gap widen
 STUCK_DRIVE_S = (
     60.0  # 6 kJ more or less than before, counted in full-duty seconds: about 1 K in the whole box
 )
+HOT_DUTY = 0.5  # lifts the box by 11 K at most, and no box comes to rest under more within an hour
 TEMPERATURES = ("temp_air", "temp_ambient")  # light and moisture may jump
 
 
@@ -35,7 +36,8 @@ class Track:
     still_since_s: float = math.inf  # since when the raw value has been exactly the same
     still_duty: float = 0.0  # heater duty at that time
     still_drive_s: float = 0.0  # integral of |duty - still_duty| since then [s]
-    told_s: float = math.inf  # up to when still_drive_s is counted
+    still_hot_s: float = 0.0  # time at HOT_DUTY or more since then [s]
+    told_s: float = math.inf  # up to when both are counted
 
 
 class SensorHealth:
@@ -105,6 +107,7 @@ def _accept(track: Track, samples: tuple[Reading, ...]) -> Track:
         suspects=(),
         still_since_s=last.time_s if moved else track.still_since_s,
         still_drive_s=0.0 if moved else track.still_drive_s,
+        still_hot_s=0.0 if moved else track.still_hot_s,
         told_s=last.time_s if moved else track.told_s,
     )
 
@@ -118,12 +121,13 @@ def _jumps(before: Reading, sample: Reading, settings: SensorHealthSettings) -> 
 
 
 def watch_stillness(track: Track, now: float, duty: float) -> Track:
-    """Count how much the heat has differed since the raw value last moved."""
+    """Count how much the heat has differed, and how long it was strong, since the raw value last moved."""
     if track.still_drive_s == 0.0 and track.told_s == track.still_since_s:
         track = replace(track, still_duty=duty)
     passed_s = max(0.0, now - track.told_s)
     drive_s = track.still_drive_s + abs(duty - track.still_duty) * passed_s
-    return replace(track, still_drive_s=drive_s, told_s=max(now, track.told_s))
+    hot_s = track.still_hot_s + (passed_s if duty >= HOT_DUTY else 0.0)
+    return replace(track, still_drive_s=drive_s, still_hot_s=hot_s, told_s=max(now, track.told_s))
 
 
 def assess(
@@ -159,7 +163,9 @@ def _not_good(
 
 
 def _is_stuck(track: Track, now: float, settings: SensorHealthSettings) -> bool:
-    return now - track.still_since_s >= settings.stuck_after_s and track.still_drive_s >= STUCK_DRIVE_S
+    still_s = now - track.still_since_s
+    driven = still_s >= settings.stuck_after_s and track.still_drive_s >= STUCK_DRIVE_S
+    return driven or track.still_hot_s >= 2.0 * settings.stuck_after_s
 
 
 def trimmed_mean(values: Sequence[float]) -> float:

@@ -179,6 +179,17 @@ def test_a_sensor_that_stands_still_while_heat_comes_is_stuck():
     assert minutes(sensors, 10, [24.0], duty=0.5) is Quality.STUCK  # ten
 
 
+def test_a_sensor_that_stands_still_under_strong_heat_that_does_not_change_is_stuck():
+    sensors = health()
+    assert minutes(sensors, 0, [29.0] * 20, duty=1.0) is Quality.GOOD
+    assert minutes(sensors, 20, [29.0], duty=1.0) is Quality.STUCK
+
+
+@pytest.mark.parametrize(("duty", "quality"), [(0.5, Quality.STUCK), (0.45, Quality.GOOD)])
+def test_heat_that_can_do_no_harm_may_leave_the_sensor_still(duty, quality):
+    assert minutes(health(), 0, [29.0] * 120, duty=duty) is quality
+
+
 def test_one_step_of_the_sensor_frees_it():
     sensors = health()
     minutes(sensors, 0, [24.0, 24.0], duty=0.0)
