@@ -4,7 +4,7 @@ import argparse
 
 from edge import config
 from edge.models.configured import configured_model
-from edge.reference import make_reference, zone_of
+from edge.reference import make_reference
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,6 +17,5 @@ def run(arguments: argparse.Namespace) -> int:
     settings = config.load(arguments.file)
     configured_model(settings.control)
     make_reference(settings.reference)
-    zone_of(settings.timezone)
     print(f"{arguments.file} is good (settings {config.config_hash(settings)})")
     return 0
