@@ -17,13 +17,13 @@ import numpy as np
 from edge.clock import Clock
 from edge.conditions import Conditions
 from edge.controllers.base import Context, Controller
-from edge.decision_thread import DecisionThread
+from edge.decider import Decider
 from edge.errors import RequestError
 from edge.estimator import Estimator
 from edge.inbox import Inbox, Reply, Request
 from edge.lighting import led_level
-from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
-from edge.operation import Desk, Operation, apply_orders, operate, to_dict
+from edge.messages import Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
+from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate, to_dict
 from edge.reference import Reference, seconds_of_day
 from edge.safety import (
     SafetyMemory,
@@ -42,8 +42,6 @@ from edge.watering import Watering
 LEASE_S = 10.0  # a decision outlives its step by this much, and no more
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
 REFERENCE_STEPS = 60  # how far ahead controllers may see the reference [steps]
-ESTIMATE_AGE_MAX_S = 900.0  # after so long without a good air temperature a plan is a guess
-DECISION_BLOCK_MAX_S = 5.0  # a lease is renewed every 3 s and lasts 10 s: a wait of 5 s can't end one
 START_WAIT_S = 5.0  # for the board, before the first tick
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
@@ -107,13 +105,11 @@ class Loop:
         self._step_s = rig.settings.control.step_s
         self._start_s = rig.clock.now()  # of the tick grid, set anew when the board is there
         self._sent = Command()
-        self._last_decision = Decision(Command(), "none")
         self._last_verdict: Verdict | None = None
-        self._active = ""  # controller that decided last
         self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
         self._conditions = Conditions()
         self._events: list[Event] = []
-        self._decisions = DecisionThread()
+        self._decider = Decider(rig.controllers, rig.settings.control, self._conditions)
         self._watering = Watering(rig.settings.watering)
         self._stopping = False
         self.last_record: TickRecord | None = None
@@ -140,7 +136,7 @@ class Loop:
 
     def close(self) -> None:
         """End the decision thread; can be called twice."""
-        self._decisions.close()
+        self._decider.close()
 
     def stop(self) -> None:
         """Ask the loop to end; safe in a signal handler and from any thread."""
@@ -153,7 +149,7 @@ class Loop:
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
         estimate = rig.estimator.update(readings, now, utc)
         context = self._context(estimate, now, utc)
-        decision, decide_ms = self._decide(context)
+        decision, decide_ms = self._decider.decide(self._operation.controller, context)
         wanted, orders = apply_orders(
             self._operation, self._with_light_and_water(decision.command, readings, now, utc)
         )
@@ -199,46 +195,6 @@ class Loop:
             last_sent=self._sent,
             limits=planning_limits(self._memory, rig.settings.safety, now, self._step_s),
         )
-
-    def _decide(self, context: Context) -> tuple[Decision, float]:
-        """The chosen controller's decision, else the fallback's, else the safe command."""
-        old = not context.now_s - context.estimate.time_s <= ESTIMATE_AGE_MAX_S
-        self._conditions.set("estimate.old", old, context.now_s, context.utc)
-        if old:
-            return Decision(Command(), "none", why={"failure": "estimate.old"}), 0.0
-        chosen, fallback = self._operation.controller, self._rig.settings.control.fallback
-        decision, failure, wall_ms = self._ask(chosen, context)
-        for key in ("controller.raised", "controller.not_a_number", "controller.late"):
-            self._conditions.set(key, key == failure, context.now_s, context.utc, f"{chosen}")
-        if decision is not None:
-            return decision, wall_ms
-        decision, fallback_failure, more_ms = self._ask(fallback, context)
-        self._conditions.set(
-            "fallback.failed", decision is None, context.now_s, context.utc, fallback_failure
-        )
-        if decision is None:
-            return Decision(Command(), "none", why={"failure": failure}), wall_ms + more_ms
-        return replace(
-            decision, why={**decision.why, "instead_of": chosen, "failure": failure}
-        ), wall_ms + more_ms
-
-    def _ask(self, name: str, context: Context) -> tuple[Decision | None, str, float]:
-        """One controller's decision, or the failure-table key of what went wrong; and the wall time [ms]."""
-        controller = self._rig.controllers[name]
-        if name != self._active:
-            controller.reset()
-            self._active = name
-        settings = self._rig.settings.control
-        deadline_s = min(settings.decision_deadline_s, self._step_s / 2, DECISION_BLOCK_MAX_S)
-        answer = self._decisions.ask(controller, context, deadline_s)
-        if answer.decision is None:
-            failure = "controller.late" if answer.failure == "late" else "controller.raised"
-            if failure == "controller.raised":
-                self._tell("controller.error", Severity.WARNING, f"{name}: {answer.failure}", context.now_s)
-            return None, failure, answer.wall_ms
-        if not _is_finite(answer.decision.command):
-            return None, "controller.not_a_number", answer.wall_ms
-        return answer.decision, "", answer.wall_ms
 
     def _with_light_and_water(
         self, command: Command, readings: Mapping[str, Reading], now: float, utc: float
@@ -310,6 +266,7 @@ class Loop:
         return (
             *own,
             *rig.board.take_events(),
+            *self._decider.take_events(),
             *verdict.events,
             *rig.more_events(),
             *self._conditions.take_events(),
@@ -317,7 +274,6 @@ class Loop:
 
     def _hand_out(self, record: TickRecord) -> None:
         self._seq += 1
-        self._last_decision = record.decision
         self.last_record = record
         for sink in self._rig.sinks:
             sink.write(record)
@@ -375,7 +331,8 @@ class Loop:
             self._rig.board.clear_trip()
         self._rig.save_state(self._operation, self._memory)
         self._tell("operator.order", Severity.INFO, _in_words(request), clock.now())
-        self._act_now()
+        if acts_at_once(before, self._operation):
+            self._act_now()
 
     def _desk(self) -> Desk:
         limits = self._rig.settings.reference
@@ -389,15 +346,21 @@ class Loop:
         self._tell("operator.clear_trip", Severity.INFO, "trips cleared", clock.now())
 
     def _act_now(self) -> None:
-        """An order takes effect at once, not at the next tick: the last decision under the new orders."""
+        """The last decision under the new orders, not a step later; told as an event, since it is no tick."""
         record = self.last_record
         if record is None:
             return
-        now, utc = self._rig.clock.now(), self._rig.clock.utc()
-        command = replace(self._last_decision.command, led=record.wanted.led)
+        rig, now, utc = self._rig, self._rig.clock.now(), self._rig.clock.utc()
+        readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
+        command = replace(record.decision.command, led=record.wanted.led)
         wanted, _ = apply_orders(self._operation, command)
-        self._drive(self._supervise(wanted, record.readings, record.estimate, now, utc))
-        self._rig.estimator.record_sent(self._sent)
+        verdict = self._supervise(wanted, readings, record.estimate, now, utc)
+        self._drive(verdict)
+        rig.estimator.record_sent(self._sent)
+        self._events.extend(verdict.events)
+        rules = ", ".join(dict.fromkeys(change.rule for change in verdict.changes)) or "unchanged by safety"
+        sent = f"heater {verdict.sent.heater_duty:.2f}, fan {'on' if verdict.sent.fan_on else 'off'}"
+        self._tell("operator.sent", Severity.INFO, f"sent at once: {sent}; {rules}", now)
 
     def _temp_air(self) -> float | None:
         reading = self.last_record.readings.get("temp_air") if self.last_record else None
@@ -410,10 +373,6 @@ class Loop:
 
     def _tell(self, key: str, severity: Severity, text: str, now: float) -> None:
         self._events.append(Event(key, severity, text, now, self._rig.clock.utc()))
-
-
-def _is_finite(command: Command) -> bool:
-    return all(map(math.isfinite, (command.heater_duty, command.led, command.valve_pulse_s)))
 
 
 def _driven(echo: Echo) -> Command:

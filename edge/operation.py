@@ -52,6 +52,11 @@ class Operation:
         return until is not None and until - MAINTENANCE_MAX_MIN * 60 <= utc < until
 
 
+def acts_at_once(before: Operation, after: Operation) -> bool:
+    """Whether new orders change what may be sent now; reference and controller wait for a decision."""
+    return replace(after, reference_c=before.reference_c, controller=before.controller) != before
+
+
 Request = Mapping[str, Any]
 
 

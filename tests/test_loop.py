@@ -280,6 +280,27 @@ def test_an_order_takes_effect_before_the_next_tick(rig: LoopRig) -> None:
     assert "operator.order" in {event.key for event in rig.tick().events}
 
 
+def test_an_order_in_the_middle_of_a_step_looks_at_fresh_readings(rig: LoopRig) -> None:
+    rig.tick()
+    rig.clock.now_s += 30.0  # the tick's own readings are too old to heat on by now
+    rig.loop._answer({"do": "set_mode", "mode": "heat"})
+    assert rig.board.driven[-1][0].heater_duty == 0.5
+    events = rig.tick(30.0).events
+    assert any(event.key == "operator.sent" and "heater 0.50" in event.text for event in events)
+
+
+@pytest.mark.parametrize(
+    "request_", [{"do": "set_reference", "reference_c": 26}, {"do": "set_controller", "name": "rules"}]
+)
+def test_a_new_reference_or_controller_waits_for_the_next_decision(
+    rig: LoopRig, request_: dict[str, Any]
+) -> None:
+    rig.tick()
+    sent = len(rig.board.driven)
+    assert rig.loop._answer(request_)["ok"]
+    assert len(rig.board.driven) == sent
+
+
 def test_a_refused_request_says_why_and_changes_nothing(rig: LoopRig) -> None:
     rig.tick()
     commands = len(rig.board.driven)
