@@ -58,7 +58,7 @@ def virtual_board(
         script.write_text(yaml.safe_dump(faults))
         options = (*options, "--faults", str(script))
     process = subprocess.Popen(
-        command(directory, *options), stderr=subprocess.PIPE, text=True, preexec_fn=_die_with_parent
+        command(directory, *options), stderr=subprocess.PIPE, text=True, preexec_fn=die_with_parent
     )
     board = VirtualBoard(process, directory / "port", directory / "control")
     try:
@@ -70,7 +70,8 @@ def virtual_board(
         process.stderr.close()
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
+    """For `preexec_fn`: a test that is killed leaves no process."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
