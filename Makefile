@@ -2,12 +2,13 @@
 # make test    everything, on a clean machine too: installs what the tests need
 # make lint    ruff and mypy
 # make bench   the tables of the README (up to an hour)
+# make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test lint bench tools clean
+.PHONY: run test lint bench model tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -22,6 +23,9 @@ lint: $(VENV)/dev.installed
 
 bench: $(VENV)/bench.installed tools
 	$(BIN)/python -m bench $(ARGS)
+
+model: $(VENV)/edge.installed
+	$(BIN)/python -m bench.make_default_arx $(ARGS)
 
 $(VENV)/edge.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
