@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--minutes", type=float, default=None, help="simulated minutes, then it ends by itself"
     )
-    parser.add_argument("--controller", default="MPC")
+    parser.add_argument("--controller", default="MPC-P")
     parser.add_argument("--seed", type=int, default=1, help="of the virtual board")
     parser.add_argument(
         "--out", type=Path, default=None, help="folder that keeps the history; else none is kept"
