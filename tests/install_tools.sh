@@ -23,6 +23,6 @@ if [ "$(id -u)" = 0 ]; then as_root=""; elif command -v sudo >/dev/null 2>&1; th
 fi
 echo "installing$missing"
 $as_root apt-get update -qq
-# The broker comes with a service of its own that the tests do not use: policy-rc.d is Debian's way to say so.
+# Debian starts a mosquitto of its own, on the loopback port 1883; the tests use theirs, on free ports.
 # shellcheck disable=SC2086 # words are meant
 DEBIAN_FRONTEND=noninteractive $as_root apt-get install -y -qq --no-install-recommends $missing >/dev/null
