@@ -27,13 +27,15 @@ bench: $(VENV)/bench.installed tools
 model: $(VENV)/edge.installed
 	$(BIN)/python -m bench.make_default_arx $(ARGS)
 
-$(VENV)/edge.installed: pyproject.toml
+# Made once: a second interpreter in one environment breaks it.
+$(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/edge.installed: pyproject.toml | $(BIN)/pip
 	$(BIN)/pip install --quiet --editable .
 	touch $@
 
-$(VENV)/%.installed: pyproject.toml
-	$(PYTHON) -m venv $(VENV)
+$(VENV)/%.installed: pyproject.toml | $(BIN)/pip
 	$(BIN)/pip install --quiet --editable '.[$*]'
 	touch $@
 
