@@ -2,6 +2,7 @@
 # Puts the greenhouse daemon on this machine, or brings it up to date: run it as often as you like.
 # A configuration that is there is never overwritten; the daemon is restarted only when it accepts it.
 set -eu
+umask 022 # the daemon's user reads what root puts here
 
 usage() {
     cat <<EOF

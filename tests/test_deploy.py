@@ -219,6 +219,7 @@ def install(*arguments: str, **environment: str) -> "subprocess.CompletedProcess
         capture_output=True,
         text=True,
         env={**os.environ, **lent, **environment},
+        umask=0o077,  # as a careful root may have it
     )
 
 
@@ -247,7 +248,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def test_install_puts_everything_in_its_place(installed: Path) -> None:
     assert (installed / "etc/systemd/system/greenhouse.service").read_bytes() == UNIT.read_bytes()
     assert (installed / "etc/udev/rules.d/70-greenhouse.rules").exists()
-    assert os.access(installed / "opt/greenhouse/venv/bin/greenhouse", os.X_OK)
+    assert stat.S_IMODE((installed / "opt/greenhouse/venv/bin/greenhouse").stat().st_mode) == 0o755
     assert config.load(installed / "etc/greenhouse/edge.yaml") == config.default()
     assert stat.S_IMODE((installed / "etc/greenhouse/edge.yaml").stat().st_mode) == 0o640
     assert stat.S_IMODE((installed / "etc/greenhouse/credentials").stat().st_mode) == 0o700
