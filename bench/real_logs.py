@@ -17,7 +17,7 @@ from edge.commands.replay import settings_for, skill_table
 from edge.messages import TickRecord
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx
-from edge.replay import decisions_digest, replay, score
+from edge.replay import Series, decisions_digest, replay, score
 from edge.run_file import Run, read_run
 
 STEP_S = 10.0
@@ -74,9 +74,10 @@ def draw(records: Sequence[TickRecord], model: Arx, run: Run, path: Path) -> Non
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     minutes = run.columns["time_s"] / 60.0
     upper.plot(minutes, run.columns["temp_air_c"], color="black", linewidth=1.2, label="measured")
-    reach = round(300.0 / STEP_S)
+    series, reach = Series.of(records), round(300.0 / STEP_S)
     for index, tick in enumerate(range(model.rows_needed - 1, len(records) - 1, 18)):
-        start, forecast = forecast_from(records, model, tick, reach)
+        forecast = np.append(series.estimates[tick], series.forecast(model, tick, reach))
+        start = (records[tick].time_s + STEP_S * np.arange(len(forecast))) / 60.0
         label = "forecast of 5 min, with the inputs that stood" if index == 0 else None
         upper.plot(start, forecast, color="tab:orange", linewidth=1.8, label=label)
     upper.set_ylabel("air temperature [°C]")
@@ -95,26 +96,6 @@ def draw(records: Sequence[TickRecord], model: Arx, run: Run, path: Path) -> Non
     lower.set_xlabel("time [min]")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
-
-
-def forecast_from(
-    records: Sequence[TickRecord], model: Arx, tick: int, reach: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times [min] and temperatures [°C] of the forecast made at `tick`, its start included."""
-    reach = min(reach, len(records) - 1 - tick)
-    driven = np.array([(r.echo.heater_duty, float(r.echo.fan_on)) if r.echo else (0.0, 0.0) for r in records])
-    history = {
-        "temp_air": np.array([record.estimate.temp_air for record in records[: tick + 1]]),
-        "heater_duty": np.append(driven[:tick, 0], np.nan),
-        "fan_on": np.append(driven[:tick, 1], np.nan),
-    }
-    ahead = {
-        "temp_ambient": np.full(reach, records[tick].estimate.temp_ambient),
-        "offset": np.full(reach, records[tick].estimate.offset),
-    }
-    forecast = model.rollout(history, driven[None, tick : tick + reach], ahead)[0]
-    times = records[tick].time_s + STEP_S * np.arange(reach + 1)
-    return times / 60.0, np.append(records[tick].estimate.temp_air, forecast)
 
 
 if __name__ == "__main__":

@@ -151,37 +151,61 @@ class Skill:
         return float(self.persistence.mean()) if len(self.persistence) else math.nan
 
 
-def score(records: Sequence[TickRecord], model: Predictor, horizons_s: Sequence[float]) -> list[Skill]:
-    """Forecasts from every tick under the inputs that were then recorded, against what was then measured.
+@dataclass(frozen=True, slots=True)
+class Series:
+    """The records of one replay as columns, one row per tick."""
 
-    A forecast starts from the estimate and its offset at that tick, which know nothing of later rows.
-    """
-    if not records:
-        return [Skill(horizon, np.empty(0), np.empty(0)) for horizon in horizons_s]
-    step_s = records[0].step_s
-    steps = [max(1, round(horizon / step_s)) for horizon in horizons_s]
-    measured = np.array([_measured(record) for record in records])
-    estimates = np.array([record.estimate.temp_air for record in records])
-    inputs = np.array([_driven(record) for record in records])
-    ambient = np.array([record.estimate.temp_ambient for record in records])
-    errors: list[tuple[list[float], list[float]]] = [([], []) for _ in steps]
-    for tick in range(model.rows_needed - 1, len(records) - 1):
-        reach = min(max(steps), len(records) - 1 - tick)
+    measured: Floats  # NaN where the reading was not good [°C]
+    estimates: Floats  # [°C]
+    offsets: Floats  # [K/step]
+    ambient: Floats  # [°C]
+    inputs: Floats  # heater_duty and fan_on as driven, [ticks, 2]
+
+    @classmethod
+    def of(cls, records: Sequence[TickRecord]) -> "Series":
+        """Columns of at least one record."""
+        return cls(
+            measured=np.array([_measured(record) for record in records]),
+            estimates=np.array([record.estimate.temp_air for record in records]),
+            offsets=np.array([record.estimate.offset for record in records]),
+            ambient=np.array([record.estimate.temp_ambient for record in records]),
+            inputs=np.array([_driven(record) for record in records]),
+        )
+
+    def forecast(self, model: Predictor, tick: int, steps: int) -> Floats:
+        """Temperatures after `tick`, under the inputs that were then recorded; fewer where the run ends [°C].
+
+        It starts from the estimate and its offset at that tick, which know nothing of later rows.
+        """
+        reach = min(steps, len(self.measured) - 1 - tick)
         history = {
-            "temp_air": estimates[: tick + 1],
-            "temp_ambient": ambient[: tick + 1],
-            "heater_duty": np.append(inputs[:tick, 0], np.nan),
-            "fan_on": np.append(inputs[:tick, 1], np.nan),
+            "temp_air": self.estimates[: tick + 1],
+            "temp_ambient": self.ambient[: tick + 1],
+            "heater_duty": np.append(self.inputs[:tick, 0], np.nan),
+            "fan_on": np.append(self.inputs[:tick, 1], np.nan),
         }
         ahead = {
-            "temp_ambient": np.full(reach, ambient[tick]),
-            "offset": np.full(reach, records[tick].estimate.offset),
+            "temp_ambient": np.full(reach, self.ambient[tick]),
+            "offset": np.full(reach, self.offsets[tick]),
         }
-        forecast = model.rollout(history, inputs[None, tick : tick + reach], ahead)[0]
+        return model.rollout(history, self.inputs[None, tick : tick + reach], ahead)[0]
+
+
+def score(records: Sequence[TickRecord], model: Predictor, horizons_s: Sequence[float]) -> list[Skill]:
+    """Forecasts from every tick against what was then measured, a Skill per horizon."""
+    if not records:
+        return [Skill(horizon, np.empty(0), np.empty(0)) for horizon in horizons_s]
+    series = Series.of(records)
+    steps = [max(1, round(horizon / records[0].step_s)) for horizon in horizons_s]
+    errors: list[tuple[list[float], list[float]]] = [([], []) for _ in steps]
+    for tick in range(model.rows_needed - 1, len(records) - 1):
+        now = series.measured[tick]
+        forecast = series.forecast(model, tick, max(steps))
         for (of_model, of_persistence), count in zip(errors, steps, strict=True):
-            if count <= reach and math.isfinite(measured[tick + count]) and math.isfinite(measured[tick]):
-                of_model.append(abs(forecast[count - 1] - measured[tick + count]))
-                of_persistence.append(abs(measured[tick] - measured[tick + count]))
+            then = series.measured[tick + count] if count <= len(forecast) else math.nan
+            if math.isfinite(then) and math.isfinite(now):
+                of_model.append(abs(forecast[count - 1] - then))
+                of_persistence.append(abs(now - then))
     return [
         Skill(horizon, np.array(of_model), np.array(of_persistence))
         for horizon, (of_model, of_persistence) in zip(horizons_s, errors, strict=True)
