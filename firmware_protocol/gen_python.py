@@ -115,9 +115,11 @@ def _python_type(field: FieldSpec) -> str:
 
 
 def _python_layout(message: MessageSpec) -> str:
-    fields = "".join(f"            {_python_field(field)},\n" for field in message.fields)
-    body = f"(\n{fields}        )" if fields else "()"
-    words = f"{message.kind}, {message.from_board}, {body}"
+    fields = [_python_field(field) for field in message.fields]
+    lines = "".join(f"            {field},\n" for field in fields)
+    # As the formatter has it: a tuple of one stays on its line.
+    body = f"(\n{lines}        )" if len(fields) > 1 else f"({fields[0]},)" if fields else "()"
+    words = f"{message.kind},\n        {message.from_board},\n        {body}"
     return f"    {message.class_name}: Layout(\n        {words},\n    ),\n"
 
 

@@ -38,7 +38,6 @@ CONTRACT = HERE / "PROTOCOL.md"
 BEGIN, END = "<!-- examples: python -m firmware_protocol.make_vectors -->\n", "<!-- end of examples -->\n"
 
 
-
 def _crc(payload: bytes) -> bytes:
     return crc16(payload).to_bytes(2, "big")
 

@@ -185,12 +185,14 @@ Message = (
 
 LAYOUTS: dict[type[Message], Layout] = {
     HelloRequest: Layout(
-        1, False, (
-            Field("session", "I", 0, 4294967295),
-        ),
+        1,
+        False,
+        (Field("session", "I", 0, 4294967295),),
     ),
     Hello: Layout(
-        2, True, (
+        2,
+        True,
+        (
             Field("session", "I", 0, 4294967295),
             Field("protocol_min", "B", 0, 255),
             Field("protocol_max", "B", 0, 255),
@@ -210,7 +212,9 @@ LAYOUTS: dict[type[Message], Layout] = {
         ),
     ),
     SensorReport: Layout(
-        3, True, (
+        3,
+        True,
+        (
             Field("board_ms", "I", 0, 4294967295),
             Field("temp_air_c", "h", -5000, 15000, per_unit=100, none=-32768),
             Field("temp_air_quality", "B", 0, 4, kind=Quality),
@@ -229,7 +233,9 @@ LAYOUTS: dict[type[Message], Layout] = {
         ),
     ),
     CommandMessage: Layout(
-        4, False, (
+        4,
+        False,
+        (
             Field("heater_steps", "B", 0, 20),
             Field("fan_on", "B", 0, 1, kind=bool),
             Field("led_pct", "B", 0, 100),
@@ -239,7 +245,9 @@ LAYOUTS: dict[type[Message], Layout] = {
         ),
     ),
     StateEcho: Layout(
-        5, True, (
+        5,
+        True,
+        (
             Field("board_ms", "I", 0, 4294967295),
             Field("heater_steps", "B", 0, 20),
             Field("heater_off_cause", "B", 0, 5, kind=HeaterOffCause),
@@ -254,19 +262,27 @@ LAYOUTS: dict[type[Message], Layout] = {
         ),
     ),
     ClearTrip: Layout(
-        6, False, (),
+        6,
+        False,
+        (),
     ),
     Ping: Layout(
-        7, False, (),
+        7,
+        False,
+        (),
     ),
     ErrorMessage: Layout(
-        8, True, (
+        8,
+        True,
+        (
             Field("code", "B", 0, 7, kind=ErrorCode),
             Field("detail", "B", 0, 255),
         ),
     ),
     EmergencyStop: Layout(
-        9, False, (),
+        9,
+        False,
+        (),
     ),
 }
 
