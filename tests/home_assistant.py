@@ -1,10 +1,10 @@
 """What Home Assistant accepts as device-based discovery, written from its own schemas.
 
-Sources, Home Assistant core, `homeassistant/components/mqtt/`: `schemas.py` (device, origin, availability, keys
-common to all entities), `config.py` (keys of read-only and read-write platforms), `climate.py`, `sensor.py`,
-`binary_sensor.py`, `button.py`, `switch.py`, `number.py`; device classes and units: `components/sensor/const.py`,
-`components/binary_sensor/__init__.py`. Home Assistant drops keys it does not know without a word, so here an
-unknown key is an error.
+Sources, Home Assistant core, `homeassistant/components/mqtt/`: `schemas.py` (device, origin, availability,
+keys common to all entities), `config.py` (keys of read-only and read-write platforms), `climate.py`,
+`sensor.py`, `binary_sensor.py`, `button.py`, `switch.py`, `number.py`; device classes and units:
+`components/sensor/const.py`, `components/binary_sensor/__init__.py`. Home Assistant drops keys it does not
+know without a word, so here an unknown key is an error.
 """
 
 import re
