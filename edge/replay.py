@@ -188,7 +188,8 @@ class Series:
             "temp_ambient": np.full(reach, self.ambient[tick]),
             "offset": np.full(reach, self.offsets[tick]),
         }
-        return model.rollout(history, self.inputs[None, tick : tick + reach], ahead)[0]
+        rows: Floats = model.rollout(history, self.inputs[None, tick : tick + reach], ahead)
+        return np.asarray(rows[0])
 
 
 def score(records: Sequence[TickRecord], model: Predictor, horizons_s: Sequence[float]) -> list[Skill]:
