@@ -1,5 +1,6 @@
 """What is installed on a rig: unit, device rule, scripts; as far as a machine without systemd can tell."""
 
+import contextlib
 import hashlib
 import os
 import re
@@ -85,6 +86,7 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> Sequence[str]:
             ["strace", "-f", "-qq", "-o", str(output), *run_command(daemon.config)],
             stdout=subprocess.DEVNULL,
             cwd=ROOT,
+            env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # as on a rig, where the program is root's
             start_new_session=True,
         )
         try:
@@ -92,7 +94,8 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> Sequence[str]:
             os.killpg(process.pid, signal.SIGTERM)
             assert process.wait(20.0) == 0
         finally:
-            process.kill()
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     return output.read_text().splitlines()
 
