@@ -4,7 +4,8 @@ No model is used that fitting could spoil: only bounds that every box of this ki
 an energy balance that knows the fan's state. Four questions, each with its own small memory:
 
 - heater on, fan off, and no rise: dead heater, or a fan that runs untold, or a sensor that does not feel it.
-  Alarm once EXPECTED_RISE_K would have come at the least: 14 min at full duty from room temperature, 35 min if it dies while it heats.
+  Alarm once EXPECTED_RISE_K would have come at the least: 14 min at full duty from room temperature, 35 min
+  if it dies while it heats.
   Nothing is concluded with the fan on, which may carry all heat away (and then nothing can overheat), nor
   while the air is so warm that the weakest heater would not lift it further.
 - more heat than was ordered: relay stuck on. With the heater off, a balance over SHORT_S after SETTLE_S
