@@ -37,8 +37,9 @@ static const gh_board_config CONFIG = {
     .fan_safe_on = true,
 };
 
-static uint8_t EEMEM stored_trip[GH_PERSISTENT_SIZE];
-static uint32_t EEMEM stored_boots;
+/* Blank, so that whoever writes the program's EEPROM section too stores no trip with it. */
+static uint8_t EEMEM stored_trip[GH_PERSISTENT_SIZE] = {0xFF, 0xFF, 0xFF, 0xFF};
+static uint32_t EEMEM stored_boots = UINT32_MAX;
 
 static volatile uint32_t milliseconds;
 static volatile uint8_t received[RECEIVE_SIZE];
@@ -58,8 +59,9 @@ void keep_reset_flags(void)
 }
 
 /* The rig's sensors: replace this function. Call gh_board_sample for each signal once a second, GH_NO_VALUE and
- * GH_QUALITY_FAULT for a sensor that does not answer, and never wait longer than 20 ms. As it stands there is no air
- * temperature, so the heater stays off. */
+ * GH_QUALITY_FAULT for a sensor that does not answer. Never wait longer than 20 ms, nor keep interrupts off longer than
+ * 0.1 ms: the line loses bytes after 0.17 ms, and after 1 ms the clock that ends the leases loses time. As it stands
+ * there is no air temperature, so the heater stays off. */
 __attribute__((weak)) void gh_read_sensors(gh_board *board, uint32_t now_ms)
 {
     gh_board_sample(board, GH_SIGNAL_TEMP_AIR, GH_NO_VALUE, GH_QUALITY_ABSENT, now_ms);
@@ -85,16 +87,17 @@ static uint32_t now(void)
     return copy;
 }
 
+/* When the power comes the brown-out detector may have seen it too low on its way up. */
 static uint8_t reset_cause(void)
 {
+    if (reset_flags & _BV(PORF)) {
+        return GH_RESET_CAUSE_POWER_ON;
+    }
     if (reset_flags & _BV(BORF)) {
         return GH_RESET_CAUSE_BROWN_OUT;
     }
     if (reset_flags & _BV(WDRF)) {
         return GH_RESET_CAUSE_WATCHDOG;
-    }
-    if (reset_flags & _BV(PORF)) {
-        return GH_RESET_CAUSE_POWER_ON;
     }
     return reset_flags & _BV(EXTRF) ? GH_RESET_CAUSE_EXTERNAL : GH_RESET_CAUSE_UNKNOWN;
 }
@@ -104,7 +107,7 @@ static void start_outputs(void)
     PORTA = CONFIG.fan_safe_on ? FAN_PIN : 0; /* before the pins become outputs */
     DDRA = OUTPUT_PINS;
     DDRH |= _BV(PH3);
-    TCCR4A = _BV(WGM40); /* fast PWM, 8 bit, 980 Hz */
+    TCCR4A = _BV(WGM40); /* fast PWM, 8 bit, 977 Hz */
     TCCR4B = _BV(WGM42) | _BV(CS41) | _BV(CS40);
 }
 
@@ -173,19 +176,22 @@ int main(void)
 {
     static gh_board board;
     uint8_t persistent[GH_PERSISTENT_SIZE];
-    uint32_t sampled_ms = 0;
+    uint32_t sampled_ms = 0, fed_ms = 0;
 
     start_outputs();
+    wdt_enable(WDTO_250MS);
     eeprom_read_block(persistent, stored_trip, sizeof persistent);
     gh_board_init(&board, &CONFIG, persistent, reset_cause(), count_boot());
     start_clock();
     start_uart();
-    wdt_enable(WDTO_250MS);
     sei();
     for (;;) {
-        wdt_reset(); /* here only: a loop that hangs anywhere resets the board, and a reset is safe */
         exchange_bytes(&board);
         uint32_t now_ms = now();
+        if (now_ms != fed_ms) { /* a loop that hangs or a clock that stands, which no lease would end by, resets */
+            fed_ms = now_ms;
+            wdt_reset(); /* here only */
+        }
         if (now_ms - sampled_ms >= SAMPLE_PERIOD_MS) {
             sampled_ms = now_ms;
             gh_read_sensors(&board, now_ms);

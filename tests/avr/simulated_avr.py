@@ -1,0 +1,185 @@
+"""The board's own program on a simulated ATmega2560, and the host's link at the other end of its line."""
+
+import struct
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from firmware_protocol.link import Link
+from firmware_protocol.messages import Message
+
+FREQUENCY = 16_000_000
+RAM_END = 0x21FF
+PORTA, OCR4A, TCCR4A = 0x22, 0xA8, 0xA0
+COM4A1 = 0x80
+HEATER, FAN, VALVE, SUPPLY = 1, 2, 4, 8
+STEP_MS = 10
+_EVENT = struct.Struct("<QBB")
+_MEASURED = struct.Struct("<IIQ")
+_FUNCTION = struct.Struct("<IIQQQI4x")
+
+
+@dataclass(frozen=True)
+class Event:
+    """What the program did: T(ransmitted byte), P(ORTA), D(DRA), E(EPROM byte begun), R(eset), C(rash)."""
+
+    cycle: int
+    kind: str
+    value: int
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Of one function, interrupts included [cycles]."""
+
+    calls: int
+    total: int
+    longest: int
+
+    @property
+    def mean(self) -> float:
+        return self.total / self.calls
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Since the power came."""
+
+    stack_bytes: int
+    lost_bytes: int  # by the UART, because nobody fetched them in time
+    longest_without_interrupts: int  # [cycles]
+    functions: dict[str, Timing]
+
+
+class SimulatedAvr:
+    """One microcontroller with its power on. `eeprom` None is a new one."""
+
+    def __init__(self, host: Path, program: Path, eeprom: bytes | None = None) -> None:
+        self._process = subprocess.Popen(
+            [str(host), str(program)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        self._symbols = _symbols(program)
+        self._timed: list[str] = []
+        self.cycle = 0
+        if eeprom is not None:
+            self._call("p", 0, eeprom)
+
+    def __enter__(self) -> "SimulatedAvr":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """The power fails."""
+        self._process.kill()
+        self._process.communicate()
+
+    @property
+    def now(self) -> float:
+        """Since the power came [s]."""
+        return self.cycle / FREQUENCY
+
+    def run(self, milliseconds: float, data: bytes = b"") -> list[Event]:
+        """What it does in that time while bytes come in."""
+        answer = self._call("a", round(milliseconds * FREQUENCY / 1000), data)
+        [self.cycle] = struct.unpack_from("<Q", answer)
+        return [Event(cycle, chr(kind), value) for cycle, kind, value in _EVENT.iter_unpack(answer[8:])]
+
+    def read(self, address: int, length: int = 1) -> bytes:
+        """Of data memory and input/output registers."""
+        return self._call("r", address, struct.pack("<H", length))
+
+    def write(self, symbol: str, data: bytes) -> None:
+        """Sets a variable of the program."""
+        self._call("w", self._symbols[symbol] & 0xFFFF, data)
+
+    def eeprom(self) -> bytes:
+        return self._call("g")
+
+    def reset(self) -> None:
+        """By the reset pin."""
+        self._call("x")
+
+    def time_function(self, name: str) -> None:
+        """From now on."""
+        self._timed.append(name)
+        self._call("f", self._symbols[name])
+
+    def measured(self) -> Measured:
+        answer = self._call("m")
+        stack, lost, off = _MEASURED.unpack_from(answer)
+        rows = _FUNCTION.iter_unpack(answer[_MEASURED.size :])
+        timings = [Timing(calls, total, longest) for _, calls, _, total, longest, _ in rows]
+        return Measured(RAM_END - stack, lost, off, dict(zip(self._timed, timings, strict=True)))
+
+    def _call(self, operation: str, argument: int = 0, data: bytes = b"") -> bytes:
+        process = self._process
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(struct.pack("<BIH", ord(operation), argument, len(data)) + data)
+        process.stdin.flush()
+        size = process.stdout.read(4)
+        assert len(size) == 4, "the simulator is dead"
+        return process.stdout.read(int.from_bytes(size, "little"))
+
+
+class Rig:
+    """The microcontroller, its sensor unless the program has none, and the host's own link."""
+
+    def __init__(self, avr: SimulatedAvr, has_sensor: bool = True) -> None:
+        self.avr = avr
+        self.link = Link(session=1, now=avr.now)
+        self.events: list = []
+        self.trace: list[Event] = []
+        if has_sensor:
+            self.sense(25.0)
+            self.fail(0)
+
+    def sense(self, air_c: float | None) -> None:
+        """What the air sensor shows from now on; None for one that does not answer."""
+        raw = -(2**31) if air_c is None else round(air_c * 100)
+        self.avr.write("rig_air", struct.pack("<i", raw))
+        self.avr.write("rig_quality", bytes((3 if air_c is None else 0,)))
+
+    def fail(self, fault: int) -> None:
+        """A fault of avr/sensors.c from the program's next look at the sensors on; 0 for none."""
+        self.avr.write("rig_fault", bytes((fault,)))
+
+    def run(self, seconds: float, until=lambda rig: False) -> list[tuple[float, int, int]]:
+        """Serves the line; returns time [s], PORTA and LED [%] of every step."""
+        pins = []
+        end = self.avr.now + seconds
+        while self.avr.now < end and not until(self):
+            self.events += self.link.poll(self.avr.now)
+            trace = self.avr.run(STEP_MS, self.link.outgoing())
+            self.trace += trace
+            self.events += self.link.receive(transmitted(trace), self.avr.now)
+            pins.append((self.avr.now, self.port(), self.led()))
+        return pins
+
+    def ask(self, message: Message) -> None:
+        """Sends a request and waits for what comes back."""
+        before = len(self.events)
+        self.link.request(message, self.avr.now)
+        self.run(0.5, until=lambda rig: any(hasattr(event, "request") and event.request == message
+                                            for event in rig.events[before:]))  # fmt: skip
+
+    def port(self) -> int:
+        return self.avr.read(PORTA)[0]
+
+    def led(self) -> int:
+        """Compare value of the LED's timer, 0 when it is not connected to the pin."""
+        connected = self.avr.read(TCCR4A)[0] & COM4A1
+        return self.avr.read(OCR4A)[0] if connected else 0
+
+    def seen(self, kind: type) -> list:
+        """The link's events of one kind."""
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+def transmitted(trace: list[Event]) -> bytes:
+    """The bytes that the program sent."""
+    return bytes(event.value for event in trace if event.kind == "T")
+
+
+def _symbols(program: Path) -> dict[str, int]:
+    listed = subprocess.run(["avr-nm", str(program)], check=True, capture_output=True, text=True).stdout
+    rows = (line.split() for line in listed.splitlines())
+    return {row[2]: int(row[0], 16) for row in rows if len(row) == 3}
