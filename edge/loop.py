@@ -284,18 +284,21 @@ class Loop:
         board, clock = self._rig.board, self._rig.clock
         give_up_s = clock.now() + START_WAIT_S
         while not self._stopping and not (board.link_up and board.has_samples) and clock.now() < give_up_s:
-            board.serve(min(give_up_s, clock.now() + 0.1), self._rig.inbox.wake)
+            self._serve_and_answer(min(give_up_s, clock.now() + 0.1))
         self._start_s = clock.now()
 
     def _serve_until(self, tick_s: float) -> bool:
         """Keep the line alive and answer requests until the tick is due; False when the loop shall end."""
         while not self._stopping and self._rig.clock.now() < self._rig.stop_at_s:
-            self._rig.board.serve(min(tick_s, self._rig.stop_at_s), self._rig.inbox.wake)
-            for letter in self._rig.inbox.take():
-                letter.answer.put(self._answer(letter.request))
+            self._serve_and_answer(min(tick_s, self._rig.stop_at_s))
             if self._rig.clock.now() >= tick_s:
                 return not self._stopping
         return False
+
+    def _serve_and_answer(self, until_s: float) -> None:
+        self._rig.board.serve(until_s, self._rig.inbox.wake)
+        for letter in self._rig.inbox.take():
+            letter.answer.put(self._answer(letter.request))
 
     def _answer(self, request: Request) -> Reply:
         """A person's request, carried out or refused with the reason."""

@@ -339,6 +339,28 @@ def test_requests_from_another_thread_are_answered_while_the_loop_runs(rig: Loop
     assert replies[0]["ok"]
 
 
+def test_a_request_is_answered_before_the_board_is_there(rig: LoopRig) -> None:
+    rig.board.link_up = False
+    waits: list[float] = []
+
+    def serve(until_s: float, wake: int | None = None) -> None:
+        waits.append(until_s)
+        assert len(waits) < 1000, "a request that nobody takes holds up time for ever"
+        if wake is None or not select.select([wake], [], [], 0.0)[0]:
+            rig.clock.wait(None, wake, until_s)
+
+    rig.board.serve = serve  # type: ignore[method-assign]
+    replies: list[dict[str, Any]] = []
+    asker = threading.Thread(target=lambda: replies.append(rig.inbox.ask({"do": "emergency_stop"})))
+    asker.start()
+    assert select.select([rig.inbox.wake], [], [], 5.0)[0]
+    records = run_until(rig, 1)
+    asker.join(timeout=5.0)
+    assert replies[0]["ok"]
+    assert rig.board.stops == 1
+    assert records[0].mode == "emergency_stop"
+
+
 def test_a_new_controller_takes_over_without_a_bump(rig: LoopRig) -> None:
     rig.tick()
     rig.fallback.command = rig.chosen.command
