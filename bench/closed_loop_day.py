@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,21 +195,26 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--picture", type=Path, default=PICTURE)
     words = sys.argv[1:] if words is None else words
     arguments = parser.parse_args(words)
-    lines = [*_facts(" ".join(["python -m bench.closed_loop_day", *words])), HEADER]
-    print("\n".join(lines))
-    drawn = []
-    for controller in arguments.controllers:
-        for seed in arguments.seeds:
-            day = run_day(controller, seed, arguments.hours)
-            lines.append(table_line(day))
-            print(lines[-1], flush=True)
-            if seed == arguments.seeds[0] and controller in DRAWN:
-                drawn.append(day)
     for path in (arguments.out, arguments.picture):
         path.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    drawn = []
+    with arguments.out.open("w", encoding="utf-8") as kept:
+        for line in [*_facts(" ".join(["python -m bench.closed_loop_day", *words])), HEADER]:
+            _tell(line, kept)
+        for controller in arguments.controllers:
+            for seed in arguments.seeds:
+                day = run_day(controller, seed, arguments.hours)
+                _tell(table_line(day), kept)
+                if seed == arguments.seeds[0] and controller in DRAWN:
+                    drawn.append(day)
     if drawn:
         draw(drawn, arguments.picture)
+
+
+def _tell(line: str, kept: TextIO) -> None:
+    """At once: a day takes a minute or more, and what is done shall not be lost."""
+    print(line, flush=True)
+    print(line, file=kept, flush=True)
 
 
 if __name__ == "__main__":
