@@ -1,0 +1,259 @@
+"""python -m bench.daemon: what the daemon costs: memory, start, CPU per tick, jitter, bytes of history.
+
+The whole daemon as a process on a virtual board in real time at 1 s steps, MQTT and history on. Beside it in
+the same run: what python and its packages alone take, and a bare loop of time.sleep for the jitter.
+"""
+
+import argparse
+import os
+import platform
+import sqlite3
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from edge import config
+from edge.daemon import Daemon
+from edge.messages import TickRecord
+from edge.sim_clock import SimClock
+from edge.storage import Outbox
+from edge.virtual_rig import virtual_rig
+from tests.broker import Broker, wait_for
+from tests.daemon_process import RIG, ROOT, DaemonProcess, run_command
+from tests.rig import virtual_board
+
+RESULT = Path(__file__).parent / "results" / "daemon.txt"
+WARM_UP_TICKS = 10
+DAY_TICKS = 1440  # at 60 s steps
+PACKAGES = {
+    "python": "",
+    "python, numpy": "import numpy",
+    "python, scipy.optimize, sqlite_utils": "import scipy.optimize, sqlite_utils",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Of one process [MB]: resident, its share of what is shared, its own alone."""
+
+    rss: float
+    pss: float
+    uss: float
+
+    def __str__(self) -> str:
+        return f"{self.rss:6.1f} {self.pss:6.1f} {self.uss:6.1f}"
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """What a daemon took while it ran."""
+
+    memory: Memory
+    cpu_ms_per_tick: float
+    late_ms: Sequence[float]
+    peer_late_ms: Sequence[float]  # of the bare loop beside it
+
+
+def memory_of(pid: int) -> Memory:
+    """From the kernel's sums over all mappings."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
+    kb = {line.split(":")[0]: int(line.split()[1]) for line in lines}
+    return Memory(kb["Rss"] / 1024, kb["Pss"] / 1024, (kb["Private_Clean"] + kb["Private_Dirty"]) / 1024)
+
+
+def memory_with(imports: str) -> Memory:
+    """Of an interpreter that has imported this and does nothing."""
+    program = f"{imports}\nprint(flush=True)\ninput()"
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as peer:
+        assert peer.stdout is not None
+        peer.stdout.readline()
+        memory = memory_of(peer.pid)
+        peer.communicate(b"\n")
+    return memory
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time of all threads that live [s]."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / 1e9
+
+
+def start_s(daemon: DaemonProcess) -> float:
+    """From the start of the process to its first tick on standard output [s]."""
+    began = time.perf_counter()
+    with subprocess.Popen(run_command(daemon.config), stdout=subprocess.PIPE, cwd=ROOT) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        took = time.perf_counter() - began
+        process.terminate()
+        process.communicate()
+    return took
+
+
+@contextmanager
+def rig() -> Iterator[tuple[Path, Broker]]:
+    """A folder with a board in real time, and a broker."""
+    with tempfile.TemporaryDirectory(prefix="gh-") as name:
+        folder = Path(name)
+        with virtual_board(folder, "--real-time"), Broker(folder) as broker:
+            yield folder, broker
+
+
+def start_times(count: int) -> tuple[float, list[float]]:
+    """Of a first start, which makes the history, and of `count` later ones [s]."""
+    with rig() as (folder, broker):
+        daemon = DaemonProcess(folder, broker.port)
+        first = start_s(daemon)
+        return first, [start_s(daemon) for _ in range(count)]
+
+
+def run_for(seconds: float, controller: str, is_first_start: bool = False) -> Stretch:
+    """A daemon at work for so long, after some ticks to settle."""
+    with rig() as (folder, broker), daemon_on(folder, broker, controller) as daemon:
+        if not is_first_start:
+            daemon.stop()
+            daemon.start()
+        first = daemon.wait_ticks(WARM_UP_TICKS)
+        assert daemon.process is not None
+        pid, before = daemon.process.pid, cpu_s(daemon.process.pid)
+        peer = bare_loop(seconds)
+        last = daemon.seq()
+        memory, used = memory_of(pid), cpu_s(pid) - before
+        wait_for(lambda: daemon.seqs()[-1] >= last)
+        late = daemon.rows(f"SELECT late_s FROM ticks WHERE seq BETWEEN {first + 1} AND {last}")
+    return Stretch(memory, 1e3 * used / len(late), [1e3 * late_s for (late_s,) in late], peer)
+
+
+def daemon_on(folder: Path, broker: Broker, controller: str) -> DaemonProcess:
+    """Started with `with`."""
+    return DaemonProcess(folder, broker.port, control={"controller": controller})
+
+
+def bare_loop(seconds: float) -> list[float]:
+    """How late time.sleep wakes on a grid of 1 s [ms]."""
+    start, late = time.monotonic(), []
+    for step in range(1, round(seconds) + 1):
+        time.sleep(max(0.0, start + step - time.monotonic()))
+        late.append(1e3 * (time.monotonic() - start - step))
+    return late
+
+
+def history_bytes_per_day(hours: float) -> float:
+    """Pages in use after `hours` in lock-step at 60 s steps, all sent, less those after half of them."""
+    pages: list[int] = []
+    with tempfile.TemporaryDirectory(prefix="gh-") as name, Broker(Path(name)) as broker:
+        folder = Path(name)
+        settings = config.parse(DAY_YAML.format(folder=folder, port=broker.port), "bench")
+        ticks = round(60 * hours)
+
+        def look(record: TickRecord) -> None:
+            if record.seq in (ticks // 2, ticks):
+                wait_for(lambda: waiting(folder / "history.db") == 0)
+                pages.append(bytes_in_use(folder / "history.db"))
+
+        with (
+            virtual_rig(folder, seed=1) as board,
+            closing(SimClock(board.control)) as clock,
+            Daemon(settings, clock, after_tick=look, stop_at_s=60.0 * (ticks + 1)) as daemon,
+        ):
+            daemon.run()
+    return (pages[1] - pages[0]) / (ticks - ticks // 2) * DAY_TICKS
+
+
+DAY_YAML = """
+state_file: {folder}/state.json
+control_socket: {{path: {folder}/daemon.sock}}
+history: {{path: {folder}/history.db}}
+board: {{port: {folder}/board}}
+mqtt: {{enabled: true, host: 127.0.0.1, port: {port}, rig: rig-1}}
+"""
+
+
+def waiting(path: Path) -> int:
+    """Messages that the broker does not have yet; the newest tick's may not be written yet."""
+    with closing(Outbox(path, RIG)) as outbox:
+        return outbox.depth()
+
+
+def bytes_in_use(path: Path) -> int:
+    """Of the file, without free pages."""
+    with closing(sqlite3.connect(path)) as connection:
+        size, count, free = (
+            connection.execute(f"PRAGMA {name}").fetchone()[0]
+            for name in ("page_size", "page_count", "freelist_count")
+        )
+    return int(size * (count - free))
+
+
+def percentiles(values: Sequence[float]) -> str:
+    """p50, p99, max."""
+    p50, p99, most = np.percentile(values, [50, 99, 100])
+    return f"{p50:7.2f} {p99:7.2f} {most:7.2f}"
+
+
+def report(seconds: float, starts: int, hours: float) -> Iterator[str]:
+    """The tables, line by line as they come."""
+    load = os.getloadavg()[0]
+    yield f"python {platform.python_version()}, numpy {np.__version__}; {platform.machine()}, " + (
+        f"{os.cpu_count()} cores, load {load:.1f} before the run"
+    )
+    yield "virtual board in real time, 1 s steps, MPC with N = 10, history and MQTT to a local mosquitto on"
+    yield ""
+    rules = run_for(min(seconds, 60.0), "rules")
+    fresh = run_for(min(seconds, 20.0), "MPC", is_first_start=True)
+    mpc = run_for(seconds, "MPC")
+    yield "memory [MB]                                 RSS    PSS    USS"
+    yield f"{'daemon, MPC':40} {mpc.memory}"
+    yield f"{'daemon, MPC, with a history just made':40} {fresh.memory}"
+    for name, imports in PACKAGES.items():
+        yield f"{name:40} {memory_with(imports)}"
+    yield ""
+    first, later = start_times(starts)
+    yield "start of the process to its first tick [s] median    max"
+    yield f"{f'{starts} starts':40} {statistics.median(later):8.2f} {max(later):6.2f}"
+    yield f"{'the first, which makes the history':40} {first:8.2f} {first:6.2f}"
+    yield ""
+    yield "CPU per tick at 1 s steps, the line, history and MQTT included [ms]"
+    yield f"{'rules, no solver':40} {rules.cpu_ms_per_tick:8.2f}"
+    yield f"{'MPC':40} {mpc.cpu_ms_per_tick:8.2f}"
+    yield ""
+    yield f"{f'lateness of ticks over {seconds:g} s [ms]':40}     p50     p99     max"
+    yield f"{'daemon, MPC':40} {percentiles(mpc.late_ms)}"
+    yield f"{'bare loop of time.sleep beside it':40} {percentiles(mpc.peer_late_ms)}"
+    yield ""
+    daily = history_bytes_per_day(hours)
+    size = f"{daily / 1e6:.2f} MB a day, {daily / DAY_TICKS:.0f} bytes a tick"
+    yield f"history at 60 s steps, from {hours:g} h in lock-step: {size}"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Print the tables and keep them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0, help="of the run with the MPC")
+    parser.add_argument("--starts", type=int, default=10)
+    parser.add_argument("--hours", type=float, default=12.0, help="simulated, for the size of the history")
+    parser.add_argument("--out", type=Path, default=RESULT)
+    arguments = parser.parse_args(words)
+    options = f"--seconds {arguments.seconds:g} --starts {arguments.starts} --hours {arguments.hours:g}"
+    lines = [f"python -m bench.daemon {options}"]
+    print(lines[0])
+    for line in report(arguments.seconds, arguments.starts, arguments.hours):
+        print(line, flush=True)
+        lines.append(line)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text("\n".join(lines) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
