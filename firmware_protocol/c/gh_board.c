@@ -293,9 +293,30 @@ static void advance(gh_board *board, uint32_t now_ms)
     gh_safety_advance(&board->safety, now_ms);
 }
 
-void gh_board_init(gh_board *board, const gh_board_config *config, const uint8_t *persistent, uint8_t reset_cause,
+static uint16_t within(uint16_t value, uint16_t low, uint16_t high)
+{
+    return value < low ? low : value > high ? high : value;
+}
+
+/* What hello could not tell would divide by zero or overflow. */
+static void limit_config(gh_board_config *config)
+{
+    config->lease_max_ms = within(config->lease_max_ms, GH_HELLO_LEASE_MAX_S_MIN, GH_HELLO_LEASE_MAX_S_MAX);
+    config->valve_pulse_max_ds = within(config->valve_pulse_max_ds, 0, GH_HELLO_VALVE_PULSE_MAX_S_MAX);
+    config->pwm_window_ds = within(config->pwm_window_ds, GH_HELLO_PWM_WINDOW_S_MIN, GH_HELLO_PWM_WINDOW_S_MAX);
+    config->report_period_ms =
+        within(config->report_period_ms, GH_HELLO_REPORT_PERIOD_S_MIN, GH_HELLO_REPORT_PERIOD_S_MAX);
+    uint16_t trip = config->temp_trip < 0 ? 0 : (uint16_t)config->temp_trip;
+    config->temp_trip = (int16_t)within(trip, GH_HELLO_TEMP_TRIP_C_MIN, GH_HELLO_TEMP_TRIP_C_MAX);
+}
+
+void gh_board_init(gh_board *board, const gh_board_config *wanted, const uint8_t *persistent, uint8_t reset_cause,
                    uint32_t boot_count)
 {
+    memset(board, 0, sizeof *board);
+    gh_board_config *config = &board->config;
+    *config = *wanted;
+    limit_config(config);
     const gh_safety_config safety = {
         .lease_max_ms = config->lease_max_ms,
         .valve_pulse_max_ms = (uint16_t)(config->valve_pulse_max_ds * 100u),
@@ -304,9 +325,7 @@ void gh_board_init(gh_board *board, const gh_board_config *config, const uint8_t
         .fan_safe_on = config->fan_safe_on,
         .has_cutoff = (config->capabilities & GH_CAPABILITY_HEATER_CUTOFF) != 0,
     };
-    memset(board, 0, sizeof *board);
-    board->config = *config;
-    board->reset_cause = reset_cause;
+    board->reset_cause = reset_cause <= GH_RESET_CAUSE_UNKNOWN ? reset_cause : GH_RESET_CAUSE_UNKNOWN;
     board->boot_count = boot_count;
     for (size_t i = 0; i < GH_SIGNAL_COUNT; i++) {
         board->samples[i].raw = GH_NO_VALUE;

@@ -75,8 +75,9 @@ typedef struct {
 size_t gh_board_size(void);
 
 /* All outputs safe, an unasked hello waiting. `persistent`: GH_PERSISTENT_SIZE bytes as gh_board_persistent gave
- * them before the reset, all 0xFF when blank. `boot_count` counts this start already. */
-void gh_board_init(gh_board *board, const gh_board_config *config, const uint8_t *persistent, uint8_t reset_cause,
+ * them before the reset, all 0xFF when blank. `boot_count` counts this start already. A number of the configuration
+ * outside its range in hello is taken as the nearest inside, a zero too, and hello tells the one taken. */
+void gh_board_init(gh_board *board, const gh_board_config *wanted, const uint8_t *persistent, uint8_t reset_cause,
                    uint32_t boot_count);
 
 /* One byte from the line. */

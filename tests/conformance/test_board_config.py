@@ -1,0 +1,74 @@
+"""A configuration that hello cannot tell: the C board takes the nearest one that it can, Python's refuses to be made."""
+
+import ctypes
+from dataclasses import fields
+
+import pytest
+from board_bench import HEAT, Bench
+
+from firmware_protocol.errors import LocalProtocolError
+from firmware_protocol.messages import Capability, Hello, StateEcho
+from firmware_protocol.virtual_board.board_config import BoardConfig
+from firmware_protocol.virtual_board.c_core import BLANK, CBoardCore, _Config, load_board
+
+NUMBERS = ["lease_max_s", "temp_trip_c", "valve_pulse_max_s", "pwm_window_s", "report_period_s"]
+LOWEST = {"lease_max_s": 0.1, "temp_trip_c": 0.0, "valve_pulse_max_s": 0.0, "pwm_window_s": 1.0, "report_period_s": 0.1}
+HIGHEST = {"lease_max_s": 60.0, "temp_trip_c": 100.0, "valve_pulse_max_s": 60.0, "pwm_window_s": 600.0,
+           "report_period_s": 60.0}  # fmt: skip
+SCALE = {"lease_max_s": 1000, "temp_trip_c": 100, "valve_pulse_max_s": 10, "pwm_window_s": 10, "report_period_s": 1000}
+
+
+class RawBoard(CBoardCore):
+    """The C board with a configuration of raw integers that no BoardConfig can hold."""
+
+    def __init__(self, raw: dict[str, int], persistent: bytes, reset_cause: int, boot_count: int) -> None:
+        super().__init__(BoardConfig(), b"", 0, 0)
+        self.transmit()
+        config = _Config(capabilities=0x3FF, **raw)
+        self._library.gh_board_init(self._board, ctypes.byref(config), BLANK, reset_cause, boot_count)
+        self._drain()
+
+
+def hello_of(raw: dict[str, int], reset_cause: int = 0) -> Hello:
+    [(_, hello)] = Bench(RawBoard, raw, reset_cause=reset_cause).listen()
+    assert isinstance(hello, Hello)
+    return hello
+
+
+def told(hello: Hello) -> dict[str, float]:
+    return {name: getattr(hello, name) for name in NUMBERS}
+
+
+def test_a_configuration_of_zeros_and_one_of_the_largest_numbers_are_taken_as_the_nearest():
+    assert told(hello_of(dict.fromkeys(NUMBERS, 0))) == LOWEST
+    assert told(hello_of(dict.fromkeys(NUMBERS, 0x7FFF) | {"lease_max_s": 0xFFFF, "report_period_s": 0xFFFF})) == HIGHEST
+    assert hello_of({"temp_trip_c": -1}).temp_trip_c == 0.0
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_the_ends_of_a_range_are_kept_and_one_step_beyond_is_not(name):
+    for end, beyond in ((LOWEST[name], -1), (HIGHEST[name], 1)):
+        raw = round(end * SCALE[name])
+        assert getattr(hello_of({name: raw}), name) == end
+        if raw + beyond >= 0:
+            assert getattr(hello_of({name: raw + beyond}), name) == end
+        assert getattr(hello_of({name: raw - beyond}), name) == (raw - beyond) / SCALE[name]
+
+
+def test_a_board_configured_with_zeros_runs_and_hardly_heats():
+    bench = Bench(RawBoard, dict.fromkeys(NUMBERS, 0) | {"temp_trip_c": 4500}).greet().air(25.0)
+    answer = bench.ask(HEAT)
+    assert isinstance(answer, StateEcho) and answer.lease_left_s == 0.1
+    assert not any(pins.heater_relay for pins in bench.run(5000)[1:])
+
+
+def test_an_unknown_reset_cause_is_told_as_unknown():
+    assert [hello_of({}, cause).reset_cause for cause in (5, 6, 255)] == [5, 5, 5]
+
+
+def test_python_refuses_what_hello_cannot_tell():
+    assert set(NUMBERS) < {field.name for field in fields(BoardConfig)}
+    for name in NUMBERS:
+        for value in (LOWEST[name] - 0.1, HIGHEST[name] + 0.1):
+            with pytest.raises(LocalProtocolError):
+                BoardConfig(capabilities=Capability(0), **{name: value})
