@@ -15,7 +15,7 @@ def context(
     limits: Limits = FREE,
     offset: float = 0.0,
     now_s: float = 0.0,
-    rows: int = 5,
+    rows: int = 10,  # more than a packaged model looks back
 ) -> Context:
     """A box that has stood at `temp` for `rows` ticks with the inputs last sent, in a room of 21 °C."""
     inputs = np.full(rows, last_sent.heater_duty), np.full(rows, float(last_sent.fan_on))

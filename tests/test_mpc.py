@@ -42,8 +42,8 @@ def test_the_forecast_is_the_models_own_rollout_of_the_plan():
 
 
 def test_a_disturbance_estimate_moves_the_plan():
-    warm = mpc().decide(context(26.0, 26.0, Command(0.3), offset=0.5)).command.heater_duty
-    cold = mpc().decide(context(26.0, 26.0, Command(0.3), offset=-0.5)).command.heater_duty
+    warm = mpc().decide(context(26.0, 26.0, Command(0.3), offset=0.05)).command.heater_duty
+    cold = mpc().decide(context(26.0, 26.0, Command(0.3), offset=-0.05)).command.heater_duty
     assert warm < cold
 
 
