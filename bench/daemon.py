@@ -30,7 +30,6 @@ from tests.broker import Broker, wait_for
 from tests.daemon_process import RIG, ROOT, DaemonProcess, run_command
 from tests.rig import virtual_board
 
-RESULT = Path(__file__).parent / "results" / "daemon.txt"
 WARM_UP_TICKS = 10
 DAY_TICKS = 1440  # at 60 s steps
 PACKAGES = {
@@ -236,22 +235,16 @@ def report(seconds: float, starts: int, hours: float) -> Iterator[str]:
     yield f"history at 60 s steps, from {hours:g} h in lock-step: {size}"
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Print the tables and keep them."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def main() -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(prog="python -m bench.daemon", description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="of the run with the MPC")
     parser.add_argument("--starts", type=int, default=10)
     parser.add_argument("--hours", type=float, default=12.0, help="simulated, for the size of the history")
-    parser.add_argument("--out", type=Path, default=RESULT)
-    arguments = parser.parse_args(words)
-    options = f"--seconds {arguments.seconds:g} --starts {arguments.starts} --hours {arguments.hours:g}"
-    lines = [f"python -m bench.daemon {options}"]
-    print(lines[0])
+    arguments = parser.parse_args()
+    print(f"python -m bench.daemon {' '.join(sys.argv[1:])}")
     for line in report(arguments.seconds, arguments.starts, arguments.hours):
         print(line, flush=True)
-        lines.append(line)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text("\n".join(lines) + "\n")
     return 0
 
 

@@ -7,6 +7,7 @@ sequence, by which they are asked for again.
 
 import argparse
 import os
+import platform
 import random
 import sqlite3
 import subprocess
@@ -138,6 +139,8 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
+    print(f"python -m bench.outbox {' '.join(sys.argv[1:])}")
+    print(f"python {platform.python_version()}, {platform.machine()}, seed {arguments.seed}\n")
     print("| broker | messages/s drained |\n|---|---|")
     for name, config in (("defaults", ""), ("max_inflight_messages 200", "\nmax_inflight_messages 200")):
         print(f"| mosquitto, {name} | {drain_rate(arguments.ticks, BROKER + config):.0f} |", flush=True)

@@ -1,0 +1,71 @@
+"""python -m bench: every table of the README, one bench after the other; each table names its command.
+
+Tables are printed and kept in bench/results/. With --quick they are short, prove only that the benches run,
+and go to out/bench/.
+"""
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+RESULTS = Path("bench/results")
+QUICK_RESULTS = Path("out/bench")
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """A module of this package, and how it is called."""
+
+    quick: tuple[str, ...]  # arguments of a short run
+    keeps_its_table: bool = False  # and pictures beside it: it is told where instead
+
+
+BENCHES = {
+    "mpc": Bench(("--instances", "5", "--peer-seconds", "0.05", "--references", "1")),
+    "daemon": Bench(("--seconds", "15", "--starts", "2", "--hours", "1")),
+    "outbox": Bench(("--ticks", "1000", "--kills", "2")),
+    "closed_loop_day": Bench(
+        ("--seeds", "1", "--hours", "1", "--controllers", "rules", "MPC",
+         "--out", "out/bench/closed_loop_day.txt", "--picture", "out/bench/closed_loop_day.png"),
+        keeps_its_table=True,
+    ),
+    "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
+}  # fmt: skip
+
+
+def run(name: str, is_quick: bool) -> int:
+    """Print one bench's table as it comes, keep it; the exit code."""
+    bench, results = BENCHES[name], QUICK_RESULTS if is_quick else RESULTS
+    results.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", f"bench.{name}", *(bench.quick if is_quick else ())]
+    print(f"\n### {name}", flush=True)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = []
+        for line in process.stdout:
+            print(line, end="", flush=True)
+            lines.append(line)
+    if process.returncode == 0 and not bench.keeps_its_table:
+        (results / f"{name}.txt").write_text("".join(lines))
+    return process.returncode
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the benches that are named, or all; 1 when one of them failed, after the others have run."""
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHES)}; none: all")
+    parser.add_argument("--quick", action="store_true", help="some minutes instead of an hour or more")
+    arguments = parser.parse_args(words)
+    if unknown := [name for name in arguments.names if name not in BENCHES]:
+        parser.error(f"there is no {unknown[0]!r}; there are {', '.join(BENCHES)}")
+    failed = [name for name in arguments.names or BENCHES if run(name, arguments.quick) != 0]
+    if failed:
+        print(f"\nfailed: {', '.join(failed)}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
