@@ -381,9 +381,13 @@ static bool echo_is_due(const gh_board *board)
 
 static bool report_is_due(gh_board *board, uint32_t now_ms)
 {
-    uint32_t passed = (now_ms - board->report_ms) / board->config.report_period_ms;
-    board->report_ms += passed * board->config.report_period_ms;
-    return passed > 0;
+    uint32_t elapsed = now_ms - board->report_ms;
+    uint16_t period = board->config.report_period_ms;
+    if (elapsed < period) {
+        return false; /* most often, without a division */
+    }
+    board->report_ms += elapsed / period * period;
+    return true;
 }
 
 gh_pins gh_board_step(gh_board *board, uint32_t now_ms)

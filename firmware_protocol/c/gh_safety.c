@@ -78,7 +78,7 @@ static void advance_slot(gh_safety *safety, uint32_t now_ms)
 {
     uint32_t elapsed = now_ms - safety->slot_start_ms;
     if (elapsed < safety->config.pwm_slot_ms) {
-        return; /* most often: a 32-bit division takes an 8-bit board 40 us */
+        return; /* most often: a 32-bit division takes an 8-bit board 600 cycles */
     }
     uint32_t passed = elapsed / safety->config.pwm_slot_ms;
     safety->slot_start_ms += passed * safety->config.pwm_slot_ms;

@@ -55,9 +55,8 @@ class SimulatedAvr:
     """One microcontroller with its power on. `eeprom` None is a new one."""
 
     def __init__(self, host: Path, program: Path, eeprom: bytes | None = None) -> None:
-        self._process = subprocess.Popen(
-            [str(host), str(program)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        )
+        command, pipe = [str(host), str(program)], subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
         self._symbols = _symbols(program)
         self._timed: list[str] = []
         self.cycle = 0

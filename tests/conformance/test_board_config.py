@@ -1,4 +1,4 @@
-"""A configuration that hello cannot tell: the C board takes the nearest one that it can, Python's refuses to be made."""
+"""A configuration that hello cannot tell: the C board takes the nearest, Python's refuses to be made."""
 
 import ctypes
 from dataclasses import fields
@@ -9,13 +9,12 @@ from board_bench import HEAT, Bench
 from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.messages import Capability, Hello, StateEcho
 from firmware_protocol.virtual_board.board_config import BoardConfig
-from firmware_protocol.virtual_board.c_core import BLANK, CBoardCore, _Config, load_board
+from firmware_protocol.virtual_board.c_core import BLANK, CBoardCore, _Config
 
 NUMBERS = ["lease_max_s", "temp_trip_c", "valve_pulse_max_s", "pwm_window_s", "report_period_s"]
-LOWEST = {"lease_max_s": 0.1, "temp_trip_c": 0.0, "valve_pulse_max_s": 0.0, "pwm_window_s": 1.0, "report_period_s": 0.1}
-HIGHEST = {"lease_max_s": 60.0, "temp_trip_c": 100.0, "valve_pulse_max_s": 60.0, "pwm_window_s": 600.0,
-           "report_period_s": 60.0}  # fmt: skip
-SCALE = {"lease_max_s": 1000, "temp_trip_c": 100, "valve_pulse_max_s": 10, "pwm_window_s": 10, "report_period_s": 1000}
+LOWEST = dict(zip(NUMBERS, (0.1, 0.0, 0.0, 1.0, 0.1), strict=True))
+HIGHEST = dict(zip(NUMBERS, (60.0, 100.0, 60.0, 600.0, 60.0), strict=True))
+SCALE = dict(zip(NUMBERS, (1000, 100, 10, 10, 1000), strict=True))
 
 
 class RawBoard(CBoardCore):
@@ -40,8 +39,9 @@ def told(hello: Hello) -> dict[str, float]:
 
 
 def test_a_configuration_of_zeros_and_one_of_the_largest_numbers_are_taken_as_the_nearest():
+    largest = dict.fromkeys(NUMBERS, 0x7FFF) | {"lease_max_s": 0xFFFF, "report_period_s": 0xFFFF}
     assert told(hello_of(dict.fromkeys(NUMBERS, 0))) == LOWEST
-    assert told(hello_of(dict.fromkeys(NUMBERS, 0x7FFF) | {"lease_max_s": 0xFFFF, "report_period_s": 0xFFFF})) == HIGHEST
+    assert told(hello_of(largest)) == HIGHEST
     assert hello_of({"temp_trip_c": -1}).temp_trip_c == 0.0
 
 

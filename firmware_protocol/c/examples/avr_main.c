@@ -22,7 +22,7 @@
 
 #define UART_DIVISOR 16u        /* 16 MHz / (8 * 17) = 117647 baud, 2.1 % fast */
 #define TICKS_PER_MS 250u       /* 16 MHz / 64 */
-#define RECEIVE_SIZE 256u       /* 22 ms of line, more than an EEPROM write takes; the index wraps as uint8_t */
+#define RECEIVE_SIZE 256u       /* 22 ms of line; storing a trip takes 14; the index wraps as uint8_t */
 #define SAMPLE_PERIOD_MS 1000u
 
 static const gh_board_config CONFIG = {
