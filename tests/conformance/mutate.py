@@ -2,8 +2,8 @@
 
     python tests/conformance/mutate.py [gh_safety.c ...]
 
-About half an hour for all three files; not part of `make test`. A change meets the test that notices most first (both
-boards in use), then the whole suite over the C boards.
+About half an hour for all three files; not part of `make test`. A change first meets the test that notices
+most (both boards in use), then the whole suite over the C board, then over the one with the sanitizers.
 """
 
 import functools
@@ -84,7 +84,8 @@ def notices(directory: Path) -> bool:
         try:
             c_core.SOURCES = directory
             play()
-            code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-k", "not python", str(HERE)])
+            suite = ["-x", "-q", "-p", "no:cacheprovider", str(HERE), "-k"]
+            code = pytest.main([*suite, "not python and not sanitized"]) or pytest.main([*suite, "sanitized"])
         except BaseException:
             code = 1
         os._exit(int(code))
@@ -118,7 +119,8 @@ def main(files: list[str]) -> int:
         text = (SOURCES / file).read_text(encoding="utf-8")
         found = list(changes(text))
         with ThreadPoolExecutor(WORKERS) as pool:
-            for name in pool.map(functools.partial(survivor, file, text), found):
+            for tried, name in enumerate(pool.map(functools.partial(survivor, file, text), found), 1):
+                print(f"{file}: {tried} of {len(found)}", end="\r", file=sys.stderr)
                 if name is not None and name not in EQUIVALENT:
                     unknown += 1
                     print(name, flush=True)
