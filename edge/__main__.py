@@ -18,6 +18,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "export": "a stretch of the history as a run file",
     "import": "a run file into the history",
     "plot": "a picture of a stretch of history or of a run file",
+    "forget-discovery": "take a rig that is no more out of Home Assistant and off the broker",
     "watch": "what the running daemon does, live",
 }
 

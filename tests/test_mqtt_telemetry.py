@@ -4,10 +4,12 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import pytest
 
+from edge.__main__ import main
+from edge.control_socket import ControlSocket
 from edge.errors import ConfigError, RequestError
 from edge.messages import Event, Severity
 from edge.mqtt import connection, telemetry
@@ -268,3 +270,24 @@ def test_remove_says_when_there_is_no_broker(tmp_path):
 def test_a_host_that_is_no_name_is_refused_at_the_start(host):
     with pytest.raises(ConfigError, match=r"mqtt\.host"):
         connection.make_client(settings(host=host).mqtt)
+
+
+def test_the_command_takes_a_rig_off_the_broker(broker, tmp_path, capsys):
+    config = tmp_path / "edge.yaml"
+    config.write_text(
+        f"control_socket: {{path: {tmp_path}/control.sock}}\n"
+        f"mqtt: {{enabled: true, host: 127.0.0.1, port: {broker.port}, rig: rig-1}}\n"
+    )
+    with Listener(broker.port, "homeassistant/#") as listener:
+        listener.send("homeassistant/device/rig-1/config", "{}", retain=True)
+        assert main(["forget-discovery", "--config", str(config)]) == 0
+        wait_for(lambda: listener.payloads("homeassistant/device/rig-1/config") == [b"{}", b""])
+    assert "rig-1: taken off" in capsys.readouterr().out
+
+
+def test_the_command_refuses_while_the_daemon_runs(tmp_path, capsys):
+    config, socket = tmp_path / "edge.yaml", tmp_path / "control.sock"
+    config.write_text(f"control_socket: {{path: {socket}}}\n")
+    with closing(ControlSocket(socket, lambda request: {"ok": True})):
+        assert main(["forget-discovery", "--config", str(config)]) == 2
+    assert "stop it first" in capsys.readouterr().err
