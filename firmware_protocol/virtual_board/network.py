@@ -25,9 +25,8 @@ WELL_MIXED_W_K = 1.0e6  # exchange that makes two zones one
 HEATER_REFERENCE_K = 200.0  # element above air at full power, where constant films are evaluated
 SMALLEST_DIFFERENCE_K = 0.5  # natural convection never stops wholly: a room's air moves
 LEAF_AND_SOIL_EMISSIVITY = 0.95
-TRACE_J_K = (
-    20.0  # least mass of a wet node: the heat of water is taken at a step's beginning, so not implicit
-)
+# Least mass of a wet node: the heat of water is taken at a step's beginning, so not implicit.
+TRACE_J_K = 100.0
 LIGHT_J_K = 5.0  # an element with less jumps within a step
 MASSLESS_PASSES = 6  # of Newton, for such an element
 
