@@ -2,6 +2,7 @@
 
 import select
 import time
+from pathlib import Path
 from typing import Protocol
 
 
@@ -30,6 +31,14 @@ class Clock(Protocol):
     def wait(self, port: Port | None, wake: int | None, until_s: float) -> None:
         """Return when `until_s` is reached, when `port` has bytes, or when descriptor `wake` is readable."""
         ...
+
+
+def boot_id() -> str:
+    """Of the machine's boot: within one, CLOCK_MONOTONIC goes on from process to process. "": not known."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return ""
 
 
 class RealClock:

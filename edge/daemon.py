@@ -14,7 +14,7 @@ from typing import Any, Self, TypeGuard
 from edge import __version__, state_file
 from edge import operation as orders
 from edge.board import Board
-from edge.clock import Clock
+from edge.clock import Clock, RealClock, boot_id
 from edge.config import config_hash
 from edge.control_socket import ControlSocket
 from edge.controllers import registry
@@ -141,7 +141,9 @@ class Daemon:
         # First of all that is shared: where a daemon runs already nothing else is touched.
         socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox))
         stack.callback(socket.close)
-        session = Session(__version__, config_hash(settings), {model.name: model.version})
+        # Only the machine's clock goes on from process to process.
+        boot = boot_id() if isinstance(self.clock, RealClock) else ""
+        session = Session(__version__, config_hash(settings), {model.name: model.version}, boot)
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
         stack.callback(storage.close)

@@ -131,6 +131,46 @@ def test_numbers_go_on_after_a_clean_end(path: Path) -> None:
         assert storage.events_pending() == []
 
 
+def killed(path: Path, boot_id: str, ticks: int) -> None:
+    """Leave a history as a kill -9 does after so many ticks, at 60 s, 120 s, ... of the monotonic clock."""
+    storage = Storage(History.at(path), HandClock(time_s=0.0), Session(boot_id=boot_id))
+    write(storage, *range(storage.open(), ticks + 1))
+    assert storage.close(PATIENCE_S)
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE sessions SET ended_utc = NULL")
+
+
+@pytest.mark.parametrize(
+    ("ticks", "now_s", "given"),  # given: ticks there can have been after the last one written, one spare
+    [(3, 180.0, 2), (3, 239.9, 2), (3, 240.0, 3), (3, 180.0 + 3600.0, 62), (0, 5.0, 7)],
+)
+def test_after_a_kill_the_time_since_bounds_the_numbers_left_out(
+    path: Path, ticks: int, now_s: float, given: int
+) -> None:
+    killed(path, "this boot", ticks)
+    storage = Storage(History.at(path), HandClock(time_s=now_s), Session(boot_id="this boot"))
+    assert storage.open() == ticks + given + 1
+    assert storage.close(PATIENCE_S)
+    assert rows(path, "SELECT first_seq, last_seq FROM gaps") == [(ticks + 1, ticks + given)]
+
+
+@pytest.mark.parametrize(("before", "now"), [("a", "b"), ("", ""), ("a", ""), ("", "a")])
+def test_after_another_boot_the_time_bounds_nothing(path: Path, before: str, now: str) -> None:
+    killed(path, before, ticks=3)
+    storage = Storage(History.at(path), HandClock(time_s=200.0), Session(boot_id=now))
+    assert storage.open() == 4 + 50 + storage_module.BATCH_TICKS
+    assert storage.close(PATIENCE_S)
+
+
+def test_a_session_before_version_three_bounds_nothing(path: Path) -> None:
+    killed(path, "this boot", ticks=3)
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE sessions SET boot_id = NULL, started_time_s = NULL")
+    storage = Storage(History.at(path), HandClock(time_s=200.0), Session(boot_id="this boot"))
+    assert storage.open() == 4 + 50 + storage_module.BATCH_TICKS
+    assert storage.close(PATIENCE_S)
+
+
 def test_after_an_unclean_end_numbers_that_may_have_been_given_out_are_left_out(path: Path) -> None:
     with opened(path, queue_ticks=10) as (storage, first):
         write(storage, 1, 2, 3)
@@ -455,6 +495,8 @@ def test_a_history_of_an_older_version_is_brought_up_with_its_ticks(path: Path) 
     with closing(sqlite3.connect(path)) as connection, connection:
         for view in VIEWS:
             connection.execute(f"DROP VIEW {view}")
+        for table, column in (("sessions", "boot_id"), ("sessions", "started_time_s"), ("ticks", "time_s")):
+            connection.execute(f"ALTER TABLE {table} DROP COLUMN {column}")
         connection.execute("PRAGMA user_version = 1")  # the application's id stays
     fresh = path.with_name("first-version.db")
     with closing(sqlite3.connect(fresh)) as connection:

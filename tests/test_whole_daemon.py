@@ -227,6 +227,7 @@ def test_a_killed_daemon_leaves_the_heater_off_and_goes_on_where_it_was(
         wait_for(lambda: {seq for _, seq in heard(listener)} >= set(stored))
         ((first_gap, last_gap),) = daemon.rows("SELECT first_seq, last_seq FROM gaps")
         assert first_gap == stored[-1] + 1
+        assert last_gap - first_gap < 60  # no more than seconds have passed
         assert daemon.seqs()[len(stored)] == last_gap + 1
 
 

@@ -7,12 +7,18 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from edge.hard_limits import STEP_MIN_S
 from edge.messages import TickRecord
 from edge.storage.file import Unusable, connect, identity
 from edge.storage.retention import RetentionSettings, thin
 from edge.storage.tick_rows import insert_ticks
 
 BUSY_S = 1.0  # how long one statement waits for another process's lock
+_LAST_SIGN = f"""
+SELECT boot_id, coalesce(time_s, started_time_s), coalesce(step_s, {STEP_MIN_S})
+FROM sessions LEFT JOIN (SELECT * FROM ticks WHERE seq > 0 ORDER BY seq DESC LIMIT 1) USING (session)
+ORDER BY session DESC LIMIT 1
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +28,16 @@ class Session:
     software_version: str = ""
     config_sha256: str = ""
     models: Mapping[str, str] = field(default_factory=dict)  # name -> version
+    boot_id: str = ""  # sessions of one boot share their monotonic time; "": with no other session
+
+
+@dataclass(frozen=True, slots=True)
+class LastSign:
+    """The last tick of the newest session in the file, or its start."""
+
+    boot_id: str
+    time_s: float
+    step_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +52,13 @@ class Gap:
 class Archive:
     """Used by one thread at a time. Every method may raise sqlite3.Error or OSError, see `file.fault_of`."""
 
-    def __init__(self, path: Path, session: Session) -> None:
+    def __init__(self, path: Path, session: Session, started_s: float) -> None:
         self.path = path
         self.first_seq = 0  # of the ticks in the file, 0 when there is none
         self.last_seq = 0  # largest number ever given out as far as the file knows
         self.ended_cleanly = True  # the session before this one
-        self._session = session
+        self.last_sign: LastSign | None = None  # of the session before this one
+        self._session, self._started_s = session, started_s
         self._session_id: int | None = None
         self._connection: sqlite3.Connection | None = None
         self._identity: tuple[int, int] | None = None
@@ -60,6 +77,8 @@ class Archive:
         self.last_seq = max(ticks_last, gaps_last, session_first - 1)
         ended = connection.execute("SELECT ended_utc FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
         self.ended_cleanly = ended is None or ended[0] is not None
+        sign = connection.execute(_LAST_SIGN).fetchone()
+        self.last_sign = None if sign is None or None in sign else LastSign(*sign)
 
     def check(self) -> None:
         """Read the whole file. Errors: Unusable, when something is wrong with it."""
@@ -127,14 +146,16 @@ class Archive:
 
     def _begin_session(self, connection: sqlite3.Connection, next_seq: int, utc: float) -> int:
         cursor = connection.execute(
-            "INSERT INTO sessions (first_seq, started_utc, software_version, config_sha256, models)"
-            " VALUES (?, ?, ?, ?, ?)",
+            "INSERT INTO sessions (first_seq, started_utc, software_version, config_sha256, models, boot_id,"
+            " started_time_s) VALUES (?, ?, ?, ?, ?, ?, ?)",
             (
                 next_seq,
                 utc,
                 self._session.software_version,
                 self._session.config_sha256,
                 json.dumps(dict(self._session.models), sort_keys=True),
+                self._session.boot_id,
+                self._started_s,
             ),
         )
         assert cursor.lastrowid is not None

@@ -122,7 +122,14 @@ def create_views(db: Database) -> None:
     db.create_view("v_gaps", "SELECT first_seq, last_seq, utc, reason FROM gaps")
 
 
-MIGRATIONS: tuple[Callable[[Database], None], ...] = (create_tables, create_views)
+def add_monotonic_times(db: Database) -> None:
+    """Version 3: how long ago the last tick was, whatever the wall clock did meanwhile."""
+    db.conn.execute("ALTER TABLE sessions ADD COLUMN boot_id TEXT")  # "": its time_s mean nothing to others
+    db.conn.execute("ALTER TABLE sessions ADD COLUMN started_time_s REAL")
+    db.conn.execute("ALTER TABLE ticks ADD COLUMN time_s REAL")
+
+
+MIGRATIONS: tuple[Callable[[Database], None], ...] = (create_tables, create_views, add_monotonic_times)
 
 
 def migrate(connection: sqlite3.Connection) -> None:

@@ -1,5 +1,6 @@
 """The history as the loop sees it: it takes ticks, never waits and never raises."""
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -38,7 +39,8 @@ class Storage:
     def __init__(self, settings: HistorySettings, clock: Clock, session: Session | None = None) -> None:
         self._settings = settings
         self._clock = clock
-        self._archive = Archive(Path(settings.path), session or Session())
+        self._session = session or Session()
+        self._archive = Archive(Path(settings.path), self._session, clock.now())
         self._queue = TickQueue(settings.queue_ticks)
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._written = threading.Condition()
@@ -57,13 +59,13 @@ class Storage:
         """Open or make the history, start the writer. Returns the number of the next tick.
 
         No number is ever given twice: after a session that did not end cleanly as many numbers are left out
-        as ticks can have been given out without having been written, and the gap is recorded.
+        as can have been given out without having been written, and the gap is recorded.
         """
         try:
             self._open_file()
             self._next_seq = self._archive.last_seq + 1
             if not self._archive.ended_cleanly:
-                self._next_seq += self._settings.queue_ticks + BATCH_TICKS
+                self._next_seq += self._unwritten_at_most()
                 self._note_unclean_stop(self._archive.last_seq, self._next_seq)
             self._written_seq = self._archive.last_seq
             # Before any number is given out: a kill from here on is an unclean end.
@@ -111,6 +113,17 @@ class Storage:
             self._thread.join(timeout_s)
         self._given_up.set()
         return self._ended
+
+    def _unwritten_at_most(self) -> int:
+        """How many ticks the session before can have had after the last one in the file.
+
+        Within one boot the monotonic time tells: there is one tick at most for each step of the grid. After
+        another boot nothing does, and it is as many as can wait to be written.
+        """
+        sign = self._archive.last_sign
+        if sign is not None and self._session.boot_id and sign.boot_id == self._session.boot_id:
+            return math.floor((self._clock.now() - sign.time_s) / sign.step_s) + 2
+        return self._settings.queue_ticks + BATCH_TICKS
 
     def _open_file(self) -> None:
         try:

@@ -30,7 +30,7 @@ TICK_COLUMNS = (
     *(f"wanted_{name}" for name in _COMMAND_COLUMNS),
     *(f"sent_{name}" for name in _COMMAND_COLUMNS),
     *("echo_heater_duty", "echo_fan_on", "echo_led", "echo_valve_open", "echo_tripped", "echo_trip_cause"),
-    *("link_up", "ticks_skipped", "late_s", "decide_ms"),
+    *("link_up", "ticks_skipped", "late_s", "decide_ms", "time_s"),
 )
 _INSERT_TICK = f"INSERT INTO ticks ({', '.join(TICK_COLUMNS)}) VALUES ({', '.join('?' * len(TICK_COLUMNS))})"
 _SIGNAL_OF_KEY = {signal.key: name for name, signal in SIGNALS.items()}
@@ -77,7 +77,7 @@ def insert_ticks(connection: sqlite3.Connection, records: Sequence[TickRecord], 
 def read_ticks(connection: sqlite3.Connection, seqs: Iterable[int]) -> dict[int, TickRecord]:
     """The stored ticks with these numbers, without those that are not there.
 
-    What is not stored comes back as NaN: the monotonic times, which mean nothing after their process.
+    Monotonic times come back as NaN: they mean nothing after their process.
     """
     chosen = json.dumps(list(seqs))
 
@@ -125,6 +125,7 @@ def _tick_row(record: TickRecord, session: int) -> tuple[Any, ...]:
         record.ticks_skipped,
         _finite(record.late_s),
         _finite(record.decide_ms),
+        _finite(record.time_s),
     )
 
 
