@@ -2,13 +2,12 @@
 
     python tests/conformance/mutate.py [gh_safety.c ...]
 
-About half an hour for all three files; not part of `make test`. A change first meets the test that notices
-most (both boards in use), then the whole suite over the C board, then over the one with the sanitizers.
+Not part of `make test`: a change that nobody notices costs a run of the suite over the C board, without and
+with the sanitizers, and there are some six hundred changes.
 """
 
 import functools
 import os
-import random
 import re
 import shutil
 import signal
@@ -23,12 +22,7 @@ import pytest
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
-import test_board_differential as differential  # noqa: E402
-
-from firmware_protocol.messages import Capability  # noqa: E402
 from firmware_protocol.virtual_board import c_core  # noqa: E402
-from firmware_protocol.virtual_board.board_config import BoardConfig  # noqa: E402
-from firmware_protocol.virtual_board.core import BoardCore  # noqa: E402
 
 FILES = ["gh_frame.c", "gh_safety.c", "gh_board.c"]
 SOURCES = c_core.SOURCES
@@ -73,60 +67,80 @@ def name_of(file: str, text: str, begin: int, end: int, by: str) -> str:
     return f"{file}: {text[begin:end].strip()!r} -> {by!r}  in  {line}"
 
 
-def notices(directory: Path) -> bool:
-    """Whether a test fails with the sources of that directory; in a process that is thrown away."""
-    child = os.fork()
-    if child == 0:
-        os.setpgrp()
-        signal.alarm(HANGS_AFTER_S)
-        quiet = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(quiet, 1), os.dup2(quiet, 2)
-        try:
-            c_core.SOURCES = directory
-            play()
-            suite = ["-x", "-q", "-p", "no:cacheprovider", str(HERE), "-k"]
-            code = pytest.main([*suite, "not python and not sanitized"]) or pytest.main([*suite, "sanitized"])
-        except BaseException:
-            code = 1
-        os._exit(int(code))
-    return os.waitpid(child, 0)[1] != 0
+class Mutation:
+    """A pytest plugin: collects once, then tests each change in a process that is thrown away."""
 
+    def __init__(self, files: list[str]) -> None:
+        self._files = files
+        self._order: list[pytest.Item] = []
+        self._session: pytest.Session
+        self.survivors = 0
 
-def play() -> None:
-    """The hour of seed 0. Raises when the two boards differ or the C board does not compile."""
-    config = BoardConfig(capabilities=Capability(0x3FF))
-    boards = [make(config, b"", 0, 1) for make in (BoardCore, c_core.CBoardCore)]
-    for now_ms, action, what in differential.hour(random.Random(0)):
-        differential.act_on(boards, action, what, now_ms % 2**32)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        self._session = session
+        self._order = sorted(session.items, key=lambda item: "sanitized" in item.name)
+        if self._noticed(SOURCES):
+            raise pytest.UsageError("the tests fail without a change")
+        for file in self._files:
+            text = (SOURCES / file).read_text(encoding="utf-8")
+            found = list(changes(text))
+            with ThreadPoolExecutor(WORKERS) as pool:
+                for name in pool.map(functools.partial(self._survivor, file, text), found):
+                    self._tell(name)
+            print(f"{file}: {len(found)} changes", file=sys.stderr, flush=True)
+        return True
 
+    def _tell(self, name: str | None) -> None:
+        if name is not None and name not in EQUIVALENT:
+            self.survivors += 1
+            print(name, file=sys.stderr, flush=True)
 
-def survivor(file: str, text: str, change: tuple[int, int, str]) -> str | None:
-    """The name of a change that no test notices."""
-    begin, end, by = change
-    with tempfile.TemporaryDirectory(prefix="mutant-") as directory:
-        for source in SOURCES.glob("gh_*"):
-            shutil.copy(source, directory)
-        (Path(directory) / file).write_text(text[:begin] + by + text[end:], encoding="utf-8")
-        return None if notices(Path(directory)) else name_of(file, text, begin, end, by)
+    def _survivor(self, file: str, text: str, change: tuple[int, int, str]) -> str | None:
+        begin, end, by = change
+        with tempfile.TemporaryDirectory(prefix="mutant-") as directory:
+            for source in SOURCES.glob("gh_*"):
+                shutil.copy(source, directory)
+            (Path(directory) / file).write_text(text[:begin] + by + text[end:], encoding="utf-8")
+            noticed = self._noticed(Path(directory))
+        return None if noticed else name_of(file, text, begin, end, by)
+
+    def _noticed(self, directory: Path) -> bool:
+        """Whether a test fails with the sources of that directory; it comes first from then on."""
+        order = list(self._order)
+        reader, writer = os.pipe()
+        child = os.fork()
+        if child == 0:
+            signal.alarm(HANGS_AFTER_S)
+            quiet = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(quiet, 1), os.dup2(quiet, 2)
+            failed = self._first_failure(directory, order)
+            os.write(writer, b"" if failed is None else str(failed).encode())
+            os._exit(0 if failed is None else 1)
+        os.close(writer)
+        with os.fdopen(reader) as pipe:
+            failed_at = pipe.read()
+        if failed_at:
+            item = order[int(failed_at)]
+            self._order = [item, *(other for other in self._order if other is not item)]
+        return os.waitpid(child, 0)[1] != 0
+
+    def _first_failure(self, directory: Path, order: list[pytest.Item]) -> int | None:
+        c_core.SOURCES = directory
+        session = self._session
+        for index, item in enumerate(order):
+            following = order[index + 1] if index + 1 < len(order) else None
+            session.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            if session.testsfailed:
+                return index
+        return None
 
 
 def main(files: list[str]) -> int:
-    if notices(SOURCES):
-        print("the tests fail without a change")
-        return 2
-    unknown = 0
-    for file in files:
-        text = (SOURCES / file).read_text(encoding="utf-8")
-        found = list(changes(text))
-        with ThreadPoolExecutor(WORKERS) as pool:
-            for tried, name in enumerate(pool.map(functools.partial(survivor, file, text), found), 1):
-                print(f"{file}: {tried} of {len(found)}", end="\r", file=sys.stderr)
-                if name is not None and name not in EQUIVALENT:
-                    unknown += 1
-                    print(name, flush=True)
-        print(f"{file}: {len(found)} changes", flush=True)
-    print(f"{unknown} changes survive")
-    return 1 if unknown else 0
+    mutation = Mutation(files)
+    options = ["-q", "-s", "-p", "no:cacheprovider", "-k", "not python", str(HERE)]
+    code = pytest.main(options, plugins=[mutation])
+    print(f"{mutation.survivors} changes survive")
+    return int(code) or (1 if mutation.survivors else 0)
 
 
 if __name__ == "__main__":
