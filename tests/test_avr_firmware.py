@@ -206,8 +206,11 @@ def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_
 
 def test_an_emergency_stop_opens_everything_at_once(avr):
     rig = heating(avr)
+    rig.run(0.1)
+    rig.trace.clear()
     rig.ask(EmergencyStop())
     assert (rig.port(), rig.led()) == (FAN, 0)
+    assert [event.kind for event in rig.trace if event.kind in "PE"] == ["P", "E", "E", "E"]  # pins, then store
     rig.ask(HEAT)
     assert rig.seen(Refused)[-1].error.detail == TripCause.EMERGENCY_STOP
 
