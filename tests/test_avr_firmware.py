@@ -210,7 +210,7 @@ def test_an_emergency_stop_opens_everything_at_once(avr):
     rig.trace.clear()
     rig.ask(EmergencyStop())
     assert (rig.port(), rig.led()) == (FAN, 0)
-    assert "".join(event.kind for event in rig.trace if event.kind in "PE") == "PEEE"  # the store comes second
+    assert "".join(event.kind for event in rig.trace if event.kind in "PE") == "PEEE"  # pins first
     rig.ask(HEAT)
     assert rig.seen(Refused)[-1].error.detail == TripCause.EMERGENCY_STOP
 
