@@ -64,7 +64,8 @@ def changes(text: str) -> Iterator[tuple[int, int, str]]:
 def name_of(file: str, text: str, begin: int, end: int, by: str) -> str:
     """Where and what, without a line number, so that it lasts."""
     line = text[text.rfind("\n", 0, begin) + 1 : text.find("\n", end)].strip()
-    return f"{file}: {text[begin:end].strip()!r} -> {by!r}  in  {line}"
+    functions = re.findall(r"^\w[^;=\n]*?(\w+)\(", text[:begin], re.MULTILINE)
+    return f"{file}: {functions[-1] if functions else '-'}: {text[begin:end].strip()!r} -> {by!r} in {line}"
 
 
 class Mutation:
@@ -137,7 +138,7 @@ class Mutation:
 
 def main(files: list[str]) -> int:
     mutation = Mutation(files)
-    options = ["-q", "-s", "-p", "no:cacheprovider", "-k", "not python", str(HERE)]
+    options = ["-q", "-s", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-k", "not python", str(HERE)]
     code = pytest.main(options, plugins=[mutation])
     print(f"{mutation.survivors} changes survive")
     return int(code) or (1 if mutation.survivors else 0)

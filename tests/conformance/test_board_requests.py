@@ -210,6 +210,18 @@ def test_a_late_step_gives_one_report_and_keeps_the_beat(new_board):
     assert reports == [3450, 4000]
 
 
+def test_every_hello_is_followed_by_the_state_unasked(new_board):
+    bench = Bench(new_board)
+    bench.step(100)
+    for _ in range(3):  # after the second nothing has changed
+        bench.greet()
+        bench.step(100)
+        [(header, state)] = bench.listen()
+        assert isinstance(state, StateEcho) and header.ack == 0
+        bench.step(100)
+        assert bench.listen() == []
+
+
 def test_a_change_of_cause_is_told_unasked_once(new_board):
     bench = Bench(new_board)
     bench.step(100)

@@ -129,7 +129,9 @@ def test_the_report_tells_the_air_and_why_it_is_not_good(new_board, value, quali
     [
         ("rel_humidity_pct", 100.0, 100.01), ("rel_humidity_pct", 0.0, -0.01), ("co2_ppm", 10000, 10001),
         ("co2_ppm", 0, -1), ("light", 1.0, 1.0001), ("light", 0.0, -0.0001), ("soil_moisture", 1.0, 1e300),
-        ("tank_level", 1.0, -1e300), ("temp_ambient_c", 150.0, 150.01), ("temp_ambient_c", -50.0, -50.01),
+        ("tank_level", 1.0, -1e300), ("tank_level", 0.0, -0.0001), ("soil_moisture", 0.0, -0.0001),
+        ("soil_moisture", 1.0, 1.0001), ("tank_level", 1.0, 1.0001), ("temp_ambient_c", 150.0, 150.01),
+        ("temp_ambient_c", -50.0, -50.01),
         ("rel_humidity_pct", 50.0, 655.35), ("temp_ambient_c", 0.0, -327.68),
     ],
 )  # fmt: skip
@@ -159,7 +161,7 @@ def test_an_old_sample_is_stale_and_keeps_its_number(new_board):
 
 @pytest.mark.parametrize(
     ("rpm", "quality", "told"),
-    [(1200, 0, 1200), (65534, 0, 65534), (65535, 0, None), (-1, 0, None), (1200, 3, None)],
+    [(1200, 0, 1200), (0, 0, 0), (65534, 0, 65534), (65535, 0, None), (-1, 0, None), (1200, 3, None)],
 )
 def test_the_state_tells_the_fan_speed_when_it_is_good(new_board, rpm, quality, told):
     bench = Bench(new_board).greet()
