@@ -123,10 +123,12 @@ def test_the_daemon_makes_no_memory_executable(trace: Sequence[str]) -> None:
 
 
 @needs("strace")
-def test_the_daemon_reads_nothing_of_proc_that_the_unit_hides(trace: Sequence[str]) -> None:
-    """ProcSubset=pid leaves the processes' own folders only."""
+def test_of_proc_the_daemon_reads_its_own_folder_and_the_boot_id(trace: Sequence[str]) -> None:
+    """ProtectProc=invisible hides other processes; ProtectKernelTunables= leaves the rest readable."""
     opened = {match[1] for line in trace if (match := re.search(r'"(/proc/[^"]*)"', line))}
-    assert {path for path in opened if not re.match(r"/proc/(self|thread-self|\d+)/", path)} == set()
+    assert {path for path in opened if not re.match(r"/proc/(self|thread-self|\d+)/", path)} == {
+        "/proc/sys/kernel/random/boot_id"
+    }
 
 
 @needs("strace")
