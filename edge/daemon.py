@@ -176,6 +176,7 @@ class Daemon:
             stop_at_s=self.stop_at_s,
         )
         loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
+        stack.callback(loop.close)
         if standing.broken:
             loop.note("state.broken", standing.broken)
         return loop

@@ -60,8 +60,10 @@ def test_a_hanging_controller_is_late_and_its_answer_never_taken_for_anothers() 
 
 
 def test_threads_of_hanging_controllers_end_when_they_come_back() -> None:
+    before = set(threading.enumerate())
+
     def deciding() -> list[Any]:
-        return [each for each in threading.enumerate() if each.name == "decision"]
+        return [each for each in threading.enumerate() if each not in before]
 
     thread, hanging = DecisionThread(), Hanging()
     thread.ask(hanging, CONTEXT, 0.05)
