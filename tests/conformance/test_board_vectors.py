@@ -89,6 +89,14 @@ def test_c_frames_every_payload_as_python_does(tmp_path):
     assert wanted and code == 0, wanted[code - 1]["name"]
 
 
+def test_c_frames_no_payload_that_is_too_long(tmp_path):
+    check = """
+    const uint8_t payload[GH_MAX_PAYLOAD + 1] = {1};
+    uint8_t out[GH_MAX_FRAME];
+    return (int)gh_frame_encode(payload, sizeof payload, out);"""
+    assert run_checks(tmp_path, [check]) == 0
+
+
 def run_checks(directory: Path, checks: list[str]) -> int:
     """Exit code of a sanitized program made of checks: the number of the first that fails, 0 for none."""
     source = directory / "check.c"
