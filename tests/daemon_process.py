@@ -93,8 +93,9 @@ class DaemonProcess:
         return last
 
     def rows(self, query: str) -> list[tuple[Any, ...]]:
-        """What the history answers."""
-        with closing(sqlite3.connect(self.history, timeout=10.0)) as connection:
+        """What the history answers; one that is not there is not made."""
+        where = f"file:{self.history}?mode=rw"
+        with closing(sqlite3.connect(where, timeout=10.0, uri=True)) as connection:
             return connection.execute(query).fetchall()
 
     def seqs(self) -> list[int]:
@@ -102,8 +103,11 @@ class DaemonProcess:
         return [seq for (seq,) in self.rows("SELECT seq FROM ticks ORDER BY seq")]
 
     def has_event(self, key: str) -> bool:
-        """The history holds an event of this key."""
-        return bool(self.rows(f"SELECT 1 FROM events WHERE key = '{key}'"))
+        """The history holds an event of this key; one that is broken or not there holds none."""
+        try:
+            return bool(self.rows(f"SELECT 1 FROM events WHERE key = '{key}'"))
+        except sqlite3.Error:
+            return False
 
     @property
     def log(self) -> str:
