@@ -1,6 +1,6 @@
 """Change the C board in one place at a time and list the changes that no test of this directory notices.
 
-    python tests/conformance/mutate.py [gh_safety.c ...]
+    python tests/conformance/mutate.py [gh_safety.c ...]        about 25 minutes
 
 Not part of `make test`: a change that nobody notices costs a run of the suite over the C board, without and
 with the sanitizers, and there are some six hundred changes.
@@ -46,7 +46,12 @@ NOT_LEFT_OUT = "return|break|case|default|const |u?int|size_t|bool|gh_|static|fo
 STATEMENT = re.compile(rf"^ +(?!{NOT_LEFT_OUT})[^\n{{}}]*;", re.MULTILINE)
 CALL = re.compile(r"^ +gh_\w+\([^\n]*\);", re.MULTILINE)
 
-EQUIVALENT: dict[str, str] = {}
+# Changes that change nothing: a line for each, and an indented one that says why.
+EQUIVALENT = {
+    line
+    for line in (HERE / "equivalent_changes.txt").read_text(encoding="utf-8").splitlines()
+    if not line.startswith(" ")
+}
 
 
 def changes(text: str) -> Iterator[tuple[int, int, str]]:
