@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from edge.clock import Clock
+from edge.hard_limits import LEASE_S
 from edge.messages import Command, Echo, Event, Quality, Reading, Severity
 from edge.names import HEATER_LEVELS, SIGNALS
 from edge.serial_port import PortGone, SerialPort
@@ -15,7 +16,6 @@ from firmware_protocol import link as wire
 from firmware_protocol import messages as wire_messages
 from firmware_protocol.messages import Capability
 
-LEASE_S = 10.0  # outputs fall to their safe state this long after the host's last word
 RENEW_S = 3.0  # so two renewals may be lost before a lease ends
 REOPEN_S = 1.0  # between two tries to open a missing port
 SAMPLES_KEPT = 600  # reports between two ticks; more are dropped, oldest first

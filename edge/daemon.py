@@ -69,7 +69,6 @@ class StateSink:
     """Saves standing orders in their own thread; tells the loop when the disk does not take them."""
 
     writer: StateWriter
-    seen: int = 0
 
     def save(self, operation: Operation, memory: SafetyMemory) -> None:
         """Never waits."""
@@ -96,7 +95,6 @@ class Daemon:
     more_controllers: Sequence[Controller] = ()  # than those of settings.CONTROLLERS
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
-    _outbox_path: Path | None = None
 
     def __enter__(self) -> Self:
         try:

@@ -10,6 +10,7 @@ REFERENCE_MIN_C = 5.0
 REFERENCE_MAX_C = 45.0
 STEP_MIN_S = 1.0
 STEP_MAX_S = 600.0
+LEASE_S = 10.0  # outputs fall this long after the host's last word, a decision this long after its step
 MAINTENANCE_MAX_MIN = 24 * 60.0
 AIR_OFFSET_MAX_K = 5.0  # a larger one hides a broken sensor and moves every temperature limit with it
 AIR_GAIN_MIN, AIR_GAIN_MAX = 0.9, 1.1  # 4 K at 40 °C

@@ -20,6 +20,7 @@ from edge.controllers.base import Context, Controller
 from edge.decider import Decider
 from edge.errors import RequestError
 from edge.estimator import Estimator
+from edge.hard_limits import LEASE_S
 from edge.inbox import Inbox, Reply, Request
 from edge.lighting import led_level
 from edge.messages import Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
@@ -39,7 +40,6 @@ from edge.settings import Settings
 from edge.tick_json import echo_json, tick_json
 from edge.watering import Watering
 
-LEASE_S = 10.0  # a decision outlives its step by this much, and no more
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
 REFERENCE_STEPS = 60  # how far ahead controllers may see the reference [steps]
 START_WAIT_S = 5.0  # for the board, before the first tick
@@ -105,7 +105,6 @@ class Loop:
         self._step_s = rig.settings.control.step_s
         self._start_s = rig.clock.now()  # of the tick grid, set anew when the board is there
         self._sent = Command()
-        self._last_verdict: Verdict | None = None
         self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
         self._conditions = Conditions()
         self._events: list[Event] = []
@@ -224,7 +223,7 @@ class Loop:
         verdict = supervise(wanted, view, self._memory, rig.settings.safety)
         if memory_to_dict(verdict.memory) != memory_to_dict(self._memory):
             rig.save_state(self._operation, verdict.memory)
-        self._memory, self._last_verdict = verdict.memory, verdict
+        self._memory = verdict.memory
         return verdict
 
     def _drive(self, verdict: Verdict) -> Echo | None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from edge.hard_limits import LEASE_S
 from edge.messages import Change, Command, Echo, Estimate, Event, Reading
 from edge.names import HEATER_MAX_W
 from edge.thermal_supervision import ThermalMemory
@@ -11,7 +12,6 @@ from edge.thermal_supervision import ThermalMemory
 HOUR_S = 3600.0
 DAY_S = 86400.0
 HEAT_BUCKET_S = 600.0  # heat is counted in pieces of ten minutes
-LEASE_S = 10.0  # the board lets go of a command this long after its step at the latest
 
 
 @dataclass(frozen=True, slots=True)

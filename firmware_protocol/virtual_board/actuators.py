@@ -47,7 +47,7 @@ class SlidingMean:
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
         self._pieces: deque[tuple[float, float]] = deque()  # length [s], value
-        self._length_s = self._sum = 0.0
+        self._length_s = 0.0
 
     def add(self, value: float, dt_s: float) -> float:
         """The mean after dt_s more of this value."""
