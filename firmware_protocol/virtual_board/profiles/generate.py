@@ -14,7 +14,7 @@ from firmware_protocol.virtual_board.profiles.record import FOLDER, SAMPLE_S, Pr
 
 
 @dataclass(frozen=True, slots=True)
-class _Plan:
+class Plan:
     """What one sequence is meant to do."""
 
     minutes: int
@@ -26,26 +26,26 @@ class _Plan:
 
 
 _LOW, _MIDDLE, _HIGH = (28.0, 29.1), (30.3, 33.6), (34.5, 36.6)
-_PLANS = (
-    _Plan(212, (0.10, 0.40), 0.25, 0.20, (5, 25), _LOW),
-    _Plan(205, (0.20, 0.70), 0.50, 0.15, (3, 10), _LOW),
-    _Plan(220, (0.05, 0.35), 0.15, 0.30, (8, 30), _LOW),
-    _Plan(212, (0.30, 1.00), 0.65, 0.25, (2, 6), _LOW),
-    _Plan(198, (0.10, 0.50), 0.30, 0.40, (4, 15), _LOW),
-    _Plan(226, (0.15, 0.60), 0.45, 0.10, (5, 20), _LOW),
-    _Plan(212, (0.05, 0.45), 0.30, 0.30, (2, 8), _LOW),
-    _Plan(212, (0.20, 0.80), 0.35, 0.20, (5, 20), _MIDDLE),
-    _Plan(204, (0.30, 0.70), 0.30, 0.15, (8, 25), _MIDDLE),
-    _Plan(219, (0.40, 1.00), 0.55, 0.20, (3, 12), _MIDDLE),
-    _Plan(212, (0.10, 0.90), 0.30, 0.30, (2, 10), _MIDDLE),
-    _Plan(216, (0.25, 0.65), 0.25, 0.25, (10, 30), _MIDDLE),
-    _Plan(206, (0.50, 1.00), 0.30, 0.20, (5, 25), _HIGH),
-    _Plan(214, (0.40, 0.95), 0.20, 0.10, (10, 35), _HIGH),
-    _Plan(212, (0.60, 1.00), 0.40, 0.15, (4, 16), (36.5, 36.9)),
+PLANS = (
+    Plan(212, (0.10, 0.40), 0.25, 0.20, (5, 25), _LOW),
+    Plan(205, (0.20, 0.70), 0.50, 0.15, (3, 10), _LOW),
+    Plan(220, (0.05, 0.35), 0.15, 0.30, (8, 30), _LOW),
+    Plan(212, (0.30, 1.00), 0.65, 0.25, (2, 6), _LOW),
+    Plan(198, (0.10, 0.50), 0.30, 0.40, (4, 15), _LOW),
+    Plan(226, (0.15, 0.60), 0.45, 0.10, (5, 20), _LOW),
+    Plan(212, (0.05, 0.45), 0.30, 0.30, (2, 8), _LOW),
+    Plan(212, (0.20, 0.80), 0.35, 0.20, (5, 20), _MIDDLE),
+    Plan(204, (0.30, 0.70), 0.30, 0.15, (8, 25), _MIDDLE),
+    Plan(219, (0.40, 1.00), 0.55, 0.20, (3, 12), _MIDDLE),
+    Plan(212, (0.10, 0.90), 0.30, 0.30, (2, 10), _MIDDLE),
+    Plan(216, (0.25, 0.65), 0.25, 0.25, (10, 30), _MIDDLE),
+    Plan(206, (0.50, 1.00), 0.30, 0.20, (5, 25), _HIGH),
+    Plan(214, (0.40, 0.95), 0.20, 0.10, (10, 35), _HIGH),
+    Plan(212, (0.60, 1.00), 0.40, 0.15, (4, 16), (36.5, 36.9)),
 )
 
 
-def _draw(plan: _Plan, rng: random.Random) -> list[ProfileRow]:
+def draw(plan: Plan, rng: random.Random) -> list[ProfileRow]:
     """A candidate: segments of constant inputs, one row per minute, the last row with all off."""
     inputs: list[tuple[float, int]] = []
     while len(inputs) < plan.minutes:
@@ -58,12 +58,12 @@ def _draw(plan: _Plan, rng: random.Random) -> list[ProfileRow]:
     return [*rows, ProfileRow(SAMPLE_S * plan.minutes, 0.0, 0)]
 
 
-def _find(plan: _Plan, seed: int) -> list[ProfileRow]:
+def _find(plan: Plan, seed: int) -> list[ProfileRow]:
     """The first candidate whose measured peak lies in the plan's band."""
     rng = random.Random(seed)
     parameters, effects = load()
     while True:
-        rows = _draw(plan, rng)
+        rows = draw(plan, rng)
         peak = max(row["temp_air_c"] for row in record(Chamber(parameters, effects, seed), rows))
         if plan.peak_c[0] <= peak <= plan.peak_c[1]:
             return rows
@@ -71,7 +71,7 @@ def _find(plan: _Plan, seed: int) -> list[ProfileRow]:
 
 def main() -> None:
     """Write every profile beside this script."""
-    for number, plan in enumerate(_PLANS, start=1):
+    for number, plan in enumerate(PLANS, start=1):
         facts = {
             "role": "profile",
             "seed": str(number),

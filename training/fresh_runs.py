@@ -1,0 +1,97 @@
+"""Runs that no model has seen, straight from the simulated chamber: for calibration and for coverage.
+
+Profiles are drawn as the training sequences were, with fresh seeds; the readings are made as the daemon makes
+them, the trimmed mean of the last 5 s. The daemon itself is left out: 240 runs through it take hours.
+"""
+
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from edge.run_file import Run, read_run, write_run
+from edge.sensor_health import AVERAGE_S, trimmed_mean
+from firmware_protocol.virtual_board.chamber import Chamber
+from firmware_protocol.virtual_board.chamber_parameters import load
+from firmware_protocol.virtual_board.profiles.generate import PLANS, Plan, draw
+from firmware_protocol.virtual_board.profiles.record import SAMPLE_S, WINDOW_S, ProfileRow, drive
+
+Kind = Literal["calibration", "interpolation", "extrapolation"]
+COUNTS: dict[Kind, int] = {"calibration": 100, "interpolation": 100, "extrapolation": 30}
+FIRST_SEEDS: dict[Kind, int] = {"calibration": 1000, "interpolation": 2000, "extrapolation": 3000}
+ROLES: dict[Kind, str] = {"calibration": "calibrate", "interpolation": "test", "extrapolation": "test"}
+HOTTER = Plan(212, (0.70, 1.00), 0.20, 0.15, (8, 30), (39.0, 45.0))  # training ends at 36.9 degC
+PROCESSES = 2
+
+
+def runs(kind: Kind, folder: Path, count: int | None = None) -> list[Run]:
+    """All runs of one kind, read from `folder` where they were made before, else made and kept there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    seeds = range(FIRST_SEEDS[kind], FIRST_SEEDS[kind] + (COUNTS[kind] if count is None else count))
+    missing = [(kind, seed, folder) for seed in seeds if not _path(kind, seed, folder).exists()]
+    if missing:
+        with get_context("spawn").Pool(min(PROCESSES, len(missing))) as pool:
+            for _ in pool.imap_unordered(_keep, missing):
+                pass
+    return [read_run(_path(kind, seed, folder)) for seed in seeds]
+
+
+def make_run(kind: Kind, seed: int) -> Run:
+    """The first candidate of this seed whose highest reading lies in its plan's band, on the board `seed`."""
+    plan = HOTTER if kind == "extrapolation" else PLANS[seed % len(PLANS)]
+    rng = random.Random(seed)
+    while True:
+        rows = draw(plan, rng)
+        readings = measure(rows, seed, plan.peak_c[1])
+        if plan.peak_c[0] <= max(row["temp_air_c"] for row in readings) <= plan.peak_c[1]:
+            return _run(rows, readings, {"role": ROLES[kind], "kind": kind, "seed": str(seed)})
+
+
+def measure(rows: Sequence[ProfileRow], seed: int, stop_above_c: float = np.inf) -> list[dict[str, float]]:
+    """The readings at each row's time, up to the first that is hotter than `stop_above_c`."""
+    parameters, effects = load()
+    chamber = Chamber(parameters, effects, seed)
+    readings = [chamber.sense()]
+    for row in rows[:-1]:
+        drive(chamber, SAMPLE_S - WINDOW_S, row)
+        readings.append(_last_window(chamber, row))
+        if readings[-1]["temp_air_c"] > stop_above_c:
+            break
+    return readings
+
+
+def _last_window(chamber: Chamber, row: ProfileRow) -> dict[str, float]:
+    """The last PWM window of a row, second by second, and the reading at its end."""
+    samples = []
+    for second in range(1, WINDOW_S + 1):
+        on = second <= round(row.heater_duty * WINDOW_S)
+        chamber.step(1.0, float(on), bool(row.fan_on), row.light, False)
+        if WINDOW_S - second < AVERAGE_S:
+            samples.append(chamber.sense())
+    return {key: trimmed_mean([sample[key] for sample in samples]) for key in samples[0]}
+
+
+def _run(rows: Sequence[ProfileRow], readings: Sequence[dict[str, float]], facts: dict[str, str]) -> Run:
+    inputs = {
+        "time_s": np.array([row.time_s for row in rows], dtype=np.float64),
+        "heater_duty": np.array([row.heater_duty for row in rows]),
+        "fan_on": np.array([row.fan_on for row in rows], dtype=np.float64),
+    }
+    measured = {key: np.array([reading[key] for reading in readings]) for key in readings[0]}
+    return Run(inputs | measured, facts)
+
+
+def _path(kind: Kind, seed: int, folder: Path) -> Path:
+    return folder / f"{kind}_{seed}.csv"
+
+
+def _keep(task: tuple[Kind, int, Path]) -> None:
+    kind, seed, folder = task
+    path = _path(kind, seed, folder)
+    beside = path.with_suffix(".new")
+    write_run(replace(make_run(kind, seed), path=path), beside)
+    beside.replace(path)
