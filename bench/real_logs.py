@@ -45,7 +45,7 @@ def main() -> None:
     if not paths:
         raise SystemExit(f"{arguments.data}: no run files; they are from {SOURCE}")
     training, validation, test = split(paths)
-    fit = fit_arx(training, validation, STEP_S, with_fan=False, with_ambient=False)
+    fit = fit_arx(training, validation, STEP_S, fan_input=None, with_ambient=False)
     model = replace(fit.model, version="real logs")
     settings = settings_for(STEP_S, "MPC", REFERENCE_C)
     replays = [replay(run, settings, model, fan_always_on=True) for run in test]

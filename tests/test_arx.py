@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -120,14 +121,59 @@ def test_a_written_model_is_read_back_exactly(tmp_path):
 def test_the_packaged_model_is_stable_and_heats_and_cools():
     model = read_arx(DEFAULT_PATH)
     rows = model.rows_needed
-    past = history([21.0] * rows, [0.0] * rows, [0.0] * rows)
+    past = in_a_room(history([30.0] * rows, [0.0] * rows, [0.0] * rows), 21.0)
     controls = np.zeros((3, 300, 2))
     controls[1, :, 0] = 1.0
     controls[2, :, 1] = 1.0
     temps = model.rollout(past, controls, {"temp_ambient": np.full(300, 21.0)})
-    assert (temps[1] > temps[0]).all()
-    assert (temps[2] < temps[0]).all()
-    assert abs(temps[1, -1] - temps[1, -2]) < 0.01
+    assert (temps[1, 1:] > temps[0, 1:]).all()
+    assert (temps[2, :30] < temps[0, :30]).all()  # later both are at the room's temperature
+    assert (abs(temps[:, -1] - temps[:, -2]) < 0.01).all()
+
+
+EXCESS = replace(MODEL, fan=np.array([-0.1, -0.05, -0.02]), fan_input="excess")
+
+
+def in_a_room(columns, temp_ambient):
+    return {**columns, "temp_ambient": np.full(len(columns["temp_air"]), temp_ambient)}
+
+
+def test_a_fan_by_the_excess_is_the_equation_by_hand():
+    controls = np.array([[[1.0, 1.0], [0.0, 1.0]]])
+    ahead = {"temp_ambient": np.array([21.0, 20.0])}
+    past_fan = 1.0 * (20.0 - 18.0)  # of the oldest row, in a room of 18 °C
+    first = 0.8 * 22 + 0.1 * 21 + (2.0 * 1.0 + 1.0 * 0.4 + 0.5 * 0.2) + 0.1 * 21 + 0.5
+    first += -0.1 * (22 - 21) - 0.02 * past_fan
+    second = 0.8 * first + 0.1 * 22 + (1.0 * 1.0 + 0.5 * 0.4) + 0.1 * 20 + 0.5
+    second += -0.1 * (first - 20) - 0.05 * (22 - 21)
+    np.testing.assert_allclose(EXCESS.rollout(in_a_room(PAST, 18.0), controls, ahead)[0], [first, second])
+
+
+@given(st.floats(15.0, 40.0), st.integers(1, 20))
+def test_a_fan_by_the_excess_does_nothing_at_room_temperature(room, horizon):
+    still = replace(EXCESS, temp=np.array([1.0]), heater=np.zeros(3), ambient=0.0, intercept=0.0)
+    past = in_a_room(history([room] * 3, [0.0] * 3, [1.0] * 3), room)
+    controls = np.ones((1, horizon, 2))
+    temps = still.rollout(past, controls, {"temp_ambient": np.full(horizon, room)})
+    np.testing.assert_allclose(temps, room)
+
+
+@pytest.mark.parametrize("temp", [23.0, 27.0, 35.0])
+def test_the_duty_to_hold_holds(temp):
+    model = read_arx(DEFAULT_PATH)
+    duty = model.duty_to_hold(temp, 21.0, offset=0.01)
+    rows = model.rows_needed
+    past = in_a_room(history([temp] * rows, [duty] * rows, [0.0] * rows), 21.0)
+    controls = np.tile([duty, 0.0], (1, 60, 1))
+    ahead = {"temp_ambient": np.full(60, 21.0), "offset": np.full(60, 0.01)}
+    assert 0.0 < duty < 1.0
+    np.testing.assert_allclose(model.rollout(past, controls, ahead), temp, atol=1e-6)
+
+
+@pytest.mark.parametrize(("temp", "duty"), [(10.0, 0.0), (80.0, 1.0)])
+def test_the_duty_to_hold_is_a_duty(temp, duty):
+    assert read_arx(DEFAULT_PATH).duty_to_hold(temp, 21.0, 0.0) == duty
+    assert replace(MODEL, heater=np.zeros(3)).duty_to_hold(temp, 21.0, 0.0) == 0.0
 
 
 def _without(key):
@@ -143,7 +189,9 @@ def _with(key, value):
     [
         (_without("intercept"), "intercept: missing"),
         (_with("model", "lstm"), "model: not an ARX"),
-        (_with("format", 2), "format: 2 is not 1"),
+        (_with("format", 1), "format: 1 is not 2"),
+        (_with("fan_input", "off"), "fan_input: 'off' is neither"),
+        (_without("fan_input"), "fan_input: missing"),
         (_with("temp_air", []), "temp_air: not a list"),
         (_with("temp_air", [0.9, None]), "temp_air: None is not a number"),
         (_with("heater_duty", [1.0]), "fan_on: 3 coefficients, heater_duty has 1"),

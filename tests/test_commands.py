@@ -182,13 +182,13 @@ def test_what_cannot_be_drawn_is_told_in_one_line(tmp_path, monkeypatch, capsys,
 
 def test_a_fitted_model_is_written_with_where_it_comes_from(tmp_path, capsys):
     train, validate, out = run_file(tmp_path), run_file(tmp_path, "other.csv", seed=2), tmp_path / "m.json"
-    words = ["fit-arx", "--train", train, "--validate", validate, "--out", out]
+    words = ["fit-arx", "--train", train, "--validate", validate, "--fan", "on", "--out", out]
     assert main([str(word) for word in words]) == 0
     model = read_arx(out)
     assert model.temp[0] == pytest.approx(0.9, abs=1e-3)  # the box that run_file writes
     assert model.heater[0] == pytest.approx(2.0, abs=1e-3)
     facts = json.loads(out.read_text())["provenance"]
-    assert facts["command"] == "greenhouse fit-arx --step-s 60"
+    assert facts["command"] == "greenhouse fit-arx --step-s 60 --fan on"
     assert list(facts["training_sha256"]) == ["run.csv"]
     assert list(facts["validation_sha256"]) == ["other.csv"]
     assert str(tmp_path) not in out.read_text()
@@ -197,10 +197,18 @@ def test_a_fitted_model_is_written_with_where_it_comes_from(tmp_path, capsys):
 
 def test_a_fit_without_fan_is_told_in_the_provenance(tmp_path):
     train, out = run_file(tmp_path), tmp_path / "m.json"
-    words = ["--train", str(train), "--validate", str(train), "--no-fan", "--out", str(out)]
+    words = ["--train", str(train), "--validate", str(train), "--fan", "none", "--out", str(out)]
     assert main(["fit-arx", *words]) == 0
-    assert json.loads(out.read_text())["provenance"]["command"].endswith("--no-fan")
+    assert json.loads(out.read_text())["provenance"]["command"].endswith("--fan none")
     assert not read_arx(out).fan.any()
+
+
+@pytest.mark.parametrize(("words", "fan_input"), [((), "excess"), (("--no-ambient",), "on")])
+def test_the_fan_enters_by_the_excess_wherever_there_is_a_room_temperature(tmp_path, words, fan_input):
+    train, out = run_file(tmp_path), tmp_path / "m.json"
+    files = ["--train", str(train), "--validate", str(train), "--out", str(out)]
+    assert main(["fit-arx", *files, *words]) == 0
+    assert read_arx(out).fan_input == fan_input
 
 
 def test_a_model_that_cannot_be_written_is_one_line(tmp_path, capsys):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,7 +26,10 @@ def recorded(seed: int, rows: int = 200, model: Arx = TRUE, noise_k: float = 0.0
     heater = np.repeat(rng.integers(0, 21, blocks) / 20, 5)[:rows]
     fan = np.repeat(rng.integers(0, 2, blocks), 5)[:rows].astype(float)
     ambient = 20.0 + np.cumsum(rng.normal(scale=0.1, size=rows))
-    history = {"temp_air": np.full(2, ambient[0]), "heater_duty": np.zeros(2), "fan_on": np.zeros(2)}
+    begin = np.full(2, ambient[0])
+    history = {
+        "temp_air": begin, "temp_ambient": begin, "heater_duty": np.zeros(2), "fan_on": np.zeros(2)
+    }  # fmt: skip
     controls = np.stack([heater, fan], axis=-1)[None, :-1]
     temps = model.rollout(history, controls, {"temp_ambient": ambient})[0]
     temp = np.append(ambient[0], temps) + noise_k * rng.normal(size=rows)
@@ -96,9 +101,22 @@ def test_a_run_recorded_faster_is_resampled():
     assert_is_the_true_one(fit_arx([Run(fast)], [recorded(3)], 60.0, [(2, 2)]).model)
 
 
+def test_a_fan_by_the_excess_is_found_again():
+    true = replace(TRUE, fan=np.array([-0.1, -0.03]), fan_input="excess")
+    fit = fit_arx([recorded(1, model=true), recorded(2, model=true)], [recorded(3, model=true)], 60.0, [(2, 2)], "excess")
+    np.testing.assert_allclose(fit.model.fan, true.fan, atol=1e-6)
+    assert fit.model.fan_input == "excess"
+    assert fit.free_run_rmse_k < 1e-6
+
+
+def test_the_excess_needs_the_room_temperature():
+    with pytest.raises(DataError, match="needs the room temperature"):
+        fit_arx([recorded(1)], [recorded(3)], 60.0, [(2, 2)], "excess", with_ambient=False)
+
+
 def test_an_input_can_be_left_out():
     still = changed(recorded(1), "fan_on", np.ones(200))
-    fit = fit_arx([without(still, "fan_on", "temp_ambient_c")], [recorded(3)], 60.0, [(2, 2)], False, False)
+    fit = fit_arx([without(still, "fan_on", "temp_ambient_c")], [recorded(3)], 60.0, [(2, 2)], None, False)
     assert fit.model.fan.tolist() == [0.0, 0.0]
     assert fit.model.ambient == 0.0
     assert set(fit.model.validity) == {"temp_air_c", "heater_duty"}

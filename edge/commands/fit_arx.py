@@ -3,8 +3,10 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from edge.commands.output import writing
+from edge.models.arx import FanInput
 from edge.models.arx_file import write_arx
 from edge.models.fit_arx import Fit, fit_arx, provenance
 from edge.run_file import Run, read_run
@@ -19,7 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, help="model file, for control.model")
     parser.add_argument("--step-s", type=float, default=60.0, help="control step the model is made for")
     parser.add_argument(
-        "--no-fan", action="store_true", help="leave the fan out, e.g. where it never switched"
+        "--fan",
+        choices=("excess", "on", "none"),
+        help="how the fan enters: by the excess of the air over the room (as long as there is a room "
+        "temperature), as on or off (the paper's), or not at all, e.g. where it never switched",
     )
     parser.add_argument("--no-ambient", action="store_true", help="leave the room temperature out")
 
@@ -28,11 +33,12 @@ def run(arguments: argparse.Namespace) -> int:
     """0, and the scores of all orders on standard output."""
     training = [read_run(path) for path in arguments.train]
     validation = [read_run(path) for path in arguments.validate]
+    fan: FanInput | Literal["none"] = arguments.fan or ("on" if arguments.no_ambient else "excess")
     fit = fit_arx(
         training,
         validation,
         arguments.step_s,
-        with_fan=not arguments.no_fan,
+        fan_input=None if fan == "none" else fan,
         with_ambient=not arguments.no_ambient,
     )
     facts = _provenance(fit, training, validation, arguments)
@@ -56,12 +62,9 @@ def _provenance(
     fit: Fit, training: Sequence[Run], validation: Sequence[Run], arguments: argparse.Namespace
 ) -> dict[str, object]:
     """As `fit_arx.provenance`, by file names: where the files lay says nothing to others."""
-    options = "".join(
-        f" --{name.replace('_', '-')}" for name in ("no_fan", "no_ambient") if getattr(arguments, name)
-    )
-    facts = provenance(
-        fit, training, validation, f"greenhouse fit-arx --step-s {arguments.step_s:g}{options}"
-    )
+    options = f" --fan {arguments.fan}" * bool(arguments.fan) + " --no-ambient" * arguments.no_ambient
+    command = f"greenhouse fit-arx --step-s {arguments.step_s:g}{options}"
+    facts = provenance(fit, training, validation, command)
     for key in ("training_sha256", "validation_sha256"):
         facts[key] = {Path(path).name: digest for path, digest in facts[key].items()}
     return facts

@@ -4,23 +4,22 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
-from edge.models.arx import Arx
+from edge.models.arx import Arx, FanInput
 
 DEFAULT_PATH = Path(__file__).with_name("default_arx.json")
-_FORMAT = 1
-_KEYS = {"format", "model", "step_s", "temp_air", "heater_duty", "fan_on", "temp_ambient", "intercept",
-         "units", "validity", "provenance"}  # fmt: skip
+_FORMAT = 2
+_KEYS = {"format", "model", "step_s", "temp_air", "heater_duty", "fan_on", "fan_input", "temp_ambient",
+         "intercept", "units", "validity", "provenance"}  # fmt: skip
 _UNITS = {
     "step_s": "s",
     "temp_air": "K/K",
     "heater_duty": "K",
-    "fan_on": "K",
     "temp_ambient": "K/K",
     "intercept": "K",
     "validity": "as the column's key says",
@@ -36,9 +35,10 @@ def write_arx(model: Arx, path: Path, provenance: Mapping[str, Any]) -> None:
         "temp_air": model.temp.tolist(),
         "heater_duty": model.heater.tolist(),
         "fan_on": model.fan.tolist(),
+        "fan_input": model.fan_input,
         "temp_ambient": model.ambient,
         "intercept": model.intercept,
-        "units": _UNITS,
+        "units": _UNITS | {"fan_on": "K" if model.fan_input == "on" else "K/K"},
         "validity": {key: list(pair) for key, pair in model.validity.items()},
         "provenance": dict(provenance),
     }
@@ -78,7 +78,14 @@ def read_arx(path: Path = DEFAULT_PATH) -> Arx:
         step_s=step_s,
         version=hashlib.sha256(content).hexdigest()[:12],
         validity=_validity(path, document["validity"]),
+        fan_input=_fan_input(path, document["fan_input"]),
     )
+
+
+def _fan_input(path: Path, value: Any) -> FanInput:
+    if value in get_args(FanInput):
+        return cast(FanInput, value)
+    raise DataError(f'{path}: fan_input: {value!r} is neither "on" nor "excess"')
 
 
 def _number(path: Path, document: Mapping[str, Any], key: str) -> float:

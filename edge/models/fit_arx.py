@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
-from edge.models.arx import Arx
+from edge.models.arx import Arx, FanInput
 from edge.run_file import Run, resample
 
 Floats = NDArray[np.float64]
 ORDERS = tuple((p, q) for p in (1, 2, 3, 4, 6, 8, 12) for q in (1, 2, 3, 4))
 FREE_RUN_STEPS = 30
 _ROWS_PER_COEFFICIENT = 5  # fewer rows than this times the coefficients are no fit
+_ROUNDING_K = 1e-6  # errors below this are no reason to choose
 _TOLERANCE = 1.01  # the fewest coefficients within 1 % of the least free-run error are chosen
 
 
@@ -45,23 +46,31 @@ def fit_arx(
     validation: Sequence[Run],
     step_s: float,
     orders: Sequence[tuple[int, int]] = ORDERS,
-    with_fan: bool = True,
+    fan_input: FanInput | None = "on",
     with_ambient: bool = True,
 ) -> Fit:
     """The model of the orders (p, q) that forecasts the validation runs best.
 
     step_s : period of the model; runs recorded at another one are resampled
-    with_fan, with_ambient : False leaves an input out (its constant effect goes into the intercept)
-    Raises : DataError for a missing or constant column, too few rows, a period longer than `step_s`
+    fan_input : see `Arx`; None leaves the fan out (its constant effect goes into the intercept)
+    with_ambient : False leaves the room temperature out, in the same way
+    Raises : DataError for a fan by the excess without the room temperature, a missing or constant column, too
+        few rows, a period longer than `step_s`
     """
-    inputs = ["heater_duty", *(["fan_on"] if with_fan else []), *(["temp_ambient_c"] if with_ambient else [])]
+    if fan_input == "excess" and not with_ambient:
+        raise DataError("fit: the fan's excess over the room needs the room temperature as an input")
+    inputs = [
+        "heater_duty",
+        *(["fan_on"] if fan_input else []),
+        *(["temp_ambient_c"] if with_ambient else []),
+    ]
     if not training or not validation:
         raise DataError("fit: needs at least one training and one validation run")
     train = [_columns(run, step_s, inputs) for run in training]
     valid = [_columns(run, step_s, inputs) for run in validation]
     for key in inputs:
         _refuse_constant(key, train)
-    tried = [(p, q, _fit_one(train, p, q, step_s, with_fan, with_ambient)) for p, q in orders]
+    tried = [(p, q, _fit_one(train, p, q, step_s, fan_input, with_ambient)) for p, q in orders]
     fits = [(p, q, fit) for p, q, fit in tried if fit is not None]
     if not fits:
         raise DataError(
@@ -71,7 +80,7 @@ def fit_arx(
     errors = np.array([score.rmse_k for score in scores])
     if not np.isfinite(errors).any():
         raise DataError(f"fit: no stretch of {FREE_RUN_STEPS} steps without a gap in the validation runs")
-    good = [i for i, error in enumerate(errors) if error <= _TOLERANCE * np.nanmin(errors)]
+    good = [i for i, error in enumerate(errors) if error <= _TOLERANCE * np.nanmin(errors) + _ROUNDING_K]
     chosen = min(good, key=lambda i: (scores[i].p + scores[i].q, errors[i]))
     model, rows, one_step = fits[chosen][2]
     return Fit(model, rows, one_step, float(errors[chosen]), scores)
@@ -93,6 +102,7 @@ def free_run_rmse(model: Arx, runs: Sequence[Mapping[str, Floats]], steps: int =
                 "temp_air": temp[past],
                 "heater_duty": run["heater_duty"][past],
                 "fan_on": run["fan_on"][past],
+                "temp_ambient": run["temp_ambient_c"][past],
             }
             ahead = {"temp_ambient": run["temp_ambient_c"][coming]}
             forecast = model.rollout(history, controls[None], ahead)[0]
@@ -149,16 +159,21 @@ def _refuse_constant(key: str, runs: Sequence[Mapping[str, Floats]]) -> None:
 
 
 def _fit_one(
-    runs: Sequence[Mapping[str, Floats]], p: int, q: int, step_s: float, with_fan: bool, with_ambient: bool
+    runs: Sequence[Mapping[str, Floats]],
+    p: int,
+    q: int,
+    step_s: float,
+    fan_input: FanInput | None,
+    with_ambient: bool,
 ) -> tuple[Arx, int, float] | None:
     """Least squares over all runs, never across a border; the model, its rows and its one-step RMSE [K].
 
     None with too few rows for these orders.
     """
-    blocks = [_regression(run, p, q) for run in runs]
+    blocks = [_regression(run, p, q, fan_input) for run in runs]
     regressors = np.concatenate([block[0] for block in blocks])
     target = np.concatenate([block[1] for block in blocks])
-    used = np.array([True] * (p + q) + [with_fan] * q + [with_ambient, True])
+    used = np.array([True] * (p + q) + [fan_input is not None] * q + [with_ambient, True])
     whole = np.isfinite(regressors).all(axis=1) & np.isfinite(target)
     regressors, target = regressors[whole][:, used], target[whole]
     if len(target) < _ROWS_PER_COEFFICIENT * used.sum():
@@ -176,12 +191,15 @@ def _fit_one(
         ambient=float(coefficients[-2]),
         intercept=float(coefficients[-1]),
         step_s=step_s,
-        validity=_validity(runs, with_fan, with_ambient),
+        validity=_validity(runs, fan_input is not None, with_ambient),
+        fan_input=fan_input or "on",
     )
     return model, len(target), float(np.sqrt((residual**2).mean()))
 
 
-def _regression(run: Mapping[str, Floats], p: int, q: int) -> tuple[Floats, Floats]:
+def _regression(
+    run: Mapping[str, Floats], p: int, q: int, fan_input: FanInput | None
+) -> tuple[Floats, Floats]:
     """Regressors [rows, p + 2 q + 2] and the next air temperature [rows] of one run."""
     temp = run["temp_air_c"]
     first, rows = max(p, q) - 1, len(temp) - 1
@@ -191,7 +209,10 @@ def _regression(run: Mapping[str, Floats], p: int, q: int) -> tuple[Floats, Floa
     def lags(values: Floats, count: int) -> list[Floats]:
         return [values[first - lag : rows - lag] for lag in range(count)]
 
-    columns = [*lags(temp, p), *lags(run["heater_duty"], q), *lags(run["fan_on"], q)]
+    fan = run["fan_on"]
+    if fan_input == "excess":
+        fan = fan * (temp - run["temp_ambient_c"])
+    columns = [*lags(temp, p), *lags(run["heater_duty"], q), *lags(fan, q)]
     columns += [run["temp_ambient_c"][first:rows], np.ones(rows - first)]
     return np.stack(columns, axis=1), temp[first + 1 :]
 
