@@ -41,7 +41,7 @@ from edge.tick_json import echo_json, tick_json
 from edge.watering import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
-REFERENCE_STEPS = 60  # how far ahead controllers may see the reference [steps]
+REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
 START_WAIT_S = 5.0  # for the board, before the first tick
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick

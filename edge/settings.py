@@ -82,6 +82,9 @@ class ControlSettings(Section):
     controller: str = text("MPC", "controller at the first start", CONTROLLERS)
     fallback: str = text("rules", "controller used when the chosen one fails", CONTROLLERS)
     horizon: int = whole(10, "steps an MPC looks ahead", 1, 60)
+    tail: int = whole(
+        10, "steps after the horizon that MPC and MPC-P count too, fan still, heater as it would hold", 0, 60
+    )
     node_budget: int = whole(
         20_000, "nodes an MPC may search; the same log gives the same decisions", 1, 10_000_000
     )

@@ -28,17 +28,18 @@ def true_optimum(problem: Problem) -> float:
 
 @st.composite
 def problems(draw: st.DrawFn, horizons: st.SearchStrategy[int], levels: st.SearchStrategy[int]) -> Problem:
-    """Problems of every kind: responses of any sign and shape, relay rules, penalties, a soft limit."""
-    n = draw(horizons)
+    """Problems of every kind: responses of any sign and shape, tails, relay rules, penalties."""
+    n, tail = draw(horizons), draw(st.sampled_from((0, 0, 1, 7)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    decay = rng.uniform(-0.5, 1.05, size=2)[:, None] ** np.arange(n)
-    heater, fan = rng.normal(size=2)[:, None] * 5.0 * decay + rng.normal(scale=0.5, size=(2, n))
+    decay = rng.uniform(-0.5, 1.05, size=2)[:, None] ** np.arange(n + tail)
+    heater, fan = rng.normal(size=2)[:, None] * 5.0 * decay + rng.normal(scale=0.5, size=(2, n + tail))
     weights = (0.0, 1.0, 0.1)
     return Problem(
-        free=rng.uniform(15.0, 30.0) + rng.normal(scale=draw(st.sampled_from((0.1, 3.0))), size=n),
+        free=rng.uniform(15.0, 30.0) + rng.normal(scale=draw(st.sampled_from((0.1, 3.0))), size=n + tail),
         heater=heater,
         fan=fan,
-        reference=rng.uniform(18.0, 34.0) + draw(st.sampled_from((0.0, 2.0))) * rng.normal(size=n),
+        reference=rng.uniform(18.0, 34.0) + draw(st.sampled_from((0.0, 2.0))) * rng.normal(size=n + tail),
+        tail=tail,
         heater_weight=draw(st.sampled_from(weights)),
         fan_weight=draw(st.sampled_from(weights)),
         heater_levels=draw(levels),

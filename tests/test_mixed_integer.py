@@ -94,7 +94,7 @@ def test_a_tangent_taken_anywhere_bounds_every_plan(problem, seed):
     rules = problem.fan_rules
     for temps in (
         relaxed_temperatures(problem),
-        problem.reference + rng.normal(scale=5.0, size=problem.horizon),
+        problem.reference + rng.normal(scale=5.0, size=len(problem.free)),
     ):
         bound = tangent(problem, temps)
         start = bound.constant[0, int(rules.on), rules.hold] + bound.slope @ problem.free
@@ -117,7 +117,7 @@ def test_what_dominance_drops_is_never_needed(problem, seed):
     rng = np.random.default_rng(seed)
     rules, count = problem.fan_rules, 30
     spread = rng.choice([0.01, 0.1, 1.0])
-    free = problem.free + rng.normal(scale=spread, size=(count, problem.horizon))
+    free = problem.free + rng.normal(scale=spread, size=(count, len(problem.free)))
     cost = rng.uniform(0.0, rng.choice([0.2, 2.0, 20.0]), size=count)
     fan, hold = rng.integers(0, 2, size=count), rng.integers(0, rules.holds, size=count)
     least = np.array([

@@ -12,7 +12,7 @@ from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, Problem
 from edge.controllers.mixed_integer.solver import Solution, solve
 from edge.errors import DataError
 from edge.messages import Command, Decision
-from edge.models.base import Predictor
+from edge.models.arx import Arx
 from edge.names import HEATER_LEVELS
 
 _LIMIT_WEIGHT = 1000.0  # 1 K above the soft limit costs as much as 10 K off the reference
@@ -32,6 +32,7 @@ class MpcSettings:
     node_budget: int
     time_box_s: float
     preview: bool = False
+    tail: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +45,7 @@ class _Previous:
 class Mpc:
     """`MPC` and `MPC-P`."""
 
-    def __init__(self, name: str, model: Predictor, settings: MpcSettings) -> None:
+    def __init__(self, name: str, model: Arx, settings: MpcSettings) -> None:
         self.name = name
         self._model = model
         self._settings = settings
@@ -62,7 +63,9 @@ class Mpc:
         """
         begun = time.perf_counter()
         settings = self._settings
-        problem = planning_problem(context, self._model, settings.weight, settings.horizon, settings.preview)
+        problem = planning_problem(
+            context, self._model, settings.weight, settings.horizon, settings.preview, settings.tail
+        )
         warm = _shifted(self._previous, context)
         solution = solve(problem, settings.node_budget, settings.time_box_s, node_limit, warm)
         plan = solution.plan
@@ -81,32 +84,42 @@ class Mpc:
 
 
 def planning_problem(
-    context: Context, model: Predictor, weight: float, horizon: int, preview: bool
+    context: Context, model: Arx, weight: float, horizon: int, preview: bool, tail: int = 0
 ) -> Problem:
     """The context as a planning problem.
 
-    The inputs enter the forecast linearly, so three rollouts tell all of it: nothing on, one step of full
-    heat, one step of fan. A history shorter than the model needs is taken as if its oldest row had lasted.
+    tail : steps after the horizon that count too, at the duty that would hold the reference and with the fan
+        still: a plan is judged by what it leaves behind (a terminal cost; Mayne et al., Automatica 36, 2000)
+
+    The inputs enter the forecast linearly at a known temperature, so three rollouts tell all of it: nothing
+    on, one step of full heat, one step of fan. A fan that enters by the excess over the room is taken at one
+    excess for the whole horizon, halfway to the reference where the air is above it: weaker later than now,
+    it would always be worth to wait with it. A history shorter than the model needs is taken as if its
+    oldest row had lasted.
     """
-    controls = np.zeros((3, horizon, 2))
+    steps, estimate, limits = horizon + tail, context.estimate, context.limits
+    reference = context.reference[:steps] if preview else np.full(steps, context.reference[0])
+    if len(reference) < steps:
+        raise DataError(f"reference: {len(reference)} steps, horizon and tail have {steps}")
+    controls = np.zeros((3, steps, 2))
+    held = model.duty_to_hold(float(reference[-1]), estimate.temp_ambient, estimate.offset)
+    controls[:, horizon:, 0] = min(held, limits.heater_max_duty)
     controls[1, 0, 0] = 1.0
     controls[2, 0, 1] = 1.0
-    estimate, limits = context.estimate, context.limits
     ahead = {
-        "temp_ambient": np.full(horizon, estimate.temp_ambient),
-        "offset": np.full(horizon, estimate.offset),
+        "temp_ambient": np.full(steps, estimate.temp_ambient),
+        "offset": np.full(steps, estimate.offset),
     }
     free, heated, fanned = model.rollout(_padded(context.history, model.rows_needed), controls, ahead)
-    reference = context.reference[:horizon] if preview else np.full(horizon, context.reference[0])
-    if len(reference) < horizon:
-        raise DataError(f"reference: {len(reference)} steps, the horizon has {horizon}")
-    heater, fan = heated - free, fanned - free
+    heater = heated - free
+    fan = _fan_strength(context, model, float(reference[0])) * (fanned - free)
     hottest = (free + np.cumsum(np.maximum(heater, 0.0))).max()
     return Problem(
         free=free,
         heater=heater,
         fan=fan,
         reference=reference,
+        tail=tail,
         heater_weight=weight,
         fan_weight=weight,
         heater_levels=levels_allowed(limits.heater_max_duty),
@@ -119,6 +132,15 @@ def planning_problem(
         temp_max=limits.temp_air_max_c,
         limit_weight=0.0 if hottest <= limits.temp_air_max_c else _LIMIT_WEIGHT,
     )
+
+
+def _fan_strength(context: Context, model: Arx, reference: float) -> float:
+    """How strong the fan is over the horizon beside what it does now."""
+    now = float(context.history["temp_air"][-1]) - context.estimate.temp_ambient
+    wanted = max(reference - context.estimate.temp_ambient, 0.0)
+    if model.fan_input == "on" or not now > wanted:
+        return 1.0
+    return 0.5 * (now + wanted) / now
 
 
 def cost_split(problem: Problem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
@@ -138,7 +160,12 @@ def _padded(history: Columns, rows: int) -> Columns:
     missing = rows - len(history["temp_air"])
     if missing <= 0:
         return history
-    before = {"temp_air": history["temp_air"][0], "heater_duty": 0.0, "fan_on": 0.0}
+    before = {
+        "temp_air": history["temp_air"][0],
+        "temp_ambient": history["temp_ambient"][0],
+        "heater_duty": 0.0,
+        "fan_on": 0.0,
+    }
     return {key: np.concatenate([np.full(missing, value), history[key]]) for key, value in before.items()}
 
 

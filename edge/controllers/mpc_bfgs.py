@@ -9,7 +9,7 @@ from edge.controllers.base import Context, Floats
 from edge.controllers.mixed_integer.problem import Ints, Problem
 from edge.controllers.mpc import cost_split, planning_problem
 from edge.messages import Command, Decision
-from edge.models.base import Predictor
+from edge.models.arx import Arx
 from edge.names import HEATER_LEVELS
 
 _ITERATIONS = 200
@@ -18,7 +18,7 @@ _ITERATIONS = 200
 class MpcBfgs:
     """`MPC-BFGS` and `MPC-BFGS-P`. The plan knows no limits; its first step is made to keep them."""
 
-    def __init__(self, name: str, model: Predictor, weight: float, horizon: int) -> None:
+    def __init__(self, name: str, model: Arx, weight: float, horizon: int) -> None:
         self.name = name
         self._model = model
         self._weight = weight

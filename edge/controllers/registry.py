@@ -5,6 +5,7 @@ from edge.controllers.base import Controller
 from edge.controllers.mpc import Mpc, MpcSettings
 from edge.controllers.rules import Rules
 from edge.errors import RequestError
+from edge.models.arx import Arx
 from edge.models.base import Predictor
 from edge.settings import CONTROLLERS, ControlSettings
 
@@ -15,12 +16,19 @@ def make(name: str, settings: ControlSettings, model: Predictor) -> Controller:
         raise RequestError(f"controller: there is no {name!r}; {nearest(name, CONTROLLERS)}")
     if name == "rules":
         return Rules()
+    if not isinstance(model, Arx):
+        raise RequestError(f"{name}: plans with an ARX model, not with {model.name} {model.version}")
     weight = 1.0 if name.endswith("-P") else 0.0
     if name.startswith("MPC-BFGS"):
         from edge.controllers.mpc_bfgs import MpcBfgs  # late: the daemon rarely needs it
 
         return MpcBfgs(name, model, weight, settings.horizon)
     mpc = MpcSettings(
-        weight, settings.horizon, settings.node_budget, 1e-3 * settings.time_box_ms, settings.preview
+        weight=weight,
+        horizon=settings.horizon,
+        node_budget=settings.node_budget,
+        time_box_s=1e-3 * settings.time_box_ms,
+        preview=settings.preview,
+        tail=settings.tail,
     )
     return Mpc(name, model, mpc)

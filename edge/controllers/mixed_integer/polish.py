@@ -51,5 +51,5 @@ def _greedy_heater(problem: Problem, fan: Ints) -> Ints:
     for k in range(n):
         cost = problem.tracking(temps[:, k, None] + duty * problem.heater[0], k)
         chosen[:, k] = np.argmin(cost + problem.heater_weight * duty**2, axis=1)
-        temps[:, k:] += duty[chosen[:, k], None] * problem.heater[: n - k]
+        temps[:, k:] += duty[chosen[:, k], None] * problem.heater[: temps.shape[1] - k]
     return chosen

@@ -45,11 +45,14 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """T = free + H u_h + F u_f, H and F lower triangular Toeplitz; N steps.
+    """T = free + H u_h + F u_f, H and F lower triangular Toeplitz; N steps to plan, then M of tail.
 
-    free : air temperatures with every input 0, shape [N] [°C]
-    heater, fan : response of the air temperature to one step of heater duty 1 / fan on, shape [N] [K]
-    reference : shape [N] [°C]
+    The tail is a terminal cost: steps after the plan whose inputs are settled beforehand and stand in `free`.
+
+    free : air temperatures with every planned input 0, shape [N + M] [°C]
+    heater, fan : response of the air temperature to one step of heater duty 1 / fan on, shape [N + M] [K]
+    reference : shape [N + M] [°C]
+    tail : M
     heater_weight, fan_weight : w_h, w_f; the tracking weight is 10
     heater_levels : highest heater duty allowed, in steps of 1/20
     temp_max, limit_weight : air temperatures above temp_max cost limit_weight (T - temp_max)^2 more
@@ -59,6 +62,7 @@ class Problem:
     heater: Floats
     fan: Floats
     reference: Floats
+    tail: int = 0
     heater_weight: float = 0.0
     fan_weight: float = 0.0
     heater_levels: int = HEATER_LEVELS
@@ -75,10 +79,10 @@ class Problem:
     @property
     def horizon(self) -> int:
         """N."""
-        return len(self.free)
+        return len(self.free) - self.tail
 
     def temperatures(self, levels: Ints, fan: Ints) -> Floats:
-        """Air temperature after each step of plans [..., N] [°C]."""
+        """Air temperature after each step of plans [..., N], the tail's too: [..., N + M] [°C]."""
         n = self.horizon
         heated: Floats = (levels / HEATER_LEVELS) @ lower_toeplitz(self.heater, n).T
         return self.free + heated + fan @ lower_toeplitz(self.fan, n).T
@@ -91,7 +95,7 @@ class Problem:
         return cost
 
     def tracking_slope(self, temps: Floats) -> Floats:
-        """Derivative of `tracking` with respect to each air temperature [N]."""
+        """Derivative of `tracking` with respect to each air temperature [N + M]."""
         slope: Floats = 2.0 * TRACKING_WEIGHT * (temps - self.reference)
         if self.limit_weight:
             slope = slope + 2.0 * self.limit_weight * np.maximum(temps - self.temp_max, 0.0)
@@ -105,7 +109,7 @@ class Problem:
     def cost(self, levels: Ints, fan: Ints) -> Floats:
         """Total cost of plans [..., N]."""
         tracking = self.tracking(self.temperatures(levels, fan))
-        return np.asarray((tracking + self.effort(levels, fan)).sum(axis=-1))
+        return np.asarray(tracking.sum(axis=-1) + self.effort(levels, fan).sum(axis=-1))
 
     def allows(self, levels: Ints, fan: Ints) -> NDArray[np.bool_]:
         """Which plans [..., N] keep the heater's bounds and the relay's rules."""
@@ -121,6 +125,6 @@ class Problem:
 
 
 def lower_toeplitz(response: Floats, n: int) -> Floats:
-    """[n, n], entry [k, j] = response[k - j] where k >= j, else 0."""
-    lag = np.arange(n)[:, None] - np.arange(n)[None, :]
+    """[len(response), n], entry [k, j] = response[k - j] where k >= j, else 0."""
+    lag = np.arange(len(response))[:, None] - np.arange(n)[None, :]
     return np.where(lag >= 0, response[np.maximum(lag, 0)], 0.0)

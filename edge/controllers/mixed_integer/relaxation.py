@@ -15,10 +15,10 @@ _SIDES = np.array([[1.0], [-1.0]])  # how the distances to the lower and to the 
 
 
 def relaxed_temperatures(problem: Problem) -> Floats:
-    """Air temperatures [N] of inputs in their box that nearly minimise the relaxed cost [°C].
+    """Air temperatures [N + M] of inputs in their box that nearly minimise the relaxed cost [°C].
 
     Mehrotra's primal-dual interior point (Nocedal and Wright, Numerical Optimization, ch. 16.6). The Newton
-    system in the inputs is diagonal plus rank N, so only an N x N matrix is inverted.
+    system in the inputs is diagonal plus rank N + M, so only a matrix of N + M rows is inverted.
     """
     n = problem.horizon
     response = np.hstack([lower_toeplitz(problem.heater, n), lower_toeplitz(problem.fan, n)])
@@ -42,7 +42,7 @@ def relaxed_temperatures(problem: Problem) -> Floats:
         scaled = response / diagonal
         system = scaled @ response.T
         weight = TRACKING_WEIGHT + problem.limit_weight * (temps > problem.temp_max)
-        system[np.diag_indices(n)] += 0.5 / weight
+        system[np.diag_indices(len(system))] += 0.5 / weight
         inverse = np.linalg.inv(system)
         target = np.zeros_like(dual)
         for _ in range(2):  # first straight to the optimum, then corrected towards the central path

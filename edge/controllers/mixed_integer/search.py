@@ -27,7 +27,7 @@ class Level:
 
     cost : of the steps taken, [M]
     bound : certified, on the cost of every completion, [M]
-    free : air temperatures of the steps to come with every further input 0, [M, N - k] [°C]
+    free : air temperatures of the steps to come, and of the tail, with every further input 0 [°C]
     fan, hold : the relay's state and the steps it must still hold, [M]
     """
 
@@ -103,7 +103,10 @@ def search(
         trace.append((parent, choice))
         if not len(level.cost):
             return Found(None, dropped, nodes)
-    return Found(_trace_back(options, trace, level.cost), dropped, nodes)
+    total = level.cost + problem.tracking(level.free, slice(problem.horizon, None)).sum(axis=1)
+    if not total.min() < best - margin:
+        return Found(None, dropped, nodes)
+    return Found(_trace_back(options, trace, total), dropped, nodes)
 
 
 def rounding_margin(cost: float) -> float:
@@ -123,7 +126,7 @@ def _children(
     problem: Problem, bounds: Tangent, options: Options, level: Level, k: int
 ) -> tuple[Floats, Floats, Ints]:
     """Cost, bound (infinite where the relay forbids it) and hold of every child, [M, options]."""
-    left = problem.horizon - k
+    left = len(problem.free) - k
     slope = bounds.slope[k + 1 :]
     cost = level.cost[:, None] + options.effort
     cost += problem.tracking(level.free[:, :1] + options.push, k)

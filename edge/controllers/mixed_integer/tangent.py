@@ -2,7 +2,7 @@
 
 Tracking cost is convex, so with its slopes s_m at any temperatures t_m
 
-    cost of steps k..N-1 >= sum_m [tracking(t_m) + s_m (T_m - t_m)] + effort,
+    cost of steps k..N+M-1 >= sum_m [tracking(t_m) + s_m (T_m - t_m)] + effort,
 
 and the right side is linear in the inputs: its minimum over the discrete inputs splits into one small
 minimum per step. Every choice of t gives a true bound, whatever it was computed from; taken at the
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 class Tangent:
     """Cost to go from step k >= constant[k, fan, hold] + slope[k:] @ (free response from step k on).
 
-    slope : [N] [1/K]
+    slope : [N + M] [1/K]
     constant : [N + 1, 2, H], by the fan's state before step k and the steps its relay must still hold
     """
 
@@ -33,23 +33,24 @@ class Tangent:
 
 
 def tangent(problem: Problem, temps: Floats) -> Tangent:
-    """The bound from the tangent at `temps` [N] [°C]."""
+    """The bound from the tangent at `temps` [N + M] [°C]."""
     slope = problem.tracking_slope(temps)
     n = problem.horizon
     heater = slope @ lower_toeplitz(problem.heater, n)  # what duty 1 at step k adds to all later steps
     fan = slope @ lower_toeplitz(problem.fan, n)
     duty = np.arange(problem.heater_levels + 1) / HEATER_LEVELS
     heater_least = (problem.heater_weight * duty**2 + heater[:, None] * duty).min(axis=1)
-    intercept = problem.tracking(temps) - slope * temps + heater_least
+    intercept = problem.tracking(temps) - slope * temps
+    intercept[:n] += heater_least
     return Tangent(slope, _constants(problem, intercept, problem.fan_weight + fan))
 
 
 def _constants(problem: Problem, intercept: Floats, fan_cost: Floats) -> Floats:
     """Sum of `intercept` from each step on, plus the cheapest fan plan the relay allows, by recursion."""
     n, rules = problem.horizon, problem.fan_rules
-    constant = np.zeros((n + 1, 2, rules.holds))
+    constant = np.full((n + 1, 2, rules.holds), intercept[n:].sum())
     if rules.holds == 1:
-        constant[:n] = np.cumsum((intercept + np.minimum(fan_cost, 0.0))[::-1])[::-1, None, None]
+        constant[:n] += np.cumsum((intercept[:n] + np.minimum(fan_cost, 0.0))[::-1])[::-1, None, None]
         return constant
     shorter = np.maximum(np.arange(rules.holds) - 1, 0)
     for k in range(n - 1, -1, -1):
