@@ -1,0 +1,172 @@
+"""The twin: geometry, base balance and named effects, stepped exactly for inputs constant over each step.
+
+With no effects it is the paper's PBM (eq. pbm): dT/dt = H/(rho V C_p) - F (T - T_amb)/V.
+"""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from edge.errors import DataError
+from edge.twin.discretisation import Transition, discretise
+from edge.twin.effects import Effects, build
+from edge.twin.geometry import Geometry
+from edge.twin.network import LinearSystem
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What the twin's state is found by; it does not enter a prediction from a known state.
+
+    sensor_k : sd of one measured temperature [K]
+    heat_w : sd of the heat into the air that the twin does not know, constant over a step [W]
+    """
+
+    sensor_k: float = 0.1
+    heat_w: float = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twin:
+    """Physics of the box at one step length; immutable, so what depends on the fan alone is computed once.
+
+    effects : parameters by effect, as in `edge.twin.effects.EFFECTS`
+    step_s : length of a step [s]
+    Errors : DataError naming the key, `effects.wall_loss.UA: ...`
+    """
+
+    geometry: Geometry = field(default_factory=Geometry)
+    effects: Effects = field(default_factory=dict)
+    step_s: float = 60.0
+    noise: Noise = field(default_factory=Noise)
+    system: LinearSystem = field(init=False)
+    off_on: Transition = field(init=False)  # the step with the fan off and on, K = 2
+
+    def __post_init__(self) -> None:
+        if not (self.step_s > 0.0 and np.isfinite(self.step_s)):
+            raise DataError(f"sample_s: {self.step_s:g} is not a finite number above 0")
+        system = build(self.geometry, self.effects).system()
+        object.__setattr__(self, "system", system)  # frozen for all but its own making
+        object.__setattr__(self, "off_on", discretise(system, np.array([0.0, 1.0]), self.step_s))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names, the air first."""
+        return self.system.states
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all that a prediction depends on; not of where it comes from."""
+        content = {
+            "geometry": asdict(self.geometry),
+            "effects": {name: dict(values) for name, values in self.effects.items()},
+            "sample_s": self.step_s,
+            "noise": asdict(self.noise),
+        }
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), default=float)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def transitions(self, fan: Floats) -> tuple[Transition, Indices]:
+        """Steps for the fan speeds that occur, and which of them belongs to each element of `fan`."""
+        if ((fan == 0.0) | (fan == 1.0)).all():
+            return self.off_on, fan.astype(np.intp)
+        speeds, index = np.unique(fan, return_inverse=True)
+        return discretise(self.system, speeds, self.step_s), index.reshape(fan.shape)
+
+    def step(
+        self, temp: ArrayLike, ambient: ArrayLike, duty: ArrayLike, fan: ArrayLike, source: ArrayLike = 0.0
+    ) -> Floats:
+        """Air temperature one step later, for a twin whose only state it is; scalars or arrays of one shape.
+
+        temp, ambient : [°C]; duty, fan : 0..1
+        source : corrective source term r of CoSTA (paper, eq. method-hybrid-model), added to dT/dt [K/s]
+        Errors : DataError for a twin with hidden states, which one temperature doesn't tell: see `advance`
+        """
+        if len(self.states) > 1:
+            raise DataError(f"twin: {', '.join(self.states[1:])} can't be known from a temperature alone")
+        return self.advance(np.asarray(temp, dtype=np.float64)[..., None], ambient, duty, fan, source)[..., 0]
+
+    def advance(
+        self, state: Floats, ambient: ArrayLike, duty: ArrayLike, fan: ArrayLike, source: ArrayLike = 0.0
+    ) -> Floats:
+        """The state one step later.
+
+        state : [..., n], in the order of `states`; the others : scalars or of the shape [...], as in `step`
+        Returns : [..., n]
+        """
+        inputs = (np.shape(item) for item in (ambient, duty, fan, source))
+        shape = np.broadcast_shapes(state.shape[:-1], *inputs)
+        fans = np.broadcast_to(np.asarray(fan, dtype=np.float64), shape)
+        transition, index = self.transitions(fans)
+        driven = _driven(transition, index, ambient, duty, source)
+        driven += np.einsum("...ij,...j->...i", transition.state[index], state)
+        return driven
+
+    def rollout(
+        self,
+        start: Floats,
+        duty: Floats,
+        fan: Floats,
+        ambient: ArrayLike,
+        source: ArrayLike = 0.0,
+        offset: Floats | None = None,
+    ) -> Floats:
+        """Air temperature after each of N steps.
+
+        start : [n] or [B, n]; duty, fan : [B, N]; ambient, source : scalar, [N] or [B, N]
+        offset : [N], added to the air temperature after each step, and carried on from there [K]
+        Returns : [B, N] [°C]
+        """
+        in_time = np.ascontiguousarray(fan.T)
+        transition, index = self.transitions(in_time)
+        driven = _driven(transition, index, _in_time(ambient), _in_time(duty), _in_time(source))
+        if offset is not None:
+            driven[:, :, 0] += offset[:, None]
+        states = np.broadcast_to(start, (fan.shape[0], len(self.states)))
+        if len(self.states) == 1:
+            return _one_state(states[:, 0], transition.state[:, 0, 0][index], driven[:, :, 0])
+        return _many_states(states, transition.state, index, driven)
+
+
+def _driven(
+    transition: Transition, index: Indices, ambient: ArrayLike, duty: ArrayLike, source: ArrayLike
+) -> Floats:
+    """What the inputs add over the step, shape of `index` + [n]."""
+    gains = transition.drive
+    total: Floats = gains[index, :, 0] * np.asarray(duty)[..., None]
+    total += gains[index, :, 1] * np.asarray(ambient)[..., None]
+    if np.any(source):
+        total += gains[index, :, 2] * np.asarray(source)[..., None]
+    return total
+
+
+def _in_time(values: ArrayLike) -> Floats:
+    """[B, N] or [N] or scalar as something that goes with [N, B]."""
+    array = np.asarray(values, dtype=np.float64)
+    return array[:, None] if array.ndim == 1 else array.T
+
+
+def _one_state(start: Floats, decay: Floats, driven: Floats) -> Floats:
+    """start : [B]; decay, driven : [N, B]. Returns : [B, N]"""
+    temps = np.empty_like(decay)
+    temp = start
+    for k in range(len(decay)):
+        np.multiply(decay[k], temp, out=temps[k])
+        temps[k] += driven[k]
+        temp = temps[k]
+    return temps.T
+
+
+def _many_states(states: Floats, matrices: Floats, index: Indices, driven: Floats) -> Floats:
+    """states : [B, n]; matrices : [K, n, n]; index : [N, B]; driven : [N, B, n]. Returns : [B, N]"""
+    temps = np.empty(index.shape)
+    for k in range(len(index)):
+        states = np.einsum("bij,bj->bi", matrices[index[k]], states) + driven[k]
+        temps[k] = states[:, 0]
+    return temps.T

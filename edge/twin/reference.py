@@ -1,0 +1,41 @@
+"""The paper's way to solve the same equations: SciPy's RK45 over each step. Slow; to compare with."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.model import Twin
+
+Floats = NDArray[np.float64]
+SCIPY_RTOL, SCIPY_ATOL = 1e-3, 1e-6  # scipy's defaults, which the paper's text leaves as they are
+
+
+def rk45_rollout(
+    twin: Twin,
+    start: Floats,
+    duty: Floats,
+    fan: Floats,
+    ambient: Floats,
+    source: float = 0.0,
+    rtol: float = SCIPY_RTOL,
+    atol: float = SCIPY_ATOL,
+) -> Floats:
+    """States after each step, integrated step by step because the inputs jump between steps.
+
+    start : [n]; duty, fan, ambient : [N]
+    Returns : [N, n]
+    """
+    from scipy.integrate import solve_ivp
+
+    system = twin.system
+    states = np.empty((len(duty), len(start)))
+    state = start
+    for k in range(len(duty)):
+        rates = system.rates + fan[k] * system.fan_rates
+        driven = (system.drive + fan[k] * system.fan_drive) @ np.array([duty[k], ambient[k], source])
+
+        def slope(_: float, x: Floats, rates: Floats = rates, driven: Floats = driven) -> Floats:
+            return rates @ x + driven
+
+        solution = solve_ivp(slope, (0.0, twin.step_s), state, method="RK45", rtol=rtol, atol=atol)
+        state = states[k] = solution.y[:, -1]
+    return states

@@ -1,0 +1,162 @@
+"""The twin file: YAML that says what the box is, which effects are known, and how well."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from edge.config_schema import nearest
+from edge.errors import DataError
+from edge.strict_yaml import parse_yaml
+from edge.twin.effects import EFFECTS, check_names
+from edge.twin.geometry import Geometry
+from edge.twin.model import Noise, Twin
+from edge.twin.value import Value, number, read_value
+
+Place = tuple[str, ...]  # ("effects", "wall_loss", "UA") or ("geometry", "heater_max_w")
+SECTIONS = ("geometry", "sample_s", "effects", "sensor", "nuisance", "provenance")
+SENSOR = ("quantisation_k", "noise_sd_k")
+NUISANCE = ("heater_power_run_sd", "heat_noise_sd_w")
+_SAMPLE_S = 60.0
+_PAPER = {item.name: float(item.default) for item in fields(Geometry)}  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True)
+class TwinFile:
+    """What a twin file says; a key of `geometry` that it leaves out is the paper's.
+
+    sensor, nuisance : null or absent where not known
+    provenance : where the values come from, any mapping
+    """
+
+    geometry: Mapping[str, Value] = field(default_factory=lambda: _geometry({}))
+    sample_s: float = _SAMPLE_S
+    effects: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
+    sensor: Mapping[str, float | None] = field(default_factory=dict)
+    nuisance: Mapping[str, float | None] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def twin(self) -> Twin:
+        """The twin, with its start for a value that is to be fitted. Errors: DataError naming the key."""
+        usual = Noise()
+        return Twin(
+            Geometry(**{name: value.value for name, value in self.geometry.items()}),
+            {effect: {name: v.value for name, v in own.items()} for effect, own in self.effects.items()},
+            self.sample_s,
+            Noise(
+                usual.sensor_k if (sd := self.sensor.get("noise_sd_k")) is None else sd,
+                usual.heat_w if (sd := self.nuisance.get("heat_noise_sd_w")) is None else sd,
+            ),
+        )
+
+    def values(self) -> dict[Place, Value]:
+        """Every value by its place, geometry first."""
+        found: dict[Place, Value] = {("geometry", name): value for name, value in self.geometry.items()}
+        for effect, own in self.effects.items():
+            found |= {("effects", effect, name): value for name, value in own.items()}
+        return found
+
+    def to_fit(self) -> list[Place]:
+        """Places of the values that are still to be fitted."""
+        return [place for place, value in self.values().items() if value.fit]
+
+    def with_values(self, changed: Mapping[Place, Value]) -> "TwinFile":
+        """The same file with other values at some places."""
+        values = self.values() | dict(changed)
+        return replace(
+            self,
+            geometry={name: values["geometry", name] for name in self.geometry},
+            effects={
+                effect: {name: values["effects", effect, name] for name in own}
+                for effect, own in self.effects.items()
+            },
+        )
+
+
+def read_twin_file(path: Path) -> TwinFile:
+    """Read `path`. Errors: DataError naming the file and the key, also for a file that can't be read."""
+    try:
+        document = parse_yaml(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+    except yaml.YAMLError as error:
+        raise DataError(f"{path}: not YAML: {error}") from error
+    try:
+        file = _twin_file(document)
+        file.twin()  # values that no twin can have are refused now
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+    return file
+
+
+def write_twin_file(file: TwinFile, path: Path) -> None:
+    """Write a file that `read_twin_file` reads back to the same. Errors: OSError."""
+    document = {
+        "geometry": {name: value.document() for name, value in file.geometry.items()},
+        "sample_s": file.sample_s,
+        "effects": {
+            effect: {name: value.document() for name, value in own.items()}
+            for effect, own in file.effects.items()
+        },
+        "sensor": dict(file.sensor),
+        "nuisance": dict(file.nuisance),
+        "provenance": dict(file.provenance),
+    }
+    # Flow style for the innermost mappings alone: `UA: {value: 5.1, low: 4.8, high: 5.4}`.
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def _twin_file(document: Any) -> TwinFile:
+    sections = _mapping("the file", document, SECTIONS)
+    sample_s = number("sample_s", sections.get("sample_s", _SAMPLE_S))
+    return TwinFile(
+        geometry=_geometry(_mapping("geometry", sections.get("geometry"), _PAPER)),
+        sample_s=sample_s,
+        effects=_effects(sections.get("effects")),
+        sensor=_spreads("sensor", sections.get("sensor"), SENSOR),
+        nuisance=_spreads("nuisance", sections.get("nuisance"), NUISANCE),
+        provenance=_mapping("provenance", sections.get("provenance")),
+    )
+
+
+def _geometry(given: Mapping[str, Any]) -> dict[str, Value]:
+    return {
+        name: read_value(f"geometry.{name}", given.get(name, usual), usual) for name, usual in _PAPER.items()
+    }
+
+
+def _effects(document: Any) -> dict[str, dict[str, Value]]:
+    effects = {}
+    for name, own in _mapping("effects", document).items():
+        parameters = _mapping(f"effects.{name}", own)
+        check_names(name, parameters)
+        effects[name] = {
+            item.name: read_value(f"effects.{name}.{item.name}", parameters[item.name], item.start)
+            for item in EFFECTS[name].parameters
+        }
+    return effects
+
+
+def _spreads(place: str, document: Any, known: tuple[str, ...]) -> dict[str, float | None]:
+    """Standard deviations and steps: null, or 0 or more."""
+    found: dict[str, float | None] = {}
+    for key, item in _mapping(place, document, known).items():
+        found[key] = None if item is None else number(f"{place}.{key}", item)
+        if (value := found[key]) is not None and value < 0.0:
+            raise DataError(f"{place}.{key}: {value:g} is below 0")
+    return found
+
+
+def _mapping(place: str, document: Any, known: Any = None) -> dict[str, Any]:
+    """A mapping with no key but the known ones; null is empty."""
+    if document is None:
+        return {}
+    if not isinstance(document, dict):
+        raise DataError(f"{place}: must be a mapping, not {document!r}")
+    for key in document:
+        if known is not None and key not in known:
+            raise DataError(f"{place}: unknown key {key!r}; {nearest(str(key), known)}")
+    return document

@@ -1,0 +1,91 @@
+"""The twin's state from the past: what the air temperature and the inputs tell of walls and element."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.twin.model import Twin
+from edge.twin.network import HEATER
+
+Floats = NDArray[np.float64]
+NODE_SPREAD_K = 3.0  # sd of a body's temperature about rest, before anything is known
+HEATER_SPREAD = 0.3  # of the same for the heater's heat, share of its power
+
+
+class Past(NamedTuple):
+    """Columns of M rows, oldest first; the last row is now, its inputs are not read. NaN: not known."""
+
+    temp: Floats
+    ambient: Floats
+    duty: Floats
+    fan: Floats
+
+
+def at_rest(twin: Twin, temp: float, ambient: float) -> Floats:
+    """The state [n] that would stay, fan off, with the heat that holds `temp` [°C]."""
+    system, size = twin.system, len(twin.states)
+    if size == 1:
+        return np.array([temp])
+    # Unknown: the hidden states and the duty that holds them. Rows in one size, as W/s is far from K/s.
+    balance = np.column_stack([system.rates[:, 1:], system.drive[:, 0]])
+    known = -(system.rates[:, 0] * temp + system.drive[:, 1] * ambient)
+    scale = np.abs(balance).max(axis=1)
+    hidden = np.linalg.lstsq(balance / scale[:, None], known / scale, rcond=None)[0]
+    return np.array([temp, *hidden[: size - 1]])
+
+
+def spread(twin: Twin) -> Floats:
+    """How far (sd) the state may be from rest [n], the air as its sensor tells."""
+    heater_w = HEATER_SPREAD * twin.geometry.heater_max_w
+    hidden = [heater_w if name == HEATER else NODE_SPREAD_K for name in twin.states[1:]]
+    return np.array([twin.noise.sensor_k, *hidden])
+
+
+def drift(twin: Twin) -> Floats:
+    """What unknown heat does over a step with the fan off and on, sd [2, n]; its parts go together."""
+    return twin.off_on.drive[:, :, 2] * twin.noise.heat_w / twin.system.air_capacity_j_k
+
+
+def state_now(twin: Twin, past: Past) -> Floats:
+    """The state [n] at the last row: a Kalman filter from rest; the air as last measured, if it was.
+
+    Errors : DataError when no air temperature is known, or no room temperature that the hidden states need
+    """
+    temps = past.temp
+    if not np.isfinite(temps).any():
+        raise DataError("history: no air temperature is known")
+    if len(twin.states) == 1 and np.isfinite(temps[-1]):
+        return np.array([temps[-1]])
+    if not np.isfinite(past.ambient).any():
+        raise DataError("history: no room temperature is known")
+    ambient = _held(past.ambient)
+    first = int(np.isfinite(temps).argmax())
+    state = at_rest(twin, float(temps[first]), float(ambient[first]))
+    covariance = np.diag(spread(twin) ** 2)
+    moved = drift(twin)
+    for k in range(first, len(temps) - 1):
+        duty, fan = np.nan_to_num(past.duty[k]), np.nan_to_num(past.fan[k])
+        matrix, which = twin.transitions(np.array([fan]))
+        state = twin.advance(state, ambient[k], duty, fan)
+        unknown = moved[0] + fan * (moved[1] - moved[0])
+        covariance = _predicted(covariance, matrix.state[which[0]], unknown)
+        if np.isfinite(temps[k + 1]):
+            gain = covariance[:, 0] / (covariance[0, 0] + twin.noise.sensor_k**2)
+            state = state + gain * (temps[k + 1] - state[0])
+            covariance = covariance - np.outer(gain, covariance[0])
+    if np.isfinite(temps[-1]):
+        state[0] = temps[-1]  # other predictors start there too
+    return state
+
+
+def _predicted(covariance: Floats, matrix: Floats, unknown: Floats) -> Floats:
+    return matrix @ covariance @ matrix.T + np.outer(unknown, unknown)
+
+
+def _held(values: Floats) -> Floats:
+    """A column without holes: the last known value holds, the first is held backwards."""
+    known = np.flatnonzero(np.isfinite(values))
+    newest = np.searchsorted(known, np.arange(len(values)), side="right") - 1
+    return values[known[np.maximum(newest, 0)]]
