@@ -88,6 +88,32 @@ class Decision:
     controller: str  # public name, e.g. "MPC-P"
     forecast: tuple[float, ...] = ()  # air temperature after each of the next steps [°C]
     why: Mapping[str, Any] = field(default_factory=dict)  # JSON values only
+    plan: tuple[tuple[float, float], ...] = ()  # heater duty and fan of each of the next steps; not stored
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What one predictor expects under the planned inputs, by horizon in minutes."""
+
+    temps: Mapping[int, float] = field(default_factory=dict)  # [°C]; empty where there is none
+    half_widths: Mapping[int, float] = field(default_factory=dict)  # of the interval, where calibrated [K]
+    outside: bool | None = None  # beyond what the predictor was trained on; None: it does not know
+    reason: str = ""  # why there is none
+
+
+@dataclass(frozen=True, slots=True)
+class ForecastSkill:
+    """How one predictor has done at one horizon, the newest day counting most."""
+
+    predictor: str
+    version: str
+    horizon_min: int
+    scored: int  # forecasts that met their measurement, in all
+    mae_k: float  # mean absolute error
+    against_persistence: float | None  # 1 - MAE / MAE of the reference on the same forecasts
+    against_pbm: float | None  # None for the PBM itself, and where there is none
+    half_width_k: float | None  # of the interval now; None where not calibrated
+    covered: float | None  # share of the measurements that were inside
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,3 +151,5 @@ class TickRecord:
     ticks_skipped: int  # ticks lost before this one (host suspended, overloaded)
     late_s: float  # how late this tick began [s]
     decide_ms: float  # wall time of the decision
+    forecasts: Mapping[str, Forecast] = field(default_factory=dict)  # by predictor
+    skill: tuple[ForecastSkill, ...] = ()  # so far, not of this tick alone: the history keeps one an hour

@@ -1,0 +1,1 @@
+"""What each predictor expects, how far it can be trusted, and how well it did. Values in, values out."""

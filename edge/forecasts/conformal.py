@@ -1,0 +1,119 @@
+"""Prediction intervals from the errors of calibration runs (split conformal prediction).
+
+Errors within a run hang together, runs do not: the unit that is exchangeable is the run. So each run weighs
+the same whatever its length, and the one still to come gets its share at infinity: the half width is the
+quantile of the mixture sum_k 1/((K+1) n_k) sum_i |e_ki| + 1/(K+1) at infinity. A forecast from a new run is
+then inside with at least the claimed probability, whatever the model and the distribution of its errors.
+All forecasts of a run count, not one drawn from it: the guarantee is the same and the width scatters less.
+Source: Lee, Barber and Willett, Distribution-free inference with hierarchical data, arXiv:2306.06342, sec. 3;
+for single errors it is the usual ceil((n + 1)(1 - a)) / n (Vovk et al., Algorithmic Learning, 2005).
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+
+Floats = NDArray[np.float64]
+CLAIMED = 0.9  # share of the measurements that an interval shall hold
+_FORMAT = 1
+_ROUNDING = 1e-9  # of sums of weights
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """How far the air may be from one predictor's forecast at one horizon."""
+
+    predictor: str
+    version: str  # of the predictor that made the errors; for another one they say nothing
+    horizon_min: int
+    half_width_k: float
+    runs: int  # calibrated on so many
+    regime: str  # what they were: "interpolation"
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """A calibration; empty for predictors that have none."""
+
+    rows: tuple[Interval, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def half_width(self, predictor: str, version: str, horizon_min: int) -> float | None:
+        """Half width of the interval that claims CLAIMED [K]; None where there is no calibration."""
+        key = (predictor, version, horizon_min)
+        rows = (row for row in self.rows if (row.predictor, row.version, row.horizon_min) == key)
+        return next((row.half_width_k for row in rows), None)
+
+
+def half_width(errors: Sequence[Floats], claimed: float = CLAIMED) -> float:
+    """The interval's half width from the errors of each run, shape [n_k] each; runs without any don't count.
+
+    Returns : [K]; infinity where there are too few runs for the claim (fewer than 9 for 90 %)
+    Raises : DataError for an error that is no number
+    """
+    runs = [np.abs(run) for run in errors if len(run)]
+    if not runs:
+        return math.inf
+    sizes = np.concatenate(runs)
+    if not np.isfinite(sizes).all():
+        raise DataError("calibration: an error is not a number")
+    weights = np.concatenate([np.full(len(run), 1.0 / ((len(runs) + 1) * len(run))) for run in runs])
+    order = np.argsort(sizes, kind="stable")
+    reached = np.cumsum(weights[order]) >= claimed - _ROUNDING
+    return float(sizes[order][reached.argmax()]) if reached.any() else math.inf
+
+
+def write_intervals(intervals: Intervals, path: Path) -> None:
+    """Write the table that `read_intervals` reads. Errors: OSError."""
+    document = {
+        "format": _FORMAT,
+        "claimed": CLAIMED,
+        "units": {"half_width_k": "K", "horizon_min": "min"},
+        "intervals": [
+            {key: getattr(row, key) for key in Interval.__dataclass_fields__} for row in intervals.rows
+        ],
+        "provenance": dict(intervals.provenance),
+    }
+    path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_intervals(path: Path) -> Intervals:
+    """The calibration in `path`. Errors: DataError, naming the file and the row."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise DataError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict) or document.get("format") != _FORMAT:
+        raise DataError(f"{path}: format: not a table of intervals of format {_FORMAT}")
+    if document.get("claimed") != CLAIMED:
+        raise DataError(f"{path}: claimed: {document.get('claimed')!r} is not {CLAIMED}")
+    rows = document.get("intervals")
+    if not isinstance(rows, list):
+        raise DataError(f"{path}: intervals: not a list")
+    return Intervals(
+        tuple(_row(f"{path}: intervals[{i}]", row) for i, row in enumerate(rows)),
+        dict(document.get("provenance", {})),
+    )
+
+
+def _row(place: str, row: Any) -> Interval:
+    kinds = {"predictor": str, "version": str, "horizon_min": int, "half_width_k": float, "runs": int,
+             "regime": str}  # fmt: skip
+    if not isinstance(row, dict) or row.keys() != kinds.keys():
+        raise DataError(f"{place}: its keys are not {', '.join(kinds)}")
+    for key, kind in kinds.items():
+        if type(row[key]) is not kind:
+            raise DataError(f"{place}: {key}: {row[key]!r} is not of type {kind.__name__}")
+    if not 0.0 < row["half_width_k"] < math.inf:
+        raise DataError(f"{place}: half_width_k: {row['half_width_k']} is not above 0 and finite")
+    return Interval(**row)

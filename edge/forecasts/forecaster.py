@@ -1,0 +1,79 @@
+"""What each predictor expects, from where the rig stands and under the inputs that are planned."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from edge.forecasts.horizons import steps_of
+from edge.forecasts.rollout import ahead_of, roll
+from edge.messages import Command, Forecast
+from edge.models.base import Columns, Floats, Predictor
+
+HalfWidths = Callable[[str, str, Iterable[int]], Mapping[int, float]]  # name, version, horizons -> [K]
+
+
+@runtime_checkable
+class Boxed(Protocol):
+    """A predictor that knows the box of its training data."""
+
+    def outside(self, history: Columns, controls: Floats, ahead: Columns, temps: Floats) -> bool:
+        """Whether a rollout (as given to `rollout`, and what it returned, [B, N]) leaves that box."""
+        ...
+
+
+def forecasts(
+    predictors: Mapping[str, Predictor],
+    history: Columns,
+    planned: Floats,
+    step_s: float,
+    half_widths: HalfWidths,
+) -> dict[str, Forecast]:
+    """One forecast per predictor, by a single rollout each. Never raises.
+
+    history : `Estimator.history()`; the newest row is now
+    planned : heater_duty and fan_on of each step from now on, [n, 2], n >= 1; the last row is held
+    """
+    steps = steps_of(step_s)
+    if not steps:
+        return {}
+    longest = max(steps.values())
+    held = np.broadcast_to(planned[-1], (max(0, longest - len(planned)), 2))
+    controls = np.concatenate([planned[:longest], held]).astype(np.float64)
+    return {
+        name: _forecast(name, predictor, history, controls, step_s, steps, half_widths)
+        for name, predictor in predictors.items()
+    }
+
+
+def planned_inputs(driven: Command, plan: Sequence[tuple[float, float]]) -> Floats:
+    """Inputs from now on, [n, 2]: the plan where it is what the board drives, else that alone.
+
+    plan : heater_duty and fan_on of each step as the controller wanted them, () where it has no plan
+    """
+    now = (driven.heater_duty, float(driven.fan_on))
+    follows = bool(plan) and np.allclose(plan[0], now, atol=1e-6)
+    return np.array(plan if follows else [now], dtype=np.float64)
+
+
+def _forecast(
+    name: str,
+    predictor: Predictor,
+    history: Columns,
+    controls: Floats,
+    step_s: float,
+    steps: Mapping[int, int],
+    half_widths: HalfWidths,
+) -> Forecast:
+    rolled = roll(predictor, history, controls, step_s)
+    if rolled.temps is None:
+        return Forecast(reason=rolled.reason)
+    outside = None
+    if isinstance(predictor, Boxed):
+        ahead = ahead_of(history, len(controls), step_s)
+        outside = bool(predictor.outside(history, controls[None], ahead, rolled.temps[None]))
+    return Forecast(
+        temps={minutes: float(rolled.temps[count - 1]) for minutes, count in steps.items()},
+        half_widths=half_widths(name, predictor.version, tuple(steps)),
+        outside=outside,
+    )

@@ -1,0 +1,107 @@
+"""Forecasts against what came: from where the rig stood an hour ago, with the inputs that really held since.
+
+So a controller that changed its plan is no error of a model. A rollout over the longest horizon passes all
+the shorter ones: one per predictor and tick scores every horizon.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.forecasts.horizons import steps_of
+from edge.forecasts.rollout import roll
+from edge.models.base import Columns, Floats, Predictor
+
+START_ROWS = 20  # temperatures up to a start that later measurements may since have corrected
+INPUTS = ("heater_duty", "fan_on")
+PERSISTENCE = "persistence"
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """One forecast that met its measurement."""
+
+    predictor: str  # "persistence" is the measurement at the start, held
+    version: str
+    horizon_min: int
+    residual_k: float  # measured minus forecast
+    measured_c: float  # at the horizon's end
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    measured_c: float  # NaN without a good reading: such a start is not scored
+    temps: Floats  # the newest estimates as they stood then, at most START_ROWS [°C]
+
+
+class Scorer:
+    """The starts that wait for their measurements, a start per tick."""
+
+    def __init__(self, step_s: float) -> None:
+        self._step_s = step_s
+        self._steps = steps_of(step_s)
+        self._longest = max(self._steps.values(), default=0)
+        self._starts: deque[_Start] = deque()
+        self._last: tuple[float, ...] | None = None  # time and inputs of the newest row, as last seen
+        self.skipped = 0  # starts that were never scored, since this one was made
+
+    def observe(
+        self, predictors: Mapping[str, Predictor], history: Columns, inputs_known: bool
+    ) -> list[Scored]:
+        """The forecasts of all predictors that began `longest` steps ago, scored; then begin another.
+
+        predictors : by the name they are scored under
+        history : `Estimator.history()` after the tick's inputs were recorded
+        inputs_known : the board confirmed what it drives
+        A missed tick, an input changed within its step or not confirmed: what was under way is skipped.
+        """
+        if not self._longest or not len(history["time_s"]):
+            return []
+        if self._last is None or not self._goes_on(history):
+            self._drop()
+        scored = []
+        if len(self._starts) == self._longest:
+            scored = self._score(predictors, history, self._starts.popleft())
+        self._last = _newest(history, -1)
+        if inputs_known and all(map(math.isfinite, self._last)):
+            temps = history["temp_air"][-START_ROWS:].copy()
+            self._starts.append(_Start(float(history["temp_air_measured"][-1]), temps))
+        else:
+            self._drop()
+        return scored
+
+    def _goes_on(self, history: Columns) -> bool:
+        return len(history["time_s"]) > 1 and _newest(history, -2) == self._last
+
+    def _drop(self) -> None:
+        self.skipped += len(self._starts)
+        self._starts.clear()
+
+    def _score(self, predictors: Mapping[str, Predictor], history: Columns, start: _Start) -> list[Scored]:
+        at = len(history["time_s"]) - 1 - self._longest
+        if at < 0 or not math.isfinite(start.measured_c):
+            self.skipped += 1
+            return []
+        past = {name: column[: at + 1] for name, column in history.items()}
+        past["temp_air"] = past["temp_air"].copy()
+        tail = start.temps[-(at + 1) :]
+        past["temp_air"][len(past["temp_air"]) - len(tail) :] = tail
+        controls = np.column_stack([history[name][at:-1] for name in INPUTS])
+        measured = {m: float(history["temp_air_measured"][at + n]) for m, n in self._steps.items()}
+        seen = {m: value for m, value in measured.items() if math.isfinite(value)}
+        scored = [Scored(PERSISTENCE, "1", m, value - start.measured_c, value) for m, value in seen.items()]
+        for name, predictor in predictors.items():
+            temps = roll(predictor, past, controls, self._step_s).temps
+            if temps is not None:
+                scored += [
+                    Scored(name, predictor.version, m, value - float(temps[self._steps[m] - 1]), value)
+                    for m, value in seen.items()
+                ]
+        return scored
+
+
+def _newest(history: Columns, row: int) -> tuple[float, ...]:
+    return tuple(float(history[name][row]) for name in ("time_s", *INPUTS))
