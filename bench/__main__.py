@@ -32,6 +32,7 @@ BENCHES = {
          "--out", "out/bench/closed_loop_day.txt", "--picture", "out/bench/closed_loop_day.png"),
         keeps_its_table=True,
     ),
+    "twin": Bench(("--repeats", "3")),
     "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
 }  # fmt: skip
 

@@ -60,7 +60,7 @@ def state_now(twin: Twin, past: Past) -> Floats:
         return np.array([temps[-1]])
     if not np.isfinite(past.ambient).any():
         raise DataError("history: no room temperature is known")
-    ambient = _held(past.ambient)
+    ambient = held(past.ambient)
     first = int(np.isfinite(temps).argmax())
     state = at_rest(twin, float(temps[first]), float(ambient[first]))
     covariance = np.diag(spread(twin) ** 2)
@@ -84,8 +84,10 @@ def _predicted(covariance: Floats, matrix: Floats, unknown: Floats) -> Floats:
     return matrix @ covariance @ matrix.T + np.outer(unknown, unknown)
 
 
-def _held(values: Floats) -> Floats:
-    """A column without holes: the last known value holds, the first is held backwards."""
+def held(values: Floats) -> Floats:
+    """A column without holes: the last known value holds, the first also before it; all NaN stays."""
     known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return values
     newest = np.searchsorted(known, np.arange(len(values)), side="right") - 1
     return values[known[np.maximum(newest, 0)]]

@@ -1,0 +1,202 @@
+"""Parameters of a twin from recorded runs: least squares on the error of free runs, with 95 % intervals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.run_file import Run
+from edge.twin.effects import EFFECTS, applied
+from edge.twin.output_error import FreeRun, free_run, rmse
+from edge.twin.recorded import Recorded, recorded
+from edge.twin.twin_file import Place, TwinFile
+from edge.twin.value import Value
+
+Floats = NDArray[np.float64]
+GEOMETRY_RANGE = (0.01, 100.0)  # of a geometry value that is fitted, shares of its start
+AMBIENT_RANGE_C = (-20.0, 60.0)
+CORRELATED_S = 1800.0  # errors of a free run closer than this go together
+_95 = 1.959964  # standard deviations of a normal distribution, both sides
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A fitted value with its 95 % interval, cut at the bounds."""
+
+    value: float
+    sd: float
+    low: float
+    high: float
+    at_bound: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted twin and how well it fits.
+
+    file : the twin file with the fitted values and their intervals
+    ambient_c : the room temperature that fits best, where none was recorded
+    rmse_k, rows : of the free runs that it was fitted on
+    """
+
+    file: TwinFile
+    estimates: dict[Place, Estimate]
+    ambient_c: Estimate | None
+    rmse_k: float
+    rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Unknown:
+    """One number to be found."""
+
+    place: Place
+    start: float
+    low: float
+    high: float
+    prior_sd: float = np.inf
+
+    @property
+    def scale(self) -> float:
+        """A number of its size."""
+        return abs(self.start) or self.high - self.low
+
+
+_AMBIENT: Place = ("temp_ambient_c",)
+
+
+def fit_twin(file: TwinFile, runs: Sequence[Run]) -> Fit:
+    """Find what `file` says is to be fitted, and correct what it says is uncertain, on all runs together.
+
+    Each run begins with hidden states of its own, found with the rest. Where no run has a room temperature,
+    one constant is fitted for all. Intervals allow for errors that go together in time (Newey & West 1987).
+    Values that only a ratio is known of, like the scale of all heats and capacities, get intervals as wide as
+    their bounds: give one of them as exact.
+
+    Errors : DataError for nothing to fit, a run that may not be fitted on, a parameter that does nothing
+    """
+    data = recorded(runs, file.sample_s)
+    unknowns = _unknowns(file, data)
+    start = np.array([item.start / item.scale for item in unknowns])
+    noise_k = file.twin().noise.sensor_k
+    # Twice: the first pass tells how far a free run is off, against which priors weigh in the second.
+    for _ in range(2):
+        problem = _Problem(file, data, tuple(unknowns), noise_k)
+        solution = problem.solve(start)
+        start, noise_k = solution.x, max(noise_k, rmse(problem.free_run(solution.x)))
+    found = problem.free_run(start)
+    estimates = _estimates(problem, start, solution.jac, found)
+    return Fit(
+        file.with_values(
+            {
+                place: Value(item.value, low=item.low, high=item.high)
+                for place, item in estimates.items()
+                if place != _AMBIENT
+            }
+        ),
+        {place: item for place, item in estimates.items() if place != _AMBIENT},
+        estimates.get(_AMBIENT),
+        rmse(found),
+        int(found.measured.sum()),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Residuals over unknowns, each in units of its scale."""
+
+    file: TwinFile
+    data: Recorded
+    unknowns: tuple[_Unknown, ...]
+    noise_k: float
+
+    def free_run(self, scaled: Floats) -> FreeRun:
+        values = {item.place: float(x) * item.scale for item, x in zip(self.unknowns, scaled, strict=True)}
+        room = values.pop(_AMBIENT, None)
+        ambient = self.data.ambient if room is None else np.full_like(self.data.ambient, room)
+        twin = self.file.with_values({place: Value(value) for place, value in values.items()}).twin()
+        return free_run(twin, self.data, ambient, self.noise_k)
+
+    def residuals(self, scaled: Floats) -> Floats:
+        """What was measured, then the starts, then the priors, each in standard deviations."""
+        run = self.free_run(scaled)
+        priors = [
+            (x * item.scale - item.start) / item.prior_sd
+            for item, x in zip(self.unknowns, scaled, strict=True)
+        ]
+        return np.concatenate([run.residual.ravel() / self.noise_k, run.start_pull.ravel(), priors])
+
+    def solve(self, start: Floats) -> Any:
+        from scipy.optimize import least_squares
+
+        scales = np.array([item.scale for item in self.unknowns])
+        bounds = (
+            np.array([item.low for item in self.unknowns]) / scales,
+            np.array([item.high for item in self.unknowns]) / scales,
+        )
+        inside = np.clip(start, bounds[0] + 1e-9, bounds[1] - 1e-9)
+        return least_squares(self.residuals, inside, bounds=bounds, x_scale="jac")
+
+
+def _unknowns(file: TwinFile, data: Recorded) -> list[_Unknown]:
+    unknowns = []
+    for place, value in file.values().items():
+        if not (value.fit or value.rel_sd is not None):
+            continue
+        low, high = _range(place, value.value)
+        prior_sd = np.inf if value.rel_sd is None else abs(value.rel_sd * value.value)
+        unknowns.append(_Unknown(place, value.value, low, high, prior_sd))
+        if place[0] == "effects" and place[1] not in applied(file.effects):
+            raise DataError(f"{'.'.join(place)}: does nothing beside the effect that replaces it")
+    if not data.has_ambient:
+        unknowns.append(_Unknown(_AMBIENT, float(np.nanmin(data.temp[:, 0])), *AMBIENT_RANGE_C))
+    if not unknowns:
+        raise DataError("fit: no value of the twin is to be fitted ({fit: true}) or uncertain (rel_sd)")
+    return unknowns
+
+
+def _range(place: Place, start: float) -> tuple[float, float]:
+    if place[0] == "geometry":
+        return GEOMETRY_RANGE[0] * start, GEOMETRY_RANGE[1] * start
+    parameter = EFFECTS[place[1]].parameter(place[2])
+    return parameter.low, parameter.high
+
+
+def _estimates(problem: _Problem, scaled: Floats, jacobian: Floats, run: FreeRun) -> dict[Place, Estimate]:
+    rows = run.residual.size
+    scores = (jacobian[:rows] * (run.residual.ravel() / problem.noise_k)[:, None]).reshape(
+        *run.residual.shape, -1
+    )
+    information = jacobian.T @ jacobian
+    inverse = np.linalg.pinv(information, hermitian=True)
+    lags = max(1, round(CORRELATED_S / problem.file.sample_s))
+    prior = jacobian[rows:]
+    spread = inverse @ (_long_run(scores, lags) + prior.T @ prior) @ inverse
+    sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    flat = np.diag(information) == 0.0
+    if flat.any():
+        place = problem.unknowns[int(flat.argmax())].place
+        raise DataError(f"{'.'.join(place)}: these runs do not tell it: it changes nothing in them")
+    return {
+        item.place: _estimate(item, x * item.scale, sd * item.scale)
+        for item, x, sd in zip(problem.unknowns, scaled, sds, strict=True)
+    }
+
+
+def _estimate(item: _Unknown, value: float, sd: float) -> Estimate:
+    low, high = max(value - _95 * sd, item.low), min(value + _95 * sd, item.high)
+    margin = 1e-6 * (item.high - item.low)
+    at_bound = not item.low + margin < value < item.high - margin
+    return Estimate(float(value), float(sd), float(low), float(high), bool(at_bound))
+
+
+def _long_run(scores: Floats, lags: int) -> Floats:
+    """Sum of the scores' covariances up to `lags` rows apart, Bartlett weights; scores : [B, N, p]."""
+    total: Floats = np.einsum("bti,btj->ij", scores, scores)
+    for lag in range(1, min(lags, scores.shape[1] - 1) + 1):
+        apart = np.einsum("bti,btj->ij", scores[:, lag:], scores[:, :-lag])
+        total += (1.0 - lag / (lags + 1.0)) * (apart + apart.T)
+    return total

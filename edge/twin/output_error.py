@@ -1,0 +1,59 @@
+"""How far a free run of a twin is from recorded ones, at the hidden starts that suit each run best.
+
+A free run is linear in its start, so the starts are found in closed form at any parameters (variable
+projection; Golub & Pereyra 2003, Inverse Problems 19), held to a prior: rest, give or take `spread`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.model import Twin
+from edge.twin.recorded import Recorded
+from edge.twin.warm_start import at_rest, spread
+
+Floats = NDArray[np.float64]
+
+
+class FreeRun(NamedTuple):
+    """Free runs of B runs from their best starts.
+
+    residual : [B, N], measured minus predicted after each step; 0 where nothing was measured [K]
+    measured : [B, N], whether it was
+    start_pull : [B, n], how far each start is from its prior, in standard deviations
+    """
+
+    residual: Floats
+    measured: NDArray[np.bool_]
+    start_pull: Floats
+
+
+def free_run(twin: Twin, runs: Recorded, ambient: Floats, noise_k: float) -> FreeRun:
+    """The runs again, by the twin, with the recorded inputs.
+
+    ambient : [B, N] [°C]; noise_k : sd of what a free run misses, against which the prior is weighed [K]
+    """
+    count, size = len(runs.temp), len(twin.states)
+    rest = np.stack(
+        [at_rest(twin, temp, room) for temp, room in zip(runs.temp[:, 0], ambient[:, 0], strict=True)]
+    )
+    predicted = twin.rollout(rest, runs.duty, runs.fan, ambient)
+    measured = np.isfinite(runs.temp[:, 1:])
+    residual = np.where(measured, runs.temp[:, 1:] - predicted, 0.0)
+    # One more rollout per state, with nothing but that state: what a unit of it does to the air.
+    unit = np.repeat(np.eye(size)[None], count, axis=0).reshape(-1, size)
+    fans = np.repeat(runs.fan, size, axis=0)
+    response = (
+        twin.rollout(unit, np.zeros_like(fans), fans, 0.0).reshape(count, size, -1) * measured[:, None, :]
+    )
+    response *= spread(twin)[:, None] / noise_k
+    normal = response @ response.swapaxes(1, 2) + np.eye(size)
+    pull: Floats = np.linalg.solve(normal, response @ (residual / noise_k)[:, :, None])
+    explained: Floats = noise_k * (pull.swapaxes(1, 2) @ response)[:, 0]
+    return FreeRun(residual - explained, measured, pull[:, :, 0])
+
+
+def rmse(run: FreeRun) -> float:
+    """Root mean square of what was measured [K]."""
+    return float(np.sqrt((run.residual**2).sum() / run.measured.sum()))

@@ -1,0 +1,90 @@
+"""Recorded runs as arrays that a twin can be run over, all at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.run_file import Run, resample
+from edge.twin.warm_start import held
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """B runs, padded to the longest with missing temperatures; row k's inputs hold to row k + 1.
+
+    temp : [B, N + 1], NaN where missing [°C]; duty, fan, ambient : [B, N]
+    ambient : NaN throughout when no run has a room temperature
+    """
+
+    temp: Floats
+    duty: Floats
+    fan: Floats
+    ambient: Floats
+
+    @property
+    def has_ambient(self) -> bool:
+        """Whether the room temperature was recorded."""
+        return bool(np.isfinite(self.ambient).all())
+
+
+def recorded(runs: Sequence[Run], step_s: float) -> Recorded:
+    """The runs that a model may be fitted on, at `step_s`.
+
+    A run ends where its fact `validate_from_s` says that validation begins; a fan column that is absent is a
+    fan that stood still; a room temperature is held over its holes.
+
+    Errors : DataError for a run of role test, one with no temperature, or a room that only some recorded
+    """
+    if not runs:
+        raise DataError("fit: needs at least one run")
+    parts = [_part(run, step_s) for run in runs]
+    known = [part.has_ambient for part in parts]
+    if any(known) and not all(known):
+        place = runs[known.index(False)].path
+        raise DataError(f"{place}: temp_ambient_c: not known, but other runs have it")
+    rows = max(part.temp.shape[1] for part in parts)
+    return Recorded(
+        np.concatenate([_padded(part.temp, rows, np.nan) for part in parts]),
+        np.concatenate([_padded(part.duty, rows - 1, 0.0) for part in parts]),
+        np.concatenate([_padded(part.fan, rows - 1, 0.0) for part in parts]),
+        np.concatenate([_padded(part.ambient, rows - 1, part.ambient[0, -1]) for part in parts]),
+    )
+
+
+def _part(run: Run, step_s: float) -> Recorded:
+    if run.facts.get("role") == "test":
+        raise DataError(f"{run.path}: role: a test run is never fitted on")
+    columns = resample(run, step_s).columns
+    rows = len(columns["time_s"])
+    if "validate_from_s" in run.facts:
+        rows = int((columns["time_s"] < _seconds(run)).sum())
+    temp = columns["temp_air_c"][:rows]
+    known = np.flatnonzero(np.isfinite(temp))
+    if len(known) < 2:
+        raise DataError(f"{run.path}: temp_air_c: fewer than two temperatures to fit on")
+    begin, end = known[0], known[-1]
+    duty, fan = columns["heater_duty"], columns.get("fan_on", np.zeros(len(columns["time_s"])))
+    ambient = columns.get("temp_ambient_c", np.full(len(fan), np.nan))
+    steps = slice(begin, end)
+    return Recorded(
+        temp[None, begin : end + 1], duty[None, steps], fan[None, steps], held(ambient)[None, steps]
+    )
+
+
+def _seconds(run: Run) -> float:
+    try:
+        return float(run.facts["validate_from_s"])
+    except ValueError:
+        raise DataError(
+            f"{run.path}: validate_from_s: {run.facts['validate_from_s']!r} is no number"
+        ) from None
+
+
+def _padded(values: Floats, columns: int, with_value: float) -> Floats:
+    missing = ((0, 0), (0, columns - values.shape[1]))
+    return np.pad(values, missing, constant_values=with_value)
