@@ -25,6 +25,10 @@ BACKLOG = 128
 MODE = 0o660
 
 
+class NobodyListens(RequestError):
+    """There is no daemon to ask."""
+
+
 class _Client:
     """One connection and what is under way on it.
 
@@ -158,7 +162,7 @@ class ControlSocket:
 
 
 def request(path: Path, message: Mapping[str, Any], timeout_s: float = 15.0) -> dict[str, Any]:
-    """Client side: send one request, wait for its answer. Errors: RequestError."""
+    """Client side: send one request, wait for its answer. Errors: RequestError, of it NobodyListens."""
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
             connection.settimeout(timeout_s)
@@ -167,7 +171,7 @@ def request(path: Path, message: Mapping[str, Any], timeout_s: float = 15.0) -> 
             with connection.makefile("rb") as answers:
                 answer = answers.readline()
     except (FileNotFoundError, ConnectionRefusedError):
-        raise RequestError(f"no daemon listens at {path}") from None
+        raise NobodyListens(f"no daemon listens at {path}") from None
     except TimeoutError:
         raise RequestError(f"the daemon at {path} did not answer within {timeout_s:g} s") from None
     except OSError as error:

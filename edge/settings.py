@@ -98,6 +98,29 @@ class ControlSettings(Section):
 
 
 @dataclass(frozen=True, slots=True)
+class BundleSettings(Section):
+    """Signed bundles of predictive models."""
+
+    path: str = text("/var/lib/greenhouse/bundles", "folder of the installed bundles")
+    trusted_keys: str = text(
+        "/etc/greenhouse/keys",
+        "folder of public keys (*.pub) whose bundles may be installed, beside the packaged one",
+    )
+    auto: str = text(
+        "off",
+        "off: the scores are shown, a person activates; promote: a shadow that is better is activated, "
+        "and rolled back where it turns out worse",
+        ("off", "promote"),
+    )
+    trial_ticks: int = whole(
+        1440,
+        "forecasts scored at each horizon before a bundle in shadow or on probation is judged",
+        10,
+        1_000_000,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class ReferenceStep(Section):
     """From `at_s` after the start on: `reference_c`."""
 
@@ -320,6 +343,7 @@ class Settings(Section):
     history: HistorySettings = field(default_factory=HistorySettings)
     mqtt: MqttSettings = field(default_factory=MqttSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
+    bundle: BundleSettings = field(default_factory=BundleSettings)
     reference: ReferenceSettings = field(default_factory=ReferenceSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     sensor_health: SensorHealthSettings = field(default_factory=SensorHealthSettings)

@@ -1,0 +1,101 @@
+"""A bundle on its way: one zip file. It is read as if an enemy had made it.
+
+Zip and not tar: it has no links or devices to guard against, since only names and bytes are taken from it.
+"""
+
+import io
+import os
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, BinaryIO
+
+from edge.bundle.durable import write_new
+from edge.bundle.manifest import FILE_NAME
+from edge.errors import DataError
+
+FILES_MAX = 64
+FILE_BYTES_MAX = 16 << 20  # ten times what a network of this size takes
+TOTAL_BYTES_MAX = 32 << 20
+_CHUNK = 1 << 20
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the same files make the same archive
+
+
+def pack(folder: Path, out: BinaryIO) -> None:
+    """All files of `folder` as an archive, the same bytes for the same files. Errors: DataError, OSError"""
+    paths = sorted(folder.iterdir())
+    _check_sizes([(path.name, _regular_size(path)) for path in paths])
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in paths:
+            info = zipfile.ZipInfo(path.name, _EPOCH)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = (stat.S_IFREG | 0o644) << 16
+            with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW), "rb") as file:
+                archive.writestr(info, file.read(FILE_BYTES_MAX))
+
+
+def open_archive(source: Path) -> BinaryIO:
+    """The archive `source`, or the folder `source` as one. Errors: DataError"""
+    try:
+        if not source.is_dir():
+            return source.open("rb")
+        packed = io.BytesIO()  # bounded by what `pack` takes
+        pack(source, packed)
+        return packed
+    except OSError as error:
+        raise DataError(f"{source}: {error.strerror or error}") from error
+    except DataError as error:
+        raise DataError(f"{source}: {error}") from error
+
+
+def unpack(source: BinaryIO, into: Path) -> None:
+    """Files of an archive into the empty folder `into`, written through.
+
+    Errors : DataError for what is no archive, is damaged, or tries to be more than files in one folder
+    """
+    if source.seek(0, os.SEEK_END) > TOTAL_BYTES_MAX:
+        raise DataError(f"more bytes than a bundle may have, {TOTAL_BYTES_MAX}")
+    try:
+        with zipfile.ZipFile(source) as archive:
+            entries = archive.infolist()
+            _check_sizes([(entry.filename, entry.file_size) for entry in entries])
+            for entry in entries:
+                with archive.open(entry) as file:
+                    write_new(into / entry.filename, _bounded(file, entry.filename, entry.file_size))
+    # RuntimeError: encrypted; NotImplementedError: a compression that zipfile does not know
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise DataError(f"no bundle archive, or damaged: {error}") from error
+
+
+def _regular_size(path: Path) -> int:
+    status = path.lstat()
+    if not stat.S_ISREG(status.st_mode):
+        raise DataError(f"{path.name}: is no plain file")
+    return status.st_size
+
+
+def _check_sizes(entries: list[tuple[str, int]]) -> None:
+    if len(entries) > FILES_MAX:
+        raise DataError(f"{len(entries)} files are more than a bundle may hold, {FILES_MAX}")
+    if len({name for name, _ in entries}) < len(entries):
+        raise DataError("a file name stands there twice")
+    for name, size in entries:
+        if not FILE_NAME.fullmatch(name):
+            raise DataError(f"{name!r} is no name for a file of a bundle")
+        if size > FILE_BYTES_MAX:
+            raise DataError(f"{name}: {size} bytes are more than a file may have, {FILE_BYTES_MAX}")
+    total = sum(size for _, size in entries)
+    if total > TOTAL_BYTES_MAX:
+        raise DataError(f"{total} bytes are more than a bundle may have, {TOTAL_BYTES_MAX}")
+
+
+def _bounded(file: IO[bytes], name: str, size: int) -> Iterator[bytes]:
+    """Never more than `size` bytes, whatever the file turns out to hold."""
+    left = size
+    while chunk := file.read(min(_CHUNK, left + 1)):
+        left -= len(chunk)
+        if left < 0:
+            raise DataError(f"{name}: holds more than its {size} bytes")
+        yield chunk

@@ -1,0 +1,169 @@
+"""The running daemon's bundles: changed in a thread of their own, exchanged between two ticks.
+
+The control thread reads `serving` once a tick and hands in scores; it never waits for the disk or for a
+model that loads. Requests become jobs: the asker gets a number at once and asks again how it went, so a slow
+disk does not hold up the control socket either.
+"""
+
+import queue
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from edge.bundle.orders import ACTIONS, carry_out
+from edge.bundle.serving import Serving, choose
+from edge.bundle.store import Loaded, Store
+from edge.bundle.trial import Judgement, Scores, Verdict, judge
+from edge.clock import Clock
+from edge.errors import DataError, RequestError
+from edge.messages import Event, Severity, TickRecord
+
+JOBS_REMEMBERED = 32
+JOBS_WAITING = 8
+_FOLLOWS = {
+    Verdict.PROMOTE: "activate",
+    Verdict.REJECT: "reject",
+    Verdict.MARK_GOOD: "mark-good",
+    Verdict.ROLL_BACK: "rollback",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    number: int
+    action: str
+    version: str | None
+    why: str
+
+
+class BundleKeeper:
+    """Made before the first tick: the first bundles are loaded by the caller's thread.
+
+    automatic : follow the scores without being asked
+    trial_ticks : scored forecasts per horizon before a bundle on trial is judged
+    """
+
+    def __init__(self, store: Store, clock: Clock, automatic: bool, trial_ticks: int) -> None:
+        self._store, self._clock = store, clock
+        self._automatic, self._trial_ticks = automatic, trial_ticks
+        self.serving: Serving = choose(store)
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._posting = threading.Lock()
+        self._posted = self._done = 0
+        self._outcomes: dict[int, str] = {}  # number of a job that is done -> error, "" without one
+        self._told: deque[tuple[Severity, str, str]] = deque()
+        self._judgement: Judgement | None = None
+        self._decided: Serving | None = None  # what the scores have had their say on
+        self._thread = threading.Thread(target=self._run, name="bundles", daemon=True)
+        self._thread.start()
+
+    def answer(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Reply to a request `{"do": "bundle", "action": ..., "version": ..., "job": ...}`; never waits."""
+        action, version = request.get("action"), request.get("version")
+        if action == "status":
+            return {"ok": True, **self._status(request.get("job"))}
+        if action not in ACTIONS:
+            return _refused(f"action: {action!r} is none of status, {', '.join(ACTIONS)}")
+        if version is not None and not isinstance(version, str):
+            return _refused(f"version: {version!r} is no version of a bundle")
+        job = self._post(action, version, "asked for")
+        return _refused("too many requests wait") if job is None else {"ok": True, "job": job}
+
+    def consider(self, scores: Scores) -> None:
+        """Judge the bundle on trial, and where so configured do what follows. Never waits."""
+        serving = self.serving
+        pair = _pair(serving)
+        if pair is None or pair != (scores.active, scores.rival):
+            self._judgement = None  # scores of bundles that were exchanged meanwhile
+            return
+        judgement = judge(scores, serving.on_probation, self._trial_ticks)
+        self._judgement = judgement
+        action = _FOLLOWS.get(judgement.verdict)
+        if self._automatic and action is not None and serving is not self._decided:
+            self._decided = serving  # once: an order that fails would fail at each tick
+            self._post(action, scores.rival if action == "activate" else None, judgement.why)
+
+    def write(self, record: TickRecord) -> None:
+        """Ticks are none of its business; with `faults` this makes it one of the loop's sinks."""
+
+    def faults(self) -> Mapping[str, str]:
+        """Bundles that should serve and can't, while that is so."""
+        problems = self.serving.problems
+        return {"bundle.refused": "; ".join(problems)} if problems else {}
+
+    def events_pending(self) -> list[Event]:
+        """What was done since the last call. Called by the control thread."""
+        now, utc = self._clock.now(), self._clock.utc()
+        told = [self._told.popleft() for _ in range(len(self._told))]
+        return [Event(key, severity, text, now, utc) for severity, key, text in told]
+
+    def close(self) -> None:
+        """End the thread after the job that runs."""
+        self._jobs.put(None)
+        self._thread.join(timeout=5.0)
+
+    def _post(self, action: str, version: str | None, why: str) -> int | None:
+        with self._posting:
+            if self._posted - self._done >= JOBS_WAITING:
+                return None
+            self._posted += 1
+            self._jobs.put(_Job(self._posted, action, version, why))
+            return self._posted
+
+    def _run(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            try:
+                error = self._do(job)
+            except Exception as bug:  # told and gone on: the thread must be there for the next job
+                error = f"internal error: {bug!r}"
+            if error:
+                self._told.append((Severity.WARNING, "bundle.failed", f"{job.action} ({job.why}): {error}"))
+            with self._posting:
+                self._outcomes[job.number] = error
+                self._outcomes.pop(job.number - JOBS_REMEMBERED, None)
+                self._done = job.number
+
+    def _do(self, job: _Job) -> str:
+        """Change the store, then what serves. Returns the error, "" without one."""
+        try:
+            carry_out(self._store, job.action, job.version)
+        except (DataError, RequestError) as error:
+            return str(error)
+        self.serving = choose(self._store, _in_memory(self.serving))
+        self._told.append((Severity.INFO, f"bundle.{job.action}", f"{job.why}; {_in_words(self.serving)}"))
+        return ""
+
+    def _status(self, job: object) -> dict[str, Any]:
+        serving, judgement = self.serving, self._judgement
+        with self._posting:
+            error = self._outcomes.get(job) if isinstance(job, int) else None
+        return {
+            "active": serving.active.name if serving.active else None,
+            "rival": serving.rival.name if serving.rival else None,
+            "on_probation": serving.on_probation,
+            "problems": list(serving.problems),
+            "judgement": asdict(judgement) | {"verdict": judgement.verdict.value} if judgement else None,
+            "job_done": error is not None,
+            "job_error": error or "",
+        }
+
+
+def _pair(serving: Serving) -> tuple[str, str] | None:
+    return (serving.active.name, serving.rival.name) if serving.active and serving.rival else None
+
+
+def _in_memory(serving: Serving) -> dict[str, Loaded]:
+    return {bundle.name: bundle for bundle in (serving.active, serving.rival) if bundle}
+
+
+def _in_words(serving: Serving) -> str:
+    active = serving.active.name if serving.active else "no bundle"
+    probation = ", on probation" if serving.on_probation else ""
+    rival = f"; {serving.rival.name} runs beside it" if serving.rival else ""
+    return f"{active} is active{probation}{rival}"
+
+
+def _refused(error: str) -> dict[str, Any]:
+    return {"ok": False, "error": error}

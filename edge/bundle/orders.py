@@ -1,0 +1,46 @@
+"""What a person, or the scores, may ask of the store: one table for the command line and for the daemon."""
+
+from collections.abc import Callable
+from functools import partial
+
+from edge.bundle.roles import Roles, activated, marked_good, rejected
+from edge.bundle.store import Store
+from edge.errors import RequestError
+
+Action = Callable[[Store, str | None], Roles]
+
+
+def _activate(store: Store, version: str | None) -> Roles:
+    return store.change(partial(activated, version=version))
+
+
+def _roll_back(store: Store, version: str | None) -> Roles:
+    return store.roll_back()
+
+
+def _mark_good(store: Store, version: str | None) -> Roles:
+    return store.change(marked_good)
+
+
+def _reject(store: Store, version: str | None) -> Roles:
+    return store.change(rejected)
+
+
+def _refresh(store: Store, version: str | None) -> Roles:
+    return store.roles()
+
+
+ACTIONS: dict[str, Action] = {
+    "activate": _activate,
+    "rollback": _roll_back,
+    "mark-good": _mark_good,
+    "reject": _reject,
+    "refresh": _refresh,  # changes nothing: the daemon reads again what others have changed
+}
+
+
+def carry_out(store: Store, action: str, version: str | None) -> Roles:
+    """Do one of ACTIONS. Errors: RequestError, DataError; nothing has changed then."""
+    if action not in ACTIONS:
+        raise RequestError(f"action: {action!r} is none of {', '.join(ACTIONS)}")
+    return ACTIONS[action](store, version)

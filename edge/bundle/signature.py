@@ -1,0 +1,58 @@
+"""Ed25519 signatures (RFC 8032) over a manifest's exact bytes, and the keys that are trusted."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edge.errors import DataError
+
+if TYPE_CHECKING:  # the package is imported when a signature is checked, not with the daemon
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+# The public half of the key that signed the bundle which ships with the software.
+PACKAGED_KEY = Path(__file__).parent.parent / "models" / "default_bundle.pub"
+SIGNATURE_BYTES = 64
+
+
+def trusted_keys(folder: Path) -> dict[str, "Ed25519PublicKey"]:
+    """Public keys by file: each `*.pub` (PEM) of `folder`, where there is one, and the packaged key.
+
+    Errors : DataError for a file that is no Ed25519 public key: a key that is silently left out would be
+        looked for in vain
+    """
+    try:
+        files = sorted(folder.glob("*.pub"))
+    except OSError as error:
+        raise DataError(f"{folder}: {error.strerror}") from error
+    packaged = [PACKAGED_KEY] if PACKAGED_KEY.exists() else []
+    return {str(path): _read_key(path) for path in (*files, *packaged)}
+
+
+def check_signature(content: bytes, signature: bytes, keys: dict[str, "Ed25519PublicKey"]) -> str:
+    """File of the key that made `signature` over `content`. Errors: DataError when none of `keys` did."""
+    from cryptography.exceptions import InvalidSignature
+
+    if len(signature) != SIGNATURE_BYTES:
+        raise DataError(f"the signature has {len(signature)} bytes, not {SIGNATURE_BYTES}")
+    for name, key in keys.items():
+        try:
+            key.verify(signature, content)
+        except InvalidSignature:
+            continue
+        return name
+    raise DataError(f"the signature is by none of the {len(keys)} trusted keys ({', '.join(keys) or 'none'})")
+
+
+def _read_key(path: Path) -> "Ed25519PublicKey":
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
+    try:
+        key = load_pem_public_key(path.read_bytes())
+    except OSError as error:
+        raise DataError(f"{path}: can't be read: {error.strerror}") from error
+    except (ValueError, UnsupportedAlgorithm):
+        key = None
+    if not isinstance(key, Ed25519PublicKey):
+        raise DataError(f"{path}: is no Ed25519 public key (PEM)")
+    return key

@@ -1,0 +1,90 @@
+"""When a bundle has proved itself: pure, from the errors that two bundles made on the same ticks.
+
+The bundle on trial is the shadow, or the active one while it is on probation against the one before it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+WORSE = 1.05  # ratio of mean errors, over all models and horizons, from which a bundle is worse
+WORSE_ONCE = 1.25  # the same for any single model at any single horizon
+ERROR_FLOOR_K = 0.02  # two errors below a fifth of the sensor's resolution are equally good
+_RATIO_MAX = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class HorizonScore:
+    """Mean absolute errors of one model at one horizon, in both bundles."""
+
+    model: str  # "arx", "pbm", "lstm", "ham"
+    horizon_s: float
+    count: int  # forecasts that have met their measurement: the same ones in both bundles
+    active_k: float  # mean absolute error of the active bundle [K]
+    rival_k: float  # of the bundle beside it [K]
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """How two bundles have done since they run side by side."""
+
+    active: str  # version
+    rival: str  # version
+    rows: Sequence[HorizonScore]  # of models that both bundles have
+
+
+class Verdict(Enum):
+    """What follows from the scores; the values are what the log says."""
+
+    WAIT = "goes on"
+    PROMOTE = "promote"
+    REJECT = "reject"
+    MARK_GOOD = "mark good"
+    ROLL_BACK = "roll back"
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """A verdict and its reason."""
+
+    verdict: Verdict
+    why: str
+
+
+def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
+    """What to do with the bundle on trial.
+
+    on_probation : the active bundle is on trial against the one before it; else the shadow is
+    ticks : scored forecasts at every horizon before anything is decided
+    Returns : WAIT, PROMOTE or REJECT for a shadow; WAIT, MARK_GOOD or ROLL_BACK on probation. A shadow that
+        is neither better nor clearly worse goes on; an active bundle is kept unless it is worse.
+    """
+    fewest = min((row.count for row in scores.rows), default=0)
+    if not scores.rows or fewest < ticks:
+        return Judgement(Verdict.WAIT, f"{fewest} of {ticks} forecasts are scored at the longest horizon")
+    ratios = [_ratio(row, on_probation) for row in scores.rows]
+    mean = math.exp(sum(math.log(ratio) for ratio in ratios) / len(ratios))
+    most, row = max(zip(ratios, scores.rows, strict=True), key=lambda pair: pair[0])
+    tried, other = (scores.active, scores.rival) if on_probation else (scores.rival, scores.active)
+    why = (
+        f"errors of {tried} are {mean:.3f} times those of {other}, "
+        f"at most {most:.3f} times ({row.model} at {row.horizon_s:g} s)"
+    )
+    worse = mean > WORSE or most > WORSE_ONCE
+    if on_probation:
+        return Judgement(Verdict.ROLL_BACK if worse else Verdict.MARK_GOOD, why)
+    if worse:
+        return Judgement(Verdict.REJECT, why)
+    return Judgement(Verdict.PROMOTE if mean <= 1.0 else Verdict.WAIT, why)
+
+
+def _ratio(row: HorizonScore, on_probation: bool) -> float:
+    """Error of the bundle on trial over the other's; no number counts as the largest error there is."""
+    tried, other = (row.active_k, row.rival_k) if on_probation else (row.rival_k, row.active_k)
+    if not math.isfinite(tried):
+        return _RATIO_MAX
+    if not math.isfinite(other):
+        return 1.0 / _RATIO_MAX
+    ratio = max(tried, ERROR_FLOOR_K) / max(other, ERROR_FLOOR_K)
+    return min(max(ratio, 1.0 / _RATIO_MAX), _RATIO_MAX)

@@ -1,0 +1,184 @@
+"""`greenhouse bundle`: verify, install, activate, roll back and list bundles of models.
+
+Where a daemon runs, it is asked to change what it serves, so that it does so between two ticks; without one
+the store on the disk is changed, and the daemon follows at its next start.
+"""
+
+import argparse
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from edge import config
+from edge.bundle.archive import open_archive
+from edge.bundle.manifest import PACKAGED
+from edge.bundle.orders import carry_out
+from edge.bundle.roles import Roles
+from edge.bundle.store import Store
+from edge.control_socket import NobodyListens, request
+from edge.errors import DataError, RequestError
+from edge.models.from_bundle import loader
+from edge.settings import Settings
+
+CONFIG = Path("/etc/greenhouse/edge.yaml")
+POLL_S = 0.1
+JOB_TIMEOUT_S = 120.0  # for a slow disk and models that load
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--config", type=Path, default=None, help=f"{CONFIG} where there is one; else every setting's default"
+    )
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    for name, help_text in (
+        ("verify", "check signature, hashes and models of a bundle, change nothing"),
+        ("install", "verify, and let it run in shadow beside the active bundle"),
+    ):
+        action = actions.add_parser(name, help=help_text, description=help_text)
+        action.add_argument("bundle", type=Path, help="archive or folder")
+        if name == "verify":  # what is installed must be trusted by the daemon too, so by the configuration
+            action.add_argument("--keys", type=Path, default=None, help="folder of public keys (*.pub)")
+    activate = actions.add_parser("activate", help="make the bundle in shadow, or VERSION, the active one")
+    activate.add_argument("version", nargs="?", default=None, help=f"an installed version, or {PACKAGED}")
+    actions.add_parser("rollback", help="make the bundle before the active one active again")
+    actions.add_parser("mark-good", help="end the active bundle's probation")
+    actions.add_parser("reject", help="end the shadow's trial; it stays installed")
+    actions.add_parser("list", help="what is installed, what is active, what runs beside it")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry it out; what is refused is told in one line."""
+    settings = _settings(arguments.config)
+    keys = getattr(arguments, "keys", None) or Path(settings.bundle.trusted_keys)
+    store = Store(Path(settings.bundle.path), keys, loader(settings.control.step_s))
+    match arguments.action:
+        case "verify":
+            _verify(store, arguments.bundle)
+        case "install":
+            _install(store, settings, arguments.bundle)
+        case "list":
+            _list(store)
+        case action:
+            _change(store, settings, action, getattr(arguments, "version", None))
+    return 0
+
+
+def _settings(path: Path | None) -> Settings:
+    if path is None and not CONFIG.exists():
+        return config.default()
+    return config.load(path or CONFIG)
+
+
+def _verify(store: Store, source: Path) -> None:
+    with open_archive(source) as archive, _told_of(source):
+        loaded = store.verify(archive)
+    manifest = loaded.manifest
+    print(
+        f"{source} is good: {manifest.name} {manifest.version} of {manifest.created_utc}, "
+        f"{manifest.sample_s:g} s steps, models {', '.join(loaded.predictors)}"
+    )
+
+
+def _install(store: Store, settings: Settings, source: Path) -> None:
+    with open_archive(source) as archive, _told_of(source), _as_owner(store.folder):
+        version = store.install(archive).version
+    print(f"bundle {version} is installed")
+    reply = _ask(settings, "refresh", None)
+    if reply is None:
+        _print_roles(store.roles())
+    else:
+        _print_serving(reply)
+
+
+def _change(store: Store, settings: Settings, action: str, version: str | None) -> None:
+    reply = _ask(settings, action, version)
+    if reply is not None:
+        _print_serving(reply)
+        return
+    with _as_owner(store.folder):
+        roles = carry_out(store, action, version)
+    _print_roles(roles)
+
+
+def _list(store: Store) -> None:
+    roles = store.roles()
+    for name in [PACKAGED, *store.versions()]:
+        words = [word for word, role in _roles_in_words(roles).items() if role == name]
+        try:
+            state = f"of {store.load(name).manifest.created_utc}"
+        except (DataError, RequestError) as error:
+            state = f"can't be used: {error}"
+        print(f"{name:20} {', '.join(words) or 'installed':24} {state}")
+
+
+def _roles_in_words(roles: Roles) -> dict[str, str | None]:
+    active = "active, on probation" if roles.on_probation else "active"
+    return {active: roles.active, "previous": roles.previous, "shadow": roles.shadow}
+
+
+def _print_roles(roles: Roles) -> None:
+    print("; ".join(f"{word}: {name}" for word, name in _roles_in_words(roles).items() if name))
+
+
+def _print_serving(reply: dict[str, Any]) -> None:
+    probation = ", on probation" if reply["on_probation"] else ""
+    print(f"active: {reply['active']}{probation}; beside it: {reply['rival'] or 'none'} (the daemon has it)")
+    for problem in reply["problems"]:
+        print(f"the daemon can't use: {problem}")
+
+
+def _ask(settings: Settings, action: str, version: str | None) -> dict[str, Any] | None:
+    """The daemon's state after the job, None where no daemon runs. Errors: RequestError when it refuses"""
+    socket = Path(settings.control_socket.path)
+    try:
+        job = _accepted(request(socket, {"do": "bundle", "action": action, "version": version}))["job"]
+    except NobodyListens:
+        return None
+    give_up_s = time.monotonic() + JOB_TIMEOUT_S
+    while time.monotonic() < give_up_s:
+        reply = _accepted(request(socket, {"do": "bundle", "action": "status", "job": job}))
+        if reply["job_error"]:
+            raise RequestError(reply["job_error"])
+        if reply["job_done"]:
+            return reply
+        time.sleep(POLL_S)
+    raise RequestError(f"the daemon is not done with {action} after {JOB_TIMEOUT_S:g} s")
+
+
+def _accepted(reply: dict[str, Any]) -> dict[str, Any]:
+    if not reply.get("ok", False):
+        raise RequestError(str(reply.get("error", reply)))
+    return reply
+
+
+@contextmanager
+def _told_of(source: Path) -> Iterator[None]:
+    """Errors begin with the bundle's file."""
+    try:
+        yield
+    except DataError as error:
+        raise DataError(f"{source}: {error}") from error
+    except OSError as error:  # of the place where it is unpacked
+        raise DataError(f"{source}: {error.filename}: {error.strerror or error}") from error
+
+
+@contextmanager
+def _as_owner(folder: Path) -> Iterator[None]:
+    """Root writes as the owner of the store, so that the daemon can change what root installed."""
+    if os.geteuid() != 0:
+        yield
+        return
+    while not folder.exists():
+        folder = folder.parent
+    owner = folder.stat()
+    os.setegid(owner.st_gid)
+    os.seteuid(owner.st_uid)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.setegid(0)

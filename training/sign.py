@@ -1,0 +1,139 @@
+"""The signing side of bundles: keys, and a folder of models made into one signed archive.
+
+The private key stays with the person who trains; rigs know the public one. Both are PEM files that openssl
+reads too.
+"""
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+)
+
+from edge import __version__
+from edge.bundle.archive import pack
+from edge.bundle.manifest import (
+    MANIFEST,
+    MODELS,
+    SIGNATURE,
+    TWIN,
+    UNITS,
+    FileEntry,
+    Manifest,
+    ModelEntry,
+    parse_manifest,
+    write_manifest,
+)
+from edge.errors import DataError
+from edge.models.pbm import read_twin
+
+FILES = {"arx": "arx.json", "pbm": TWIN, "lstm": "lstm.onnx", "ham": "ham.onnx"}
+PUBLIC_SUFFIX = ".pub"
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a manifest says that can't be read off the files."""
+
+    version: str
+    created_utc: str  # 2026-07-01T12:00:00Z
+    data_sha256: str  # of the recorded runs
+    sample_s: float = 60.0
+    name: str = "greenhouse-models"
+    software: Mapping[str, str] = field(default_factory=dict)  # package -> version
+    minimum_software: str = __version__
+
+
+def generate_key(path: Path) -> Path:
+    """A new private key at `path`, readable by its owner alone. Returns the public key's file beside it.
+
+    Errors : DataError when either file is there already: a lost key can't be made again
+    """
+    public = path.with_suffix(PUBLIC_SUFFIX)
+    if public == path:
+        raise DataError(f"{path}: {PUBLIC_SUFFIX} is the public key's ending")
+    if public.exists():
+        raise DataError(f"{public}: is there already and is not overwritten")
+    key = Ed25519PrivateKey.generate()
+    private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    _write_new(path, private, 0o600)
+    _write_new(public, key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo), 0o644)
+    return public
+
+
+def sign_folder(folder: Path, facts: Facts, key: Path) -> Manifest:
+    """Write manifest.json and manifest.sig for all files of `folder`, over older ones.
+
+    Errors : DataError for a missing twin, a wrong fact or a file that is no private key
+    """
+    signer = _read_private(key)
+    names = sorted(path.name for path in folder.iterdir() if path.name not in (MANIFEST, SIGNATURE))
+    manifest = Manifest(
+        name=facts.name,
+        version=facts.version,
+        created_utc=facts.created_utc,
+        sample_s=facts.sample_s,
+        files={name: _entry(folder / name) for name in names},
+        models={name: ModelEntry(FILES[name], kind) for name, kind in MODELS.items() if FILES[name] in names},
+        twin_sha256=read_twin(folder / TWIN).twin.sha256,
+        data_sha256=facts.data_sha256,
+        software=facts.software,
+        minimum_software=facts.minimum_software,
+        units=UNITS,
+    )
+    content = write_manifest(manifest)
+    parse_manifest(content)  # what the edge would refuse is not signed
+    (folder / MANIFEST).write_bytes(content)
+    (folder / SIGNATURE).write_bytes(signer.sign(content))
+    return manifest
+
+
+def build_bundle(folder: Path, out: Path, facts: Facts, key: Path) -> Manifest:
+    """The files of `folder` as a signed archive `out`; the folder stays. Errors: DataError, OSError"""
+    with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
+        copy = Path(temporary)
+        for path in folder.iterdir():
+            shutil.copyfile(path, copy / path.name)
+        manifest = sign_folder(copy, facts, key)
+        with out.open("wb") as archive:
+            pack(copy, archive)
+    return manifest
+
+
+def _entry(path: Path) -> FileEntry:
+    content = path.read_bytes()
+    return FileEntry(hashlib.sha256(content).hexdigest(), len(content))
+
+
+def _write_new(path: Path, content: bytes, mode: int) -> None:
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    except FileExistsError:
+        raise DataError(f"{path}: is there already and is not overwritten") from None
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from error
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)
+
+
+def _read_private(path: Path) -> Ed25519PrivateKey:
+    try:
+        key = load_pem_private_key(path.read_bytes(), password=None)
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from error
+    except (ValueError, TypeError):  # no PEM; encrypted
+        key = None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise DataError(f"{path}: is no Ed25519 private key (PEM, not encrypted)")
+    return key
