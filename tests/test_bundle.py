@@ -315,7 +315,7 @@ def test_the_models_of_a_bundle_predict(workshop: Workshop) -> None:
 
 def test_a_bundle_for_another_sample_time_is_refused(workshop: Workshop) -> None:
     folder = workshop.signed_folder("good")
-    with pytest.raises(DataError, match="sample_s: made for 60 s, control.step_s is 10"):
+    with pytest.raises(DataError, match=r"sample_s: made for 60 s, control\.step_s is 10"):
         loader(10.0)(folder, check_folder(folder, workshop.trusted))
 
 
