@@ -1,11 +1,13 @@
 """A TickRecord as plain JSON values: one form for telemetry, the control socket and the display."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from edge.messages import Command, Echo, Event, TickRecord
+from edge.messages import Command, Echo, Event, Forecast, ForecastSkill, TickRecord
 from edge.names import SIGNALS
+
+TEMP_DIGITS, WIDTH_DIGITS = 2, 3  # of forecasts: a tenth of the sensor's resolution, a hundredth
 
 
 def number(value: float | None, digits: int = 4) -> float | None:
@@ -62,8 +64,34 @@ def echo_json(echo: Echo | None) -> dict[str, Any] | None:
     }
 
 
+def forecast_json(forecast: Forecast) -> dict[str, Any]:
+    """One predictor's forecast, by horizon in minutes; `outside` is null where it is not known."""
+    return {
+        "temp_c": {str(m): number(value, TEMP_DIGITS) for m, value in forecast.temps.items()},
+        "half_width_k": {str(m): number(value, WIDTH_DIGITS) for m, value in forecast.half_widths.items()},
+        "outside": None if forecast.outside is None else int(forecast.outside),
+        "reason": forecast.reason,
+    }
+
+
+def skill_json(skill: Sequence[ForecastSkill]) -> dict[str, Any]:
+    """By predictor: its version and, by horizon in minutes, how it does."""
+    found: dict[str, Any] = {}
+    for row in skill:
+        of_predictor = found.setdefault(row.predictor, {"version": row.version, "horizons": {}})
+        of_predictor["horizons"][str(row.horizon_min)] = {
+            "scored": row.scored,
+            "mae_k": number(row.mae_k),
+            "against_persistence": number(row.against_persistence),
+            "against_pbm": number(row.against_pbm),
+            "half_width_k": number(row.half_width_k),
+            "covered": number(row.covered),
+        }
+    return found
+
+
 def tick_json(record: TickRecord) -> dict[str, Any]:
-    """The whole record; missing numbers are null, never 0."""
+    """The record without its skill (`skill_json`); missing numbers are null, never 0."""
     return {
         "seq": record.seq,
         "utc": number(record.utc, 3),
@@ -84,6 +112,7 @@ def tick_json(record: TickRecord) -> dict[str, Any]:
         "controller": record.decision.controller,
         "forecast_c": [number(value) for value in record.decision.forecast],
         "why": json_value(record.decision.why),
+        "forecasts": {name: forecast_json(forecast) for name, forecast in record.forecasts.items()},
         "wanted": command_json(record.wanted),
         "sent": command_json(record.sent),
         "changes": [

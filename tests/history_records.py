@@ -12,6 +12,7 @@ from edge.messages import (
     Echo,
     Estimate,
     Event,
+    Forecast,
     Quality,
     Reading,
     Severity,
@@ -80,6 +81,7 @@ def tick(seq: int, **values: Any) -> TickRecord:
         ticks_skipped=0,
         late_s=0.001,
         decide_ms=3.2,
+        forecasts={"arx": Forecast({1: 25.1, 60: 27.123}, {1: 0.1, 60: 0.75}, outside=False)},
     )
     return replace(record, **values)
 
@@ -97,4 +99,9 @@ def eventful_tick(seq: int) -> TickRecord:
             Event("board.link_lost", Severity.ALARM, "silent for 3 s; Ü", 60.0, START_UTC),
             Event("tick.late", Severity.WARNING, "2 s", 60.0, START_UTC + 1.0),
         ),
+        forecasts={
+            "arx": Forecast(reason="not a number after step 1"),
+            "ham": Forecast({1: 25.123456}, outside=True),
+            "pbm": Forecast({1: -1234.5}),
+        },
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from history_records import START_UTC, HandClock, History, tick
 
-from edge.messages import Event, Quality, Reading, Severity, TickRecord
+from edge.messages import Event, ForecastSkill, Quality, Reading, Severity, TickRecord
 from edge.storage import Outbox, Storage, retention
 from edge.storage.file import connect
 from edge.storage.runs import name_run
@@ -95,7 +95,7 @@ def test_ticks_become_means_lows_and_highs_of_ten_minutes(history: sqlite3.Conne
 def test_no_row_of_a_thinned_tick_stays(history: sqlite3.Connection) -> None:
     add(history, at(1, 0.0), *recent(2, 2 * DAY_S))
     thin_all(history)
-    for table in ("ticks", "readings", "decisions", "outbox"):
+    for table in ("ticks", "readings", "decisions", "forecasts", "outbox"):
         assert seqs(history, table) == [2, 3, 4]
 
 
@@ -198,3 +198,11 @@ def test_the_writer_thins_and_tells_what_was_never_sent(path: Path, monkeypatch:
     assert [event.key for event in storage.events_pending()] == ["outbox.dropped"]
     with closing(Outbox(path, "g")) as outbox:
         assert outbox.depth() == 1
+
+
+def test_skill_goes_with_the_windows_after_the_retention(history: sqlite3.Connection) -> None:
+    row = ForecastSkill("arx", "v1", 5, 100, 0.1, 0.9, None, None, None)
+    add(history, at(1, 0.0, skill=(row,)), at(2, 3600.0, skill=(row,)), *recent(3, 10 * DAY_S + 1.0))
+    thin_all(history)
+    kept = history.execute("SELECT hour_utc - ? FROM skill", (START_UTC,)).fetchall()
+    assert kept == [(3600.0,)]

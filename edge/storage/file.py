@@ -6,8 +6,11 @@ from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 
-SCHEMA_VERSION = 3  # len(schema.MIGRATIONS), known here without importing sqlite_utils
-VIEWS = ("v_ticks", "v_changes", "v_decisions", "v_events", "v_ten_minutes", "v_gaps")
+SCHEMA_VERSION = 4  # len(schema.MIGRATIONS), known here without importing sqlite_utils
+VIEWS = (
+    *("v_ticks", "v_changes", "v_decisions", "v_events", "v_ten_minutes", "v_gaps"),
+    *("v_forecasts", "v_skill"),
+)
 APPLICATION_ID = 0x67726E68  # "grnh", in the file's header: whose database this is
 WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
 CACHE_KB = 1024

@@ -98,15 +98,20 @@ def _downsample(connection: sqlite3.Connection, seqs: list[int]) -> None:
     """Fold the ticks into their windows. Events stay, they have their own time."""
     chosen = {"seqs": json.dumps(seqs)}
     connection.execute(_DOWNSAMPLE, chosen)
-    for table in ("ticks", "readings", "decisions", "changes"):
+    for table in ("ticks", "readings", "decisions", "forecasts", "changes"):
         connection.execute(f"DELETE FROM {table} WHERE {_AMONG}", chosen)
 
 
 def _delete_old(connection: sqlite3.Connection, before_utc: float) -> int:
-    """Delete windows, events and gaps from before; returns the most rows that went from one table."""
+    """Delete windows, skill, events and gaps from before; returns the most rows that went from one table."""
     windows = connection.execute(
         "DELETE FROM ten_minutes WHERE start_utc IN"
         " (SELECT start_utc FROM ten_minutes WHERE start_utc < ? ORDER BY 1 LIMIT ?)",
+        (before_utc, CHUNK_ROWS),
+    ).rowcount
+    skill = connection.execute(
+        "DELETE FROM skill WHERE hour_utc IN"
+        " (SELECT hour_utc FROM skill WHERE hour_utc < ? ORDER BY 1 LIMIT ?)",
         (before_utc, CHUNK_ROWS),
     ).rowcount
     # Those of kept ticks stay with them.
@@ -116,4 +121,4 @@ def _delete_old(connection: sqlite3.Connection, before_utc: float) -> int:
         (before_utc, CHUNK_ROWS),
     ).rowcount
     gaps = connection.execute("DELETE FROM gaps WHERE utc < ?", (before_utc,)).rowcount
-    return max(windows, events, gaps)
+    return max(windows, skill, events, gaps)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from sqlite_utils import Database
 
+from edge.forecasts.horizons import HORIZONS_MIN
 from edge.names import SIGNALS
 from edge.storage.file import APPLICATION_ID
 
@@ -129,7 +130,41 @@ def add_monotonic_times(db: Database) -> None:
     db.conn.execute("ALTER TABLE ticks ADD COLUMN time_s REAL")
 
 
-MIGRATIONS: tuple[Callable[[Database], None], ...] = (create_tables, create_views, add_monotonic_times)
+def add_forecasts(db: Database) -> None:
+    """Version 4: what each predictor expected at a tick, and how well it does, a row an hour.
+
+    `temp_c` and `half_width_k` are JSON arrays over HORIZONS_MIN, see `forecast_rows`.
+    """
+    db.conn.execute(
+        "CREATE TABLE forecasts (seq INTEGER, predictor TEXT, temp_c TEXT, half_width_k TEXT,"
+        " outside INTEGER, reason TEXT, PRIMARY KEY (seq, predictor)) WITHOUT ROWID"
+    )
+    db.conn.execute(
+        "CREATE TABLE skill (hour_utc INTEGER, predictor TEXT, horizon_min INTEGER, version TEXT,"
+        " scored INTEGER, mae_k REAL, against_persistence REAL, against_pbm REAL, half_width_k REAL,"
+        " covered REAL, PRIMARY KEY (hour_utc, predictor, horizon_min)) WITHOUT ROWID"
+    )
+    horizon = " ".join(f"WHEN {place} THEN {minutes}" for place, minutes in enumerate(HORIZONS_MIN))
+    width = "json_extract(f.half_width_k, '$[' || h.key || ']')"
+    db.create_view(
+        "v_forecasts",
+        f"SELECT f.seq, t.utc, f.predictor, CASE h.key {horizon} END AS horizon_min, h.value AS temp_c,"
+        f" h.value - {width} AS low_c, h.value + {width} AS high_c, f.outside"
+        " FROM forecasts f JOIN ticks t USING (seq), json_each(f.temp_c) h WHERE h.value IS NOT NULL",
+    )
+    db.create_view(
+        "v_skill",
+        "SELECT hour_utc, predictor, horizon_min, version, scored, mae_k, against_persistence, against_pbm,"
+        " half_width_k, covered FROM skill",
+    )
+
+
+MIGRATIONS: tuple[Callable[[Database], None], ...] = (
+    create_tables,
+    create_views,
+    add_monotonic_times,
+    add_forecasts,
+)
 
 
 def migrate(connection: sqlite3.Connection) -> None:

@@ -14,12 +14,14 @@ from edge.messages import (
     Echo,
     Estimate,
     Event,
+    Forecast,
     Quality,
     Reading,
     Severity,
     TickRecord,
 )
 from edge.names import SIGNALS
+from edge.storage.forecast_rows import insert_forecasts, keep_skill, read_forecasts
 from edge.tick_json import json_value, number
 
 _COMMAND_COLUMNS = ("heater_duty", "fan_on", "led", "valve_pulse_s")
@@ -52,6 +54,8 @@ def insert_ticks(connection: sqlite3.Connection, records: Sequence[TickRecord], 
         "INSERT INTO decisions VALUES (?, ?, ?)",
         [(r.seq, _json([number(t) for t in r.decision.forecast]), _json(r.decision.why)) for r in records],
     )
+    insert_forecasts(connection, records)
+    keep_skill(connection, records)
     connection.executemany(
         "INSERT INTO changes VALUES (?, ?, ?, ?, ?, ?, ?)",
         [
@@ -79,7 +83,8 @@ def read_ticks(connection: sqlite3.Connection, seqs: Iterable[int]) -> dict[int,
 
     Monotonic times come back as NaN: they mean nothing after their process.
     """
-    chosen = json.dumps(list(seqs))
+    numbers = list(seqs)
+    chosen = json.dumps(numbers)
 
     def rows(columns: str, table: str) -> list[tuple[Any, ...]]:
         query = f"SELECT {columns} FROM {table} WHERE seq IN (SELECT value FROM json_each(?)) ORDER BY 1, 2"
@@ -94,10 +99,16 @@ def read_ticks(connection: sqlite3.Connection, seqs: Iterable[int]) -> dict[int,
     events: defaultdict[int, list[Event]] = defaultdict(list)
     for seq, _, utc, key, severity, text in rows("*", "events"):
         events[seq].append(Event(key, Severity(severity), text, NAN, _or_nan(utc)))
+    forecasts = read_forecasts(connection, numbers)
     decisions = {seq: (forecast, why) for seq, forecast, why in rows("*", "decisions")}
     return {
         row[0]: _record(
-            row, readings[row[0]], decisions.get(row[0]), tuple(changes[row[0]]), tuple(events[row[0]])
+            row,
+            readings[row[0]],
+            decisions.get(row[0]),
+            tuple(changes[row[0]]),
+            tuple(events[row[0]]),
+            forecasts.get(row[0], {}),
         )
         for row in rows(", ".join(TICK_COLUMNS), "ticks")
     }
@@ -155,6 +166,7 @@ def _record(
     decision: tuple[str, str] | None,
     changes: tuple[Change, ...],
     events: tuple[Event, ...],
+    forecasts: dict[str, Forecast],
 ) -> TickRecord:
     """One record from its row of `ticks` (columns as in TICK_COLUMNS) and its rows of the other tables."""
     forecast, why = ("[]", "{}") if decision is None else decision
@@ -181,6 +193,7 @@ def _record(
         ticks_skipped=row[27],
         late_s=_or_nan(row[28]),
         decide_ms=_or_nan(row[29]),
+        forecasts=forecasts,
     )
 
 
