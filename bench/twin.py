@@ -92,7 +92,7 @@ def main() -> None:
     print("python -m bench.twin")
     print(f"python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}, "
           f"{platform.machine()}; steps of 60 s, {HORIZON} steps a sequence")  # fmt: skip
-    batches = " | ".join(f"exact, {batch} sequences [us/step]" for batch in BATCHES)
+    batches = " | ".join(f"exact, batch of {batch} [us/step]" for batch in BATCHES)
     print(f"\n| twin | RK45 [us/step] | {batches} | ratio at {BATCHES[-1]} "
           "| off RK45 at 1e-10 [K] | off RK45 at scipy's defaults [K] |")  # fmt: skip
     print("|---|" + "---|" * (len(BATCHES) + 4))

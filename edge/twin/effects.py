@@ -147,7 +147,7 @@ def build(geometry: Geometry, effects: Effects) -> Network:
 def check_names(name: str, parameters: Iterable[str]) -> None:
     """Refuse an unknown effect, and parameters that are not exactly its own. Errors: DataError."""
     if name not in EFFECTS:
-        raise DataError(f"effects: unknown effect {name!r}; {nearest(name, EFFECTS)}")
+        raise DataError(f"effects: unknown effect {name!r}; {nearest(str(name), EFFECTS)}")
     own = [item.name for item in EFFECTS[name].parameters]
     given = list(parameters)
     for key in given:

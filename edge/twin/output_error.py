@@ -49,9 +49,9 @@ def free_run(twin: Twin, runs: Recorded, ambient: Floats, noise_k: float) -> Fre
     )
     response *= spread(twin)[:, None] / noise_k
     normal = response @ response.swapaxes(1, 2) + np.eye(size)
-    pull: Floats = np.linalg.solve(normal, response @ (residual / noise_k)[:, :, None])
-    explained: Floats = noise_k * (pull.swapaxes(1, 2) @ response)[:, 0]
-    return FreeRun(residual - explained, measured, pull[:, :, 0])
+    pull = np.linalg.solve(normal, response @ (residual / noise_k)[:, :, None])[:, :, 0]
+    explained = noise_k * np.einsum("bi,bik->bk", pull, response)
+    return FreeRun(residual - explained, measured, np.asarray(pull, dtype=np.float64))
 
 
 def rmse(run: FreeRun) -> float:
