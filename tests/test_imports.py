@@ -15,6 +15,15 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "edge": ("training", "torch", "stable_baselines3", "tests", "bench"),
     "edge/controllers": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.clock"),
     "edge/models": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.controllers", "edge.clock"),
+    "edge/twin": (
+        "edge.board",
+        "edge.storage",
+        "edge.mqtt",
+        "edge.loop",
+        "edge.controllers",
+        "edge.models",
+        "edge.clock",
+    ),
     "firmware_protocol/virtual_board/chamber.py": ("edge",),
 }
 PURE = ("safety", "safety_rules", "safety_state", "thermal_supervision", "operation", "reference", "lighting",
