@@ -6,18 +6,40 @@ The equation is solved without r for T_hat, the network gives r from it, and the
 r, constant over the step. H, F and T_amb are constant over a step too, so both solutions are exact:
 
     T+ = a T + phi (H / (rho V c) + F T_amb / V + r),   a = exp(-F dt / V),  phi = (1 - a) V / F
+
+which gives r its training target from two measured temperatures: phi is 60 s with the fan off and 8 s with
+the fan on, never small. But a is 5e-4 with the fan on: T_hat then hardly depends on T any more, and neither
+does what the paper's HAM predicts.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-if TYPE_CHECKING:
-    from edge.twin.geometry import Geometry
+from edge.run_file import Run
+from edge.twin.geometry import Geometry
+from training.fit_network import Pairs, Progress, fit, make_deterministic
+from training.pairs import Transitions, split_all, transitions
 
 HIDDEN = 64
 DROPOUT = 0.2
+STEP_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class HamSettings:
+    """The paper's values. `min_delta` is of the MSE of the scaled r, see `EarlyStopping`."""
+
+    epochs: int = 1000
+    learning_rate: float = 1e-3
+    batch_size: int = 64
+    hidden: int = HIDDEN
+    dropout: float = DROPOUT
+    min_delta: float = 5e-4
+    tolerance: int = 10
 
 
 class HamNet(nn.Module):
@@ -29,7 +51,7 @@ class HamNet(nn.Module):
 
     def __init__(
         self,
-        geometry: "Geometry",
+        geometry: Geometry,
         step_s: float,
         mean: Tensor,
         scale: Tensor,
@@ -53,15 +75,7 @@ class HamNet(nn.Module):
         }
         for name, value in constants.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
-        self.mlp = nn.Sequential(
-            nn.Linear(4, hidden),
-            nn.ReLU(),
-            nn.Dropout(dropout),
-            nn.Linear(hidden, hidden),
-            nn.ReLU(),
-            nn.Dropout(dropout),
-            nn.Linear(hidden, 1),
-        )
+        self.mlp = source_network(hidden, dropout)
 
     def forward(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
         """Air temperature one step later, all [B].
@@ -69,20 +83,90 @@ class HamNet(nn.Module):
         temp, ambient : air and room temperature [°C]; duty : 0..1; fan : 0 or 1 (or the share of the step)
         Returns : [°C]
         """
-        heat, flow = duty * self.heater_max_w, fan * self.fan_max_m3_s
-        rate = flow / self.volume_m3
+        kept, weight, drive = self._solution(ambient, duty, fan)
+        features = self.features(temp, ambient, duty, fan)
+        source = self.scaled_source(features) * self.source_scale + self.source_mean
+        return kept * temp + weight * (drive + source)
+
+    def features(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
+        """What the network sees, [B, 4]: (T_hat, T_amb, H, F), T_hat the solution without r."""
+        kept, weight, drive = self._solution(ambient, duty, fan)
+        uncorrected = kept * temp + weight * drive
+        return torch.stack([uncorrected, ambient, duty * self.heater_max_w, fan * self.fan_max_m3_s], dim=-1)
+
+    def scaled_source(self, features: Tensor) -> Tensor:
+        """What the network itself gives, of mean 0 and variance 1 in the training data, [B]."""
+        return self.mlp((features - self.mean) / self.scale).squeeze(-1)
+
+    def source_between(
+        self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor, following: Tensor
+    ) -> Tensor:
+        """The r that takes `temp` to `following` in one step [K/s], all [B]."""
+        kept, weight, drive = self._solution(ambient, duty, fan)
+        return (following - kept * temp) / weight - drive
+
+    def _solution(self, ambient: Tensor, duty: Tensor, fan: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """a, phi [s] and what drives the air without r [K/s]."""
+        rate = fan * self.fan_max_m3_s / self.volume_m3
         kept = torch.exp(-rate * self.step_s)
         moving = rate > 0.0
         weight = torch.where(moving, (1.0 - kept) / torch.where(moving, rate, 1.0), self.step_s)
-        drive = heat / self.air_j_k + rate * ambient
-        uncorrected = kept * temp + weight * drive
-        source = self.source(uncorrected, ambient, heat, flow)
-        return kept * temp + weight * (drive + source)
+        return kept, weight, duty * self.heater_max_w / self.air_j_k + rate * ambient
 
-    def source(self, uncorrected: Tensor, ambient: Tensor, heat: Tensor, flow: Tensor) -> Tensor:
-        """The corrective source term r [K/s], all [B].
 
-        uncorrected : T_hat, the uncorrected prediction [°C]; heat : [W]; flow : [m³/s]
-        """
-        features = (torch.stack([uncorrected, ambient, heat, flow], dim=-1) - self.mean) / self.scale
-        return self.mlp(features).squeeze(-1) * self.source_scale + self.source_mean
+def source_network(hidden: int, dropout: float) -> nn.Sequential:
+    """The paper's layers (tab:method-model-parameters-hybrid) from four features to r."""
+    return nn.Sequential(
+        nn.Linear(4, hidden),
+        nn.ReLU(),
+        nn.Dropout(dropout),
+        nn.Linear(hidden, hidden),
+        nn.ReLU(),
+        nn.Dropout(dropout),
+        nn.Linear(hidden, 1),
+    )
+
+
+def train(
+    runs: Sequence[Run], seed: int, settings: HamSettings, log: Path | None = None
+) -> tuple[HamNet, Progress]:
+    """The network fitted on the training parts of `runs`, stopped by their validation parts.
+
+    log : folder for TensorBoard; None for none
+    Errors : DataError for a test run
+    """
+    make_deterministic(seed)
+    parts = split_all(runs)
+    fitted, validated = transitions(parts.train), transitions(parts.validate)
+    network = HamNet(
+        Geometry(), STEP_S, torch.zeros(4), torch.ones(4), 0.0, 1.0, settings.hidden, settings.dropout
+    )
+    _scale(network, fitted)
+    pairs = _pairs(network, fitted), _pairs(network, validated)
+    return network, fit(network, network.scaled_source, *pairs, settings, seed, log)
+
+
+def _scale(network: HamNet, data: Transitions) -> None:
+    """Fill the scaler's buffers by what the training data say."""
+    inputs = (_tensor(values) for values in (data.temp, data.ambient, data.duty, data.fan))
+    features = network.features(*inputs)
+    network.mean.copy_(features.mean(dim=0))
+    network.scale.copy_(features.std(dim=0))
+    source = _source(network, data)
+    network.source_mean.copy_(source.mean())
+    network.source_scale.copy_(source.std())
+
+
+def _pairs(network: HamNet, data: Transitions) -> Pairs:
+    inputs = (_tensor(values) for values in (data.temp, data.ambient, data.duty, data.fan))
+    scaled = (_source(network, data) - network.source_mean) / network.source_scale
+    return Pairs(network.features(*inputs), scaled)
+
+
+def _source(network: HamNet, data: Transitions) -> Tensor:
+    columns = (data.temp, data.ambient, data.duty, data.fan, data.following)
+    return network.source_between(*(_tensor(values) for values in columns))
+
+
+def _tensor(values: object) -> Tensor:
+    return torch.as_tensor(values, dtype=torch.float32)

@@ -1,40 +1,53 @@
-"""A linear twin as matrices in torch: one exact step, and its state from ten measured rows."""
+"""A twin as matrices in torch: its exact step, and its state from a window of measurements."""
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
+
+from edge.twin.model import Twin
+from edge.twin.warm_start import at_rest, drift, spread
 
 
 class TwinStep(nn.Module):
-    """x+ = A x + B (u_h, T_amb, r), A and B by the fan; x is [air temperature [°C], unmeasured states].
+    """x+ = A x + B (u_h, T_amb, r), A and B by the fan; x is (air temperature [°C], hidden states).
 
-    Buffers: `transition` [2, S, S] and `drive` [2, S, 3] with the fan off and on; `rest_excess` and
-    `rest_ambient` [S], the state at rest per kelvin over the room and per kelvin of the room; `spread` [S], how
-    far (sd) the state may be from rest; `drift` [S], what it moves in a step that the model doesn't know (sd);
-    `noise`, sd of a measured temperature [K].
+    Buffers, all of them `edge.twin`'s (see `edge/twin/warm_start.py`): `transition` [2, S, S] and `drive`
+    [2, S, 3] with the fan off and on; `rest_excess` and `rest_ambient` [S], the state at rest per kelvin over
+    the room and per kelvin of the room; `spread` [S], how far (sd) the state may be from rest; `drift`
+    [2, S], what unknown heat does over a step (sd); `noise`, sd of a measured temperature [K].
     """
 
-    def __init__(
-        self,
-        transition: Tensor,
-        drive: Tensor,
-        rest_excess: Tensor,
-        rest_ambient: Tensor,
-        spread: Tensor,
-        drift: Tensor,
-        noise: float,
-    ) -> None:
+    def __init__(self, states: int) -> None:
         super().__init__()
-        buffers = {
-            "transition": transition,
-            "drive": drive,
-            "rest_excess": rest_excess,
-            "rest_ambient": rest_ambient,
-            "spread": spread,
-            "drift": drift,
-            "noise": torch.tensor(noise),
+        shapes = {
+            "transition": (2, states, states),
+            "drive": (2, states, 3),
+            "rest_excess": (states,),
+            "rest_ambient": (states,),
+            "spread": (states,),
+            "drift": (2, states),
+            "noise": (),
         }
-        for name, values in buffers.items():
-            self.register_buffer(name, values.float())
+        for name, shape in shapes.items():
+            self.register_buffer(name, torch.zeros(shape))
+
+    @classmethod
+    def of(cls, twin: Twin) -> "TwinStep":
+        """The same physics as `twin`; between fan off and on the matrices are interpolated."""
+        step = cls(len(twin.states))
+        values: dict[str, NDArray[np.float64] | float] = {
+            "transition": twin.off_on.state,
+            "drive": twin.off_on.drive,
+            "rest_excess": at_rest(twin, 1.0, 0.0),  # at_rest is linear in both temperatures
+            "rest_ambient": at_rest(twin, 1.0, 1.0),
+            "spread": spread(twin),
+            "drift": drift(twin),
+            "noise": twin.noise.sensor_k,
+        }
+        for name, value in values.items():
+            step.get_buffer(name).copy_(torch.as_tensor(value))
+        return step
 
     def step(self, state: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor, source: Tensor) -> Tensor:
         """The state one step later; state [B, S]; ambient [°C], duty, fan 0..1, source [K/s] : [B]."""
@@ -43,25 +56,38 @@ class TwinStep(nn.Module):
         on = state @ self.transition[1].T + inputs @ self.drive[1].T
         return off + fan.unsqueeze(-1) * (on - off)
 
-    def start(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """The state at the last row, by a Kalman filter that begins at rest.
+    def response(self, fan: Tensor) -> Tensor:
+        """What a source of 1 K/s does to the air over one step [s], [B]."""
+        return self.drive[0, 0, 2] + fan * (self.drive[1, 0, 2] - self.drive[0, 0, 2])
 
-        temp, ambient [°C], duty, fan : [B, rows]; the last row's duty and fan are not read
+    def start(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
+        """The state at the last row: a Kalman filter that begins at rest; the air as last measured.
+
+        temp, ambient [°C], duty, fan : [B, rows], nothing missing; the last row's duty and fan are not read
         Returns : [B, S]
         """
+        return self.filtered(temp, ambient, duty, fan)[:, -1]
+
+    def filtered(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
+        """The same at every row, [B, rows, S]."""
         excess = (temp[:, 0] - ambient[:, 0]).unsqueeze(-1)
         state = self.rest_excess * excess + self.rest_ambient * ambient[:, :1]
         covariance = torch.diag(self.spread**2).expand(len(temp), -1, -1)
         none = torch.zeros_like(temp[:, 0])
+        states = [state]
         for k in range(temp.shape[1] - 1):
-            matrix = self._transition(fan[:, k])
             state = self.step(state, ambient[:, k], duty[:, k], fan[:, k], none)
-            covariance = matrix @ covariance @ matrix.transpose(1, 2) + torch.diag(self.drift**2)
+            covariance = self._predicted(covariance, fan[:, k])
             gain = covariance[:, :, 0] / (covariance[:, 0, :1] + self.noise**2)
             state = state + gain * (temp[:, k + 1] - state[:, 0]).unsqueeze(-1)
             covariance = covariance - gain.unsqueeze(-1) * covariance[:, :1, :]
-        return state
+            states.append(state)
+        hidden = torch.stack(states, dim=1)[:, :, 1:]
+        return torch.cat([temp.unsqueeze(-1), hidden], dim=-1)
 
-    def _transition(self, fan: Tensor) -> Tensor:
+    def _predicted(self, covariance: Tensor, fan: Tensor) -> Tensor:
         share = fan.reshape(-1, 1, 1)
-        return self.transition[0] + share * (self.transition[1] - self.transition[0])
+        matrix = self.transition[0] + share * (self.transition[1] - self.transition[0])
+        moved = self.drift[0] + share[:, 0] * (self.drift[1] - self.drift[0])
+        unknown = moved.unsqueeze(2) * moved.unsqueeze(1)
+        return matrix @ covariance @ matrix.transpose(1, 2) + unknown

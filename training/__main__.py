@@ -1,0 +1,72 @@
+"""`greenhouse-train`: fit the models on the recorded runs and forecast the test runs with them."""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from edge.errors import GreenhouseError
+
+OUT = Path("out/training")
+LOGS = Path("out/tensorboard")
+SEEDS = 5
+COMMANDS = {
+    "linear": "the ARX models: the paper's, and the one with the room temperature",
+    "pbm": "the physics models: the paper's, and the twin with fitted effects",
+    "lstm": "the LSTMs: the paper's, and the one that predicts increments",
+    "ham": "the hybrids: the paper's (CoSTA), and the one over the fitted twin, guarded",
+    "all": "all of these, with every seed, in both regimes",
+}
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Entry point. Expected errors end in one line and exit code 2."""
+    arguments = _parser().parse_args(words)
+    try:
+        return _train(arguments)
+    except GreenhouseError as error:
+        print(f"greenhouse-train {arguments.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="greenhouse-train", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, help_text in COMMANDS.items():
+        sub = commands.add_parser(name, help=help_text, description=help_text)
+        sub.add_argument("--regime", choices=("interpolation", "extrapolation"), help="one; usual: both")
+        sub.add_argument("--seeds", type=int, default=SEEDS, help=f"trainings per network (usual: {SEEDS})")
+        sub.add_argument("--out", type=Path, default=OUT, help=f"models and records (usual: {OUT})")
+        sub.add_argument("--logs", type=Path, default=LOGS, help=f"TensorBoard logs (usual: {LOGS})")
+    return parser
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    from training.models import FAMILIES, MODELS, SEEDED
+    from training.study import SCENARIOS, folder, study
+    from training.summary import records, table
+
+    families = FAMILIES if arguments.command == "all" else {arguments.command: FAMILIES[arguments.command]}
+    names = [name for family in families.values() for name in family]
+    regimes = [regime for regime in SCENARIOS if arguments.regime in (None, regime)]
+    for name in names:
+        for regime in regimes:
+            for seed in range(arguments.seeds if name in SEEDED else 1):
+                out, log = (folder(root, name, regime, seed) for root in (arguments.out, arguments.logs))
+                record = study(name, MODELS[name], regime, seed, out, log)
+                print(_line(record), flush=True)
+    print("\n".join(table(records(arguments.out), names)))
+    return 0
+
+
+def _line(record: Mapping[str, Any]) -> str:
+    maes = "  ".join(f"{one['free_run']['mae_k']:6.3f}" for one in record["scenarios"].values())
+    what = f"{record['model']:15s} {record['regime']:14s} seed {record['seed']}"
+    return f"{what}  MAE {maes} K  {record['wall_s']:6.1f} s  {record['peak_rss_mib']:5.0f} MiB"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""The one training loop: Adam on the MSE of the scaled target, early stopping, the best weights kept."""
+
+import copy
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from training.early_stopping import EarlyStopping
+
+Predict = Callable[[Tensor], Tensor]  # features of a batch -> scaled target
+
+
+class Settings(Protocol):
+    """What the loop needs of a model's settings."""
+
+    epochs: int
+    learning_rate: float
+    batch_size: int
+    min_delta: float
+    tolerance: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Features [n, ...] and the scaled target [n]."""
+
+    features: Tensor
+    target: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How a training went; losses are MSE of the scaled target."""
+
+    epochs: int  # done
+    best_epoch: int  # whose weights were kept, counted from 1
+    train_loss: float  # of the best epoch, dropout active
+    validation_loss: float  # of the best epoch
+
+
+def make_deterministic(seed: int) -> None:
+    """The same seed gives the same weights on one machine: one thread, deterministic kernels."""
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    torch.set_num_threads(1)
+    torch.use_deterministic_algorithms(True)
+    torch.manual_seed(seed)
+
+
+def fit(
+    network: nn.Module,
+    predict: Predict,
+    train: Pairs,
+    validate: Pairs,
+    settings: Settings,
+    seed: int,
+    log: Path | None = None,
+) -> Progress:
+    """Train `network` in place and leave it, in evaluation mode, with the weights of its best epoch.
+
+    predict : the scaled prediction through `network`; seed : of the order of the batches
+    log : folder for TensorBoard; None for no log, and no progress bar either
+    """
+    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    stopping = EarlyStopping(settings.min_delta, settings.tolerance)
+    order = torch.Generator().manual_seed(seed)
+    best = Progress(0, 0, math.inf, math.inf)
+    weights = copy.deepcopy(network.state_dict())
+    writer = None if log is None else SummaryWriter(log)
+    epoch = 0
+    for epoch in tqdm(_epochs(settings), unit="epoch", leave=False, disable=None if log else True):
+        train_loss = _one_epoch(network, predict, train, optimiser, order, settings.batch_size)
+        loss = mean_squared_error(network, predict, validate)
+        _note(writer, epoch, train_loss, loss)
+        if loss < best.validation_loss:
+            best = Progress(epoch, epoch, train_loss, loss)
+            weights = copy.deepcopy(network.state_dict())
+        if stopping.is_over(loss):
+            break
+    if writer is not None:
+        writer.close()
+    network.load_state_dict(weights)
+    network.eval()
+    return Progress(epoch, best.best_epoch, best.train_loss, best.validation_loss)
+
+
+def mean_squared_error(network: nn.Module, predict: Predict, pairs: Pairs) -> float:
+    """MSE of the scaled target without dropout."""
+    network.eval()
+    with torch.no_grad():
+        return float(nn.functional.mse_loss(predict(pairs.features), pairs.target))
+
+
+def _epochs(settings: Settings) -> Sequence[int]:
+    return range(1, settings.epochs + 1)
+
+
+def _one_epoch(
+    network: nn.Module,
+    predict: Predict,
+    pairs: Pairs,
+    optimiser: torch.optim.Optimizer,
+    order: torch.Generator,
+    batch_size: int,
+) -> float:
+    network.train()
+    shuffled = torch.randperm(len(pairs.target), generator=order)
+    total = 0.0
+    for rows in shuffled.split(batch_size):
+        loss = nn.functional.mse_loss(predict(pairs.features[rows]), pairs.target[rows])
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        total += float(loss.detach()) * len(rows)
+    return total / len(pairs.target)
+
+
+def _note(writer: SummaryWriter | None, epoch: int, train_loss: float, loss: float) -> None:
+    if writer is not None:
+        writer.add_scalar("loss/train", train_loss, epoch)
+        writer.add_scalar("loss/validate", loss, epoch)
