@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from edge.messages import Echo, Quality, Reading
+from edge.messages import Echo, Forecast, ForecastSkill, Quality, Reading
 from edge.mqtt import states
 from edge.operation import FanMode, Mode
 from edge.tick_json import echo_json
@@ -159,3 +159,49 @@ def test_the_outputs_are_those_of_now_and_not_of_the_last_tick():
     after_stop = {**loop.status(), "echo": echo_json(Echo(0.0, False, 0.0, False, False, "", 101.0))}
     shown = states.state(after_stop, {})
     assert (shown["heater_duty"], shown["action"]) == (0.0, "idle")
+
+
+def test_each_predictor_says_what_it_expects_or_why_it_does_not():
+    loop = ControlLoop()
+    told = Forecast({1: 24.512}, {1: 0.75}, outside=True)
+    loop.last_record = record(forecasts={"arx": told, "ham": Forecast(reason="2 of 10 rows of history")})
+    assert states.forecasts(loop.status()) == {
+        "seq": 1,
+        "utc": 1.7e9,
+        "step_s": 60.0,
+        "forecasts": {
+            "arx": {
+                "temp_c": {"1": 24.51, "60": 26.0},
+                "half_width_k": {"60": 0.75},
+                "outside": 1,
+                "reason": "",
+            },
+            "ham": {"temp_c": {}, "half_width_k": {}, "outside": None, "reason": "2 of 10 rows of history"},
+        },
+    }
+
+
+def test_skill_is_told_by_predictor_and_horizon():
+    loop = ControlLoop()
+    loop.last_record = record(
+        skill=(
+            ForecastSkill("arx", "v1", 15, 7, 0.2, 0.9, 0.99, 0.5, 0.91),
+            ForecastSkill("arx", "v1", 60, 7, 0.4, None, None, None, None),
+        )
+    )
+    shown = states.skill(loop.status())
+    of_arx = shown["predictors"]["arx"]
+    assert of_arx["version"] == "v1"
+    assert of_arx["horizons"]["15"] == {
+        "scored": 7,
+        "mae_k": 0.2,
+        "against_persistence": 0.9,
+        "against_pbm": 0.99,
+        "half_width_k": 0.5,
+        "covered": 0.91,
+    }
+    assert of_arx["horizons"]["60"]["against_pbm"] is None
+
+
+def test_before_anything_was_scored_the_skill_is_empty():
+    assert states.skill(ControlLoop().status()) == {"seq": 1, "utc": 1.7e9, "predictors": {}}

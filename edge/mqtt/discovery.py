@@ -11,6 +11,7 @@ from typing import Any
 from edge import __version__
 from edge.hard_limits import MAINTENANCE_MAX_MIN
 from edge.mqtt.commands import PRESS
+from edge.mqtt.skill_sensors import skill_sensors
 from edge.mqtt.states import LINE_COUNTERS
 from edge.mqtt.topics import Topics
 from edge.names import HEATER_LEVELS
@@ -49,7 +50,10 @@ def _components(settings: Settings, topics: Topics) -> Json:
     expire_s = max(EXPIRE_MIN_S, math.ceil(EXPIRE_STEPS * settings.control.step_s))
     groups = (
         {"climate": _climate(settings, topics)},
-        {key: {"expire_after": expire_s, **sensor} for key, sensor in _sensors().items()},
+        {
+            key: {"expire_after": expire_s, **sensor}
+            for key, sensor in {**_sensors(), **skill_sensors(topics)}.items()
+        },
         {"controller": _controller_sensor(topics), "last_event": _event_sensor(topics)},
         _binary_sensors(),
         _buttons(topics),

@@ -66,6 +66,18 @@ def forecast(status: Mapping[str, Any]) -> Json:
     return {key: tick[key] for key in ("seq", "utc", "step_s", "reference_c", "forecast_c")}
 
 
+def forecasts(status: Mapping[str, Any]) -> Json:
+    """Air temperature that each predictor expects, and half widths of its interval, by horizon in minutes."""
+    tick = status["tick"]
+    return {key: tick[key] for key in ("seq", "utc", "step_s", "forecasts")}
+
+
+def skill(status: Mapping[str, Any]) -> Json:
+    """How each predictor does, by horizon in minutes; none of them before an hour of ticks."""
+    tick = status["tick"]
+    return {"seq": tick["seq"], "utc": tick["utc"], "predictors": status.get("skill", {})}
+
+
 def _measurements(readings: Mapping[str, Any]) -> Json:
     """Values of good readings alone; a bad one is null and its quality says why."""
     values: Json = {}

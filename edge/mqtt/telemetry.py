@@ -199,6 +199,8 @@ class Telemetry:
         self._publish(self._topics.state, states.state(status, counters), retain=True)
         self._publish(self._topics.decision, states.decision(status), retain=True)
         self._publish(self._topics.forecast, states.forecast(status), retain=True)
+        self._publish(self._topics.forecasts, states.forecasts(status), retain=True)
+        self._publish(self._topics.skill, states.skill(status), retain=True)
 
     def _empty_outbox(self) -> None:
         if self._outbox is None or self._drain is None:
@@ -224,10 +226,9 @@ class Telemetry:
 def remove(settings: Settings, timeout_s: float = 10.0) -> None:
     """Take the rig out of Home Assistant and its retained messages off the broker. Errors: RequestError."""
     topics = Topics.of(settings.mqtt)
-    retained = (topics.discovery, topics.availability, topics.state, topics.decision, topics.forecast)
     client = make_client(settings.mqtt)
     client.will_clear()
-    left = {client.publish(topic, b"", qos=1, retain=True).mid for topic in retained}
+    left = {client.publish(topic, b"", qos=1, retain=True).mid for topic in topics.retained}
     done = threading.Event()
 
     def on_publish(client: Client, _: object, mid: int, code: ReasonCode, properties: object) -> None:

@@ -34,8 +34,24 @@ class Topics:
 
     @property
     def forecast(self) -> str:
-        """Air temperature expected after each of the next steps, retained."""
+        """Air temperature that the controller expects after each of the next steps, retained."""
         return f"{self.root}/forecast"
+
+    @property
+    def forecasts(self) -> str:
+        """What each predictor expects at each horizon, with its interval; retained."""
+        return f"{self.root}/forecasts"
+
+    @property
+    def skill(self) -> str:
+        """How well each predictor does at each horizon, retained."""
+        return f"{self.root}/skill"
+
+    @property
+    def retained(self) -> tuple[str, ...]:
+        """All that stays at the broker until it is taken away."""
+        live = (self.state, self.decision, self.forecast, self.forecasts, self.skill)
+        return (self.discovery, self.availability, *live)
 
     @property
     def decision(self) -> str:
