@@ -95,7 +95,7 @@ def supervise(wanted: Command, view: SafetyView, memory: SafetyMemory, settings:
 
 def planning_limits(memory: SafetyMemory, settings: SafetySettings, now_s: float, step_s: float) -> Limits:
     """What safety will let through in the step that begins now, for a controller that plans."""
-    duty = 0.0 if memory.trips else settings.heater_max_duty
+    duty = 0.0 if memory.trips or memory.thermal.proof.running else settings.heater_max_duty
     for window_s in (HOUR_S, DAY_S):
         duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s))
     return Limits(

@@ -94,6 +94,10 @@ def too_hot(s: Situation) -> str:
     return f"air {s.temp_air:.1f} °C, limit {limit:g} °C"
 
 
+def relay_proof(s: Situation) -> str:
+    return "proof that the heater's relay opens" if s.memory.thermal.proof.running else ""
+
+
 def tank_low(s: Situation) -> str:
     level = known(s.view, "tank_level", s.settings.reading_age_max_s)
     if level is not None and level >= s.settings.tank_level_min:
@@ -153,6 +157,7 @@ HEATER_OFF = (
     Forced("heater.board_tripped", board_tripped),
     Forced("heater.air_unknown", air_unknown),
     Forced("heater.over_temperature", too_hot),
+    Forced("heater.relay_proof", relay_proof),
 )
 HEATER_LIMITS = (
     Limit("heater.range", lambda s: 1.0, "duty above 1"),
@@ -177,6 +182,7 @@ FAN_FORCED = (
     Forced("fan.over_temperature", too_hot, 1.0),
     Forced("fan.min_on", held_on, 1.0),
     Forced("fan.min_off", held_off),
+    Forced("fan.relay_proof", relay_proof),
 )
 FAN_LIMITS = (Limit("fan.range", lambda s: 1.0, "neither on nor off"),)
 LED_OFF = (

@@ -18,7 +18,9 @@ The first, third and fourth need a good room temperature and are silent without 
 A door left open for longer than the time of the first question looks like a dead heater.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+
+from edge.relay_proof import RelayProof, follow
 
 HEATER_NO_EFFECT = "heater_no_effect"
 HEATER_STUCK_ON = "heater_stuck_on"
@@ -43,6 +45,7 @@ EXPECTED_RISE_K = 4.0  # of a working heater at the least; an open door of 4 min
 SEEN_RISE_K = 1.0  # a sensor in a working box shows at least this much of it
 SETTLE_S = 300.0  # after switching, heat stored in element and cover moves the air
 SHORT_S = 600.0  # an open door that is closed makes warm walls heat the air for 5 min
+QUIET_S = SETTLE_S + SHORT_S
 LONG_S = 3600.0
 COOLING_S = 300.0
 COOLED_SHARE = 0.3  # of the excess at the start; without a fan it is about 0.2 in COOLING_S
@@ -98,6 +101,7 @@ class ThermalMemory:
     short: Balance | None = None
     long: Balance | None = None
     cold_s: float = 0.0
+    proof: RelayProof = field(default_factory=RelayProof)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +120,9 @@ def look(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, tuple[Fi
         memory, finding = question(memory, moment)
         if finding is not None:
             findings.append(finding)
-    return memory, tuple(findings)
+    quiet = not moment.fan_on and min(memory.off_s, memory.fan_same_s) > QUIET_S
+    proof = follow(memory.proof, moment.dt_s, moment.temp_air, moment.heater_duty > 0.0, moment.fan_on, quiet)
+    return replace(memory, proof=proof), tuple(findings)
 
 
 def _follow_inputs(memory: ThermalMemory, moment: Moment) -> ThermalMemory:

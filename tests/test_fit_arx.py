@@ -103,7 +103,8 @@ def test_a_run_recorded_faster_is_resampled():
 
 def test_a_fan_by_the_excess_is_found_again():
     true = replace(TRUE, fan=np.array([-0.1, -0.03]), fan_input="excess")
-    fit = fit_arx([recorded(1, model=true), recorded(2, model=true)], [recorded(3, model=true)], 60.0, [(2, 2)], "excess")
+    one, two, three = (recorded(seed, model=true) for seed in (1, 2, 3))
+    fit = fit_arx([one, two], [three], 60.0, [(2, 2)], "excess")
     np.testing.assert_allclose(fit.model.fan, true.fan, atol=1e-6)
     assert fit.model.fan_input == "excess"
     assert fit.free_run_rmse_k < 1e-6

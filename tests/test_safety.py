@@ -22,6 +22,7 @@ from safety_cases import (
 
 from edge.errors import RequestError
 from edge.messages import Command, Quality, Reading, Severity
+from edge.relay_proof import RelayProof
 from edge.safety import (
     SafetyMemory,
     clear_trip,
@@ -196,6 +197,16 @@ def test_a_trip_that_is_not_hot_takes_only_the_heat(trip):
     verdict = judge(FULL, memory=SafetyMemory(trips=(trip,)))
     assert verdict.sent == replace(FULL, heater_duty=0.0)
     assert not verdict.open_cutoff
+
+
+def test_a_proof_of_the_relay_holds_heat_and_fan_back():
+    running = RelayProof(since_s=1.0, running_s=0.0, begin_c=0.0)  # no air here is below its begin
+    memory = SafetyMemory(time_s=NOW - 60.0, thermal=ThermalMemory(proof=running))
+    verdict = judge(Command(heater_duty=1.0, fan_on=True, led=0.5), memory=memory)
+    assert verdict.sent == Command(led=0.5)
+    assert rules(verdict, "heater_duty") == ["heater.relay_proof"]
+    assert rules(verdict, "fan_on") == ["fan.relay_proof"]
+    assert planning_limits(memory, LIMITS, NOW, 60.0).heater_max_duty == 0.0
 
 
 def test_a_stuck_relay_is_answered_with_fan_and_cutoff():

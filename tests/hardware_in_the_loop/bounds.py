@@ -33,6 +33,7 @@ class Case:
     reference: tuple[tuple[float, float], ...] = ((0, 26),)  # from a time [s] on, a temperature [°C]
     board: tuple[str, ...] = ()
     room_c: float = 21.2
+    controller: str = "MPC"
 
     @property
     def begin_s(self) -> float:
@@ -49,7 +50,11 @@ class Case:
             seed=seed,
             faults=[{**self.fault, "start_s": self.fault_s}],
             orders=() if self.off_s is None else [Order(self.off_s, {"do": "set_mode", "mode": "off"})],
-            settings={"reference": {"kind": "steps", "steps": steps}, "watering": {"enabled": False}},
+            settings={
+                "reference": {"kind": "steps", "steps": steps},
+                "watering": {"enabled": False},
+                "control": {"controller": self.controller},
+            },
             board=self.board,
             chamber={"room": {"temp_c": self.room_c}},
             look_s=LOOK_S,

@@ -1,0 +1,59 @@
+"""Is the heater's relay really off when it is told off? A proof, where ordinary control never shows it.
+
+While heater and fan take turns, a relay that is stuck on gives what is wanted half of the time and the fan
+takes the rest away: no energy balance that every healthy box keeps can tell. So where both have been busy for
+EVERY_S and the heater was never off with the fan still for long enough to judge, heat and fan are held back
+until one of two things is seen: the air falls, which it can't with a relay stuck on, or the balance of
+edge/thermal_supervision.py has its QUIET_S and names the relay. (A proof test in the sense of IEC 61508-4.)
+"""
+
+from dataclasses import dataclass, replace
+
+EVERY_S = 10800.0
+BUSY_SHARE = 0.1  # of the time, both of heat and of fan
+PASSED_K = 1.0  # more than noise, less than a plant would feel
+LONGEST_S = 1500.0  # the fan's relay may have to finish its minimum on time before it is quiet
+
+
+@dataclass(frozen=True, slots=True)
+class RelayProof:
+    """What is known since the relay was last seen off."""
+
+    since_s: float = 0.0
+    heated_s: float = 0.0
+    fanned_s: float = 0.0
+    running_s: float | None = None  # None while no proof is under way
+    begin_c: float = 0.0  # air when the proof began
+
+    @property
+    def running(self) -> bool:
+        """Heat and fan are held back."""
+        return self.running_s is not None
+
+
+def follow(
+    proof: RelayProof, dt_s: float, temp_air: float, heated: bool, fan_on: bool, quiet: bool
+) -> RelayProof:
+    """The proof after one more step.
+
+    dt_s : since the last one [s]; temp_air : [°C]
+    heated, fan_on : what the board was told in it
+    quiet : heater off and fan still for so long that the energy balance has judged
+    """
+    if quiet:
+        return RelayProof()
+    if proof.running_s is not None:
+        running_s = proof.running_s + dt_s
+        seen_off = temp_air <= proof.begin_c - PASSED_K
+        return RelayProof() if seen_off or running_s >= LONGEST_S else replace(proof, running_s=running_s)
+    proof = replace(
+        proof,
+        since_s=proof.since_s + dt_s,
+        heated_s=proof.heated_s + dt_s * heated,
+        fanned_s=proof.fanned_s + dt_s * fan_on,
+    )
+    if proof.since_s < EVERY_S:
+        return proof
+    if min(proof.heated_s, proof.fanned_s) < BUSY_SHARE * proof.since_s:
+        return RelayProof()
+    return replace(proof, running_s=0.0, begin_c=temp_air)

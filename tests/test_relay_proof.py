@@ -1,0 +1,76 @@
+"""When heat and fan are held back, and what ends it."""
+
+from dataclasses import replace
+
+import pytest
+
+from edge.relay_proof import BUSY_SHARE, EVERY_S, LONGEST_S, PASSED_K, RelayProof, follow
+from edge.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Moment, ThermalMemory, look
+
+STEP_S = 60.0
+BUSY = RelayProof(since_s=EVERY_S - STEP_S, heated_s=3000.0, fanned_s=3000.0)
+RUNNING = RelayProof(since_s=EVERY_S, running_s=0.0, begin_c=26.0)
+
+
+def step(proof: RelayProof, temp_air: float = 26.0, heated: bool = False, fan_on: bool = False) -> RelayProof:
+    return follow(proof, STEP_S, temp_air, heated, fan_on, quiet=False)
+
+
+def test_a_box_that_heats_and_cools_in_turns_is_proven_after_its_time():
+    proof, steps = RelayProof(), 0
+    while not proof.running:
+        proof = step(proof, heated=steps % 2 == 0, fan_on=steps % 2 == 1)
+        steps += 1
+    assert steps * STEP_S == EVERY_S
+
+
+@pytest.mark.parametrize(("heated", "fan_on"), [(True, False), (False, True), (False, False)])
+def test_a_box_that_does_only_one_of_both_is_left_alone(heated, fan_on):
+    proof = RelayProof()
+    for _ in range(int(3 * EVERY_S / STEP_S)):
+        proof = step(proof, heated=heated, fan_on=fan_on)
+        assert not proof.running
+
+
+@pytest.mark.parametrize(("share", "runs"), [(0.999, False), (1.0, True), (1.001, True)])
+def test_the_share_of_time_at_its_edge(share, runs):
+    busy_s = share * BUSY_SHARE * EVERY_S
+    for name in ("heated_s", "fanned_s"):
+        assert step(replace(BUSY, **{name: busy_s})).running is runs
+
+
+def test_a_quiet_box_is_its_own_proof():
+    for proof in (BUSY, RUNNING):
+        assert follow(proof, STEP_S, 26.0, False, False, quiet=True) == RelayProof()
+
+
+@pytest.mark.parametrize(
+    ("fallen", "runs"), [(0.0, True), (0.999, True), (1.0, False), (1.001, False), (-9.0, True)]
+)
+def test_air_that_falls_ends_it(fallen, runs):
+    assert step(RUNNING, 26.0 - fallen * PASSED_K).running is runs
+
+
+def test_air_that_is_no_number_does_not_end_it():
+    assert step(RUNNING, float("nan")).running
+
+
+def test_it_never_lasts_longer_than_its_bound():
+    proof, steps = RUNNING, 0
+    while proof.running:
+        proof = step(proof, 27.0)
+        steps += 1
+    assert steps * STEP_S == LONGEST_S
+    assert proof == RelayProof()
+
+
+def test_the_balance_has_judged_before_the_longest_proof_ends():
+    assert SETTLE_S + SHORT_S == QUIET_S < LONGEST_S
+
+
+def test_supervision_resets_the_proof_once_heater_and_fan_were_still_long_enough():
+    memory, still = ThermalMemory(proof=BUSY), Moment(STEP_S, 22.0, 21.0, 0.0, False, 0.0)
+    for _ in range(int(QUIET_S / STEP_S) + 2):
+        memory, findings = look(replace(memory, proof=replace(memory.proof, since_s=0.0)), still)
+        assert findings == ()
+    assert memory.proof == RelayProof()
