@@ -163,7 +163,7 @@ def test_the_outputs_are_those_of_now_and_not_of_the_last_tick():
 
 def test_each_predictor_says_what_it_expects_or_why_it_does_not():
     loop = ControlLoop()
-    told = Forecast({1: 24.512}, {1: 0.75}, outside=True)
+    told = Forecast({1: 24.512, 60: 26.0}, {60: 0.75}, outside=True)
     loop.last_record = record(forecasts={"arx": told, "ham": Forecast(reason="2 of 10 rows of history")})
     assert states.forecasts(loop.status()) == {
         "seq": 1,
