@@ -4,52 +4,82 @@ A narrow search keeps what its bounds praise, and a relaxed fan that runs a thir
 too much; a few plans that differ in whole stretches of the fan find what it lost.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import Plan, Problem
-from edge.names import HEATER_LEVELS
+from edge.controllers.mixed_integer.descent import descended
+from edge.controllers.mixed_integer.problem import Plan, Problem, lower_toeplitz
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_ROUNDS = 4
+_ROUNDS = 6
+_LOOKED_INTO = 24  # fan plans whose heater is redone with care: the best after one quick pass
+_SWEEPS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Local:
+    """Air temperatures of plans near a known one, taken as linear in what they change.
+
+    levels, fan : the known plan, [N]
+    temps : its air temperatures [N + M] [°C]
+    heater_response, fan_response : what duty 1 and fan on at each step add to them, [N, N + M] [K]
+    """
+
+    levels: Ints
+    fan: Ints
+    temps: Floats
+    heater_response: Floats
+    fan_response: Floats
 
 
 def polished(problem: Problem, plan: Plan) -> Plan:
-    """The best plan found by repeated small changes of the fan; `plan` itself where none is better."""
+    """The best plan found by repeated small changes; `plan` itself where none is better."""
+    n = problem.horizon
+    heater, fan = lower_toeplitz(problem.heater, n).T, lower_toeplitz(problem.fan, n).T
     for _ in range(_ROUNDS):
-        fan = _neighbours(plan.fan)
-        fan = fan[problem.allows(np.zeros_like(fan), fan)]
-        levels = _greedy_heater(problem, fan)
-        costs = problem.cost(levels, fan)
-        best = int(np.argmin(costs))
-        if not costs[best] < plan.cost:
+        temps = problem.temperatures(plan.levels, plan.fan)
+        near = neighbours(problem, Local(plan.levels, plan.fan, temps, heater, fan), 1)[0]
+        cost = float(problem.cost(near.levels, near.fan))
+        if not cost < plan.cost:
             break
-        plan = Plan(levels[best], fan[best], float(costs[best]))
+        plan = Plan(near.levels, near.fan, cost)
     return plan
 
 
-def _neighbours(fan: Ints) -> Ints:
-    """The plan itself, every one or two steps switched, every rest of it on or off."""
+def neighbours(problem: Problem, local: Local, count: int) -> list[Plan]:
+    """At most `count` allowed plans near a known one, perhaps it too, the cheapest by `local` first."""
+    fan = _fan_plans(local.fan)
+    fan = fan[problem.allows(np.zeros_like(fan), fan)]
+    levels = np.broadcast_to(local.levels, fan.shape)
+    temps = local.temps + (fan - local.fan) @ local.fan_response
+    quickly = descended(problem, local.heater_response, levels, temps, sweeps=1, exchanges=False)
+    kept = _cheapest(_cost(problem, quickly[0], fan, quickly[1]), max(_LOOKED_INTO, count))
+    fan, levels, temps = fan[kept], quickly[0][kept], quickly[1][kept]
+    levels, temps = descended(problem, local.heater_response, levels, temps, _SWEEPS)
+    cost = _cost(problem, levels, fan, temps)
+    return [Plan(levels[place], fan[place], float(cost[place])) for place in _cheapest(cost, count)]
+
+
+def _cost(problem: Problem, levels: Ints, fan: Ints, temps: Floats) -> Floats:
+    cost: Floats = problem.tracking(temps).sum(axis=-1) + problem.effort(levels, fan).sum(axis=-1)
+    return cost
+
+
+def _cheapest(cost: Floats, count: int) -> Ints:
+    return np.argsort(cost, kind="stable")[:count]
+
+
+def _fan_plans(fan: Ints) -> Ints:
+    """The plan itself, every one or two steps switched, every rest of it on or off; each once."""
     n = len(fan)
     one, two = np.triu_indices(n)
     flips = np.zeros((len(one), n), dtype=np.int64)
     flips[np.arange(len(one)), one] = 1
     flips[np.arange(len(one)), two] = 1
     rest = np.arange(n)[None, :] >= np.arange(n)[:, None]
-    return np.concatenate([fan[None, :], fan ^ flips, np.where(rest, 0, fan), np.where(rest, 1, fan)])
-
-
-def _greedy_heater(problem: Problem, fan: Ints) -> Ints:
-    """For each fan plan [B, N] the heater levels that are best step by step, looking no further."""
-    n = problem.horizon
-    off = np.zeros_like(fan)
-    temps = problem.temperatures(off, fan)
-    levels = np.arange(problem.heater_levels + 1)
-    duty = levels / HEATER_LEVELS
-    chosen = off
-    for k in range(n):
-        cost = problem.tracking(temps[:, k, None] + duty * problem.heater[0], k)
-        chosen[:, k] = np.argmin(cost + problem.heater_weight * duty**2, axis=1)
-        temps[:, k:] += duty[chosen[:, k], None] * problem.heater[: temps.shape[1] - k]
-    return chosen
+    plans = np.concatenate([fan[None, :], fan ^ flips, np.where(rest, 0, fan), np.where(rest, 1, fan)])
+    _, first = np.unique(plans @ (1 << np.arange(n)), return_index=True)
+    return np.asarray(plans[np.sort(first)])

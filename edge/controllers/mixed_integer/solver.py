@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from edge.controllers.mixed_integer.tangent import Tangent, tangent
 _WIDTHS = (16, 128, 1024, 8192, 32768)  # each search is wider than the one before, until one drops nothing
 _POLISH_FROM = 128  # a plan that this width could not prove is worth some polish
 _RUNNER_UP_WIDTH = 4
+_FAN_WEIGHT_MORE = 10.0  # a plan that pays for its fan is another place to look from
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ def solve(
     deadline = time.monotonic() + time_box_s
     bounds = tangent(problem, relaxed_temperatures(problem))
     best = _warm_plan(problem, warm)
-    bound, nodes = _root_bound(problem, bounds), 0
+    narrow, bound, nodes = best, _root_bound(problem, bounds), 0
     width = max(1, _next_width(0, node_budget // problem.horizon))
     while width:
         if best is None:
@@ -62,6 +63,7 @@ def solve(
         nodes += found.nodes
         best = found.plan or best
         assert best is not None  # the first search drops no last node
+        narrow = narrow or best
         margin = rounding_margin(best.cost)
         bound = max(bound, min(found.bound, best.cost) - margin)
         proven = found.bound >= best.cost - margin
@@ -70,11 +72,22 @@ def solve(
         if width == _POLISH_FROM:
             best = polished(problem, best)
         width = _next_width(width, (node_budget - nodes) // problem.horizon)
-    assert best is not None
+    assert best is not None and narrow is not None
+    if not (proven or found.stopped):
+        best = _look_around(problem, best, narrow)
     runner_up = search(problem, bounds, _RUNNER_UP_WIDTH, np.inf, other_than=_first_step(best)).plan
     if runner_up is not None and runner_up.cost < best.cost:
         best, runner_up = runner_up, best
     return Solution(best, min(bound, best.cost), proven, runner_up, nodes, found.stopped)
+
+
+def _look_around(problem: Problem, best: Plan, narrow: Plan) -> Plan:
+    """The best plan near three that differ: the best known, the first one found, one with fewer fan steps."""
+    costly = replace(problem, fan_weight=problem.fan_weight + _FAN_WEIGHT_MORE)
+    sparing = search(costly, tangent(costly, relaxed_temperatures(costly)), _WIDTHS[0], np.inf).plan
+    assert sparing is not None  # nothing is known that it must be better than
+    priced = replace(sparing, cost=float(problem.cost(sparing.levels, sparing.fan)))
+    return min((polished(problem, plan) for plan in (best, narrow, priced)), key=lambda plan: plan.cost)
 
 
 def _next_width(width: int, affordable: int) -> int:
