@@ -5,10 +5,13 @@ import json
 import os
 import shutil
 import stat
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from bundles import FACTS, Workshop, install, load_nothing
@@ -20,6 +23,8 @@ from edge.bundle.manifest import MANIFEST, SIGNATURE
 from edge.bundle.store import Store
 from edge.errors import DataError
 from edge.models.from_bundle import loader
+from edge.models.pbm import Pbm
+from edge.twin.model import Twin
 from training.sign import build_bundle, generate_key, sign_folder
 
 
@@ -304,6 +309,15 @@ def test_what_the_rig_would_refuse_is_not_signed(workshop: Workshop) -> None:
     assert not (folder / SIGNATURE).exists()
 
 
+def test_no_private_key_is_in_the_repository() -> None:
+    root = Path(__file__).parent.parent
+    if not (root / ".git").exists():
+        pytest.skip("needs the repository")
+    marker = " ".join(("PRIVATE", "KEY-----"))
+    found = subprocess.run(["git", "grep", "-lI", "-e", marker], cwd=root, capture_output=True, text=True)
+    assert found.stdout == ""
+
+
 # models
 
 
@@ -339,3 +353,16 @@ def test_a_twin_that_is_not_the_manifests_is_refused(workshop: Workshop) -> None
     folder = signed_anew(workshop, "twin_sha256", "0" * 64)
     with pytest.raises(DataError, match=r"twin_sha256: is not that of twin\.yaml"):
         loader(60.0)(folder, check_folder(folder, workshop.trusted))
+
+
+def test_the_hybrid_is_held_to_the_bundles_twin(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """edge/models/ham.py refuses another twin than its own; it must be told the one that is in the bundle."""
+    asked = []
+    stand_in = ModuleType("edge.models.ham")
+    stand_in.read_ham = lambda path, twin_sha256: asked.append((path.name, twin_sha256)) or Pbm()
+    monkeypatch.setitem(sys.modules, "edge.models.ham", stand_in)
+    folder = workshop.models("hybrid")
+    (folder / "ham.onnx").write_bytes(b"a graph")
+    manifest = sign_folder(folder, FACTS, workshop.key)
+    assert list(loader(60.0)(folder, manifest)) == ["arx", "pbm", "ham"]
+    assert asked == [("ham.onnx", Twin().sha256)]

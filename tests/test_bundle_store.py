@@ -133,9 +133,9 @@ def test_a_folder_installs_as_an_archive_does(workshop: Workshop) -> None:
 def test_installing_twice_changes_nothing(workshop: Workshop) -> None:
     store, bundle = make_store(workshop), workshop.archive("1.0")
     install(store, bundle)
-    before = (store.folder / "1.0").stat()
+    before = (store.folder / "1.0").stat().st_ino
     install(store, bundle)
-    assert (store.folder / "1.0").stat() == before
+    assert (store.folder / "1.0").stat().st_ino == before
 
 
 def test_a_version_never_changes_what_it_holds(workshop: Workshop) -> None:

@@ -13,6 +13,14 @@ WIRE = {"edge/board.py", "edge/clock.py", "edge/serial_port.py"}  # the only one
 FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "firmware_protocol": ("edge", "training", "torch"),
     "edge": ("training", "torch", "stable_baselines3", "tests", "bench"),
+    "edge/bundle": (
+        "edge.board",
+        "edge.storage",
+        "edge.mqtt",
+        "edge.loop",
+        "edge.controllers",
+        "edge.commands",
+    ),
     "edge/controllers": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.clock"),
     "edge/models": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.controllers", "edge.clock"),
     "edge/twin": (
@@ -29,7 +37,7 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
 PURE = ("safety", "safety_rules", "safety_state", "thermal_supervision", "operation", "reference", "lighting",
         "watering", "estimator", "tick_json", "messages", "names")  # fmt: skip
 WORLD = ("serial", "socket", "sqlite3", "sqlite_utils", "paho", "requests", "time", "threading", "subprocess")
-HEAVY = ("scipy", "sqlite_utils", "matplotlib", "rich", "onnxruntime", "requests", "pandas")
+HEAVY = ("scipy", "sqlite_utils", "matplotlib", "rich", "onnxruntime", "requests", "pandas", "cryptography")
 
 
 def sources(part: str) -> list[Path]:

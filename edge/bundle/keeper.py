@@ -8,14 +8,14 @@ disk does not hold up the control socket either.
 import queue
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from edge.bundle.orders import ACTIONS, carry_out
 from edge.bundle.serving import Serving, choose
 from edge.bundle.store import Loaded, Store
-from edge.bundle.trial import Judgement, Scores, Verdict, judge
+from edge.bundle.trial import HorizonScore, Judgement, Scores, Verdict, judge
 from edge.clock import Clock
 from edge.errors import DataError, RequestError
 from edge.messages import Event, Severity, TickRecord
@@ -64,19 +64,21 @@ class BundleKeeper:
         action, version = request.get("action"), request.get("version")
         if action == "status":
             return {"ok": True, **self._status(request.get("job"))}
-        if action not in ACTIONS:
+        if not isinstance(action, str) or action not in ACTIONS:
             return _refused(f"action: {action!r} is none of status, {', '.join(ACTIONS)}")
         if version is not None and not isinstance(version, str):
             return _refused(f"version: {version!r} is no version of a bundle")
         job = self._post(action, version, "asked for")
         return _refused("too many requests wait") if job is None else {"ok": True, "job": job}
 
-    def consider(self, scores: Scores) -> None:
-        """Judge the bundle on trial, and where so configured do what follows. Never waits."""
-        serving = self.serving
-        pair = _pair(serving)
-        if pair is None or pair != (scores.active, scores.rival):
-            self._judgement = None  # scores of bundles that were exchanged meanwhile
+    def consider(self, serving: Serving, rows: Sequence[HorizonScore]) -> None:
+        """Judge the bundle on trial, and where so configured do what follows. Never waits.
+
+        serving : the value of `serving` whose bundles the rows are about
+        """
+        scores = _scores(serving, rows)
+        if scores is None or serving is not self.serving:  # exchanged meanwhile
+            self._judgement = None
             return
         judgement = judge(scores, serving.on_probation, self._trial_ticks)
         self._judgement = judgement
@@ -150,8 +152,13 @@ class BundleKeeper:
         }
 
 
-def _pair(serving: Serving) -> tuple[str, str] | None:
-    return (serving.active.name, serving.rival.name) if serving.active and serving.rival else None
+def _scores(serving: Serving, rows: Sequence[HorizonScore]) -> Scores | None:
+    active, rival = serving.active, serving.rival
+    if active is None or rival is None:
+        return None
+    return Scores(
+        active.name, rival.name, tuple(name for name in active.predictors if name in rival.predictors), rows
+    )
 
 
 def _in_memory(serving: Serving) -> dict[str, Loaded]:

@@ -29,9 +29,10 @@ class HorizonScore:
 class Scores:
     """How two bundles have done since they run side by side."""
 
-    active: str  # version
-    rival: str  # version
-    rows: Sequence[HorizonScore]  # of models that both bundles have
+    active: str  # name in the store
+    rival: str  # name in the store
+    models: tuple[str, ...]  # that both bundles have: each must have been scored
+    rows: Sequence[HorizonScore]
 
 
 class Verdict(Enum):
@@ -60,9 +61,8 @@ def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
     Returns : WAIT, PROMOTE or REJECT for a shadow; WAIT, MARK_GOOD or ROLL_BACK on probation. A shadow that
         is neither better nor clearly worse goes on; an active bundle is kept unless it is worse.
     """
-    fewest = min((row.count for row in scores.rows), default=0)
-    if not scores.rows or fewest < ticks:
-        return Judgement(Verdict.WAIT, f"{fewest} of {ticks} forecasts are scored at the longest horizon")
+    if waiting := _unscored(scores, ticks):
+        return Judgement(Verdict.WAIT, waiting)
     ratios = [_ratio(row, on_probation) for row in scores.rows]
     mean = math.exp(sum(math.log(ratio) for ratio in ratios) / len(ratios))
     most, row = max(zip(ratios, scores.rows, strict=True), key=lambda pair: pair[0])
@@ -77,6 +77,20 @@ def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
     if worse:
         return Judgement(Verdict.REJECT, why)
     return Judgement(Verdict.PROMOTE if mean <= 1.0 else Verdict.WAIT, why)
+
+
+def _unscored(scores: Scores, ticks: int) -> str:
+    """What is missing before anything can be said, "" when there is nothing.
+
+    A model that fails in one of the bundles is never scored: such a trial is for a person to end.
+    """
+    missing = sorted(set(scores.models) - {row.model for row in scores.rows})
+    if missing or not scores.rows:
+        return f"no forecast of {', '.join(missing) or 'any model'} has been scored in both bundles"
+    row = min(scores.rows, key=lambda row: row.count)
+    if row.count < ticks:
+        return f"{row.count} of {ticks} forecasts are scored for {row.model} at {row.horizon_s:g} s"
+    return ""
 
 
 def _ratio(row: HorizonScore, on_probation: bool) -> float:
