@@ -47,6 +47,7 @@ install_program() {
 install_config() {
     run install -d -m 0750 -g "$group" "$etc"
     run install -d -m 0700 "$etc/credentials"
+    run install -d -m 0750 -g "$group" "$etc/keys"
     if [ -e "$etc/edge.yaml" ]; then
         echo "  $etc/edge.yaml is kept"
     else

@@ -257,6 +257,7 @@ def test_install_puts_everything_in_its_place(installed: Path) -> None:
     assert config.load(installed / "etc/greenhouse/edge.yaml") == config.default()
     assert stat.S_IMODE((installed / "etc/greenhouse/edge.yaml").stat().st_mode) == 0o640
     assert stat.S_IMODE((installed / "etc/greenhouse/credentials").stat().st_mode) == 0o700
+    assert stat.S_IMODE((installed / "etc/greenhouse/keys").stat().st_mode) == 0o750
 
 
 def test_a_second_install_changes_nothing(installed: Path) -> None:
