@@ -1,6 +1,6 @@
 """What the plans are worth on the plant: closed loop on the two-node box."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ ROOM_C = 21.0
 STEPS_PER_REFERENCE = 20
 OFFSET_GAIN = 0.3  # share of a forecast error that is taken for a lasting disturbance
 BEAM = 150
+TAIL = 10  # as the daemon has it
 _NODE_BUDGET = 20_000
 
 
@@ -58,11 +59,14 @@ def by_model(controller: Mpc | MpcBfgs) -> Policy:
     return policy
 
 
-def policies(model: Arx, horizon: int, weight: float) -> dict[str, Policy]:
-    """The controllers compared, by name."""
+def policies(model: Arx, excess: Arx, horizon: int, weight: float) -> dict[str, Policy]:
+    """The controllers compared, by name; `excess`: a model whose fan enters by the excess over the room."""
     exact = MpcSettings(weight, horizon, _NODE_BUDGET, time_box_s=0.25)
+    with_tail = replace(exact, tail=TAIL)
     return {
         "MPC": by_model(Mpc("MPC", model, exact)),
+        "with fan by excess": by_model(Mpc("MPC", excess, exact)),
+        f"and a tail of {TAIL}": by_model(Mpc("MPC", excess, with_tail)),
         "MPC-BFGS": by_model(MpcBfgs("MPC-BFGS", model, weight, horizon)),
         "clairvoyant": lambda episode, reference: plan_on_box(episode.state, reference, horizon, weight),
     }

@@ -12,7 +12,7 @@ from edge.controllers.base import Context, Limits
 from edge.controllers.mixed_integer.problem import Problem
 from edge.controllers.mpc import planning_problem
 from edge.messages import Command, Estimate
-from edge.models.arx import Arx
+from edge.models.arx import Arx, FanInput
 from edge.models.fit_arx import Fit, fit_arx
 
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ def drive(box: TwoNodeBox, inputs: Floats, room: float) -> tuple[Floats, Floats]
     return temps, state
 
 
-def fitted_model(seed: int) -> Fit:
+def fitted_model(seed: int, fan_input: FanInput = "on") -> Fit:
     """The ARX model of order 3, ambient as an input."""
     rng, box = np.random.default_rng(seed), TwoNodeBox()
     runs = []
@@ -68,7 +68,7 @@ def fitted_model(seed: int) -> Fit:
             "fan_on": inputs[:, 1],
         }
         runs.append(BoxRun(columns))
-    return fit_arx(runs[:12], runs[12:], STEP_S, [(3, 3)])
+    return fit_arx(runs[:12], runs[12:], STEP_S, [(3, 3)], fan_input)
 
 
 def instances(model: Arx, count: int, horizon: int, weight: float, seed: int) -> Iterator[Problem]:

@@ -104,20 +104,19 @@ def main() -> None:
             problems = list(instances(fit.model, options.instances, horizon, weight, options.seed))
             for line in compare(problems, methods):
                 print(line, flush=True)
-    print_closed_loop(fit.model, options.references, options.seed)
+    excess = fitted_model(options.seed, "excess")
+    print_closed_loop(fit.model, excess.model, options.references, options.seed)
 
 
-def print_closed_loop(model: closed_loop.Arx, references: int, seed: int) -> None:
+def print_closed_loop(model: closed_loop.Arx, excess: closed_loop.Arx, references: int, seed: int) -> None:
     """Cost on the plant itself, relative to the clairvoyant planner's."""
     print(
         f"\nclosed loop on the two-node box, N = 10, {references} reference steps of 20 min, no sensor noise;"
     )
     print(f"clairvoyant: beam of {closed_loop.BEAM} on the box itself, same horizon, no preview;")
-    print(
-        "the others plan with the ARX model and a disturbance estimate; the box's fan is bilinear, ARX is not"
-    )
+    print("the others plan with an ARX model and a disturbance estimate; the box's fan is bilinear")
     for weight in (0.0, 1.0):
-        policies = closed_loop.policies(model, 10, weight)
+        policies = closed_loop.policies(model, excess, 10, weight)
         costs = {
             name: closed_loop.closed_loop_cost(p, weight, references, seed) for name, p in policies.items()
         }
