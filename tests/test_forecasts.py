@@ -108,6 +108,52 @@ def test_a_predictor_that_knows_its_box_flags_the_forecast(beyond):
     assert forecast(Boxed()).outside is beyond
 
 
+def test_a_predictor_whose_box_fails_is_a_value_with_its_reason():
+    class Boxed(Ramp):
+        def outside(self, history, controls, ahead, temps):
+            raise KeyError("temp_air")
+
+    made = forecast(Boxed())
+    assert (made.temps, made.reason) == ({}, "outside: KeyError: 'temp_air'")
+
+
+@pytest.mark.parametrize(
+    ("column", "limits", "beyond"),
+    [
+        # it starts at 21 °C, in a room of 21 °C, and gains 0.5 K a minute: 51 °C after an hour
+        ("temp_air_c", (21.0, 51.0), False),
+        ("temp_air_c", (21.001, 51.0), True),
+        ("temp_air_c", (21.0, 50.999), True),
+        ("temp_ambient_c", (21.0, 21.0), False),
+        ("temp_ambient_c", (21.1, 25.0), True),
+        ("heater_duty", (0.5, 1.0), False),
+        ("heater_duty", (0.0, 0.4), True),
+        ("fan_on", (0.0, 0.0), False),
+        ("fan_on", (1.0, 1.0), True),
+        ("co2_ppm", (0.0, 0.0), False),  # no input of a rollout
+    ],
+)
+def test_a_validity_box_flags_what_leaves_it(column, limits, beyond):
+    ramp = Ramp()
+    ramp.validity = {column: limits}
+    assert forecast(ramp, planned=np.array([[0.5, 0.0]])).outside is beyond
+
+
+def test_an_unknown_room_is_outside_the_box():
+    ramp, history = Ramp(), columns([21.0])
+    ramp.validity = {"temp_ambient_c": (0.0, 50.0)}
+    history["temp_ambient"][:] = math.nan
+    assert forecast(ramp, history).outside is True
+
+
+def test_the_packaged_arx_knows_its_box():
+    history = columns(np.full(20, 22.0))
+    assert forecast(read_arx(), history).outside is True  # the room of 21 °C is below it
+    history["temp_ambient"][:] = 21.8
+    assert forecast(read_arx(), history).outside is False
+    assert forecast(read_arx(), history, planned=np.array([[1.0, 0.0]])).outside is True
+
+
 def test_where_no_horizon_fits_the_step_nothing_is_forecast():
     assert forecasts({"x": Ramp()}, columns([20.0]), NOTHING, 7200.0, uncalibrated) == {}
 

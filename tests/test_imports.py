@@ -22,6 +22,14 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
         "edge.commands",
     ),
     "edge/controllers": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.clock"),
+    "edge/forecasts": (
+        "edge.board",
+        "edge.storage",
+        "edge.mqtt",
+        "edge.loop",
+        "edge.controllers",
+        "edge.clock",
+    ),
     "edge/models": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.controllers", "edge.clock"),
     "edge/twin": (
         "edge.board",

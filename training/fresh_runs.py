@@ -35,9 +35,18 @@ def runs(kind: Kind, folder: Path, count: int | None = None) -> list[Run]:
     missing = [(kind, seed, folder) for seed in seeds if not _path(kind, seed, folder).exists()]
     if missing:
         with get_context("spawn").Pool(min(PROCESSES, len(missing))) as pool:
-            for _ in pool.imap_unordered(_keep, missing):
+            for _ in pool.imap_unordered(keep, missing):
                 pass
     return [read_run(_path(kind, seed, folder)) for seed in seeds]
+
+
+def keep(task: tuple[Kind, int, Path]) -> None:
+    """Make one run (kind, seed, folder) and write it, whole or not at all."""
+    kind, seed, folder = task
+    path = _path(kind, seed, folder)
+    beside = path.with_suffix(".new")
+    write_run(replace(make_run(kind, seed), path=path), beside)
+    beside.replace(path)
 
 
 def make_run(kind: Kind, seed: int) -> Run:
@@ -87,11 +96,3 @@ def _run(rows: Sequence[ProfileRow], readings: Sequence[dict[str, float]], facts
 
 def _path(kind: Kind, seed: int, folder: Path) -> Path:
     return folder / f"{kind}_{seed}.csv"
-
-
-def _keep(task: tuple[Kind, int, Path]) -> None:
-    kind, seed, folder = task
-    path = _path(kind, seed, folder)
-    beside = path.with_suffix(".new")
-    write_run(replace(make_run(kind, seed), path=path), beside)
-    beside.replace(path)

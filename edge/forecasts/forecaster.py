@@ -1,25 +1,16 @@
 """What each predictor expects, from where the rig stands and under the inputs that are planned."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from edge.forecasts.box import is_outside
 from edge.forecasts.horizons import steps_of
 from edge.forecasts.rollout import ahead_of, roll
 from edge.messages import Command, Forecast
 from edge.models.base import Columns, Floats, Predictor
 
 HalfWidths = Callable[[str, str, Iterable[int]], Mapping[int, float]]  # name, version, horizons -> [K]
-
-
-@runtime_checkable
-class Boxed(Protocol):
-    """A predictor that knows the box of its training data."""
-
-    def outside(self, history: Columns, controls: Floats, ahead: Columns, temps: Floats) -> bool:
-        """Whether a rollout (as given to `rollout`, and what it returned, [B, N]) leaves that box."""
-        ...
 
 
 def forecasts(
@@ -68,10 +59,11 @@ def _forecast(
     rolled = roll(predictor, history, controls, step_s)
     if rolled.temps is None:
         return Forecast(reason=rolled.reason)
-    outside = None
-    if isinstance(predictor, Boxed):
-        ahead = ahead_of(history, len(controls), step_s)
-        outside = bool(predictor.outside(history, controls[None], ahead, rolled.temps[None]))
+    ahead = ahead_of(history, len(controls), step_s)
+    try:
+        outside = is_outside(predictor, history, controls, ahead, rolled.temps)
+    except Exception as error:  # a model that can't tell its box is not trusted, and the others go on
+        return Forecast(reason=f"outside: {type(error).__name__}: {error}")
     return Forecast(
         temps={minutes: float(rolled.temps[count - 1]) for minutes, count in steps.items()},
         half_widths=half_widths(name, predictor.version, tuple(steps)),
