@@ -44,11 +44,16 @@ class Experiment:
 
 @dataclass(slots=True)
 class Course:
-    """What happened, tick by tick."""
+    """What happened, tick by tick.
 
+    record_from_s : since the first tick, when the run begins
+    """
+
+    record_from_s: float = 0.0
     first: TickRecord | None = None
+    recorded: TickRecord | None = None  # the first one of the run
     last: TickRecord | None = None
-    changes: Counter[str] = field(default_factory=Counter)  # rule -> commands it changed
+    changes: Counter[str] = field(default_factory=Counter)  # rule -> commands of the run it changed
 
     @property
     def passed_s(self) -> float:
@@ -58,18 +63,22 @@ class Course:
     def take(self, record: TickRecord) -> None:
         """One more tick."""
         self.first, self.last = self.first or record, record
-        self.changes.update(dict.fromkeys((change.rule for change in record.changes), 1))
+        if self.recorded is None and self.passed_s >= self.record_from_s - 0.5 * record.step_s:
+            self.recorded = record
+        if self.recorded is not None:
+            self.changes.update(dict.fromkeys((change.rule for change in record.changes), 1))
 
 
 def run_experiment(experiment: Experiment, settings: Settings, clock: Clock) -> tuple[Run, Course]:
     """Apply a profile to the rig of `settings` and return what the history holds of it.
 
-    Ends with the profile, or early on SIGINT and SIGTERM: the run's notes tell. The history calls the run
-    `<profile>@<first tick>`.
-    Errors : DataError for a profile that does not fit, GreenhouseError for a rig that is stopped or silent
+    Ends with the profile, or early on SIGINT and SIGTERM: the run's notes tell. The run begins after the
+    profile's lead-in, if it has one. The history calls it `<profile>@<first tick of the run>`.
+    Errors : DataError for a profile that does not fit; GreenhouseError for a rig that is held off or silent,
+        and for a stop before the run has begun
     """
     settings = _checked(experiment, settings)
-    course = Course()
+    course = Course(experiment.profile.record_from_s)
     daemon: Daemon
 
     def after_tick(record: TickRecord) -> None:
@@ -92,7 +101,9 @@ def run_experiment(experiment: Experiment, settings: Settings, clock: Clock) -> 
         daemon.run()
     if course.first is None or course.last is None or not _has_air_temperature(course.first):
         raise GreenhouseError(f"no good air temperature from the board at {settings.board.port}")
-    return _recorded(experiment, settings, course.first, course.last, course), course
+    if course.recorded is None:
+        raise GreenhouseError(f"{profile.path}: stopped during the lead-in: nothing is recorded yet")
+    return _recorded(experiment, settings, course.recorded, course.last, course), course
 
 
 def describe_changes(changes: Mapping[str, int]) -> str:
@@ -106,8 +117,11 @@ def describe_changes(changes: Mapping[str, int]) -> str:
 def _checked(experiment: Experiment, settings: Settings) -> Settings:
     """The settings for this experiment. Errors as `run_experiment`."""
     profile, step_s = experiment.profile, settings.control.step_s
-    if not experiment.end_s >= step_s:
-        raise DataError(f"{profile.path}: {experiment.end_s:g} s are shorter than a step of {step_s:g} s")
+    recorded_s = experiment.end_s - profile.record_from_s
+    if not recorded_s >= step_s:
+        raise DataError(f"{profile.path}: {recorded_s:g} s are shorter than a step of {step_s:g} s")
+    if np.abs(np.remainder(profile.record_from_s + 1e-6, step_s)) > 2e-6:
+        raise DataError(f"{profile.path}: record_from_s: it must stand on a control step of {step_s:g} s")
     if profile.is_reference:
         targets, limits = profile.columns["reference_c"], settings.reference
         if not (targets.min() >= limits.min_c and targets.max() <= limits.max_c):
@@ -156,6 +170,7 @@ def _recorded(
         "profile": profile.path.name,
         "controller": experiment.controller,
         "software": f"greenhouse-twin {__version__}",
+        **({"record_from_s": f"{profile.record_from_s:g}"} if profile.record_from_s else {}),
         **experiment.facts,
     }
     notes = [facts.get("notes", ""), describe_changes(course.changes)]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
-from edge.number_table import read_table
+from edge.number_table import NumberTable, read_table
 
 Floats = NDArray[np.float64]
 
@@ -23,10 +23,14 @@ _RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Columns of equal length: `time_s` and either `heater_duty, fan_on[, light]` or `reference_c`."""
+    """Columns of equal length: `time_s` and either `heater_duty, fan_on[, light]` or `reference_c`.
+
+    The fact `# record_from_s: 1800` in the file makes its first half hour a lead-in, e.g. to warm the box up.
+    """
 
     columns: Mapping[str, Floats]
     path: Path
+    record_from_s: float = 0.0  # what is applied before is a lead-in: it is no part of the run [s]
 
     @property
     def is_reference(self) -> bool:
@@ -62,4 +66,19 @@ def read_profile(path: Path) -> Profile:
         table.refuse(name, ~((values >= low) & (values <= high)), f"is not in {low:g}..{high:g}")
     if "fan_on" in names:
         table.refuse("fan_on", ~np.isin(table.columns["fan_on"], (0.0, 1.0)), "is neither 0 nor 1")
-    return Profile(table.columns, path)
+    return Profile(table.columns, path, _record_from_s(table))
+
+
+def _record_from_s(table: NumberTable) -> float:
+    """The fact of this name, 0 where there is none. Errors: DataError."""
+    text = table.facts.get("record_from_s", "0")
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    end_s = table.columns["time_s"][-1]
+    if not (value == 0.0 or 0.0 < value < end_s):
+        raise DataError(
+            f"{table.path}: record_from_s: {text!r} is no time before the profile's end, {end_s:g} s"
+        )
+    return value

@@ -142,6 +142,52 @@ def test_minutes_end_it_sooner(tmp_path):
     assert run.columns["time_s"][-1] == 300.0
 
 
+def test_a_lead_in_is_applied_but_is_no_part_of_the_run(tmp_path):
+    plain, led_in = profile_file(tmp_path), "# record_from_s: 180\n" + TWELVE_MINUTES
+    _, whole = record(tmp_path, plain, out="whole.csv")
+    code, run = record(tmp_path, profile_file(tmp_path, led_in, "led_in.csv"))
+    assert code == 0
+    assert run.columns["time_s"].tolist() == [60.0 * k for k in range(10)]
+    for name in set(run.columns) - {"time_s"}:  # the same box, seen from minute 3 on
+        np.testing.assert_array_equal(run.columns[name], whole.columns[name][3:])
+    assert run.facts["record_from_s"] == "180"
+    assert "record_from_s" not in whole.facts
+    assert (run.start_utc or 0.0) - (whole.start_utc or 0.0) == 180.0
+
+
+def test_what_safety_changed_during_the_lead_in_is_no_matter_of_the_run(tmp_path):
+    fine_at_first = "# record_from_s: 120\ntime_s,heater_duty,fan_on\n0,0.33,0\n120,0.3,0\n240,0,0\n"
+    _, run = record(tmp_path, profile_file(tmp_path, fine_at_first))
+    assert run.facts["notes"] == "safety changed no command"
+
+
+def test_the_history_keeps_the_run_without_its_lead_in_and_the_lead_in_as_ticks(tmp_path):
+    database = tmp_path / "history.db"
+    record(
+        tmp_path,
+        profile_file(tmp_path, "# record_from_s: 180\n" + TWELVE_MINUTES),
+        "--history",
+        str(database),
+    )
+    assert len(export_run(database, name="steps@4")) == 10
+    assert len(export_run(database)) == 13
+
+
+def test_a_stop_during_the_lead_in_leaves_no_run(tmp_path):
+    profile = read_profile(profile_file(tmp_path, "# record_from_s: 600\n" + TWELVE_MINUTES))
+    with lock_step(tmp_path) as clock:
+        wait = clock.wait
+
+        def wait_and_stop(*arguments):
+            if clock.now() > 200.0:
+                signal.raise_signal(signal.SIGTERM)
+            wait(*arguments)
+
+        clock.wait = wait_and_stop
+        with pytest.raises(GreenhouseError, match=r"steps\.csv: stopped during the lead-in"):
+            run_experiment(Experiment(profile), settings_in(tmp_path), clock)
+
+
 def test_another_chamber_is_another_box(tmp_path):
     (tmp_path / "cold.yaml").write_text("room: {temp_c: 15}\n")
     _, run = record(tmp_path, profile_file(tmp_path), "--chamber", str(tmp_path / "cold.yaml"))
@@ -243,6 +289,12 @@ class NoClock:
         ("time_s,heater_duty,fan_on\n0,0.5,0\n59,0,0\n", "shorter than a step"),
         ("time_s,heater_duty,fan_on\n0,0.5,0\n", "shorter than a step"),
         ("time_s,reference_c\n0,24\n600,39\n", "reference_c: 24..39 leaves"),
+        (
+            "# record_from_s: 90\ntime_s,heater_duty,fan_on\n0,0.5,0\n180,0,0\n",
+            "record_from_s: it must stand",
+        ),
+        ("# record_from_s: 60\ntime_s,heater_duty,fan_on\n0,0.5,0\n90,0,0\n", "30 s are shorter than a step"),
+        ("# record_from_s: 60\ntime_s,reference_c\n0,24\n90,24\n", "30 s are shorter than a step"),
     ],
 )
 def test_a_profile_that_does_not_fit_is_refused_before_it_begins(tmp_path, rows, reason):

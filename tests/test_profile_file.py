@@ -34,6 +34,21 @@ def test_light_may_be_given(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "expected"), [("", 0.0), ("# record_from_s: 0\n", 0.0), ("# record_from_s: 60\n", 60.0)]
+)
+def test_a_profile_may_begin_with_a_lead_in(tmp_path: Path, text: str, expected: float) -> None:
+    assert read(tmp_path, text + "time_s,reference_c\n0,20\n61,21\n").record_from_s == expected
+
+
+@pytest.mark.parametrize("text", ["61", "62", "-1", "nan", "inf", "soon", ""])
+def test_a_lead_in_that_is_no_time_before_the_end_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(
+        DataError, match=r"profile\.csv: record_from_s: .* is no time before the profile's end"
+    ):
+        read(tmp_path, f"# record_from_s: {text}\ntime_s,reference_c\n0,20\n61,21\n")
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("time_s,heater_duty\n0,0\n", "a profile has time_s and either"),

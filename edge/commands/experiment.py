@@ -26,7 +26,10 @@ HISTORY_FACTS = ("history_id", "first_seq", "last_seq")  # mean nothing where no
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "profile", type=Path, help="CSV: time_s,heater_duty,fan_on[,light] or time_s,reference_c"
+        "profile",
+        type=Path,
+        help="CSV: time_s,heater_duty,fan_on[,light] or time_s,reference_c; a line `# record_from_s: 1800` "
+        "above its header makes what comes before a lead-in: applied, but no part of the run",
     )
     parser.add_argument("--out", type=Path, required=True, help="run file to write")
     parser.add_argument(
