@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from edge.controllers.base import Columns, Context, Floats
+from edge.controllers.base import Columns, Context
 from edge.controllers.heater import levels_allowed
-from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, Problem
+from edge.controllers.mixed_integer.problem import FanRules, Ints, Problem
 from edge.controllers.mixed_integer.solver import Solution, solve
+from edge.controllers.plan_why import binding, cost_split, first_command, runner_up
 from edge.errors import DataError
-from edge.messages import Command, Decision
+from edge.messages import Decision
 from edge.models.arx import Arx
 from edge.names import HEATER_LEVELS
 
-_LIMIT_WEIGHT = 1000.0  # 1 K above the soft limit costs as much as 10 K off the reference
+LIMIT_WEIGHT = 1000.0  # 1 K above the soft limit costs as much as 10 K off the reference
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,9 @@ class MpcSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Previous:
+class Previous:
+    """A plan and when it was made, inputs [N]."""
+
     now_s: float
     levels: Ints
     fan: Ints
@@ -49,7 +52,7 @@ class Mpc:
         self.name = name
         self._model = model
         self._settings = settings
-        self._previous: _Previous | None = None
+        self._previous: Previous | None = None
 
     def reset(self) -> None:
         """Forget the last plan, which the next search would start from."""
@@ -66,21 +69,21 @@ class Mpc:
         problem = planning_problem(
             context, self._model, settings.weight, settings.horizon, settings.preview, settings.tail
         )
-        warm = _shifted(self._previous, context)
+        warm = shifted(self._previous, context)
         solution = solve(problem, settings.node_budget, settings.time_box_s, node_limit, warm)
         plan = solution.plan
-        self._previous = _Previous(context.now_s, plan.levels, plan.fan)
+        self._previous = Previous(context.now_s, plan.levels, plan.fan)
         temps = problem.temperatures(plan.levels, plan.fan)
         why = {
             **cost_split(problem, plan.levels / HEATER_LEVELS, plan.fan, temps),
             **_search_facts(solution),
-            "binding": _binding(problem, plan, temps),
-            "runner_up": _runner_up(solution),
+            "binding": binding(problem, plan, temps),
+            "runner_up": runner_up(plan, solution.runner_up),
             "reference_c": problem.reference.tolist() if settings.preview else float(problem.reference[0]),
             "model": f"{self._model.name} {self._model.version}",
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
-        return Decision(_command(plan), self.name, tuple(temps.tolist()), why)
+        return Decision(first_command(plan), self.name, tuple(temps.tolist()), why)
 
 
 def planning_problem(
@@ -110,7 +113,7 @@ def planning_problem(
         "temp_ambient": np.full(steps, estimate.temp_ambient),
         "offset": np.full(steps, estimate.offset),
     }
-    free, heated, fanned = model.rollout(_padded(context.history, model.rows_needed), controls, ahead)
+    free, heated, fanned = model.rollout(padded(context.history, model.rows_needed), controls, ahead)
     heater = heated - free
     fan = _fan_strength(context, model, float(reference[0])) * (fanned - free)
     hottest = (free + np.cumsum(np.maximum(heater, 0.0))).max()
@@ -130,7 +133,7 @@ def planning_problem(
             min_off=max(limits.fan_min_off_steps, 1),
         ),
         temp_max=limits.temp_air_max_c,
-        limit_weight=0.0 if hottest <= limits.temp_air_max_c else _LIMIT_WEIGHT,
+        limit_weight=0.0 if hottest <= limits.temp_air_max_c else LIMIT_WEIGHT,
     )
 
 
@@ -143,33 +146,16 @@ def _fan_strength(context: Context, model: Arx, reference: float) -> float:
     return 0.5 * (now + wanted) / now
 
 
-def cost_split(problem: Problem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
-    """What a plan's cost is made of."""
-    heater = float(problem.heater_weight * (duty**2).sum())
-    fan_cost = float(problem.fan_weight * fan.sum())
-    tracking = float(problem.tracking(temps).sum())
-    return {
-        "cost": tracking + heater + fan_cost,
-        "cost_tracking": tracking,
-        "cost_heater": heater,
-        "cost_fan": fan_cost,
-    }
-
-
-def _padded(history: Columns, rows: int) -> Columns:
+def padded(history: Columns, rows: int) -> Columns:
+    """A history of at least so many rows: as if its oldest row had lasted, nothing on."""
     missing = rows - len(history["temp_air"])
     if missing <= 0:
         return history
-    before = {
-        "temp_air": history["temp_air"][0],
-        "temp_ambient": history["temp_ambient"][0],
-        "heater_duty": 0.0,
-        "fan_on": 0.0,
-    }
+    before = {key: column[0] for key, column in history.items()} | {"heater_duty": 0.0, "fan_on": 0.0}
     return {key: np.concatenate([np.full(missing, value), history[key]]) for key, value in before.items()}
 
 
-def _shifted(previous: _Previous | None, context: Context) -> tuple[Ints, Ints] | None:
+def shifted(previous: Previous | None, context: Context) -> tuple[Ints, Ints] | None:
     """The last plan as seen from now, its last inputs held."""
     if previous is None:
         return None
@@ -188,32 +174,3 @@ def _search_facts(solution: Solution) -> dict[str, Any]:
         "nodes": solution.nodes,
         "time_box_fired": solution.time_box_fired,
     }
-
-
-def _binding(problem: Problem, plan: Plan, temps: Floats) -> list[str]:
-    """The constraints that shape the plan, those of the first step first."""
-    rules, binding = problem.fan_rules, []
-    if plan.levels[0] == problem.heater_levels:
-        binding.append("heater at its upper limit")
-    if plan.levels[0] == 0:
-        binding.append("heater at 0")
-    if rules.hold > 0:
-        binding.append(f"fan held {'on' if rules.on else 'off'} by its relay")
-    if not temps.max() < problem.temp_max:
-        binding.append("air temperature limit")
-    return binding
-
-
-def _runner_up(solution: Solution) -> dict[str, float | bool] | None:
-    if solution.runner_up is None:
-        return None
-    command = _command(solution.runner_up)
-    return {
-        "heater_duty": command.heater_duty,
-        "fan_on": command.fan_on,
-        "cost_more": solution.runner_up.cost - solution.plan.cost,
-    }
-
-
-def _command(plan: Plan) -> Command:
-    return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))

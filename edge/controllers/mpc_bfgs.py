@@ -7,7 +7,8 @@ import numpy as np
 
 from edge.controllers.base import Context, Floats
 from edge.controllers.mixed_integer.problem import Ints, Problem
-from edge.controllers.mpc import cost_split, planning_problem
+from edge.controllers.mpc import planning_problem
+from edge.controllers.plan_why import cost_split
 from edge.messages import Command, Decision
 from edge.models.arx import Arx
 from edge.names import HEATER_LEVELS

@@ -1,0 +1,50 @@
+"""What a planning controller says of its plan: costs, constraints, the next best, the first command."""
+
+from edge.controllers.base import Floats
+from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
+from edge.messages import Command
+from edge.names import HEATER_LEVELS
+
+
+def cost_split(problem: Problem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
+    """What a plan's cost is made of."""
+    heater = float(problem.heater_weight * (duty**2).sum())
+    fan_cost = float(problem.fan_weight * fan.sum())
+    tracking = float(problem.tracking(temps).sum())
+    return {
+        "cost": tracking + heater + fan_cost,
+        "cost_tracking": tracking,
+        "cost_heater": heater,
+        "cost_fan": fan_cost,
+    }
+
+
+def binding(problem: Problem, plan: Plan, temps: Floats) -> list[str]:
+    """The constraints that shape the plan, those of the first step first."""
+    rules, found = problem.fan_rules, []
+    if plan.levels[0] == problem.heater_levels:
+        found.append("heater at its upper limit")
+    if plan.levels[0] == 0:
+        found.append("heater at 0")
+    if rules.hold > 0:
+        found.append(f"fan held {'on' if rules.on else 'off'} by its relay")
+    if not temps.max() < problem.temp_max:
+        found.append("air temperature limit")
+    return found
+
+
+def runner_up(plan: Plan, other: Plan | None) -> dict[str, float | bool] | None:
+    """The best plan known that begins otherwise, and what it costs more; None where there is no other."""
+    if other is None:
+        return None
+    command = first_command(other)
+    return {
+        "heater_duty": command.heater_duty,
+        "fan_on": command.fan_on,
+        "cost_more": other.cost - plan.cost,
+    }
+
+
+def first_command(plan: Plan) -> Command:
+    """What the plan wants of the step that begins now."""
+    return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))
