@@ -366,3 +366,12 @@ def test_the_hybrid_is_held_to_the_bundles_twin(workshop: Workshop, monkeypatch:
     manifest = sign_folder(folder, FACTS, workshop.key)
     assert list(loader(60.0)(folder, manifest)) == ["arx", "pbm", "ham"]
     assert asked == [("ham.onnx", Twin().sha256)]
+
+
+def test_a_pbm_that_is_another_twin_than_the_hybrids_has_its_own_file(workshop: Workshop) -> None:
+    folder = workshop.models("two-twins")
+    (folder / "pbm.yaml").write_text("geometry: {volume_m3: 0.2}\n")
+    manifest = sign_folder(folder, FACTS, workshop.key)
+    pbm = loader(60.0)(folder, manifest)["pbm"]
+    assert manifest.twin_sha256 == Twin().sha256
+    assert pbm.twin.geometry.volume_m3 == 0.2

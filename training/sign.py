@@ -8,7 +8,7 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,7 +38,8 @@ from edge.bundle.manifest import (
 from edge.errors import DataError
 from edge.models.pbm import read_twin
 
-FILES = {"arx": "arx.json", "pbm": TWIN, "lstm": "lstm.onnx", "ham": "ham.onnx"}
+# Model -> its file, the first that is there; a PBM that is another twin than the hybrid's has a file of its own.
+FILES = {"arx": ("arx.json",), "pbm": ("pbm.yaml", TWIN), "lstm": ("lstm.onnx",), "ham": ("ham.onnx",)}
 PUBLIC_SUFFIX = ".pub"
 
 
@@ -85,7 +86,7 @@ def sign_folder(folder: Path, facts: Facts, key: Path) -> Manifest:
         created_utc=facts.created_utc,
         sample_s=facts.sample_s,
         files={name: _entry(folder / name) for name in names},
-        models={name: ModelEntry(FILES[name], kind) for name, kind in MODELS.items() if FILES[name] in names},
+        models=_models(names),
         twin_sha256=read_twin(folder / TWIN).twin.sha256,
         data_sha256=facts.data_sha256,
         software=facts.software,
@@ -109,6 +110,11 @@ def build_bundle(folder: Path, out: Path, facts: Facts, key: Path) -> Manifest:
         with out.open("wb") as archive:
             pack(copy, archive)
     return manifest
+
+
+def _models(names: Sequence[str]) -> dict[str, ModelEntry]:
+    found = {model: next((file for file in files if file in names), None) for model, files in FILES.items()}
+    return {model: ModelEntry(file, MODELS[model]) for model, file in found.items() if file is not None}
 
 
 def _entry(path: Path) -> FileEntry:
