@@ -98,25 +98,6 @@ def test_half_widths_are_those_of_the_name_version_and_horizons():
     assert asked == [("x", "v7", (1, 5, 15, 30, 60))]
 
 
-@pytest.mark.parametrize("beyond", [True, False])
-def test_a_predictor_that_knows_its_box_flags_the_forecast(beyond):
-    class Boxed(Ramp):
-        def outside(self, history, controls, ahead, temps):
-            assert temps.shape == controls.shape[:2] == (1, 60)
-            return np.bool_(beyond)
-
-    assert forecast(Boxed()).outside is beyond
-
-
-def test_a_predictor_whose_box_fails_is_a_value_with_its_reason():
-    class Boxed(Ramp):
-        def outside(self, history, controls, ahead, temps):
-            raise KeyError("temp_air")
-
-    made = forecast(Boxed())
-    assert (made.temps, made.reason) == ({}, "outside: KeyError: 'temp_air'")
-
-
 @pytest.mark.parametrize(
     ("column", "limits", "beyond"),
     [

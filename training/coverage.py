@@ -9,6 +9,7 @@ import argparse
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,10 @@ from edge.errors import DataError
 from edge.forecasts.adaptive import tracked
 from edge.forecasts.conformal import CLAIMED, Interval, Intervals, half_width, write_intervals
 from edge.forecasts.scorer import PERSISTENCE
-from edge.models.arx_file import read_arx
 from edge.models.base import Predictor
 from edge.run_file import Run
 from training import fresh_runs
-from training.forecast_errors import Errors, errors_of
+from training.forecast_errors import PROCESSES, Errors, Load, errors_of, predictors_in
 
 Floats = NDArray[np.float64]
 RESULTS = Path(__file__).parent / "results"
@@ -54,15 +54,16 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("out/coverage"), help="where the runs are kept")
     parser.add_argument("--results", type=Path, default=RESULTS, help="where coverage.txt and .json go")
     given = parser.parse_args()
-    predictors = predictors_in(given.folder)
+    load = partial(predictors_in, given.folder)
+    predictors = load()
     runs = {kind: fresh_runs.runs(kind, given.runs) for kind in fresh_runs.COUNTS}
-    intervals = calibrate(runs["calibration"], predictors)
+    intervals = calibrate(runs["calibration"], load)
     if given.folder is not None:
         write_intervals(intervals, given.folder / INTERVALS)
     rows = measure(
         intervals,
-        errors_of(runs["interpolation"], predictors),
-        errors_of(runs["extrapolation"], predictors),
+        errors_of(runs["interpolation"], load),
+        errors_of(runs["extrapolation"], load),
     )
     text = table(rows, predictors)
     print(text, end="")
@@ -77,31 +78,12 @@ def main() -> None:
     (given.results / "coverage.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def predictors_in(folder: Path | None) -> dict[str, Predictor]:
-    """The models of a bundle's files, the ARX model first: the estimator runs with it. Errors: DataError."""
-    from edge.models.pbm import Pbm, read_twin
-
-    if folder is None:
-        return {"arx": read_arx(), "pbm": Pbm()}
-    twin = read_twin(folder / "twin.yaml")
-    found: dict[str, Predictor] = {"arx": read_arx(folder / "arx.json"), "pbm": twin}
-    if (folder / "lstm.onnx").exists():
-        from edge.models.lstm import read_lstm
-
-        found["lstm"] = read_lstm(folder / "lstm.onnx")
-    if (folder / "ham.onnx").exists():
-        from edge.models.ham import read_ham
-
-        found["ham"] = read_ham(folder / "ham.onnx", twin.twin.sha256)
-    return found
-
-
-def calibrate(runs: Sequence[Run], predictors: Mapping[str, Predictor], processes: int = 2) -> Intervals:
+def calibrate(runs: Sequence[Run], load: Load, processes: int = PROCESSES) -> Intervals:
     """Half widths per predictor and horizon. Errors: DataError for a test run: it calibrates nothing."""
     for run in runs:
         if run.facts.get("role") != "calibrate":
             raise DataError(f"{run.path}: role: {run.facts.get('role')!r} is not 'calibrate'")
-    errors = errors_of(runs, predictors, processes)
+    predictors, errors = load(), errors_of(runs, load, processes)
     widths = {key: half_width([rows[:, 0] for rows in by_run]) for key, by_run in errors.items()}
     rows = tuple(
         Interval(name, predictors[name].version, horizon, round(width, 4), len(runs), REGIME)

@@ -1,9 +1,9 @@
 """Errors of forecasts over recorded runs, made and scored as the daemon makes and scores them."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,34 +11,56 @@ from numpy.typing import NDArray
 from edge.estimator import Estimator
 from edge.forecasts.scorer import Scorer
 from edge.messages import Command, Quality, Reading
+from edge.models.arx_file import read_arx
 from edge.models.base import Predictor
+from edge.models.ham import read_ham
+from edge.models.lstm import read_lstm
+from edge.models.pbm import Pbm, read_twin
 from edge.names import SIGNALS
 from edge.run_file import Run
 from edge.settings import Settings
 
 Floats = NDArray[np.float64]
+Load = Callable[[], Mapping[str, Predictor]]
 Errors = dict[tuple[str, int], list[Floats]]  # predictor, horizon [min] -> by run: residual, measured [n, 2]
 PROCESSES = 2
 STEP_S = 60.0
+_predictors: Mapping[str, Predictor] = {}  # of a worker process
 
 
-def errors_of(runs: Sequence[Run], predictors: Mapping[str, Predictor], processes: int = PROCESSES) -> Errors:
+def predictors_in(folder: Path | None) -> dict[str, Predictor]:
+    """The models of a bundle's files, the ARX model first: the estimator runs with it. Errors: DataError."""
+    if folder is None:
+        return {"arx": read_arx(), "pbm": Pbm()}
+    twin = read_twin(folder / "twin.yaml")
+    found: dict[str, Predictor] = {"arx": read_arx(folder / "arx.json"), "pbm": twin}
+    if (folder / "lstm.onnx").exists():
+        found["lstm"] = read_lstm(folder / "lstm.onnx")
+    if (folder / "ham.onnx").exists():
+        found["ham"] = read_ham(folder / "ham.onnx", twin.twin.sha256)
+    return found
+
+
+def errors_of(runs: Sequence[Run], load: Load, processes: int = PROCESSES) -> Errors:
     """Residuals (measured minus forecast) [K] and what was measured [°C], of every tick, by run in order.
 
-    The estimator runs with the predictor "arx", as the daemon's does; the inputs are those recorded.
+    load : makes the predictors, once in each process: an ONNX session can't be handed over
     """
-    one = partial(errors_of_run, predictors=predictors)
     if processes == 1:
-        by_run = [one(run) for run in runs]
+        predictors = load()
+        by_run = [errors_of_run(run, predictors) for run in runs]
     else:
-        with get_context("spawn").Pool(processes) as pool:
-            by_run = pool.map(one, runs, chunksize=1)
+        with get_context("spawn").Pool(processes, _begin, (load,)) as pool:
+            by_run = pool.map(_errors_of_run, runs, chunksize=1)
     keys = sorted({key for found in by_run for key in found})
     return {key: [found.get(key, np.empty((0, 2))) for found in by_run] for key in keys}
 
 
 def errors_of_run(run: Run, predictors: Mapping[str, Predictor]) -> dict[tuple[str, int], Floats]:
-    """The same for one run, a row per scored forecast in the order of time."""
+    """The same for one run, a row per scored forecast in the order of time.
+
+    The estimator runs with the predictor "arx", as the daemon's does; the inputs are those recorded.
+    """
     settings = Settings()
     estimator = Estimator(settings.estimator, predictors["arx"], STEP_S, settings.control.ambient_default_c)
     scorer = Scorer(STEP_S)
@@ -61,3 +83,12 @@ def _readings(run: Run, row: int, time_s: float) -> dict[str, Reading]:
         quality = Quality.GOOD if known else Quality.ABSENT
         readings[name] = Reading(name, float(value) if known else None, time_s, quality)
     return readings
+
+
+def _begin(load: Load) -> None:
+    global _predictors
+    _predictors = load()
+
+
+def _errors_of_run(run: Run) -> dict[tuple[str, int], Floats]:
+    return errors_of_run(run, _predictors)

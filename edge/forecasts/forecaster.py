@@ -60,10 +60,7 @@ def _forecast(
     if rolled.temps is None:
         return Forecast(reason=rolled.reason)
     ahead = ahead_of(history, len(controls), step_s)
-    try:
-        outside = is_outside(predictor, history, controls, ahead, rolled.temps)
-    except Exception as error:  # a model that can't tell its box is not trusted, and the others go on
-        return Forecast(reason=f"outside: {type(error).__name__}: {error}")
+    outside = is_outside(predictor, history, controls, ahead, rolled.temps)
     return Forecast(
         temps={minutes: float(rolled.temps[count - 1]) for minutes, count in steps.items()},
         half_widths=half_widths(name, predictor.version, tuple(steps)),
