@@ -38,7 +38,7 @@ from edge.bundle.manifest import (
 from edge.errors import DataError
 from edge.models.pbm import read_twin
 
-# Model -> its file, the first that is there; a PBM that is another twin than the hybrid's has a file of its own.
+# Model -> its file, the first that is there: a PBM that is another twin than the hybrid's has its own.
 FILES = {"arx": ("arx.json",), "pbm": ("pbm.yaml", TWIN), "lstm": ("lstm.onnx",), "ham": ("ham.onnx",)}
 PUBLIC_SUFFIX = ".pub"
 
