@@ -64,6 +64,12 @@ def write_run(run: Run, path: str | Path) -> None:
     write_table(Path(path), run.columns, run.facts)
 
 
+def refuse_test(run: Run) -> None:
+    """Before anything is fitted, tuned or chosen on a run. Errors: DataError for one of role test."""
+    if run.facts.get("role", "").strip().lower() == "test":
+        raise DataError(f"{run.path}: role: a test run is never fitted on")
+
+
 def period(run: Run) -> float:
     """The one period of the rows [s]. Errors: DataError for a single row or irregular ones."""
     time_s = run.columns["time_s"]

@@ -211,6 +211,15 @@ def test_the_fan_enters_by_the_excess_wherever_there_is_a_room_temperature(tmp_p
     assert read_arx(out).fan_input == fan_input
 
 
+def test_no_model_is_fitted_on_a_test_run(tmp_path, capsys):
+    train, test, out = run_file(tmp_path), tmp_path / "scenario_1.csv", tmp_path / "m.json"
+    test.write_text(train.read_text().replace("role: train", "role: test"))
+    for files in (["--train", test, "--validate", train], ["--train", train, "--validate", test]):
+        line = refusal(capsys, "fit-arx", *files, "--out", out)
+        assert f"{test}: role: a test run is never fitted on" in line
+    assert not out.exists()
+
+
 def test_a_model_that_cannot_be_written_is_one_line(tmp_path, capsys):
     train = run_file(tmp_path)
     line = refusal(

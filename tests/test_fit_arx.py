@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,6 +141,20 @@ def test_an_input_can_be_left_out():
 def test_what_cannot_be_fitted_is_refused_with_its_place(run, says):
     with pytest.raises(DataError, match=says):
         fit_arx([run], [recorded(3)], 60.0, [(2, 2)])
+
+
+@pytest.mark.parametrize("role", ["test", " Test ", "TEST"])
+def test_nothing_is_fitted_or_chosen_on_a_test_run(role):
+    tested = replace(recorded(2), facts={"role": role}, path=Path("scenario_1.csv"))
+    for training, validation in (([recorded(1), tested], [recorded(3)]), ([recorded(1)], [tested])):
+        with pytest.raises(DataError, match=r"scenario_1\.csv: role: a test run is never fitted on"):
+            fit_arx(training, validation, 60.0, [(2, 2)])
+
+
+@pytest.mark.parametrize("facts", [{}, {"role": "train"}, {"role": "validate"}, {"notes": "test"}])
+def test_any_other_run_may_be_fitted_on(facts):
+    run = replace(recorded(1), facts=facts)
+    assert_is_the_true_one(fit_arx([run, recorded(2)], [recorded(3)], 60.0, [(2, 2)]).model)
 
 
 def test_no_runs_are_refused():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.errors import DataError
 from edge.models.arx import Arx, FanInput
-from edge.run_file import Run, resample
+from edge.run_file import Run, refuse_test, resample
 
 Floats = NDArray[np.float64]
 ORDERS = tuple((p, q) for p in (1, 2, 3, 4, 6, 8, 12) for q in (1, 2, 3, 4))
@@ -54,8 +54,8 @@ def fit_arx(
     step_s : period of the model; runs recorded at another one are resampled
     fan_input : see `Arx`; None leaves the fan out (its constant effect goes into the intercept)
     with_ambient : False leaves the room temperature out, in the same way
-    Raises : DataError for a fan by the excess without the room temperature, a missing or constant column, too
-        few rows, a period longer than `step_s`
+    Raises : DataError for a test run, a fan by the excess without the room temperature, a missing or constant
+        column, too few rows, a period longer than `step_s`
     """
     if fan_input == "excess" and not with_ambient:
         raise DataError("fit: the fan's excess over the room needs the room temperature as an input")
@@ -66,6 +66,8 @@ def fit_arx(
     ]
     if not training or not validation:
         raise DataError("fit: needs at least one training and one validation run")
+    for run in (*training, *validation):  # the orders are chosen on the latter: that is fitting too
+        refuse_test(run)
     train = [_columns(run, step_s, inputs) for run in training]
     valid = [_columns(run, step_s, inputs) for run in validation]
     for key in inputs:

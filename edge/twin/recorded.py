@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
-from edge.run_file import Run, resample
+from edge.run_file import Run, refuse_test, resample
 from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
@@ -57,8 +57,7 @@ def recorded(runs: Sequence[Run], step_s: float) -> Recorded:
 
 
 def _part(run: Run, step_s: float) -> Recorded:
-    if run.facts.get("role") == "test":
-        raise DataError(f"{run.path}: role: a test run is never fitted on")
+    refuse_test(run)
     columns = resample(run, step_s).columns
     rows = len(columns["time_s"])
     if "validate_from_s" in run.facts:
