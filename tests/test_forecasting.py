@@ -94,6 +94,18 @@ def test_other_predictors_take_over_without_waiting_for_an_hour():
     assert {(row.version, row.scored) for row in skill} == {("2", 1)}
 
 
+def test_a_trial_begins_anew_when_the_bundles_are_exchanged_and_goes_on_after_a_restart():
+    active, rivals = {"ramp": ramp()}, {"ramp": ramp(version="2")}
+    rig = Rig(Forecasting(STEP_S, active, INTERVALS, rivals))
+    rig.run(62)
+    again = Forecasting(STEP_S, active, INTERVALS, rivals, rig.forecasting.state)
+    assert {row.count for row in rival_rows(again.state, active, rivals)} == {2}
+    rig.forecasting.serve(active, INTERVALS, rivals)
+    assert rival_rows(rig.forecasting.state, active, rivals) == ()
+    _, skill = rig.tick()
+    assert {(row.predictor, row.scored) for row in skill} == {("ramp", 3), ("ramp.rival", 1)}
+
+
 def test_the_skill_goes_on_from_the_process_before():
     before = Rig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
     before.run(65)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from edge.forecasts.conformal import Intervals
 from edge.forecasts.forecaster import forecasts, planned_inputs
 from edge.forecasts.scorer import Scorer
-from edge.forecasts.skill import RIVAL, SkillState, half_widths, skills, updated
+from edge.forecasts.skill import RIVAL, SkillState, half_widths, skills, updated, without_rivals
 from edge.messages import Command, Decision, Forecast, ForecastSkill
 from edge.models.base import Columns, Predictor
 
@@ -30,7 +30,7 @@ class Forecasting:
         self._step_s = step_s
         self._scorer = Scorer(step_s)
         self.state = state or SkillState()
-        self.serve(active, intervals, rivals)
+        self._set(active, intervals, rivals)
 
     def serve(
         self,
@@ -38,9 +38,9 @@ class Forecasting:
         intervals: Intervals | None = None,
         rivals: Mapping[str, Predictor] | None = None,
     ) -> None:
-        """Go on with other predictors from the next tick on; each version's skill is its own."""
-        self._active, self._intervals = dict(active), intervals or Intervals()
-        self._all = self._active | {name + RIVAL: rival for name, rival in (rivals or {}).items()}
+        """Go on with other predictors from the next tick on; a version's skill is its own, a trial begins."""
+        self.state = without_rivals(self.state)
+        self._set(active, intervals, rivals)
 
     def tick(
         self, history: Columns, decision: Decision, driven: Command, confirmed: bool
@@ -57,6 +57,15 @@ class Forecasting:
             planned = planned_inputs(driven, decision.plan)
             made = forecasts(self._active, history, planned, self._step_s, self._half_widths)
         return made, skills(self.state, self._all)
+
+    def _set(
+        self,
+        active: Mapping[str, Predictor],
+        intervals: Intervals | None,
+        rivals: Mapping[str, Predictor] | None,
+    ) -> None:
+        self._active, self._intervals = dict(active), intervals or Intervals()
+        self._all = self._active | {name + RIVAL: rival for name, rival in (rivals or {}).items()}
 
     def _half_widths(self, name: str, version: str, horizons_min: Iterable[int]) -> dict[int, float]:
         return half_widths(self.state, self._intervals, name, version, horizons_min)

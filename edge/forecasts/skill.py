@@ -68,6 +68,13 @@ def updated(state: SkillState, scored: Sequence[Scored], intervals: Intervals, s
     return SkillState(pairs, widths)
 
 
+def without_rivals(state: SkillState) -> SkillState:
+    """The state when other rivals come: what was scored against others counts no more."""
+    return replace(
+        state, pairs={key: pair for key, pair in state.pairs.items() if not key[0].endswith(RIVAL)}
+    )
+
+
 def half_widths(
     state: SkillState, intervals: Intervals, name: str, version: str, horizons_min: Iterable[int]
 ) -> dict[int, float]:
