@@ -1,16 +1,20 @@
 """`greenhouse-train`: fit the models on the recorded runs and forecast the test runs with them."""
 
 import argparse
+import itertools
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from edge.errors import GreenhouseError
 
+if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
+    from training.study import Job, Regime
+
 OUT = Path("out/training")
 LOGS = Path("out/tensorboard")
-SEEDS = 5
+SEEDS = (0, 1, 2, 3, 4)
 COMMANDS = {
     "linear": "the ARX models: the paper's, and the one with the room temperature",
     "pbm": "the physics models: the paper's, and the twin with fitted effects",
@@ -38,28 +42,38 @@ def _parser() -> argparse.ArgumentParser:
     for name, help_text in COMMANDS.items():
         sub = commands.add_parser(name, help=help_text, description=help_text)
         sub.add_argument("--regime", choices=("interpolation", "extrapolation"), help="one; usual: both")
-        sub.add_argument("--seeds", type=int, default=SEEDS, help=f"trainings per network (usual: {SEEDS})")
+        sub.add_argument(
+            "--seeds", type=int, nargs="+", default=SEEDS, help="of the networks (usual: 0 to 4)"
+        )
         sub.add_argument("--out", type=Path, default=OUT, help=f"models and records (usual: {OUT})")
         sub.add_argument("--logs", type=Path, default=LOGS, help=f"TensorBoard logs (usual: {LOGS})")
     return parser
 
 
 def _train(arguments: argparse.Namespace) -> int:
-    from training.models import FAMILIES, MODELS, SEEDED
-    from training.study import SCENARIOS, folder, study
+    from training.models import FAMILIES, MODELS
+    from training.study import SCENARIOS, study
     from training.summary import records, table
 
     families = FAMILIES if arguments.command == "all" else {arguments.command: FAMILIES[arguments.command]}
-    names = [name for family in families.values() for name in family]
     regimes = [regime for regime in SCENARIOS if arguments.regime in (None, regime)]
-    for name in names:
-        for regime in regimes:
-            for seed in range(arguments.seeds if name in SEEDED else 1):
-                out, log = (folder(root, name, regime, seed) for root in (arguments.out, arguments.logs))
-                record = study(name, MODELS[name], regime, seed, out, log)
-                print(_line(record), flush=True)
-    print("\n".join(table(records(arguments.out), names)))
+    for job in _jobs(families, regimes, arguments.seeds):
+        print(_line(study(job, MODELS[job.name], arguments.out, arguments.logs)), flush=True)
+    print("\n".join(table(records(arguments.out), [name for names in families.values() for name in names])))
     return 0
+
+
+def _jobs(
+    families: Mapping[str, Sequence[str]], regimes: Sequence["Regime"], seeds: Sequence[int]
+) -> Iterator["Job"]:
+    from training.models import SEEDED
+    from training.study import Job
+
+    for family, names in families.items():
+        for name, regime in itertools.product(names, regimes):
+            for seed in seeds if name in SEEDED else (0,):
+                command = f"greenhouse-train {family} --regime {regime} --seeds {seed}"
+                yield Job(name, regime, seed, command)
 
 
 def _line(record: Mapping[str, Any]) -> str:

@@ -2,20 +2,21 @@
 
 import copy
 import math
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import torch
 from torch import Tensor, nn
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from edge.errors import DataError
 from training.early_stopping import EarlyStopping
 
 Predict = Callable[[Tensor], Tensor]  # features of a batch -> scaled target
+Note = Callable[[str, float, int], None]  # name, value, epoch
 
 
 class Settings(Protocol):
@@ -48,7 +49,6 @@ class Progress:
 
 def make_deterministic(seed: int) -> None:
     """The same seed gives the same weights on one machine: one thread, deterministic kernels."""
-    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
     torch.manual_seed(seed)
@@ -67,25 +67,30 @@ def fit(
 
     predict : the scaled prediction through `network`; seed : of the order of the batches
     log : folder for TensorBoard; None for no log, and no progress bar either
+    Errors : DataError where there is nothing to learn from, or the validation loss is never a number
     """
+    if not (len(train.target) and len(validate.target)):
+        raise DataError("training: the runs are too short: no pair to train on or none to validate on")
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     stopping = EarlyStopping(settings.min_delta, settings.tolerance)
     order = torch.Generator().manual_seed(seed)
     best = Progress(0, 0, math.inf, math.inf)
     weights = copy.deepcopy(network.state_dict())
-    writer = None if log is None else SummaryWriter(log)
+    epochs = range(1, settings.epochs + 1)
     epoch = 0
-    for epoch in tqdm(_epochs(settings), unit="epoch", leave=False, disable=None if log else True):
-        train_loss = _one_epoch(network, predict, train, optimiser, order, settings.batch_size)
-        loss = mean_squared_error(network, predict, validate)
-        _note(writer, epoch, train_loss, loss)
-        if loss < best.validation_loss:
-            best = Progress(epoch, epoch, train_loss, loss)
-            weights = copy.deepcopy(network.state_dict())
-        if stopping.is_over(loss):
-            break
-    if writer is not None:
-        writer.close()
+    with _notes(log) as note:
+        for epoch in tqdm(epochs, unit="epoch", leave=False, disable=None if log else True):
+            train_loss = _one_epoch(network, predict, train, optimiser, order, settings.batch_size)
+            loss = mean_squared_error(network, predict, validate)
+            note("loss/train", train_loss, epoch)
+            note("loss/validate", loss, epoch)
+            if loss < best.validation_loss:
+                best = Progress(epoch, epoch, train_loss, loss)
+                weights = copy.deepcopy(network.state_dict())
+            if stopping.is_over(loss):
+                break
+    if not best.epochs:
+        raise DataError(f"training: the validation loss was no number in {epoch} epochs")
     network.load_state_dict(weights)
     network.eval()
     return Progress(epoch, best.best_epoch, best.train_loss, best.validation_loss)
@@ -96,10 +101,6 @@ def mean_squared_error(network: nn.Module, predict: Predict, pairs: Pairs) -> fl
     network.eval()
     with torch.no_grad():
         return float(nn.functional.mse_loss(predict(pairs.features), pairs.target))
-
-
-def _epochs(settings: Settings) -> Sequence[int]:
-    return range(1, settings.epochs + 1)
 
 
 def _one_epoch(
@@ -122,7 +123,13 @@ def _one_epoch(
     return total / len(pairs.target)
 
 
-def _note(writer: SummaryWriter | None, epoch: int, train_loss: float, loss: float) -> None:
-    if writer is not None:
-        writer.add_scalar("loss/train", train_loss, epoch)
-        writer.add_scalar("loss/validate", loss, epoch)
+@contextmanager
+def _notes(log: Path | None) -> Iterator[Note]:
+    """Where the losses go: TensorBoard, or nowhere."""
+    if log is None:
+        yield lambda name, value, epoch: None
+        return
+    from torch.utils.tensorboard import SummaryWriter  # takes a second to import
+
+    with SummaryWriter(log) as writer:
+        yield writer.add_scalar

@@ -23,6 +23,7 @@ from edge.run_file import Run
 from edge.twin.geometry import Geometry
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.pairs import Transitions, split_all, transitions
+from training.scaler import scaler
 
 HIDDEN = 64
 DROPOUT = 0.2
@@ -149,12 +150,12 @@ def train(
 def _scale(network: HamNet, data: Transitions) -> None:
     """Fill the scaler's buffers by what the training data say."""
     inputs = (_tensor(values) for values in (data.temp, data.ambient, data.duty, data.fan))
-    features = network.features(*inputs)
-    network.mean.copy_(features.mean(dim=0))
-    network.scale.copy_(features.std(dim=0))
-    source = _source(network, data)
-    network.source_mean.copy_(source.mean())
-    network.source_scale.copy_(source.std())
+    mean, scale = scaler(network.features(*inputs))
+    network.mean.copy_(mean)
+    network.scale.copy_(scale)
+    source_mean, source_scale = scaler(_source(network, data)[:, None])
+    network.source_mean.copy_(source_mean[0])
+    network.source_scale.copy_(source_scale[0])
 
 
 def _pairs(network: HamNet, data: Transitions) -> Pairs:

@@ -22,6 +22,7 @@ from edge.twin.model import Twin
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.ham import DROPOUT, HIDDEN, source_network
 from training.pairs import split_all, stretches
+from training.scaler import scaler
 from training.twin_step import TwinStep
 
 FEATURES = 4
@@ -105,8 +106,9 @@ def train(
     parts = split_all(runs)
     network = GuardedHamNet(TwinStep.of(twin), settings.hidden, settings.dropout)
     features, source, here = _steps(network, parts.train)
-    network.mean.copy_(features.mean(dim=0))
-    network.scale.copy_(features.std(dim=0))
+    mean, scale = scaler(features)
+    network.mean.copy_(mean)
+    network.scale.copy_(scale)
     network.source_scale.copy_(source.std())
     network.low.copy_(here.amin(dim=0))
     network.high.copy_(here.amax(dim=0))

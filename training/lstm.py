@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from edge.run_file import Run
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.pairs import split_all, windows
+from training.scaler import scaler
 
 WINDOW = 10
 HIDDEN = 64
@@ -91,20 +92,17 @@ def train(
     make_deterministic(seed)
     parts = split_all(runs)
     inputs, following = windows(parts.train, WINDOW)
-    rows = inputs.reshape(-1, 3)
-    target = _target(inputs, following, settings)
+    target_mean, target_scale = scaler(torch.from_numpy(_target(inputs, following, settings))[:, None])
     network = LstmNet(
-        torch.from_numpy(rows.mean(axis=0)),
-        torch.from_numpy(rows.std(axis=0)),
-        float(target.mean()),
-        float(target.std()),
+        *scaler(torch.from_numpy(inputs.reshape(-1, 3))),
+        float(target_mean),
+        float(target_scale),
         settings.hidden,
         settings.dropout,
         settings.predicts_increment,
     )
-    fitted, validated = (
-        _pairs(network, *windows(part, WINDOW), settings) for part in (parts.train, parts.validate)
-    )
+    fitted = _pairs(network, inputs, following, settings)
+    validated = _pairs(network, *windows(parts.validate, WINDOW), settings)
     return network, fit(network, network.scaled, fitted, validated, settings, seed, log)
 
 

@@ -10,13 +10,12 @@ from torch import nn
 
 from edge.models.arx_file import write_arx
 from edge.models.base import Predictor
-from edge.models.fit_arx import Fit, provenance
+from edge.models.fit_arx import FREE_RUN_STEPS, Fit
 from edge.models.pbm import Pbm
 from edge.run_file import Run
 from edge.twin.twin_file import TwinFile, write_twin_file
 from training import ham, ham_guarded, linear, lstm, pbm
 from training.fit_network import Progress
-from training.pairs import split_all
 from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
 from training.study import Train, Trained
 from training.weights import save_network
@@ -32,13 +31,18 @@ def _linear(settings: linear.LinearSettings, runs: Sequence[Run], seed: int, log
         "rows": fit.rows,
         "validation_free_run_rmse_k": fit.free_run_rmse_k,
     }
-    return Trained(fit.model, asdict(settings), progress, partial(_save_linear, fit, runs))
+    return Trained(fit.model, asdict(settings), progress, partial(_save_linear, fit))
 
 
-def _save_linear(fit: Fit, runs: Sequence[Run], out: Path, facts: Mapping[str, Any]) -> None:
-    parts = split_all(runs)
-    command = f"greenhouse-train {facts['model']} --regime {facts['regime']}"
-    write_arx(fit.model, out / ARX_FILE, provenance(fit, parts.train, parts.validate, command) | dict(facts))
+def _save_linear(fit: Fit, out: Path, facts: Mapping[str, Any]) -> None:
+    scores = {
+        "rows": fit.rows,
+        "one_step_rmse_k": fit.one_step_rmse_k,
+        "free_run_rmse_k": fit.free_run_rmse_k,
+        "free_run_steps": FREE_RUN_STEPS,
+        "orders_tried": [[score.p, score.q, score.rmse_k] for score in fit.scores],
+    }
+    write_arx(fit.model, out / ARX_FILE, {**facts, **scores})
 
 
 def _pbm(settings: pbm.PbmSettings, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:

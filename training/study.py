@@ -19,6 +19,7 @@ Regime = Literal["interpolation", "extrapolation"]
 SCENARIOS: Mapping[Regime, tuple[int, ...]] = {"interpolation": (1, 2, 3), "extrapolation": (4, 5, 6)}
 VERSIONS = ("greenhouse-twin", "numpy", "scipy", "torch")
 RESULT_FILE = "result.json"
+FACTS = ("model", "regime", "seed", "command", "data_sha256", "settings", "versions")  # kept with a model
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,31 +35,47 @@ class Trained:
 Train = Callable[[Sequence[Run], int, Path | None], Trained]  # training runs, seed, folder of the log
 
 
-def study(name: str, train: Train, regime: Regime, seed: int, out: Path, log: Path | None) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One training to be done."""
+
+    name: str  # of the model, as in `training.models.MODELS`
+    regime: Regime
+    seed: int
+    command: str  # that does it again
+
+    def folder(self, root: Path) -> Path:
+        """Where it is kept under `root`."""
+        return root / self.name / self.regime / f"seed_{self.seed}"
+
+
+def study(job: Job, train: Train, out: Path, log: Path | None) -> dict[str, Any]:
     """Train once, forecast every test run of the regime, save model and record; the record as JSON values.
 
-    out : folder of this training; log : folder for TensorBoard, None for none
+    out, log : folders under which the job has its own, for its files and for TensorBoard (None for no log)
     """
-    runs = training_runs(regime)
+    runs = training_runs(job.regime)
+    kept = job.folder(out)
     reset_peak()
     began = time.perf_counter()
-    trained = train(runs, seed, log)
+    trained = train(runs, job.seed, None if log is None else job.folder(log))
     wall_s = time.perf_counter() - began
     record: dict[str, Any] = {
-        "model": name,
-        "regime": regime,
-        "seed": seed,
+        "model": job.name,
+        "regime": job.regime,
+        "seed": job.seed,
+        "command": job.command,
         "data_sha256": data_sha256(runs),
         "settings": dict(trained.settings),
         "progress": dict(trained.progress),
         "wall_s": wall_s,
         "peak_rss_mib": peak_rss_mib(),
         "versions": versions(),
-        "scenarios": {str(scenario): score(trained.predictor, scenario) for scenario in SCENARIOS[regime]},
+        "scenarios": {str(number): score(trained.predictor, number) for number in SCENARIOS[job.regime]},
     }
-    out.mkdir(parents=True, exist_ok=True)
-    trained.save(out, {key: record[key] for key in ("model", "regime", "seed", "data_sha256", "settings")})
-    (out / RESULT_FILE).write_text(json.dumps(record, indent=1) + "\n")
+    kept.mkdir(parents=True, exist_ok=True)
+    trained.save(kept, {key: record[key] for key in FACTS})
+    (kept / RESULT_FILE).write_text(json.dumps(record, indent=1) + "\n")
     return record
 
 
@@ -75,8 +92,3 @@ def versions() -> dict[str, str]:
     """Of what the figures depend on."""
     packages = {name: importlib.metadata.version(name) for name in VERSIONS}
     return {"python": platform.python_version(), **packages}
-
-
-def folder(out: Path, name: str, regime: Regime, seed: int) -> Path:
-    """Where one training is kept under `out`."""
-    return out / name / regime / f"seed_{seed}"
