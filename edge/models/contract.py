@@ -1,7 +1,7 @@
 """What an ONNX file promises about itself: one JSON document in its metadata, checked before it is believed.
 
 The file holds one graph: from a window of measured rows and the inputs of N steps to N temperatures. Its
-golden vectors are inputs and outputs of the trained network; the edge runs the graph on them before it uses it.
+golden vectors are rollouts of the trained network; the edge runs the graph on them before it uses it.
 """
 
 from collections.abc import Mapping
