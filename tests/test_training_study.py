@@ -170,6 +170,10 @@ def test_a_record_says_what_was_trained_on_what_and_how_well(tmp_path: Path) -> 
     assert (record["model"], record["regime"], record["seed"]) == ("ham", "interpolation", 7)
     assert record["data_sha256"] == "3 runs"
     assert record["settings"]["batch_size"] == 64
+    temps = np.concatenate(
+        [box_run(seed).columns["temp_air_c"][:72] for seed in (1, 2, 3)]
+    )  # the training parts
+    assert record["validity"]["temp_air_c"] == [temps.min(), temps.max()]
     assert record["versions"]["torch"].startswith("2.")
     assert record["wall_s"] > 0.0
     assert 10.0 < record["peak_rss_mib"] < 100_000.0

@@ -22,11 +22,16 @@ Note = Callable[[str, float, int], None]  # name, value, epoch
 class Settings(Protocol):
     """What the loop needs of a model's settings."""
 
-    epochs: int
-    learning_rate: float
-    batch_size: int
-    min_delta: float
-    tolerance: int
+    @property
+    def epochs(self) -> int: ...
+    @property
+    def learning_rate(self) -> float: ...
+    @property
+    def batch_size(self) -> int: ...
+    @property
+    def min_delta(self) -> float: ...
+    @property
+    def tolerance(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True)

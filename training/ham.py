@@ -50,6 +50,16 @@ class HamNet(nn.Module):
     `source_scale` to r [K/s].
     """
 
+    mean: Tensor
+    scale: Tensor
+    source_mean: Tensor
+    source_scale: Tensor
+    step_s: Tensor
+    volume_m3: Tensor
+    heater_max_w: Tensor
+    fan_max_m3_s: Tensor
+    air_j_k: Tensor
+
     def __init__(
         self,
         geometry: Geometry,

@@ -51,6 +51,14 @@ class GuardedHamNet(nn.Module):
     `source_scale` to r.
     """
 
+    twin: TwinStep
+    mean: Tensor
+    scale: Tensor
+    low: Tensor
+    high: Tensor
+    margin: Tensor
+    source_scale: Tensor
+
     def __init__(self, twin: TwinStep, hidden: int = HIDDEN, dropout: float = DROPOUT) -> None:
         super().__init__()
         self.twin = twin

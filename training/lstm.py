@@ -39,6 +39,11 @@ class LstmNet(nn.Module):
     `target_scale`, the same of what the network gives: T+, or T+ - T with `predicts_increment` [K].
     """
 
+    mean: Tensor
+    scale: Tensor
+    target_mean: Tensor
+    target_scale: Tensor
+
     def __init__(
         self,
         mean: Tensor,

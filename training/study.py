@@ -9,9 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from edge.models.base import Predictor
 from edge.run_file import Run
 from training.datasets import data_sha256, test_run, training_runs
+from training.pairs import INPUTS, split_all, stretches
 from training.peak_memory import peak_rss_mib, reset_peak
 from training.rollout import errors, free_run, one_step
 
@@ -19,7 +22,9 @@ Regime = Literal["interpolation", "extrapolation"]
 SCENARIOS: Mapping[Regime, tuple[int, ...]] = {"interpolation": (1, 2, 3), "extrapolation": (4, 5, 6)}
 VERSIONS = ("greenhouse-twin", "numpy", "scipy", "torch")
 RESULT_FILE = "result.json"
-FACTS = ("model", "regime", "seed", "command", "data_sha256", "settings", "versions")  # kept with a model
+FACTS = (  # of the record, kept with a model
+    "model", "regime", "seed", "command", "data_sha256", "validity", "settings", "versions", "wall_s"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +71,7 @@ def study(job: Job, train: Train, out: Path, log: Path | None) -> dict[str, Any]
         "seed": job.seed,
         "command": job.command,
         "data_sha256": data_sha256(runs),
+        "validity": validity(runs),
         "settings": dict(trained.settings),
         "progress": dict(trained.progress),
         "wall_s": wall_s,
@@ -86,6 +92,12 @@ def score(predictor: Predictor, scenario: int) -> dict[str, dict[str, float]]:
         "free_run": asdict(errors(free_run(predictor, run), run)),
         "one_step": asdict(errors(one_step(predictor, run), run)),
     }
+
+
+def validity(runs: Sequence[Run]) -> dict[str, list[float]]:
+    """Lowest and highest value of each input in the training parts, by border key."""
+    columns = np.concatenate([np.stack(stretch) for stretch in stretches(split_all(runs).train)], axis=1)
+    return {key: [float(row.min()), float(row.max())] for key, row in zip(INPUTS, columns, strict=True)}
 
 
 def versions() -> dict[str, str]:

@@ -18,6 +18,14 @@ class TwinStep(nn.Module):
     [2, S], what unknown heat does over a step (sd); `noise`, sd of a measured temperature [K].
     """
 
+    transition: Tensor
+    drive: Tensor
+    rest_excess: Tensor
+    rest_ambient: Tensor
+    spread: Tensor
+    drift: Tensor
+    noise: Tensor
+
     def __init__(self, states: int) -> None:
         super().__init__()
         shapes = {
