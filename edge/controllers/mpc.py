@@ -94,28 +94,27 @@ def planning_problem(
     tail : steps after the horizon that count too, at the duty that would hold the reference and with the fan
         still: a plan is judged by what it leaves behind (a terminal cost; Mayne et al., Automatica 36, 2000)
 
-    The inputs enter the forecast linearly at a known temperature, so three rollouts tell all of it: nothing
-    on, one step of full heat, one step of fan. A fan that enters by the excess over the room is taken at one
-    excess for the whole horizon, halfway to the reference where the air is above it: weaker later than now,
-    it would always be worth to wait with it. A history shorter than the model needs is taken as if its
-    oldest row had lasted.
+    The inputs enter the forecast linearly at a known temperature. A fan that enters by the excess over the
+    room is taken at one excess for the whole horizon, halfway between the present one and the reference's:
+    were it weaker later than now it would always be worth to wait with it, and at the present one alone a
+    fan beside a heater that starts cold would seem to cost nothing. A history shorter than the model needs
+    is taken as if its oldest row had lasted.
     """
     steps, estimate, limits = horizon + tail, context.estimate, context.limits
     reference = context.reference[:steps] if preview else np.full(steps, context.reference[0])
     if len(reference) < steps:
         raise DataError(f"reference: {len(reference)} steps, horizon and tail have {steps}")
-    controls = np.zeros((3, steps, 2))
+    controls = np.zeros((1, steps, 2))
     held = model.duty_to_hold(float(reference[-1]), estimate.temp_ambient, estimate.offset)
     controls[:, horizon:, 0] = min(held, limits.heater_max_duty)
-    controls[1, 0, 0] = 1.0
-    controls[2, 0, 1] = 1.0
     ahead = {
         "temp_ambient": np.full(steps, estimate.temp_ambient),
         "offset": np.full(steps, estimate.offset),
     }
-    free, heated, fanned = model.rollout(padded(context.history, model.rows_needed), controls, ahead)
-    heater = heated - free
-    fan = _fan_strength(context, model, float(reference[0])) * (fanned - free)
+    free = model.rollout(padded(context.history, model.rows_needed), controls, ahead)[0]
+    heater, fan = model.responses(steps)
+    if model.fan_input == "excess":
+        fan = fan * (0.5 * (context.history["temp_air"][-1] + reference[0]) - estimate.temp_ambient)
     hottest = (free + np.cumsum(np.maximum(heater, 0.0))).max()
     return Problem(
         free=free,
@@ -135,15 +134,6 @@ def planning_problem(
         temp_max=limits.temp_air_max_c,
         limit_weight=0.0 if hottest <= limits.temp_air_max_c else LIMIT_WEIGHT,
     )
-
-
-def _fan_strength(context: Context, model: Arx, reference: float) -> float:
-    """How strong the fan is over the horizon beside what it does now."""
-    now = float(context.history["temp_air"][-1]) - context.estimate.temp_ambient
-    wanted = max(reference - context.estimate.temp_ambient, 0.0)
-    if model.fan_input == "on" or not now > wanted:
-        return 1.0
-    return 0.5 * (now + wanted) / now
 
 
 def padded(history: Columns, rows: int) -> Columns:

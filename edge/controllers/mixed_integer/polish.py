@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.descent import descended
 from edge.controllers.mixed_integer.problem import Plan, Problem, lower_toeplitz
+from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,6 +35,11 @@ class Local:
     heater_response: Floats
     fan_response: Floats
 
+    def temperatures(self, levels: Ints, fan: Ints) -> Floats:
+        """Air temperatures of plans [B, N], [B, N + M] [°C]."""
+        heated: Floats = (levels - self.levels) / HEATER_LEVELS @ self.heater_response
+        return self.temps + heated + (fan - self.fan) @ self.fan_response
+
 
 def polished(problem: Problem, plan: Plan) -> Plan:
     """The best plan found by repeated small changes; `plan` itself where none is better."""
@@ -54,18 +60,14 @@ def neighbours(problem: Problem, local: Local, count: int) -> list[Plan]:
     fan = _fan_plans(local.fan)
     fan = fan[problem.allows(np.zeros_like(fan), fan)]
     levels = np.broadcast_to(local.levels, fan.shape)
-    temps = local.temps + (fan - local.fan) @ local.fan_response
+    temps = local.temperatures(levels, fan)
     quickly = descended(problem, local.heater_response, levels, temps, sweeps=1, exchanges=False)
-    kept = _cheapest(_cost(problem, quickly[0], fan, quickly[1]), max(_LOOKED_INTO, count))
+    cost = problem.cost_at(quickly[1], quickly[0], fan)
+    kept = _cheapest(cost, max(_LOOKED_INTO, count))
     fan, levels, temps = fan[kept], quickly[0][kept], quickly[1][kept]
     levels, temps = descended(problem, local.heater_response, levels, temps, _SWEEPS)
-    cost = _cost(problem, levels, fan, temps)
+    cost = problem.cost_at(temps, levels, fan)
     return [Plan(levels[place], fan[place], float(cost[place])) for place in _cheapest(cost, count)]
-
-
-def _cost(problem: Problem, levels: Ints, fan: Ints, temps: Floats) -> Floats:
-    cost: Floats = problem.tracking(temps).sum(axis=-1) + problem.effort(levels, fan).sum(axis=-1)
-    return cost
 
 
 def _cheapest(cost: Floats, count: int) -> Ints:

@@ -108,7 +108,11 @@ class Problem:
 
     def cost(self, levels: Ints, fan: Ints) -> Floats:
         """Total cost of plans [..., N]."""
-        tracking = self.tracking(self.temperatures(levels, fan))
+        return self.cost_at(self.temperatures(levels, fan), levels, fan)
+
+    def cost_at(self, temps: Floats, levels: Ints, fan: Ints) -> Floats:
+        """Total cost of plans [..., N] with the air temperatures [..., N + M]."""
+        tracking = self.tracking(temps)
         return np.asarray(tracking.sum(axis=-1) + self.effort(levels, fan).sum(axis=-1))
 
     def allows(self, levels: Ints, fan: Ints) -> NDArray[np.bool_]:

@@ -1,0 +1,188 @@
+"""The cheapest plan by a predictor's real rollouts that a search of changes finds, whatever the predictor is.
+
+Around a plan the predictor is asked what every single change does. That makes a linear picture of it there;
+near plans are ranked by the picture and the most promising are rolled out for real, all in one batch. The
+best of them is the next plan to look around, until none is better. Nothing is proven.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.controllers.mixed_integer.polish import Local, neighbours
+from edge.controllers.mixed_integer.problem import Plan, Problem
+from edge.controllers.mixed_integer.solver import solve
+from edge.controllers.plan_moves import small_moves
+from edge.controllers.plan_rollouts import PlanRollouts
+from edge.names import HEATER_LEVELS
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+_BATCH = 32  # near plans that are rolled out at once
+_SMALL_MOVES = 3 * _BATCH
+_LINEAR_NODES = 2000
+
+
+@dataclass(slots=True)
+class Meter:
+    """Counts the work and says when it must end.
+
+    deadline_s : of the monotonic clock
+    rollout_budget : rollouts that may be done beside those of the starting plans
+    node_limit : to replay a search that the clock ended after so much work
+    spent : nodes of the linear planner and rollouts, until the clock ended the search
+    """
+
+    deadline_s: float
+    rollout_budget: int
+    node_limit: int | None = None
+    spent: int = 0
+    rollouts: int = 0
+    fired: bool = False
+
+    def allows(self, rollouts: int) -> bool:
+        """Asked before each batch; work must lie between two questions, else a replay could mistake them."""
+        if self.rollouts + rollouts > self.rollout_budget:
+            return False
+        limited = self.node_limit is not None and self.spent >= self.node_limit
+        self.fired = self.fired or limited or time.monotonic() > self.deadline_s
+        return not self.fired
+
+    def count(self, rollouts: int) -> None:
+        """Rollouts that are done."""
+        self.rollouts += rollouts
+        self.spent += 0 if self.fired else rollouts
+
+    def linear_plan(self, problem: Problem, node_budget: int, warm: tuple[Ints, Ints] | None) -> Plan:
+        """The exact planner's plan for a linear problem, its nodes counted."""
+        left = None if self.node_limit is None else self.node_limit - self.spent
+        solution = solve(problem, node_budget, self.deadline_s - time.monotonic(), left, warm)
+        self.spent += solution.nodes
+        self.fired = self.fired or solution.time_box_fired
+        return solution.plan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Priced:
+    """A plan with its real cost, and its air temperatures [N + M] [°C]."""
+
+    plan: Plan
+    temps: Floats
+
+
+@dataclass(slots=True)
+class RolloutSearch:
+    """One search; it holds what was found so far."""
+
+    rollouts: PlanRollouts
+    meter: Meter
+    _costs: dict[bytes, float] = field(default_factory=dict)
+    _by_first_step: dict[tuple[int, int], Priced] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Priced:
+        """The cheapest plan found."""
+        return min(self._by_first_step.values(), key=_cost)
+
+    @property
+    def runner_up(self) -> Plan | None:
+        """The cheapest plan found that begins otherwise than the best."""
+        best = self.best
+        others = [priced for priced in self._by_first_step.values() if priced is not best]
+        return min(others, key=_cost).plan if others else None
+
+    def run(self, starts: Sequence[Plan]) -> None:
+        """Look around the starting plans, the cheapest first; they are priced in any case, time or not."""
+        self._price(starts)
+        looked_around: set[bytes] = set()
+        for start in sorted((self._priced(start) for start in starts), key=lambda plan: plan.cost):
+            plan: Plan | None = start
+            while plan is not None and _key(plan) not in looked_around:
+                looked_around.add(_key(plan))
+                plan = self._better(plan, first=len(looked_around) == 1)
+
+    def _better(self, plan: Plan, first: bool) -> Plan | None:
+        """A plan near `plan` that costs less; None where none is found or the search must end."""
+        goal = self.rollouts.goal
+        local = self._picture(plan)
+        if local is None:
+            return None
+        near = neighbours(goal, local, _BATCH)
+        if first:
+            linear = _linear_problem(goal, local)
+            near.append(self.meter.linear_plan(linear, _LINEAR_NODES, (plan.levels, plan.fan)))
+        moves = small_moves(goal, local, _SMALL_MOVES)
+        for batch in (near, *(moves[at : at + _BATCH] for at in range(0, len(moves), _BATCH))):
+            new = [other for other in batch if _key(other) not in self._costs]
+            if new and not self.meter.allows(len(new)):
+                return None
+            self._price(new)
+            best = min((self._priced(other) for other in batch), key=lambda other: other.cost, default=plan)
+            if best.cost < plan.cost:
+                return best
+        return None
+
+    def _picture(self, plan: Plan) -> Local | None:
+        """What each single change of the plan does; None when there is no time for it.
+
+        The heater goes one level up, or down where it is at its top; a changed plan may break the relay's
+        rules, it is no proposal.
+        """
+        n = self.rollouts.goal.horizon
+        if not self.meter.allows(2 * n + 1):
+            return None
+        sign = np.where(plan.levels < HEATER_LEVELS, 1, -1)
+        none = np.zeros((n, n), dtype=np.int64)
+        levels = plan.levels + np.concatenate([none[:1], np.diag(sign), none])
+        fan = plan.fan ^ np.concatenate([none[:1], none, np.eye(n, dtype=np.int64)])
+        temps = self.rollouts.temperatures(levels, fan)
+        self.meter.count(len(levels))
+        change = temps[1:] - temps[0]
+        return Local(
+            plan.levels,
+            plan.fan,
+            temps[0],
+            heater_response=change[:n] * (sign * HEATER_LEVELS)[:, None],
+            fan_response=change[n:] * (1 - 2 * plan.fan)[:, None],
+        )
+
+    def _price(self, plans: Sequence[Plan]) -> None:
+        if not plans:
+            return
+        goal = self.rollouts.goal
+        levels, fan = np.stack([plan.levels for plan in plans]), np.stack([plan.fan for plan in plans])
+        temps = self.rollouts.temperatures(levels, fan)
+        self.meter.count(len(plans))
+        for plan, cost, own in zip(plans, goal.cost_at(temps, levels, fan).tolist(), temps, strict=True):
+            self._costs[_key(plan)] = cost
+            first = int(plan.levels[0]), int(plan.fan[0])
+            known = self._by_first_step.get(first)
+            if known is None or cost < known.plan.cost:
+                self._by_first_step[first] = Priced(replace(plan, cost=cost), own)
+
+    def _priced(self, plan: Plan) -> Plan:
+        return replace(plan, cost=self._costs[_key(plan)])
+
+
+def _linear_problem(goal: Problem, local: Local) -> Problem:
+    """The picture as the exact planner takes it: one response for all steps, the mean of theirs."""
+    n, steps = goal.horizon, len(goal.reference)
+
+    def mean_response(responses: Floats) -> Floats:
+        return np.array(
+            [np.mean([responses[k, k + lag] for k in range(min(n, steps - lag))]) for lag in range(steps)]
+        )
+
+    flat = replace(goal, heater=mean_response(local.heater_response), fan=mean_response(local.fan_response))
+    return replace(flat, free=flat.free + local.temps - flat.temperatures(local.levels, local.fan))
+
+
+def _key(plan: Plan) -> bytes:
+    return plan.levels.tobytes() + plan.fan.tobytes()
+
+
+def _cost(priced: Priced) -> float:
+    return priced.plan.cost
