@@ -79,7 +79,7 @@ class ControlSettings(Section):
     """The loop and its controller."""
 
     step_s: float = number(60.0, "control step", "s", hard.STEP_MIN_S, hard.STEP_MAX_S, hard=True)
-    controller: str = text("MPC", "controller at the first start", CONTROLLERS)
+    controller: str = text("MPC-P", "controller at the first start", CONTROLLERS)
     fallback: str = text("rules", "controller used when the chosen one fails", CONTROLLERS)
     horizon: int = whole(10, "steps an MPC looks ahead", 1, 60)
     tail: int = whole(

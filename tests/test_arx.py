@@ -222,3 +222,14 @@ def test_a_file_that_is_no_json_is_refused(tmp_path, content):
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(DataError, match="cannot be read"):
         read_arx(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize("model", [MODEL, EXCESS])
+def test_the_responses_are_what_one_step_of_each_input_adds(model):
+    controls = np.zeros((3, 9, 2))
+    controls[1, 0, 0] = controls[2, 0, 1] = 1.0
+    past = in_a_room(history([23.0] * 3, [0.0] * 3, [0.0] * 3), 21.0)
+    free, heated, fanned = model.rollout(past, controls, {"temp_ambient": np.full(9, 21.0)})
+    heater, fan = model.responses(9)
+    np.testing.assert_allclose(heated - free, heater, atol=1e-12)
+    np.testing.assert_allclose(fanned - free, fan * (2.0 if model is EXCESS else 1.0), atol=1e-12)

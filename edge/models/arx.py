@@ -91,6 +91,21 @@ class Arx:
         gain = self.heater.sum()
         return float(min(max(lacking / gain, 0.0), 1.0)) if gain > 0.0 else 0.0
 
+    def responses(self, steps: int) -> tuple[Floats, Floats]:
+        """What one step of full heat, and one of the fan, adds to the air temperature of each step [steps].
+
+        [K]; the fan's per kelvin of excess [K/K] where it enters by that.
+        """
+        return self._response(self.heater, steps), self._response(self.fan, steps)
+
+    def _response(self, inputs: Floats, steps: int) -> Floats:
+        order = len(self.temp)
+        added = np.zeros(order + steps)
+        for k in range(steps):
+            driven = inputs[k] if k < len(inputs) else 0.0
+            added[order + k] = added[k : k + order] @ self.temp[::-1] + driven
+        return added[order:]
+
     def _drift(self, ahead: Columns, horizon: int) -> Floats:
         """What moves the air at each step whatever the inputs [horizon]."""
         drift = np.full(horizon, self.intercept)
