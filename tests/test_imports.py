@@ -13,6 +13,7 @@ WIRE = {"edge/board.py", "edge/clock.py", "edge/serial_port.py"}  # the only one
 FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "firmware_protocol": ("edge", "training", "torch"),
     "edge": ("training", "torch", "stable_baselines3", "tests", "bench"),
+    "training": ("tests", "bench"),
     "edge/bundle": (
         "edge.board",
         "edge.storage",

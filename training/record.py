@@ -51,7 +51,7 @@ def _scenario(scenario: int, number: int, half: int) -> Recording:
 
 
 def record(recording: Recording, path: Path, minutes: float | None = None) -> Run:
-    """Record one run into the file `path`, all of its profile or the first minutes. Errors: GreenhouseError."""
+    """Record a run into the file `path`: its whole profile or the first minutes. Errors: GreenhouseError."""
     with tempfile.TemporaryDirectory(prefix="greenhouse-record-") as folder:
         raw = Path(folder) / path.name
         words = ["experiment", recording.profile, "--out", raw, "--role", recording.role]
