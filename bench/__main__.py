@@ -25,6 +25,7 @@ class Bench:
 
 BENCHES = {
     "mpc": Bench(("--instances", "5", "--peer-seconds", "0.05", "--references", "1")),
+    "mpc_rollout": Bench(("--hours", "1", "--every", "30")),
     "daemon": Bench(("--seconds", "15", "--starts", "2", "--hours", "1")),
     "outbox": Bench(("--ticks", "1000", "--kills", "2")),
     "closed_loop_day": Bench(

@@ -1,0 +1,64 @@
+"""Contexts as a controller sees them in closed loop on the virtual board, for benchmarks of planners."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from bench.closed_loop_day import CHAMBER_YAML, DAY_YAML
+from edge import config
+from edge.controllers import registry
+from edge.controllers.base import Context, Controller
+from edge.daemon import Daemon
+from edge.messages import Decision
+from edge.models.base import Predictor
+from edge.settings import Settings
+from edge.sim_clock import SimClock
+from edge.virtual_rig import virtual_rig
+
+
+class Logger:
+    """A controller that keeps what it is asked."""
+
+    def __init__(self, inner: Controller) -> None:
+        self.name = inner.name
+        self.contexts: list[Context] = []
+        self._inner = inner
+
+    def decide(self, context: Context) -> Decision:
+        """As the inner one."""
+        self.contexts.append(context)
+        return self._inner.decide(context)
+
+    def reset(self) -> None:
+        """As the inner one."""
+        self._inner.reset()
+
+
+def logged_contexts(controller: str, model: Predictor, seed: int, hours: float) -> list[Context]:
+    """One per tick from midnight on: the day of `bench.closed_loop_day`, the daemon in lock-step."""
+    with tempfile.TemporaryDirectory(prefix="logged-contexts-") as temporary:
+        folder = Path(temporary)
+        (folder / "chamber.yaml").write_text(CHAMBER_YAML)
+        settings = _settings(controller, folder)
+        logger = Logger(registry.make(controller, settings.control, model))
+        with virtual_rig(folder, seed, ("--chamber", str(folder / "chamber.yaml"))) as rig:
+            clock = SimClock(rig.control)
+            try:
+                end_s = clock.now() + 3600.0 * hours
+                with Daemon(settings, clock, stop_at_s=end_s, more_controllers=(logger,)) as daemon:
+                    daemon.run()
+            finally:
+                clock.close()
+    return logger.contexts
+
+
+def _settings(controller: str, folder: Path) -> Settings:
+    settings = config.parse(DAY_YAML, "logged_contexts")
+    return replace(
+        settings,
+        state_file=str(folder / "state.json"),
+        control=replace(settings.control, controller=controller),
+        board=replace(settings.board, port=str(folder / "board")),
+        control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
+        history=replace(settings.history, path=str(folder / "history.db")),
+    )
