@@ -99,6 +99,7 @@ class ThermalMemory:
     fan_same_s: float = 0.0  # fan unchanged for so long
     fan_begin_excess_k: float = 0.0  # air over room when the fan was last switched
     short: Balance | None = None
+    later: Balance | None = None  # the next one, begun half-way: the slow element spoils the first half
     long: Balance | None = None
     cold_s: float = 0.0
     proof: RelayProof = field(default_factory=RelayProof)
@@ -167,15 +168,18 @@ def _heat_is_ordered(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemo
     """More heat than was ordered."""
     settled = memory.off_s >= SETTLE_S and memory.fan_same_s >= SETTLE_S
     short = _continue(memory.short, moment) if settled else None
+    later = None
+    if short is not None and short.seconds >= SHORT_S / 2.0:
+        later = _continue(memory.later, moment)
     long: Balance | None = _continue(memory.long, moment)
     heat_w = 0.0
     if short is not None and short.seconds >= SHORT_S:
         heat_w = max(heat_w, unordered_w(short, moment.temp_air) - OTHER_HEAT_W)
-        short = None
+        short, later = later, None
     if long is not None and long.seconds >= LONG_S:
         heat_w = max(heat_w, unordered_w(long, moment.temp_air) - OTHER_HEAT_LONG_W)
         long = None
-    memory = replace(memory, short=short, long=long)
+    memory = replace(memory, short=short, later=later, long=long)
     if heat_w <= 0.0:
         return memory, None
     text = f"{heat_w:.0f} W or more come in that nobody ordered: heater relay stuck on (or a fan without air)"
