@@ -13,20 +13,23 @@ from typing import Any, Self, TypeGuard
 
 from edge import __version__, state_file
 from edge import operation as orders
+from edge.active_models import ActiveModels
 from edge.board import Board
+from edge.bundle.keeper import BundleKeeper
+from edge.bundle.store import Store
 from edge.clock import Clock, RealClock, boot_id
 from edge.config import config_hash
 from edge.control_socket import ControlSocket
-from edge.controllers import registry
 from edge.controllers.base import Controller
 from edge.errors import ConfigError
 from edge.estimator import Estimator
+from edge.forecasts.skill import SkillState
+from edge.forecasts.skill_json import from_dict as skill_from_dict
+from edge.forecasts.skill_json import to_dict as skill_to_dict
 from edge.inbox import Inbox, Reply, Request
 from edge.loop import Loop, Rig, Sink
 from edge.messages import TickRecord
-from edge.models.base import Predictor
-from edge.models.configured import configured_model
-from edge.models.persistence import Persistence
+from edge.models.from_bundle import loader
 from edge.mqtt.commands import SEQ_MAX
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
@@ -34,7 +37,7 @@ from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
-from edge.settings import CONTROLLERS, NEED_NO_MODEL, Settings
+from edge.settings import CONTROLLERS, Settings
 from edge.state_file import StateFileBroken, StateWriter
 from edge.storage import Outbox, Session, Storage
 
@@ -126,8 +129,12 @@ class Daemon:
 
     def _wire(self) -> Loop:
         settings, stack = self.settings, self._stack
-        model = configured_model(settings.control)
-        controllers = self._controllers(model)
+        bundles = self._bundles()
+        skill_file = StateWriter(Path(settings.state_file).with_name("skill.json"))
+        stack.callback(skill_file.close)
+        models = ActiveModels(settings.control, bundles, _read_skill(skill_file.path))
+        stack.callback(lambda: skill_file.save(skill_to_dict(models.forecasting.state)))
+        controllers = models.controllers() | {each.name: each for each in self.more_controllers}
         if self.experiment and self.experiment not in controllers:
             raise ConfigError(f"control: {self.experiment} needs a model for {settings.control.step_s:g} s")
         standing = read_standing(Path(settings.state_file), settings)
@@ -137,19 +144,19 @@ class Daemon:
         inbox = Inbox()
         stack.callback(inbox.close)
         # First of all that is shared: where a daemon runs already nothing else is touched.
-        socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox))
+        socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox, bundles))
         stack.callback(socket.close)
         # Only the machine's clock goes on from process to process.
         boot = boot_id() if isinstance(self.clock, RealClock) else ""
-        session = Session(__version__, config_hash(settings), {model.name: model.version}, boot)
+        session = Session(__version__, config_hash(settings), models.versions(), boot)
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
         stack.callback(storage.close)
         state = StateSink(StateWriter(Path(settings.state_file)))
         stack.callback(state.writer.close)
-        sinks: list[Sink] = [storage, state]
+        sinks: list[Sink] = [storage, state, *([bundles] if bundles else [])]
         if settings.mqtt.enabled:
-            telemetry = Telemetry(settings, self._ask(inbox), lambda: _outbox(settings))
+            telemetry = Telemetry(settings, self._ask(inbox, bundles), lambda: _outbox(settings))
             stack.callback(telemetry.close)
             sinks.append(telemetry)
         board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32))
@@ -161,13 +168,14 @@ class Daemon:
             board=board,
             sensors=SensorHealth(settings.sensor_health, settings.calibration),
             estimator=Estimator(
-                settings.estimator, model, settings.control.step_s, settings.control.ambient_default_c
+                settings.estimator, models.model, settings.control.step_s, settings.control.ambient_default_c
             ),
             reference=self.reference or make_reference(settings.reference),
             zone=zone_of(settings.timezone),
             controllers=controllers,
+            models=models,
             sinks=sinks,
-            more_events=storage.events_pending,
+            more_events=lambda: [*storage.events_pending(), *(bundles.events_pending() if bundles else ())],
             inbox=inbox,
             save_state=self._save(state, standing.operation),
             after_tick=self.after_tick,
@@ -179,10 +187,18 @@ class Daemon:
             loop.note("state.broken", standing.broken)
         return loop
 
-    def _controllers(self, model: Predictor) -> dict[str, Controller]:
-        names = NEED_NO_MODEL if isinstance(model, Persistence) else CONTROLLERS
-        known = [registry.make(name, self.settings.control, model) for name in names]
-        return {controller.name: controller for controller in (*known, *self.more_controllers)}
+    def _bundles(self) -> BundleKeeper | None:
+        """None where the configuration has no folder for them."""
+        settings = self.settings
+        if not settings.bundle.path:
+            return None
+        store = Store(
+            Path(settings.bundle.path), Path(settings.bundle.trusted_keys), loader(settings.control.step_s)
+        )
+        automatic = settings.bundle.auto == "promote"
+        bundles = BundleKeeper(store, self.clock, automatic, settings.bundle.trial_ticks)
+        self._stack.callback(bundles.close)
+        return bundles
 
     def _orders(self, standing: Operation) -> Operation:
         if not self.experiment:
@@ -205,13 +221,30 @@ class Daemon:
 
         return save
 
-    def _ask(self, inbox: Inbox) -> Callable[[Request], Reply]:
+    def _ask(self, inbox: Inbox, bundles: BundleKeeper | None) -> Callable[[Request], Reply]:
         """Requests that need the disk are carried out in the asker's thread, others in the control thread."""
 
         def ask(request: Request) -> Reply:
-            return _resend(self.settings, request) if request.get("do") == "resend" else inbox.ask(request)
+            match request.get("do"):
+                case "resend":
+                    return _resend(self.settings, request)
+                case "bundle":
+                    return bundles.answer(request) if bundles else _no_bundles()
+            return inbox.ask(request)
 
         return ask
+
+
+def _read_skill(path: Path) -> SkillState:
+    """Of the process before; where it can't be read the scores begin anew, which endangers nothing."""
+    try:
+        return skill_from_dict(state_file.read(path) or {"pairs": [], "widths": []})
+    except (StateFileBroken, ValueError):
+        return SkillState()
+
+
+def _no_bundles() -> Reply:
+    return {"ok": False, "error": "bundle.path is empty: this rig uses no bundles"}
 
 
 def _outbox(settings: Settings) -> Outbox:

@@ -86,6 +86,12 @@ _ROWS = (
         "they hold until a restart; the file is tried again at the next change",
     ),
     Failure(
+        "bundle.refused",
+        Severity.WARNING,
+        "a bundle of models can't be used",
+        "the one before it serves, else the packaged one",
+    ),
+    Failure(
         "state.broken",
         Severity.ALARM,
         "the state file can't be read at start",

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from edge.active_models import Models
 from edge.clock import Clock
 from edge.conditions import Conditions
 from edge.controllers.base import Context, Controller
@@ -37,13 +38,16 @@ from edge.safety import (
 )
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
-from edge.tick_json import echo_json, tick_json
+from edge.tick_json import echo_json, skill_json, tick_json
 from edge.watering import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
 REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
 START_WAIT_S = 5.0  # for the board, before the first tick
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
+SINK_FAULTS = (
+    "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused"
+)  # fmt: skip
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
 
 
@@ -85,7 +89,8 @@ class Rig:
     estimator: Estimator
     reference: Reference
     zone: tzinfo | None
-    controllers: Mapping[str, Controller]
+    controllers: dict[str, Controller]
+    models: Models
     sinks: Sequence[Sink]
     more_events: Callable[[], list[Event]]  # of parts that are not asked each tick: the history's own
     inbox: Inbox
@@ -145,6 +150,8 @@ class Loop:
     def tick(self, now: float, late_s: float = 0.0, skipped: int = 0) -> TickRecord:
         """One step of control: the arrow."""
         rig, utc = self._rig, self._rig.clock.utc()
+        if exchanged := rig.models.exchange(rig.estimator, rig.controllers):
+            self._tell("models.exchanged", Severity.INFO, exchanged, now)
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
         estimate = rig.estimator.update(readings, now, utc)
         context = self._context(estimate, now, utc)
@@ -155,6 +162,9 @@ class Loop:
         verdict = self._supervise(wanted, readings, estimate, now, utc)
         echo = self._drive(verdict)
         rig.estimator.record_sent(self._sent)
+        forecasts, skill = rig.models.forecast(
+            rig.estimator.history(), decision, self._sent, echo is not None
+        )
         self._note_conditions(readings, estimate, echo, late_s, now, utc)
         record = TickRecord(
             seq=self._seq,
@@ -175,6 +185,8 @@ class Loop:
             ticks_skipped=skipped,
             late_s=late_s,
             decide_ms=decide_ms,
+            forecasts=forecasts,
+            skill=skill,
         )
         self._hand_out(record)
         return record
@@ -256,7 +268,7 @@ class Loop:
         self._wall_minus_monotonic = utc - now
         note("clock.jumped", abs(jump_s) > CLOCK_JUMP_S, now, utc, f"by {jump_s:+.0f} s")
         faults = {key: detail for sink in self._rig.sinks for key, detail in sink.faults().items()}
-        for key in ("history.behind", "history.replaced", "telemetry.offline", "state.unwritten"):
+        for key in SINK_FAULTS:
             note(key, key in faults, now, utc, faults.get(key, ""))
 
     def _take_events(self, verdict: Verdict) -> tuple[Event, ...]:
@@ -319,6 +331,7 @@ class Loop:
             "operation": to_dict(self._operation),
             "trips": list(self._memory.trips),
             "tick": None if self.last_record is None else tick_json(self.last_record),
+            "skill": {} if self.last_record is None else skill_json(self.last_record.skill),
             "echo": echo_json(self._rig.board.echo),
             "line": dict(self._rig.board.statistics),
         }

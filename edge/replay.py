@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.active_models import NoForecasts
 from edge.controllers import registry
 from edge.controllers.base import Context, Controller
 from edge.controllers.mpc import Mpc
@@ -90,6 +91,7 @@ def replay(
         reference=make_reference(settings.reference),
         zone=zone_of(settings.timezone),
         controllers={name: _controller(name, settings, model, node_limits) for name in CONTROLLERS},
+        models=NoForecasts(),
         sinks=[tape],
         more_events=list,
         inbox=inbox,

@@ -9,6 +9,7 @@ from edge.config_schema import Section, clock, flag, items, number, text, whole
 
 NAME = r"[a-zA-Z0-9_-]{1,64}"  # fit for MQTT topics and Home Assistant ids
 CONTROLLERS = ("rules", "MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P")
+PREDICTORS = ("arx", "pbm", "lstm", "ham")
 NEED_NO_MODEL = ("rules",)
 
 
@@ -93,7 +94,11 @@ class ControlSettings(Section):
     decision_deadline_s: float = number(
         5.0, "a later decision is replaced by the fallback's; never more than half a step", "s", 0.05, 300.0
     )
-    model: str = text("", "ARX model file; empty: the packaged one")
+    predictor: str = text(
+        "arx", "model of the active bundle that estimates and that MPC and MPC-P plan with", PREDICTORS
+    )
+    rollout_budget: int = whole(2_000, "plans an MPC over another model than the ARX may try", 1, 10_000_000)
+    model: str = text("", "ARX model file instead of a bundle's model; empty: none")
     ambient_default_c: float = number(21.0, "room temperature where no sensor tells", "degC", -20.0, 60.0)
 
 
@@ -101,7 +106,7 @@ class ControlSettings(Section):
 class BundleSettings(Section):
     """Signed bundles of predictive models."""
 
-    path: str = text("/var/lib/greenhouse/bundles", "folder of the installed bundles")
+    path: str = text("/var/lib/greenhouse/bundles", "folder of the installed bundles; empty: none are used")
     trusted_keys: str = text(
         "/etc/greenhouse/keys",
         "folder of public keys (*.pub) whose bundles may be installed, beside the packaged one",

@@ -48,7 +48,7 @@ class StateWriter:
     """Writes the newest values in a thread of its own; older ones that wait are dropped."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self._condition = threading.Condition()
         self._next: dict[str, Any] | None = None
         self._closing = False
@@ -78,7 +78,7 @@ class StateWriter:
             if values is None:
                 return
             try:
-                write(self._path, values)
+                write(self.path, values)
             except OSError as error:
                 self.failures += 1
                 self.last_error = str(error)

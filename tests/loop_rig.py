@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from edge import config
+from edge.active_models import NoForecasts
 from edge.controllers.base import Context
 from edge.estimator import Estimator
 from edge.inbox import Inbox
@@ -158,6 +159,7 @@ class LoopRig:
             reference=make_reference(self.settings.reference),
             zone=None,
             controllers={"MPC": self.chosen, "rules": self.fallback},
+            models=NoForecasts(),
             sinks=[self.sink],
             more_events=list,
             inbox=self.inbox,

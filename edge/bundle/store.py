@@ -15,7 +15,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,9 +26,11 @@ from edge.bundle.durable import make_folder, move, sync_folder
 from edge.bundle.manifest import MANIFEST, PACKAGED, VERSION, Manifest
 from edge.bundle.roles import Roles, installed, rolled_back
 from edge.errors import DataError, RequestError
+from edge.forecasts.conformal import Intervals, read_intervals
 from edge.models.base import Predictor
 
 PACKAGED_FOLDER = Path(__file__).parent.parent / "models" / "default_bundle"
+INTERVALS = "intervals.json"
 _INCOMING = ".incoming"
 _DAMAGED = ".damaged"
 
@@ -42,6 +44,7 @@ class Loaded:
     name: str  # in the store: its version, or "packaged"
     manifest: Manifest
     predictors: Mapping[str, Predictor]
+    intervals: Intervals = field(default_factory=Intervals)  # of their forecasts, where the bundle has them
 
 
 class Store:
@@ -123,7 +126,9 @@ class Store:
 
     def _checked(self, name: str, folder: Path) -> Loaded:
         manifest = check_folder(folder, self._keys)
-        return Loaded(name or manifest.version, manifest, self._load(folder, manifest))
+        calibrated = INTERVALS in manifest.files
+        intervals = read_intervals(folder / INTERVALS) if calibrated else Intervals()
+        return Loaded(name or manifest.version, manifest, self._load(folder, manifest), intervals)
 
     def _place(self, version: str) -> Path:
         if not VERSION.fullmatch(version):

@@ -17,6 +17,7 @@ state_file: {folder}/state.json
 control_socket: {{path: {folder}/control.sock}}
 history: {{path: {folder}/history.db}}
 board: {{port: {folder}/board}}
+bundle: {{path: {folder}/bundles, trusted_keys: {folder}/keys}}
 control: {{controller: {controller}}}
 reference:
   kind: steps

@@ -10,19 +10,26 @@ from edge.models.base import Predictor
 from edge.settings import CONTROLLERS, ControlSettings
 
 
-def make(name: str, settings: ControlSettings, model: Predictor) -> Controller:
-    """The controller called `name`. Raises RequestError for a name there is not, with the nearest one."""
+def make(
+    name: str, settings: ControlSettings, model: Predictor, linear: Predictor | None = None
+) -> Controller:
+    """The controller called `name`.
+
+    linear : the ARX model whose plan a search over another `model` begins with
+    Raises : RequestError for a name there is not, with the nearest one
+    """
     if name not in CONTROLLERS:
         raise RequestError(f"controller: there is no {name!r}; {nearest(name, CONTROLLERS)}")
     if name == "rules":
         return Rules()
-    if not isinstance(model, Arx):
-        raise RequestError(f"{name}: plans with an ARX model, not with {model.name} {model.version}")
+    arx = model if linear is None else linear
+    if not isinstance(arx, Arx):
+        raise RequestError(f"{name}: plans with an ARX model, not with {arx.name} {arx.version}")
     weight = 1.0 if name.endswith("-P") else 0.0
     if name.startswith("MPC-BFGS"):
         from edge.controllers.mpc_bfgs import MpcBfgs  # late: the daemon rarely needs it
 
-        return MpcBfgs(name, model, weight, settings.horizon)
+        return MpcBfgs(name, arx, weight, settings.horizon)
     mpc = MpcSettings(
         weight=weight,
         horizon=settings.horizon,
@@ -31,4 +38,8 @@ def make(name: str, settings: ControlSettings, model: Predictor) -> Controller:
         preview=settings.preview,
         tail=settings.tail,
     )
-    return Mpc(name, model, mpc)
+    if model is arx:
+        return Mpc(name, arx, mpc)
+    from edge.controllers.mpc_rollout import MpcRollout  # late: most rigs plan with the ARX
+
+    return MpcRollout(name, model, arx, mpc, settings.rollout_budget)

@@ -1,0 +1,130 @@
+"""The predictive models a daemon works with: those of the active bundle, exchanged between two ticks."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from edge.bundle.keeper import BundleKeeper
+from edge.bundle.serving import Serving
+from edge.controllers import registry
+from edge.controllers.base import Controller
+from edge.errors import ConfigError
+from edge.estimator import Estimator
+from edge.forecasts.conformal import Intervals
+from edge.forecasts.forecasting import Forecasting
+from edge.forecasts.rivals import rival_rows
+from edge.forecasts.skill import SkillState
+from edge.messages import Command, Decision, Forecast, ForecastSkill
+from edge.models.arx import Arx
+from edge.models.base import Columns, Predictor
+from edge.models.configured import configured_model
+from edge.models.persistence import Persistence
+from edge.settings import CONTROLLERS, NEED_NO_MODEL, ControlSettings
+
+Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
+
+
+class Models(Protocol):
+    """What a loop asks of its models, twice a tick."""
+
+    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str: ...
+    def forecast(
+        self, history: Columns, decision: Decision, driven: Command, confirmed: bool
+    ) -> Forecasts: ...
+
+
+class NoForecasts:
+    """The models of a loop that never exchanges them: a replay."""
+
+    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
+        """Nothing to exchange."""
+        return ""
+
+    def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
+        """None."""
+        return {}, ()
+
+
+class ActiveModels:
+    """Which model estimates and plans, and which only forecast.
+
+    With a bundle the model `control.predictor` of it; with `control.model` that ARX file; with neither the
+    packaged ARX.
+    """
+
+    def __init__(self, control: ControlSettings, keeper: BundleKeeper | None, state: SkillState) -> None:
+        """Errors: ConfigError where no model fits the configured step and a controller needs one."""
+        self._control = control
+        self._keeper = keeper
+        self._configured = configured_model(control) if keeper is None or control.model else None
+        self._serving = None if keeper is None else keeper.serving
+        self.model, self.linear = self._chosen()
+        active, intervals, rivals = self._forecasting_parts()
+        self.forecasting = Forecasting(control.step_s, active, intervals, rivals, state)
+
+    def controllers(self) -> dict[str, Controller]:
+        """All that can decide with these models, by name."""
+        names = NEED_NO_MODEL if isinstance(self.model, Persistence) else CONTROLLERS
+        made = [registry.make(name, self._control, self.model, self.linear) for name in names]
+        return {controller.name: controller for controller in made}
+
+    def versions(self) -> dict[str, str]:
+        """Of every model that forecasts."""
+        return {name: model.version for name, model in self._forecasting_parts()[0].items()}
+
+    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
+        """Take what the keeper serves now, between two ticks, without a bump; what was done, in words."""
+        if self._keeper is None or self._keeper.serving is self._serving:
+            return ""
+        self._serving = self._keeper.serving
+        before = self.model, self.linear
+        kept = ""
+        try:
+            self.model, self.linear = self._chosen()
+        except ConfigError as error:
+            kept = f"; {error}: the one before goes on"
+        self.forecasting.serve(*self._forecasting_parts())
+        if (self.model, self.linear) != before:
+            estimator.set_model(self.model)
+            controllers.update(self.controllers())
+        return f"{self.model.name} {self.model.version} estimates and plans{kept}"
+
+    def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
+        """As `Forecasting.tick`; a bundle on trial is judged by the scores."""
+        made = self.forecasting.tick(history, decision, driven, confirmed)
+        serving = self._serving
+        if self._keeper is not None and serving is not None and serving.active and serving.rival:
+            state, active, rival = self.forecasting.state, serving.active.predictors, serving.rival.predictors
+            self._keeper.consider(serving, rival_rows(state, active, rival))
+        return made
+
+    def _chosen(self) -> tuple[Predictor, Predictor]:
+        """The model that estimates and plans, and the linear one that proposes plans to it."""
+        if self._configured is not None:
+            return self._configured, self._configured
+        active = _active(self._serving)
+        linear = active.get("arx") or configured_model(self._control)
+        if self._control.predictor == "arx":
+            return linear, linear
+        model = active.get(self._control.predictor)
+        if model is None:
+            raise ConfigError(f"control.predictor: {self._control.predictor} is not in the active bundle")
+        if not isinstance(linear, Arx):
+            raise ConfigError(
+                f"control.predictor: {model.name} plans from an ARX model's plan, there is none"
+            )
+        return model, linear
+
+    def _forecasting_parts(self) -> tuple[Mapping[str, Predictor], Intervals, Mapping[str, Predictor]]:
+        serving = self._serving
+        if serving is None or serving.active is None:
+            alone = {} if isinstance(self.model, Persistence) else {self.model.name: self.model}
+            return alone, Intervals(), {}
+        active = dict(serving.active.predictors)
+        if self._configured is not None and not isinstance(self._configured, Persistence):
+            active["arx"] = self._configured
+        rivals = {} if serving.rival is None else serving.rival.predictors
+        return active, serving.active.intervals, rivals
+
+
+def _active(serving: Serving | None) -> Mapping[str, Predictor]:
+    return {} if serving is None or serving.active is None else serving.active.predictors
