@@ -26,18 +26,18 @@ from edge.run_file import Run
 from edge.twin.model import Twin
 from training.datasets import training_runs
 from training.ham import HamNet
-from training.ham_graph import Hybrid, ham_rollout
+from training.ham_graph import ham_rollout
 from training.ham_guarded import GuardedHamNet
 from training.lstm import WINDOW, LstmNet
 from training.lstm_graph import lstm_rollout
 from training.models import NETWORK_FILE
+from training.onnx_step import Network, single_step
 from training.pairs import split_all
 from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
 from training.rollout import inside_names
 from training.study import RESULT_FILE, versions
 from training.weights import load_network
 
-Network = LstmNet | Hybrid
 GOLDEN_STEPS = 8  # single steps, spread over the run
 GOLDEN_BATCH, GOLDEN_HORIZON = 3, 20
 _SCALERS = ("mean", "scale", "target_mean", "target_scale", "source_mean", "source_scale")
@@ -166,13 +166,17 @@ def study_facts(
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """python -m training.export FOLDER FILE"""
+    """Entry point. Expected errors end in one line and exit code 2."""
     parser = argparse.ArgumentParser(prog="python -m training.export", description=__doc__)
     parser.add_argument("folder", type=Path, help="where greenhouse-train has left a network")
     parser.add_argument("file", type=Path, help="lstm.onnx or ham.onnx, as it is to be called")
+    parser.add_argument("--step", type=Path, help="write a single step too, bare: rigs don't run it")
     arguments = parser.parse_args(words)
     try:
         predictor = export_study(arguments.folder, arguments.file)
+        if arguments.step:
+            network, _ = load_network(arguments.folder / NETWORK_FILE)
+            arguments.step.write_bytes(single_step(network).SerializeToString(deterministic=True))
     except (GreenhouseError, OSError) as error:
         print(f"python -m training.export: {error}", file=sys.stderr)
         return 2

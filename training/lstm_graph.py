@@ -22,7 +22,8 @@ from training.lstm import LstmNet
 from training.onnx_graph import Graph, real
 
 Floats = NDArray[np.float64]
-_GATES = ("Sigmoid", "Sigmoid", "Tanh", "Sigmoid")  # input, forget, cell, output: torch's order
+_GATE_NAMES = ("input", "forget", "cell", "output")  # torch's order
+_GATES = ("Sigmoid", "Sigmoid", "Tanh", "Sigmoid")
 _REST = 2**40  # more rows than there are
 
 
@@ -166,18 +167,36 @@ def _advance(graph: Graph, network: _Network, value: str, states: list[str]) -> 
 
 
 def _begin(graph: Graph, network: _Network, past: str, rows: int) -> list[str]:
-    """States of the windows that the past [rows, 3] has begun, the oldest first, [rows, hidden] each."""
-    inner = Graph(graph)
-    states = [f"begun_{i}" for i in range(2 * len(network.layers))]
-    zero = graph.constant(np.zeros((1, network.hidden)))
-    begun = [inner.op("Concat", state, zero, axis=0) for state in states]
-    size = inner.op("Concat", inner.op("Shape", begun[0], start=0, end=1), graph.integers(3), axis=0)
-    row = inner.op("Expand", inner.op("Gather", past, "begun_row"), size)
-    following = _advance(inner, network, row, begun)
-    body = _loop(inner, "begun", _values(states, network), _values(following, network))
-    none = graph.constant(np.zeros((0, network.hidden)))
-    return graph.ops(
-        "Loop", len(states), graph.constant(rows, np.int64), "", *[none] * len(states), body=body
+    """States of the windows that the past [rows, 3] has begun, the oldest first, [rows, hidden] each.
+
+    Here every row is known, and a window is a sequence: number j has the rows from j on.
+    """
+    numbers = np.arange(rows)
+    places = np.minimum(numbers[:, None] + numbers, rows - 1)  # those after its end are not read
+    value = graph.op("Gather", past, graph.constant(places, np.int64), axis=0)  # [rows, windows, 3]
+    lengths = graph.constant(rows - numbers, np.int32)
+    states = []
+    for layer in network.layers:
+        weights = _of_lstm(graph, layer, network.hidden)
+        value, *last = graph.ops("LSTM", 3, value, *weights, lengths, hidden_size=network.hidden)
+        value = graph.op("Squeeze", value, graph.integers(1))
+        states += [graph.op("Squeeze", state, graph.integers(0)) for state in last]
+    return states
+
+
+def _of_lstm(graph: Graph, layer: _Layer, hidden: int) -> tuple[str, str, str]:
+    """A cell's weights as ONNX's LSTM has them: on x, on h, and two biases; the session folds this once."""
+    order = [_GATE_NAMES.index(name) for name in ("input", "output", "forget", "cell")]
+    gates = graph.op("Concat", *(layer.weights[gate] for gate in order), axis=1)
+    both = graph.op("Unsqueeze", graph.op("Transpose", gates, perm=[1, 0]), graph.integers(0))
+    last, begin, end = graph.integers(2), graph.integers(0), graph.integers(_REST)
+    split = graph.integers(-hidden)
+    biases = graph.op("Concat", *(layer.biases[gate] for gate in order), axis=0)
+    none = graph.constant(np.zeros(4 * hidden))
+    return (
+        graph.op("Slice", both, begin, split, last),
+        graph.op("Slice", both, split, end, last),
+        graph.op("Unsqueeze", graph.op("Concat", biases, none, axis=0), graph.integers(0)),
     )
 
 
@@ -207,21 +226,17 @@ def _step(graph: Graph, network: _Network, steps: _Steps) -> GraphProto:
     temp = inner.op("Add", temp, offset)
     kept = [inner.rows(state, steps.batch, graph.integers(_REST)) for state in following]
     shown = inner.op("Identity", temp)
-    return _loop(
-        inner,
+    number = helper.make_tensor_value_info("step_row", TensorProto.INT64, [])
+    on, still_on = (
+        helper.make_tensor_value_info(name, TensorProto.BOOL, [])
+        for name in ("go_on", inner.op("Identity", "go_on"))
+    )
+    return inner.body(
         "step",
-        [real("temp", ["B", 1]), *_values(states, network)],
-        [real(temp, ["B", 1]), *_values(kept, network), real(shown, ["B", 1])],
+        [number, on, real("temp", ["B", 1]), *_values(states, network)],
+        [still_on, real(temp, ["B", 1]), *_values(kept, network), real(shown, ["B", 1])],
     )
 
 
 def _values(names: list[str], network: _Network) -> list[ValueInfoProto]:
     return [real(name, [None, network.hidden]) for name in names]
-
-
-def _loop(graph: Graph, name: str, carried: list[ValueInfoProto], given: list[ValueInfoProto]) -> GraphProto:
-    """`graph` as the body of a Loop, whose row number is `<name>_row`."""
-    number = helper.make_tensor_value_info(f"{name}_row", TensorProto.INT64, [])
-    go_on = helper.make_tensor_value_info(f"{name}_go_on", TensorProto.BOOL, [])
-    goes_on = helper.make_tensor_value_info(graph.op("Identity", go_on.name), TensorProto.BOOL, [])
-    return graph.body(name, [number, go_on, *carried], [goes_on, *given])
