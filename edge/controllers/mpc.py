@@ -10,7 +10,7 @@ from edge.controllers.base import Columns, Context
 from edge.controllers.heater import levels_allowed
 from edge.controllers.mixed_integer.problem import FanRules, Ints, Problem
 from edge.controllers.mixed_integer.solver import Solution, solve
-from edge.controllers.plan_why import binding, cost_split, first_command, runner_up
+from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
 from edge.errors import DataError
 from edge.messages import Decision
 from edge.models.arx import Arx
@@ -83,7 +83,8 @@ class Mpc:
             "model": f"{self._model.name} {self._model.version}",
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
-        return Decision(first_command(plan), self.name, tuple(temps.tolist()), why)
+        forecast = tuple(temps[: problem.horizon].tolist())
+        return Decision(first_command(plan), self.name, forecast, why, planned(plan))
 
 
 def planning_problem(

@@ -7,7 +7,7 @@ from edge.controllers.base import Context
 from edge.controllers.mixed_integer.problem import Plan, Problem
 from edge.controllers.mpc import MpcSettings, Previous, planning_problem, shifted
 from edge.controllers.plan_rollouts import PlanRollouts, plan_rollouts
-from edge.controllers.plan_why import binding, cost_split, first_command, runner_up
+from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
 from edge.controllers.rollout_search import Meter, Priced, RolloutSearch
 from edge.messages import Decision
 from edge.models.arx import Arx
@@ -65,7 +65,8 @@ class MpcRollout:
             **self._why(rollouts, search, best),
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
-        return Decision(first_command(best.plan), self.name, tuple(best.temps.tolist()), why)
+        forecast = tuple(best.temps[: problem.horizon].tolist())
+        return Decision(first_command(best.plan), self.name, forecast, why, planned(best.plan))
 
     def _last(self, problem: Problem, context: Context) -> list[Plan]:
         """The last plan as seen from now, where it is allowed."""

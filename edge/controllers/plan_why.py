@@ -48,3 +48,8 @@ def runner_up(plan: Plan, other: Plan | None) -> dict[str, float | bool] | None:
 def first_command(plan: Plan) -> Command:
     """What the plan wants of the step that begins now."""
     return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))
+
+
+def planned(plan: Plan) -> tuple[tuple[float, float], ...]:
+    """Heater duty and fan of each step, as `Decision.plan` has them."""
+    return tuple(zip((plan.levels / HEATER_LEVELS).tolist(), map(float, plan.fan), strict=True))
