@@ -1,12 +1,14 @@
 """Is the heater's relay really off when it is told off? A proof, where ordinary control never shows it.
 
 While heater and fan take turns, a relay that is stuck on gives what is wanted half of the time and the fan
-takes the rest away: no energy balance that every healthy box keeps can tell. So where both have been busy for
-EVERY_S and the heater was never off with the fan still for long enough to judge, heat and fan are held back
-until one of two things is seen: the air falls, which it can't with a relay stuck on, or the balance of
-edge/thermal_supervision.py has its QUIET_S and names the relay. (A proof test in the sense of IEC 61508-4.)
+takes the rest away: no energy balance that every healthy box keeps can tell. What can is air that falls
+while the heater is told off and the fan is still: with a relay stuck on it rises. Most boxes show that.
+Where both have been busy for EVERY_S and it was never seen, heat and fan are held back until it is, or until
+the balance of edge/thermal_supervision.py has had its QUIET_S and names the relay. (A proof test in the sense
+of IEC 61508-4.)
 """
 
+import math
 from dataclasses import dataclass, replace
 
 EVERY_S = 10800.0
@@ -23,7 +25,7 @@ class RelayProof:
     heated_s: float = 0.0
     fanned_s: float = 0.0
     running_s: float | None = None  # None while no proof is under way
-    begin_c: float = 0.0  # air when the proof began
+    highest_c: float = -math.inf  # air since the heater was last told off with the fan still
 
     @property
     def running(self) -> bool:
@@ -40,12 +42,13 @@ def follow(
     heated, fan_on : what the board was told in it
     quiet : heater off and fan still for so long that the energy balance has judged
     """
-    if quiet:
+    highest_c = -math.inf if heated or fan_on else max(proof.highest_c, temp_air)
+    if quiet or temp_air <= highest_c - PASSED_K:
         return RelayProof()
+    proof = replace(proof, highest_c=highest_c)
     if proof.running_s is not None:
         running_s = proof.running_s + dt_s
-        seen_off = temp_air <= proof.begin_c - PASSED_K
-        return RelayProof() if seen_off or running_s >= LONGEST_S else replace(proof, running_s=running_s)
+        return RelayProof() if running_s >= LONGEST_S else replace(proof, running_s=running_s)
     proof = replace(
         proof,
         since_s=proof.since_s + dt_s,
@@ -56,4 +59,4 @@ def follow(
         return proof
     if min(proof.heated_s, proof.fanned_s) < BUSY_SHARE * proof.since_s:
         return RelayProof()
-    return replace(proof, running_s=0.0, begin_c=temp_air)
+    return replace(proof, running_s=0.0)

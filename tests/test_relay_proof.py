@@ -9,7 +9,7 @@ from edge.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Moment, Thermal
 
 STEP_S = 60.0
 BUSY = RelayProof(since_s=EVERY_S - STEP_S, heated_s=3000.0, fanned_s=3000.0)
-RUNNING = RelayProof(since_s=EVERY_S, running_s=0.0, begin_c=26.0)
+RUNNING = RelayProof(since_s=EVERY_S, running_s=0.0, highest_c=26.0)
 
 
 def step(proof: RelayProof, temp_air: float = 26.0, heated: bool = False, fan_on: bool = False) -> RelayProof:
@@ -49,6 +49,19 @@ def test_a_quiet_box_is_its_own_proof():
 )
 def test_air_that_falls_ends_it(fallen, runs):
     assert step(RUNNING, 26.0 - fallen * PASSED_K).running is runs
+
+
+def test_a_box_that_cools_by_itself_has_proven_its_relay():
+    proof = step(replace(BUSY, since_s=0.0), 28.0)
+    assert step(proof, 28.0 - 0.99 * PASSED_K).heated_s == BUSY.heated_s
+    assert step(proof, 28.0 - PASSED_K) == RelayProof()
+
+
+@pytest.mark.parametrize("input_on", [{"heated": True}, {"fan_on": True}])
+def test_air_that_falls_under_an_input_proves_nothing(input_on):
+    proof = step(step(replace(BUSY, since_s=0.0), 28.0), 26.0, **input_on)
+    assert proof.since_s > 0.0
+    assert step(proof, 25.5).since_s > 0.0  # the highest is counted anew
 
 
 def test_air_that_is_no_number_does_not_end_it():

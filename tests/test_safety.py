@@ -200,7 +200,7 @@ def test_a_trip_that_is_not_hot_takes_only_the_heat(trip):
 
 
 def test_a_proof_of_the_relay_holds_heat_and_fan_back():
-    running = RelayProof(since_s=1.0, running_s=0.0, begin_c=0.0)  # no air here is below its begin
+    running = RelayProof(since_s=1.0, running_s=0.0)
     memory = SafetyMemory(time_s=NOW - 60.0, thermal=ThermalMemory(proof=running))
     verdict = judge(Command(heater_duty=1.0, fan_on=True, led=0.5), memory=memory)
     assert verdict.sent == Command(led=0.5)
