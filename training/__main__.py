@@ -28,7 +28,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Entry point. Expected errors end in one line and exit code 2."""
     arguments = _parser().parse_args(words)
     try:
-        return _train(arguments)
+        return int(arguments.run(arguments))
     except GreenhouseError as error:
         print(f"greenhouse-train {arguments.command}: {error}", file=sys.stderr)
         return 2
@@ -47,7 +47,47 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument("--out", type=Path, default=OUT, help=f"models and records (usual: {OUT})")
         sub.add_argument("--logs", type=Path, default=LOGS, help=f"TensorBoard logs (usual: {LOGS})")
+        sub.set_defaults(run=_train)
+    key = commands.add_parser("key", help="a new key pair that signs bundles", description=_key.__doc__)
+    key.add_argument("file", type=Path, help="private key to make; the public one ends in .pub")
+    key.set_defaults(run=_key)
+    bundle = commands.add_parser(
+        "bundle", help="a signed bundle of what was trained", description=_bundle.__doc__
+    )
+    bundle.add_argument("version", help="of the bundle, e.g. 2.0")
+    bundle.add_argument("--out", type=Path, default=OUT, help=f"where the trainings are (usual: {OUT})")
+    bundle.add_argument("--key", type=Path, help="private key that signs")
+    where = bundle.add_mutually_exclusive_group(required=True)
+    where.add_argument("--file", type=Path, help="archive to write, for `greenhouse bundle install`")
+    where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
+    bundle.set_defaults(run=_bundle)
     return parser
+
+
+def _key(arguments: argparse.Namespace) -> int:
+    """The public half goes into a rig's folder of trusted keys; the private half stays with you."""
+    from training.sign import generate_key
+
+    print(f"{arguments.file} signs; {generate_key(arguments.file)} goes to the rig's /etc/greenhouse/keys")
+    return 0
+
+
+def _bundle(arguments: argparse.Namespace) -> int:
+    """Export, calibrate on fresh runs of the virtual board (made once, a quarter of an hour), sign."""
+    from training import coverage, pack
+
+    folder = Path("out/bundle")
+    pack.gather(arguments.out, folder)
+    coverage.main([str(folder)])
+    if arguments.default:
+        pack.pack_default(folder, arguments.version, arguments.key or pack.KEY)
+        print(f"{pack.PACKAGED.name}: version {arguments.version}, signed")
+    else:
+        if arguments.key is None:
+            raise GreenhouseError("--key: an archive needs a key that signs it: `greenhouse-train key FILE`")
+        pack.pack_file(folder, arguments.version, arguments.file, arguments.key)
+        print(f"{arguments.file}: version {arguments.version}, signed")
+    return 0
 
 
 def _train(arguments: argparse.Namespace) -> int:

@@ -47,13 +47,13 @@ class Row:
     extrapolation_adaptive: float
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> None:
     """Make or read the runs, calibrate, measure, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", help="a bundle's files")
     parser.add_argument("--runs", type=Path, default=Path("out/coverage"), help="where the runs are kept")
     parser.add_argument("--results", type=Path, default=RESULTS, help="where coverage.txt and .json go")
-    given = parser.parse_args()
+    given = parser.parse_args(words)
     load = partial(predictors_in, given.folder)
     predictors = load()
     runs = {kind: fresh_runs.runs(kind, given.runs) for kind in fresh_runs.COUNTS}
