@@ -34,6 +34,7 @@ BENCHES = {
         keeps_its_table=True,
     ),
     "twin": Bench(("--repeats", "3")),
+    "rollout": Bench(("--seconds", "0.3")),
     "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
 }  # fmt: skip
 

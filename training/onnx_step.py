@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from training.ham import HamNet
 from training.ham_guarded import GuardedHamNet
 from training.lstm import WINDOW, LstmNet
-from training.onnx_graph import OPSET
+from training.onnx_graph import OPSET, Graph, real
 
 Hybrid = HamNet | GuardedHamNet
 Network = LstmNet | Hybrid
@@ -34,18 +34,16 @@ class HamStep(nn.Module):
         return self.network(state[:, 0], ambient, duty, fan).unsqueeze(-1)
 
 
-class HamStart(nn.Module):
-    """The state [1, S] at the last row of measurements [rows, features]."""
+class GuardedHamStart(nn.Module):
+    """The state [1, S] at the last row of measurements [rows, features]; its inputs are not read."""
 
-    def __init__(self, network: Hybrid) -> None:
+    def __init__(self, network: GuardedHamNet) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, window: Tensor) -> Tensor:
-        """The last row's inputs are not read."""
-        if isinstance(self.network, GuardedHamNet):
-            return self.network.start(*(window[None, :, column] for column in range(HAM_FEATURES)))
-        return window[-1:, :1]
+        """As `GuardedHamNet.start`, of one window."""
+        return self.network.start(*(window[None, :, column] for column in range(HAM_FEATURES)))
 
 
 def single_step(network: Network) -> ModelProto:
@@ -63,8 +61,14 @@ def single_step(network: Network) -> ModelProto:
 
 
 def ham_start(network: Hybrid, window: int) -> ModelProto:
-    """The state [1, S] to step from, out of measurements [window, features]."""
-    return _to_onnx(HamStart(network), {"window": torch.zeros(window, HAM_FEATURES)}, batched=False)
+    """The state [1, S] to step from, `next`, out of measurements `window` [window, features]."""
+    if isinstance(network, GuardedHamNet):
+        return _to_onnx(
+            GuardedHamStart(network), {"window": torch.zeros(window, HAM_FEATURES)}, batched=False
+        )
+    graph = Graph()
+    graph.give("next", graph.op("Slice", "window", graph.integers(window - 1, 0), graph.integers(window, 1)))
+    return graph.model("start", [real("window", [window, HAM_FEATURES])], [real("next", [1, 1])])
 
 
 def _to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], batched: bool) -> ModelProto:
