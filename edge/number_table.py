@@ -74,6 +74,8 @@ def _parse(path: Path, file: TextIO) -> NumberTable:
         key, colon, value = line[1:].partition(":")
         if not colon or not key.strip():
             raise DataError(f"{path}: line {fact_lines}: {line.strip()!r} is no `# key: value`")
+        if key.strip() in facts:
+            raise DataError(f"{path}: line {fact_lines}: {key.strip()} is told twice")
         facts[key.strip()] = value.strip()
     else:
         raise DataError(f"{path}: there is no header")
