@@ -1,6 +1,7 @@
 """python -m bench.mpc_rollout: the MPC over each predictor beside the ARX-MPC's plan applied to that model.
 
-Instances are logged from a closed-loop day on the virtual board. Every plan is priced by the predictor's own
+Instances are logged from a closed-loop day on the virtual board; their estimates, offset included, are those
+of the ARX's filter, whichever model is then planned with. Every plan is priced by the predictor's own
 rollout. Cost is the sum over all instances divided by the sum of the best known (of all rows, and of a search
 with 100 times the rollouts from six starts); times are CPU times of one thread for a whole decision.
 """
