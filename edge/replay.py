@@ -14,6 +14,7 @@ from edge.active_models import NoForecasts
 from edge.controllers import registry
 from edge.controllers.base import Context, Controller
 from edge.controllers.mpc import Mpc
+from edge.controllers.mpc_rollout import MpcRollout
 from edge.estimator import Estimator
 from edge.inbox import Inbox
 from edge.loop import Loop, Rig
@@ -53,7 +54,7 @@ class Replayed:
     node_limits : of each decision in turn, how many nodes it may look into; None where its budget decides
     """
 
-    def __init__(self, inner: Mpc, node_limits: Sequence[int | None]) -> None:
+    def __init__(self, inner: Mpc | MpcRollout, node_limits: Sequence[int | None]) -> None:
         self.name = inner.name
         self._inner = inner
         self._limits = iter(node_limits)
@@ -111,7 +112,7 @@ def _controller(
     # Nobody waits for a replay: only nodes bound its searches, unless they were cut short when recorded.
     unhurried = replace(settings.control, time_box_ms=TIME_BOX_MAX_MS)
     controller = registry.make(name, unhurried, model)
-    return Replayed(controller, node_limits) if isinstance(controller, Mpc) else controller
+    return Replayed(controller, node_limits) if isinstance(controller, Mpc | MpcRollout) else controller
 
 
 def fired_limits(ticks: Sequence[Mapping[str, Any]]) -> list[int | None]:

@@ -97,7 +97,7 @@ class ControlSettings(Section):
     predictor: str = text(
         "arx", "model of the active bundle that estimates and that MPC and MPC-P plan with", PREDICTORS
     )
-    rollout_budget: int = whole(2_000, "plans an MPC over another model than the ARX may try", 1, 10_000_000)
+    rollout_budget: int = whole(400, "plans an MPC over another model than the ARX may try", 1, 10_000_000)
     model: str = text("", "ARX model file instead of a bundle's model; empty: none")
     ambient_default_c: float = number(21.0, "room temperature where no sensor tells", "degC", -20.0, 60.0)
 
