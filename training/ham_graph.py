@@ -1,9 +1,10 @@
-"""The hybrid's whole rollout as one graph: its step, as torch exports it, in a Scan."""
+"""The hybrid's whole rollout as one graph: its step, as torch exports it, in a Scan over the steps."""
 
 import numpy as np
 from onnx import GraphProto, ModelProto
 
 from training.onnx_graph import Graph, real
+from training.onnx_invariant import Divided, divide
 from training.onnx_step import HAM_FEATURES, Hybrid, ham_start, single_step
 
 
@@ -23,15 +24,13 @@ def scanned(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
     (begin,) = graph.include(start, {"window": "window"})
     batch = graph.op("Shape", "controls", start=0, end=1)
     first = graph.op("Expand", begin, graph.op("Concat", batch, graph.integers(states), axis=0))
-    in_time = graph.op("Transpose", "controls", perm=[1, 0, 2])
-    columns = graph.ops("Split", 2, in_time, axis=2, num_outputs=2)
-    duty, fan = (graph.op("Squeeze", column, graph.integers(2)) for column in columns)  # [N, B]
-    column = graph.integers(1)
-    ambient = graph.op("Expand", graph.op("Unsqueeze", "ambient", column), graph.op("Shape", duty))
     to_air = graph.constant(np.eye(1, states))
-    offset = graph.op("Mul", graph.op("Unsqueeze", "offset", column), to_air)  # [N, S]
-    body = _body(graph, step, states)
-    found = graph.ops("Scan", 2, first, ambient, duty, fan, offset, num_scan_inputs=4, body=body)[1]
+    offset = graph.op("Mul", graph.op("Unsqueeze", "offset", graph.integers(1)), to_air)  # [N, S]
+    parts = divide(step, "state")
+    known = _in_time(graph, parts)
+    body = _body(graph, parts, states)
+    count = 1 + len(known)
+    found = graph.ops("Scan", 2, first, offset, *known, num_scan_inputs=count, body=body)[1]
     graph.give("temps", graph.op("Transpose", found, perm=[1, 0]))
     inputs = [
         real("window", [window, HAM_FEATURES]),
@@ -42,16 +41,32 @@ def scanned(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
     return graph.model("ham_rollout", inputs, [real("temps", ["B", "N"])])
 
 
-def _body(graph: Graph, step: ModelProto, states: int) -> GraphProto:
-    """State [B, S] and a step's inputs -> the next state, and its air temperature [B]."""
+def _in_time(graph: Graph, parts: Divided) -> list[str]:
+    """What is known of every step beforehand, [N, B, ...] each."""
+    by_step = graph.op("Transpose", "controls", perm=[1, 0, 2])
+    columns = graph.ops("Split", 2, by_step, axis=2, num_outputs=2)
+    duty, fan = (graph.op("Squeeze", column, graph.integers(2)) for column in columns)
+    size = graph.op("Shape", duty)  # [N, B]
+    ambient = graph.op("Expand", graph.op("Unsqueeze", "ambient", graph.integers(1)), size)
+    inputs = {"ambient": ambient, "duty": duty, "fan": fan}
+    flat = {name: graph.op("Reshape", value, graph.integers(-1)) for name, value in inputs.items()}
+    return [
+        graph.op("Reshape", value, graph.op("Concat", size, graph.op("Shape", value, start=1), axis=0))
+        for value in graph.include(parts.before, flat)
+    ]
+
+
+def _body(graph: Graph, parts: Divided, states: int) -> GraphProto:
+    """State [B, S], offset [S], what is known of the step -> the next state, and its air temperature [B]."""
     inner = Graph(graph)
-    names = ("ambient", "duty", "fan")
-    (following,) = inner.include(step, {name: f"{name}_now" for name in ("state", *names)})
+    names = {value.name: f"{value.name}_now" for value in parts.values}
+    (following,) = inner.include(parts.after, {"state": "state_now", **names})
     shifted = inner.op("Add", following, "offset_now")
     temp = inner.op("Gather", shifted, graph.constant(0, np.int64), axis=1)
-    scanned_inputs = [*(real(f"{name}_now", ["B"]) for name in names), real("offset_now", [states])]
+    sizes = [[dim.dim_value for dim in value.type.tensor_type.shape.dim] for value in parts.values]
+    known = [real(name, ["B", *size[1:]]) for name, size in zip(names.values(), sizes, strict=True)]
     return inner.body(
         "step",
-        [real("state_now", ["B", states]), *scanned_inputs],
+        [real("state_now", ["B", states]), real("offset_now", [states]), *known],
         [real(shifted, ["B", states]), real(temp, ["B"])],
     )

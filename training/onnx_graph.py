@@ -72,7 +72,7 @@ class Graph:
             self.nodes.append(bare)
         for tensor in part.graph.initializer:
             self._root._initializers[tensor.name] = tensor
-        return [output.name for output in part.graph.output]
+        return [given.get(output.name, output.name) for output in part.graph.output]
 
     def body(
         self, name: str, inputs: Sequence[ValueInfoProto], outputs: Sequence[ValueInfoProto]
@@ -84,7 +84,7 @@ class Graph:
         self, name: str, inputs: Sequence[ValueInfoProto], outputs: Sequence[ValueInfoProto]
     ) -> ModelProto:
         """This graph as a checked model; constants that nothing reads are left out."""
-        read = _read_names(self.nodes)
+        read = read_names(self.nodes)
         constants = [tensor for name, tensor in self._initializers.items() if name in read]
         graph = helper.make_graph(self.nodes, name, inputs, outputs, constants)
         model = helper.make_model(
@@ -98,11 +98,12 @@ class Graph:
         return f"{kind.lower()}_{self._count}"
 
 
-def _read_names(nodes: Sequence[NodeProto]) -> set[str]:
+def read_names(nodes: Sequence[NodeProto]) -> set[str]:
+    """Values that the nodes read, and the bodies of loops among them."""
     read: set[str] = set()
     for node in nodes:
         read |= set(node.input)
         for attribute in node.attribute:
             if attribute.type == AttributeProto.GRAPH:
-                read |= _read_names(attribute.g.node)
+                read |= read_names(attribute.g.node)
     return read
