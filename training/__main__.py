@@ -14,6 +14,9 @@ if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
 
 OUT = Path("out/training")
 LOGS = Path("out/tensorboard")
+RESULTS = Path("training/results")
+TRAINED = RESULTS / "trained"
+IMAGES = Path("docs/images")
 SEEDS = (0, 1, 2, 3, 4)
 COMMANDS = {
     "linear": "the ARX models: the paper's, and the one with the room temperature",
@@ -61,7 +64,24 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--file", type=Path, help="archive to write, for `greenhouse bundle install`")
     where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
     bundle.set_defaults(run=_bundle)
+    _add_evaluate(commands.add_parser("evaluate", help=_evaluate.__doc__, description=_evaluate.__doc__))
     return parser
+
+
+def _add_evaluate(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--trained", type=Path, default=TRAINED, help=f"what `all` has left (usual: {TRAINED})")
+    sub.add_argument("--results", type=Path, default=RESULTS, help=f"figures, report (usual: {RESULTS})")
+    sub.add_argument("--images", type=Path, default=IMAGES, help=f"pictures (usual: {IMAGES})")
+    sub.add_argument("--check", action="store_true", help="compare with what is there and change nothing")
+    sub.add_argument("--tolerance", type=float, default=0.0, help="of --check, on other machines (usual: 0)")
+    sub.set_defaults(run=_evaluate)
+
+
+def _evaluate(arguments: argparse.Namespace) -> int:
+    """the comparison of all models: tables, pictures and the report"""
+    from training.evaluate import run
+
+    return run(arguments)
 
 
 def _key(arguments: argparse.Namespace) -> int:

@@ -71,8 +71,8 @@ def costs_table(costs: Sequence[Cost]) -> Table:
         for cost in costs
     ]
     note = (
-        "Training: wall time on one thread, mean over seeds, and peak resident memory of the process, torch and "
-        "all. Loaded and running: pympler's asizeof as in the paper, plus the tensors, which asizeof doesn't "
+        "Training: wall time on one thread, mean over seeds, and peak resident memory of the process, torch "
+        "and all. Loaded and running: pympler's asizeof as in the paper, plus the tensors, which it doesn't "
         "see. Edge: a fresh process without torch that loads the model (networks as ONNX) and forecasts; "
         "latency of one call for 1 and for 42 sequences of 20 steps, median of 50."
     )
@@ -97,8 +97,8 @@ def _errors(scores: Sequence[Score], title: str, value: Callable[[Score], float]
             row += [spread(column) for column in (*columns, np.mean(columns, axis=0))]
         rows.append(tuple(row))
     note = (
-        "Mean ± sd over the seeds of a model that has some; scenarios 1 to 3 interpolate, 4 to 6 extrapolate. "
-        "The first four are the paper's."
+        "Mean ± sd over the seeds of a model that has some; scenarios 1 to 3 interpolate, 4 to 6 "
+        "extrapolate. The first four are the paper's."
     )
     return Table(title, tuple(heads), tuple(rows), note)
 
@@ -159,8 +159,8 @@ def _bias(scores: Sequence[Score]) -> Table:
 
 def _unexplained(rows: Sequence[Unexplained]) -> Table:
     note = (
-        "Least squares on the training parts, RMS on the validation parts; no test run. With the fan on T_hat "
-        "is the first row: of the air's own temperature it keeps a = exp(-F dt / V) = 5e-4."
+        "Least squares on the training parts, RMS on the validation parts; no test run. With the fan on "
+        "T_hat is the first row: of the air's own temperature it keeps a = exp(-F dt / V) = 5e-4."
     )
     cells = tuple((row.known, f"{row.fan_off_k:.3f}", f"{row.fan_on_k:.3f}") for row in rows)
     return Table("What a step leaves unexplained [K]", ("known", "fan off", "fan on"), cells, note)
