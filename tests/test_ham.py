@@ -9,6 +9,7 @@ from edge.errors import DataError
 from edge.models.base import Floats
 from edge.models.ham import KINDS, read_ham
 from edge.models.onnx_predictor import OnnxPredictor
+from edge.models.validity import outside_steps
 from tests.onnx_files import TWIN, WINDOWS, write_onnx
 
 
@@ -58,7 +59,7 @@ def test_a_room_out_of_the_box_is_flagged(model: OnnxPredictor) -> None:  # the 
     for room, is_outside in ((40.0, False), (40.1, True)):
         ahead = {"temp_ambient": np.array([room])}
         temps = model.rollout(history(), controls, ahead)
-        assert model.outside(history(), controls, ahead, temps) is is_outside
+        assert outside_steps(model.validity, history(), controls, ahead, temps)[0, 0] == is_outside
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -12,6 +12,7 @@ from edge.errors import DataError
 from edge.models.base import Floats
 from edge.models.lstm import read_lstm
 from edge.models.onnx_predictor import BATCH, OnnxPredictor
+from edge.models.validity import outside_steps
 from tests.onnx_files import write_onnx
 
 
@@ -95,7 +96,7 @@ def test_a_rollout_out_of_the_box_is_flagged(model: OnnxPredictor) -> None:  # t
     past = history(38.0, 38.0, 38.0)
     for controls, is_outside in ((duties([1.0, 1.0]), False), (duties([1.0, 1.0, 0.05]), True)):
         temps = model.rollout(past, controls, {})
-        assert model.outside(past, controls, {}, temps) is is_outside
+        assert outside_steps(model.validity, past, controls, {}, temps)[0, -1] == is_outside
 
 
 def test_the_version_is_the_hash_of_the_file(tmp_path: Path) -> None:

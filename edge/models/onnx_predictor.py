@@ -14,7 +14,6 @@ import numpy as np
 from edge.errors import DataError
 from edge.models.base import Columns, Floats
 from edge.models.contract import KEY, Contract, parse_contract
-from edge.models.validity import outside_steps
 
 # Sequences per call: states and gates of more of the LSTM's leave the cache, and each costs twice as much.
 BATCH = {"lstm": 64, "ham": 1024, "ham_guarded": 1024}
@@ -79,10 +78,6 @@ class OnnxPredictor:
         known = np.isfinite(controls).all(axis=2) & np.isfinite(list(steps.values())).all(axis=0)
         temps[~np.logical_and.accumulate(known, axis=1)] = np.nan  # the kernels may turn NaN into a number
         return temps
-
-    def outside(self, history: Columns, controls: Floats, ahead: Columns, temps: Floats) -> bool:
-        """Whether a rollout (what it was given, and what it returned) leaves the data of the training."""
-        return bool(outside_steps(self.validity, history, controls, ahead, temps).any())
 
     def _run(self, window: Floats, controls: Floats, steps: Mapping[str, Floats]) -> Floats:
         """The graph, in batches; window [rows, features], controls [B, N, 2], steps [N] each."""
