@@ -17,6 +17,7 @@ LOGS = Path("out/tensorboard")
 RESULTS = Path("training/results")
 TRAINED = RESULTS / "trained"
 IMAGES = Path("docs/images")
+BOX = Path("../shared/data/heated_box")
 SEEDS = (0, 1, 2, 3, 4)
 COMMANDS = {
     "linear": "the ARX models: the paper's, and the one with the room temperature",
@@ -65,6 +66,10 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
     bundle.set_defaults(run=_bundle)
     _add_evaluate(commands.add_parser("evaluate", help=_evaluate.__doc__, description=_evaluate.__doc__))
+    box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
+    box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
+    box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")
+    box.set_defaults(run=_heated_box)
     return parser
 
 
@@ -75,6 +80,13 @@ def _add_evaluate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--check", action="store_true", help="compare with what is there and change nothing")
     sub.add_argument("--tolerance", type=float, default=0.0, help="of --check, on other machines (usual: 0)")
     sub.set_defaults(run=_evaluate)
+
+
+def _heated_box(arguments: argparse.Namespace) -> int:
+    """the same kinds of models on a real box: measured runs from elsewhere"""
+    from training.heated_box import run
+
+    return run(arguments.data, arguments.results)
 
 
 def _evaluate(arguments: argparse.Namespace) -> int:

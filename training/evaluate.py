@@ -20,7 +20,7 @@ from training.report_pictures import MODELS, bars_picture, radar_picture, scenar
 from training.report_table import as_text
 from training.report_tables import Evaluation, costs_table, tables
 from training.resources import Cost, costs
-from training.scores import Score, Scored, scored
+from training.scores import Score, Scored, scored, swapped
 from training.study import SCENARIOS
 from training.trained import Kept, read_trained, unguarded
 
@@ -35,7 +35,12 @@ def run(arguments: argparse.Namespace) -> int:
     make_deterministic(0)
     trainings = read_trained(arguments.trained)
     found = scored([*trainings, *(unguarded(kept) for kept in trainings if kept.model == "ham_guarded")])
-    figures = Evaluation(tuple(one.score for one in found), tuple(unexplained()), tuple(bases()))
+    figures = Evaluation(
+        tuple(one.score for one in found),
+        tuple(unexplained()),
+        tuple(bases()),
+        tuple(swapped(trainings, "twin")),
+    )
     print(text_of(figures), end="")
     if arguments.check:
         return _check(figures, found, arguments)

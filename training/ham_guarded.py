@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from edge.run_file import Run
 from edge.twin.model import Twin
+from training.datasets import Split
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.ham import DROPOUT, HIDDEN, source_network
 from training.pairs import split_all, stretches
@@ -110,8 +111,14 @@ def train(
     twin : fitted on the same training parts; log : folder for TensorBoard; None for none
     Errors : DataError for a test run
     """
+    return train_on(split_all(runs), twin, seed, settings, log)
+
+
+def train_on(
+    parts: Split, twin: Twin, seed: int, settings: GuardedHamSettings, log: Path | None = None
+) -> tuple[GuardedHamNet, Progress]:
+    """`train`, on runs that are divided already."""
     make_deterministic(seed)
-    parts = split_all(runs)
     network = GuardedHamNet(TwinStep.of(twin), settings.hidden, settings.dropout)
     features, source, here = _steps(network, parts.train)
     mean, scale = scaler(features)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from edge.run_file import Run
+from training.datasets import Split
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.pairs import split_all, windows
 from training.scaler import scaler
@@ -94,8 +95,14 @@ def train(
     log : folder for TensorBoard; None for none
     Errors : DataError for a test run
     """
+    return train_on(split_all(runs), seed, settings, log)
+
+
+def train_on(
+    parts: Split, seed: int, settings: LstmSettings, log: Path | None = None
+) -> tuple[LstmNet, Progress]:
+    """`train`, on runs that are divided already."""
     make_deterministic(seed)
-    parts = split_all(runs)
     inputs, following = windows(parts.train, WINDOW)
     target_mean, target_scale = scaler(torch.from_numpy(_target(inputs, following, settings))[:, None])
     network = LstmNet(

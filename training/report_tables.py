@@ -9,7 +9,7 @@ from edge.models.base import Floats
 from training.ablation import Base, Unexplained
 from training.report_table import Table
 from training.resources import Cost
-from training.scores import Score, maes, orders
+from training.scores import Score, Swapped, maes, orders
 from training.study import SCENARIOS, Regime
 from training.trained import OURS, PAPER, UNGUARDED
 
@@ -34,6 +34,7 @@ class Evaluation:
     scores: tuple[Score, ...]
     unexplained: tuple[Unexplained, ...]
     bases: tuple[Base, ...]
+    swapped: tuple[Swapped, ...]
 
 
 def tables(found: Evaluation) -> list[Table]:
@@ -45,6 +46,7 @@ def tables(found: Evaluation) -> list[Table]:
         *(_orders(scores, regime) for regime in SCENARIOS),
         _outside(scores),
         _bias(scores),
+        _swapped(found.swapped),
         _unexplained(found.unexplained),
         _bases(found.bases),
     ]
@@ -155,6 +157,15 @@ def _bias(scores: Sequence[Score]) -> Table:
         for model in MODELS
     )
     return Table("Free-run bias, predicted minus measured [K]", heads, rows)
+
+
+def _swapped(rows: Sequence[Swapped]) -> Table:
+    heads = ("trained for", *(f"scenario {number}" for numbers in SCENARIOS.values() for number in numbers))
+    cells = tuple((row.regime, *(f"{value:+.3f}" for value in row.bias_k)) for row in rows)
+    note = (
+        "Both on all test runs: what stays in a column is the run's, what changes with the row the model's."
+    )
+    return Table("Bias of the fitted twin of either regime [K]", heads, cells, note)
 
 
 def _unexplained(rows: Sequence[Unexplained]) -> Table:

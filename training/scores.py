@@ -62,6 +62,25 @@ def scored(trainings: Iterable[Kept], scenarios: Sequence[int] | None = None) ->
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Swapped:
+    """A model of either regime on the test runs of both: what is the model's, and what is the run's."""
+
+    model: str
+    regime: Regime  # that it was trained for
+    bias_k: tuple[float, ...]  # of the free runs of scenarios 1 to 6
+
+
+def swapped(trainings: Iterable[Kept], model: str) -> list[Swapped]:
+    """One per training of the model."""
+    runs = [test_run(number) for numbers in SCENARIOS.values() for number in numbers]
+    return [
+        Swapped(model, kept.regime, tuple(errors(free_run(kept.predictor, run), run).bias_k for run in runs))
+        for kept in trainings
+        if kept.model == model
+    ]
+
+
 def maes(scores: Iterable[Score], model: str, regime: Regime) -> Floats:
     """Free-run MAE [seeds, 3] by seed and scenario [K]; [0, 3] where the model wasn't scored."""
     mine = [score for score in scores if score.model == model and score.regime == regime]
