@@ -3,12 +3,13 @@
 # make lint    ruff and mypy
 # make bench   the tables of the README (up to an hour)
 # make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
+# make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test lint bench model tools clean
+.PHONY: run test lint bench model train tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -26,6 +27,11 @@ bench: $(VENV)/bench.installed tools
 
 model: $(VENV)/edge.installed
 	$(BIN)/python -m bench.make_default_arx $(ARGS)
+
+train: $(VENV)/dev.installed
+	$(BIN)/greenhouse-train all
+	$(BIN)/greenhouse-train evaluate
+	$(BIN)/greenhouse-train bundle $(or $(VERSION),1.0) --default
 
 # Made once: a second interpreter in one environment breaks it.
 $(BIN)/pip:
