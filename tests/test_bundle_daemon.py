@@ -1,0 +1,85 @@
+"""A new bundle comes to a daemon that runs: installed, in shadow, activated, and no tick is missed."""
+
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from edge.bundle.manifest import MANIFEST, SIGNATURE
+from edge.bundle.store import PACKAGED_FOLDER
+from training.datasets import data_sha256, training_runs
+from training.sign import Facts, build_bundle, generate_key
+
+MINUTES = 100
+SPEED = 600.0  # simulated seconds a second: the daemon runs for 10 s
+
+
+def greenhouse(*words: object) -> subprocess.Popen[str]:
+    program = [sys.executable, "-m", "edge", *map(str, words)]
+    return subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def said(*words: object) -> str:
+    """Output of a command that ends well."""
+    process = greenhouse(*words)
+    output, _ = process.communicate(timeout=60.0)
+    assert process.returncode == 0, output
+    return output
+
+
+def archive(folder: Path, version: str, key: Path) -> Path:
+    """The packaged models as another bundle."""
+    files = folder / version
+    files.mkdir()
+    for path in PACKAGED_FOLDER.iterdir():
+        if path.name not in (MANIFEST, SIGNATURE):
+            (files / path.name).write_bytes(path.read_bytes())
+    out = folder / f"{version}.zip"
+    build_bundle(
+        files, out, Facts(version, "2026-01-01T00:00:00Z", data_sha256(training_runs("interpolation"))), key
+    )
+    return out
+
+
+@pytest.fixture
+def key(tmp_path: Path) -> Path:
+    (tmp_path / "keys").mkdir()
+    private = tmp_path / "keys" / "mine.pem"
+    generate_key(private)
+    return private
+
+
+def test_a_bundle_comes_into_use_without_a_missed_tick(tmp_path: Path, key: Path) -> None:
+    config = tmp_path / "edge.yaml"
+    config.write_text(
+        f"bundle: {{path: {tmp_path}/bundles, trusted_keys: {tmp_path}/keys}}\n"
+        f"control_socket: {{path: {tmp_path}/control.sock}}\n"
+    )
+    bundle = archive(tmp_path, "2.0", key)
+    daemon = greenhouse("demo", "--minutes", MINUTES, "--speed", SPEED, "--out", tmp_path)
+    try:
+        give_up = time.monotonic() + 30.0
+        while not (tmp_path / "control.sock").exists():
+            assert daemon.poll() is None and time.monotonic() < give_up
+            time.sleep(0.05)
+        assert "active: packaged; beside it: 2.0" in said("bundle", "--config", config, "install", bundle)
+        assert "active: 2.0, on probation" in said("bundle", "--config", config, "activate")
+        assert "active: packaged" in said("bundle", "--config", config, "rollback")
+        assert daemon.wait(timeout=90.0) == 0
+    finally:
+        daemon.kill()
+        daemon.communicate()
+    with closing(sqlite3.connect(tmp_path / "history.db")) as history:
+        ticks = history.execute("select seq, ticks_skipped from ticks order by seq").fetchall()
+        events = [key for (key,) in history.execute("select key from events order by utc")]
+        forecast = {name for (name,) in history.execute("select distinct predictor from v_forecasts")}
+    assert [seq for seq, _ in ticks] == list(range(ticks[0][0], ticks[0][0] + MINUTES))
+    assert not any(skipped for _, skipped in ticks)
+    assert [key for key in events if key.startswith("bundle.")] == [
+        "bundle.refresh", "bundle.activate", "bundle.rollback",
+    ]  # fmt: skip
+    assert forecast == {"arx", "pbm", "lstm", "ham"}
