@@ -146,7 +146,7 @@ def fit_box(runs: Sequence[Run], effects: Sequence[str]) -> Box:
 
 
 def _text(fit: Fit, air_capacity_j_k: float) -> str:
-    """Gain, time constants and room; which of two constants is the air's, its temperature alone can't tell."""
+    """Gain, time constants, room; which of two constants is the air's its temperature can't tell."""
     named = {place[-1]: item.value for place, item in fit.estimates.items()}
     constants = [air_capacity_j_k / named["UA"]] + [named[key] for key in ("tau_h",) if key in named]
     minutes = " and ".join(f"{constant / 60.0:.1f}" for constant in sorted(constants))
