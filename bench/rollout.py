@@ -1,9 +1,9 @@
 """python -m bench.rollout: forecasts of candidate sequences, one ONNX graph beside other ways to get them.
 
 `one graph` is what the rig runs: `rollout` of the predictor read from its file. `steps` is a Python loop of a
-graph of one step, `torch` the network in eager mode. CPU times of one thread, the least of many turns that the
-ways take one after the other. Weights are drawn, not trained: the time does not depend on them. The guarded
-hybrid finds its hidden states from the last ten rows first, except in `steps`, which is given them.
+graph of one step, `torch` the network in eager mode. CPU times of one thread, the least of many turns that
+the ways take one after the other. Weights are drawn, not trained: the time does not depend on them. The
+guarded hybrid first finds its hidden states from the last ten rows, except in `steps`, which is given them.
 """
 
 import argparse
