@@ -1,5 +1,6 @@
 """Exported graphs beside the torch modules they come from; the weights are drawn, not trained."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +19,17 @@ from edge.models.onnx_predictor import OnnxPredictor
 from edge.run_file import Run
 from edge.twin.geometry import Geometry
 from edge.twin.model import Twin
-from training.export import Facts, export
+from training.datasets import EXTRAPOLATION_MAX_C
+from training.export import Facts, export, main
 from training.ham import HamNet
 from training.ham_graph import scanned
 from training.ham_guarded import GuardedHamNet
 from training.lstm import WINDOW, LstmNet
+from training.models import NETWORK_FILE
 from training.onnx_step import ham_start, single_step
+from training.study import RESULT_FILE
 from training.twin_step import TwinStep
+from training.weights import save_network
 
 STEP_K, ROLLOUT_K = 1e-5, 1e-3  # what the exported may differ by: over one step, over a whole run
 BOX = {
@@ -293,3 +298,29 @@ def test_golden_vectors_need_a_whole_run(rows: int, hole: int | None, message: s
     with pytest.raises(DataError, match=message):
         export(lstm(False), FACTS, run, tmp_path / "lstm.onnx")
     assert not (tmp_path / "lstm.onnx").exists()
+
+
+def test_a_kept_training_is_exported_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    facts = {
+        "regime": "extrapolation",
+        "command": "greenhouse-train lstm",
+        "seed": 2,
+        "data_sha256": "e" * 64,
+    }
+    save_network(lstm(True), tmp_path / NETWORK_FILE, facts)
+    record = {"progress": {"epochs": 7}, "scenarios": {"4": {"free_run": {"mae_k": 0.5}}}}
+    (tmp_path / RESULT_FILE).write_text(json.dumps(record))
+    path = tmp_path / "lstm.onnx"
+    assert main([str(tmp_path), str(path)]) == 0
+    assert "golden vectors proved" in capsys.readouterr().out
+    model = read_lstm(path, 60.0)
+    assert model.contract.facts["metrics"] == record
+    assert model.contract.facts["seed"] == 2
+    assert model.validity["temp_air_c"][1] <= EXTRAPOLATION_MAX_C  # the runs of that regime stay below
+
+
+def test_a_folder_without_a_training_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path), str(tmp_path / "lstm.onnx")]) == 2
+    assert f"{tmp_path / NETWORK_FILE}: " in capsys.readouterr().err
