@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from training.ablation import Base, Unexplained
+from training.ablation import Base, ByExcess, Unexplained
 from training.datasets import test_run as run_of
 from training.report_tables import MODELS, Evaluation
 from training.resources import Cost
@@ -39,6 +39,7 @@ def evaluation(found: list[Scored]) -> Evaluation:
         tuple(Unexplained(name, 0.5, 0.4) for name in ("room, heater", "+ air", "+ duties")),
         tuple(Base(name, 1, 1.0, (0.9, 0.8)) for name in ("bare", "loss", "lag", "walls")),
         (Swapped("twin", "interpolation", (-0.3,) * 6), Swapped("twin", "extrapolation", (0.0,) * 6)),
+        (ByExcess("interpolation", (-0.1,) * 5), ByExcess("extrapolation", (0.1,) * 5)),
     )
 
 

@@ -151,6 +151,7 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> argparse.Namespace
     monkeypatch.setattr(evaluate, "unexplained", lambda: list(figures.unexplained))
     monkeypatch.setattr(evaluate, "bases", lambda: list(figures.bases))
     monkeypatch.setattr(evaluate, "swapped", lambda trainings, model: list(figures.swapped))
+    monkeypatch.setattr(evaluate, "by_excess", lambda trainings, model: list(figures.by_excess))
     monkeypatch.setattr(evaluate, "costs", lambda trainings: costs())
     monkeypatch.setattr(evaluate, "pictures_of", lambda found, cost: {"one": b"picture"})
     return argparse.Namespace(
@@ -229,3 +230,16 @@ def test_both_twins_forecast_all_test_runs(kept: list[Kept]) -> None:
     assert [one.regime for one in found] == ["interpolation", "extrapolation"]
     # Nothing is fitted in the paper's PBM: it is the same in both regimes.
     assert found[0].bias_k == found[1].bias_k
+
+
+def test_the_bias_is_told_by_the_excess_over_the_room(
+    monkeypatch: pytest.MonkeyPatch, kept: list[Kept]
+) -> None:
+    run = box_run(0)
+    excess = run.columns["temp_air_c"] - run.columns["temp_ambient_c"]
+    monkeypatch.setattr(ablation, "training_runs", lambda regime: [run])
+    monkeypatch.setattr(ablation, "EXCESS_K", (0.0, 3.0, 100.0))
+    off = np.where(excess[10:] < 3.0, 0.1, 0.7)  # [K], by hand
+    monkeypatch.setattr(ablation, "free_run", lambda predictor, of: of.columns["temp_air_c"][10:] + off)
+    one = ablation.by_excess([of(kept, "twin", "extrapolation")], "twin")
+    assert one[0].bias_k == pytest.approx((0.1, 0.7))

@@ -1,11 +1,12 @@
-"""Why the paper's hybrid is weak here, asked of the training and validation parts alone; no test run is read.
+"""Why models err as they do, asked of the training and validation parts alone; no test run is read.
 
-Two questions. What does a step leave unexplained when the inputs of r are the paper's, and what when more is
-known (least squares, so that no training hides it)? And how do free runs get better when the same network, as
-it stands in the paper's table, corrects a base that holds more physics?
+What does a step leave unexplained when the inputs of r are those of the paper's hybrid, and what when more is
+known (least squares, so that no training hides it)? How do free runs get better when the same network, as it
+stands in the paper's table, corrects a base that holds more physics? What does a fitted twin still lack?
 """
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +19,13 @@ from training import ham_guarded, pbm
 from training.datasets import training_runs
 from training.pairs import split_all, stretches
 from training.predictors import GuardedHamPredictor
-from training.rollout import START_ROWS, mean_free_run_mae
+from training.rollout import START_ROWS, free_run, mean_free_run_mae
+from training.study import Regime
+from training.trained import Kept
 
 PAST_ROWS = 10  # of duties that the heater's element may still remember
 SEEDS = (0, 1, 2)
+EXCESS_K = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
 BASES: Mapping[str, tuple[str, ...]] = {  # what the hybrid corrects; each adds to the one before
     "the paper's PBM": (),
     "+ capacity, wall loss, fan": ("extra_capacity", "wall_loss", "fan_effectiveness"),
@@ -51,6 +55,32 @@ class Base:
     states: int
     alone_mae_k: float
     hybrid_mae_k: tuple[float, ...]  # by seed
+
+
+@dataclass(frozen=True, slots=True)
+class ByExcess:
+    """Bias of a model's free runs over the training runs, by how far the air was over the room [K].
+
+    bias_k : one for each step of EXCESS_K
+    """
+
+    regime: Regime  # that the model was trained for
+    bias_k: tuple[float, ...]
+
+
+def by_excess(trainings: Iterable[Kept], model: str) -> list[ByExcess]:
+    """One per training of the model, over the training runs of all regimes."""
+    runs = training_runs("interpolation")
+    measured = np.concatenate([run.columns["temp_air_c"][START_ROWS:] for run in runs])
+    excess = measured - np.concatenate([run.columns["temp_ambient_c"][START_ROWS:] for run in runs])
+    found = []
+    for kept in trainings:
+        if kept.model == model:
+            missed = np.concatenate([free_run(kept.predictor, run) for run in runs]) - measured
+            pairs = itertools.pairwise(EXCESS_K)
+            steps = (missed[(excess >= low) & (excess < high)] for low, high in pairs)
+            found.append(ByExcess(kept.regime, tuple(float(np.nanmean(step)) for step in steps)))
+    return found
 
 
 def unexplained() -> list[Unexplained]:

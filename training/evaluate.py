@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from training.ablation import bases, unexplained
+from training.ablation import bases, by_excess, unexplained
 from training.datasets import test_run
 from training.fit_network import make_deterministic
 from training.report import report
@@ -40,6 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
         tuple(unexplained()),
         tuple(bases()),
         tuple(swapped(trainings, "twin")),
+        tuple(by_excess(trainings, "twin")),
     )
     print(text_of(figures), end="")
     if arguments.check:

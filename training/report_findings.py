@@ -68,8 +68,8 @@ def _pbm_is_last(scores: Sequence[Score]) -> Finding:
         f"{_mean(scores, 'pbm', IN)} and {_mean(scores, 'pbm', OUT)} K. It has no loss through the walls and "
         "the capacity of the air alone, so full duty heats it by 33 K a minute and nothing but the fan cools "
         "it: worst in the scenarios with the rarest fan (2 and 5). The pictures cut it off at the axis. With "
-        "capacity, losses, the heater's lag and the walls fitted the same equation is the best single model: "
-        f"{_mean(scores, 'twin', IN)} and {_mean(scores, 'twin', OUT)} K.",
+        "capacity, losses, the heater's lag and the walls fitted the same equation is the best without a "
+        f"network: {_mean(scores, 'twin', IN)} and {_mean(scores, 'twin', OUT)} K.",
     )
 
 
@@ -116,23 +116,21 @@ def _lstm_costs(costs: Sequence[Cost]) -> Finding:
 def _ham_is_balanced(scores: Sequence[Score], found: Evaluation) -> Finding:
     ham, lstm = (regime_means(scores, model, IN) for model in ("ham", "lstm"))
     near = int((ham <= 1.25 * lstm).sum())
-    evidence = ""
-    if found.unexplained and found.bases:
-        room, air, past = found.unexplained
-        bare, loss, lag, walls = found.bases
-        evidence = (
-            " Why, from the training and validation parts alone: (1) with the fan on, a = exp(-F dt / V) = "
-            "5e-4, so T_hat is the room's air plus the heater's and hardly depends on T; what it can tell "
-            f"then leaves {room.fan_on_k:.2f} K of a step unexplained, with T {air.fan_on_k:.2f} K. (2) The "
-            "heater's element stores heat for minutes, and no input of r remembers it: the last ten duties "
-            f"take the unexplained part from {air.fan_off_k:.2f} to {past.fan_off_k:.2f} K with the fan off "
-            f"and from {air.fan_on_k:.2f} to {past.fan_on_k:.2f} K with it on. (3) The same network over "
-            f"better bases: MAE {spread(np.array(bare.hybrid_mae_k))} K over the bare PBM, "
-            f"{spread(np.array(loss.hybrid_mae_k))} with loss and capacity fitted, "
-            f"{spread(np.array(lag.hybrid_mae_k))} with a state for the element, "
-            f"{spread(np.array(walls.hybrid_mae_k))} with one for the walls; the twin of that last row alone "
-            f"has {walls.alone_mae_k:.3f}."
-        )
+    room, air, past = found.unexplained
+    bare, loss, lag, walls = found.bases
+    evidence = (
+        " Why, from the training and validation parts alone: (1) with the fan on, a = exp(-F dt / V) = "
+        "5e-4, so T_hat is the room's air plus the heater's and hardly depends on T; what it can tell "
+        f"then leaves {room.fan_on_k:.2f} K of a step unexplained, with T {air.fan_on_k:.2f} K. (2) The "
+        "heater's element stores heat for minutes, and no input of r remembers it: the last ten duties "
+        f"take the unexplained part from {air.fan_off_k:.2f} to {past.fan_off_k:.2f} K with the fan off "
+        f"and from {air.fan_on_k:.2f} to {past.fan_on_k:.2f} K with it on. (3) The same network over "
+        f"better bases: MAE {spread(np.array(bare.hybrid_mae_k))} K over the bare PBM, "
+        f"{spread(np.array(loss.hybrid_mae_k))} with loss and capacity fitted, "
+        f"{spread(np.array(lag.hybrid_mae_k))} with a state for the element, "
+        f"{spread(np.array(walls.hybrid_mae_k))} with one for the walls; the twin of that last row alone "
+        f"has {walls.alone_mae_k:.3f}."
+    )
     return Finding(
         "HAM comes close to the LSTM's accuracy at a far lower cost: the best balance.",
         _verdict(near, len(ham)),
@@ -158,9 +156,9 @@ def _data_driven_deteriorate(scores: Sequence[Score]) -> Finding:
     return Finding(
         "In extrapolation Linear, LSTM and HAM all deteriorate.",
         _verdict(sum(worse), len(models)),
-        f"{listed}. The LSTM most: it saturates at what it was trained on. In scenario {last} it never "
-        f"forecasts above {hottest:.1f} °C where {measured:.1f} were measured, and its error is "
-        f"{outside:.2f} K on rows outside the training range and {inside:.2f} K inside.",
+        f"{listed}. The LSTM most: it saturates at what it was trained on. In scenario {last} its hottest "
+        f"forecast is {hottest:.1f} °C (mean of the seeds) where {measured:.1f} were measured, and its error "
+        f"is {outside:.2f} K on rows outside the training range and {inside:.2f} K inside.",
     )
 
 

@@ -162,5 +162,7 @@ def _steps(axes: Axes, minutes: Floats, values: Floats, colour: str) -> None:
 def _png(figure: Figure) -> bytes:
     drawn, small = io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, format="png", dpi=90)
-    Image.open(drawn).convert("RGB").quantize(COLOURS_KEPT).save(small, format="png", optimize=True)
+    Image.open(drawn).convert("RGB").quantize(COLOURS_KEPT, Image.Quantize.MAXCOVERAGE).save(
+        small, format="png", optimize=True
+    )
     return small.getvalue()

@@ -1,12 +1,13 @@
 """The tables of the comparison, out of its figures."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from edge.models.base import Floats
-from training.ablation import Base, Unexplained
+from training.ablation import EXCESS_K, Base, ByExcess, Unexplained
 from training.report_table import Table
 from training.resources import Cost
 from training.scores import Score, Swapped, maes, orders
@@ -35,6 +36,7 @@ class Evaluation:
     unexplained: tuple[Unexplained, ...]
     bases: tuple[Base, ...]
     swapped: tuple[Swapped, ...]
+    by_excess: tuple[ByExcess, ...]
 
 
 def tables(found: Evaluation) -> list[Table]:
@@ -47,6 +49,7 @@ def tables(found: Evaluation) -> list[Table]:
         _outside(scores),
         _bias(scores),
         _swapped(found.swapped),
+        _by_excess(found.by_excess),
         _unexplained(found.unexplained),
         _bases(found.bases),
     ]
@@ -166,6 +169,13 @@ def _swapped(rows: Sequence[Swapped]) -> Table:
         "Both on all test runs: what stays in a column is the run's, what changes with the row the model's."
     )
     return Table("Bias of the fitted twin of either regime [K]", heads, cells, note)
+
+
+def _by_excess(rows: Sequence[ByExcess]) -> Table:
+    heads = ("trained for", *(f"{low:g} to {high:g} K" for low, high in itertools.pairwise(EXCESS_K)))
+    cells = tuple((row.regime, *(f"{value:+.3f}" for value in row.bias_k)) for row in rows)
+    note = "Free runs over all 15 training runs; no test run."
+    return Table("Bias of the fitted twin by the air's excess over the room [K]", heads, cells, note)
 
 
 def _unexplained(rows: Sequence[Unexplained]) -> Table:
