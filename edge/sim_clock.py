@@ -20,7 +20,7 @@ START_UTC = 1_767_225_600.0  # 2026-01-01T00:00:00Z; the same at every run, so t
 SLICE_REAL_S = 0.1  # real time between two looks at the wake descriptor
 SLICE_S = 10.0  # simulated time between two looks, however fast: some milliseconds of real time
 PATIENCE_S = 30.0  # real time the board process may take for an answer
-DELIVERY_S = 30.0  # real time a pty may take to deliver: a kernel thread does it, that starves on a busy machine
+DELIVERY_S = 30.0  # real time a pty may take to deliver: a kernel thread does it, and may starve
 PTY_HOLDS = 2048  # bytes a pty surely hands over at once
 
 
