@@ -36,6 +36,11 @@ PACKAGES = {
     "python": "",
     "python, numpy": "import numpy",
     "python, scipy.optimize, sqlite_utils": "import scipy.optimize, sqlite_utils",
+    "daemon's code, default bundle loaded": (
+        "import edge.daemon; from pathlib import Path; from edge.bundle.store import Store; "
+        "from edge.models.from_bundle import loader; "
+        "kept = Store(Path('/nonexistent'), Path('/nonexistent'), loader(60.0)).load('packaged')"
+    ),
 }
 
 
