@@ -29,11 +29,9 @@ model: $(VENV)/edge.installed
 	$(BIN)/python -m bench.make_default_arx $(ARGS)
 
 train: $(VENV)/dev.installed
-	$(BIN)/greenhouse-train all
-	$(BIN)/greenhouse-train evaluate
-	$(BIN)/greenhouse-train bundle $(or $(VERSION),1.0) --default
+	$(BIN)/greenhouse-train all --out training/results/trained $(ARGS)
+	$(BIN)/greenhouse-train evaluate && $(BIN)/greenhouse-train bundle 1.0 --out training/results/trained --default
 
-# Made once: a second interpreter in one environment breaks it.
 $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
 

@@ -77,8 +77,8 @@ DAMAGE: dict[str, tuple[Callable[[Path], None], str]] = {
     "unsigned": (lambda f: (f / SIGNATURE).unlink(), "manifest.sig: is missing"),
     "empty signature": (lambda f: (f / SIGNATURE).write_bytes(b""), "the signature has 0 bytes, not 64"),
     "cut signature": (lambda f: cut(f / SIGNATURE), "the signature has 63 bytes, not 64"),
-    "other signature": (lambda f: flip(f / SIGNATURE), "the signature is by none of the 1 trusted keys"),
-    "tampered manifest": (lambda f: flip(f / MANIFEST), "the signature is by none of the 1 trusted keys"),
+    "other signature": (lambda f: flip(f / SIGNATURE), "the signature is by none of the 2 trusted keys"),
+    "tampered manifest": (lambda f: flip(f / MANIFEST), "the signature is by none of the 2 trusted keys"),
     "no manifest": (lambda f: (f / MANIFEST).unlink(), "manifest.json: is missing"),
 }
 
@@ -161,7 +161,7 @@ def test_another_persons_key_is_not_trusted(workshop: Workshop, tmp_path: Path) 
     generate_key(tmp_path / "other.pem")
     folder = workshop.models("foreign")
     sign_folder(folder, FACTS, tmp_path / "other.pem")
-    with pytest.raises(DataError, match="by none of the 1 trusted keys"):
+    with pytest.raises(DataError, match="by none of the 2 trusted keys"):
         check_folder(folder, workshop.trusted)
     shutil.copy(tmp_path / "other.pub", workshop.trusted)
     check_folder(folder, workshop.trusted)
