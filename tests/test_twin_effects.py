@@ -8,14 +8,16 @@ from edge.twin.warm_start import at_rest
 
 STEPS = 30
 MASS = {"C_w": 8000.0, "G_in": 10.0, "G_out": 10.0}  # 1/UA = 1/10 + 1/10
-WRONG = {"nan": np.nan, "inf": np.inf, "below": -1e-9, "above": 1e9}
+CONDITIONS = {"light": 0.5, "rel_humidity": 60.0, "utc": 3.0 * 86400.0, "door_open": 0.0}
+WRONG = {"nan": np.nan, "inf": np.inf, "below": -1e9, "above": 1e9}
 
 
-def run(effects, duty, fan, temp=21.0, steps=STEPS):
+def run(effects, duty, fan, temp=21.0, steps=STEPS, **conditions):
     """Free run at a room of 21 °C from rest; duty and fan constant or per step."""
-    twin = Twin(effects=effects)
+    twin = Twin(effects=effects, day0_utc=0.0)
     inputs = (np.broadcast_to(np.asarray(item, dtype=float), (1, steps)) for item in (duty, fan))
-    return twin.rollout(at_rest(twin, temp, 21.0), *inputs, 21.0)[0]
+    columns = {name: np.broadcast_to(column, steps) for name, column in {**CONDITIONS, **conditions}.items()}
+    return twin.rollout(at_rest(twin, temp, 21.0), *inputs, 21.0, conditions=columns)[0]
 
 
 def test_a_leaky_wall_lets_a_warm_box_cool_and_a_cold_one_warm():

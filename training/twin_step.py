@@ -5,6 +5,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from edge.errors import DataError
 from edge.twin.model import Twin
 from edge.twin.warm_start import at_rest, drift, spread
 
@@ -42,7 +43,12 @@ class TwinStep(nn.Module):
 
     @classmethod
     def of(cls, twin: Twin) -> "TwinStep":
-        """The same physics as `twin`; between fan off and on the matrices are interpolated."""
+        """The same physics as `twin`; between fan off and on the matrices are interpolated.
+
+        Errors : DataError for a twin whose inputs do not act as they are: late, bent, or more than these
+        """
+        if not twin.signals.plain:
+            raise DataError("twin: has effects on its inputs, which a network's graph does not hold")
         step = cls(len(twin.states))
         values: dict[str, NDArray[np.float64] | float] = {
             "transition": twin.off_on.state,

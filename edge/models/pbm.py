@@ -33,11 +33,13 @@ class Pbm:
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
         """Air temperature after each control, as `edge.models.base.Predictor.rollout`.
 
-        history : `temp_air`; for a twin with hidden states also `temp_ambient`, `heater_duty` and `fan_on`
+        history : `temp_air`; for a twin with hidden states also `temp_ambient`, `heater_duty` and `fan_on`;
+            with an effect that needs more (`light`, `rel_humidity`, `utc`), those too
         controls : [B, N, 2], heater_duty and fan_on
-        ahead : `temp_ambient` [N] [°C], and optionally `offset` [N], what the twin misses per step [K/step]
+        ahead : `temp_ambient` [N] [°C], and optionally `offset` [N], what the twin misses per step [K/step];
+            the same further columns
         Returns : [B, N] [°C]
-        Errors : DataError when the history has no temperature to start from
+        Errors : DataError when the history has no temperature to start from, or a column is missing
         """
         horizon = controls.shape[1]
         if len(history["temp_air"]) < self.rows_needed:
@@ -49,15 +51,29 @@ class Pbm:
             controls[:, :, 1],
             ahead["temp_ambient"][:horizon],
             offset=offset,
+            conditions=_cut(ahead, self._conditions, slice(horizon)),
+            before=self._past(history).commands if not self.twin.signals.steady else None,
         )
+
+    @property
+    def _conditions(self) -> tuple[str, ...]:
+        return (*self.twin.needs, "door_open")
 
     def _start(self, history: Columns) -> Floats:
         """The state at the last row [n]."""
         temp = np.asarray(history["temp_air"], dtype=np.float64)
         if len(self.twin.states) == 1 and np.isfinite(temp[-1]):
             return temp[-1:]
-        past = Past(temp, history["temp_ambient"], history["heater_duty"], history["fan_on"])
-        return state_now(self.twin, past)
+        return state_now(self.twin, self._past(history))
+
+    def _past(self, history: Columns) -> Past:
+        temp = np.asarray(history["temp_air"], dtype=np.float64)
+        columns = _cut(history, self._conditions, slice(None))
+        return Past(temp, history["temp_ambient"], history["heater_duty"], history["fan_on"], columns)
+
+
+def _cut(columns: Columns, names: tuple[str, ...], rows: slice) -> Columns:
+    return {name: columns[name][rows] for name in names if name in columns}
 
 
 def read_twin(path: Path) -> Pbm:

@@ -33,6 +33,15 @@ def discretise(system: LinearSystem, fan: Floats, step_s: float) -> Transition:
     return Transition(state, integral @ (system.drive + speeds * system.fan_drive))
 
 
+def discretise_modes(system: LinearSystem, modes: Floats, step_s: float) -> Transition:
+    """The same for K fan speeds, doors and days, [K, 3]."""
+    fan, others = modes[:, 0, None, None], modes[:, 1:]
+    rates = system.rates + fan * system.fan_rates + np.tensordot(others, system.other_rates, 1)
+    drive = system.drive + fan * system.fan_drive + np.tensordot(others, system.other_drive, 1)
+    state, integral = exponential(rates, step_s)
+    return Transition(state, integral @ drive)
+
+
 def exponential(rates: Floats, step_s: float) -> tuple[Floats, Floats]:
     """exp(A t) and its integral from 0 to t, for each A; NaN rates give NaN.
 

@@ -12,10 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from edge.errors import DataError
 from edge.twin.discretisation import Transition, discretise
-from edge.twin.effects import Effects, build
+from edge.twin.effects import Effects, build, needs
 from edge.twin.geometry import Geometry
-from edge.twin.network import LinearSystem
+from edge.twin.march import Commands, March
+from edge.twin.network import AIR, LinearSystem
+from edge.twin.signals import Conditions, Signals, columns_of
 
+DAY_S = 86400.0
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
@@ -38,6 +41,7 @@ class Twin:
 
     effects : parameters by effect, as in `edge.twin.effects.EFFECTS`
     step_s : length of a step [s]
+    day0_utc : where the days of `ua_drift` begin [s since 1970], None where no effect counts them
     Errors : DataError naming the key, `effects.wall_loss.UA: ...`
     """
 
@@ -45,14 +49,18 @@ class Twin:
     effects: Effects = field(default_factory=dict)
     step_s: float = 60.0
     noise: Noise = field(default_factory=Noise)
+    day0_utc: float | None = None
     system: LinearSystem = field(init=False)
+    signals: Signals = field(init=False)
     off_on: Transition = field(init=False)  # the step with the fan off and on, K = 2
 
     def __post_init__(self) -> None:
         if not (self.step_s > 0.0 and np.isfinite(self.step_s)):
             raise DataError(f"sample_s: {self.step_s:g} is not a finite number above 0")
-        system = build(self.geometry, self.effects).system()
+        network = build(self.geometry, self.effects)
+        system = network.system()
         object.__setattr__(self, "system", system)  # frozen for all but its own making
+        object.__setattr__(self, "signals", network.signals)
         object.__setattr__(self, "off_on", discretise(system, np.array([0.0, 1.0]), self.step_s))
 
     @property
@@ -63,14 +71,21 @@ class Twin:
     @property
     def sha256(self) -> str:
         """Hash of all that a prediction depends on; not of where it comes from."""
-        content = {
+        content: dict[str, object] = {
             "geometry": asdict(self.geometry),
             "effects": {name: dict(values) for name, values in self.effects.items()},
             "sample_s": self.step_s,
             "noise": asdict(self.noise),
         }
+        if self.day0_utc is not None:
+            content["day0_utc"] = self.day0_utc
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), default=float)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def needs(self) -> dict[str, str]:
+        """Columns beside the room's that a prediction needs, and the effect that needs each."""
+        return needs(self.effects)
 
     def transitions(self, fan: Floats) -> tuple[Transition, Indices]:
         """Steps for the fan speeds that occur, and which of them belongs to each element of `fan`."""
@@ -86,7 +101,8 @@ class Twin:
 
         temp, ambient : [°C]; duty, fan : 0..1
         source : corrective source term r of CoSTA (paper, eq. method-hybrid-model), added to dT/dt [K/s]
-        Errors : DataError for a twin with hidden states, which one temperature doesn't tell: see `advance`
+        Errors : DataError for a twin with hidden states, which one temperature doesn't tell: see `advance`,
+            and for one that needs more columns
         """
         if len(self.states) > 1:
             raise DataError(f"twin: {', '.join(self.states[1:])} can't be known from a temperature alone")
@@ -95,13 +111,20 @@ class Twin:
     def advance(
         self, state: Floats, ambient: ArrayLike, duty: ArrayLike, fan: ArrayLike, source: ArrayLike = 0.0
     ) -> Floats:
-        """The state one step later.
+        """The state one step later, the commands before it having been the same.
 
         state : [..., n], in the order of `states`; the others : scalars or of the shape [...], as in `step`
         Returns : [..., n]
+        Errors : DataError for a twin that needs more columns
         """
         inputs = (np.shape(item) for item in (ambient, duty, fan, source))
         shape = np.broadcast_shapes(state.shape[:-1], *inputs)
+        if not self.signals.plain:
+            flat = [np.broadcast_to(item, shape).reshape(-1, 1) for item in (duty, fan, ambient, source)]
+            before = Commands(np.asarray(flat[0], dtype=np.float64), np.asarray(flat[1], dtype=np.float64))
+            rows = np.broadcast_to(state, (*shape, state.shape[-1])).reshape(-1, state.shape[-1])
+            march = self.march(before, flat[2], flat[3], before=before)
+            return march.step(0, rows).reshape(*shape, -1)
         fans = np.broadcast_to(np.asarray(fan, dtype=np.float64), shape)
         transition, index = self.transitions(fans)
         driven = _driven(transition, index, ambient, duty, source)
@@ -116,22 +139,57 @@ class Twin:
         ambient: ArrayLike,
         source: ArrayLike = 0.0,
         offset: Floats | None = None,
+        conditions: Conditions | None = None,
+        before: Commands | None = None,
     ) -> Floats:
         """Air temperature after each of N steps.
 
         start : [n] or [B, n]; duty, fan : [B, N]; ambient, source : scalar, [N] or [B, N]
         offset : [N], added to the air temperature after each step, and carried on from there [K]
+        conditions : further columns [N] or [B, N], those of `needs` at least
+        before : commands up to the start, [P] or [B, P], which dead times and a fan that spins up remember;
+            both off where none are known
         Returns : [B, N] [°C]
+        Errors : DataError naming a column that is missing
         """
+        states = np.broadcast_to(start, (fan.shape[0], len(self.states)))
+        if not self.signals.steady:
+            march = self.march(Commands(duty, fan), ambient, source, conditions, before)
+            return march.rollout(states, offset)
+        if not self.signals.plain:
+            columns = columns_of(self.needs, conditions)
+            measured = np.asarray(ambient, dtype=np.float64)
+            heat_w = self.signals.heat_w(np.zeros(()), measured, columns, by_temp=False)
+            source = np.asarray(source) + heat_w / self.system.air_capacity_j_k
+            duty, ambient = self.signals.duty(duty), self.signals.room(measured)
         in_time = np.ascontiguousarray(fan.T)
         transition, index = self.transitions(in_time)
         driven = _driven(transition, index, _in_time(ambient), _in_time(duty), _in_time(source))
         if offset is not None:
-            driven[:, :, 0] += offset[:, None]
-        states = np.broadcast_to(start, (fan.shape[0], len(self.states)))
+            for i in {0, self.states.index(AIR)}:  # a sensor and what it shows
+                driven[:, :, i] += offset[:, None]
         if len(self.states) == 1:
             return _one_state(states[:, 0], transition.state[:, 0, 0][index], driven[:, :, 0])
         return _many_states(states, transition.state, index, driven)
+
+    def march(
+        self,
+        commands: Commands,
+        ambient: ArrayLike,
+        source: ArrayLike = 0.0,
+        conditions: Conditions | None = None,
+        before: Commands | None = None,
+    ) -> March:
+        """The N steps of a rollout, to be made one by one; the arguments as in `rollout`.
+
+        Errors : DataError naming a column that is missing, or `day0_utc`
+        """
+        columns = dict(columns_of(self.needs, conditions))
+        if self.signals.ages:
+            if self.day0_utc is None:
+                raise DataError("day0_utc: missing, the twin's ua_drift counts days from it")
+            columns["day"] = (columns["utc"] - self.day0_utc) / DAY_S
+        return March.of(self.system, self.signals, self.step_s, commands, ambient, source, columns, before)
 
 
 def _driven(

@@ -10,27 +10,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.geometry import Geometry
+from edge.twin.signals import Heat, HeatNow, Signals
 
 Floats = NDArray[np.float64]
-AIR, ROOM, HEATER = "air", "room", "heater"
+AIR, ROOM, HEATER, UPPER, SENSOR = "air", "room", "heater", "upper", "sensor"
 INPUTS = ("heater_duty", "temp_ambient", "source")  # the order of every `drive`: 0..1, °C, K/s into the air
+MODES = ("off", "fan_on", "door_open", "day")  # what matrices are added up by: 1 and three inputs
+RADIANT = {"wall": 0.6, "soil": 0.4}  # shares of radiant heat where the twin has both nodes
 
 
 class Path(NamedTuple):
-    """Heat between two nodes, in proportion to their difference."""
+    """Heat between two nodes, in proportion to their difference [W/K]."""
 
     one: str
     other: str
-    off_w_k: float  # with the fan off [W/K]
-    fan_w_k: float  # added with the fan on, in proportion to its speed [W/K]
+    off_w_k: float  # with the fan off
+    fan_w_k: float = 0.0  # added with the fan on, in proportion to its speed
+    door_w_k: float = 0.0  # added with the door open
+    wall: bool = False  # a wall's, which ages
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearSystem:
     """dx/dt = (rates + u_f fan_rates) x + (drive + u_f fan_drive) (u_h, T_amb, r), for the states by name.
 
-    The state `air` is first, what the sensor shows; thermal nodes are in °C, `heater` in W.
+    The first state is what the sensor shows; thermal nodes are in °C, `heater` in W.
     rates, fan_rates : [n, n]; drive, fan_drive : [n, 3], columns as INPUTS
+    other_rates, other_drive : [2, n, n] and [2, n, 3], added times door_open (0..1) and day
     """
 
     states: tuple[str, ...]
@@ -38,18 +44,25 @@ class LinearSystem:
     fan_rates: Floats
     drive: Floats
     fan_drive: Floats
-    air_capacity_j_k: float  # of the state `air`
+    air_capacity_j_k: float  # of all the air
+    other_rates: Floats
+    other_drive: Floats
 
 
 @dataclass(slots=True)
 class Network:
-    """What effects change: they scale what is there, add nodes, and connect them."""
+    """What effects change: they scale what is there, add nodes, connect them, and bend the inputs."""
 
     geometry: Geometry
     air_capacity_scale: float = 1.0
     fan_flow_scale: float = 1.0
     heater_scale: float = 1.0
     heater_lag_s: float = 0.0  # 0: the heat is there at once
+    radiant_share: float = 0.0  # of the heater, that passes the air by
+    mixing_m3_s: float = 0.0  # between two halves of the air; 0: one zone
+    sensor_lag_s: float = 0.0  # 0: the sensor shows the air
+    ageing_per_day: float = 0.0  # of the walls' conductance
+    signals: Signals = field(default_factory=Signals)
     nodes: dict[str, float] = field(default_factory=dict)  # beside the air: heat capacity [J/K]
     paths: list[Path] = field(default_factory=list)
 
@@ -57,34 +70,94 @@ class Network:
         """A body of one temperature."""
         self.nodes[name] = capacity_j_k
 
-    def connect(self, one: str, other: str, off_w_k: float, fan_w_k: float = 0.0) -> None:
+    def connect(
+        self,
+        one: str,
+        other: str,
+        off_w_k: float,
+        fan_w_k: float = 0.0,
+        door_w_k: float = 0.0,
+        wall: bool = False,
+    ) -> None:
         """A path between two nodes (`AIR`, `ROOM` or an added one), see `Path`."""
-        self.paths.append(Path(one, other, off_w_k, fan_w_k))
+        self.paths.append(Path(one, other, off_w_k, fan_w_k, door_w_k, wall))
+
+    def heat(self, watts: HeatNow, by_temp: bool = False) -> None:
+        """Heat into the air [W]; `by_temp` where it depends on the air's temperature."""
+        self.signals.heats.append(Heat(watts, by_temp))
 
     def system(self) -> LinearSystem:
         """The network as a linear system."""
-        geometry = self.geometry
-        capacities = {AIR: self.air_capacity_scale * geometry.air_capacity_j_k, **self.nodes}
-        states = (*capacities, *([HEATER] if self.heater_lag_s > 0.0 else []))
-        size, nodes = len(states), len(capacities)
-        exhaust_w_k = geometry.volumetric_heat_j_m3_k * geometry.fan_max_m3_s * self.fan_flow_scale
-        matrices = np.zeros((2, size, size + 1))  # fan off, added by the fan; the last column is the room
-        column = {name: i for i, name in enumerate(capacities)} | {ROOM: size}
-        for one, other, off_w_k, fan_w_k in (*self.paths, Path(AIR, ROOM, 0.0, exhaust_w_k)):
-            by_fan = np.array([off_w_k, fan_w_k])
+        air_j_k = self.air_capacity_scale * self.geometry.air_capacity_j_k
+        zones = (AIR, UPPER) if self.mixing_m3_s > 0.0 else (AIR,)
+        capacities = {zone: air_j_k / len(zones) for zone in zones} | self.nodes
+        matrices = self._conduction(capacities)
+        size = len(capacities)
+        drive = np.zeros((len(MODES), size, len(INPUTS)))
+        drive[:, :, 1] = matrices[:, :, -1]
+        drive[0, : len(zones), 2] = 1.0
+        states, rates = tuple(capacities), matrices[:, :, :-1]
+        heated = self._heated(capacities)
+        if self.heater_lag_s > 0.0:
+            states, rates, drive = self._behind_element(states, rates, drive, heated)
+        else:
+            drive[0, :, 0] = self._power_w() * heated
+        if self.sensor_lag_s > 0.0:
+            states, rates, drive = self._behind_sensor(states, rates, drive)
+        return LinearSystem(states, rates[0], rates[1], drive[0], drive[1], air_j_k, rates[2:], drive[2:])
+
+    def _power_w(self) -> float:
+        return self.heater_scale * self.geometry.heater_max_w
+
+    def _conduction(self, capacities: dict[str, float]) -> Floats:
+        """Rates by MODES, [4, nodes, nodes + 1]; the last column is the room."""
+        heat = self.geometry.volumetric_heat_j_m3_k
+        exhaust = Path(AIR, ROOM, 0.0, heat * self.geometry.fan_max_m3_s * self.fan_flow_scale)
+        paths = [*self._from_zones(UPPER in capacities), exhaust]
+        matrices = np.zeros((len(MODES), len(capacities), len(capacities) + 1))
+        column = {name: i for i, name in enumerate(capacities)} | {ROOM: len(capacities)}
+        for one, other, off_w_k, fan_w_k, door_w_k, wall in paths:
+            by_mode = np.array([off_w_k, fan_w_k, door_w_k, self.ageing_per_day * off_w_k if wall else 0.0])
             for near, far in ((one, other), (other, one)):
                 if near != ROOM:
-                    matrices[:, column[near], column[near]] -= by_fan / capacities[near]
-                    matrices[:, column[near], column[far]] += by_fan / capacities[near]
-        drive = np.zeros((2, size, len(INPUTS)))
-        drive[:, :, 1] = matrices[:, :, -1]
-        drive[0, 0, 2] = 1.0
-        power_w = self.heater_scale * geometry.heater_max_w
-        if size == nodes:
-            drive[0, 0, 0] = power_w / capacities[AIR]
-        else:
-            matrices[0, 0, nodes] = 1.0 / capacities[AIR]
-            matrices[0, nodes, nodes] = -1.0 / self.heater_lag_s
-            drive[0, nodes, 0] = power_w / self.heater_lag_s
-        rates, fan_rates = matrices[:, :, :-1]
-        return LinearSystem(states, rates, fan_rates, drive[0], drive[1], capacities[AIR])
+                    matrices[:, column[near], column[near]] -= by_mode / capacities[near]
+                    matrices[:, column[near], column[far]] += by_mode / capacities[near]
+        return matrices
+
+    def _from_zones(self, two: bool) -> list[Path]:
+        """The paths, each zone of air having half of what the air as a whole has."""
+        if not two:
+            return self.paths
+        found = [Path(AIR, UPPER, self.geometry.volumetric_heat_j_m3_k * self.mixing_m3_s)]
+        for one, other, off_w_k, fan_w_k, door_w_k, wall in self.paths:
+            zones = (AIR, UPPER) if one == AIR else (one,)
+            share = 1.0 / len(zones)
+            found += [
+                Path(zone, other, share * off_w_k, share * fan_w_k, share * door_w_k, wall) for zone in zones
+            ]
+        return found
+
+    def _heated(self, capacities: dict[str, float]) -> Floats:
+        """What a watt of the heater does to each node [K/J]."""
+        lit = {name: share for name, share in RADIANT.items() if name in capacities}
+        shares = {name: self.radiant_share * share / sum(lit.values()) for name, share in lit.items()}
+        shares[UPPER if UPPER in capacities else AIR] = 1.0 - self.radiant_share
+        return np.array([shares.get(name, 0.0) / capacity for name, capacity in capacities.items()])
+
+    def _behind_element(
+        self, states: tuple[str, ...], rates: Floats, drive: Floats, heated: Floats
+    ) -> tuple[tuple[str, ...], Floats, Floats]:
+        """The element's heat as one more state, the last."""
+        rates, drive = np.pad(rates, ((0, 0), (0, 1), (0, 1))), np.pad(drive, ((0, 0), (0, 1), (0, 0)))
+        rates[0, :-1, -1] = heated
+        rates[0, -1, -1] = -1.0 / self.heater_lag_s
+        drive[0, -1, 0] = self._power_w() / self.heater_lag_s
+        return (*states, HEATER), rates, drive
+
+    def _behind_sensor(
+        self, states: tuple[str, ...], rates: Floats, drive: Floats
+    ) -> tuple[tuple[str, ...], Floats, Floats]:
+        """What the sensor shows as one more state, the first."""
+        rates, drive = np.pad(rates, ((0, 0), (1, 0), (1, 0))), np.pad(drive, ((0, 0), (1, 0), (0, 0)))
+        rates[0, 0, 0], rates[0, 0, 1] = -1.0 / self.sensor_lag_s, 1.0 / self.sensor_lag_s
+        return (SENSOR, *states), rates, drive

@@ -38,20 +38,30 @@ def free_run(twin: Twin, runs: Recorded, ambient: Floats, noise_k: float) -> Fre
     rest = np.stack(
         [at_rest(twin, temp, room) for temp, room in zip(runs.temp[:, 0], ambient[:, 0], strict=True)]
     )
-    predicted = twin.rollout(rest, runs.duty, runs.fan, ambient)
+    conditions = runs.conditions or None
+    predicted = twin.rollout(rest, runs.duty, runs.fan, ambient, conditions=conditions)
     measured = np.isfinite(runs.temp[:, 1:])
     residual = np.where(measured, runs.temp[:, 1:] - predicted, 0.0)
-    # One more rollout per state, with nothing but that state: what a unit of it does to the air.
-    unit = np.repeat(np.eye(size)[None], count, axis=0).reshape(-1, size)
-    fans = np.repeat(runs.fan, size, axis=0)
-    response = (
-        twin.rollout(unit, np.zeros_like(fans), fans, 0.0).reshape(count, size, -1) * measured[:, None, :]
-    )
+    response = _responses(twin, runs, rest, ambient, predicted).reshape(count, size, -1)
+    response = response * measured[:, None, :]
     response *= spread(twin)[:, None] / noise_k
     normal = response @ response.swapaxes(1, 2) + np.eye(size)
     pull = np.linalg.solve(normal, response @ (residual / noise_k)[:, :, None])[:, :, 0]
     explained = noise_k * np.einsum("bi,bik->bk", pull, response)
     return FreeRun(residual - explained, measured, np.asarray(pull, dtype=np.float64))
+
+
+def _responses(twin: Twin, runs: Recorded, rest: Floats, ambient: Floats, predicted: Floats) -> Floats:
+    """What a unit of each state at the start does to what the sensor shows, [B n, N]."""
+    count, size = rest.shape
+    unit = np.repeat(np.eye(size)[None], count, axis=0).reshape(-1, size)
+    fans = np.repeat(runs.fan, size, axis=0)
+    if twin.signals.plain:
+        return twin.rollout(unit, np.zeros_like(fans), fans, 0.0)  # nothing but that state
+    every = {name: np.repeat(column, size, axis=0) for name, column in runs.conditions.items()}
+    duties, rooms = np.repeat(runs.duty, size, axis=0), np.repeat(ambient, size, axis=0)
+    moved = twin.rollout(np.repeat(rest, size, axis=0) + unit, duties, fans, rooms, conditions=every)
+    return moved - np.repeat(predicted, size, axis=0)
 
 
 def rmse(run: FreeRun) -> float:

@@ -1,16 +1,18 @@
 """Recorded runs as arrays that a twin can be run over, all at once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
 from edge.run_file import Run, refuse_test, resample
+from edge.twin.signals import Conditions
 from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
+CONDITIONS = {"light": "light", "rel_humidity_pct": "rel_humidity", "door_open": "door_open"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,12 +21,14 @@ class Recorded:
 
     temp : [B, N + 1], NaN where missing [°C]; duty, fan, ambient : [B, N]
     ambient : NaN throughout when no run has a room temperature
+    conditions : [B, N] each, columns of CONDITIONS that every run has, held over holes
     """
 
     temp: Floats
     duty: Floats
     fan: Floats
     ambient: Floats
+    conditions: Conditions = field(default_factory=dict)
 
     @property
     def has_ambient(self) -> bool:
@@ -53,6 +57,11 @@ def recorded(runs: Sequence[Run], step_s: float) -> Recorded:
         np.concatenate([_padded(part.duty, rows - 1, 0.0) for part in parts]),
         np.concatenate([_padded(part.fan, rows - 1, 0.0) for part in parts]),
         np.concatenate([_padded(part.ambient, rows - 1, part.ambient[0, -1]) for part in parts]),
+        {
+            name: np.concatenate([_held_on(part.conditions[name], rows - 1) for part in parts])
+            for name in parts[0].conditions
+            if all(name in part.conditions for part in parts)
+        },
     )
 
 
@@ -71,8 +80,20 @@ def _part(run: Run, step_s: float) -> Recorded:
     ambient = columns.get("temp_ambient_c", np.full(len(fan), np.nan))
     steps = slice(begin, end)
     return Recorded(
-        temp[None, begin : end + 1], duty[None, steps], fan[None, steps], held(ambient)[None, steps]
+        temp[None, begin : end + 1],
+        duty[None, steps],
+        fan[None, steps],
+        held(ambient)[None, steps],
+        {name: held(values)[None, steps] for name, values in _conditions(run, columns).items()},
     )
+
+
+def _conditions(run: Run, columns: Conditions) -> Conditions:
+    """The run's columns that effects may need, by their names inside, with the time where it is known."""
+    found = {name: columns[key] for key, name in CONDITIONS.items() if key in columns}
+    if run.start_utc is not None:
+        found["utc"] = run.start_utc + columns["time_s"]
+    return found
 
 
 def _seconds(run: Run) -> float:
@@ -82,6 +103,10 @@ def _seconds(run: Run) -> float:
         raise DataError(
             f"{run.path}: validate_from_s: {run.facts['validate_from_s']!r} is no number"
         ) from None
+
+
+def _held_on(values: Floats, columns: int) -> Floats:
+    return np.pad(values, ((0, 0), (0, columns - values.shape[1])), mode="edge")
 
 
 def _padded(values: Floats, columns: int, with_value: float) -> Floats:

@@ -4,7 +4,8 @@ import json
 from dataclasses import fields
 from typing import Any
 
-from edge.twin.effects import EFFECTS, Effect
+from edge.twin.effect import Effect
+from edge.twin.effects import EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.twin_file import NUISANCE, SENSOR
 

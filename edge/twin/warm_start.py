@@ -1,13 +1,16 @@
 """The twin's state from the past: what the air temperature and the inputs tell of walls and element."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.twin.march import Commands
 from edge.twin.model import Twin
 from edge.twin.network import HEATER
+from edge.twin.signals import Conditions
 
 Floats = NDArray[np.float64]
 NODE_SPREAD_K = 3.0  # sd of a body's temperature about rest, before anything is known
@@ -15,12 +18,21 @@ HEATER_SPREAD = 0.3  # of the same for the heater's heat, share of its power
 
 
 class Past(NamedTuple):
-    """Columns of M rows, oldest first; the last row is now, its inputs are not read. NaN: not known."""
+    """Columns of M rows, oldest first; the last row is now, its inputs are not read. NaN: not known.
+
+    conditions : further columns that the twin needs
+    """
 
     temp: Floats
     ambient: Floats
     duty: Floats
     fan: Floats
+    conditions: Conditions | None = None
+
+    @property
+    def commands(self) -> Commands:
+        """Those before the last row, off where not known."""
+        return Commands(np.nan_to_num(self.duty[:-1]), np.nan_to_num(self.fan[:-1]))
 
 
 def at_rest(twin: Twin, temp: float, ambient: float) -> Floats:
@@ -28,9 +40,10 @@ def at_rest(twin: Twin, temp: float, ambient: float) -> Floats:
     system, size = twin.system, len(twin.states)
     if size == 1:
         return np.array([temp])
+    room = float(twin.signals.room(np.array(ambient)))
     # Unknown: the hidden states and the duty that holds them. Rows in one size, as W/s is far from K/s.
     balance = np.column_stack([system.rates[:, 1:], system.drive[:, 0]])
-    known = -(system.rates[:, 0] * temp + system.drive[:, 1] * ambient)
+    known = -(system.rates[:, 0] * temp + system.drive[:, 1] * room)
     scale = np.abs(balance).max(axis=1)
     hidden = np.linalg.lstsq(balance / scale[:, None], known / scale, rcond=None)[0]
     return np.array([temp, *hidden[: size - 1]])
@@ -65,12 +78,12 @@ def state_now(twin: Twin, past: Past) -> Floats:
     state = at_rest(twin, float(temps[first]), float(ambient[first]))
     covariance = np.diag(spread(twin) ** 2)
     moved = drift(twin)
+    advance = _advances(twin, past, ambient)
     for k in range(first, len(temps) - 1):
-        duty, fan = np.nan_to_num(past.duty[k]), np.nan_to_num(past.fan[k])
-        matrix, which = twin.transitions(np.array([fan]))
-        state = twin.advance(state, ambient[k], duty, fan)
+        fan = np.nan_to_num(past.fan[k])
+        state, matrix = advance(k, state)
         unknown = moved[0] + fan * (moved[1] - moved[0])
-        covariance = _predicted(covariance, matrix.state[which[0]], unknown)
+        covariance = _predicted(covariance, matrix, unknown)
         if np.isfinite(temps[k + 1]):
             gain = covariance[:, 0] / (covariance[0, 0] + twin.noise.sensor_k**2)
             state = state + gain * (temps[k + 1] - state[0])
@@ -78,6 +91,21 @@ def state_now(twin: Twin, past: Past) -> Floats:
     if np.isfinite(temps[-1]):
         state[0] = temps[-1]  # other predictors start there too
     return state
+
+
+def _advances(twin: Twin, past: Past, ambient: Floats) -> Callable[[int, Floats], tuple[Floats, Floats]]:
+    """What makes step k: the state after it, and what it makes of a small difference."""
+    duty, fan = past.commands
+    if twin.signals.plain:
+
+        def plain(k: int, state: Floats) -> tuple[Floats, Floats]:
+            matrix, which = twin.transitions(fan[k : k + 1])
+            return twin.advance(state, ambient[k], duty[k], fan[k]), matrix.state[which[0]]
+
+        return plain
+    columns = {name: held(column)[:-1] for name, column in (past.conditions or {}).items()}
+    march = twin.march(Commands(duty[None], fan[None]), ambient[:-1], conditions=columns)
+    return lambda k, state: (march.step(k, state[None])[0], march.matrix(k)[0])
 
 
 def _predicted(covariance: Floats, matrix: Floats, unknown: Floats) -> Floats:
