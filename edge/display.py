@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 TICKS_SHOWN = 72
 CHART_ROWS = 14
 EVENTS_SHOWN = 6
+MODELS_MIN = 15  # horizon of the models' forecasts that are shown
 
 
 def tick_line(tick: Mapping[str, Any]) -> str:
@@ -26,9 +27,21 @@ def tick_line(tick: Mapping[str, Any]) -> str:
     return (
         f"{_clock(tick['utc'])}  tick {tick['seq']:<5d} air {shown} degC  ref {tick['reference_c']:4.1f}"
         f"  heater {tick['sent']['heater_duty']:4.2f}  fan {'on ' if tick['sent']['fan_on'] else 'off'}"
-        f"  {tick['controller']:<7s} forecast {forecast}  safety {rules}"
+        f"  {tick['controller']:<7s} forecast {forecast}{_models(tick['forecasts'])}  safety {rules}"
         f"{events}"
     )
+
+
+def _models(forecasts: Mapping[str, Any]) -> str:
+    """What each model expects in MODELS_MIN, "" where none does."""
+    expected = {
+        name: forecast["temp_c"][str(MODELS_MIN)]
+        for name, forecast in forecasts.items()
+        if str(MODELS_MIN) in forecast["temp_c"]
+    }
+    if not expected:
+        return ""
+    return f"  in {MODELS_MIN} min " + " ".join(f"{name} {temp:.1f}" for name, temp in expected.items())
 
 
 class LineDisplay:
@@ -104,9 +117,31 @@ def _facts(record: TickRecord) -> list[tuple[str, str]]:
             "why",
             ", ".join(f"{key} {_short(value)}" for key, value in record.decision.why.items() if value)[:200],
         ),
+        *forecast_facts(record),
         ("safety", safety or "nothing changed"),
         ("board", "answers" if record.link_up else "silent"),
     ]
+
+
+def forecast_facts(record: TickRecord) -> list[tuple[str, str]]:
+    """A row per model: what it expects in MODELS_MIN, and how far off it was lately."""
+    errors = {
+        skill.predictor: f"off by {skill.mae_k:.2f} K lately"
+        for skill in record.skill
+        if skill.horizon_min == MODELS_MIN
+    }
+    facts = []
+    for name, forecast in record.forecasts.items():
+        temp, width = forecast.temps.get(MODELS_MIN), forecast.half_widths.get(MODELS_MIN)
+        if temp is not None:
+            interval = "" if width is None else f" +- {width:.2f} (90 %)"
+            words = (
+                f"{temp:.1f}{interval} degC",
+                errors.get(name, ""),
+                "untrained there" * bool(forecast.outside),
+            )
+            facts.append((f"{name} in {MODELS_MIN} min", ", ".join(filter(None, words))))
+    return facts
 
 
 def chart_rows(records: list[TickRecord]) -> list[str]:

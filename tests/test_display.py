@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from loop_rig import LoopRig
 
-from edge.display import CHART_ROWS, LineDisplay, chart_rows, make_display, tick_line
-from edge.messages import Command, Decision, Quality, TickRecord
+from edge.display import CHART_ROWS, LineDisplay, chart_rows, forecast_facts, make_display, tick_line
+from edge.messages import Command, Decision, Forecast, ForecastSkill, Quality, TickRecord
 from edge.tick_json import tick_json
 
 
@@ -68,3 +68,12 @@ def test_a_chart_without_any_number_says_so(rig: LoopRig) -> None:
         record, estimate=replace(record.estimate, temp_air=float("nan")), reference_c=float("nan")
     )
     assert chart_rows([nothing]) == ["no air temperature yet"]
+
+
+def test_each_models_forecast_is_shown_where_there_is_one(rig: LoopRig) -> None:
+    there = Forecast({1: 22.0, 15: 24.26}, {15: 0.4}, outside=True)
+    record = replace(rig.tick(), forecasts={"arx": there, "lstm": Forecast(reason="too few rows")})
+    assert "in 15 min arx 24.3  safety" in line(record)
+    skill = ForecastSkill("arx", "1", 15, 9, 0.123, None, None, None, None)
+    facts = dict(forecast_facts(replace(record, skill=(skill,))))
+    assert facts == {"arx in 15 min": "24.3 +- 0.40 (90 %) degC, off by 0.12 K lately, untrained there"}
