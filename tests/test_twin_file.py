@@ -32,6 +32,8 @@ REFUSED = [
     ("geometry: 0.15", "geometry: must be a mapping, not 0.15"),
     ("geometry: {volume_m3: 0}", "geometry.volume_m3: 0 is not a finite number above 0"),
     ("geometry: {volume_m3: big}", "geometry.volume_m3: 'big' is not a number"),
+    ("day0_utc: today", "day0_utc: 'today' is no time like 2026-07-01T12:00:00Z"),
+    ("day0_utc: 5", "day0_utc: 5 is no time like 2026-07-01T12:00:00Z"),
     ("sample_s: 0", "sample_s: 0 is not a finite number above 0"),
     ("sample_s: .nan", "sample_s: nan is not a number"),
     ("effects: [wall_loss]", "effects: must be a mapping, not ['wall_loss']"),
@@ -106,6 +108,15 @@ def test_what_is_written_reads_back_the_same(tmp_path):
     write_twin_file(file, path)
     assert read_twin_file(path) == file
     assert "wall_loss:\n    UA: {value: 5.1, low: 4.8, high: 5.4}" in path.read_text()
+
+
+def test_a_day_is_read_and_written_as_a_time(tmp_path):
+    file, path = read(tmp_path, "day0_utc: 2026-07-01T02:00:00+02:00"), tmp_path / "again.yaml"
+    assert file.twin().day0_utc == 1782864000.0  # date -u -d 2026-07-01 +%s
+    write_twin_file(file, path)
+    assert "day0_utc: '2026-07-01T00:00:00+00:00'" in path.read_text()
+    assert read_twin_file(path) == file
+    assert file.twin().sha256 != Twin().sha256
 
 
 @pytest.mark.parametrize("number", [0.1 + 0.2, 1e-4, 1.2345678901234567e-5, 99.99999999999999])

@@ -1,7 +1,7 @@
 """Parameters of a twin from recorded runs: least squares on the error of free runs, with 95 % intervals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -79,6 +79,8 @@ def fit_twin(file: TwinFile, runs: Sequence[Run]) -> Fit:
     Errors : DataError for nothing to fit, a run that may not be fitted on, a parameter that does nothing
     """
     data = recorded(runs, file.sample_s)
+    if "ua_drift" in file.effects and file.day0_utc is None and "utc" in data.conditions:
+        file = replace(file, day0_utc=float(data.conditions["utc"].min()))  # the first run's start
     unknowns = _unknowns(file, data)
     start = np.array([item.start / item.scale for item in unknowns])
     noise_k = file.twin().noise.sensor_k

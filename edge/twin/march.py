@@ -67,7 +67,7 @@ class March:
         shape = (commands.fan.shape[1], commands.fan.shape[0])
         room, added = _in_time(ambient, shape), _in_time(source, shape)
         steps = {name: _in_time(column, shape) for name, column in columns.items()}
-        past = before or Commands(np.zeros(1), np.zeros(1))
+        past = before if before and before.duty.shape[-1] else Commands(np.zeros(1), np.zeros(1))
         duty = _with_past(past.duty, commands.duty)
         fan = _with_past(past.fan, commands.fan)
         lengths = _cuts(signals, step_s)
@@ -76,12 +76,12 @@ class March:
         speeds = _spun_up(_late(fan, signals.fan_dead_s, middles, step_s), lengths, signals.fan_lag_s)
         duties = _late(duty, signals.heater_dead_s, middles, step_s)
         others = [steps.get(name, np.zeros(shape)) for name in ("door_open", "day")]
-        parts = []
+        parts, first = [], len(fan) - shape[0]
         for j, length in enumerate(lengths):
-            modes = np.stack([speeds[-shape[0] :, j], *others], axis=-1).reshape(-1, 3)
+            modes = np.stack([speeds[first:, j], *others], axis=-1).reshape(-1, 3)
             unique, index = np.unique(modes, axis=0, return_inverse=True)
             transition = discretise_modes(system, unique, float(length))
-            parts.append(_Part(transition, index.reshape(shape), signals.duty(duties[-shape[0] :, j])))
+            parts.append(_Part(transition, index.reshape(shape), signals.duty(duties[first:, j])))
         carried = tuple(sorted({0, system.states.index(AIR)}))
         return cls(signals, system.air_capacity_j_k, carried, tuple(parts), room, added, steps)
 

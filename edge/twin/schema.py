@@ -22,6 +22,10 @@ def schema() -> dict[str, Any]:
         "properties": {
             "geometry": _object({item.name: _value(0.0, None, "") for item in fields(Geometry)}),
             "sample_s": {"type": "number", "exclusiveMinimum": 0, "description": "length of a step [s]"},
+            "day0_utc": {
+                "type": ["string", "null"],
+                "description": "where the days of ua_drift begin, ISO 8601",
+            },
             "effects": _object({name: _effect(effect) for name, effect in EFFECTS.items()}),
             "sensor": _object({key: _spread() for key in SENSOR}),
             "nuisance": _object({key: _spread() for key in NUISANCE}),

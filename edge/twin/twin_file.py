@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from edge.twin.model import Noise, Twin
 from edge.twin.value import Value, number, read_value
 
 Place = tuple[str, ...]  # ("effects", "wall_loss", "UA") or ("geometry", "heater_max_w")
-SECTIONS = ("geometry", "sample_s", "effects", "sensor", "nuisance", "provenance")
+SECTIONS = ("geometry", "sample_s", "day0_utc", "effects", "sensor", "nuisance", "provenance")
 SENSOR = ("quantisation_k", "noise_sd_k")
 NUISANCE = ("heater_power_run_sd", "heat_noise_sd_w")
 _SAMPLE_S = 60.0
@@ -27,6 +28,7 @@ _PAPER = {item.name: float(item.default) for item in fields(Geometry)}  # type: 
 class TwinFile:
     """What a twin file says; a key of `geometry` that it leaves out is the paper's.
 
+    day0_utc : where the days of `ua_drift` begin [s since 1970], None where no effect counts them
     sensor, nuisance : null or absent where not known
     provenance : where the values come from, any mapping
     """
@@ -37,6 +39,7 @@ class TwinFile:
     sensor: Mapping[str, float | None] = field(default_factory=dict)
     nuisance: Mapping[str, float | None] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    day0_utc: float | None = None
 
     def twin(self) -> Twin:
         """The twin, with its start for a value that is to be fitted. Errors: DataError naming the key."""
@@ -49,6 +52,7 @@ class TwinFile:
                 usual.sensor_k if (sd := self.sensor.get("noise_sd_k")) is None else sd,
                 usual.heat_w if (sd := self.nuisance.get("heat_noise_sd_w")) is None else sd,
             ),
+            self.day0_utc,
         )
 
     def values(self) -> dict[Place, Value]:
@@ -96,6 +100,7 @@ def write_twin_file(file: TwinFile, path: Path) -> None:
     document = {
         "geometry": {name: value.document() for name, value in file.geometry.items()},
         "sample_s": file.sample_s,
+        **({} if file.day0_utc is None else {"day0_utc": _time_text(file.day0_utc)}),
         "effects": {
             effect: {name: value.document() for name, value in own.items()}
             for effect, own in file.effects.items()
@@ -119,7 +124,23 @@ def _twin_file(document: Any) -> TwinFile:
         sensor=_spreads("sensor", sections.get("sensor"), SENSOR),
         nuisance=_spreads("nuisance", sections.get("nuisance"), NUISANCE),
         provenance=_mapping("provenance", sections.get("provenance")),
+        day0_utc=_time(sections.get("day0_utc")),
     )
+
+
+def _time(document: Any) -> float | None:
+    """Seconds since 1970 of an ISO 8601 time, UTC where it has no zone."""
+    if document is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(document)
+    except (TypeError, ValueError):
+        raise DataError(f"day0_utc: {document!r} is no time like 2026-07-01T12:00:00Z") from None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _time_text(utc: float) -> str:
+    return datetime.fromtimestamp(utc, UTC).isoformat()
 
 
 def _geometry(given: Mapping[str, Any]) -> dict[str, Value]:

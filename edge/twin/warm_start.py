@@ -45,6 +45,7 @@ def at_rest(twin: Twin, temp: float, ambient: float) -> Floats:
     balance = np.column_stack([system.rates[:, 1:], system.drive[:, 0]])
     known = -(system.rates[:, 0] * temp + system.drive[:, 1] * room)
     scale = np.abs(balance).max(axis=1)
+    scale[scale == 0.0] = 1.0  # a node that neither another nor the heater warms
     hidden = np.linalg.lstsq(balance / scale[:, None], known / scale, rcond=None)[0]
     return np.array([temp, *hidden[: size - 1]])
 
