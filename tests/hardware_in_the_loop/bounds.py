@@ -73,7 +73,7 @@ def cases() -> list[Case]:
 
 def table() -> Iterator[str]:
     """A line per case."""
-    yield f"{'fault':36}{'alarm':26}{'after s':>10}{'bound':>7}{'hottest °C':>12}{'bound':>7}"
+    yield f"{'fault':38}{'alarm':26}{'after s':>10}{'bound':>7}{'hottest °C':>12}{'bound':>7}"
     for case in cases():
         with tempfile.TemporaryDirectory() as folder:
             runs = [
@@ -88,7 +88,7 @@ def table() -> Iterator[str]:
             after += "!"  # not in all runs
         hottest_c = max(result.hottest_c(case.fault_s) for result in runs)
         yield (
-            f"{case.name:36}{case.alarm or '-':26}{after:>10}{bound:>7}"
+            f"{case.name:38}{case.alarm or '-':26}{after:>10}{bound:>7}"
             f"{hottest_c:12.1f}{case.temp_max_c:7.1f}"
         )
 
