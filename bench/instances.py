@@ -1,8 +1,6 @@
 """Planning problems for the MPC benchmark: an ARX model of order 3, fitted on runs of the two-node box."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +12,13 @@ from edge.controllers.mpc import planning_problem
 from edge.messages import Command, Estimate
 from edge.models.arx import Arx, FanInput
 from edge.models.fit_arx import Fit, fit_arx
+from edge.run_file import Run
 
 Floats = NDArray[np.float64]
 STEP_S = 60.0
 RUNS, ROWS = 15, 212  # as many runs of as many minutes as the paper has
 SENSOR_NOISE_K = 0.05
 REFERENCES_C = (22.0, 34.0)
-
-
-@dataclass(frozen=True, slots=True)
-class BoxRun:
-    """A recorded run of the box."""
-
-    columns: dict[str, Floats]
-    path: Path | None = None
 
 
 def random_inputs(rng: np.random.Generator, rows: int, change: float) -> Floats:
@@ -67,7 +58,7 @@ def fitted_model(seed: int, fan_input: FanInput = "on") -> Fit:
             "heater_duty": inputs[:, 0],
             "fan_on": inputs[:, 1],
         }
-        runs.append(BoxRun(columns))
+        runs.append(Run(columns))
     return fit_arx(runs[:12], runs[12:], STEP_S, [(3, 3)], fan_input)
 
 
