@@ -1,0 +1,19 @@
+"""The MPC benchmark's problems: the same for every horizon, and solvable."""
+
+import numpy as np
+
+from bench.instances import fitted_model, instances
+from edge.controllers.mixed_integer.solver import solve
+
+
+def test_the_same_instances_come_at_every_horizon():
+    model = fitted_model(1).model
+    short, long = (list(instances(model, 2, horizon, 1.0, seed=1)) for horizon in (3, 6))
+    for one, other in zip(short, long, strict=True):
+        np.testing.assert_allclose(one.free, other.free[:3])
+        assert solve(one, 10_000, 1e9).proven
+
+
+def test_both_ways_of_the_fan_can_be_fitted_to_the_box():
+    assert fitted_model(1, "on").model.fan_input == "on"
+    assert fitted_model(1, "excess").model.fan_input == "excess"
