@@ -187,6 +187,11 @@ def test_an_open_door_cools_for_its_share_of_a_step_alone():
     np.testing.assert_allclose(temps[3:], 21.0 + 10.0 * np.exp(-10.0 * 60.0 / (1.2 * 1005.0 * 0.15)))
 
 
+def test_walls_that_tighten_end_at_no_loss():
+    tight = run({"wall_loss": {"UA": 5.0}, "ua_drift": {"ua_drift": -0.05}}, 0.1, 0.0, utc=50.0 * 86400.0)
+    np.testing.assert_allclose(tight, run({}, 0.1, 0.0))
+
+
 def test_walls_age_by_the_day():
     aged = run({"wall_loss": {"UA": 5.0}, "ua_drift": {"ua_drift": 0.1}}, 0.1, 0.0, utc=3.0 * 86400.0)
     np.testing.assert_allclose(aged, run({"wall_loss": {"UA": 6.5}}, 0.1, 0.0))

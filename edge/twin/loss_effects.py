@@ -67,10 +67,9 @@ def door_opening(network: Network, G_door: float) -> None:
 def ua_drift(network: Network, ua_drift: float) -> None:
     """Walls that change, by seals or growth: UA = UA0 (1 + ua_drift day), days since `day0_utc`.
 
-    UA0 is that of `wall_loss`, or G_out of `wall_mass`.
+    UA0 is that of `wall_loss`, or G_out of `wall_mass`; it ends at 0.
     """
-    network.ageing_per_day = ua_drift
-    network.signals.ages = True
+    network.signals.ageing_per_day = ua_drift
 
 
 LOSS_EFFECTS: Mapping[str, Effect] = {

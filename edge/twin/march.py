@@ -3,7 +3,7 @@
 A step is cut where a late command arrives, and each part is exact for inputs constant over it. Where the fan
 spins up a part has the fan's mean speed (Magnus expansion, first term), and heat that depends on the air's
 temperature is taken at the middle of a part (exponential midpoint rule, Hochbruck & Ostermann 2010, Acta
-Numerica 19): both of second order in parts of at most `PART_S`.
+Numerica 19): both of second order in parts of at most `PART_S` or `BENT_PART_S`.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,9 @@ from edge.twin.signals import Conditions, Signals
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
-PART_S = 5.0
+PART_S = 5.0  # of a fan that spins up
+BENT_PART_S = 15.0  # of bent heat alone
+SPEED_DIGITS = 5  # of a mean speed: so that a fan that has nearly arrived needs no matrix of its own
 
 
 class Commands(NamedTuple):
@@ -29,26 +31,33 @@ class Commands(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """One part of every step, over N steps and B rollouts."""
+    """A part of every step, over N steps and B rollouts: x+ = matrix x + driven + gain r."""
 
-    transition: Transition
-    which: Indices  # [N, B]
-    duty: Floats  # [N, B]
+    matrix: Floats  # [N, B, n, n]
+    driven: Floats  # [N, B, n]
+    gain: Floats  # [N, B, n], of further heat [K/s] into the air
+
+    def then(self, later: "_Part") -> "_Part":
+        """Both parts as one."""
+        return _Part(
+            later.matrix @ self.matrix,
+            _times(later.matrix, self.driven) + later.driven,
+            _times(later.matrix, self.gain) + later.gain,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class March:
     """N steps of B rollouts.
 
-    room, source : [N, B]; columns : [N, B] each
+    room : [N, B] as measured [°C]; columns : [N, B] each
     """
 
     signals: Signals
     air_capacity_j_k: float
-    carried: tuple[int, ...]  # states that an offset moves
+    carried: tuple[int, ...]  # states that an offset moves, the air last
     parts: tuple[_Part, ...]
     room: Floats
-    source: Floats
     columns: Conditions
 
     @classmethod
@@ -65,51 +74,46 @@ class March:
     ) -> "March":
         """All matrices at once; the arguments as in `edge.twin.model.Twin.march`."""
         shape = (commands.fan.shape[1], commands.fan.shape[0])
-        room, added = _in_time(ambient, shape), _in_time(source, shape)
+        room = _in_time(ambient, shape)
         steps = {name: _in_time(column, shape) for name, column in columns.items()}
         past = before if before and before.duty.shape[-1] else Commands(np.zeros(1), np.zeros(1))
-        duty = _with_past(past.duty, commands.duty)
-        fan = _with_past(past.fan, commands.fan)
+        duty, fan = _with_past(past.duty, commands.duty), _with_past(past.fan, commands.fan)
         lengths = _cuts(signals, step_s)
-        begins = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
-        middles = begins + lengths / 2.0
-        speeds = _spun_up(_late(fan, signals.fan_dead_s, middles, step_s), lengths, signals.fan_lag_s)
-        duties = _late(duty, signals.heater_dead_s, middles, step_s)
+        middles = np.cumsum(lengths) - lengths / 2.0
+        first = len(fan) - len(room)
+        speeds = _spun_up(_late(fan, signals.fan_dead_s, middles, step_s), lengths, signals.fan_lag_s)[first:]
+        duties = signals.duty(_late(duty, signals.heater_dead_s, middles, step_s)[first:])
+        heat_w = signals.heat_w(np.zeros(shape), room, steps, by_temp=False)
+        added = _in_time(source, shape) + heat_w / system.air_capacity_j_k
         others = [steps.get(name, np.zeros(shape)) for name in ("door_open", "day")]
-        parts, first = [], len(fan) - shape[0]
+        parts: list[_Part] = []
         for j, length in enumerate(lengths):
-            modes = np.stack([speeds[first:, j], *others], axis=-1).reshape(-1, 3)
-            unique, index = np.unique(modes, axis=0, return_inverse=True)
-            transition = discretise_modes(system, unique, float(length))
-            parts.append(_Part(transition, index.reshape(shape), signals.duty(duties[first:, j])))
+            transition, which = _transitions(system, [speeds[:, j], *others], float(length))
+            inputs = np.stack([duties[:, j], signals.room(room), added], axis=-1)
+            gains = transition.drive[which]
+            part = _Part(transition.state[which], _times(gains, inputs), gains[..., 2])
+            parts = [*parts, part] if signals.bends or not parts else [parts[0].then(part)]
         carried = tuple(sorted({0, system.states.index(AIR)}))
-        return cls(signals, system.air_capacity_j_k, carried, tuple(parts), room, added, steps)
+        return cls(signals, system.air_capacity_j_k, carried, tuple(parts), room, steps)
 
     def step(self, k: int, states: Floats) -> Floats:
         """The states [B, n] after step k."""
-        signals, room = self.signals, self.room[k]
-        columns = {name: column[k] for name, column in self.columns.items()}
-        shown = signals.room(room)
-        fixed = self.source[k] + self._rate(states[:, 0], room, columns, by_temp=False)
-        air = self.carried[-1]
+        air, columns = self.carried[-1], {name: column[k] for name, column in self.columns.items()}
         for part in self.parts:
-            matrix, gains = part.transition.state[part.which[k]], part.transition.drive[part.which[k]]
-            moved = np.einsum("bij,bj->bi", matrix, states)
-            moved += gains[:, :, 0] * part.duty[k][:, None] + gains[:, :, 1] * shown[:, None]
-            moved += gains[:, :, 2] * fixed[:, None]
-            if signals.bends:
-                first = self._rate(states[:, air], room, columns, by_temp=True)
-                guess = moved[:, air] + gains[:, air, 2] * first
+            gain = part.gain[k]
+            moved = _times(part.matrix[k], states) + part.driven[k]
+            if self.signals.bends:
+                guess = moved[:, air] + gain[:, air] * self._bent(states[:, air], k, columns)
                 middle = 0.5 * (states[:, air] + guess)
-                moved += gains[:, :, 2] * self._rate(middle, room, columns, by_temp=True)[:, None]
+                moved += gain * self._bent(middle, k, columns)[:, None]
             states = moved
         return states
 
     def matrix(self, k: int) -> Floats:
         """What step k makes of a small difference in the states, [B, n, n]; bent heat left out."""
-        whole: Floats = self.parts[0].transition.state[self.parts[0].which[k]]
+        whole: Floats = self.parts[0].matrix[k]
         for part in self.parts[1:]:
-            whole = part.transition.state[part.which[k]] @ whole
+            whole = part.matrix[k] @ whole
         return whole
 
     def rollout(self, states: Floats, offset: Floats | None) -> Floats:
@@ -122,9 +126,26 @@ class March:
             shown[k] = states[:, 0]
         return shown.T
 
-    def _rate(self, temp: Floats, room: Floats, columns: Conditions, by_temp: bool) -> Floats:
-        """Heat from elsewhere as a source [K/s], [B]."""
-        return self.signals.heat_w(temp, room, columns, by_temp) / self.air_capacity_j_k
+    def _bent(self, temp: Floats, k: int, columns: Conditions) -> Floats:
+        """Heat that depends on the air's temperature, as a source [K/s], [B]."""
+        return self.signals.heat_w(temp, self.room[k], columns, by_temp=True) / self.air_capacity_j_k
+
+
+def _transitions(system: LinearSystem, modes: list[Floats], length_s: float) -> tuple[Transition, Indices]:
+    """Matrices of the modes that occur, [N, B] each, and which of them belongs to each place [N, B]."""
+    code = np.zeros(modes[0].size, dtype=np.intp)
+    for mode in modes:
+        values, index = np.unique(mode, return_inverse=True)
+        code = code * len(values) + index.ravel()
+    _, places, which = np.unique(code, return_index=True, return_inverse=True)
+    distinct = np.stack([mode.ravel()[places] for mode in modes], axis=-1)
+    return discretise_modes(system, distinct, length_s), which.reshape(modes[0].shape)
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """Each matrix times its vector, [..., n, m] and [..., m]."""
+    product: Floats = (matrices @ vectors[..., None])[..., 0]
+    return product
 
 
 def _cuts(signals: Signals, step_s: float) -> Floats:
@@ -132,8 +153,8 @@ def _cuts(signals: Signals, step_s: float) -> Floats:
     arrivals = {signals.heater_dead_s % step_s, signals.fan_dead_s % step_s}
     edges = np.array(sorted({0.0, *arrivals, step_s}))
     whole = np.diff(edges)
-    fine = signals.bends or signals.fan_lag_s > 0.0
-    counts = np.ceil(whole / PART_S).astype(int) if fine else np.ones(len(whole), dtype=int)
+    longest = PART_S if signals.fan_lag_s > 0.0 else BENT_PART_S if signals.bends else step_s
+    counts = np.ceil(whole / longest).astype(int)
     return np.repeat(whole / counts, counts)
 
 
@@ -163,7 +184,7 @@ def _spun_up(wanted: Floats, lengths: Floats, lag_s: float) -> Floats:
             off = now - wanted[k, j]
             speeds[k, j] = wanted[k, j] + off * mean[j]
             now = wanted[k, j] + off * left[j]
-    return speeds
+    return np.round(speeds, SPEED_DIGITS)
 
 
 def _in_time(values: ArrayLike, shape: tuple[int, int]) -> Floats:

@@ -185,10 +185,10 @@ class Twin:
         Errors : DataError naming a column that is missing, or `day0_utc`
         """
         columns = dict(columns_of(self.needs, conditions))
-        if self.signals.ages:
+        if self.signals.ageing_per_day != 0.0:
             if self.day0_utc is None:
                 raise DataError("day0_utc: missing, the twin's ua_drift counts days from it")
-            columns["day"] = (columns["utc"] - self.day0_utc) / DAY_S
+            columns["day"] = self.signals.days((columns["utc"] - self.day0_utc) / DAY_S)
         return March.of(self.system, self.signals, self.step_s, commands, ambient, source, columns, before)
 
 

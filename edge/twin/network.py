@@ -61,7 +61,6 @@ class Network:
     radiant_share: float = 0.0  # of the heater, that passes the air by
     mixing_m3_s: float = 0.0  # between two halves of the air; 0: one zone
     sensor_lag_s: float = 0.0  # 0: the sensor shows the air
-    ageing_per_day: float = 0.0  # of the walls' conductance
     signals: Signals = field(default_factory=Signals)
     nodes: dict[str, float] = field(default_factory=dict)  # beside the air: heat capacity [J/K]
     paths: list[Path] = field(default_factory=list)
@@ -117,7 +116,9 @@ class Network:
         matrices = np.zeros((len(MODES), len(capacities), len(capacities) + 1))
         column = {name: i for i, name in enumerate(capacities)} | {ROOM: len(capacities)}
         for one, other, off_w_k, fan_w_k, door_w_k, wall in paths:
-            by_mode = np.array([off_w_k, fan_w_k, door_w_k, self.ageing_per_day * off_w_k if wall else 0.0])
+            by_mode = np.array(
+                [off_w_k, fan_w_k, door_w_k, self.signals.ageing_per_day * off_w_k if wall else 0.0]
+            )
             for near, far in ((one, other), (other, one)):
                 if near != ROOM:
                     matrices[:, column[near], column[near]] -= by_mode / capacities[near]

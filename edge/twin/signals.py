@@ -47,7 +47,7 @@ class Signals:
     sensor_bias_k: float = 0.0  # shown minus true
     heats: list[Heat] = field(default_factory=list)
     door: bool = False
-    ages: bool = False
+    ageing_per_day: float = 0.0  # of the walls' conductance
 
     @property
     def plain(self) -> bool:
@@ -58,7 +58,7 @@ class Signals:
     def steady(self) -> bool:
         """Whether one matrix per fan speed makes a step."""
         times = self.heater_dead_s + self.fan_dead_s + self.fan_lag_s
-        return times == 0.0 and not self.bends and not self.door and not self.ages
+        return times == 0.0 and not self.bends and not self.door and self.ageing_per_day == 0.0
 
     @property
     def bends(self) -> bool:
@@ -69,6 +69,10 @@ class Signals:
         """Share of the heater's power, of the shape given."""
         limited = np.minimum(commanded, self.duty_limit)
         return limited * (1.0 - self.duty_sag * limited)
+
+    def days(self, since_first: Floats) -> Floats:
+        """Days that count: walls age until nothing is left of their conductance, and no further."""
+        return np.maximum(self.ageing_per_day * since_first, -1.0) / self.ageing_per_day
 
     def room(self, measured: Floats) -> Floats:
         """The room as the air's sensor would show it [°C]."""
