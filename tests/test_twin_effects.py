@@ -159,6 +159,29 @@ def test_other_heat_is_a_duty():
     np.testing.assert_allclose(run({"led_gain": {"P_led": 20.0}}, 0.3, 1.0, light=0.5), run({}, 0.4, 1.0))
 
 
+def test_a_fans_motor_heats_while_it_runs():
+    np.testing.assert_allclose(run({"fan_heat": {"P_fan": 10.0}}, 0.3, 1.0), run({}, 0.4, 1.0))
+    np.testing.assert_allclose(run({"fan_heat": {"P_fan": 10.0}}, 0.01, 0.0), run({}, 0.01, 0.0))
+
+
+def test_the_ground_draws_the_box_to_its_own_temperature():
+    ground = {"ground_loss": {"G_g": 5.0, "T_g": 14.0}, "wall_loss": {"UA": 5.0}}
+    assert run(ground, 0.0, 0.0, steps=100)[-1] == pytest.approx(0.5 * (14.0 + 21.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["stack_ventilation", "natural_convection"])
+def test_a_loss_that_grows_with_the_difference_is_a_walls_at_10_k(name):
+    # at 10 K the same conductance; above it the warm box settles lower, below it higher
+    values = {"stack_ventilation": {"F_st": 4.0 / 1206.0}, "natural_convection": {"G_nc": 4.0}}[name]
+    bent, wall = ({name: values}, {"wall_loss": {"UA": 4.0}})
+    ends = {
+        duty: [run(effects, duty, 0.0, steps=60)[-1] for effects in (bent, wall)] for duty in (0.2, 0.4, 0.6)
+    }
+    assert ends[0.4][0] == pytest.approx(31.0, abs=1e-3) == ends[0.4][1]
+    assert ends[0.2][0] > ends[0.2][1] + 0.3
+    assert ends[0.6][0] < ends[0.6][1] - 0.3
+
+
 def test_dry_and_bright_air_is_cooled_and_saturated_air_is_not():
     effects = {"evapotranspiration": {"k_e": 20.0}}
     ends = [

@@ -14,6 +14,7 @@ NOTHING = {
     "tau_h": 0.0, "d_h": 0.0, "eta": 1.0, "f_rad": 0.0, "u_sat": 1.0, "sag": 0.0, "epsA": 0.0,
     "eps_f": 1.0, "s_sc": 0.0, "d_f": 0.0, "tau_f": 0.0, "F_mix": 0.0, "tau_s": 0.0, "bias": 0.0,
     "b_amb": 0.0, "P0": 0.0, "P_led": 0.0, "k_e": 0.0, "G_door": 0.0, "ua_drift": 0.0,
+    "P_fan": 0.0, "G_g": 0.0, "T_g": 0.0, "F_st": 0.0, "G_nc": 0.0,
 }  # fmt: skip
 STATES = ("air", "upper", "wall", "soil", "heater", "fan", "sensor")
 
@@ -39,10 +40,18 @@ def slopes(state, duty, fan, now, p):
     def loss(temp):
         leak = 1.2 * 1005.0 * p["F_inf"] * (1.0 - flow)
         radiated = p["epsA"] * 5.670374419e-8 * ((temp + 273.15) ** 4 - (room + 273.15) ** 4)
+        excess = abs(temp - room) / 10.0
+        rising = 1.2 * 1005.0 * p["F_st"] * excess**0.5 + p["G_nc"] * excess ** (1.0 / 3.0)
+        radiated += rising * (temp - room) + p["G_g"] * (temp - p["T_g"])
         return radiated + (ageing * p["UA"] + leak + p["G_door"] * now["door"]) * (temp - room)
 
     deficit = 0.6108 * np.exp(17.27 * air / (air + 237.3)) * (1.0 - now["rel_humidity"] / 100.0)
-    other = p["P0"] + p["P_led"] * now["light"] - p["k_e"] * (0.4 + 0.6 * now["light"]) * deficit
+    other = (
+        p["P_fan"] * flow
+        + p["P0"]
+        + p["P_led"] * now["light"]
+        - p["k_e"] * (0.4 + 0.6 * now["light"]) * deficit
+    )
     exhaust = p["eps_f"] * (1.0 - p["s_sc"]) * flow * EXHAUST_W_K * (air - room)
     heated = (1.0 - p["f_rad"]) * power
     capacity = p["kC"] * AIR_J_K

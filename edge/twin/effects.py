@@ -10,6 +10,7 @@ from edge.config_schema import nearest
 from edge.errors import DataError
 from edge.twin.air_effects import AIR_EFFECTS
 from edge.twin.effect import Effect
+from edge.twin.further_effects import FURTHER_EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.heater_effects import HEATER_EFFECTS
 from edge.twin.loss_effects import LOSS_EFFECTS
@@ -17,7 +18,8 @@ from edge.twin.network import Network
 from edge.twin.signal_effects import SIGNAL_EFFECTS
 
 Effects = Mapping[str, Mapping[str, float]]
-EFFECTS: Mapping[str, Effect] = {**LOSS_EFFECTS, **HEATER_EFFECTS, **AIR_EFFECTS, **SIGNAL_EFFECTS}
+USUAL_EFFECTS: Mapping[str, Effect] = {**LOSS_EFFECTS, **HEATER_EFFECTS, **AIR_EFFECTS, **SIGNAL_EFFECTS}
+EFFECTS: Mapping[str, Effect] = {**USUAL_EFFECTS, **FURTHER_EFFECTS}
 
 
 def build(geometry: Geometry, effects: Effects) -> Network:

@@ -83,13 +83,15 @@ class March:
         first = len(fan) - len(room)
         speeds = _spun_up(_late(fan, signals.fan_dead_s, middles, step_s), lengths, signals.fan_lag_s)[first:]
         duties = signals.duty(_late(duty, signals.heater_dead_s, middles, step_s)[first:])
-        heat_w = signals.heat_w(np.zeros(shape), room, steps, by_temp=False)
-        added = _in_time(source, shape) + heat_w / system.air_capacity_j_k
+        added = _in_time(source, shape)
         others = [steps.get(name, np.zeros(shape)) for name in ("door_open", "day")]
         parts: list[_Part] = []
         for j, length in enumerate(lengths):
             transition, which = _transitions(system, [speeds[:, j], *others], float(length))
-            inputs = np.stack([duties[:, j], signals.room(room), added], axis=-1)
+            seen = {**steps, "fan_on": speeds[:, j]}
+            heat_w = signals.heat_w(np.zeros(shape), room, seen, by_temp=False)
+            heated = added + heat_w / system.air_capacity_j_k
+            inputs = np.stack([duties[:, j], signals.room(room), heated], axis=-1)
             gains = transition.drive[which]
             part = _Part(transition.state[which], _times(gains, inputs), gains[..., 2])
             parts = [*parts, part] if signals.bends or not parts else [parts[0].then(part)]

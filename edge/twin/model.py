@@ -159,7 +159,8 @@ class Twin:
         if not self.signals.plain:
             columns = columns_of(self.needs, conditions)
             measured = np.asarray(ambient, dtype=np.float64)
-            heat_w = self.signals.heat_w(np.zeros(()), measured, columns, by_temp=False)
+            seen = {**columns, "fan_on": fan}
+            heat_w = self.signals.heat_w(np.zeros(()), measured, seen, by_temp=False)
             source = np.asarray(source) + heat_w / self.system.air_capacity_j_k
             duty, ambient = self.signals.duty(duty), self.signals.room(measured)
         in_time = np.ascontiguousarray(fan.T)

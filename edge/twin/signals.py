@@ -18,7 +18,7 @@ class Now(NamedTuple):
 
     temp: Floats  # air [°C]
     ambient: Floats  # room [°C]
-    column: Conditions
+    column: Conditions  # and fan_on, for heat that does not depend on the temperature
 
 
 HeatNow = Callable[[Now], Floats]
