@@ -17,6 +17,8 @@ from edge.controllers.rollout_search import Meter, RolloutSearch
 from edge.errors import DataError
 from edge.messages import Command
 from edge.models.arx import Arx
+from edge.models.pbm import Pbm
+from edge.twin.model import Twin
 
 FOREVER_S = 1e9
 ARX = Arx(  # near the packaged one's behaviour, with the fan as a linear model has it
@@ -208,6 +210,19 @@ def test_the_duty_over_the_tail_holds_the_reference():
     held = plan_rollouts(here, LazyBox(), problem, 0.3).held
     steady = np.arctanh(0.04 * 7.0**1.2 / 1.1) / 1.5  # loss at 7 K over the room = heat, see LazyBox
     assert held == pytest.approx(steady, abs=0.03)
+
+
+def test_a_model_that_needs_light_and_time_gets_them():
+    here = context(28.0, 28.0, rows=40)
+    columns = {"light": np.full(40, 0.5), "utc": 1.7e9 + 60.0 * np.arange(40)}
+    columns["light"][-1] = np.nan  # a reading that is late: as last known
+    here = replace(here, history={**here.history, **columns})
+    effects = {"wall_loss": {"UA": 5.0}, "led_gain": {"P_led": 20.0}, "ua_drift": {"ua_drift": 0.1}}
+    model = Pbm(Twin(effects=effects, day0_utc=1.7e9 - 86400.0))
+    rollouts = plan_rollouts(here, model, planning_problem(here, ARX, 0.0, 4, False, 10), 0.3)
+    np.testing.assert_allclose(rollouts.ahead["utc"], 1.7e9 + 60.0 * np.arange(39, 53))
+    # 5 W/K, a tenth more after a day, times 7 K, less half of the light's 20 W
+    assert rollouts.held == pytest.approx((5.5 * 7.0 - 10.0) / 100.0, abs=0.03)
 
 
 def test_a_fired_time_box_still_gives_an_allowed_plan_and_is_replayed():

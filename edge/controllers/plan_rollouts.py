@@ -10,6 +10,7 @@ from edge.controllers.mpc import LIMIT_WEIGHT, padded
 from edge.errors import DataError
 from edge.models.base import Predictor
 from edge.names import HEATER_LEVELS
+from edge.twin.warm_start import held as last_known
 
 _DUTIES = np.linspace(0.0, 1.0, 6)  # between which the duty that holds a temperature is interpolated
 _STOOD_ROWS = 30  # for a model that looks back: how long the box has stood at that temperature
@@ -48,11 +49,7 @@ def plan_rollouts(context: Context, model: Predictor, linear: Problem, held: flo
     linear : the linear planner's problem for it, of which reference, weights and limits are taken
     held : a first guess of the duty that holds the reference
     """
-    estimate, steps = context.estimate, len(linear.reference)
-    ahead = {
-        "temp_ambient": np.full(steps, estimate.temp_ambient),
-        "offset": np.full(steps, estimate.offset),
-    }
+    ahead = _ahead(context, len(linear.reference))
     if linear.tail:
         held = _holding_duty(context, model, float(linear.reference[-1]), held, linear.tail)
     return PlanRollouts(
@@ -79,6 +76,21 @@ def forecast(model: Predictor, history: Columns, controls: Floats, ahead: Column
     return np.asarray(temps, dtype=np.float64)
 
 
+def _ahead(context: Context, steps: int) -> Columns:
+    """The coming steps' columns: what is measured stays as last known, time goes on."""
+    ahead = {
+        name: np.full(steps, last_known(column)[-1])
+        for name, column in context.history.items()
+        if name not in ("temp_air", "temp_air_measured", "heater_duty", "fan_on")
+    }
+    for name in ahead.keys() & {"time_s", "utc"}:
+        ahead[name] = ahead[name] + context.step_s * np.arange(steps)
+    return ahead | {
+        "temp_ambient": np.full(steps, context.estimate.temp_ambient),
+        "offset": np.full(steps, context.estimate.offset),
+    }
+
+
 def _holding_duty(context: Context, model: Predictor, temp_air: float, guess: float, steps: int) -> float:
     """Heater duty 0..1 that holds `temp_air` [°C] over so many steps, fan off, by the predictor's own word.
 
@@ -92,10 +104,7 @@ def _holding_duty(context: Context, model: Predictor, temp_air: float, guess: fl
         "heater_duty": np.full(rows, guess),
         "fan_on": np.zeros(rows),
     }
-    ahead = {
-        "temp_ambient": np.full(steps, context.estimate.temp_ambient),
-        "offset": np.full(steps, context.estimate.offset),
-    }
+    ahead = _ahead(context, steps)
     controls = np.zeros((len(_DUTIES), steps, 2))
     controls[:, :, 0] = _DUTIES[:, None]
     off = forecast(model, stood, controls, ahead).mean(axis=1) - temp_air
