@@ -7,6 +7,7 @@ from edge.run_file import Run
 from edge.twin.fit import fit_twin
 from edge.twin.march import Commands
 from edge.twin.model import Twin
+from edge.twin.reference import rk45_rollout
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import Past, at_rest, state_now
@@ -198,6 +199,11 @@ def test_the_filter_finds_soil_behind_a_slow_sensor():
     named = (past[name] for name in ("temp_air", "temp_ambient", "heater_duty", "fan_on"))
     assert twin.states == ("sensor", "air", "soil", "heater")
     np.testing.assert_allclose(state_now(twin, Past(*named)), true[-1], atol=0.2)
+
+
+def test_the_plain_reference_refuses_a_twin_of_late_inputs():
+    with pytest.raises(DataError, match=r"^twin: has effects on its inputs"):
+        rk45_rollout(Twin(effects=TWINS["late"]), np.array([22.0]), *np.zeros((3, 2)))
 
 
 def test_a_graph_of_plain_inputs_refuses_a_twin_of_late_ones():

@@ -1,7 +1,7 @@
 """The library of named effects: what the base balance leaves out. One function and one table row each.
 
 A function is given the network and its parameters and adds the effect; its row stands below it in the same
-file. `Effect.without` says what the residual, measured minus predicted, looks like where it is missing.
+file. To add one, write both, and an example in tests/test_twin_equations.py.
 """
 
 from collections.abc import Iterable, Mapping

@@ -49,7 +49,8 @@ def longwave_radiation(network: Network, epsA: float) -> None:
     network.connect(AIR, ROOM, tangent_w_k)
 
     def beyond_tangent(now: Now) -> Floats:
-        fourth = (now.temp + KELVIN) ** 4 - (now.ambient + KELVIN) ** 4
+        box, room = (now.temp + KELVIN) ** 2, (now.ambient + KELVIN) ** 2
+        fourth = (box - room) * (box + room)  # T^4 - T_amb^4, several times faster than powers
         return tangent_w_k * (now.temp - now.ambient) - epsA * STEFAN_BOLTZMANN * fourth
 
     network.heat(beyond_tangent, by_temp=True)

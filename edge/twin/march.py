@@ -4,6 +4,10 @@ A step is cut where a late command arrives, and each part is exact for inputs co
 spins up a part has the fan's mean speed (Magnus expansion, first term), and heat that depends on the air's
 temperature is taken at the middle of a part (exponential midpoint rule, Hochbruck & Ostermann 2010, Acta
 Numerica 19): both of second order in parts of at most `PART_S` or `BENT_PART_S`.
+
+Error at steps of 60 s, against SciPy at 1e-9 (tests/test_twin_equations.py): rounding alone in linear
+effects; below 0.01 K with one that is not, beside a lossy wall, and 0.02 K with two; 0.03 K where two zones
+of air meet bent heat, whose bend is taken at the sensor's; 0.04 K for a fan that spins up in a lossless box.
 """
 
 from dataclasses import dataclass
@@ -19,7 +23,7 @@ from edge.twin.signals import Conditions, Signals
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 PART_S = 5.0  # of a fan that spins up
-BENT_PART_S = 15.0  # of bent heat alone
+BENT_PART_S = 7.5  # of bent heat alone
 SPEED_DIGITS = 5  # of a mean speed: so that a fan that has nearly arrived needs no matrix of its own
 
 
@@ -107,7 +111,7 @@ class March:
             if self.signals.bends:
                 guess = moved[:, air] + gain[:, air] * self._bent(states[:, air], k, columns)
                 middle = 0.5 * (states[:, air] + guess)
-                moved += gain * self._bent(middle, k, columns)[:, None]
+                moved += gain * np.asarray(self._bent(middle, k, columns))[:, None]
             states = moved
         return states
 
@@ -128,7 +132,7 @@ class March:
             shown[k] = states[:, 0]
         return shown.T
 
-    def _bent(self, temp: Floats, k: int, columns: Conditions) -> Floats:
+    def _bent(self, temp: Floats, k: int, columns: Conditions) -> Floats | float:
         """Heat that depends on the air's temperature, as a source [K/s], [B]."""
         return self.signals.heat_w(temp, self.room[k], columns, by_temp=True) / self.air_capacity_j_k
 

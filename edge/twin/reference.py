@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.errors import DataError
 from edge.twin.model import Twin
 
 Floats = NDArray[np.float64]
@@ -23,7 +24,10 @@ def rk45_rollout(
 
     start : [n]; duty, fan, ambient : [N]
     Returns : [N, n]
+    Errors : DataError for a twin whose inputs do not act as they are
     """
+    if not twin.signals.plain:
+        raise DataError("twin: has effects on its inputs, which these equations do not hold")
     from scipy.integrate import solve_ivp
 
     system = twin.system

@@ -78,14 +78,12 @@ class Signals:
         """The room as the air's sensor would show it [°C]."""
         return measured + (self.sensor_bias_k - self.ambient_error_k)
 
-    def heat_w(self, shown: Floats, measured_room: Floats, columns: Conditions, by_temp: bool) -> Floats:
+    def heat_w(
+        self, shown: Floats, measured_room: Floats, columns: Conditions, by_temp: bool
+    ) -> Floats | float:
         """Heat into the air [W]; of the heats that depend on its temperature, or of those that do not."""
         now = Now(shown - self.sensor_bias_k, measured_room - self.ambient_error_k, columns)
-        total = np.zeros(np.broadcast_shapes(np.shape(shown), np.shape(measured_room)))
-        for heat in self.heats:
-            if heat.by_temp is by_temp:
-                total = total + heat.watts(now)
-        return total
+        return sum((heat.watts(now) for heat in self.heats if heat.by_temp is by_temp), start=0.0)
 
 
 def columns_of(needs: Mapping[str, str], given: Conditions | None) -> Conditions:
