@@ -1,0 +1,106 @@
+"""What a case is: runs and a twin file that the workflow is given, and the truth that it is not.
+
+Files, under the root of all suites:
+
+    <suite>/<split>/cases/<id>/train_01.csv ... test_01.csv ... twin.yaml
+    <suite>/<split>/truth/<id>.json, <id>_test_01.csv ..., <id>_true_twin.yaml (of the suite `equations`)
+
+A test run's temperatures are given in its first GIVEN_ROWS rows. In the truth they stand whole, with the
+column `temp_clean_c`: what a sensor without noise and steps would show, disturbances included.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from edge.run_file import Run
+from edge.twin.twin_file import TwinFile
+
+GENERATOR_VERSION = 1  # cases of another version are made anew
+GIVEN_ROWS = 2
+STEP_S = 60.0
+SUITES = ("equations", "chamber")
+FIRST_SEEDS = {"dev": 1, "scored": 100_001}  # so that no case of one split is in the other
+KINDS = {"null": 100, "single": 100, "pair": 50, "outside": 40, "weak": 25, "hard": 25, "bare": 25}
+DEPENDENCES = ("heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "rel_humidity", "time", "none")
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """An effect that the twin file does not have, and what the noise-free temperature does without it.
+
+    parameters : by name, in the library's units; empty where the truth is not the library's equation
+    size_k : root mean square over all runs
+    """
+
+    name: str
+    parameters: Mapping[str, float]
+    size_k: float
+
+
+@dataclass(frozen=True, slots=True)
+class TestTruth:
+    """What a test run does. Lists of one number per row.
+
+    measured_c : as the sensor shows it, with noise and steps; None where a reading is missing
+    clean_c : without noise and steps, but with the heat noise and the mains of that run
+    undisturbed_c : without those as well: what the true equations make of the true inputs
+    start : true states at the first row, by name [°C, the heater in W]
+    """
+
+    measured_c: list[float | None]
+    clean_c: list[float]
+    undisturbed_c: list[float]
+    start: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The answer to a case.
+
+    hidden : most important first; empty for kinds null and outside
+    outside : the effect that no library knows, None where there is none
+    depends_on : words of DEPENDENCES that describe the outside effect, strongest first
+    known : effects that twin.yaml declares
+    effects : all true parameters in the library's terms, hidden ones included, as far as they exist
+    noise : sensor noise sd [K], step [K], sd of heat [W] and others, by name
+    """
+
+    id: str
+    suite: str
+    split: str
+    kind: str
+    seed: int
+    hidden: tuple[Hidden, ...]
+    outside: Hidden | None
+    depends_on: tuple[str, ...]
+    known: tuple[str, ...]
+    effects: Mapping[str, Mapping[str, float]]
+    noise: Mapping[str, float]
+    tests: Mapping[str, TestTruth]
+    generator_version: int = GENERATOR_VERSION
+
+    def document(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """All of a case. train, test : runs by file name, test runs whole; true_twin : None where none is true."""
+
+    truth: Truth
+    twin: TwinFile
+    train: Mapping[str, Run]
+    test: Mapping[str, Run]
+    true_twin: TwinFile | None
+
+
+def case_id(kind: str, seed: int) -> str:
+    """Name of a case within its suite and split."""
+    return f"{kind}_{seed:06}"
+
+
+def random_key(suite: str, kind: str, seed: int) -> list[int]:
+    """What the case's random numbers begin with: splits differ in the seed."""
+    return [SUITES.index(suite), list(KINDS).index(kind), seed]
