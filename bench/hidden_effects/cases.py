@@ -20,7 +20,8 @@ GENERATOR_VERSION = 1  # cases of another version are made anew
 GIVEN_ROWS = 2
 STEP_S = 60.0
 SUITES = ("equations", "chamber")
-FIRST_SEEDS = {"dev": 1, "scored": 100_001}  # so that no case of one split is in the other
+FIRST_SEEDS = {"dev": 0, "scored": 100_000}  # so that no case of one split is in the other
+SEEDS_PER_KIND = 1000
 KINDS = {"null": 100, "single": 100, "pair": 50, "outside": 40, "weak": 25, "hard": 25, "bare": 25}
 DEPENDENCES = ("heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "rel_humidity", "time", "none")
 
@@ -39,7 +40,7 @@ class Hidden:
 
 
 @dataclass(frozen=True, slots=True)
-class TestTruth:
+class RunTruth:
     """What a test run does. Lists of one number per row.
 
     measured_c : as the sensor shows it, with noise and steps; None where a reading is missing
@@ -77,7 +78,7 @@ class Truth:
     known: tuple[str, ...]
     effects: Mapping[str, Mapping[str, float]]
     noise: Mapping[str, float]
-    tests: Mapping[str, TestTruth]
+    tests: Mapping[str, RunTruth]
     generator_version: int = GENERATOR_VERSION
 
     def document(self) -> dict[str, Any]:
@@ -87,7 +88,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """All of a case. train, test : runs by file name, test runs whole; true_twin : None where none is true."""
+    """All of a case. train, test : whole runs by file name; true_twin : None where none is true."""
 
     truth: Truth
     twin: TwinFile
@@ -96,11 +97,13 @@ class Case:
     true_twin: TwinFile | None
 
 
-def case_id(kind: str, seed: int) -> str:
-    """Name of a case within its suite and split."""
-    return f"{kind}_{seed:06}"
+def seed_of(split: str, kind: str, number: int) -> int:
+    """Seed of a split's case, `number` from 0 within its kind. Errors: ValueError for a number above."""
+    if not 0 <= number < SEEDS_PER_KIND:
+        raise ValueError(f"{kind}: case {number} is not in 0..{SEEDS_PER_KIND - 1}")
+    return FIRST_SEEDS[split] + SEEDS_PER_KIND * list(KINDS).index(kind) + number
 
 
-def random_key(suite: str, kind: str, seed: int) -> list[int]:
-    """What the case's random numbers begin with: splits differ in the seed."""
-    return [SUITES.index(suite), list(KINDS).index(kind), seed]
+def case_id(seed: int) -> str:
+    """Name of a case within its suite and split; it does not tell the kind."""
+    return f"case_{seed:06}"
