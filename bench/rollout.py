@@ -26,7 +26,7 @@ from edge.models.base import Columns, Floats, Predictor
 from edge.models.contract import keys
 from edge.models.pbm import Pbm
 from edge.models.validity import box_of
-from edge.run_file import Run
+from edge.run_file import Run, inside_names
 from edge.twin.effects import EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.model import Twin
@@ -38,7 +38,6 @@ from training.lstm import WINDOW, LstmNet
 from training.onnx_step import Network, single_step
 from training.pbm import FITTED
 from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
-from training.rollout import inside_names
 from training.twin_step import TwinStep
 
 BATCHES = (1, 42, 2000)

@@ -47,7 +47,9 @@ def read_table(path: Path) -> NumberTable:
     time_s = table.columns["time_s"]
     table.refuse("time_s", np.isnan(time_s), "is no time")
     table.refuse("time_s", (np.arange(len(time_s)) == 0) & (time_s != 0.0), "must be 0 in the first row")
-    table.refuse("time_s", np.diff(time_s, prepend=-1.0) <= 0.0, "does not come after the row before")
+    later = np.diff(time_s, prepend=-1.0)
+    table.refuse("time_s", later < 0.0, "does not come after the row before: time goes backwards")
+    table.refuse("time_s", later == 0.0, "does not come after the row before: one time stands there twice")
     return table
 
 

@@ -1,6 +1,7 @@
 """Run files: recorded measurements and inputs as CSV, read strictly and brought to one period."""
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.names import SIGNALS
 from edge.number_table import NumberTable, read_table, write_table
 
 Floats = NDArray[np.float64]
@@ -16,6 +18,7 @@ REQUIRED = ("time_s", "temp_air_c", "heater_duty")
 SHARES = ("heater_duty", "fan_on", "light", "soil_moisture", "tank_level")  # 0..1
 INPUTS = ("heater_duty", "fan_on", "led", "light", "reference_c")  # hold from their row to the next
 PERIOD_TOLERANCE = 0.01  # share of a period that a row may be off its place
+PERCENT_FROM = 5.0  # a share that is so large was meant in percent
 HOLE_PERIODS = 2.5  # a reading is not interpolated over a longer distance between rows
 
 
@@ -48,10 +51,14 @@ class Run:
 
 def read_run(path: str | Path) -> Run:
     """Read a run file, its rows as they are (see `resample`). Errors: DataError, naming line and column."""
-    table = read_table(Path(path))
+    return run_of(read_table(Path(path)))
+
+
+def run_of(table: NumberTable) -> Run:
+    """The table as a run. Errors: DataError, as `read_run`."""
     for name in REQUIRED:
         if name not in table.columns:
-            raise DataError(f"{path}: {name} is not among the columns {list(table.columns)}")
+            raise DataError(f"{table.path}: {name} is not among the columns {list(table.columns)}")
     for name in set(SHARES) & set(table.columns):
         _check_share(table, name)
     run = Run(table.columns, table.facts, table.path)
@@ -68,6 +75,36 @@ def refuse_test(run: Run) -> None:
     """Before anything is fitted, tuned or chosen on a run. Errors: DataError for one of role test."""
     if run.facts.get("role", "").strip().lower() == "test":
         raise DataError(f"{run.path}: role: a test run is never fitted on")
+
+
+def data_sha256(runs: Sequence[Run]) -> str:
+    """Of the numbers in their order: of every column's name and values, wherever the files lie."""
+    digest = hashlib.sha256()
+    for run in runs:
+        for name in sorted(run.columns):
+            values = run.columns[name]
+            digest.update(f"{name} {len(values)}\n".encode())
+            digest.update(np.where(np.isnan(values), np.nan, values).astype("<f8").tobytes())
+    return digest.hexdigest()
+
+
+def inside_names(run: Run) -> dict[str, Floats]:
+    """The run's columns by their names inside the program, with `utc` where the run says when it began."""
+    keys = {signal.key: name for name, signal in SIGNALS.items()}
+    columns = {keys.get(key, key): values for key, values in run.columns.items()}
+    start_utc = run.start_utc
+    return columns if start_utc is None else {**columns, "utc": start_utc + run.columns["time_s"]}
+
+
+def cut(run: Run, begin: int, end: int) -> Run:
+    """Rows `begin` to `end` - 1, at least one, as a run of their own that begins at time 0."""
+    columns = {name: values[begin:end] for name, values in run.columns.items()}
+    start_s = float(columns["time_s"][0])
+    facts = dict(run.facts)
+    if run.start_utc is not None:
+        moment = datetime.fromtimestamp(run.start_utc + start_s, UTC)
+        facts["start_utc"] = moment.isoformat(timespec="milliseconds")
+    return replace(run, columns=columns | {"time_s": columns["time_s"] - start_s}, facts=facts)
 
 
 def period(run: Run) -> float:
@@ -116,7 +153,8 @@ def resample(run: Run, step_s: float) -> Run:
 
 def _check_share(table: NumberTable, name: str) -> None:
     values = table.columns[name]
-    table.refuse(name, (values < 0.0) | (values > 1.0), "is not in 0..1")
+    percent = "; is the column in percent?" if np.nanmax(values, initial=0.0) >= PERCENT_FROM else ""
+    table.refuse(name, (values < 0.0) | (values > 1.0), f"is not in 0..1{percent}")
     if name in ("heater_duty", "fan_on"):
         table.refuse(name, np.isnan(values), "is unknown; an input must be known in every row")
 

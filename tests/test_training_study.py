@@ -12,13 +12,13 @@ import torch
 from edge.errors import DataError
 from edge.models.base import Columns, Floats
 from edge.models.pbm import Pbm, read_twin
-from edge.run_file import Run
+from edge.run_file import Run, inside_names
 from edge.twin.model import Twin
 from tests.training_runs import BOX, box_run
 from training import __main__, ham, ham_guarded, lstm, study
 from training.models import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
 from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
-from training.rollout import START_ROWS, errors, free_run, inside_names, one_step
+from training.rollout import START_ROWS, errors, free_run, one_step
 from training.study import Job, Trained
 from training.summary import best_seed, records, table
 from training.weights import load_network, save_network

@@ -1,15 +1,12 @@
 """The recorded runs, by what each is for: `data/README.md` says how they were made."""
 
-import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from edge.errors import DataError
-from edge.run_file import Run, read_run, refuse_test
+from edge.run_file import Run, cut, data_sha256, read_run, refuse_test
 
 __all__ = ["Split", "data_sha256", "refuse_test", "regimes_of", "split", "test_run", "training_runs"]
 
@@ -77,17 +74,6 @@ def split(run: Run) -> Split:
     return Split([_part(run, 0, first, "train")], [_part(run, first, len(run), "validate")])
 
 
-def data_sha256(runs: Sequence[Run]) -> str:
-    """Of the numbers in their order: of every column's name and values, wherever the files lie."""
-    digest = hashlib.sha256()
-    for run in runs:
-        for name in sorted(run.columns):
-            values = run.columns[name]
-            digest.update(f"{name} {len(values)}\n".encode())
-            digest.update(np.where(np.isnan(values), np.nan, values).astype("<f8").tobytes())
-    return digest.hexdigest()
-
-
 def _first_validation_row(run: Run) -> int:
     text = run.facts.get("validate_from_s")
     if text is None:
@@ -100,10 +86,6 @@ def _first_validation_row(run: Run) -> int:
 
 def _part(run: Run, begin: int, end: int, role: str) -> Run:
     """Rows begin to end - 1 as a run of their own."""
-    columns = {name: values[begin:end] for name, values in run.columns.items()}
-    start_s = float(columns["time_s"][0])
-    facts = {key: value for key, value in run.facts.items() if key != "validate_from_s"} | {"role": role}
-    if run.start_utc is not None:
-        moment = datetime.fromtimestamp(run.start_utc + start_s, UTC)
-        facts["start_utc"] = moment.isoformat(timespec="milliseconds")
-    return replace(run, columns=columns | {"time_s": columns["time_s"] - start_s}, facts=facts)
+    part = cut(run, begin, end)
+    facts = {key: value for key, value in part.facts.items() if key != "validate_from_s"} | {"role": role}
+    return replace(part, facts=facts)

@@ -22,7 +22,7 @@ from edge.models.ham import read_ham
 from edge.models.lstm import read_lstm
 from edge.models.onnx_predictor import OnnxPredictor
 from edge.models.validity import box_of
-from edge.run_file import Run
+from edge.run_file import Run, inside_names
 from edge.twin.model import Twin
 from training.datasets import training_runs
 from training.ham import HamNet
@@ -34,7 +34,6 @@ from training.models import NETWORK_FILE
 from training.onnx_step import Network, single_step
 from training.pairs import split_all
 from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
-from training.rollout import inside_names
 from training.study import RESULT_FILE, versions
 from training.weights import load_network
 

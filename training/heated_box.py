@@ -18,7 +18,7 @@ from edge.models.arx import Arx
 from edge.models.base import Floats, Predictor
 from edge.models.fit_arx import fit_arx
 from edge.models.pbm import Pbm
-from edge.run_file import Run, read_run, resample
+from edge.run_file import Run, inside_names, read_run, resample
 from edge.twin.effects import EFFECTS
 from edge.twin.fit import Fit, fit_twin
 from edge.twin.twin_file import TwinFile
@@ -29,7 +29,7 @@ from training.fit_network import make_deterministic
 from training.predictors import GuardedHamPredictor, LstmPredictor
 from training.report_table import Table, as_text
 from training.report_tables import spread
-from training.rollout import START_ROWS, inside_names
+from training.rollout import START_ROWS
 
 STEP_S = 10.0
 HORIZONS_S = (10, 30, 60, 120, 300)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.errors import DataError
-from edge.models.base import Columns, Floats, Predictor
-from edge.names import SIGNALS
-from edge.run_file import Run
+from edge.models.base import Floats, Predictor
+from edge.run_file import Run, inside_names
 
 START_ROWS = 10  # the paper's window: every model begins from these, whatever it needs of them
 
@@ -76,9 +75,3 @@ def _forecast(predictor: Predictor, run: Run, now: int, last: int, first: int = 
     ahead = {name: values[now:last] for name, values in columns.items()}
     controls = np.stack([ahead["heater_duty"], ahead["fan_on"]], axis=-1)
     return predictor.rollout(history, controls[None], ahead)[0]
-
-
-def inside_names(run: Run) -> Columns:
-    """The run's columns by their names inside the program."""
-    keys = {signal.key: name for name, signal in SIGNALS.items()}
-    return {keys.get(key, key): values for key, values in run.columns.items()}
