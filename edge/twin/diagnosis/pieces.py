@@ -1,0 +1,25 @@
+"""Long recordings in pieces: where rows are missing for long, and so that none lasts a whole day."""
+
+import math
+
+import numpy as np
+
+from edge.run_file import Run, cut
+
+GAP_S = 600.0  # without rows for longer, nothing is known of what the heater did meanwhile
+LONGEST_S = 12 * 3600.0
+
+
+def pieces(run: Run, gap_s: float = GAP_S, longest_s: float = LONGEST_S) -> list[Run]:
+    """The run cut where its rows are more than `gap_s` apart, and what is longer into equal parts.
+
+    Each piece begins at time 0 and says when that was. No row is in two of them.
+    """
+    time_s = run.columns["time_s"]
+    starts = [0, *(np.flatnonzero(np.diff(time_s) > gap_s) + 1).tolist(), len(time_s)]
+    found = []
+    for begin, end in zip(starts[:-1], starts[1:], strict=True):
+        parts = max(1, math.ceil((time_s[end - 1] - time_s[begin]) / longest_s))
+        bounds = np.linspace(begin, end, parts + 1).round().astype(int)
+        found += [cut(run, int(first), int(last)) for first, last in zip(bounds, bounds[1:], strict=False)]
+    return [piece for piece in found if len(piece)]
