@@ -33,12 +33,10 @@ def history_runs(
     train, test = _divide(chosen, test_share)
     named = [(f"history_{i + 1}", run) for i, run in enumerate([*train, *test])]
     left_out = len(parts) - len(chosen)
-    told = [f"{left_out} of {len(parts)} stretches of {source} are too short or lack a column"] * bool(
-        left_out
-    )
+    note = f"{left_out} of {len(parts)} stretches of {source} are too short or lack the room temperature"
     if not train:
         raise DataError(f"{source}: only runs of role test, which are never fitted on")
-    return diagnosis_runs(named[: len(train)], named[len(train) :], twin, told)
+    return diagnosis_runs(named[: len(train)], named[len(train) :], twin, [note] if left_out else [])
 
 
 def _with_room(runs: Sequence[Run]) -> list[Run]:
@@ -50,7 +48,7 @@ def _divide(runs: Sequence[Run], test_share: float) -> tuple[list[Run], list[Run
     """Training and test; the run in which the boundary lies is cut there."""
     free = [run for run in runs if not _is_test(run)]
     left = sum(len(run) for run in free)
-    left -= int(round(test_share * left))
+    left -= round(test_share * left)
     train, test = [], [run for run in runs if _is_test(run)]
     for run in free:
         rows = min(left, len(run))

@@ -1,6 +1,7 @@
 """Long recordings in pieces: where rows are missing for long, and so that none lasts a whole day."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,8 +19,8 @@ def pieces(run: Run, gap_s: float = GAP_S, longest_s: float = LONGEST_S) -> list
     time_s = run.columns["time_s"]
     starts = [0, *(np.flatnonzero(np.diff(time_s) > gap_s) + 1).tolist(), len(time_s)]
     found = []
-    for begin, end in zip(starts[:-1], starts[1:], strict=True):
+    for begin, end in pairwise(starts):
         parts = max(1, math.ceil((time_s[end - 1] - time_s[begin]) / longest_s))
         bounds = np.linspace(begin, end, parts + 1).round().astype(int)
-        found += [cut(run, int(first), int(last)) for first, last in zip(bounds, bounds[1:], strict=False)]
+        found += [cut(run, int(first), int(last)) for first, last in pairwise(bounds)]
     return [piece for piece in found if len(piece)]

@@ -62,8 +62,8 @@ def read_runs(train: Sequence[Path], test: Sequence[Path], twin: TwinFile) -> Di
     A training run ends where its fact `validate_from_s` says, and is cut where rows are missing for long and
     after 12 h. A test run stays whole: it may have temperatures in its first rows only.
 
-    Errors : DataError naming file, line and column: a run of role test to fit on, one file twice, wrong units,
-        time that goes backwards, nothing measured, too few rows, a column that the twin needs and is missing
+    Errors : DataError naming file, line and column: a run of role test to fit on, one file twice, wrong
+        units, time that goes backwards, nothing measured, too few rows, a column that the twin needs and is missing
     """
     if not train:
         raise DataError("diagnosis: needs at least one training run")
