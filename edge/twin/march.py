@@ -45,8 +45,8 @@ class _Part(NamedTuple):
         """Both parts as one."""
         return _Part(
             later.matrix @ self.matrix,
-            _times(later.matrix, self.driven) + later.driven,
-            _times(later.matrix, self.gain) + later.gain,
+            times(later.matrix, self.driven) + later.driven,
+            times(later.matrix, self.gain) + later.gain,
         )
 
 
@@ -82,11 +82,12 @@ class March:
         steps = {name: _in_time(column, shape) for name, column in columns.items()}
         past = before if before and before.duty.shape[-1] else Commands(np.zeros(1), np.zeros(1))
         duty, fan = _with_past(past.duty, commands.duty), _with_past(past.fan, commands.fan)
-        lengths = _cuts(signals, step_s)
+        bent_s = BENT_PART_S if signals.bends else step_s
+        lengths = cuts(signals, step_s, bent_s)
         middles = np.cumsum(lengths) - lengths / 2.0
         first = len(fan) - len(room)
-        speeds = _spun_up(_late(fan, signals.fan_dead_s, middles, step_s), lengths, signals.fan_lag_s)[first:]
-        duties = signals.duty(_late(duty, signals.heater_dead_s, middles, step_s)[first:])
+        speeds = spun_up(late(fan, signals.fan_dead_s, middles, step_s), lengths, signals.fan_lag_s)[first:]
+        duties = signals.duty(late(duty, signals.heater_dead_s, middles, step_s)[first:])
         added = _in_time(source, shape)
         others = [steps.get(name, np.zeros(shape)) for name in ("door_open", "day")]
         parts: list[_Part] = []
@@ -97,7 +98,7 @@ class March:
             heated = added + heat_w / system.air_capacity_j_k
             inputs = np.stack([duties[:, j], signals.room(room), heated], axis=-1)
             gains = transition.drive[which]
-            part = _Part(transition.state[which], _times(gains, inputs), gains[..., 2])
+            part = _Part(transition.state[which], times(gains, inputs), gains[..., 2])
             parts = [*parts, part] if signals.bends or not parts else [parts[0].then(part)]
         carried = tuple(sorted({0, system.states.index(AIR)}))
         return cls(signals, system.air_capacity_j_k, carried, tuple(parts), room, steps)
@@ -107,7 +108,7 @@ class March:
         air, columns = self.carried[-1], {name: column[k] for name, column in self.columns.items()}
         for part in self.parts:
             gain = part.gain[k]
-            moved = _times(part.matrix[k], states) + part.driven[k]
+            moved = times(part.matrix[k], states) + part.driven[k]
             if self.signals.bends:
                 guess = moved[:, air] + gain[:, air] * self._bent(states[:, air], k, columns)
                 middle = 0.5 * (states[:, air] + guess)
@@ -148,19 +149,18 @@ def _transitions(system: LinearSystem, modes: list[Floats], length_s: float) -> 
     return discretise_modes(system, distinct, length_s), which.reshape(modes[0].shape)
 
 
-def _times(matrices: Floats, vectors: Floats) -> Floats:
+def times(matrices: Floats, vectors: Floats) -> Floats:
     """Each matrix times its vector, [..., n, m] and [..., m]."""
     product: Floats = (matrices @ vectors[..., None])[..., 0]
     return product
 
 
-def _cuts(signals: Signals, step_s: float) -> Floats:
-    """Lengths of a step's parts: cut where late commands arrive, and fine where that counts [s]."""
+def cuts(signals: Signals, step_s: float, longest_s: float) -> Floats:
+    """Lengths of a step's parts: cut where late commands arrive, and fine where a fan spins up [s]."""
     arrivals = {signals.heater_dead_s % step_s, signals.fan_dead_s % step_s}
     edges = np.array(sorted({0.0, *arrivals, step_s}))
     whole = np.diff(edges)
-    longest = PART_S if signals.fan_lag_s > 0.0 else BENT_PART_S if signals.bends else step_s
-    counts = np.ceil(whole / longest).astype(int)
+    counts = np.ceil(whole / (PART_S if signals.fan_lag_s > 0.0 else longest_s)).astype(int)
     return np.repeat(whole / counts, counts)
 
 
@@ -170,7 +170,7 @@ def _with_past(past: Floats, coming: Floats) -> Floats:
     return np.concatenate([rows, coming], axis=1).T
 
 
-def _late(commands: Floats, dead_s: float, middles: Floats, step_s: float) -> Floats:
+def late(commands: Floats, dead_s: float, middles: Floats, step_s: float) -> Floats:
     """What acts in each part of each row, [P + N, J, B]; before the first row as in the first."""
     back = np.floor((middles - dead_s) / step_s).astype(int)
     rows = np.maximum(np.arange(len(commands))[:, None] + back, 0)
@@ -178,7 +178,7 @@ def _late(commands: Floats, dead_s: float, middles: Floats, step_s: float) -> Fl
     return found
 
 
-def _spun_up(wanted: Floats, lengths: Floats, lag_s: float) -> Floats:
+def spun_up(wanted: Floats, lengths: Floats, lag_s: float) -> Floats:
     """Mean speed in each part, [P + N, J, B], from rest at the first row's speed."""
     if lag_s == 0.0:
         return wanted

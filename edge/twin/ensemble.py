@@ -1,0 +1,67 @@
+"""Many twins over the same recorded runs in one pass: a loop over the rows, arrays over all else."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.linear_steps import LinearSteps
+
+Floats = NDArray[np.float64]
+
+
+class Response(NamedTuple):
+    """What is to be run: steps, from a start [B, n] (None: 0), driven [N, B, n] by something (None: nothing)."""
+
+    steps: LinearSteps
+    start: Floats | None
+    driven: Floats | None
+
+
+def responses(wanted: Sequence[Response]) -> Floats:
+    """What the sensor shows after each row, [len(wanted), B, N]."""
+    rows, runs = wanted[0].steps.index.shape
+    size = max(len(item.steps.states) for item in wanted)
+    tables, index, offset = [], np.empty((rows, len(wanted), runs), dtype=np.intp), 0
+    state = np.zeros((len(wanted), runs, size))
+    driven = np.zeros((rows, len(wanted), runs, size))
+    known: dict[int, int] = {}  # several responses of the same steps share a table
+    for i, (steps, start, drive) in enumerate(wanted):
+        own = len(steps.states)
+        if id(steps) not in known:
+            known[id(steps)] = offset
+            tables.append(np.pad(steps.table, ((0, 0), (0, size - own), (0, size - own))))
+            offset += len(steps.table)
+        index[:, i] = steps.index + known[id(steps)]
+        if start is not None:
+            state[i, :, :own] = start
+        if drive is not None:
+            driven[:, i, :, :own] = drive
+    flat = index.reshape(rows, -1)
+    shown = _march(np.concatenate(tables), flat, state.reshape(-1, size), driven.reshape(rows, -1, size))
+    return shown.reshape(rows, len(wanted), runs).transpose(1, 2, 0)
+
+
+def _march(table: Floats, index: NDArray[np.intp], state: Floats, driven: Floats) -> Floats:
+    shown = np.empty(index.shape)
+    for k in range(len(index)):
+        state = np.einsum("bij,bj->bi", table[index[k]], state)
+        state += driven[k]
+        shown[k] = state[:, 0]
+    return shown
+
+
+def impulses(steps: LinearSteps, gains: Floats) -> Floats:
+    """What a unit of something in row j shows after row k, by its gain in each row.
+
+    gains : [N, B, n], such as `LinearSteps.heat`. Returns : [B, N, N], rows k, columns j <= k
+    """
+    rows, runs = steps.index.shape
+    found = np.zeros((runs, rows, rows))
+    state = np.zeros((runs, len(steps.states), rows))
+    for k in range(rows):
+        state[:, :, : k + 1] = steps.table[steps.index[k]] @ state[:, :, : k + 1]
+        state[:, :, k] = gains[k]
+        found[:, k] = state[:, 0]
+    return found
