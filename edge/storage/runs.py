@@ -4,8 +4,6 @@ import json
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from datetime import UTC, datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +14,10 @@ from edge.errors import DataError
 from edge.messages import Event, Quality, Severity
 from edge.run_file import Run
 from edge.storage.file import SCHEMA_VERSION, connect
+from edge.storage.ticks_as_run import TICK_INPUTS, run_of_ticks, ticks_between
 
 Floats = NDArray[np.float64]
 BUSY_S = 10.0
-TICK_INPUTS = ("heater_duty", "fan_on", "led")  # columns of a run that the history keeps in `ticks`
 NAN = float("nan")
 
 
@@ -37,34 +35,19 @@ def export_run(
     counts as off, as in the loop. Time follows the loop's grid, and from session to session the wall clock.
     Errors : DataError
     """
-    with _reading(path) as connection:
+    with reading(path) as connection:
         facts: dict[str, str] = {}
         if name is not None:
             first_seq, last_seq, facts = _named(connection, path, name)
-        ticks = connection.execute(
-            "SELECT seq, session, utc, step_s, ticks_skipped, reference_c, echo_trip_cause IS NULL,"
-            " echo_heater_duty, echo_fan_on, echo_led FROM ticks"
-            " WHERE seq BETWEEN coalesce(?, 1) AND coalesce(?, 9e18)"
-            " AND utc BETWEEN coalesce(?, -9e18) AND coalesce(?, 9e18) ORDER BY seq",
-            (first_seq, last_seq, since_utc, until_utc),
-        ).fetchall()
+        ticks = ticks_between(connection, first_seq, last_seq, since_utc, until_utc)
         if not ticks:
             raise DataError(f"{path}: there are no ticks in this stretch")
-        seqs = [tick[0] for tick in ticks]
-        columns = {"time_s": _times(path, ticks), **_readings(connection, seqs), **_inputs(ticks)}
-        if seqs[0] > 0:
-            facts = _facts_of(connection, ticks) | facts
-    first = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
-    known = {
-        key: values for key, values in columns.items() if key == "temp_air_c" or not np.isnan(values).all()
-    }
-    ordered = sorted(known, key=lambda key: (first.index(key) if key in first else len(first), key))
-    return Run({key: known[key] for key in ordered}, facts, Path(path))
+        return run_of_ticks(connection, path, ticks, facts)
 
 
 def events_between(path: str | Path, since_utc: float, until_utc: float) -> list[Event]:
     """Events of the history by their wall clock time, both ends included. Errors: DataError"""
-    with _reading(path) as connection:
+    with reading(path) as connection:
         rows = connection.execute(
             "SELECT key, severity, text, utc FROM events WHERE utc BETWEEN ? AND ? ORDER BY utc, seq, number",
             (since_utc, until_utc),
@@ -124,7 +107,7 @@ def import_run(path: str | Path, run: Run, name: str) -> tuple[int, int]:
 
 
 @contextmanager
-def _reading(path: str | Path) -> Iterator[sqlite3.Connection]:
+def reading(path: str | Path) -> Iterator[sqlite3.Connection]:
     """A connection that can't write. Errors: DataError"""
     try:
         uri = f"{Path(path).absolute().as_uri()}?mode=ro"
@@ -178,54 +161,6 @@ def _named(connection: sqlite3.Connection, path: str | Path, name: str) -> tuple
         known = [other for (other,) in connection.execute("SELECT name FROM runs ORDER BY name LIMIT 20")]
         raise DataError(f"{path}: there is no run {name!r}; known are {known}")
     return row[0], row[1], json.loads(row[2])
-
-
-def _times(path: str | Path, ticks: list[tuple[Any, ...]]) -> Floats:
-    """Seconds since the first tick."""
-    times = [0.0]
-    for before, tick in pairwise(ticks):
-        (seq_before, session_before, utc_before), (seq, session, utc, step_s, skipped) = before[:3], tick[:5]
-        same_grid = session is not None and session == session_before
-        step = step_s * (seq - seq_before + skipped) if same_grid else utc - utc_before
-        if not step > 0.0:
-            raise DataError(f"{path}: tick {seq}: the wall clock went back; export what is on one side of it")
-        times.append(times[-1] + step)
-    return np.round(times, 3)
-
-
-def _readings(connection: sqlite3.Connection, seqs: list[int]) -> dict[str, Floats]:
-    row_of = {seq: row for row, seq in enumerate(seqs)}
-    columns: dict[str, Floats] = {"temp_air_c": np.full(len(seqs), NAN)}
-    stored = connection.execute(
-        "SELECT seq, signal, value FROM readings WHERE seq BETWEEN ? AND ? AND quality = 'good'",
-        (seqs[0], seqs[-1]),
-    )
-    for seq, signal, value in stored:
-        if seq in row_of:
-            columns.setdefault(signal, np.full(len(seqs), NAN))[row_of[seq]] = value
-    return columns
-
-
-def _inputs(ticks: list[tuple[Any, ...]]) -> dict[str, Floats]:
-    """What the board drove, 0 where it did not confirm, NaN where an imported run is silent; the target."""
-    table = np.array([[*tick[7:10], tick[5]] for tick in ticks], dtype=np.float64)
-    unconfirmed = np.array([tick[6] for tick in ticks], dtype=bool)
-    table[unconfirmed, :3] = 0.0
-    return dict(zip((*TICK_INPUTS, "reference_c"), table.T, strict=True))
-
-
-def _facts_of(connection: sqlite3.Connection, ticks: list[tuple[Any, ...]]) -> dict[str, str]:
-    first_seq, last_seq = ticks[0][0], ticks[-1][0]
-    controllers = connection.execute(
-        "SELECT DISTINCT controller FROM ticks WHERE seq BETWEEN ? AND ? ORDER BY 1", (first_seq, last_seq)
-    )
-    return {
-        "start_utc": datetime.fromtimestamp(ticks[0][2], UTC).isoformat(timespec="milliseconds"),
-        "history_id": connection.execute("SELECT id FROM history").fetchone()[0],
-        "first_seq": str(first_seq),
-        "last_seq": str(last_seq),
-        "controllers": ", ".join(name for (name,) in controllers),
-    }
 
 
 def _quality(value: float | None) -> Quality:

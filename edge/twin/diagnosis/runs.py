@@ -63,7 +63,7 @@ def read_runs(train: Sequence[Path], test: Sequence[Path], twin: TwinFile) -> Di
     after 12 h. A test run stays whole: it may have temperatures in its first rows only.
 
     Errors : DataError naming file, line and column: a run of role test to fit on, one file twice, wrong
-        units, time that goes backwards, nothing measured, too few rows, a column that the twin needs and is missing
+        units, time that goes backwards, nothing measured, too few rows, a missing column that the twin needs
     """
     if not train:
         raise DataError("diagnosis: needs at least one training run")

@@ -1,0 +1,52 @@
+"""Which recordings a diagnosis is made on: arguments, and what they give."""
+
+import argparse
+from pathlib import Path
+
+from edge.commands.stretch import add_times, moment
+from edge.errors import RequestError
+from edge.settings import HistorySettings
+from edge.twin.diagnosis.history_runs import TEST_SHARE, history_runs
+from edge.twin.diagnosis.runs import DiagnosisRuns, read_runs
+from edge.twin.twin_file import TwinFile
+
+
+def add_data_arguments(parser: argparse.ArgumentParser) -> None:
+    """Run files, or a stretch of the history."""
+    parser.add_argument("train", nargs="*", type=Path, metavar="TRAIN.csv", help="runs to fit on")
+    parser.add_argument(
+        "--test",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="TEST.csv",
+        help="show the gap and have no part in the choice; temperatures in their first rows suffice",
+    )
+    parser.add_argument(
+        "--history", type=Path, help=f"instead of run files: this database (usual: {HistorySettings().path})"
+    )
+    add_times(parser)
+    parser.add_argument(
+        "--test-share",
+        type=float,
+        help=f"newest share of the rows that becomes test runs (usual: {TEST_SHARE:g})",
+    )
+
+
+def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> DiagnosisRuns:
+    """The runs that the arguments name. Errors: DataError, RequestError for files and history together"""
+    bounds = (arguments.history, arguments.since, arguments.until, arguments.test_share)
+    if all(bound is None for bound in bounds):
+        if not arguments.train:
+            raise RequestError(
+                "nothing to diagnose: give run files, or a time of the history like --since 14d"
+            )
+        return read_runs(arguments.train, arguments.test, twin)
+    if arguments.train or arguments.test:
+        raise RequestError("run files and the history don't go together: export what you need of the history")
+    from edge.storage.stretches import export_stretches
+
+    path = arguments.history or Path(HistorySettings().path)
+    stretches = export_stretches(path, moment(arguments.since), moment(arguments.until))
+    share = TEST_SHARE if arguments.test_share is None else arguments.test_share
+    return history_runs(stretches, twin, share, str(path))
