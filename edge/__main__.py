@@ -20,6 +20,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "plot": "a picture of a stretch of history or of a run file",
     "forget-discovery": "take a rig that is no more out of Home Assistant and off the broker",
     "watch": "what the running daemon does, live",
+    "twin": "the physics model: simulate it, find what it lacks, adopt what was found",
     "bundle": "signed bundles of models: verify, install, activate, roll back, list",
 }
 

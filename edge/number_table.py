@@ -60,10 +60,15 @@ def write_table(path: Path, columns: Mapping[str, Floats], facts: Mapping[str, s
         if text != text.strip() or not key or ":" in key or len(text.splitlines()) != 1:
             raise DataError(f"{path}: {text!r} is no line `# key: value`")
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(f"# {key}: {value}\n" for key, value in facts.items())
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([_cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+        print_table(file, columns, facts)
+
+
+def print_table(file: TextIO, columns: Mapping[str, Floats], facts: Mapping[str, str]) -> None:
+    """The lines of `write_table`, for facts that are known to be right. Errors: OSError."""
+    file.writelines(f"# {key}: {value}\n" for key, value in facts.items())
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_cell(value) for value in row] for row in zip(*columns.values(), strict=True))
 
 
 def _parse(path: Path, file: TextIO) -> NumberTable:

@@ -16,10 +16,12 @@ from edge.controllers.base import Context, Controller
 from edge.controllers.mpc import Mpc
 from edge.controllers.mpc_rollout import MpcRollout
 from edge.estimator import Estimator
+from edge.forecasts.rollout import ahead_of
 from edge.inbox import Inbox
 from edge.loop import Loop, Rig
 from edge.messages import Decision, Quality, TickRecord
 from edge.models.base import Predictor
+from edge.names import SIGNALS
 from edge.operation import Operation
 from edge.recorded_board import RecordedBoard, ReplayClock
 from edge.reference import make_reference, zone_of
@@ -31,6 +33,7 @@ from edge.tick_json import tick_json
 
 Floats = NDArray[np.float64]
 TIME_BOX_MAX_MS = 60_000.0
+OTHERS = tuple(name for name in SIGNALS if name not in ("temp_air", "temp_ambient"))
 
 
 @dataclass(slots=True)
@@ -162,17 +165,22 @@ class Series:
     estimates: Floats  # [°C]
     offsets: Floats  # [K/step]
     ambient: Floats  # [°C]
+    others: Mapping[str, Floats]  # further signals and `utc`, as predictors know them; NaN where not good
     inputs: Floats  # heater_duty and fan_on as driven, [ticks, 2]
+    step_s: float
 
     @classmethod
     def of(cls, records: Sequence[TickRecord]) -> "Series":
         """Columns of at least one record."""
         return cls(
-            measured=np.array([_measured(record) for record in records]),
+            measured=np.array([_good(record, "temp_air") for record in records]),
             estimates=np.array([record.estimate.temp_air for record in records]),
             offsets=np.array([record.estimate.offset for record in records]),
             ambient=np.array([record.estimate.temp_ambient for record in records]),
+            others={name: np.array([_good(record, name) for record in records]) for name in OTHERS}
+            | {"utc": np.array([record.utc for record in records])},
             inputs=np.array([_driven(record) for record in records]),
+            step_s=records[0].step_s,
         )
 
     def forecast(self, model: Predictor, tick: int, steps: int) -> Floats:
@@ -182,15 +190,14 @@ class Series:
         """
         reach = min(steps, len(self.measured) - 1 - tick)
         history = {
+            **{name: values[: tick + 1] for name, values in self.others.items()},
             "temp_air": self.estimates[: tick + 1],
             "temp_ambient": self.ambient[: tick + 1],
             "heater_duty": np.append(self.inputs[:tick, 0], np.nan),
             "fan_on": np.append(self.inputs[:tick, 1], np.nan),
         }
-        ahead = {
-            "temp_ambient": np.full(reach, self.ambient[tick]),
-            "offset": np.full(reach, self.offsets[tick]),
-        }
+        # What is measured stays as it is, time goes on: as on the rig.
+        ahead = ahead_of(history, reach, self.step_s) | {"offset": np.full(reach, self.offsets[tick])}
         rows: Floats = model.rollout(history, self.inputs[None, tick : tick + reach], ahead)
         return np.asarray(rows[0])
 
@@ -216,8 +223,8 @@ def score(records: Sequence[TickRecord], model: Predictor, horizons_s: Sequence[
     ]
 
 
-def _measured(record: TickRecord) -> float:
-    reading = record.readings.get("temp_air")
+def _good(record: TickRecord, name: str) -> float:
+    reading = record.readings.get(name)
     good = reading is not None and reading.quality is Quality.GOOD and reading.value is not None
     return float(reading.value) if good and reading is not None and reading.value is not None else math.nan
 

@@ -1,0 +1,177 @@
+"""`greenhouse twin simulate`: free run of a twin over recorded runs.
+
+From the first rows of a run on its air temperature is not used any more; inputs and room temperature are.
+"""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.commands.output import writing
+from edge.errors import DataError, RequestError
+from edge.models.pbm import Pbm, read_twin
+from edge.number_table import print_table, read_table
+from edge.run_file import Run, inside_names, resample, write_run
+from edge.twin.diagnosis.plausible import plausible_run
+from edge.twin.warm_start import held
+
+START_ROWS = 10
+DECIMALS = 4  # of a prediction [°C]
+PREDICTED = "predicted_c"
+FIRST = ("time_s", "temp_air_c", PREDICTED, "temp_ambient_c", "heater_duty", "fan_on")
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """What a free run misses by [K], over the rows that were forecast and measured; NaN without any."""
+
+    rmse_k: float
+    mae_k: float
+    rows: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the action."""
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv")
+    parser.add_argument("--twin", type=Path, required=True, help="twin file with every value known")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="run file to write, or folder for one each; without it CSV on standard output",
+    )
+    parser.add_argument(
+        "--start-rows",
+        type=int,
+        default=START_ROWS,
+        help=f"rows whose temperatures tell the start, as far as they have one (usual: {START_ROWS})",
+    )
+    parser.add_argument(
+        "--ambient-c", type=float, metavar="DEGC", help="room temperature of runs that have none"
+    )
+    parser.add_argument("--fan-always-on", action="store_true", help="in runs that have no fan_on")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 when every run is simulated; its errors go to standard error where the CSV is on standard output."""
+    if arguments.start_rows < 1:
+        raise RequestError(f"--start-rows: {arguments.start_rows} is not 1 or more")
+    if arguments.out is None and len(arguments.runs) > 1:
+        raise RequestError("--out: several runs need a folder to write into")
+    pbm = read_twin(arguments.twin)
+    outs = _outs(arguments.runs, arguments.out)
+    figures: TextIO = sys.stderr if arguments.out is None else sys.stdout
+    results = {}
+    for path, out in zip(arguments.runs, outs, strict=True):
+        recorded = _recorded(path, pbm.step_s, arguments.ambient_c, arguments.fan_always_on)
+        simulated = simulate(pbm, recorded, arguments.start_rows)
+        results[path.name if out is None else str(out)] = errors(simulated)
+        _write(replace(simulated, facts={**simulated.facts, **_facts(arguments.twin, pbm)}), out)
+    print("\n".join(_table(results)), file=figures)
+    return 0
+
+
+def simulate(pbm: Pbm, run: Run, start_rows: int = START_ROWS) -> Run:
+    """The run with a column `predicted_c`, empty in the rows that it starts from.
+
+    run : at the twin's step, with room temperature and fan
+    start_rows : from the first row with a temperature on; the last of them with one is where it starts
+    Errors : DataError for a run without a temperature, and for a column that the twin needs
+    """
+    known = np.flatnonzero(np.isfinite(run.columns["temp_air_c"]))
+    if not len(known):
+        raise DataError(f"{run.path}: temp_air_c: nothing was measured to start from")
+    now = int(known[known < known[0] + start_rows][-1])
+    columns = inside_names(run)
+    columns |= {
+        name: held(values)
+        for name, values in columns.items()
+        if name not in ("temp_air", "heater_duty", "fan_on")
+    }
+    history = {name: values[: now + 1] for name, values in columns.items()}
+    ahead = {name: values[now:-1] for name, values in columns.items() if name != "temp_air"}
+    controls = np.stack([ahead["heater_duty"], ahead["fan_on"]], axis=-1)
+    predicted = np.full(len(run), np.nan)
+    if len(controls):
+        try:
+            predicted[now + 1 :] = np.round(pbm.rollout(history, controls[None], ahead)[0], DECIMALS)
+        except DataError as error:
+            raise DataError(f"{run.path}: {error}") from error
+    table = {**run.columns, PREDICTED: predicted}
+    ordered = [*FIRST, *(name for name in table if name not in FIRST)]
+    return replace(
+        run,
+        columns={name: table[name] for name in ordered},
+        facts={**run.facts, "forecast_from_s": f"{run.columns['time_s'][now]:g}"},
+    )
+
+
+def errors(simulated: Run) -> Errors:
+    """Of the free run in a run's `predicted_c`."""
+    missed = simulated.columns[PREDICTED] - simulated.columns["temp_air_c"]
+    missed = missed[np.isfinite(missed)]
+    if not len(missed):
+        return Errors(np.nan, np.nan, 0)
+    return Errors(float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).mean()), len(missed))
+
+
+def _recorded(path: Path, step_s: float, ambient_c: float | None, fan_always_on: bool) -> Run:
+    """The run at the twin's step with all that a free run needs."""
+    run, told = plausible_run(read_table(path))
+    for note in told:
+        print(note, file=sys.stderr)
+    run = resample(run, step_s)
+    ambient = run.columns.get("temp_ambient_c")
+    if ambient is None or not np.isfinite(ambient).any():
+        if ambient_c is None:
+            raise DataError(f"{path}: temp_ambient_c: not known; say what it was with --ambient-c")
+        ambient = np.full(len(run), ambient_c)
+    fan = run.columns.get("fan_on", np.full(len(run), float(fan_always_on)))
+    return replace(run, columns={**run.columns, "temp_ambient_c": ambient, "fan_on": fan})
+
+
+def _outs(runs: Sequence[Path], out: Path | None) -> list[Path | None]:
+    """Where each run goes, None for standard output. Errors: RequestError before anything is overwritten."""
+    if out is None:
+        return [None]
+    if len(runs) == 1 and out.suffix == ".csv" and not out.is_dir():
+        outs = [out]
+    else:
+        with writing(out):
+            out.mkdir(parents=True, exist_ok=True)
+        outs = [out / path.name for path in runs]
+    if len(set(outs)) < len(outs):
+        raise RequestError("--out: two runs have one name; simulate them one by one")
+    recorded = {path.resolve() for path in runs}
+    for path in outs:
+        if path.resolve() in recorded:
+            raise RequestError(f"--out: {path} is a recorded run and is not overwritten")
+    return list(outs)
+
+
+def _write(simulated: Run, out: Path | None) -> None:
+    if out is None:
+        print_table(sys.stdout, simulated.columns, simulated.facts)
+        return
+    with writing(out):
+        write_run(simulated, out)
+
+
+def _facts(twin: Path, pbm: Pbm) -> dict[str, str]:
+    return {"twin": twin.name, "twin_sha256": pbm.twin.sha256}
+
+
+def _table(results: Mapping[str, Errors]) -> list[str]:
+    width = max(len(name) for name in results)
+    lines = [f"{'free run':{width}}   rows  rmse_k   mae_k"]
+    for name, of_run in results.items():
+        figures = f"{of_run.rmse_k:6.3f}  {of_run.mae_k:6.3f}" if of_run.rows else "nothing to compare with"
+        lines.append(f"{name:{width}}  {of_run.rows:5d}  {figures}")
+    return lines
