@@ -111,6 +111,10 @@ class BundleSettings(Section):
         "/etc/greenhouse/keys",
         "folder of public keys (*.pub) whose bundles may be installed, beside the packaged one",
     )
+    signing_key: str = text(
+        "",
+        "private key that signs twins which this rig adopts (`greenhouse bundle key`); empty: --key says it",
+    )
     auto: str = text(
         "off",
         "off: the scores are shown, a person activates; promote: a shadow that is better is activated, "

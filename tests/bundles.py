@@ -7,10 +7,10 @@ from pathlib import Path
 
 from edge.bundle.archive import open_archive
 from edge.bundle.manifest import Manifest
+from edge.bundle.sign import Facts, build_bundle, generate_key, sign_folder
 from edge.bundle.store import Store
 from edge.models.arx_file import DEFAULT_PATH
 from edge.models.base import Predictor
-from training.sign import Facts, build_bundle, generate_key, sign_folder
 
 FACTS = Facts(version="1.0", created_utc="2026-07-01T12:00:00Z", data_sha256="d" * 64)
 

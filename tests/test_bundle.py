@@ -20,12 +20,12 @@ from edge.bundle import archive
 from edge.bundle.archive import open_archive, pack, unpack
 from edge.bundle.check import check_folder
 from edge.bundle.manifest import MANIFEST, SIGNATURE
+from edge.bundle.sign import build_bundle, generate_key, sign_folder
 from edge.bundle.store import Store
 from edge.errors import DataError
 from edge.models.from_bundle import loader
 from edge.models.pbm import Pbm
 from edge.twin.model import Twin
-from training.sign import build_bundle, generate_key, sign_folder
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_a_damaged_bundle_is_refused(workshop: Workshop, damage: str) -> None:
 
 def signed_anew(workshop: Workshop, key: str, value: object) -> Path:
     """A bundle whose signer wrote `value` at `key`, "a.b" for b in a; None: left out."""
-    from training.sign import _read_private
+    from edge.bundle.sign import _read_private
 
     folder = workshop.signed_folder("bad")
     document = json.loads((folder / MANIFEST).read_bytes())

@@ -98,7 +98,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
 
 def _key(arguments: argparse.Namespace) -> int:
     """The public half goes into a rig's folder of trusted keys; the private half stays with you."""
-    from training.sign import generate_key
+    from edge.bundle.sign import generate_key
 
     print(f"{arguments.file} signs; {generate_key(arguments.file)} goes to the rig's /etc/greenhouse/keys")
     return 0

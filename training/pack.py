@@ -12,11 +12,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from edge.bundle.sign import Facts, build_bundle, generate_key, sign_folder
 from edge.models.arx_file import DEFAULT_PATH
 from training.datasets import data_sha256, training_runs
 from training.export import export_study
 from training.models import TWIN_FILE
-from training.sign import Facts, build_bundle, generate_key, sign_folder
 from training.study import Regime, versions
 from training.summary import best_seed, records
 

@@ -1,7 +1,8 @@
 """The signing side of bundles: keys, and a folder of models made into one signed archive.
 
-The private key stays with the person who trains; rigs know the public one. Both are PEM files that openssl
-reads too.
+The private key stays with the person who trains; rigs know the public one. A rig that is to sign what it
+finds itself has a key of its own (`bundle.signing_key`), and trusts it only when a person with root has put
+its public half among the trusted ones. Keys are PEM files that openssl reads too.
 """
 
 import hashlib
@@ -11,15 +12,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import (
-    Encoding,
-    NoEncryption,
-    PrivateFormat,
-    PublicFormat,
-    load_pem_private_key,
-)
+from typing import TYPE_CHECKING
 
 from edge import __version__
 from edge.bundle.archive import pack
@@ -37,6 +30,9 @@ from edge.bundle.manifest import (
 )
 from edge.errors import DataError
 from edge.models.pbm import read_twin
+
+if TYPE_CHECKING:  # the package is imported when something is signed, not with the daemon
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 # Model -> its file, the first that is there: a PBM that is another twin than the hybrid's has its own.
 FILES = {"arx": ("arx.json",), "pbm": ("pbm.yaml", TWIN), "lstm": ("lstm.onnx",), "ham": ("ham.onnx",)}
@@ -61,6 +57,14 @@ def generate_key(path: Path) -> Path:
 
     Errors : DataError when either file is there already: a lost key can't be made again
     """
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import (
+        Encoding,
+        NoEncryption,
+        PrivateFormat,
+        PublicFormat,
+    )
+
     public = path.with_suffix(PUBLIC_SUFFIX)
     if public == path:
         raise DataError(f"{path}: {PUBLIC_SUFFIX} is the public key's ending")
@@ -133,7 +137,10 @@ def _write_new(path: Path, content: bytes, mode: int) -> None:
         file.write(content)
 
 
-def _read_private(path: Path) -> Ed25519PrivateKey:
+def _read_private(path: Path) -> "Ed25519PrivateKey":
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
     try:
         key = load_pem_private_key(path.read_bytes(), password=None)
     except OSError as error:
