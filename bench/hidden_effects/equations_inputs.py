@@ -1,0 +1,62 @@
+"""What the independent simulator is driven by, and what an effect outside the library may look at and do."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What acts on B columns in N steps, each [N, B].
+
+    duty, fan : commands; ambient : the room as its sensor would show it, without noise [°C], [N + 1, B]
+    light 0..1, rel_humidity [%]; day : since the first run; hour : of the day; door : share of the step open
+    power : factor of the mains; heat_w : into the air, from nowhere; chance : a wander of unit variance
+    """
+
+    duty: Floats
+    fan: Floats
+    ambient: Floats
+    light: Floats
+    rel_humidity: Floats
+    day: Floats
+    hour: Floats
+    door: Floats
+    power: Floats
+    heat_w: Floats
+    chance: Floats
+
+    def columns(self, which: Sequence[int]) -> "Inputs":
+        """Some of the columns, also the same one many times."""
+        chosen = {name: getattr(self, name)[:, which] for name in self.__slots__}
+        return Inputs(**chosen)
+
+
+@dataclass(frozen=True, slots=True)
+class Now:
+    """What an outside effect may look at, each [B]."""
+
+    air: Floats
+    room: Floats
+    duty: Floats
+    fan: Floats
+    light: Floats
+    rel_humidity: Floats
+    hour: Floats
+    day: Floats
+    chance: Floats
+    fan_hours: Floats  # how long the fan has run
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """What an effect outside the library does; None: not that."""
+
+    heat_w: Callable[[Now], Floats] | None = None  # into the air
+    power: Callable[[Now], Floats] | None = None  # factor on the heater
+    flow: Callable[[Now], Floats] | None = None  # factor on the fan
+    reading: Callable[[Now], Floats] | None = None  # added to what the sensor shows

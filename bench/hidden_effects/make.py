@@ -1,0 +1,98 @@
+"""python -m bench.hidden_effects make: write cases of a suite and split; those that are there are kept."""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Sequence
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+from bench.hidden_effects.cases import FIRST_SEEDS, KINDS, SUITES, case_id, seed_of
+from bench.hidden_effects.write_case import folders, is_made, write_case
+
+
+class Task(NamedTuple):
+    """One case to be made."""
+
+    root: Path
+    suite: str
+    split: str
+    kind: str
+    number: int
+
+    @property
+    def id(self) -> str:
+        return case_id(seed_of(self.split, self.kind, self.number))
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Make what is missing and say what is there."""
+    parser = argparse.ArgumentParser(prog="python -m bench.hidden_effects make", description=__doc__)
+    add_arguments(parser)
+    return make(parser.parse_args(words))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Those of `make`."""
+    parser.add_argument("--suite", choices=SUITES, required=True)
+    parser.add_argument("--split", choices=list(FIRST_SEEDS), default="dev")
+    parser.add_argument("--out", type=Path, default=Path("out/hidden"))
+    parser.add_argument("--kinds", default=",".join(KINDS), help="comma between; default: %(default)s")
+    parser.add_argument("--per-kind", type=int, help="cases of each kind; default: as many as are scored")
+    parser.add_argument("--seed-from", type=int, default=0, metavar="N", help="first number within a kind")
+    parser.add_argument("--workers", type=int, default=1)
+
+
+def make(arguments: argparse.Namespace) -> int:
+    """Make the cases of parsed arguments; the exit code."""
+    kinds = arguments.kinds.split(",")
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        print(f"there is no kind {unknown[0]!r}; there are {', '.join(KINDS)}")
+        return 2
+    tasks = [
+        Task(arguments.out, arguments.suite, arguments.split, kind, arguments.seed_from + number)
+        for kind in kinds
+        for number in range(arguments.per_kind or KINDS[kind])
+    ]
+    missing = [task for task in tasks if not is_made(task.root, task.suite, task.split, task.id)]
+    print(f"{len(tasks)} cases, {len(tasks) - len(missing)} of them there", flush=True)
+    _make_all(missing, arguments.workers)
+    given, _ = folders(arguments.out, arguments.suite, arguments.split)
+    print(f"in {given}")
+    return 0
+
+
+def made_ids(root: Path, suite: str, split: str, kinds: Sequence[str] = tuple(KINDS)) -> list[str]:
+    """Ids of the cases of these kinds that are there, in the order of their seeds."""
+    _, truth = folders(root, suite, split)
+    documents = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(truth.glob("case_*.json"))]
+    return [document["id"] for document in documents if document["kind"] in kinds]
+
+
+def _make_all(tasks: Sequence[Task], workers: int) -> None:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    if workers <= 1 or len(tasks) <= 1:
+        for task in tasks:
+            print(_make_one(task), flush=True)
+        return
+    with get_context("spawn").Pool(workers) as pool:
+        for line in pool.imap_unordered(_make_one, tasks):
+            print(line, flush=True)
+
+
+def _make_one(task: Task) -> str:
+    """Make and write a case; a line that says so without telling what is hidden."""
+    begun = time.perf_counter()
+    if task.suite == "equations":
+        from bench.hidden_effects.equations_cases import make_case
+    else:
+        from bench.hidden_effects.chamber_cases import make_case
+    write_case(make_case(task.split, task.kind, task.number), task.root)
+    return f"{task.id} {task.kind} {time.perf_counter() - begun:.1f} s"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
