@@ -72,12 +72,18 @@ class Store:
             return []
         return sorted(path.name for path in self.folder.iterdir() if path.is_dir() and path.name[0] != ".")
 
+    def folder_of(self, version: str) -> Path:
+        """Where a bundle lies, or would. Errors: RequestError for what is no version"""
+        if not VERSION.fullmatch(version):
+            raise RequestError(f"{version!r} is no version of a bundle")
+        return self._packaged if version == PACKAGED else self.folder / version
+
     def load(self, version: str) -> Loaded:
         """A bundle whose signature and hashes are right and whose models work.
 
         Errors : DataError with the reason; RequestError when it is not installed
         """
-        place = self._place(version)
+        place = self.folder_of(version)
         if not place.is_dir():
             known = ", ".join([PACKAGED, *self.versions()])
             raise RequestError(f"bundle {version} is not installed; known: {known}")
@@ -129,11 +135,6 @@ class Store:
         calibrated = INTERVALS in manifest.files
         intervals = read_intervals(folder / INTERVALS) if calibrated else Intervals()
         return Loaded(name or manifest.version, manifest, self._load(folder, manifest), intervals)
-
-    def _place(self, version: str) -> Path:
-        if not VERSION.fullmatch(version):
-            raise RequestError(f"{version!r} is no version of a bundle")
-        return self._packaged if version == PACKAGED else self.folder / version
 
     def _take_in(self, incoming: Path, version: str) -> None:
         """Give the checked folder its name. A version never changes what it holds."""

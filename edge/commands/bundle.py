@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from edge import config
 from edge.bundle.archive import open_archive
@@ -47,14 +47,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions.add_parser("rollback", help="make the bundle before the active one active again")
     actions.add_parser("mark-good", help="end the active bundle's probation")
     actions.add_parser("reject", help="end the shadow's trial; it stays installed")
+    key = actions.add_parser("key", help="make a key pair that signs bundles")
+    key.add_argument("file", type=Path, help="private key to make; the public one ends in .pub")
     actions.add_parser("list", help="what is installed, what is active, what runs beside it")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry it out; what is refused is told in one line."""
-    settings = _settings(arguments.config)
-    keys = getattr(arguments, "keys", None) or Path(settings.bundle.trusted_keys)
-    store = Store(Path(settings.bundle.path), keys, loader(settings.control.step_s))
+    if arguments.action == "key":
+        return _key(arguments.file)
+    settings = settings_of(arguments.config)
+    store = store_of(settings, getattr(arguments, "keys", None))
     match arguments.action:
         case "verify":
             _verify(store, arguments.bundle)
@@ -63,11 +66,18 @@ def run(arguments: argparse.Namespace) -> int:
         case "list":
             _list(store)
         case action:
-            _change(store, settings, action, getattr(arguments, "version", None))
+            change(store, settings, action, getattr(arguments, "version", None))
     return 0
 
 
-def _settings(path: Path | None) -> Settings:
+def store_of(settings: Settings, keys: Path | None = None) -> Store:
+    """The rig's store. keys: other trusted ones than the configured"""
+    trusted = keys or Path(settings.bundle.trusted_keys)
+    return Store(Path(settings.bundle.path), trusted, loader(settings.control.step_s))
+
+
+def settings_of(path: Path | None) -> Settings:
+    """As `--config` says; the rig's file, or every default where there is none. Errors: ConfigError"""
     if path is None and not CONFIG.exists():
         return config.default()
     return config.load(path or CONFIG)
@@ -84,24 +94,39 @@ def _verify(store: Store, source: Path) -> None:
 
 
 def _install(store: Store, settings: Settings, source: Path) -> None:
-    with open_archive(source) as archive, _told_of(source), _as_owner(store.folder):
+    with open_archive(source) as archive, _told_of(source):
+        install(store, settings, archive)
+
+
+def install(store: Store, settings: Settings, archive: BinaryIO) -> None:
+    """Take a bundle in to run in shadow, and tell who serves now. Errors: DataError, RequestError"""
+    with _as_owner(store.folder):
         version = store.install(archive).version
     print(f"bundle {version} is installed")
     reply = _ask(settings, "refresh", None)
     if reply is None:
-        _print_roles(store.roles())
+        print_roles(store.roles())
     else:
-        _print_serving(reply)
+        print_serving(reply)
 
 
-def _change(store: Store, settings: Settings, action: str, version: str | None) -> None:
+def change(store: Store, settings: Settings, action: str, version: str | None) -> None:
+    """One of `edge.bundle.orders.ACTIONS`, by the daemon where one runs. Errors: DataError, RequestError"""
     reply = _ask(settings, action, version)
     if reply is not None:
-        _print_serving(reply)
+        print_serving(reply)
         return
     with _as_owner(store.folder):
         roles = carry_out(store, action, version)
-    _print_roles(roles)
+    print_roles(roles)
+
+
+def _key(path: Path) -> int:
+    from edge.bundle.sign import generate_key  # late: cryptography
+
+    public = generate_key(path)
+    print(f"{path} signs, keep it; {public} goes into the folder of trusted keys of each rig")
+    return 0
 
 
 def _list(store: Store) -> None:
@@ -120,11 +145,13 @@ def _roles_in_words(roles: Roles) -> dict[str, str | None]:
     return {active: roles.active, "previous": roles.previous, "shadow": roles.shadow}
 
 
-def _print_roles(roles: Roles) -> None:
+def print_roles(roles: Roles) -> None:
+    """What does what, in a line."""
     print("; ".join(f"{word}: {name}" for word, name in _roles_in_words(roles).items() if name))
 
 
-def _print_serving(reply: dict[str, Any]) -> None:
+def print_serving(reply: dict[str, Any]) -> None:
+    """The same, as the daemon has it."""
     probation = ", on probation" if reply["on_probation"] else ""
     print(f"active: {reply['active']}{probation}; beside it: {reply['rival'] or 'none'} (the daemon has it)")
     for problem in reply["problems"]:

@@ -1,0 +1,185 @@
+"""`greenhouse twin adopt REPORT`: the twin that a diagnosis found becomes the running one, or that is undone.
+
+On a rig it goes the way of every model: a bundle like the active one with the new twin, signed, beside the
+active one in shadow (--activate: in its place, on probation). The key that signs is named, never made on
+the way: `greenhouse bundle key FILE` makes one, and whoever has root puts its public half among the rig's
+trusted keys. Without a rig, --to replaces a twin file and keeps the one before.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from edge.bundle.adopt import Adopted, is_adopted, with_twin
+from edge.bundle.archive import open_archive, pack
+from edge.commands.bundle import change, install, settings_of, store_of
+from edge.commands.output import writing
+from edge.errors import DataError, RequestError
+from edge.models.pbm import read_twin
+from edge.names import SIGNALS
+from edge.settings import Settings
+
+DIAGNOSIS, TWIN = "diagnosis.json", "twin.yaml"
+BEFORE = ".before"  # ending of the file that --to has replaced
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the action."""
+    parser.add_argument("report", nargs="?", type=Path, help="folder of a diagnosis, or a twin file")
+    parser.add_argument("--back", action="store_true", help="instead: undo the last adoption")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--shadow", action="store_true", help="run beside the active bundle and be scored (usual)"
+    )
+    how.add_argument("--activate", action="store_true", help="take its place, on probation")
+    how.add_argument(
+        "--bundle-out", type=Path, metavar="FILE", help="write the signed bundle, install nothing"
+    )
+    how.add_argument("--to", type=Path, metavar="FILE", help="replace this twin file, keep the one before")
+    parser.add_argument("--key", type=Path, help="private key that signs (usual: bundle.signing_key)")
+    parser.add_argument("--config", type=Path, help="edge.yaml (usual: the rig's, else the defaults)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 when it is done; what is refused is told in one line and has changed nothing."""
+    if arguments.back == (arguments.report is not None):
+        raise RequestError("give the folder of a diagnosis, or --back")
+    if arguments.back:
+        _back(arguments)
+    elif arguments.to is not None:
+        _replace(reported_twin(arguments.report), arguments.to)
+    else:
+        _adopt(reported_twin(arguments.report), arguments)
+    return 0
+
+
+def reported_twin(report: Path) -> Path:
+    """The twin file of a report. Errors: DataError where there is none, or where nothing was found"""
+    if report.is_file():
+        read_twin(report)
+        return report
+    document = _diagnosis(report / DIAGNOSIS)
+    if not document.get("effects"):
+        verdict = document.get("verdict")
+        raise DataError(f"{report / DIAGNOSIS}: effects: none was found ({verdict}), so there is no new twin")
+    twin = report / (document.get("twin_after") or TWIN)
+    read_twin(twin)
+    return twin
+
+
+def _diagnosis(path: Path) -> dict[str, Any]:
+    """The machine's answer. Errors: DataError"""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}: is this the folder of a diagnosis?") from error
+    except ValueError as error:
+        raise DataError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise DataError(f"{path}: is no object")
+    return document
+
+
+def _adopt(twin: Path, arguments: argparse.Namespace) -> None:
+    settings = settings_of(arguments.config)
+    store = store_of(settings)
+    with tempfile.TemporaryDirectory(prefix="greenhouse-twin-") as temporary:
+        folder = Path(temporary)
+        adopted = with_twin(store, twin, _changed(twin), _key(arguments.key, settings), folder)
+        _refuse_without_planner(adopted, settings, arguments.bundle_out is not None)
+        if arguments.bundle_out is not None:
+            with writing(arguments.bundle_out), arguments.bundle_out.open("wb") as file:
+                pack(folder, file)
+            print(f"{arguments.bundle_out}: bundle {adopted.manifest.version}, signed")
+        else:
+            with open_archive(folder) as archive:
+                install(store, settings, archive)
+    print("\n".join(_in_words(adopted, twin, settings.control.predictor)))
+    if arguments.activate:
+        change(store, settings, "activate", adopted.manifest.version)
+
+
+def _key(given: Path | None, settings: Settings) -> Path:
+    if given is not None:
+        return given
+    if not settings.bundle.signing_key:
+        raise RequestError(
+            "no key to sign with: --key FILE or bundle.signing_key. `greenhouse bundle key FILE` makes one; "
+            f"its public half goes into {settings.bundle.trusted_keys}"
+        )
+    return Path(settings.bundle.signing_key)
+
+
+def _refuse_without_planner(adopted: Adopted, settings: Settings, elsewhere: bool) -> None:
+    """A rig that plans with the hybrid would be left without its model."""
+    if not elsewhere and settings.control.predictor in adopted.dropped and not settings.control.model:
+        name = settings.control.predictor
+        raise RequestError(
+            f"control.predictor is {name}, and this rig's {name} was trained on the twin before: plan with "
+            "another model first, or train the hybrid anew and install that bundle"
+        )
+
+
+def _in_words(adopted: Adopted, twin: Path, predictor: str) -> Iterator[str]:
+    yield f"{adopted.manifest.version} is bundle {adopted.base} with {twin}"
+    if "ham" in adopted.dropped:
+        yield (
+            "ham is left out, it corrects the twin before; "
+            f"`greenhouse-train ham --twin {twin}` trains it on this one"
+        )
+    for column, effect in read_twin(twin).twin.needs.items():
+        if column in SIGNALS:
+            yield f"{effect} needs {SIGNALS[column].key}: while that is not measured, the twin forecasts nothing"
+    if predictor != "pbm":
+        yield f"the MPC plans with {predictor}; `control: {{predictor: pbm}}` makes it plan with the twin"
+
+
+def _back(arguments: argparse.Namespace) -> None:
+    if arguments.to is not None:
+        before = _before(arguments.to)
+        if not before.exists():
+            raise RequestError(f"{before}: is not there, so nothing was replaced")
+        with writing(arguments.to):
+            before.replace(arguments.to)
+        print(f"{arguments.to}: as before")
+        return
+    settings = settings_of(arguments.config)
+    store = store_of(settings)
+    roles = store.roles()
+    if is_adopted(roles.shadow):
+        change(store, settings, "reject", None)
+    elif is_adopted(roles.active):
+        change(store, settings, "rollback", None)
+    else:
+        beside = roles.shadow or "none"
+        raise RequestError(f"no adopted twin runs: bundle {roles.active} is active, {beside} beside it")
+
+
+def _replace(twin: Path, target: Path) -> None:
+    """A copy in place of `target`; a reader sees the one or the other, whole."""
+    with writing(target):
+        if target.exists():
+            if target.resolve() == twin.resolve():
+                raise RequestError(f"--to: {target} is the file of the report itself")
+            shutil.copyfile(target, _before(target))
+        new = target.with_name(f"{target.name}.new")
+        shutil.copyfile(twin, new)
+        with new.open("rb") as file:
+            os.fsync(file.fileno())
+        new.replace(target)
+    kept = f"; the one before is {_before(target)}" if _before(target).exists() else ""
+    print(f"{target}: {twin}{kept}")
+
+
+def _before(target: Path) -> Path:
+    return target.with_name(target.name + BEFORE)
+
+
+def _changed(path: Path) -> str:
+    return datetime.fromtimestamp(int(path.stat().st_mtime), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
