@@ -1,0 +1,106 @@
+"""Whether innovations are white: what a right model with a right noise leaves."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.diagnosis.locate.residuals import Residuals
+
+Floats = NDArray[np.float64]
+MOST_LAGS = 20
+FEWEST_ROWS = 20  # below, nothing is said
+FINENESS = 10  # frequencies between two of the coarse grid, to find the peak's period
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Tests of one run's innovations, or of several runs together; None where the rows are too few.
+
+    rows : measured; lags : of the Ljung-Box test
+    ljung_box_p : small where innovations go together in time
+    lag1_autocorrelation : -1..1
+    strongest_period_s : of the periodogram, two whole periods in the run at least
+    false_alarm : chance that white noise of as many rows has so strong a period
+    """
+
+    rows: int
+    lags: int
+    statistic: float
+    ljung_box_p: float | None
+    lag1_autocorrelation: float | None
+    strongest_period_s: float | None
+    false_alarm: float | None
+
+
+def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
+    """Of innovations in standard deviations, NaN where nothing was measured; gaps are left out, not filled.
+
+    Ljung & Box 1978, Biometrika 65, with the number of pairs that there are at each lag; the period by Lomb &
+    Scargle, its false alarm by Fisher's exact test of the largest ordinate (1929, Proc. R. Soc. A 125).
+
+    values : [N]; fitted : parameters of the noise model, degrees of freedom that are spent
+    """
+    seen = np.isfinite(values)
+    rows = int(seen.sum())
+    if rows < FEWEST_ROWS or not np.ptp(values[seen]) > 0.0:
+        return Whiteness(rows, 0, 0.0, None, None, None, None)
+    off = np.where(seen, values - values[seen].mean(), 0.0)
+    lags = min(MOST_LAGS, rows // 5)
+    correlation, pairs = (np.array(column) for column in zip(*_correlations(off, seen, lags), strict=True))
+    # Of a run without gaps this is Ljung & Box's n (n + 2) sum r^2 / (n - lag), r over all n rows.
+    statistic = float((rows + 2) / rows * (pairs * correlation**2).sum())
+    at_s = step_s * np.flatnonzero(seen).astype(np.float64)
+    period_s, false_alarm = _strongest(at_s, off[seen])
+    chance = _chance(statistic, lags - fitted)
+    return Whiteness(rows, lags, statistic, chance, float(correlation[0]), period_s, false_alarm)
+
+
+def whiteness_of(run: Residuals) -> Whiteness:
+    """Of a run's one-step residuals."""
+    return whiteness(run.one_step_k / run.innovation_sd, run.step_s)
+
+
+def together(parts: Sequence[Whiteness]) -> Whiteness:
+    """Runs as one: tests added, correlations averaged by rows, the period that is the least chance."""
+    told = [part for part in parts if part.ljung_box_p is not None]
+    rows = sum(part.rows for part in told)
+    if not told:
+        return Whiteness(sum(part.rows for part in parts), 0, 0.0, None, None, None, None)
+    statistic, lags = sum(part.statistic for part in told), sum(part.lags for part in told)
+    mean = sum(part.rows * (part.lag1_autocorrelation or 0.0) for part in told) / rows
+    best = min(told, key=lambda part: 1.0 if part.false_alarm is None else part.false_alarm)
+    alarm = None if best.false_alarm is None else min(1.0, len(told) * best.false_alarm)
+    return Whiteness(rows, lags, statistic, _chance(statistic, lags), mean, best.strongest_period_s, alarm)
+
+
+def _correlations(off: Floats, seen: NDArray[np.bool_], lags: int) -> list[tuple[float, int]]:
+    """Mean product of the pairs that there are over the variance, and how many, at each lag."""
+    variance, found = float((off[seen] ** 2).mean()), []
+    for lag in range(1, lags + 1):
+        pairs = int((seen[lag:] & seen[:-lag]).sum())
+        found.append((float((off[lag:] * off[:-lag]).sum()) / (max(pairs, 1) * variance), pairs))
+    return found
+
+
+def _chance(statistic: float, freedom: int) -> float | None:
+    from scipy.stats import chi2
+
+    return float(chi2.sf(statistic, freedom)) if freedom > 0 else None
+
+
+def _strongest(time_s: Floats, values: Floats) -> tuple[float | None, float | None]:
+    from scipy.signal import lombscargle
+
+    span_s = time_s[-1] - time_s[0]
+    # A grid on which white noise has independent ordinates, from two periods in the run on.
+    coarse = np.arange(2, len(values) // 2) / span_s
+    if len(coarse) < 3:
+        return None, None
+    power = lombscargle(time_s, values, 2.0 * np.pi * coarse)
+    share = float(power.max() / power.sum())
+    peak = coarse[power.argmax()]
+    fine = peak + np.arange(-FINENESS, FINENESS + 1) / (FINENESS * span_s)
+    sharp = fine[lombscargle(time_s, values, 2.0 * np.pi * fine).argmax()]
+    return float(1.0 / sharp), float(min(1.0, len(coarse) * (1.0 - share) ** (len(coarse) - 1)))
