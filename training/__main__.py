@@ -51,7 +51,11 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument("--out", type=Path, default=OUT, help=f"models and records (usual: {OUT})")
         sub.add_argument("--logs", type=Path, default=LOGS, help=f"TensorBoard logs (usual: {LOGS})")
-        sub.set_defaults(run=_train)
+        if name in ("pbm", "ham"):
+            sub.add_argument(
+                "--twin", type=Path, help="instead: this twin file by itself, or the guarded hybrid over it"
+            )
+        sub.set_defaults(run=_train, twin=None)
     key = commands.add_parser("key", help="a new key pair that signs bundles", description=_key.__doc__)
     key.add_argument("file", type=Path, help="private key to make; the public one ends in .pub")
     key.set_defaults(run=_key)
@@ -61,6 +65,9 @@ def _parser() -> argparse.ArgumentParser:
     bundle.add_argument("version", help="of the bundle, e.g. 2.0")
     bundle.add_argument("--out", type=Path, default=OUT, help=f"where the trainings are (usual: {OUT})")
     bundle.add_argument("--key", type=Path, help="private key that signs")
+    bundle.add_argument(
+        "--hybrid", default="ham_guarded", help="ham_given: the one over a given twin (usual: ham_guarded)"
+    )
     where = bundle.add_mutually_exclusive_group(required=True)
     where.add_argument("--file", type=Path, help="archive to write, for `greenhouse bundle install`")
     where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
@@ -109,7 +116,7 @@ def _bundle(arguments: argparse.Namespace) -> int:
     from training import coverage, pack
 
     folder = Path("out/bundle")
-    pack.gather(arguments.out, folder)
+    pack.gather(arguments.out, folder, arguments.hybrid)
     coverage.main([str(folder)])
     if arguments.default:
         pack.pack_default(folder, arguments.version, arguments.key or pack.KEY)
@@ -123,20 +130,25 @@ def _bundle(arguments: argparse.Namespace) -> int:
 
 
 def _train(arguments: argparse.Namespace) -> int:
-    from training.models import FAMILIES, MODELS
+    from edge.twin.twin_file import read_twin_file
+    from training.models import FAMILIES, GIVEN, MODELS, over
     from training.study import SCENARIOS, study
     from training.summary import records, table
 
-    families = FAMILIES if arguments.command == "all" else {arguments.command: FAMILIES[arguments.command]}
+    known, models = FAMILIES, MODELS
+    if arguments.twin is not None:
+        known, models = GIVEN, over(read_twin_file(arguments.twin))
+    families = known if arguments.command == "all" else {arguments.command: known[arguments.command]}
     regimes = [regime for regime in SCENARIOS if arguments.regime in (None, regime)]
-    for job in _jobs(families, regimes, arguments.seeds):
-        print(_line(study(job, MODELS[job.name], arguments.out, arguments.logs)), flush=True)
+    options = "" if arguments.twin is None else f" --twin {arguments.twin.name}"
+    for job in _jobs(families, regimes, arguments.seeds, options):
+        print(_line(study(job, models[job.name], arguments.out, arguments.logs)), flush=True)
     print("\n".join(table(records(arguments.out), [name for names in families.values() for name in names])))
     return 0
 
 
 def _jobs(
-    families: Mapping[str, Sequence[str]], regimes: Sequence["Regime"], seeds: Sequence[int]
+    families: Mapping[str, Sequence[str]], regimes: Sequence["Regime"], seeds: Sequence[int], options: str
 ) -> Iterator["Job"]:
     from training.models import SEEDED
     from training.study import Job
@@ -144,7 +156,7 @@ def _jobs(
     for family, names in families.items():
         for name, regime in itertools.product(names, regimes):
             for seed in seeds if name in SEEDED else (0,):
-                command = f"greenhouse-train {family} --regime {regime} --seeds {seed}"
+                command = f"greenhouse-train {family} --regime {regime} --seeds {seed}{options}"
                 yield Job(name, regime, seed, command)
 
 

@@ -8,14 +8,17 @@ from typing import Any
 
 from torch import nn
 
+from edge.errors import DataError
 from edge.models.arx_file import write_arx
 from edge.models.base import Predictor
 from edge.models.fit_arx import FREE_RUN_STEPS, Fit
 from edge.models.pbm import Pbm
-from edge.run_file import Run
+from edge.run_file import Run, data_sha256
+from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from training import ham, ham_guarded, linear, lstm, pbm
 from training.fit_network import Progress
+from training.pairs import split_all
 from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
 from training.study import Train, Trained
 from training.weights import save_network
@@ -78,6 +81,50 @@ def _guarded(
     return replace(trained, save=save)
 
 
+def over(file: TwinFile) -> Mapping[str, Train]:
+    """Models over a twin that is given, such as one that a diagnosis has found, by name.
+
+    What the file says is to be fitted is fitted on the training parts; all else stays as it is.
+    Errors : DataError for another step than the runs'
+    """
+    if file.sample_s != ham.STEP_S:
+        raise DataError(f"twin: sample_s: {file.sample_s:g}, but the runs are trained on at {ham.STEP_S:g} s")
+    return {TWIN_GIVEN: partial(_given, file), HAM_GIVEN: partial(_guarded_given, file)}
+
+
+def _given(file: TwinFile, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+    known = _known(file, runs)
+    return Trained(Pbm(known.twin()), {}, _origin(file, runs), partial(_save_given, known))
+
+
+def _guarded_given(file: TwinFile, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+    settings = ham_guarded.GuardedHamSettings()
+    known = _known(file, runs)
+    network, progress = ham_guarded.train(runs, known.twin(), seed, settings, log)
+    trained = _trained(GuardedHamPredictor(network), network, settings, progress)
+
+    def save(out: Path, facts: Mapping[str, Any]) -> None:
+        _save_given(known, out, facts)
+        trained.save(out, {**facts, "twin_sha256": known.twin().sha256})
+
+    return replace(trained, progress={**trained.progress, **_origin(file, runs)}, save=save)
+
+
+def _known(file: TwinFile, runs: Sequence[Run]) -> TwinFile:
+    return fit_twin(file, split_all(runs).train).file if file.to_fit() else file
+
+
+def _origin(file: TwinFile, runs: Sequence[Run]) -> dict[str, Any]:
+    """Whether the twin knows only these runs: one that was fitted on others may have seen what judges it."""
+    told = file.provenance.get("data_sha256")
+    return {"twin_data_sha256": told, "twin_is_of_these_runs": told == data_sha256(runs)}
+
+
+def _save_given(file: TwinFile, out: Path, facts: Mapping[str, Any]) -> None:
+    provenance = {**file.provenance, "training": dict(facts)}
+    write_twin_file(replace(file, provenance=provenance), out / TWIN_FILE)
+
+
 def _trained(predictor: Predictor, network: nn.Module, settings: Any, progress: Progress) -> Trained:
     def save(out: Path, facts: Mapping[str, Any]) -> None:
         save_network(network, out / NETWORK_FILE, facts)
@@ -96,7 +143,9 @@ MODELS: Mapping[str, Train] = {
     "lstm_increment": partial(_lstm, lstm.LstmSettings(predicts_increment=True)),
     "ham_guarded": partial(_guarded, ham_guarded.GuardedHamSettings()),
 }
-SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded")  # the others come out the same whatever the seed
+TWIN_GIVEN, HAM_GIVEN = "twin_given", "ham_given"
+SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded", HAM_GIVEN)  # others come out the same every time
+GIVEN = {"pbm": (TWIN_GIVEN,), "ham": (HAM_GIVEN,)}  # of `over`, by subcommand
 FAMILIES = {  # subcommand -> models, the paper's first
     "linear": ("linear", "linear_ambient"),
     "pbm": ("pbm", "twin"),

@@ -34,19 +34,20 @@ class Parts:
     hybrid: Path
 
 
-def gather(out: Path, folder: Path) -> dict[str, Any]:
+def gather(out: Path, folder: Path, hybrid_name: str = HYBRID) -> dict[str, Any]:
     """Fill `folder` with the models of a bundle and a report of them; the report.
 
     out : of `greenhouse-train all`
+    hybrid_name : the training whose network and twin are taken, "ham_given" for one over a given twin
     Errors : DataError where a training is missing or a graph does not prove its contract
     """
     found = records(out)
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
         old.unlink()
-    seeds = {name: best_seed(found, name, REGIME) for name in ("lstm", HYBRID)}
+    seeds = {name: best_seed(found, name, REGIME) for name in ("lstm", hybrid_name)}
     parts = Parts(
-        **{kind: _folder(out, name, seeds) for kind, name in (("lstm", "lstm"), ("hybrid", HYBRID))}
+        **{kind: _folder(out, name, seeds) for kind, name in (("lstm", "lstm"), ("hybrid", hybrid_name))}
     )
     shutil.copyfile(DEFAULT_PATH, folder / "arx.json")
     shutil.copyfile(parts.hybrid / TWIN_FILE, folder / TWIN_FILE)

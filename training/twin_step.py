@@ -48,7 +48,10 @@ class TwinStep(nn.Module):
         Errors : DataError for a twin whose inputs do not act as they are: late, bent, or more than these
         """
         if not twin.signals.plain:
-            raise DataError("twin: has effects on its inputs, which a network's graph does not hold")
+            raise DataError(
+                f"twin: {', '.join(_on_inputs(twin))}: acts on the inputs or bends the balance, which a "
+                "network's graph does not hold; the twin by itself forecasts with it"
+            )
         step = cls(len(twin.states))
         values: dict[str, NDArray[np.float64] | float] = {
             "transition": twin.off_on.state,
@@ -105,3 +108,12 @@ class TwinStep(nn.Module):
         moved = self.drift[0] + share[:, 0] * (self.drift[1] - self.drift[0])
         unknown = moved.unsqueeze(2) * moved.unsqueeze(1)
         return matrix @ covariance @ matrix.transpose(1, 2) + unknown
+
+
+def _on_inputs(twin: Twin) -> list[str]:
+    """The effects that make it more than one matrix per fan speed."""
+    return [
+        name
+        for name, values in twin.effects.items()
+        if not Twin(twin.geometry, {name: values}, twin.step_s).signals.plain
+    ]

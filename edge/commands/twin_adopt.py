@@ -135,7 +135,7 @@ def _in_words(adopted: Adopted, twin: Path, predictor: str) -> Iterator[str]:
         )
     for column, effect in read_twin(twin).twin.needs.items():
         if column in SIGNALS:
-            yield f"{effect} needs {SIGNALS[column].key}: while that is not measured, the twin forecasts nothing"
+            yield f"{effect} needs {SIGNALS[column].key}: without it the twin forecasts nothing"
     if predictor != "pbm":
         yield f"the MPC plans with {predictor}; `control: {{predictor: pbm}}` makes it plan with the twin"
 
