@@ -42,7 +42,7 @@ def strength_for(
     wanted: tuple[float, float],
 ) -> float | None:
     """A strength whose size is anywhere in `wanted`, evenly on a logarithmic scale; None where none is."""
-    rising = np.maximum.accumulate(sizes)
+    rising = np.maximum.accumulate(np.maximum(sizes, 1e-9))
     low, high = max(wanted[0], rising[0]), min(wanted[1], rising[-1])
     if not low < high or not np.isfinite(rising).all():
         return None
