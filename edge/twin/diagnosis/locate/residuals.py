@@ -81,8 +81,7 @@ def residuals_of(
     free_k = np.where(free.measured, free.residual, np.nan)
     alone = filtered(_without_heat(heat.steps), sensor_k, HeatNoise(0.0, twin.noise.heat_w))
     told, response = white(heat.way), pulses(heat.steps, heat.way)
-    air = twin.states.index(AIR)
-    air_c = 0.5 * (heat.way.updated[:-1, :, air] + heat.way.mean[1:, :, air]).T
+    air_c = _mean_air(heat, twin.states.index(AIR))
     found = []
     for i, name in enumerate(names):
         rows = int(np.flatnonzero(free.measured[i]).max(initial=-1)) + 1
@@ -110,6 +109,15 @@ def residuals_of(
             )
         )
     return found
+
+
+def _mean_air(heat: ResidualHeat, air: int) -> Floats:
+    """Mean over each step, of air that nears its end exponentially, by the rows before it, [B, N]."""
+    left = np.clip(heat.steps.matrix[:, :, air, air], 1e-6, 1.0 - 1e-6)  # of a difference, after a step
+    mean_left = (left - 1.0) / np.log(left)
+    of_begin = (mean_left - left) / (1.0 - left)
+    begin, end = heat.way.updated[:-1, :, air], heat.way.mean[1:, :, air]
+    return np.asarray(of_begin * begin + (1.0 - of_begin) * end).T
 
 
 def _misfit(heat: ResidualHeat) -> float:
