@@ -141,8 +141,11 @@ def _regime() -> Schema:
             _number("mean residual heat, measured minus the twin's: below 0 it gains too much [W]")
         ),
         "heat_w_se": _or_null(_number("standard error [W]", 0)),
-        "rmse_before_k": _or_null(_number("free run [K]", 0)),
-        "rmse_after_k": _or_null(_number("free run [K]", 0)),
+        "share_low": _or_null(_number("of the 95 % interval, 0..1", 0)),
+        "share_high": _or_null(_number("of the 95 % interval, 0..1", 0)),
+        "share_of_rows": _or_null(_number("0..1", 0)),
+        "rmse_k": _or_null(_number("free run before [K]", 0)),
+        "rmse_after_k": _or_null(_number("free run after [K]", 0)),
         "heat_after_w": _or_null(_number("with the effects added [W]")),
         "heat_after_w_se": _or_null(_number("standard error [W]", 0)),
     }

@@ -1,0 +1,76 @@
+"""Waterfall of the gap: the error of free runs after each effect that was added, down to the noise floor."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from edge.twin.diagnosis.report.number_text import kelvin
+from edge.twin.diagnosis.report.picture import (
+    AFTER,
+    BEFORE,
+    INK,
+    Picture,
+    legend_above,
+    new_figure,
+    styled,
+    svg,
+)
+from edge.twin.diagnosis.report.wording import Document, step_names
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ROW_IN, BORDER_IN = 0.4, 1.1
+_ROLES = {"train": "training runs", "test": "held-out test runs"}
+
+
+def gap_picture(document: Document) -> Picture | None:
+    """None where there is no step to show."""
+    steps = document.get("waterfall", [])
+    roles = [
+        role for role in ("test", "train") if steps and all(_error(step, role) is not None for step in steps)
+    ]
+    if len(steps) < 2 or not roles:
+        return None
+    role = roles[0]
+    errors = [_error(step, role) or 0.0 for step in steps]
+    with styled():
+        figure = new_figure(ROW_IN * len(steps) + BORDER_IN)
+        axes = figure.subplots()
+        _draw(axes, step_names(steps), errors)
+        if "train" in roles and role == "test":
+            trained = [step["train_rmse_k"] for step in steps]
+            axes.plot(trained, range(len(steps)), "D", color=INK, ms=4.5, label="training runs", zorder=4)
+        floor = document["gap"]["noise_floor"][role]
+        if floor is not None:
+            axes.axvline(floor, color=INK, ls=(0, (4, 3)), lw=1.2, label=f"noise floor {kelvin(floor)} K")
+        axes.set_title("The gap, step by step")
+        axes.set_xlabel(f"RMSE of free runs, {_ROLES[role]} [K]")
+        if axes.get_legend_handles_labels()[1]:
+            legend_above(axes, 2)
+        title = f"Error of free runs after each step, {_ROLES[role]}"
+        return Picture(
+            svg(figure), title, "Pale: what the step closed. Left of the dashed line is only noise."
+        )
+
+
+def _draw(axes: "Axes", names: list[str], errors: list[float]) -> None:
+    """A bar a step, its end labelled; pale from there to where the step before ended."""
+    rows = range(len(names))
+    colours = [BEFORE] + [AFTER] * (len(names) - 1)
+    axes.barh(rows, errors, color=colours, height=0.62, zorder=2)
+    for row in rows[1:]:
+        closed = max(errors[row - 1] - errors[row], 0.0)
+        axes.barh(row, closed, left=errors[row], color=AFTER, alpha=0.18, height=0.62, zorder=2)
+    for row in rows:
+        end = errors[row] if row == 0 else max(errors[row], errors[row - 1])
+        axes.annotate(f"{kelvin(errors[row])} K", (end, row), (5, 0), textcoords="offset points", va="center")
+    axes.set_yticks(rows, names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlim(0.0, 1.18 * max(errors))
+    axes.grid(axis="y", visible=False)
+    axes.tick_params(axis="y", length=0)
+
+
+def _error(step: Mapping[str, Any], role: str) -> float | None:
+    value = step.get(f"{role}_rmse_k")
+    return None if value is None else float(value)

@@ -1,0 +1,68 @@
+"""Numbers as a person reads them: three digits, a dash where there is none."""
+
+import math
+
+DASH = "–"
+EVEN_NATS = math.log(1.05)
+SURE_NATS = math.log(1e6)  # odds beyond it are not worth their digits
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """`digits` significant digits, no more decimals than they need: 1235, 18.3, 0.00081."""
+    if value is None:
+        return DASH
+    size = abs(value)
+    if size != 0.0 and not 1e-5 <= size < 1e7:
+        return f"{value:.{digits - 1}e}"
+    exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])  # as it is rounded: of 9.99 to two digits 1
+    return f"{value:.{max(0, digits - 1 - exponent)}f}"
+
+
+def kelvin(value: float | None) -> str:
+    """An error: hundredths of a kelvin, thousandths where it is below a tenth."""
+    if value is None:
+        return DASH
+    return f"{value:.3f}" if abs(value) < 0.0995 else f"{value:.2f}"
+
+
+def percent(share: float | None) -> str:
+    """A share of 1: `71 %`."""
+    if share is None:
+        return DASH
+    return "< 1 %" if 0.0 < share < 0.005 else f"{100.0 * share:.0f} %"
+
+
+def plus_minus(value: float | None, error: float | None) -> str:
+    """A value with its standard error, to the digits that the error leaves: `-38 ± 3`, `2.31 ± 0.14`."""
+    if value is None or not error:
+        return number(value)
+    exponent = math.floor(math.log10(error))
+    decimals = max(0, (1 if error < 2.95 * 10.0**exponent else 0) - exponent)
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+
+def nats(value: float | None) -> str:
+    """A log likelihood, a gain, log odds [nat]: tenths at most."""
+    if value is None:
+        return DASH
+    return f"{value + 0.0:.{1 if abs(value) < 99.95 else 0}f}".replace("-0.0", "0.0")
+
+
+def odds(log_odds: float | None) -> str:
+    """Log odds [nat] in words: `12 to 1`, `1 to 3`."""
+    if log_odds is None:
+        return DASH
+    if abs(log_odds) < EVEN_NATS:
+        return "even"
+    if abs(log_odds) > SURE_NATS:
+        return "more than a million to one" if log_odds > 0.0 else "less than one to a million"
+    times = number(math.exp(abs(log_odds)), 2)
+    return f"{times} to 1" if log_odds >= 0.0 else f"1 to {times}"
+
+
+def duration(seconds: float) -> str:
+    """`45 s`, `30 min`, `2.5 h`, `14 d`."""
+    for length_s, unit in ((172800.0, "d"), (7200.0, "h"), (120.0, "min")):
+        if seconds >= length_s:
+            return f"{number(seconds / {'d': 86400.0, 'h': 3600.0, 'min': 60.0}[unit], 2)} {unit}"
+    return f"{number(seconds, 2)} s"

@@ -1,0 +1,127 @@
+"""The page: one HTML file that needs nothing beside it."""
+
+import shlex
+from collections.abc import Iterator, Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from edge.twin.diagnosis.report.cause_sections import how_sure, left, what
+from edge.twin.diagnosis.report.gap_sections import gap_tables, tiles
+from edge.twin.diagnosis.report.markup import Column, command, folded, paragraph, table
+from edge.twin.diagnosis.report.number_text import duration, nats, number, odds
+from edge.twin.diagnosis.report.page_style import STYLE
+from edge.twin.diagnosis.report.picture import Picture
+from edge.twin.diagnosis.report.where_sections import where_tables
+from edge.twin.diagnosis.report.wording import Document, gap_sentence, headline, listed, meaning, new_twin
+
+NO_PICTURES = (
+    "No pictures: they need matplotlib. Get them with `pip install 'greenhouse-twin[report]'`, and again."
+)
+_VERDICTS = {"named": "Named", "nothing_missing": "Nothing missing", "unknown": "Unknown"}
+
+
+def page(document: Document, pictures: Mapping[str, tuple[Picture, ...]] | None, folder: str) -> str:
+    """The report.
+
+    pictures : by section (run, gap, where, sure, left); None where they can't be drawn
+    folder : of the report, for the command that adopts the new twin
+    """
+    return "\n".join(_lines(document, pictures, folder)) + "\n"
+
+
+def _lines(
+    document: Document, pictures: Mapping[str, tuple[Picture, ...]] | None, folder: str
+) -> Iterator[str]:
+    shown = pictures or {}
+    title = escape(headline(document))
+    yield f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    yield f"<style>{STYLE}</style></head><body><main>"
+    verdict = document["verdict"]
+    yield f'<div class="verdict {verdict}">{_VERDICTS[verdict]}</div><h1>{title}</h1>'
+    yield from (paragraph(sentence) for sentence in (*meaning(document), gap_sentence(document)))
+    yield from tiles(document)
+    if pictures is None:
+        yield paragraph(NO_PICTURES, "soft")
+    yield from _figures(shown, "run")
+    sections = (
+        ("The gap in numbers", gap_tables(document), "gap"),
+        ("Where the twin disagrees", where_tables(document), "where"),
+        ("What is missing", what(document), ""),
+        ("How sure this is", how_sure(document), "sure"),
+        ("What is left", left(document), "left"),
+        ("What to do next", _next(document, folder), ""),
+        ("Where this comes from", _origin(document), ""),
+    )
+    for head, lines, name in sections:
+        yield f"<h2>{head}</h2>"
+        yield from lines
+        yield from _figures(shown, name)
+    yield "</main></body></html>"
+
+
+def _figures(pictures: Mapping[str, tuple[Picture, ...]], section: str) -> Iterator[str]:
+    for picture in pictures.get(section, ()):
+        label = escape(picture.title)
+        yield f'<figure role="img" aria-label="{label}">{picture.svg}'
+        yield f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
+
+
+def _next(document: Document, folder: str) -> Iterator[str]:
+    experiment = document["next_experiment"]
+    if experiment:
+        yield "<h3>The next experiment</h3>"
+        yield from _experiment(experiment, folder)
+    if twin := new_twin(document):
+        yield "<h3>Adopt the new twin</h3>"
+        yield paragraph(f"It is {twin} beside this report. With --back instead of the folder it is undone.")
+        yield command(f"greenhouse twin adopt {shlex.quote(folder)}")
+    elif not experiment:
+        yield paragraph("Nothing: there is no twin to adopt and no experiment to run.")
+
+
+def _experiment(experiment: dict[str, Any], folder: str) -> Iterator[str]:
+    """What the schema words, then whatever else the design says."""
+    if "why" in experiment:
+        yield paragraph(experiment["why"])
+    facts = []
+    if separates := experiment.get("separates"):
+        facts.append(("separates", listed([str(name) for name in separates])))
+    if (seconds := experiment.get("duration_s")) is not None:
+        facts.append(("takes", duration(seconds)))
+    if (log_odds := experiment.get("expected_log_odds")) is not None:
+        facts.append(("expected log odds", f"{nats(log_odds)} nat: {odds(log_odds)}"))
+    worded = ("why", "separates", "duration_s", "expected_log_odds", "profile")
+    facts += [(key, _plain(value)) for key, value in experiment.items() if key not in worded]
+    if facts:
+        yield from table((Column("", words=True), Column("", words=True)), facts)
+    if "profile" in experiment:
+        profile = shlex.quote(str(Path(folder) / experiment["profile"]))
+        yield command(f"greenhouse experiment {profile} --out next_run.csv")
+
+
+def _origin(document: Document) -> Iterator[str]:
+    facts = {
+        "command": document.get("command"),
+        "twin before": document.get("twin_before"),
+        "twin after": document.get("twin_after"),
+        "data (SHA-256)": document.get("data_sha256"),
+        "software": document.get("software"),
+        "took": duration(document["seconds"]),
+    }
+    told = [(key, value) for key, value in facts.items() if value]
+    yield '<div class="hash">'
+    yield from table((Column("", words=True), Column("", words=True)), told)
+    yield "</div>"
+    runs = [*document["gap"]["before"]["train"]["per_run"], *document["predictions"]]
+    if runs:
+        yield from folded(f"{len(runs)} runs", [paragraph(", ".join(dict.fromkeys(runs)))])
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+    return ", ".join(map(_plain, value)) if isinstance(value, (list, tuple)) else str(value)

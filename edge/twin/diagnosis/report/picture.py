@@ -1,0 +1,113 @@
+"""What all pictures share: colours, lettering, and the way into a page that is light or dark."""
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_IN = 5.2  # narrow, so that the letters are large on a phone
+INK = "#010203"  # stands for the page's own text colour
+# Told apart by the colour-blind too (Okabe & Ito 2008), and seen on white and on black.
+BEFORE, AFTER, FAN, HEATER, PLAIN = "#d9660f", "#1f86cc", "#16a085", "#c9628f", "#8b949c"
+OF_THE_PAGE = {INK: "currentColor", BEFORE: "var(--before)", AFTER: "var(--after)"}  # light or dark
+STYLE: Any = {
+    "font.size": 9.0,
+    "font.family": "DejaVu Sans",
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.labelsize": 8.8,
+    "xtick.labelsize": 8.4,
+    "ytick.labelsize": 8.4,
+    "legend.fontsize": 8.4,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": PLAIN,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "text.parse_math": False,  # names of runs are no formulas
+    "axes.unicode_minus": True,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "diagnosis",
+    "path.simplify_threshold": 0.3,
+    **dict.fromkeys(
+        ("text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor", "xtick.color", "ytick.color"),
+        INK,
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """An SVG element for the middle of a page, what it shows, and how to read it."""
+
+    svg: str
+    title: str
+    caption: str
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Pictures drawn inside look as ours do."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+def new_figure(height_in: float) -> "Figure":
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+
+
+def svg(figure: "Figure") -> str:
+    """The figure as an element in the page's own colours, which change with light and dark."""
+    out = io.BytesIO()
+    figure.savefig(out, format="svg", dpi=150)
+    text = out.getvalue().decode("utf-8")
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = (
+        re.sub(r' (xmlns|xmlns:xlink|width|height|version)="[^"]*"', "", text[: (end := text.index(">"))])
+        + text[end:]
+    )
+    for colour, name in OF_THE_PAGE.items():
+        text = text.replace(colour, name)
+    return text.replace("xlink:href", "href").strip()
+
+
+def drawable(name: str, letters: int) -> str:
+    """A name cut to so many letters, without what no font has: bytes of a file name that are no text."""
+    name = name.encode("utf-8", "replace").decode("utf-8")
+    return name if len(name) <= letters else name[: letters - 1] + "…"
+
+
+def time_axis(seconds: float) -> tuple[float, str]:
+    """Divisor and unit for a time axis of that length."""
+    from edge.plot import UNITS
+
+    return next((divisor, unit) for shortest_s, divisor, unit in UNITS if seconds >= shortest_s)
+
+
+def legend_above(axes: "Axes", columns: int, room_pt: float = 0.0) -> None:
+    """A legend between the title and the panel, over no line. room_pt : for what stands between them"""
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2 + room_pt / 8.4,
+        handlelength=1.6, columnspacing=1.4, borderpad=0.0,
+    )  # fmt: skip
+    axes.set_title(axes.get_title(loc="left"), pad=18.0 + room_pt)

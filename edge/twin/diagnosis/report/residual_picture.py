@@ -1,0 +1,99 @@
+"""Residuals in time, of all runs, end to end."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edge.twin.diagnosis.report.picture import (
+    AFTER,
+    BEFORE,
+    INK,
+    PLAIN,
+    Picture,
+    drawable,
+    legend_above,
+    new_figure,
+    styled,
+    svg,
+    time_axis,
+)
+from edge.twin.diagnosis.report.story import Floats, Story, Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIDES = ("before", "after")
+LETTERS = 65  # of the names above the panel that its width has room for
+
+
+def residual_picture(story: Story, adds: bool) -> Picture | None:
+    """None where no run has temperatures to compare with. adds : whether after is another twin than before"""
+    traces = [one for one in story.traces if one.scored and one.before is not None]
+    if not traces:
+        return None
+    lengths = [float(one.time_s[-1] - one.time_s[0] + _step(one)) for one in traces]
+    divisor, unit = time_axis(sum(lengths))
+    begins = np.concatenate([[0.0], np.cumsum(lengths)])
+    with styled():
+        figure = new_figure(2.5)
+        axes = figure.subplots()
+        for number, (trace, begin, end) in enumerate(zip(traces, begins[:-1], begins[1:], strict=True)):
+            time = (trace.time_s - trace.time_s[0] + begin) / divisor
+            draw_residuals(axes, time, trace, adds, labelled=number == 0)
+            _frame(axes, trace, begin / divisor, end / divisor, (end - begin) / begins[-1])
+        axes.axhline(0.0, color=INK, lw=0.8, alpha=0.7)
+        axes.set_xlim(0.0, begins[-1] / divisor)
+        axes.set_ylim(*residual_limits(traces))
+        axes.set_ylabel("measured − twin [K]")
+        axes.set_xlabel(f"time, runs end to end [{unit}]")
+        axes.set_title("Residuals of free runs")
+        legend_above(axes, 3, room_pt=12.0)
+        held_out = " Shaded: held out." if any(one.role == "test" for one in traces) else ""
+        return Picture(
+            svg(figure), "Residuals of free runs in time", f"What remains should be noise around 0.{held_out}"
+        )
+
+
+def draw_residuals(axes: "Axes", time: Floats, trace: Trace, adds: bool, labelled: bool = False) -> None:
+    """Residuals of a free run, before and, where it is another twin, after."""
+    for when, colour in (("before", BEFORE if adds else AFTER), *((("after", AFTER),) if adds else ())):
+        residual = trace.residual(when)
+        if residual is not None:
+            label = (f"twin {when}" if adds else "twin") if labelled else None
+            axes.plot(time, residual, color=colour, lw=1.1, label=label)
+
+
+def _frame(axes: "Axes", trace: Trace, begin: float, end: float, share: float) -> None:
+    """Where a run ends, whether it was held out, and its name if it has room."""
+    axes.axvline(end, color=PLAIN, lw=0.7, alpha=0.8)
+    if trace.role == "test":
+        axes.axvspan(begin, end, color=PLAIN, alpha=0.16, lw=0)
+    if len(trace.name) <= LETTERS * share:
+        axes.annotate(
+            drawable(trace.name, LETTERS),
+            (0.5 * (begin + end), 1.0),
+            (0, 3),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7.6,
+        )
+
+
+def residual_limits(traces: Sequence[Trace]) -> tuple[float, float]:
+    """Lowest and highest residual to show; what is further off than the measurements reach is not."""
+    known = [part for one in traces for when in SIDES if (part := one.residual(when)) is not None]
+    reach = max([float(np.ptp(_finite(one.measured))) for one in traces if one.measured is not None] + [1.0])
+    joined = _finite(np.concatenate(known)) if known else np.zeros(1)
+    low, high = max(joined.min(initial=0.0), -reach), min(joined.max(initial=0.0), reach)
+    room = 0.05 * (high - low) or 0.1
+    return low - room, high + room
+
+
+def _finite(values: Floats) -> Floats:
+    return values[np.isfinite(values)]
+
+
+def _step(trace: Trace) -> float:
+    return float(np.median(np.diff(trace.time_s))) if len(trace.time_s) > 1 else 0.0

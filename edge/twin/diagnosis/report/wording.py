@@ -1,0 +1,147 @@
+"""A diagnosis in words: the sentences that the page and the terminal share."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from edge.twin.diagnosis.report.number_text import kelvin, number, percent
+
+Document = Mapping[str, Any]
+
+_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
+_ROLES = {"train": "training runs", "test": "held-out test runs"}
+NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
+WHITE_P = 0.05  # a run's innovations count as white from this p-value on
+
+
+def headline(document: Document) -> str:
+    """The verdict, for a person."""
+    effects = document["effects"]
+    if document["verdict"] == "nothing_missing":
+        return "Nothing is missing: no effect of the library makes the twin better"
+    names = listed([effect_text(effect) for effect in effects])
+    if document["verdict"] == "named":
+        count = _COUNTS[len(effects)] if len(effects) < len(_COUNTS) else str(len(effects))
+        return f"{count} effect{' is' if len(effects) == 1 else 's are'} missing: {names}"
+    besides = f"Besides {names}, something" if effects else "Something"
+    if not document["depends_on"]:
+        return f"{besides} is missing that has no name here; these data do not tell what it depends on"
+    return f"{besides} is missing that has no name here: it depends on {listed(document['depends_on'])}"
+
+
+def meaning(document: Document) -> list[str]:
+    """What the verdict means, a sentence or two each."""
+    sentences = [_effect_meaning(effect) for effect in document["effects"]]
+    if document["verdict"] == "nothing_missing":
+        sentences.append(
+            "None of the effects that were tried explains these runs better than the twin as it is, beyond"
+            " what chance would bring. The twin needs no change."
+        )
+    if document["verdict"] == "unknown":
+        sentences.append(
+            "What the twin lacks is more than noise, but none of the named effects explains it: the one that"
+            " comes nearest is not its cause."
+        )
+        if formula := document.get("formula"):
+            sentences.append(f"The best small formula: {formula_text(formula)}.")
+    return sentences
+
+
+def gap_sentence(document: Document) -> str:
+    """Errors of free runs before and after, and the noise floor."""
+    role = scored(document)
+    before, after = (document["gap"][when][role]["rmse_k"] for when in ("before", "after"))
+    floor = document["gap"]["noise_floor"][role]
+    noise = f"; the noise floor is {kelvin(floor)} K" if floor is not None else ""
+    if not changed(document):
+        return f"On the {_ROLES[role]} the twin as it is runs free with an RMSE of {kelvin(before)} K{noise}."
+    closed = shrink(document, role)
+    share = f": {percent(closed)} of the gap is closed" if closed is not None else ""
+    return (
+        f"On the {_ROLES[role]} the RMSE of free runs goes from {kelvin(before)} K"
+        f" to {kelvin(after)} K{noise}{share}."
+    )
+
+
+def changed(document: Document) -> bool:
+    """Whether after is another twin than before."""
+    return bool(document["gap"]["before"] != document["gap"]["after"])
+
+
+def new_twin(document: Document) -> str | None:
+    """File of the twin with the effects added, beside the report; None where nothing was added."""
+    name = document.get("twin_after", "twin.yaml")
+    return str(name) if document["effects"] and name else None
+
+
+def scored(document: Document) -> str:
+    """`test` where held-out temperatures are known, else `train`."""
+    gap = document["gap"]
+    known = all(gap[when]["test"] and gap[when]["test"]["rmse_k"] is not None for when in ("before", "after"))
+    return "test" if known else "train"
+
+
+def shrink(document: Document, role: str) -> float | None:
+    """Share of the gap to the noise floor that is closed; None where there is no gap, or it is not known."""
+    gap = document["gap"]
+    floor = gap["noise_floor"][role]
+    before, after = ((gap[when][role] or {}).get("rmse_k") for when in ("before", "after"))
+    if floor is None or before is None or after is None or not before > NO_GAP * floor:
+        return None
+    return float((before - after) / (before - floor))
+
+
+def effect_text(effect: Mapping[str, Any]) -> str:
+    """An effect, or a class that the data cannot tell apart: `fan_effectiveness (or short_circuit)`."""
+    rivals = effect["alternatives"]
+    return f"{effect['name']} (or {listed(rivals)})" if rivals else str(effect["name"])
+
+
+def parameter_text(name: str, parameter: Mapping[str, Any]) -> str:
+    """`tau_h = 183 s (95 %: 170 to 197)`."""
+    unit = f" {parameter['unit']}" if parameter["unit"] else ""
+    return f"{name} = {number(parameter['value'])}{unit}{interval_text(parameter)}"
+
+
+def interval_text(parameter: Mapping[str, Any]) -> str:
+    """` (95 %: 170 to 197)`, "" where it is not known."""
+    if parameter["low"] is None or parameter["high"] is None:
+        return ""
+    return f" (95 %: {number(parameter['low'])} to {number(parameter['high'])})"
+
+
+def formula_text(formula: Mapping[str, Any]) -> str:
+    """The formula and its parameters in a line."""
+    parameters = [parameter_text(name, value) for name, value in formula["parameters"].items()]
+    return ", with ".join([formula["text"], *([", ".join(parameters)] if parameters else [])])
+
+
+def white_runs(document: Document, when: str) -> tuple[int, int]:
+    """Runs whose innovations are white, of how many that were tested."""
+    found = document.get("innovations", {}).get(when, {})
+    tested = [one["ljung_box_p"] for one in found.values() if one["ljung_box_p"] is not None]
+    return sum(p >= WHITE_P for p in tested), len(tested)
+
+
+def step_names(waterfall: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What each step of the waterfall changes: `the twin as given`, `+ heater_lag`, `- wall_loss`."""
+    names = []
+    for step, last in zip(waterfall, [None, *waterfall[:-1]], strict=True):
+        had = last["effects"] if last is not None else []
+        added = [f"+ {name}" for name in step["effects"] if name not in had]
+        removed = [f"− {name}" for name in had if name not in step["effects"]]
+        names.append(", ".join(added + removed) or ("the twin as given" if last is None else "fitted anew"))
+    return names
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+
+
+def _effect_meaning(effect: Mapping[str, Any]) -> str:
+    said = f"{effect['name']}: {effect.get('equation', '')}".rstrip(": ")
+    parameters = ", ".join(parameter_text(name, value) for name, value in effect["parameters"].items())
+    sentence = f"{said.rstrip('.')}{'; ' if parameters else ''}{parameters}."
+    if effect["alternatives"]:
+        sentence += f" These data cannot tell it from {listed(effect['alternatives'])}."
+    return sentence
