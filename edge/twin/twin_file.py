@@ -86,7 +86,7 @@ def read_twin_file(path: Path) -> TwinFile:
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: cannot be read: {error}") from error
     except yaml.YAMLError as error:
-        raise DataError(f"{path}: not YAML: {error}") from error
+        raise DataError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     try:
         file = _twin_file(document)
         file.twin()  # values that no twin can have are refused now
