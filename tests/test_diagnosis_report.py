@@ -135,6 +135,7 @@ def test_an_unknown_effect_comes_with_its_dependence_and_formula(pages: dict[str
     assert "the heater's duty the temperature of the air" in text
     assert "Q = a u^2, with a = -21.6 W (95 %: -23.1 to -20.2)" in text
     assert "greenhouse twin adopt" not in text
+    assert "None was kept." in text and "Blue: kept." in words(pages["named"])
 
 
 def test_where_nothing_was_added_there_is_no_after(pages: dict[str, str]) -> None:
@@ -150,6 +151,11 @@ def test_the_json_lies_beside_the_page(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "report" / "diagnosis.json").read_text()) == json.loads(
         json.dumps(story.document)
     )
+
+
+def test_an_error_that_is_spread_evenly_is_said_to_be(tmp_path: Path) -> None:
+    write_report(tmp_path, Story({**nothing_story().document, "regimes": [], "rounds": []}))
+    assert "No regime has clearly more of the error" in words((tmp_path / "report.html").read_text("utf-8"))
 
 
 def test_a_wrong_diagnosis_gets_no_report(tmp_path: Path) -> None:

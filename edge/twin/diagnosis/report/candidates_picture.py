@@ -21,6 +21,7 @@ def candidates_picture(document: Document) -> Picture | None:
     if not rounds:
         return None
     rows = [len(_ranked(one)) for one in rounds]
+    kept = any(candidate["kept"] for one in rounds for candidate in one["candidates"])
     with styled():
         figure = new_figure(BAR_IN * sum(rows) + ROUND_IN * len(rows) + BORDER_IN)
         panels = figure.subplots(
@@ -38,7 +39,7 @@ def candidates_picture(document: Document) -> Picture | None:
         return Picture(
             svg(figure),
             "Gain of each candidate",
-            "Blue: kept. Each parameter more, and each try more, has to pay for itself; the table says why a"
+            f"{'Blue: kept' if kept else 'None was kept'}. Each parameter more, and each try more, has to pay for itself; the table says why a"
             " candidate was not kept.",
         )
 

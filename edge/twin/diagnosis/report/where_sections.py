@@ -16,6 +16,8 @@ def where_tables(document: Document) -> Iterator[str]:
         yield bullets(findings)
     if document["regimes"]:
         yield from _regimes(document["regimes"][:REGIMES])
+    else:
+        yield paragraph("No regime has clearly more of the error than its share of the rows.", "soft")
     if events := document.get("events"):
         columns = (
             Column("event", words=True),

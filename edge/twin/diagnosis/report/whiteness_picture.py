@@ -53,7 +53,7 @@ def whiteness_picture(story: Story, adds: bool) -> Picture | None:
         return Picture(
             svg(figure),
             "Autocorrelation of the innovations",
-            "Of all runs together. Almost all within the grey band: white, nothing is left to explain.",
+            "Of all runs together. Where nothing is left to explain, almost all lie in the grey band.",
         )
 
 
