@@ -1,5 +1,6 @@
 """edge/replay.py, edge/recorded_board.py: a recording takes the board's place, nothing in it is changed."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from edge.commands.replay import settings_for, skill_table
 from edge.messages import Quality, TickRecord
 from edge.models.arx import Arx
+from edge.models.base import Columns, Floats
 from edge.replay import decisions_digest, fired_limits, replay, score
 from edge.run_file import Run, read_run
 from edge.tick_json import tick_json
@@ -82,6 +84,40 @@ def test_a_predictor_that_is_the_truth_is_scored_as_such() -> None:
     for skill in score(records, TRUE_BOX, (10.0, 60.0, 300.0)):
         assert skill.model_mae_k < 0.02
         assert skill.model_mae_k < 0.5 * skill.persistence_mae_k
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A predictor that keeps what it is given."""
+
+    given: list[tuple[Columns, Columns]]
+    name: str = "witness"
+    version: str = ""
+    step_s: float = STEP_S
+    rows_needed: int = 1
+
+    def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
+        self.given.append((history, ahead))
+        return np.full(controls.shape[:2], history["temp_air"][-1])
+
+
+def test_a_predictor_is_handed_every_column_that_effects_need() -> None:
+    run = recording()
+    light = np.linspace(0.0, 1.0, len(run))
+    lit = replace(
+        run,
+        columns={**run.columns, "light": light, "rel_humidity_pct": 50.0 + light},
+        facts={"start_utc": "2026-07-01T12:00:00Z"},
+    )
+    witness = Witness([])
+    score(replayed(lit), witness, (60.0,))
+    history, ahead = witness.given[10]  # at row 10, with 11 rows of history
+    assert history["light"] == pytest.approx(light[:11])
+    assert history["rel_humidity"] == pytest.approx(50.0 + light[:11])
+    assert history["utc"] == pytest.approx(lit.start_utc + STEP_S * np.arange(11))
+    # Nothing is known of later rows: what was measured stays, time goes on.
+    assert set(ahead["light"]) == {light[10]}
+    assert ahead["utc"] == pytest.approx(lit.start_utc + STEP_S * np.arange(10, 16))
 
 
 def test_a_wrong_predictor_is_scored_worse() -> None:
