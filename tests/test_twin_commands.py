@@ -1,17 +1,23 @@
 """`greenhouse twin`: the group, and the free run of `simulate`."""
 
+import argparse
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from history_records import HandClock, History, tick
 from training_runs import BOX, box_run
 
 from edge.__main__ import main
+from edge.commands.stretch import moment
+from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
 from edge.commands.twin_simulate import START_ROWS, errors, simulate
-from edge.errors import DataError
+from edge.errors import DataError, RequestError
 from edge.models.pbm import Pbm
 from edge.run_file import Run, read_run, write_run
+from edge.storage import Storage
 from edge.twin.model import Twin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from edge.twin.value import Value
@@ -259,3 +265,64 @@ def test_light_and_time_of_day_reach_the_twin() -> None:
         for start in ("1970-01-01T00:00:00Z", "1970-01-11T00:00:00Z")
     )
     assert abs(young - old) > 0.1  # ten days later the walls let out twice as much
+
+
+# which recordings
+
+
+def data(*words: object) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_data_arguments(parser)
+    return parser.parse_args([str(word) for word in words])
+
+
+def test_run_files_are_named_before_and_after_test(made: Path, tmp_path: Path) -> None:
+    test = run_file(tmp_path / "test.csv", box_run(2, role="test"))
+    runs = diagnosis_runs_of(data(made, "--test", test), TwinFile())
+    assert ([named.name for named in runs.train], [named.name for named in runs.test]) == (
+        ["run.csv"],
+        ["test.csv"],
+    )
+
+
+def test_the_history_is_taken_by_its_age(tmp_path: Path) -> None:
+    history = tmp_path / "history.db"
+    storage = Storage(History.at(history, queue_ticks=1000), HandClock())
+    storage.open()
+    now = time.time()
+    for seq in range(1, 101):  # the newest now, the oldest 99 minutes ago
+        storage.write(tick(seq, utc=now - 60.0 * (100 - seq)))
+    assert storage.close(20.0)
+    runs = diagnosis_runs_of(data("--history", history, "--since", "1h", "--test-share", "0.5"), TwinFile())
+    assert [len(named.run) for named in (*runs.train, *runs.test)] == [30, 30]
+    with pytest.raises(DataError, match="no ticks in this stretch"):
+        diagnosis_runs_of(data("--history", history, "--until", "2d"), TwinFile())
+
+
+def test_files_and_history_are_not_mixed_and_nothing_is_refused(made: Path) -> None:
+    with pytest.raises(RequestError, match="run files and the history don't go together"):
+        diagnosis_runs_of(data(made, "--since", "14d"), TwinFile())
+    with pytest.raises(RequestError, match="nothing to diagnose: give run files"):
+        diagnosis_runs_of(data(), TwinFile())
+
+
+@pytest.mark.parametrize(
+    ("text", "utc"),
+    [
+        (None, None),
+        ("14d", 1e9 - 14 * 86400.0),
+        ("1.5h", 1e9 - 5400.0),
+        ("90min", 1e9 - 5400.0),
+        ("0d", 1e9),
+        ("1970-01-01T01:00", 3600.0),
+        ("1970-01-01T01:00+01:00", 0.0),
+    ],
+)
+def test_a_time_is_an_instant_or_an_age(text: str | None, utc: float | None) -> None:
+    assert moment(text, now_utc=1e9) == utc
+
+
+@pytest.mark.parametrize("text", ["", "14", "d", "-1d", "1e3d", "nand", "14 d", "14w", "noon"])
+def test_what_is_neither_is_refused(text: str) -> None:
+    with pytest.raises(RequestError, match=r"is no time like .* and no age like 14d"):
+        moment(text)
