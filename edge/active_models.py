@@ -17,8 +17,10 @@ from edge.messages import Command, Decision, Forecast, ForecastSkill
 from edge.models.arx import Arx
 from edge.models.base import Columns, Predictor
 from edge.models.configured import configured_model
+from edge.models.pbm import Pbm
 from edge.models.persistence import Persistence
 from edge.settings import CONTROLLERS, NEED_NO_MODEL, ControlSettings
+from edge.twin.model import Twin
 
 Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
 
@@ -26,6 +28,8 @@ Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
 class Models(Protocol):
     """What a loop asks of its models, twice a tick."""
 
+    @property
+    def twin(self) -> Twin | None: ...
     def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str: ...
     def forecast(
         self, history: Columns, decision: Decision, driven: Command, confirmed: bool
@@ -34,6 +38,8 @@ class Models(Protocol):
 
 class NoForecasts:
     """The models of a loop that never exchanges them: a replay."""
+
+    twin: Twin | None = None
 
     def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
         """Nothing to exchange."""
@@ -60,6 +66,12 @@ class ActiveModels:
         self.model, self.linear = self._chosen()
         active, intervals, rivals = self._forecasting_parts()
         self.forecasting = Forecasting(control.step_s, active, intervals, rivals, state)
+
+    @property
+    def twin(self) -> Twin | None:
+        """The active bundle's; None where it has no physics model."""
+        model = _active(self._serving).get("pbm")
+        return model.twin if isinstance(model, Pbm) else None
 
     def controllers(self) -> dict[str, Controller]:
         """All that can decide with these models, by name."""

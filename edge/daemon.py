@@ -21,6 +21,8 @@ from edge.clock import Clock, RealClock, boot_id
 from edge.config import config_hash
 from edge.control_socket import ControlSocket
 from edge.controllers.base import Controller
+from edge.drift.monitor import DriftMonitor, Promise
+from edge.drift_state import DriftKeeping, read_memory
 from edge.errors import ConfigError
 from edge.estimator import Estimator
 from edge.forecasts.skill import SkillState
@@ -33,6 +35,7 @@ from edge.models.from_bundle import loader
 from edge.mqtt.commands import SEQ_MAX
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
+from edge.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
@@ -96,6 +99,7 @@ class Daemon:
     stop_at_s: float = float("inf")
     experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
     more_controllers: Sequence[Controller] = ()  # than those of settings.CONTROLLERS
+    config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
 
@@ -155,6 +159,8 @@ class Daemon:
         state = StateSink(StateWriter(Path(settings.state_file)))
         stack.callback(state.writer.close)
         sinks: list[Sink] = [storage, state, *([bundles] if bundles else [])]
+        drift = self._drift(sinks)
+        nightly = self._nightly(sinks, bundles)
         if settings.mqtt.enabled:
             telemetry = Telemetry(settings, self._ask(inbox, bundles), lambda: _outbox(settings))
             stack.callback(telemetry.close)
@@ -175,11 +181,14 @@ class Daemon:
             controllers=controllers,
             models=models,
             sinks=sinks,
-            more_events=lambda: [*storage.events_pending(), *(bundles.events_pending() if bundles else ())],
+            more_events=lambda: [
+                event for part in (storage, bundles, nightly) if part for event in part.events_pending()
+            ],
             inbox=inbox,
             save_state=self._save(state, standing.operation),
             after_tick=self.after_tick,
             stop_at_s=self.stop_at_s,
+            drift=drift,
         )
         loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
         stack.callback(loop.close)
@@ -199,6 +208,30 @@ class Daemon:
         bundles = BundleKeeper(store, self.clock, automatic, settings.bundle.trial_ticks)
         self._stack.callback(bundles.close)
         return bundles
+
+    def _drift(self, sinks: list[Sink]) -> DriftMonitor | None:
+        """Watches the running twin, and saves what it knows as one of the sinks."""
+        settings = self.settings
+        if not settings.drift.enabled:
+            return None
+        promise = Promise(settings.control.step_s, settings.drift.false_alarm_days, settings.drift.learn_h)
+        path = Path(settings.state_file).with_name("drift.json")
+        monitor = DriftMonitor(promise, zone_of(settings.timezone), read_memory(path))
+        keeping = DriftKeeping(monitor, path)
+        self._stack.callback(keeping.close)
+        sinks.append(keeping)
+        return monitor
+
+    def _nightly(self, sinks: list[Sink], bundles: BundleKeeper | None) -> NightlyDiagnosis | None:
+        """None unless it is configured, and there are bundles whose twin it could diagnose."""
+        settings = self.settings
+        if settings.drift.diagnose == "never" or bundles is None:
+            return None
+        places = Places(Path(settings.history.path), bundles.twin_file, self.config_file)
+        nightly = NightlyDiagnosis(settings.drift, places, self.clock, zone_of(settings.timezone))
+        self._stack.callback(nightly.close)
+        sinks.append(nightly)
+        return nightly
 
     def _orders(self, standing: Operation) -> Operation:
         if not self.experiment:

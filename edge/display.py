@@ -118,6 +118,7 @@ def _facts(record: TickRecord) -> list[tuple[str, str]]:
             ", ".join(f"{key} {_short(value)}" for key, value in record.decision.why.items() if value)[:200],
         ),
         *forecast_facts(record),
+        *([("twin", record.drift.text)] if record.drift else []),
         ("safety", safety or "nothing changed"),
         ("board", "answers" if record.link_up else "silent"),
     ]

@@ -19,6 +19,7 @@ from edge.clock import Clock
 from edge.conditions import Conditions
 from edge.controllers.base import Context, Controller
 from edge.decider import Decider
+from edge.drift.monitor import DriftMonitor
 from edge.errors import RequestError
 from edge.estimator import Estimator
 from edge.hard_limits import LEASE_S
@@ -38,7 +39,7 @@ from edge.safety import (
 )
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
-from edge.tick_json import echo_json, skill_json, tick_json
+from edge.tick_json import drift_json, echo_json, skill_json, tick_json
 from edge.watering import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
@@ -97,6 +98,7 @@ class Rig:
     save_state: Callable[[Operation, SafetyMemory], None]
     after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
     stop_at_s: float = math.inf  # end of an experiment
+    drift: DriftMonitor | None = None  # watches the running twin
 
 
 class Loop:
@@ -162,9 +164,12 @@ class Loop:
         verdict = self._supervise(wanted, readings, estimate, now, utc)
         echo = self._drive(verdict)
         rig.estimator.record_sent(self._sent)
-        forecasts, skill = rig.models.forecast(
-            rig.estimator.history(), decision, self._sent, echo is not None
-        )
+        history, confirmed = rig.estimator.history(), echo is not None
+        forecasts, skill = rig.models.forecast(history, decision, self._sent, confirmed)
+        drift = None
+        if rig.drift is not None:
+            hands_in = self._operation.in_maintenance(utc)
+            drift = rig.drift.tick(rig.models.twin, history, confirmed, hands_in)
         self._note_conditions(readings, estimate, echo, late_s, now, utc)
         record = TickRecord(
             seq=self._seq,
@@ -187,6 +192,7 @@ class Loop:
             decide_ms=decide_ms,
             forecasts=forecasts,
             skill=skill,
+            drift=drift,
         )
         self._hand_out(record)
         return record
@@ -279,6 +285,7 @@ class Loop:
             *rig.board.take_events(),
             *self._decider.take_events(),
             *verdict.events,
+            *(rig.drift.take_events() if rig.drift else ()),
             *rig.more_events(),
             *self._conditions.take_events(),
         )
@@ -332,6 +339,7 @@ class Loop:
             "trips": list(self._memory.trips),
             "tick": None if self.last_record is None else tick_json(self.last_record),
             "skill": {} if self.last_record is None else skill_json(self.last_record.skill),
+            "drift": drift_json(self.last_record.drift if self.last_record else None),
             "echo": echo_json(self._rig.board.echo),
             "line": dict(self._rig.board.statistics),
         }

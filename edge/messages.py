@@ -116,6 +116,38 @@ class ForecastSkill:
     covered: float | None  # share of the measurements that were inside
 
 
+class DriftState(Enum):
+    """What the drift monitor says of the running twin."""
+
+    AGREES = "agrees"
+    DISAGREES = "disagrees"  # until it was seen to agree again
+    UNKNOWN = "unknown"  # not judged at this tick
+
+
+@dataclass(frozen=True, slots=True)
+class DriftRow:
+    """How the twin did lately in one regime."""
+
+    ticks: float  # the newest hours counting most
+    share_of_squares: float  # of its squared innovations in all regimes
+    error_k: float  # measured minus predicted one step ahead, mean
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Whether the running twin still agrees with the box."""
+
+    state: DriftState = DriftState.UNKNOWN
+    text: str = ""  # for people
+    reason: str = ""  # why it is not judged
+    since_utc: float | None = None  # since when it disagrees
+    where: str = "all"  # regime in which it errs most, a name of edge/drift/regimes.py
+    error_k: float = 0.0  # there
+    evidence: float = 0.0  # log of the sum over log of its threshold: 1 raises the alarm
+    learnt: float = 0.0  # share of what is to be learnt of its ordinary errors
+    regimes: Mapping[str, DriftRow] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True)
 class Echo:
     """What the board really drives."""
@@ -153,3 +185,4 @@ class TickRecord:
     decide_ms: float  # wall time of the decision
     forecasts: Mapping[str, Forecast] = field(default_factory=dict)  # by predictor
     skill: tuple[ForecastSkill, ...] = ()  # so far, not of this tick alone: the history keeps one an hour
+    drift: Drift | None = None  # None where it is not watched; the history keeps its events alone

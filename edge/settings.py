@@ -130,6 +130,35 @@ class BundleSettings(Section):
 
 
 @dataclass(frozen=True, slots=True)
+class DriftSettings(Section):
+    """Does the running twin still agree with the box; at night, what is missing in it."""
+
+    enabled: bool = flag(True, "test the active bundle's twin at each tick")
+    false_alarm_days: float = number(90.0, "mean time to a false alarm, at least", "days", 1.0, 3650.0)
+    learn_h: float = number(
+        24.0,
+        "time with the heater on or off and the fan on or off, each, from which the twin's ordinary errors "
+        "are learnt; gross disagreement is told before",
+        "h",
+        1.0,
+        1000.0,
+    )
+    diagnose: str = text(
+        "never", "when `greenhouse twin diagnose` runs at night", ("never", "disagrees", "always")
+    )
+    diagnose_at: time = clock("03:00", "begin of the diagnosis")  # noqa: RUF009
+    diagnose_since_d: float = number(14.0, "history that it reads", "days", 0.1, 365.0)
+    diagnose_max_min: float = number(120.0, "a diagnosis that takes longer is ended", "min", 1.0, 720.0)
+    reports: str = text("/var/lib/greenhouse/diagnosis", "folder of its reports")
+    adopt: str = text(
+        "never",
+        "what becomes of a twin that it finds: never: it stays in the report; shadow: it runs beside the "
+        "active bundle and is scored; activate: it takes its place, on probation",
+        ("never", "shadow", "activate"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class ReferenceStep(Section):
     """From `at_s` after the start on: `reference_c`."""
 
@@ -353,6 +382,7 @@ class Settings(Section):
     mqtt: MqttSettings = field(default_factory=MqttSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
     bundle: BundleSettings = field(default_factory=BundleSettings)
+    drift: DriftSettings = field(default_factory=DriftSettings)
     reference: ReferenceSettings = field(default_factory=ReferenceSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     sensor_health: SensorHealthSettings = field(default_factory=SensorHealthSettings)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from edge.messages import Command, Echo, Event, Forecast, ForecastSkill, TickRecord
+from edge.messages import Command, Drift, Echo, Event, Forecast, ForecastSkill, TickRecord
 from edge.names import SIGNALS
 
 TEMP_DIGITS, WIDTH_DIGITS = 2, 3  # of forecasts: a tenth of the sensor's resolution, a hundredth
@@ -90,8 +90,32 @@ def skill_json(skill: Sequence[ForecastSkill]) -> dict[str, Any]:
     return found
 
 
+def drift_json(drift: Drift | None) -> dict[str, Any] | None:
+    """What the drift monitor says; None where there is none. Times in seconds since 1970."""
+    if drift is None:
+        return None
+    return {
+        "state": drift.state.value,
+        "text": drift.text,
+        "reason": drift.reason,
+        "since_utc": number(drift.since_utc, 3),
+        "where": drift.where,
+        "error_k": number(drift.error_k),
+        "evidence": number(drift.evidence, 3),
+        "learnt": number(drift.learnt, 3),
+        "regimes": {
+            name: {
+                "ticks": number(row.ticks, 1),
+                "share_of_squares": number(row.share_of_squares, 3),
+                "error_k": number(row.error_k),
+            }
+            for name, row in drift.regimes.items()
+        },
+    }
+
+
 def tick_json(record: TickRecord) -> dict[str, Any]:
-    """The record without its skill (`skill_json`); missing numbers are null, never 0."""
+    """The record without its skill and drift (`skill_json`, `drift_json`); a missing number is null."""
     return {
         "seq": record.seq,
         "utc": number(record.utc, 3),

@@ -10,8 +10,10 @@ import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
+from edge.bundle.manifest import TWIN
 from edge.bundle.orders import ACTIONS, carry_out
 from edge.bundle.serving import Serving, choose
 from edge.bundle.store import Loaded, Store
@@ -100,6 +102,11 @@ class BundleKeeper:
         now, utc = self._clock.now(), self._clock.utc()
         told = [self._told.popleft() for _ in range(len(self._told))]
         return [Event(key, severity, text, now, utc) for severity, key, text in told]
+
+    def twin_file(self) -> Path | None:
+        """Of the active bundle; from any thread."""
+        active = self.serving.active
+        return None if active is None else self._store.folder_of(active.name) / TWIN
 
     def close(self) -> None:
         """End the thread after the job that runs."""

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run until SIGTERM or Ctrl-C; one line per tick on standard output."""
     settings = config.load(arguments.config)
     told = _Told()
-    with Daemon(settings, RealClock(), after_tick=told.tick) as daemon:
+    with Daemon(settings, RealClock(), after_tick=told.tick, config_file=arguments.config) as daemon:
         daemon.run()
         told.notifier.stopping()
     told.notifier.close()

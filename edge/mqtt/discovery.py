@@ -55,7 +55,7 @@ def _components(settings: Settings, topics: Topics) -> Json:
             for key, sensor in {**_sensors(), **skill_sensors(topics)}.items()
         },
         {"controller": _controller_sensor(topics), "last_event": _event_sensor(topics)},
-        _binary_sensors(),
+        {**_binary_sensors(), "twin_disagrees": _drift_sensor(topics)},
         _buttons(topics),
         _inputs(topics),
     )
@@ -171,6 +171,22 @@ def _event_sensor(topics: Topics) -> Json:
         "state_topic": topics.event,
         "value_template": "{{ value_json.text[:255] }}",  # a state holds no more
         "json_attributes_topic": topics.event,
+        "entity_category": "diagnostic",
+    }
+
+
+def _drift_sensor(topics: Topics) -> Json:
+    """On while the running twin disagrees with the box, unknown while it is not judged."""
+    states = "{'disagrees': 'ON', 'agrees': 'OFF'}"
+    return {
+        "platform": "binary_sensor",
+        "name": "Twin disagrees",
+        "device_class": "problem",
+        "state_topic": topics.drift,
+        "value_template": f"{{{{ {states}.get(value_json.state) }}}}",
+        "payload_on": "ON",
+        "payload_off": "OFF",
+        "json_attributes_topic": topics.drift,
         "entity_category": "diagnostic",
     }
 

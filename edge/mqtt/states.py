@@ -78,6 +78,13 @@ def skill(status: Mapping[str, Any]) -> Json:
     return {"seq": tick["seq"], "utc": tick["utc"], "predictors": status.get("skill", {})}
 
 
+def drift(status: Mapping[str, Any]) -> Json:
+    """Whether the running twin agrees with the box; unknown where it is not watched."""
+    tick = status["tick"]
+    found = status.get("drift") or {"state": "unknown", "text": "the twin is not watched"}
+    return {"seq": tick["seq"], "utc": tick["utc"], **found}
+
+
 def _measurements(readings: Mapping[str, Any]) -> Json:
     """Values of good readings alone; a bad one is null and its quality says why."""
     values: Json = {}

@@ -201,6 +201,7 @@ class Telemetry:
         self._publish(self._topics.forecast, states.forecast(status), retain=True)
         self._publish(self._topics.forecasts, states.forecasts(status), retain=True)
         self._publish(self._topics.skill, states.skill(status), retain=True)
+        self._publish(self._topics.drift, states.drift(status), retain=True)
 
     def _empty_outbox(self) -> None:
         if self._outbox is None or self._drain is None:

@@ -48,9 +48,14 @@ class Topics:
         return f"{self.root}/skill"
 
     @property
+    def drift(self) -> str:
+        """Whether the running twin agrees with the box, since when not and where; retained."""
+        return f"{self.root}/drift"
+
+    @property
     def retained(self) -> tuple[str, ...]:
         """All that stays at the broker until it is taken away."""
-        live = (self.state, self.decision, self.forecast, self.forecasts, self.skill)
+        live = (self.state, self.decision, self.forecast, self.forecasts, self.skill, self.drift)
         return (self.discovery, self.availability, *live)
 
     @property

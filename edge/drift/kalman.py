@@ -1,0 +1,116 @@
+"""The running twin's Kalman filter: one step on at each tick, and how far the measurement was from it."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.models.base import Columns
+from edge.twin.march import Commands
+from edge.twin.model import Twin
+from edge.twin.warm_start import at_rest, drift, spread
+
+Floats = NDArray[np.float64]
+PAST_S = 1800.0  # commands so old act no more: longer than any dead time, and ten time constants of a fan
+SAME_TIME_S = 1e-3  # two times of one tick
+
+
+class State(NamedTuple):
+    """What the twin believes at a tick."""
+
+    time_s: float
+    mean: Floats  # [n]
+    covariance: Floats  # [n, n]
+    begun_s: float  # when the filter began, from rest
+
+
+class Innovation(NamedTuple):
+    """Measured minus predicted."""
+
+    value_k: float
+    sd_k: float  # as the twin's own noise says
+
+
+class Filter:
+    """A Kalman filter over one twin; what never changes is computed once."""
+
+    def __init__(self, twin: Twin) -> None:
+        self.twin = twin
+        self._moved = drift(twin)
+        self._variance_k2 = twin.noise.sensor_k**2
+        self._rows = max(2, round(PAST_S / twin.step_s))
+
+    def begin(self, history: Columns) -> State | None:
+        """At rest at the newest row; None where its air or room temperature is not known."""
+        temp, room = float(history["temp_air_measured"][-1]), float(history["temp_ambient"][-1])
+        if not (np.isfinite(temp) and np.isfinite(room)):
+            return None
+        now = float(history["time_s"][-1])
+        return State(now, at_rest(self.twin, temp, room), np.diag(spread(self.twin) ** 2), now)
+
+    def step(self, state: State, history: Columns) -> tuple[State | None, Innovation | None]:
+        """From the row of `state` to the newest one, corrected by its measurement if there is one.
+
+        history : as `Estimator.history()`
+        Returns : None for the state where the history has not its row or the twin gives no number; no
+            innovation without a measurement, or over more than one step
+        Errors : DataError naming a column that is missing or not known
+        """
+        times = history["time_s"]
+        first = int(np.searchsorted(times, state.time_s - SAME_TIME_S))
+        if first >= len(times) or abs(times[first] - state.time_s) > SAME_TIME_S:
+            return None, None
+        mean, covariance = state.mean, state.covariance
+        for k in range(first, len(times) - 1):
+            mean, matrix = self._advance(mean, history, k)
+            fan = float(np.nan_to_num(history["fan_on"][k]))
+            unknown = self._moved[0] + fan * (self._moved[1] - self._moved[0])
+            covariance = matrix @ covariance @ matrix.T + np.outer(unknown, unknown)
+        if not np.isfinite(mean).all():
+            return None, None
+        measured = float(history["temp_air_measured"][-1])
+        innovation = None
+        if np.isfinite(measured):
+            variance = covariance[0, 0] + self._variance_k2
+            error = measured - float(mean[0])
+            gain = covariance[:, 0] / variance
+            mean, covariance = mean + gain * error, covariance - np.outer(gain, covariance[0])
+            if first == len(times) - 2:
+                innovation = Innovation(error, float(np.sqrt(variance)))
+        return State(float(times[-1]), mean, covariance, state.begun_s), innovation
+
+    def _advance(self, mean: Floats, history: Columns, k: int) -> tuple[Floats, Floats]:
+        """The state after row k's step, and what that makes of a small difference."""
+        twin = self.twin
+        duty, fan = (np.nan_to_num(history[name][: k + 1]) for name in ("heater_duty", "fan_on"))
+        room = history["temp_ambient"][k : k + 1]
+        columns = _known(history, twin.needs, k)
+        if twin.signals.steady:
+            transition, which = twin.transitions(fan[k:])
+            matrix = transition.state[which[0]]
+            heat_w = twin.signals.heat_w(np.zeros(1), room, {**columns, "fan_on": fan[k:]}, by_temp=False)
+            inputs = (
+                twin.signals.duty(duty[k:])[0],
+                twin.signals.room(room)[0],
+                float(np.sum(heat_w)) / twin.system.air_capacity_j_k,
+            )
+            return matrix @ mean + transition.drive[which[0]] @ np.array(inputs), matrix
+        past = slice(max(0, k - self._rows), k)
+        before = Commands(duty[past], fan[past])
+        now = Commands(duty[None, k:], fan[None, k:])
+        march = twin.march(now, room, conditions=columns, before=before)
+        return march.step(0, mean[None])[0], march.matrix(0)[0]
+
+
+def _known(history: Columns, needs: Mapping[str, str], k: int) -> dict[str, Floats]:
+    """The needed columns at row k, the last known value holding. Errors: DataError"""
+    found = {}
+    for name, effect in needs.items():
+        column = history.get(name, np.empty(0))[: k + 1]
+        known = column[np.isfinite(column)]
+        if not len(known):
+            raise DataError(f"{name}: not known, the twin's {effect} needs it")
+        found[name] = known[-1:]
+    return found

@@ -1,0 +1,188 @@
+"""The running twin watched: its filter, the sequential test, and what is told of it."""
+
+import math
+from dataclasses import dataclass, replace
+from datetime import tzinfo
+
+import numpy as np
+
+from edge.drift import evidence, noise, where
+from edge.drift.evidence import CLEAR, Evidence
+from edge.drift.kalman import Filter, Innovation, State
+from edge.drift.memory import Memory
+from edge.drift.regimes import CELLS, REGIMES, situation
+from edge.drift.words import in_words
+from edge.errors import DataError
+from edge.messages import Drift, DriftState, Event, Severity
+from edge.models.base import Columns, Floats
+from edge.twin.model import Twin
+
+SETTLE_S = 3600.0  # a filter that began at rest is not judged so long: walls and element are not known
+AGREE_S = 3600.0  # time in which it is judged and no evidence is left, before agreement is told
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """What the test holds to.
+
+    step_s : time between ticks [s]
+    false_alarm_days : mean time to a false alarm is at least this
+    learn_h : time in each cell from which the twin's ordinary errors are learnt
+    """
+
+    step_s: float
+    false_alarm_days: float = 90.0
+    learn_h: float = 12.0
+
+
+class DriftMonitor:
+    """One twin at a time; another one begins anew.
+
+    zone : of the times that are told; None is the machine's own
+    memory : of the process before
+    """
+
+    def __init__(self, promise: Promise, zone: tzinfo | None = None, memory: Memory | None = None) -> None:
+        self._promise, self._zone = promise, zone
+        self._threshold = evidence.log_threshold(promise.false_alarm_days, promise.step_s)
+        self._learn_ticks = max(1, round(promise.learn_h * 3600.0 / promise.step_s))
+        self.memory = memory
+        self._events: list[Event] = []
+        self._off = ""
+        self._confirmed = False
+        self._let_go()
+
+    def tick(self, twin: Twin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift:
+        """How the twin does at the newest row; never raises.
+
+        history : as `Estimator.history()` after `record_sent`
+        confirmed : the board said that it drives what the newest row says
+        hands_in : maintenance, the door may be open
+        """
+        known, self._confirmed = self._confirmed, confirmed
+        unjudged = "maintenance" if hands_in else "" if known else "the board did not confirm the inputs"
+        if self._off:
+            return Drift(reason=self._off)
+        if not len(history["time_s"]):
+            return self._told("no air temperature yet")
+        now, utc = float(history["time_s"][-1]), float(history["utc"][-1])
+        try:
+            return self._observe(twin, history, utc, unjudged)
+        except DataError as error:
+            self._let_go()
+            return self._told(str(error))
+        except Exception as bug:  # control goes on; the same bug at every tick would fill the history
+            self._off = f"internal error: {bug!r}"
+            self._events.append(Event("drift.failed", Severity.WARNING, self._off, now, utc))
+            return Drift(reason=self._off)
+
+    def take_events(self) -> list[Event]:
+        """What began or ended since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _let_go(self) -> None:
+        """Of the filter: it begins anew."""
+        self._filter: Filter | None = None
+        self._state: State | None = None
+        self._past: noise.Past | None = None
+
+    def _observe(self, twin: Twin | None, history: Columns, utc: float, unjudged: str) -> Drift:
+        if twin is None:
+            self._let_go()
+            return self._told("no twin runs")
+        if self._filter is None or self._filter.twin is not twin:
+            self._begin(twin, utc)
+        assert self._filter is not None
+        if self._state is None:
+            self._state = self._filter.begin(history)
+            return self._told("the filter settles" if self._state else "air or room temperature not known")
+        self._state, innovation = self._filter.step(self._state, history)
+        if self._state is None:
+            return self._told("the filter begins anew")
+        settled = self._state.time_s - self._state.begun_s >= SETTLE_S
+        unjudged = unjudged or ("" if settled else "the filter settles")
+        if innovation is None or unjudged:
+            self._past = None
+            return self._told(unjudged or "no measurement")
+        return self._judged(innovation, history, utc)
+
+    def _begin(self, twin: Twin, utc: float) -> None:
+        if twin.step_s != self._promise.step_s:
+            raise DataError(f"the twin is for steps of {twin.step_s:g} s")
+        self._let_go()
+        self._filter = Filter(twin)
+        sha256 = twin.sha256
+        if self.memory is None or self.memory.twin_sha256 != sha256:
+            self.memory = Memory(sha256, Evidence.none(utc))
+        self._weights = [self._known(cell) for cell in range(CELLS)]
+
+    def _known(self, cell: int) -> Floats:
+        assert self.memory is not None
+        known = noise.count(self.memory.sums, cell) >= self._learn_ticks
+        return noise.weights(self.memory.sums, cell) if known else noise.cautious()
+
+    def _judged(self, innovation: Innovation, history: Columns, utc: float) -> Drift:
+        """One more innovation: evidence, table and what is learnt."""
+        memory, step_s = self.memory, self._promise.step_s
+        assert memory is not None
+        z = np.asarray(innovation.value_k / innovation.sd_k)
+        if not np.isfinite(z):
+            raise DataError("the twin's prediction is no number")
+        past, now = self._past, situation(history, step_s)
+        if past is None:
+            self._past = noise.Past(z, z)
+            return self._told("the filter begins to be judged")
+        white = noise.whitened(self._weights[now.cell], z, past)
+        self._past = noise.followed(past, z, step_s)
+        found = evidence.heard(
+            memory.evidence, white, now.regimes, float(history["utc"][-2]), self._threshold
+        )
+        table = where.noted(memory.table, float(white), innovation.value_k, now.regimes, step_s)
+        memory = replace(memory, evidence=found, table=table)
+        if not memory.disagrees and noise.count(memory.sums, now.cell) < self._learn_ticks:
+            memory = replace(memory, sums=noise.learnt(memory.sums, now.cell, z, past))
+        self.memory = memory
+        self._weights[now.cell] = self._known(now.cell)
+        self._decide(float(found.total), float(history["time_s"][-1]), utc)
+        return self._told()
+
+    def _decide(self, total: float, now: float, utc: float) -> None:
+        """Raise the alarm, or end it."""
+        memory = self.memory
+        assert memory is not None
+        if not memory.disagrees:
+            if total >= self._threshold:
+                since = evidence.change_utc(memory.evidence)
+                self.memory = replace(memory, since_utc=since, agreeing_s=0.0)
+                self._tell("twin.disagrees", Severity.WARNING, self._told().text, now, utc)
+            return
+        agreeing_s = memory.agreeing_s + self._promise.step_s if total < self._threshold - CLEAR else 0.0
+        self.memory = replace(memory, agreeing_s=agreeing_s)
+        if agreeing_s >= AGREE_S:
+            lasted_h = (utc - memory.since_utc) / 3600.0
+            self.memory = replace(memory, evidence=Evidence.none(utc), since_utc=math.nan, agreeing_s=0.0)
+            text = f"the twin agrees again, after {lasted_h:.1f} h"
+            self._tell("twin.agrees_again", Severity.INFO, text, now, utc)
+
+    def _tell(self, key: str, severity: Severity, text: str, now: float, utc: float) -> None:
+        self._events.append(Event(key, severity, text, now, utc))
+
+    def _told(self, reason: str = "") -> Drift:
+        """What holds now; an alarm stands until the twin has been seen to agree."""
+        memory = self.memory
+        if memory is None:
+            return Drift(reason=reason)
+        worst, rows = where.worst(memory.table), where.rows(memory.table)
+        agrees = DriftState.UNKNOWN if reason else DriftState.AGREES
+        drift = Drift(
+            state=DriftState.DISAGREES if memory.disagrees else agrees,
+            reason=reason,
+            since_utc=memory.since_utc if memory.disagrees else None,
+            where=REGIMES[worst].name,
+            error_k=rows[worst].error_k,
+            evidence=max(0.0, float(memory.evidence.total) / self._threshold),
+            learnt=noise.share_learnt(memory.sums, self._learn_ticks),
+            regimes={regime.name: row for regime, row in zip(REGIMES, rows, strict=True) if row.ticks >= 1.0},
+        )
+        return replace(drift, text=in_words(drift, self._zone))

@@ -1,0 +1,66 @@
+"""What the box was doing over a step: overlapping regimes to blame, and disjoint cells to learn noise in."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.models.base import Columns
+
+WARM_K = 6.0  # above the room: about half of what full heat does with the fan on
+STRONG_DUTY = 0.5
+DUTY_STEP = 0.2  # a change of the heater that shows
+JUST_S = 300.0  # so long after a change its transients last
+
+
+class Regime(NamedTuple):
+    """A name, stable, and words that end "the twin disagrees, mostly ..."."""
+
+    name: str
+    words: str
+
+
+REGIMES = (
+    Regime("all", "at all times"),  # first: what is true at all times is not blamed on a part of them
+    Regime("fan_on", "with the fan on"),
+    Regime("fan_off", "with the fan off"),
+    Regime("heater_on", "with the heater on"),
+    Regime("heater_off", "with the heater off"),
+    Regime("heater_strong", "with the heater at half or more"),
+    Regime("warm_box", f"with the box more than {WARM_K:g} K above the room"),
+    Regime("fan_started", "just after the fan went on"),
+    Regime("fan_stopped", "just after the fan went off"),
+    Regime("heater_raised", "just after the heater was turned up"),
+    Regime("heater_lowered", "just after the heater was turned down"),
+)
+WORDS = {regime.name: regime.words for regime in REGIMES}
+CELLS = 4  # heater on or off, fan on or off
+
+
+class Situation(NamedTuple):
+    """Of the step that ends at the newest row; known before its end was measured."""
+
+    regimes: NDArray[np.bool_]  # [len(REGIMES)]
+    cell: int
+
+
+def situation(history: Columns, step_s: float) -> Situation:
+    """From at least two rows; inputs that are not known count as off."""
+    rows = 1 + max(1, round(JUST_S / step_s))  # now, and those before
+    duty = np.nan_to_num(history["heater_duty"][-1 - rows : -1])
+    fan = np.nan_to_num(history["fan_on"][-1 - rows : -1]) > 0.0
+    heated, blown = bool(duty[-1] > 0.0), bool(fan[-1])
+    found = (
+        True,
+        blown,
+        not blown,
+        heated,
+        not heated,
+        duty[-1] >= STRONG_DUTY,
+        history["temp_air"][-2] - history["temp_ambient"][-2] > WARM_K,
+        blown and not fan.all(),
+        not blown and fan.any(),
+        duty[-1] - duty.min() >= DUTY_STEP,
+        duty.max() - duty[-1] >= DUTY_STEP,
+    )
+    return Situation(np.array(found, dtype=np.bool_), 2 * heated + blown)

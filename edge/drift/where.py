@@ -1,0 +1,62 @@
+"""In which regime the twin errs most: a running table of squared innovations."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.drift.evidence import CUT
+from edge.drift.regimes import REGIMES
+from edge.messages import DriftRow
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+MEMORY_S = 6 * 3600.0  # older ticks count e times less
+CLEARLY = 3.0  # standard errors between inside and outside, to blame a regime
+TIMES_OUTSIDE = 1.5  # and so many times the mean square outside
+_COLUMNS = 4  # count, squares, squares of squares, errors
+
+
+def empty() -> Floats:
+    """The table, [regimes, 4]."""
+    return np.zeros((len(REGIMES), _COLUMNS))
+
+
+def noted(table: Floats, white: float, error_k: float, regimes: Flags, step_s: float) -> Floats:
+    """The table one tick later."""
+    square = min(white**2, CUT**2)
+    kept: Floats = table * np.exp(-step_s / MEMORY_S)
+    kept[regimes] += (1.0, square, square**2, error_k)
+    return kept
+
+
+def rows(table: Floats) -> list[DriftRow]:
+    """By regime; nothing is seen where a regime was not lately."""
+    total = float(table[0, 1])
+    return [
+        DriftRow(
+            ticks=count,
+            share_of_squares=squares / total if total > 0.0 else 0.0,
+            error_k=errors / count if count > 0.0 else 0.0,
+        )
+        for count, squares, _, errors in table.tolist()
+    ]
+
+
+def worst(table: Floats) -> int:
+    """Place in REGIMES of the one that stands out most from the ticks outside it; 0, all, if none does."""
+    inside, whole = table, table[0]
+    outside = whole - inside
+    n_in, n_out = inside[:, 0], outside[:, 0]
+    if not (n_in[0] > 0.0):
+        return 0
+    both = (n_in >= 1.0) & (n_out >= 1.0)
+    mean_in, mean_out = inside[:, 1] / np.maximum(n_in, 1.0), outside[:, 1] / np.maximum(n_out, 1.0)
+    # Spread within, not over all: what sets a regime apart is no noise.
+    squares = inside[:, 2] - n_in * mean_in**2 + outside[:, 2] - n_out * mean_out**2
+    variance = np.maximum(squares / n_in[0], 1e-9) * (
+        1.0 / np.maximum(n_in, 1.0) + 1.0 / np.maximum(n_out, 1.0)
+    )
+    apart = np.where(
+        both & (mean_in > TIMES_OUTSIDE * mean_out), (mean_in - mean_out) / np.sqrt(variance), 0.0
+    )
+    place = int(np.argmax(apart))
+    return place if apart[place] > CLEARLY else 0
