@@ -1,0 +1,84 @@
+"""What other methods say of the same cases, in the form of a diagnosis; what they can't, in `peers_terms`."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.hidden_effects.peers_regression import Columns, Regression, columns, forecast, regression
+from bench.hidden_effects.peers_sindy import sindy
+from bench.hidden_effects.peers_stepwise import stepwise
+from bench.hidden_effects.peers_terms import TERMS
+from edge.run_file import read_run
+from edge.twin.model import Twin
+from edge.twin.twin_file import read_twin_file
+
+Floats = NDArray[np.float64]
+PEERS: Mapping[str, Callable[[Regression], Sequence[int]]] = {"stepwise": stepwise, "pysindy": sindy}
+_95 = 1.959964
+
+
+def diagnose(peer: str, folder: Path) -> dict[str, Any]:
+    """The peer's answer to a case. Errors: DataError for a case that can't be read."""
+    begun_s = time.perf_counter()
+    twin, train, tests = read_case(folder)
+    day0 = min(float(run.utc[0]) for run in train)
+    twin = twin if twin.day0_utc is not None else replace(twin, day0_utc=day0)
+    found = regression(twin, train, day0)
+    chosen = PEERS[peer](found)
+    values, sds = coefficients(found, chosen)
+    by_effect = {TERMS[i].effect: value for i, value in zip(chosen, values, strict=True)}
+    effects = [_named(i, value, sd, twin) for i, value, sd in zip(chosen, values, sds, strict=True)]
+    return {
+        "verdict": "named" if effects else "nothing_missing",
+        "effects": effects,
+        "depends_on": [],
+        "predictions": {
+            name: {
+                "before": forecast(twin, run, {}, day0).tolist(),
+                "after": forecast(twin, run, by_effect, day0).tolist(),
+            }
+            for name, run in tests.items()
+        },
+        "seconds": time.perf_counter() - begun_s,
+    }
+
+
+def read_case(folder: Path) -> tuple[Twin, list[Columns], dict[str, Columns]]:
+    """The declared twin, training runs, and test runs by file name. Errors: DataError."""
+    file = read_twin_file(folder / "twin.yaml")
+    twin = file.twin()
+    train = [columns(read_run(path), file.sample_s) for path in sorted(folder.glob("train_*.csv"))]
+    tests = {path.name: columns(read_run(path), file.sample_s) for path in sorted(folder.glob("test_*.csv"))}
+    return twin, train, tests
+
+
+def coefficients(found: Regression, chosen: Sequence[int]) -> tuple[Floats, Floats]:
+    """Least squares on the chosen terms, and standard deviations [W per unit of each]."""
+    if not chosen:
+        return np.zeros(0), np.zeros(0)
+    design = found.terms[:, list(chosen)] * found.gain[:, None]
+    values = np.linalg.lstsq(design, found.miss, rcond=None)[0]
+    left = found.miss - design @ values
+    variance = float(left @ left) / max(1, len(left) - len(values))
+    return values, np.sqrt(variance * np.diag(np.linalg.pinv(design.T @ design)))
+
+
+def _named(index: int, value: float, sd: float, twin: Twin) -> dict[str, Any]:
+    term = TERMS[index]
+    parameters = {}
+    if term.parameter:
+        ends = sorted(term.parameter.of(value + side * _95 * sd, twin) for side in (-1.0, 1.0))
+        parameters[term.parameter.name] = {
+            "value": term.parameter.of(value, twin),
+            "low": ends[0],
+            "high": ends[1],
+            "unit": term.parameter.unit,
+        }
+    log_odds = 0.5 * (value / sd) ** 2 if sd > 0.0 else math.inf
+    return {"name": term.effect, "alternatives": [], "log_odds": log_odds, "parameters": parameters}

@@ -1,0 +1,159 @@
+"""What a declared twin misses over one step, as a regression; its forecast with the chosen terms added."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.hidden_effects.cases import GIVEN_ROWS
+from bench.hidden_effects.peers_terms import TERMS, Row
+from edge.run_file import Run, resample
+from edge.twin.march import Commands, March
+from edge.twin.model import Twin
+from edge.twin.signal_effects import vapour_deficit_kpa
+from edge.twin.warm_start import Past, at_rest, held, state_now
+
+Floats = NDArray[np.float64]
+SLOW_S = 3600.0  # memory of a body that is guessed
+DAY_S = 86400.0
+_RUNAWAY_C = (-50.0, 150.0)  # a correction that runs away ends here, without overflow
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """One-step misses of M rows. miss : [M] [K]; terms : [M, len(TERMS)]; gain : [M], what 1 W does [K/W]"""
+
+    miss: Floats
+    terms: Floats
+    gain: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """A run as arrays of N rows, the room held over its holes; NaN where the air was not measured."""
+
+    temp: Floats
+    ambient: Floats
+    duty: Floats
+    fan: Floats
+    light: Floats
+    rel_humidity: Floats
+    utc: Floats
+
+    @property
+    def conditions(self) -> dict[str, Floats]:
+        return {"light": self.light, "rel_humidity": self.rel_humidity, "utc": self.utc}
+
+    def rows(self, temp: Floats, before: Floats, slow_c: Floats, day0: float, k: slice | int) -> Row:
+        """Rows k as terms see them, with these temperatures."""
+        earlier = np.concatenate([[0], np.arange(len(self.duty) - 1)])[k]
+        return Row(
+            temp, before, slow_c, self.ambient[k], self.duty[k], self.duty[earlier], self.fan[k],
+            self.fan[earlier], self.light[k], vapour_deficit_kpa(temp, self.rel_humidity[k]),
+            (self.utc[k] - day0) / DAY_S,
+        )  # fmt: skip
+
+
+def columns(run: Run, step_s: float) -> Columns:
+    """Columns that were not recorded are 0; humidity is 50 %."""
+    found = resample(run, step_s).columns
+    rows = len(found["time_s"])
+
+    def column(name: str, usual: float) -> Floats:
+        values = held(found.get(name, np.full(rows, usual)))
+        return np.where(np.isfinite(values), values, usual)
+
+    utc = (run.start_utc or 0.0) + found["time_s"]
+    first = found["temp_air_c"][np.isfinite(found["temp_air_c"])]
+    room = column("temp_ambient_c", float(first[0]) if len(first) else 20.0)
+    return Columns(
+        found["temp_air_c"], room, column("heater_duty", 0.0), column("fan_on", 0.0), column("light", 0.0),
+        column("rel_humidity_pct", 50.0), utc,
+    )  # fmt: skip
+
+
+def regression(twin: Twin, runs: Sequence[Columns], day0: float) -> Regression:
+    """One-step misses of the twin, its air set to the measurement at every row, its other states carried."""
+    parts = [_one_run(twin, run, day0) for run in runs]
+    return Regression(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _one_run(twin: Twin, run: Columns, day0: float) -> tuple[Floats, Floats, Floats]:
+    shown, temp = _one_step(twin, run), held(run.temp)
+    usable = np.isfinite(run.temp[1:]) & np.isfinite(run.temp[:-1])
+    before = np.concatenate([temp[:1], temp[:-1]])
+    rows = run.rows(temp, before, _slow(temp, twin.step_s), day0, slice(None))
+    terms = np.stack([term.heat(rows) for term in TERMS], axis=1)[:-1]
+    return (run.temp[1:] - shown)[usable], terms[usable], _gain(twin, run.fan[:-1])[usable]
+
+
+def _slow(temp: Floats, step_s: float) -> Floats:
+    left, slow = np.exp(-step_s / SLOW_S), np.empty_like(temp)
+    now = temp[0]
+    for k, value in enumerate(temp):
+        slow[k] = now = left * now + (1.0 - left) * value
+    return slow
+
+
+def _gain(twin: Twin, fan: Floats) -> Floats:
+    """What 1 W into the air over a step does to what the sensor shows after it [K/W]."""
+    off, on = twin.off_on.drive[:, 0, 2] / twin.system.air_capacity_j_k
+    return np.asarray(off + fan * (on - off))
+
+
+def _one_step(twin: Twin, run: Columns) -> Floats:
+    """What the sensor should show after each row [N - 1]."""
+    march = _march(twin, run)
+    known = np.flatnonzero(np.isfinite(run.temp))
+    states = at_rest(twin, float(run.temp[known[0]]), float(run.ambient[known[0]]))[None]
+    shown = np.empty(len(run.temp) - 1)
+    for k in range(len(shown)):
+        if np.isfinite(run.temp[k]):
+            states = states.copy()
+            states[:, march.carried] += run.temp[k] - states[0, 0]
+        states = march.step(k, states)
+        shown[k] = states[0, 0]
+    return shown
+
+
+def forecast(twin: Twin, run: Columns, coefficients: Mapping[str, float], day0: float) -> Floats:
+    """The run from its first known rows, corrected at every step by the chosen terms; [N] [°C].
+
+    coefficients : by effect of TERMS [W per unit of the term]
+    """
+    known = np.flatnonzero(np.isfinite(run.temp))
+    first = int(known[known < GIVEN_ROWS][-1]) if (known < GIVEN_ROWS).any() else int(known[0])
+    chosen = [(coefficients[term.effect], term.heat) for term in TERMS if term.effect in coefficients]
+    march, gain = _march(twin, run), _gain(twin, run.fan)
+    state = _start(twin, run, first)
+    shown, states = run.temp.copy(), state[None]
+    shown[: first + 1] = held(run.temp)[: first + 1]
+    slow = before = np.asarray(shown[first])
+    left = np.exp(-twin.step_s / SLOW_S)
+    for k in range(first, len(shown) - 1):
+        now = np.asarray(np.clip(shown[k], *_RUNAWAY_C))
+        slow = left * slow + (1.0 - left) * now
+        row = run.rows(now, before, slow, day0, k)
+        heat_w = sum(coefficient * float(heat(row)) for coefficient, heat in chosen)
+        states = march.step(k, states).copy()
+        states[:, march.carried] += gain[k] * heat_w
+        before, shown[k + 1] = now, states[0, 0]
+    return np.clip(shown, *_RUNAWAY_C)
+
+
+def _march(twin: Twin, run: Columns) -> March:
+    commands = Commands(run.duty[None], run.fan[None])
+    return twin.march(commands, run.ambient[None], conditions={k: v[None] for k, v in run.conditions.items()})
+
+
+def _start(twin: Twin, run: Columns, first: int) -> Floats:
+    rows = slice(0, first + 1)
+    conditions = {name: values[rows] for name, values in run.conditions.items()}
+    return state_now(twin, Past(run.temp[rows], run.ambient[rows], run.duty[rows], run.fan[rows], conditions))
+
+
+def bic(left: Floats, terms: int) -> float:
+    """n log(SSE / n) + p log n of what a regression leaves (Schwarz 1978)."""
+    rows = len(left)
+    return rows * float(np.log(max(float(left @ left), 1e-300) / rows)) + terms * float(np.log(rows))

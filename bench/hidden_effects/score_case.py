@@ -1,0 +1,196 @@
+"""One answer held against one truth.
+
+Names: an effect is found where the name given for it is in its alias class (`score_aliases`) and it is not
+hedged over more than MOST_ALTERNATIVES alternatives; each name finds one effect at most, an exact name first.
+
+Alias class told: of a found effect the answer tells {name} and its alternatives. That is honest where it
+tells every member of the scorer's class that is clearly in (within CLEARLY_IN_NATS of the truth; a fit is
+good to about one) and nothing that is clearly out (beyond CLEARLY_OUT_NATS). Between the two either is right.
+An effect that is not found was not told honestly.
+
+Intervals: of effects that are named exactly (not by an alias), each parameter that is given and whose truth
+is known; one without ends does not cover.
+
+Gap: root mean square over the test rows whose temperature was not given, where it was measured; a prediction
+that is missing, of another length or not finite is infinitely wrong. Shrink = (before - after) / (before -
+floor), not counted where before is not SHRINKABLE times the floor; the floor is what the true equations and
+parameters miss from the true start, without the heat noise and mains that nobody could know.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.hidden_effects.cases import GIVEN_ROWS, RunTruth, Truth
+from bench.hidden_effects.score_aliases import AliasClass
+from bench.hidden_effects.score_answer import Answer, Named
+
+Floats = NDArray[np.float64]
+CLEARLY_IN_NATS, CLEARLY_OUT_NATS = 2.0, 6.0
+SHRINKABLE = 1.05
+COUNTED_DEPENDENCES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Of free runs over the test runs together, RMSE [K]."""
+
+    before_k: float
+    after_k: float
+    floor_k: float
+
+    @property
+    def shrink(self) -> float | None:
+        """1 where the gap is gone; None where there was none worth the name."""
+        if not self.before_k > SHRINKABLE * self.floor_k:
+            return None
+        if not math.isfinite(self.after_k) or not math.isfinite(self.before_k):
+            return -math.inf
+        return (self.before_k - self.after_k) / (self.before_k - self.floor_k)
+
+    @property
+    def ratio(self) -> float:
+        return self.after_k / self.floor_k
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """What an answer is worth.
+
+    failed : no answer at all; then everything else is wrong
+    found : per hidden effect, whether it was found; true_names, names : how many names are true, of how many
+    first_right : the first name is true; exact : all hidden effects found and nothing else named
+    told : per hidden effect, whether its class was told honestly; told_exactly : as the class has it
+    has_rivals : per hidden effect, whether its class has others
+    covered : per parameter of exactly named effects
+    dependence : a true one among the first two; None where there is none to name
+    """
+
+    case: str
+    kind: str
+    hidden: tuple[str, ...]
+    outside: str
+    verdict: str
+    failed: bool
+    named: tuple[str, ...] = ()
+    found: tuple[bool, ...] = ()
+    names: int = 0
+    true_names: int = 0
+    first_right: bool = False
+    exact: bool = False
+    told: tuple[bool, ...] = ()
+    told_exactly: tuple[bool, ...] = ()
+    has_rivals: tuple[bool, ...] = ()
+    covered: Mapping[str, bool] = field(default_factory=dict)
+    dependence: bool | None = None
+    errors: Errors | None = None
+    seconds: float = math.nan
+
+
+def score(
+    truth: Truth, classes: Sequence[AliasClass], given: Answer | None, seconds: float = math.nan
+) -> Scored:
+    """The answer's worth; None: there is none."""
+    hidden = tuple(item.name for item in truth.hidden)
+    outside = truth.outside.name if truth.outside else ""
+    verdict = given.verdict if given else "failed"
+    matched = _matched(classes, given.effects if given else ())
+    names = given.effects if given else ()
+    true = [item for item in matched if item is not None]
+    first = names[0] if names else None
+    return Scored(
+        truth.id,
+        truth.kind,
+        hidden,
+        outside,
+        verdict,
+        failed=given is None,
+        named=tuple(item.name for item in names),
+        found=tuple(item is not None for item in matched),
+        names=len(names),
+        true_names=len(true),
+        first_right=any(item is first for item in true),
+        exact=bool(hidden) and len(true) == len(hidden) == len(names),
+        told=tuple(_is_honest(own, item) for own, item in zip(classes, matched, strict=True)),
+        told_exactly=tuple(item is not None and _told(item) == own.members
+                           for own, item in zip(classes, matched, strict=True)),
+        has_rivals=tuple(len(own.members) > 1 for own in classes),
+        covered=_covered(truth, names),
+        dependence=_dependence(truth, given),
+        errors=errors(truth.tests, given),
+        seconds=seconds,
+    )  # fmt: skip
+
+
+def _matched(classes: Sequence[AliasClass], names: Sequence[Named]) -> list[Named | None]:
+    """The name that finds each hidden effect: exact ones first, then as many by class as can be."""
+    left = [item for item in names if not item.hedges]
+    found: list[Named | None] = []
+    for own in classes:
+        exact = next((item for item in left if item.name == own.effect), None)
+        found.append(exact)
+        if exact is not None:
+            left.remove(exact)
+    for i in sorted(range(len(classes)), key=lambda i: len(classes[i].members)):  # the choosiest first
+        if found[i] is None:
+            found[i] = next((item for item in left if item.name in classes[i].members), None)
+            left = [item for item in left if item is not found[i]]
+    return found
+
+
+def _told(named: Named) -> frozenset[str]:
+    return frozenset({named.name, *named.alternatives})
+
+
+def _is_honest(own: AliasClass, named: Named | None) -> bool:
+    if named is None:
+        return False
+    return own.within(CLEARLY_IN_NATS) <= _told(named) <= own.within(CLEARLY_OUT_NATS)
+
+
+def _covered(truth: Truth, names: Sequence[Named]) -> dict[str, bool]:
+    covered = {}
+    named = {item.name: item for item in reversed(names)}  # the first of two of one name
+    for hidden in truth.hidden:
+        if hidden.name not in named:
+            continue
+        for key, value in hidden.parameters.items():
+            if key in named[hidden.name].intervals:
+                low, high = named[hidden.name].intervals[key]
+                covered[f"{hidden.name}.{key}"] = low <= value <= high  # NaN: no
+    return covered
+
+
+def _dependence(truth: Truth, given: Answer | None) -> bool | None:
+    if not truth.depends_on:
+        return None
+    if given is None or given.verdict != "unknown":
+        return False
+    return bool(set(given.depends_on[:COUNTED_DEPENDENCES]) & set(truth.depends_on))
+
+
+def errors(tests: Mapping[str, RunTruth], given: Answer | None) -> Errors | None:
+    """Before, after and at the floor; None where there is nothing to predict."""
+    measured = [np.array([math.nan if x is None else x for x in own.measured_c]) for own in tests.values()]
+    floor = [np.asarray(own.undisturbed_c) for own in tests.values()]
+    counted = [np.isfinite(values) & (np.arange(len(values)) >= GIVEN_ROWS) for values in measured]
+    if not sum(int(rows.sum()) for rows in counted):
+        return None
+
+    def rmse(predicted: Sequence[Floats | None]) -> float:
+        squares = []
+        for series, values, rows in zip(predicted, measured, counted, strict=True):
+            if series is None or len(series) != len(values):
+                return math.inf
+            squares.append((series - values)[rows] ** 2)
+        found = math.sqrt(float(np.concatenate(squares).mean()))
+        return found if math.isfinite(found) else math.inf
+
+    before = {} if given is None else given.before
+    after = {} if given is None else given.after
+    return Errors(
+        rmse([before.get(name) for name in tests]), rmse([after.get(name) for name in tests]), rmse(floor)
+    )

@@ -1,0 +1,96 @@
+"""python -m bench.hidden_effects score: answers held against truths, from files to files.
+
+Classes are cached under <results>/<suite>/<split>/classes/; the score of every case stands in score.json, the
+tables in score.txt and score.md.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from bench.hidden_effects.run_cases import SOLVERS, case_sha256
+from bench.hidden_effects.score import document, write_document
+from bench.hidden_effects.score_aliases import AliasClass, cached_classes
+from bench.hidden_effects.score_answer import Answer, read_answer
+from bench.hidden_effects.score_case import Scored, score
+from bench.hidden_effects.score_truth import CasePaths, add_place, cases_of, read_truth
+from bench.hidden_effects.table import markdown, text
+from edge.errors import DataError
+from edge.run_file import read_run
+from edge.twin.twin_file import read_twin_file
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Score every solver that has answered; the tables on standard output."""
+    parser = argparse.ArgumentParser(prog="python -m bench.hidden_effects score", description=__doc__)
+    add_place(parser)
+    parser.add_argument("--workers", type=int, default=2, help="for the alias classes")
+    arguments = parser.parse_args(words)
+    results = arguments.results / arguments.suite / arguments.split
+    cases = cases_of(arguments)
+    classes = _all_classes(cases, results, arguments.workers)
+    solvers = {
+        name: [
+            _scored(truth, classes[folder.name], took, results / name / folder.name)
+            for folder, truth in cases
+            if (took := _took(results / name / folder.name / "run.json", folder))
+        ]
+        for name in SOLVERS
+    }
+    solvers = {name: scored for name, scored in solvers.items() if scored}
+    if not solvers:
+        raise DataError(f"{results}: no answer to these cases: run them first")
+    content = document(solvers, {"suite": arguments.suite, "split": arguments.split, "cases": len(cases)})
+    write_document(results / "score.json", content)
+    (results / "score.txt").write_text(text(content), encoding="utf-8")
+    (results / "score.md").write_text(markdown(content), encoding="utf-8")
+    print(text(content))
+    return 0
+
+
+def classes_of(folder: Path, truth: Path, cache: Path) -> tuple[AliasClass, ...]:
+    """The alias classes of a case, computed once for its files and its truth."""
+    key = f"{case_sha256(folder)}:{read_truth(truth).hidden}"
+    runs = [read_run(path) for path in sorted(folder.glob("train_*.csv"))]
+    return cached_classes(cache, key, read_truth(truth), read_twin_file(folder / "twin.yaml"), runs)
+
+
+def _all_classes(
+    cases: Sequence[CasePaths], results: Path, workers: int
+) -> dict[str, tuple[AliasClass, ...]]:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    caches = [results / "classes" / f"{folder.name}.json" for folder, _ in cases]
+    folders, truths = [folder for folder, _ in cases], [truth for _, truth in cases]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        found = {}
+        for folder, own in zip(folders, pool.map(classes_of, folders, truths, caches), strict=True):
+            found[folder.name] = own
+            print(f"alias classes: {len(found)} of {len(folders)}", end="\r", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return found
+
+
+def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any], place: Path) -> Scored:
+    """The worth of the answer in a place; of a run that failed there is none, whatever lies there."""
+    given: Answer | None = None
+    if took["exit"] == 0:
+        try:
+            given = read_answer(place / "diagnosis.json")
+        except DataError as error:
+            print(error)
+    return score(read_truth(truth), classes, given, float(took["wall_s"]))
+
+
+def _took(path: Path, folder: Path) -> dict[str, Any]:
+    """What run.json says; nothing of a case that was not run, or with other files: it is left out."""
+    if not path.exists():
+        return {}
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return found if found["case_sha256"] == case_sha256(folder) else {}

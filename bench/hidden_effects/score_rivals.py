@@ -1,0 +1,157 @@
+"""Rivals of a hidden effect, sifted cheaply: only those that may come near the truth are fitted in full.
+
+In the sieve the values of the true structure move in straight lines (its sensitivities at its fit), noise
+stays as there, and the rival's own parameters are tried at a few places, then fitted alone.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.hidden_effects.score_noise import Whitener, whitener
+from bench.hidden_effects.score_structure import Fit, Structure, stacked, structure
+from edge.twin.effects import EFFECTS
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+
+Floats = NDArray[np.float64]
+HOPELESS_NATS = 50.0  # behind the truth in the sieve, where the noise does not give way
+_HOPELESS_SHARE = 0.1  # of what the effect explains, on top, for a rival between the tried places
+_TRIED = (0.25, 1.0, 4.0)
+_STEP = 1e-4
+_MOST_EVALUATIONS = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sieve:
+    """The true fit of a structure, seen from one of its effects.
+
+    without : the structure with no effect in its place and all else as fitted
+    slopes : of the residual by the p unknowns of the others, in standard deviations [B, p, N]
+    prior, prior_slopes : [m] and [m, p]
+    truth_nats : half the quadratic form of the true fit
+    """
+
+    without: Structure
+    whiten: Whitener
+    slopes: Floats
+    prior: Floats
+    prior_slopes: Floats
+    truth_nats: float
+
+    def start_of(self, name: str) -> Floats | None:
+        """The rival's best parameters, as the optimiser has them [p]; None where it is hopeless."""
+        file = self.without.file
+        effects = {**file.effects, name: unknown(name, file)}
+        rival = structure(replace(file, effects=effects), self.without.data)
+        missed = _Missed(self, rival, rival.start)
+        places = _places(rival)
+        tried = [missed(place) for place in places]
+        if self._leaves_too_much(missed.without(), tried):
+            return None
+        best = places[int(np.argmin([each @ each for each in tried]))]
+        found = _fitted(missed, rival, best)
+        return found if _nats(missed(found)) - self.truth_nats <= HOPELESS_NATS else None
+
+    def _leaves_too_much(self, without: Floats, tried: list[Floats]) -> bool:
+        """Whether even a mixture of all signatures misses much of what the effect explains."""
+        signatures = np.stack([without - each for each in tried], axis=1)
+        left = without - signatures @ np.linalg.lstsq(signatures, without, rcond=1e-9)[0]
+        explained = max(0.0, _nats(without) - self.truth_nats)
+        return _nats(left) - self.truth_nats > HOPELESS_NATS + _HOPELESS_SHARE * explained
+
+
+def sieve(truth: Structure, fit: Fit, effect: str) -> Sieve:
+    """The sieve for the rivals of `effect`, from the fit of the true structure."""
+    others = [i for i, item in enumerate(truth.unknowns) if item.place[:2] != ("effects", effect)]
+    whiten = whitener(fit.noise, truth.measured)
+    residual, prior = truth.residual(fit.scaled), truth.priors(fit.scaled)
+    slopes, prior_slopes = [], []
+    for i in others:
+        moved = fit.scaled.copy()
+        moved[i] += _STEP if moved[i] + _STEP < truth.unknowns[i].bounds[1] else -_STEP
+        step = moved[i] - fit.scaled[i]
+        slopes.append((truth.residual(moved) - residual) / step)
+        prior_slopes.append((truth.priors(moved) - prior) / step)
+    missed = stacked(whiten(residual[:, None]), whiten(truth.response(fit.scaled)))[:, 0]
+    shape = (len(others), *residual.shape)
+    return Sieve(
+        _without(truth, fit, effect),
+        whiten,
+        whiten(np.moveaxis(np.array(slopes).reshape(shape), 0, 1)),
+        prior,
+        np.array(prior_slopes).reshape(len(others), len(prior)).T,
+        _nats(missed) + _nats(prior),
+    )
+
+
+def unknown(name: str, file: TwinFile, truth: Mapping[str, float] | None = None) -> dict[str, Value]:
+    """An effect to be fitted in a file, begun at its true parameters where there are any.
+
+    Else it begins where the table says; a wall that stores heat as lossy as the one that it replaces.
+    """
+    starts = {item.name: item.start for item in EFFECTS[name].parameters}
+    if name == "wall_mass" and "wall_loss" in file.effects:
+        starts |= {"G_in": 2.0 * file.effects["wall_loss"]["UA"].value}
+        starts |= {"G_out": starts["G_in"]}
+    return {key: Value((truth or {}).get(key, start), fit=True) for key, start in starts.items()}
+
+
+def _without(truth: Structure, fit: Fit, effect: str) -> Structure:
+    file = truth.file
+    exact = {place: Value(value.value) for place, value in file.values().items()}
+    found = {place: Value(value) for place, value in truth.values(fit.scaled).items()}
+    file = file.with_values(exact | found)
+    effects = {name: own for name, own in file.effects.items() if name != effect}
+    return structure(replace(file, effects=effects), truth.data)
+
+
+class _Missed:
+    """What is left of a rival at its parameters after all else has moved as suits it best."""
+
+    def __init__(self, sieve: Sieve, rival: Structure, start: Floats) -> None:
+        self._sieve, self._rival = sieve, rival
+        self._moved = sieve.whiten(rival.response(start))
+        slopes = np.concatenate([stacked(sieve.slopes, self._moved), sieve.prior_slopes])
+        self._basis = np.linalg.qr(slopes)[0]
+
+    def __call__(self, scaled: Floats) -> Floats:
+        """Standard deviations; the rival's own priors come last."""
+        return np.concatenate([self._left(self._rival.residual(scaled)), self._rival.priors(scaled)])
+
+    def without(self) -> Floats:
+        """The same with nothing in the effect's place."""
+        left = self._left(self._sieve.without.residual(np.zeros(0)))
+        return np.concatenate([left, np.zeros(len(self._rival.priors(self._rival.start)))])
+
+    def _left(self, residual: Floats) -> Floats:
+        white = stacked(self._sieve.whiten(residual[:, None]), self._moved)[:, 0]
+        missed = np.concatenate([white, self._sieve.prior])
+        return missed - self._basis @ (self._basis.T @ missed)
+
+
+def _places(rival: Structure) -> list[Floats]:
+    """Combinations of a few values of each parameter; of the first alone where there are three."""
+    tried = []
+    for i, item in enumerate(rival.unknowns):
+        values = [item.start * factor for factor in _TRIED] if item.is_log else [-item.start, item.start]
+        few = values if i == 0 or len(rival.unknowns) < 3 else [item.start]
+        tried.append([item.scaled(value) for value in few])
+    return [np.array(place) for place in product(*tried)]
+
+
+def _fitted(missed: _Missed, rival: Structure, start: Floats) -> Floats:
+    from scipy.optimize import least_squares
+
+    low, high = np.array([item.bounds for item in rival.unknowns]).T
+    solved = least_squares(
+        missed, start, bounds=(low, high), x_scale="jac", max_nfev=_MOST_EVALUATIONS, ftol=1e-4
+    )
+    return np.asarray(solved.x, dtype=np.float64)
+
+
+def _nats(missed: Floats) -> float:
+    return 0.5 * float(missed @ missed)

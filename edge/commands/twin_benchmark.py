@@ -1,0 +1,73 @@
+"""How often the diagnosis is right where the truth is known: cases with hidden effects, made, run and scored.
+
+Needs the project's checkout, which holds the cases' generator and the scorer, and `pip install '.[bench]'`.
+"""
+
+import argparse
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+from edge.errors import RequestError
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+BENCH = "bench.hidden_effects"
+SUITES = ("equations", "chamber")
+QUICK_CASES = 2  # of each kind
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--suite", choices=SUITES, default=SUITES[0], help="what makes the cases: %(choices)s"
+    )
+    parser.add_argument(
+        "--split", choices=("dev", "scored"), default="scored", help="cases used while tuning, or only scored"
+    )
+    parser.add_argument("--kinds", help="of case, comma between; default: all")
+    parser.add_argument("--per-kind", type=int, metavar="N", help="cases of each kind; default: all")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_CASES} cases of each kind")
+    parser.add_argument("--workers", type=int, default=2, help="cases at a time; default: %(default)s")
+    parser.add_argument("--out", type=Path, default=Path("out/twin_benchmark"), help="cases and answers")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make what cases are missing, run and score them; the tables on standard output.
+
+    Returns : the exit code of the step that failed, 0 when none did
+    Errors : RequestError where there is no checkout, or no pysindy
+    """
+    refuse_without_checkout(CHECKOUT)
+    for step in steps(arguments):
+        code = subprocess.run([sys.executable, "-m", BENCH, *step], cwd=CHECKOUT, check=False).returncode
+        if code:
+            return code
+    return 0
+
+
+def refuse_without_checkout(checkout: Path) -> None:
+    """Say what is missing before anything is made. Errors: RequestError"""
+    folder = checkout / BENCH.replace(".", "/")
+    if not (folder / "__main__.py").exists():
+        raise RequestError(f"{folder}: is not there: the benchmark runs in a checkout of the project")
+    if importlib.util.find_spec("pysindy") is None:
+        raise RequestError(
+            "pysindy is not installed, which runs beside the diagnosis: pip install '.[bench]'"
+        )
+
+
+def steps(arguments: argparse.Namespace) -> list[list[str]]:
+    """Arguments of make, run and score, in this order."""
+    out = arguments.out.absolute()
+    which = ["--suite", arguments.suite, "--split", arguments.split]
+    which += ["--kinds", arguments.kinds] if arguments.kinds else []
+    workers = ["--workers", str(arguments.workers)]
+    per_kind = QUICK_CASES if arguments.quick else arguments.per_kind
+    few = [] if per_kind is None else ["--per-kind", str(per_kind)]
+    places = ["--root", str(out / "cases"), "--results", str(out / "answers")]
+    return [
+        ["make", *which, "--out", str(out / "cases"), *few, *workers],
+        ["run", *which, *places, *few, *workers],
+        ["score", *which, *places, *few, *workers],
+    ]
