@@ -10,16 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.locate.whitened import response_to, score
+from edge.twin.diagnosis.locate.whitened import score
 
 Floats = NDArray[np.float64]
 LONGEST = 20  # rows that a door may be open
 
 
 class Shape(NamedTuple):
-    """kind : door, input, spike or jump; rows [begin, end) of a run; size : W/K, K or W; z : size over its sd
+    """kind : door, spike or jump; input and late are a door's and a spike's that come when an input changes
 
-    An input's is like a door's, but comes just when an input changes.
+    begin, end : rows [begin, end) of a run; size : W/K, K or W; z : size over its sd
     """
 
     kind: str
@@ -56,10 +56,12 @@ class RunShapes:
 
     def response(self, shape: Shape) -> Floats:
         """White innovations that a shape of size 1 causes, [N]."""
-        source = {"spike": self.spike, "jump": self.jump}.get(shape.kind, self.door)
-        amounts = np.zeros((len(source), 1))
-        amounts[shape.begin : shape.begin + 1 if shape.kind in ("spike", "jump") else shape.end] = 1.0
-        return response_to(source, amounts)[:, 0]
+        source = {"spike": self.spike, "late": self.spike, "jump": self.jump}.get(shape.kind, self.door)
+        found = np.zeros(len(source))
+        for row in range(shape.begin, shape.end):
+            reach = min(source.shape[1], len(source) - row)
+            found[row : row + reach] += source[row, :reach]
+        return found
 
     def doors(self, innovations: Floats) -> Found:
         """For 1 .. LONGEST rows."""

@@ -36,8 +36,8 @@ def openings(run: RunShapes, innovations: Floats, doors: list[Shape]) -> list[Op
         columns = np.stack([run.response(Shape("door", i, i + 1, 1.0, 0.0)) for i in range(begin, end)])
         normal = columns @ columns.T + 1e-9 * np.eye(end - begin)
         sizes = np.linalg.solve(normal, columns @ left)
-        sds = np.asarray(np.diag(np.linalg.inv(normal)) ** 0.5, dtype=np.float64)
-        found.append(Opening(begin, sizes, sds, door))
+        sds = np.sqrt(np.diag(np.linalg.inv(normal)))
+        found.append(Opening(begin, sizes.astype(np.float64), sds.astype(np.float64), door))
     return found
 
 

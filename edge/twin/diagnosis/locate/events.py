@@ -72,7 +72,7 @@ def find_events(
     Errors : DataError for a room that is not known, or a column that the twin needs
     """
     sensor_k = twin.noise.sensor_k if sensor_k is None else sensor_k
-    steps = steps_of(twin, runs)
+    steps = steps_of(twin, runs, sensor_k)
     found: list[list[Shape]] = [[] for _ in names]
     switches = Switches.of(runs)
     for _ in range(PASSES):
@@ -143,6 +143,8 @@ def _best(run: RunShapes, innovations: Floats, usual: dict[str, Floats], thresho
     within = usual[best.kind][:, best.end - best.begin - 1]
     if best.kind == "door" and (best.size < 0.0 or best.z < threshold * within[best.begin]):
         best = best._replace(kind="input")
+    if best.kind == "spike" and abs(best.z) < threshold * within[best.begin]:
+        best = best._replace(kind="late")
     return best if abs(best.z) > threshold * within.min() else None
 
 

@@ -6,7 +6,7 @@ does is in the first, so that it is not taken for a new error at every row (an a
 observer; Maybeck 1979, Stochastic Models, ch. 6; likelihood by prediction errors, Kristensen et al. 2004).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import NamedTuple
 
@@ -35,6 +35,9 @@ class HeatNoise(NamedTuple):
     fresh_w: Floats | float
 
 
+FOLLOWING = HeatNoise(10.0, 10.0)  # at which a filter believes its readings more than any twin
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
     """N steps of B runs as matrices of the widened state, m = n + 2.
@@ -43,7 +46,6 @@ class Steps:
     temp : [N, B], measured after each step, NaN where not [°C]
     start, start_sd : [B, m], [m], before the first step
     loose : [N + 1, B], steps in which any heat may come, so that they tell nothing of the usual one
-    march : makes the mean of a step where heat is bent, else None
     """
 
     matrix: Floats
@@ -52,19 +54,11 @@ class Steps:
     start: Floats
     start_sd: Floats
     loose: NDArray[np.bool_]
-    march: March | None
 
     def moved(self, k: int, mean: Floats) -> Floats:
         """The mean after step k; mean : [..., B, m]."""
-        if self.march is None:
-            after: Floats = (self.matrix[k] @ mean[..., None])[..., 0]
-            after[..., :-2] += self.driven[k]
-            return after
-        heated = np.zeros_like(mean)
-        heated[..., -2:] = mean[..., -2:]
-        after = (self.matrix[k] @ heated[..., None])[..., 0]
-        for place in np.ndindex(mean.shape[:-2]):
-            after[place][:, :-2] += self.march.step(k, mean[place][:, :-2])
+        after: Floats = (self.matrix[k] @ mean[..., None])[..., 0]
+        after[..., :-2] += self.driven[k]
         return after
 
 
@@ -85,8 +79,11 @@ class Filtered(NamedTuple):
     updated: Floats
 
 
-def steps_of(twin: Twin, runs: Recorded) -> Steps:
-    """The runs' steps. Errors: DataError for a room that is not known, or a column that the twin needs."""
+def steps_of(twin: Twin, runs: Recorded, sensor_k: float) -> Steps:
+    """The runs' steps, bent heat taken where a filter that follows the readings sees the air.
+
+    Errors : DataError for a room that is not known, or a column that the twin needs
+    """
     if not runs.has_ambient:
         raise DataError("temp_ambient_c: not known, so no heat towards the room can be told")
     commands = Commands(runs.duty, runs.fan)
@@ -99,15 +96,24 @@ def steps_of(twin: Twin, runs: Recorded) -> Steps:
     matrix[..., size, size] = 1.0
     rest = [at_rest(twin, t, room) for t, room in zip(runs.temp[:, 0], runs.ambient[:, 0], strict=True)]
     heat_w = START_SHARE * twin.geometry.heater_max_w
-    return Steps(
+    steps = Steps(
         matrix,
         whole.driven,
         runs.temp[:, 1:].T,
         np.pad(np.stack(rest), ((0, 0), (0, 2))),
         np.append(spread(twin), [heat_w, 0.0]),
         np.zeros((rows + 1, count), dtype=bool),
-        march if twin.signals.bends else None,
     )
+    return _straightened(steps, march, sensor_k) if twin.signals.bends else steps
+
+
+def _straightened(steps: Steps, march: March, sensor_k: float) -> Steps:
+    """Bent heat as a part of what the inputs add."""
+    seen = filtered(steps, sensor_k, FOLLOWING).updated[:-1, :, :-2]
+    driven = np.stack([march.step(k, state) for k, state in enumerate(seen)])
+    size = seen.shape[-1]
+    straight = np.einsum("kbij,kbj->kbi", steps.matrix[:, :, :size, :size], seen)
+    return replace(steps, driven=driven - straight)
 
 
 def log_likelihoods(steps: Steps, sensor_k: float, noise: HeatNoise, rows: int) -> Floats:

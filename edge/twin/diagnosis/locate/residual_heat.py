@@ -1,5 +1,6 @@
 """The residual as a heat flow: the heat that, added to the twin's air, explains what was measured."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ def residual_heat(
     Errors : DataError for a room that is not known, or a column that the twin needs
     """
     sensor_k = twin.noise.sensor_k if sensor_k is None else sensor_k
-    steps = steps_of(twin, runs)
+    steps = steps_of(twin, runs, sensor_k)
     noise = noise or likeliest(steps, sensor_k)
     way = filtered(steps, sensor_k, noise)
     heat_w, variance = _smoothed(steps, way)
@@ -57,9 +58,9 @@ def residual_heat(
     return ResidualHeat(heat_w.T, np.sqrt(np.maximum(variance, 0.0)).T, noise, steps, way)
 
 
-def likeliest(steps: Steps, sensor_k: float) -> HeatNoise:
+def likeliest(steps: Steps, sensor_k: float, wander_w: Sequence[float] = WANDER_W) -> HeatNoise:
     """The noise levels, of those tried, at which all runs together are most likely."""
-    wander, fresh = (axis.ravel() for axis in np.meshgrid(WANDER_W, FRESH_W))
+    wander, fresh = (axis.ravel() for axis in np.meshgrid(wander_w, FRESH_W))
     best = int(log_likelihoods(steps, sensor_k, HeatNoise(wander, fresh), NOISE_ROWS).argmax())
     return HeatNoise(float(wander[best]), float(fresh[best]))
 

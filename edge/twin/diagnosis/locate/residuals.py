@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.locate.heat_filter import HeatNoise, Steps, filtered
-from edge.twin.diagnosis.locate.residual_heat import ResidualHeat, residual_heat
+from edge.twin.diagnosis.locate.heat_filter import Steps, filtered
+from edge.twin.diagnosis.locate.residual_heat import ResidualHeat, likeliest, residual_heat
 from edge.twin.diagnosis.locate.whitened import pulses, white
 from edge.twin.model import Twin
 from edge.twin.network import AIR
@@ -24,7 +24,8 @@ class Residuals:
 
     time_s : [N], when each step begins; start_utc : of time 0 [s since 1970], None where not known
     measured : [N + 1] [°C]
-    free_run_k : [N], of a free run from the best start; one_step_k : [N], of a filter; innovation_sd : [N]
+    free_run_k : [N], of a free run from the best start
+    one_step_k, innovation_sd : [N], of a filter that believes the twin but for white noise in its heat
     duty, fan, ambient, light, rel_humidity : [N], over each step, the last two None where not recorded
     heat_w, heat_w_sd : [N], the heat that explains it, above 0 where the box gains more than the twin [W]
     air_c : [N], mean of the air over each step as expected from the rows before it, noise filtered out
@@ -79,7 +80,8 @@ def residuals_of(
     heat = heat or residual_heat(twin, runs, sensor_k)
     free = free_run(twin, runs, runs.ambient, max(sensor_k, _misfit(heat)))
     free_k = np.where(free.measured, free.residual, np.nan)
-    alone = filtered(_without_heat(heat.steps), sensor_k, HeatNoise(0.0, twin.noise.heat_w))
+    believed = _without_heat(heat.steps)
+    alone = filtered(believed, sensor_k, likeliest(believed, sensor_k, wander_w=(0.0,)))
     told, response = white(heat.way), pulses(heat.steps, heat.way)
     air_c = _mean_air(heat, twin.states.index(AIR))
     found = []

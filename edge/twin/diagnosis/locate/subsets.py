@@ -50,7 +50,8 @@ class Regression:
         """The subset of `allowed` of least cost, found by a beam over sizes."""
         library = len(self.product)
         beam: list[tuple[int, ...]] = [()]
-        winner, least = (), self.cost((), library)
+        winner: tuple[int, ...] = ()
+        least = self.cost(winner, library)
         for _ in range(LARGEST):
             grown = {tuple(sorted((*subset, i))) for subset in beam for i in allowed if i not in subset}
             if not grown:

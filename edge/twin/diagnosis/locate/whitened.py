@@ -64,11 +64,9 @@ def score(response: Floats, innovations: Floats) -> Floats:
 
     response : [N, J] of one run; innovations : [N], white
     """
-    total = np.zeros(len(innovations))
-    for lag in range(response.shape[1]):
-        reach = len(innovations) - lag
-        total[:reach] += response[:reach, lag] * innovations[lag:]
-    return total
+    lags = response.shape[1]
+    later = np.lib.stride_tricks.sliding_window_view(np.pad(innovations, (0, lags - 1)), lags)
+    return np.asarray(np.einsum("nj,nj->n", response, later))
 
 
 def response_to(response: Floats, amounts: Floats) -> Floats:
