@@ -10,6 +10,7 @@ from edge.errors import DataError
 from edge.models.base import Columns
 from edge.twin.march import Commands
 from edge.twin.model import Twin
+from edge.twin.signals import Conditions
 from edge.twin.warm_start import at_rest, drift, spread
 
 Floats = NDArray[np.float64]
@@ -38,6 +39,7 @@ class Filter:
 
     def __init__(self, twin: Twin) -> None:
         self.twin = twin
+        self._plain, self._steady = twin.signals.plain, twin.signals.steady
         self._moved = drift(twin)
         self._variance_k2 = twin.noise.sensor_k**2
         self._rows = max(2, round(PAST_S / twin.step_s))
@@ -65,9 +67,9 @@ class Filter:
         mean, covariance = state.mean, state.covariance
         for k in range(first, len(times) - 1):
             mean, matrix = self._advance(mean, history, k)
-            fan = float(np.nan_to_num(history["fan_on"][k]))
+            fan = float(off_where_unknown(history["fan_on"][k]))
             unknown = self._moved[0] + fan * (self._moved[1] - self._moved[0])
-            covariance = matrix @ covariance @ matrix.T + np.outer(unknown, unknown)
+            covariance = matrix @ covariance @ matrix.T + unknown[:, None] * unknown
         if not np.isfinite(mean).all():
             return None, None
         measured = float(history["temp_air_measured"][-1])
@@ -76,7 +78,7 @@ class Filter:
             variance = covariance[0, 0] + self._variance_k2
             error = measured - float(mean[0])
             gain = covariance[:, 0] / variance
-            mean, covariance = mean + gain * error, covariance - np.outer(gain, covariance[0])
+            mean, covariance = mean + gain * error, covariance - gain[:, None] * covariance[0]
             if first == len(times) - 2:
                 innovation = Innovation(error, float(np.sqrt(variance)))
         return State(float(times[-1]), mean, covariance, state.begun_s), innovation
@@ -84,24 +86,32 @@ class Filter:
     def _advance(self, mean: Floats, history: Columns, k: int) -> tuple[Floats, Floats]:
         """The state after row k's step, and what that makes of a small difference."""
         twin = self.twin
-        duty, fan = (np.nan_to_num(history[name][: k + 1]) for name in ("heater_duty", "fan_on"))
+        past = slice(max(0, k - self._rows), k + 1)
+        duty, fan = (off_where_unknown(history[name][past]) for name in ("heater_duty", "fan_on"))
         room = history["temp_ambient"][k : k + 1]
         columns = _known(history, twin.needs, k)
-        if twin.signals.steady:
-            transition, which = twin.transitions(fan[k:])
+        if self._steady:
+            transition, which = twin.transitions(fan[-1:])
             matrix = transition.state[which[0]]
-            heat_w = twin.signals.heat_w(np.zeros(1), room, {**columns, "fan_on": fan[k:]}, by_temp=False)
-            inputs = (
-                twin.signals.duty(duty[k:])[0],
-                twin.signals.room(room)[0],
-                float(np.sum(heat_w)) / twin.system.air_capacity_j_k,
-            )
-            return matrix @ mean + transition.drive[which[0]] @ np.array(inputs), matrix
-        past = slice(max(0, k - self._rows), k)
-        before = Commands(duty[past], fan[past])
-        now = Commands(duty[None, k:], fan[None, k:])
-        march = twin.march(now, room, conditions=columns, before=before)
+            inputs = self._inputs(float(duty[-1]), fan[-1:], room, columns)
+            return matrix @ mean + transition.drive[which[0]] @ inputs, matrix
+        before = Commands(duty[:-1], fan[:-1])
+        march = twin.march(Commands(duty[None, -1:], fan[None, -1:]), room, conditions=columns, before=before)
         return march.step(0, mean[None])[0], march.matrix(0)[0]
+
+    def _inputs(self, duty: float, fan: Floats, room: Floats, columns: Conditions) -> Floats:
+        """What acts over a step, as `edge.twin.network.INPUTS`."""
+        signals = self.twin.signals
+        if self._plain:
+            return np.array((duty, float(room[0]), 0.0))
+        heat_w = signals.heat_w(np.zeros(1), room, {**columns, "fan_on": fan}, by_temp=False)
+        source = float(np.sum(heat_w)) / self.twin.system.air_capacity_j_k
+        return np.array((float(signals.duty(np.array(duty))), float(signals.room(room)[0]), source))
+
+
+def off_where_unknown(commands: Floats) -> Floats:
+    """Commands that were not recorded count as off: the board's lease had ended."""
+    return np.where(np.isfinite(commands), commands, 0.0)
 
 
 def _known(history: Columns, needs: Mapping[str, str], k: int) -> dict[str, Floats]:

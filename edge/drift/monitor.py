@@ -142,8 +142,9 @@ class DriftMonitor:
         memory = replace(memory, evidence=found, table=table)
         if not memory.disagrees and noise.count(memory.sums, now.cell) < self._learn_ticks:
             memory = replace(memory, sums=noise.learnt(memory.sums, now.cell, z, past))
+            if noise.count(memory.sums, now.cell) >= self._learn_ticks:
+                self._weights[now.cell] = noise.weights(memory.sums, now.cell)
         self.memory = memory
-        self._weights[now.cell] = self._known(now.cell)
         self._decide(float(found.total), float(history["time_s"][-1]), utc)
         return self._told()
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.drift.kalman import off_where_unknown
 from edge.models.base import Columns
 
 WARM_K = 6.0  # above the room: about half of what full heat does with the fan on
@@ -47,8 +48,8 @@ class Situation(NamedTuple):
 def situation(history: Columns, step_s: float) -> Situation:
     """From at least two rows; inputs that are not known count as off."""
     rows = 1 + max(1, round(JUST_S / step_s))  # now, and those before
-    duty = np.nan_to_num(history["heater_duty"][-1 - rows : -1])
-    fan = np.nan_to_num(history["fan_on"][-1 - rows : -1]) > 0.0
+    duty = off_where_unknown(history["heater_duty"][-1 - rows : -1])
+    fan = off_where_unknown(history["fan_on"][-1 - rows : -1]) > 0.0
     heated, blown = bool(duty[-1] > 0.0), bool(fan[-1])
     found = (
         True,
