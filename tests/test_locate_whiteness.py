@@ -16,11 +16,11 @@ def holes(values, rng):
 def test_p_values_of_white_noise_are_spread_evenly(gaps):
     rng = np.random.default_rng(0)
     found = []
-    for _ in range(300):
+    for _ in range(200):
         values = rng.normal(size=200)
         found.append(whiteness(holes(values, rng) if gaps else values, 60.0))
-    for share in (0.05, 0.5):  # within 3.5 binomial standard deviations of 300 draws
-        margin = 3.5 * np.sqrt(share * (1.0 - share) / 300.0)
+    for share in (0.05, 0.5):  # within 3.5 binomial standard deviations of 200 draws
+        margin = 3.5 * np.sqrt(share * (1.0 - share) / 200.0)
         assert np.mean([w.ljung_box_p < share for w in found]) == pytest.approx(share, abs=margin)
         assert np.mean([w.false_alarm < share for w in found]) < share + margin
 

@@ -22,6 +22,19 @@ class Opening(NamedTuple):
     shape: Shape
 
 
+def merged(doors: list[Shape]) -> list[Shape]:
+    """Doors in order, those that touch or overlap as one."""
+    found: list[Shape] = []
+    for door in sorted(doors, key=lambda shape: shape.begin):
+        if found and door.begin <= found[-1].end:
+            last = max(found[-1], door, key=lambda shape: shape.z)
+            end = max(found[-1].end, door.end)
+            found[-1] = last._replace(begin=found[-1].begin, end=end)
+        else:
+            found.append(door)
+    return found
+
+
 def openings(run: RunShapes, innovations: Floats, doors: list[Shape]) -> list[Opening]:
     """Each door's conductance row by row, by least squares beside the other doors.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.diagnosis.locate.candidates import Found, RunShapes, Shape
-from edge.twin.diagnosis.locate.door_shares import Opening, full_w_k, is_long, openings, shares
+from edge.twin.diagnosis.locate.door_shares import Opening, full_w_k, is_long, merged, openings, shares
 from edge.twin.diagnosis.locate.heat_filter import Filtered, Steps, filtered, steps_of
 from edge.twin.diagnosis.locate.residual_heat import likeliest
 from edge.twin.diagnosis.locate.switches import Switches
@@ -167,9 +167,9 @@ def _told(
     every: list[list[Opening]] = []
     for i, (run, part) in enumerate(zip(shapes, found, strict=True)):
         wrong[i, [shape.begin + 1 for shape in part if _stands_alone(shape, part)]] = True
-        others = [shape.size * run.response(shape) for shape in part if shape.kind != "door"]
-        left = innovations[i] - sum(others, start=np.zeros(()))
-        doors = sorted((shape for shape in part if shape.kind == "door"), key=lambda shape: shape.begin)
+        doors = merged([shape for shape in part if shape.kind == "door"])
+        others = [shape for shape in part if shape.kind != "door" and not _touches(shape, doors)]
+        left = innovations[i] - sum((s.size * run.response(s) for s in others), start=np.zeros(()))
         every.append(openings(run, left, doors))
     wide = [full_w_k(item) for part in every for item in part if is_long(item)]
     usual = float(np.median(wide)) if wide else 0.0
@@ -182,6 +182,11 @@ def _told(
             door_open[i, rows] = np.maximum(door_open[i, rows], share)
             told.append(_door(name, step_s, item, share, full, shapes[i].excess))
     return Events(tuple(told), door_open, wrong)
+
+
+def _touches(shape: Shape, doors: list[Shape]) -> bool:
+    """Whether it is a part of what a door does, which a constant conductance over whole rows did not fit."""
+    return any(shape.begin <= door.end and door.begin <= shape.end for door in doors)
 
 
 def _stands_alone(spike: Shape, every: list[Shape]) -> bool:
