@@ -9,6 +9,7 @@ A test run's temperatures are given in its first GIVEN_ROWS rows. In the truth t
 column `temp_clean_c`: what a sensor without noise and steps would show, disturbances included.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -16,12 +17,16 @@ from typing import Any
 from edge.run_file import Run
 from edge.twin.twin_file import TwinFile
 
-GENERATOR_VERSION = 1  # cases of another version are made anew
+GENERATOR_VERSION = 2  # cases of another version are made anew
 GIVEN_ROWS = 2
 STEP_S = 60.0
 SUITES = ("equations", "chamber")
 FIRST_SEEDS = {"dev": 0, "scored": 100_000}  # so that no case of one split is in the other
 SEEDS_PER_KIND = 1000
+SIZES_K = {
+    "null": (0.0, 0.0), "single": (0.4, 3.0), "pair": (0.4, 3.0), "outside": (0.5, 3.0), "weak": (0.1, 0.3),
+    "hard": (0.5, 3.0), "bare": (0.25, math.inf),
+}  # fmt: skip
 KINDS = {"null": 100, "single": 100, "pair": 50, "outside": 40, "weak": 25, "hard": 25, "bare": 25}
 DEPENDENCES = ("heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "rel_humidity", "time", "none")
 
@@ -45,7 +50,7 @@ class RunTruth:
 
     measured_c : as the sensor shows it, with noise and steps; None where a reading is missing
     clean_c : without noise and steps, but with the heat noise and the mains of that run
-    undisturbed_c : without those as well: what the true equations make of the true inputs
+    undisturbed_c : without those as well, and the door closed: what the true equations forecast
     start : true states at the first row, by name [°C, the heater in W]
     """
 

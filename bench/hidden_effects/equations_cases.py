@@ -1,12 +1,13 @@
 """Cases from the independent equations: a random box, what of it is hidden, runs, readings and the truth."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
 from numpy.random import Generator
 
-from bench.hidden_effects.cases import SUITES, Case, RunTruth, Truth, case_id, seed_of
+from bench.hidden_effects.cases import SIZES_K, SUITES, Case, RunTruth, Truth, case_id, seed_of
 from bench.hidden_effects.declare import declared, draw_knowledge, exact
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS
 from bench.hidden_effects.draw_readings import (
@@ -36,14 +37,6 @@ from bench.hidden_effects.equations_search import quiet
 from bench.hidden_effects.write_case import listed, listed_or_missing
 from edge.run_file import Run
 
-SIZES_K = {
-    "single": (0.4, 3.0),
-    "pair": (0.4, 3.0),
-    "weak": (0.1, 0.3),
-    "hard": (0.5, 3.0),
-    "outside": (0.5, 3.0),
-}
-LEAST_BARE_K = 0.25
 CURVE_ODDS, CURVE = 0.75, (0.02, 0.04)  # of a loss that grows with the difference, share per 10 K
 ATTEMPTS = 80
 
@@ -66,9 +59,9 @@ def _draw_box(rng: Generator, scene: Scene, kind: str, number: int) -> Box | Non
     if kind == "outside":
         return hide_outside(rng, scene, list(OUTSIDE)[number % len(OUTSIDE)], SIZES_K[kind])
     if kind == "bare":
-        return hide_all(rng, scene, LEAST_BARE_K)
+        return hide_all(rng, scene, SIZES_K[kind])
     if kind == "null":
-        return hide(rng, scene, (), (0.0, 0.0))
+        return hide(rng, scene, (), SIZES_K[kind])
     names = draw_pair(rng, first) if kind == "pair" else (first,)
     return hide(rng, scene, names, SIZES_K[kind])
 
@@ -77,7 +70,8 @@ def _case(rng: Generator, scene: Scene, box: Box, split: str, kind: str, seed: i
     sensing = draw_sensing(rng, kind == "hard")
     curve = float(rng.uniform(*CURVE)) if rng.random() < CURVE_ODDS else 0.0
     clean, _ = simulate(_parameters(box, scene, curve), scene.inputs, bend=box.bend)
-    undisturbed, states = simulate(_parameters(box, scene, 0.0), quiet(scene.inputs), bend=box.bend)
+    still = replace(quiet(scene.inputs), door=np.zeros_like(scene.inputs.door))
+    undisturbed, states = simulate(_parameters(box, scene, 0.0), still, bend=box.bend)
     lit = rng.random() < 0.5 or _needs_light(box)
     runs = [_run(rng, scene, b, clean[:, b], sensing, lit) for b in range(len(scene.rows))]
     trains = [b for b in range(len(runs)) if b not in scene.tests]
@@ -116,7 +110,7 @@ def _case(rng: Generator, scene: Scene, box: Box, split: str, kind: str, seed: i
     has_drift = "ua_drift" in box.true
     return Case(
         truth,
-        declared(rng, box.known, draw_knowledge(rng), sensing, nuisance, day0_utc),
+        declared(rng, box.known, draw_knowledge(rng, kind == "weak"), sensing, nuisance, day0_utc),
         {f"train_{i:02}.csv": runs[b] for i, b in enumerate(trains, start=1)},
         {name: runs[b] for name, b in test.items()},
         None if box.outside else exact(box.true, sensing, nuisance, day0_utc if has_drift else None),

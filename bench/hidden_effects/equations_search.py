@@ -10,6 +10,7 @@ from bench.hidden_effects.draw_inputs import BEFORE_ROWS
 from bench.hidden_effects.equations import NEUTRAL, simulate
 from bench.hidden_effects.equations_inputs import Bend, Floats, Inputs
 
+MARGIN = 0.15
 Parameters = Mapping[str, float]
 
 
@@ -41,9 +42,12 @@ def strength_for(
     sizes: Floats,
     wanted: tuple[float, float],
 ) -> float | None:
-    """A strength whose size is anywhere in `wanted`, evenly on a logarithmic scale; None where none is."""
+    """A strength whose size is inside `wanted`, evenly on a logarithmic scale; None where none is.
+
+    sizes : at `strengths`, between which they are interpolated, so it keeps away from the ends
+    """
     rising = np.maximum.accumulate(np.maximum(sizes, 1e-9))
-    low, high = max(wanted[0], rising[0]), min(wanted[1], rising[-1])
+    low, high = max(wanted[0] * (1.0 + MARGIN), rising[0]), min(wanted[1] / (1.0 + MARGIN), rising[-1])
     if not low < high or not np.isfinite(rising).all():
         return None
     target = np.exp(rng.uniform(np.log(low), np.log(high)))

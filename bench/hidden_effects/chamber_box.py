@@ -1,0 +1,169 @@
+"""Boxes of the independent chamber: what each effect is there, and which values of the chamber say how much.
+
+The chamber's further effects are off unless they are what is hidden: films do not grow with the difference,
+the fan does not stir the walls, the element hardly radiates, the floor does not leak. What is left are its
+two sheets of wall, its element, its moisture; the twin's equations fit them nearly, not wholly.
+
+`imperfect_mixing` is not among them: the chamber's fan blows through both zones in turn, the library's
+through one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+from numpy.random import Generator
+
+from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, load
+from firmware_protocol.virtual_board.effects import Effects
+
+Settings = dict[str, float]  # "air.leak_flow_m3_s" or "effects.infiltration"
+FILM_W_K = 0.21  # of the element at its reference difference: C / FILM_W_K is its lag
+BASE: Settings = {
+    "cover.inner_film_fan_w_m2_k": 0.0, "soil.floor_w_k": 0.0, "air.fan_mixing_flow_m3_s": 0.0,
+    "heater.duty_window_s": 0.0, "heater.emissivity": 0.05, "led.light_share": 0.0, "led.power_w": 20.0,
+    "heater.fan_convection_factor": 1.0, "room.diurnal_k": 0.3, "air.contact_capacity_factor": 3.0,
+    "effects.ambient_diurnal": 1.0, "effects.ambient_wander": 1.0, "effects.power_run_variation": 1.0,
+    "effects.power_wander": 1.0, "effects.heat_noise": 1.0, "effects.sensor_noise": 1.0,
+    "effects.sensor_step": 1.0,
+}  # fmt: skip
+QUIET: Settings = {
+    "effects.power_run_variation": 0.0, "effects.power_wander": 0.0, "effects.heat_noise": 0.0,
+    "effects.sensor_noise": 0.0, "effects.sensor_step": 0.0,
+}  # fmt: skip
+
+
+class Setting(NamedTuple):
+    """What makes an effect as strong as a number says.
+
+    value : that number's place, and `low`..`high` where it is searched for a size; `usual` where it is known
+    form : what stands there is the strength ("same"), 1 minus it ("rest") or 1 over it ("inverse")
+    others : switches and values that go with it
+    """
+
+    value: str
+    low: float
+    high: float
+    usual: tuple[float, float]
+    form: str = "same"
+    others: tuple[tuple[str, float], ...] = ()
+    signed: bool = False
+
+    def at(self, strength: float, sign: float = 1.0) -> Settings:
+        """All settings."""
+        value = {"same": strength, "rest": 1.0 - strength, "inverse": 1.0 / strength}[self.form]
+        return {self.value: sign * value if self.signed else value, **dict(self.others)}
+
+
+def _on(name: str, *more: tuple[str, float]) -> tuple[tuple[str, float], ...]:
+    return ((f"effects.{name}", 1.0), *more)
+
+
+SETTINGS: Mapping[str, Setting] = {
+    "wall_loss": Setting("cover.outer_film_w_m2_k", 0.02, 3.0, (5.0, 14.0), others=_on("wall_loss")),
+    "infiltration": Setting("air.leak_flow_m3_s", 5e-5, 0.008, (0.0005, 0.002), others=_on("infiltration")),
+    "wall_mass": Setting(
+        "cover.heat_capacity_j_kg_k", 300.0, 40000.0, (2500.0, 8000.0), others=_on("wall_mass")
+    ),
+    "soil_mass": Setting("soil.capacity_j_k", 500.0, 80000.0, (5000.0, 25000.0), others=_on("soil_mass")),
+    "extra_capacity": Setting(
+        "air.contact_capacity_factor", 1.1, 15.0, (1.5, 6.0), others=_on("extra_capacity")
+    ),
+    "heater_lag": Setting("heater.capacity_j_k", 3.0, 300.0, (15.0, 80.0), others=_on("heater_lag")),
+    "heater_deadtime": Setting("heater.deadtime_s", 5.0, 300.0, (20.0, 60.0), others=_on("heater_deadtime")),
+    "heater_efficiency": Setting(
+        "heater.efficiency", 0.005, 0.5, (0.03, 0.15), "rest", _on("heater_efficiency")
+    ),
+    "radiative_split": Setting(
+        "effects.radiative_split", 0.02, 1.0, (0.3, 0.7), others=(("heater.emissivity", 0.92),)
+    ),
+    "heater_saturation": Setting(
+        "heater.saturation_duty", 0.02, 0.8, (0.1, 0.3), "rest", _on("heater_saturation")
+    ),
+    "heater_sag": Setting("heater.sag", 0.005, 0.45, (0.05, 0.15), others=_on("heater_sag")),
+    "longwave_radiation": Setting("effects.longwave_radiation", 0.01, 4.0, (0.5, 1.0)),
+    "fan_effectiveness": Setting(
+        "fan.effectiveness", 0.02, 0.9, (0.15, 0.4), "rest", _on("fan_effectiveness")
+    ),
+    "short_circuit": Setting("fan.short_circuit", 0.02, 0.9, (0.1, 0.3), others=_on("short_circuit")),
+    "fan_deadtime": Setting("fan.deadtime_s", 3.0, 240.0, (10.0, 40.0), others=_on("fan_deadtime")),
+    "fan_spinup": Setting("fan.spinup_s", 3.0, 240.0, (10.0, 40.0), others=_on("fan_spinup")),
+    "sensor_lag": Setting("sensors.air_lag_s", 5.0, 900.0, (20.0, 90.0), others=_on("sensor_lag")),
+    "sensor_bias": Setting(
+        "sensors.air_bias_k", 0.05, 4.0, (0.2, 0.8), others=_on("sensor_bias"), signed=True
+    ),
+    "ambient_offset": Setting(
+        "sensors.ambient_offset_k", 0.05, 5.0, (0.2, 0.8), others=_on("ambient_offset"), signed=True
+    ),
+    "constant_heat": Setting("events.constant_heat_w", 0.2, 40.0, (2.0, 8.0), others=_on("constant_heat")),
+    "led_gain": Setting("led.power_w", 0.3, 80.0, (10.0, 25.0), others=_on("led_gain")),
+    "evapotranspiration": Setting(
+        "plant.transpiration_w_kpa", 0.3, 60.0, (2.0, 6.0), others=_on("evapotranspiration")
+    ),
+    "door_opening": Setting("events.door_w_k", 0.5, 300.0, (10.0, 30.0), others=_on("door_opening")),
+    "ua_drift": Setting("cover.ua_drift_per_day", 0.001, 0.5, (0.01, 0.03), others=_on("ua_drift")),
+}
+OUTSIDE: Mapping[str, tuple[Setting, tuple[str, ...]]] = {
+    "sun_window": (
+        Setting("room.sun_w", 1.0, 150.0, (0, 0), others=_on("sun_window", ("room.sun_light", 0.0))),
+        ("time",),
+    ),
+    "room_draught": (
+        Setting("cover.draught_share", 0.02, 1.0, (0, 0), others=_on("room_draught")),
+        ("none",),
+    ),
+    "fan_clogging": (
+        Setting("fan.clogging_per_day", 0.5, 40.0, (0, 0), others=_on("fan_clogging")),
+        ("fan_on", "time"),
+    ),
+    "sensor_radiation": (
+        Setting("sensors.radiation_k_w", 0.003, 0.3, (0, 0),
+                others=_on("sensor_radiation", ("heater.emissivity", 0.92))),
+        ("heater_duty",),
+    ),
+    "sensor_drift": (
+        Setting("sensors.air_drift_k_day", 0.3, 60.0, (0, 0), others=_on("sensor_drift"), signed=True),
+        ("time",),
+    ),
+    "heat_noise": (
+        Setting("events.heat_noise_w", 2.0, 60.0, (0, 0), others=_on("heat_noise")),
+        ("none",),
+    ),
+}  # fmt: skip
+
+
+def chamber_of(settings: Mapping[str, float]) -> tuple[ChamberParameters, Effects]:
+    """The chamber's parameters and switches; what is not set is off, or as in chamber.yaml."""
+    parameters, _ = load()
+    sections: dict[str, dict[str, float]] = {}
+    for place, value in {**BASE, **settings}.items():
+        section, _, key = place.partition(".")
+        sections.setdefault(section, {})[key] = float(value)
+    effects = Effects.none(**sections.pop("effects"))
+    changed = {name: replace(getattr(parameters, name), **values) for name, values in sections.items()}
+    return replace(parameters, **changed), effects
+
+
+# Sheets that let heat through, so that what happens at the outer one happens to the air.
+THIN_WALLS: Settings = {"cover.inner_film_w_m2_k": 80.0, "cover.gap_w_m2_k": 150.0}
+
+
+def draw_base(rng: Generator) -> Settings:
+    """Films and contacts of a box."""
+    return {
+        "cover.inner_film_w_m2_k": rng.uniform(7.0, 14.0),
+        "cover.outer_film_w_m2_k": rng.uniform(5.0, 14.0),
+        "soil.air_w_k": rng.uniform(1.5, 4.0),
+    }
+
+
+def draw_known(rng: Generator, name: str) -> Settings:
+    """An effect of the size that known ones have; walls with mass also let heat through."""
+    own = SETTINGS[name]
+    settings = own.at(rng.uniform(*own.usual), draw_sign(rng))
+    return {**settings, "effects.wall_loss": 1.0} if name == "wall_mass" else settings
+
+
+def draw_sign(rng: Generator) -> float:
+    """Of an effect with two signs."""
+    return 1.0 if rng.random() < 0.5 else -1.0
