@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from edge.twin.diagnosis.locate.dependence import depends_on, explained
+from edge.twin.diagnosis.locate.regimes import regimes
 from edge.twin.diagnosis.locate.subsets import Regression
+from edge.twin.diagnosis.locate.whiteness import whiteness_of
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
 from tests.locate_runs import BASE, NOISE_K, located, made
@@ -81,6 +83,17 @@ def test_a_heater_that_differs_from_run_to_run_and_slow_noise_are_no_dependence(
 
         alarms += bool(depends_on(located(with_heat(watts, seed=seed, count=6))))
     assert alarms == 0
+
+
+def test_runs_of_different_length_are_taken_together():
+    runs = with_heat(HEATS["leak"][0])
+    temp = runs.temp.copy()
+    temp[0, 61:], temp[1, 1:] = np.nan, np.nan
+    found = located(replace(runs, temp=temp))
+    assert [len(run.white) for run in found[:3]] == [60, 0, 150]
+    assert {item.name for item in depends_on(found)} >= {"fan_on", "temp_air"}
+    assert regimes(found)
+    assert whiteness_of(found[1]).ljung_box_p is None
 
 
 def test_too_few_rows_depend_on_nothing():

@@ -92,7 +92,7 @@ def residuals_of(
             Residuals(
                 name,
                 twin.step_s,
-                float(columns["utc"][0]) if "utc" in columns and rows else None,
+                float(runs.conditions["utc"][i, 0]) if "utc" in columns else None,
                 twin.step_s * np.arange(rows, dtype=np.float64),
                 runs.temp[i, : rows + 1],
                 free_k[i, :rows],
@@ -107,7 +107,7 @@ def residuals_of(
                 heat.sd_w[i, :rows],
                 air_c[i, :rows],
                 told[i, :rows],
-                response[i, :rows],
+                response[i, :rows, :rows],
             )
         )
     return found
