@@ -1,7 +1,6 @@
 """python -m bench.hidden_effects make: write cases of a suite and split; those that are there are kept."""
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Sequence
@@ -62,13 +61,6 @@ def make(arguments: argparse.Namespace) -> int:
     given, _ = folders(arguments.out, arguments.suite, arguments.split)
     print(f"in {given}")
     return 0
-
-
-def made_ids(root: Path, suite: str, split: str, kinds: Sequence[str] = tuple(KINDS)) -> list[str]:
-    """Ids of the cases of these kinds that are there, in the order of their seeds."""
-    _, truth = folders(root, suite, split)
-    documents = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(truth.glob("case_*.json"))]
-    return [document["id"] for document in documents if document["kind"] in kinds]
 
 
 def _make_all(tasks: Sequence[Task], workers: int) -> None:

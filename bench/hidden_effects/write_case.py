@@ -63,8 +63,3 @@ def listed(values: np.ndarray) -> list[float]:
 def listed_or_missing(values: np.ndarray) -> list[float | None]:
     """The same, None for NaN."""
     return [None if np.isnan(value) else round(float(value), 4) for value in values]
-
-
-def whole(run: Run) -> list[float | None]:
-    """A run's temperatures."""
-    return listed_or_missing(run.columns["temp_air_c"])
