@@ -128,7 +128,7 @@ class DriftState(Enum):
 class DriftRow:
     """How the twin did lately in one regime."""
 
-    ticks: float  # the newest hours counting most
+    ticks: float  # the newest hour counting most
     share_of_squares: float  # of its squared innovations in all regimes
     error_k: float  # measured minus predicted one step ahead, mean
 

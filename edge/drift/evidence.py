@@ -78,3 +78,9 @@ def change_utc(evidence: Evidence) -> float:
     """When the mean moved, as the strongest part of the evidence has it; of one path."""
     # The CUSUM ranks the parts: the sums stop at their ceiling.
     return float(evidence.since_utc.flat[int(np.argmax(evidence.cusum))])
+
+
+def by_regime(evidence: Evidence) -> Floats:
+    """The strongest evidence in each regime, [regimes]; of one path."""
+    strongest: Floats = evidence.cusum.max(axis=-1)
+    return strongest

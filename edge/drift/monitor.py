@@ -19,6 +19,7 @@ from edge.twin.model import Twin
 
 SETTLE_S = 3600.0  # a filter that began at rest is not judged so long: walls and element are not known
 AGREE_S = 3600.0  # time in which it is judged and no evidence is left, before agreement is told
+CAUTIOUS_AGREE = 24.0  # times longer where the cell is not learnt: there small disagreement is not seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,11 +146,13 @@ class DriftMonitor:
             if noise.count(memory.sums, now.cell) >= self._learn_ticks:
                 self._weights[now.cell] = noise.weights(memory.sums, now.cell)
         self.memory = memory
-        self._decide(float(found.total), float(history["time_s"][-1]), utc)
+        learnt = noise.count(memory.sums, now.cell) >= self._learn_ticks
+        agreed_s = step_s if learnt else step_s / CAUTIOUS_AGREE
+        self._decide(float(found.total), agreed_s, float(history["time_s"][-1]), utc)
         return self._told()
 
-    def _decide(self, total: float, now: float, utc: float) -> None:
-        """Raise the alarm, or end it."""
+    def _decide(self, total: float, agreed_s: float, now: float, utc: float) -> None:
+        """Raise the alarm, or end it. agreed_s: what this tick counts where no evidence is left"""
         memory = self.memory
         assert memory is not None
         if not memory.disagrees:
@@ -158,7 +161,7 @@ class DriftMonitor:
                 self.memory = replace(memory, since_utc=since, agreeing_s=0.0)
                 self._tell("twin.disagrees", Severity.WARNING, self._told().text, now, utc)
             return
-        agreeing_s = memory.agreeing_s + self._promise.step_s if total < self._threshold - CLEAR else 0.0
+        agreeing_s = memory.agreeing_s + agreed_s if total < self._threshold - CLEAR else 0.0
         self.memory = replace(memory, agreeing_s=agreeing_s)
         if agreeing_s >= AGREE_S:
             lasted_h = (utc - memory.since_utc) / 3600.0
@@ -174,7 +177,8 @@ class DriftMonitor:
         memory = self.memory
         if memory is None:
             return Drift(reason=reason)
-        worst, rows = where.worst(memory.table), where.rows(memory.table)
+        worst = where.worst(memory.table, evidence.by_regime(memory.evidence))
+        rows = where.rows(memory.table)
         agrees = DriftState.UNKNOWN if reason else DriftState.AGREES
         drift = Drift(
             state=DriftState.DISAGREES if memory.disagrees else agrees,

@@ -9,9 +9,9 @@ from edge.messages import DriftRow
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-MEMORY_S = 6 * 3600.0  # older ticks count e times less
+MEMORY_S = 3600.0  # older ticks count e times less: what is told is of now, with the time before beside it
 CLEARLY = 3.0  # standard errors between inside and outside, to blame a regime
-TIMES_OUTSIDE = 1.5  # and so many times the mean square outside
+NEARLY_ALL = 0.9  # of the strongest evidence
 _COLUMNS = 4  # count, squares, squares of squares, errors
 
 
@@ -41,22 +41,22 @@ def rows(table: Floats) -> list[DriftRow]:
     ]
 
 
-def worst(table: Floats) -> int:
-    """Place in REGIMES of the one that stands out most from the ticks outside it; 0, all, if none does."""
+def worst(table: Floats, explained: Floats) -> int:
+    """Place in REGIMES of the one to blame.
+
+    explained : evidence in each regime [regimes]
+    Of the regimes that explain nearly all of the evidence, the one whose squares stand out most from those
+    outside it; where none does, the first, which is the most general.
+    """
+    candidates = explained >= NEARLY_ALL * explained.max()
     inside, whole = table, table[0]
     outside = whole - inside
-    n_in, n_out = inside[:, 0], outside[:, 0]
-    if not (n_in[0] > 0.0):
-        return 0
-    both = (n_in >= 1.0) & (n_out >= 1.0)
-    mean_in, mean_out = inside[:, 1] / np.maximum(n_in, 1.0), outside[:, 1] / np.maximum(n_out, 1.0)
+    n_in, n_out = np.maximum(inside[:, 0], 1.0), np.maximum(outside[:, 0], 1.0)
+    mean_in, mean_out = inside[:, 1] / n_in, outside[:, 1] / n_out
     # Spread within, not over all: what sets a regime apart is no noise.
-    squares = inside[:, 2] - n_in * mean_in**2 + outside[:, 2] - n_out * mean_out**2
-    variance = np.maximum(squares / n_in[0], 1e-9) * (
-        1.0 / np.maximum(n_in, 1.0) + 1.0 / np.maximum(n_out, 1.0)
-    )
-    apart = np.where(
-        both & (mean_in > TIMES_OUTSIDE * mean_out), (mean_in - mean_out) / np.sqrt(variance), 0.0
-    )
+    within = inside[:, 2] - n_in * mean_in**2 + outside[:, 2] - n_out * mean_out**2
+    variance = np.maximum(within / max(whole[0], 1.0), 1e-9) * (1.0 / n_in + 1.0 / n_out)
+    seen = (inside[:, 0] >= 1.0) & (outside[:, 0] >= 1.0)
+    apart = np.where(candidates & seen, (mean_in - mean_out) / np.sqrt(variance), 0.0)
     place = int(np.argmax(apart))
-    return place if apart[place] > CLEARLY else 0
+    return place if apart[place] > CLEARLY else int(np.argmax(candidates))
