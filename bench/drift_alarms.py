@@ -162,7 +162,7 @@ def delays(boxes: int, promise: Promise) -> None:
         "fan at half its effect": Box(with_fan(twin, 0.5)),
     }
     print(
-        "\n| change | heat noise | told within a day | after, median [min] | begin off by, median [min] | where |"
+        "\n| change | heat noise | told in a day | after, median [min] | begin off by, median [min] | where |"
     )
     print("|---|---|---|---|---|---|")
     for heat_w in (1.5, 3.0):
