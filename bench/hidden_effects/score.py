@@ -5,6 +5,8 @@ them; on a null it is a false alarm.
 
 naming : first name true, single effects; exact_single, exact_pair : all found and nothing else named
 weak, hard : first name true; bare_found, bare_true : of all hidden effects, of all names
+found_shown, bare_found_shown : of the effects that the runs show at all (`score_aliases`): those of kinds
+single, pair, weak and hard, and of bare; shown : how many they are
 false_alarms : nulls with a verdict other than nothing_missing
 unknown, dependence : of cases outside the library; of those whose effect depends on something
 unknown_wrongly : unknown said of a null or of a hidden effect of the library
@@ -44,6 +46,9 @@ def figures(cases: Sequence[Scored]) -> dict[str, Figure]:
         "hard": share(case.first_right for case in _of(cases, "hard")),
         "bare_found": share(found for case in bare for found in case.found),
         "bare_true": Share(sum(case.true_names for case in bare), sum(case.names for case in bare)),
+        "found_shown": _found_shown([case for case in hidden if case.kind != "bare"]),
+        "bare_found_shown": _found_shown(bare),
+        "shown": share(shows for case in hidden for shows in case.shows),
         "false_alarms": share(case.verdict != "nothing_missing" for case in _of(cases, "null")),
         "unknown": share(case.verdict == "unknown" for case in outside),
         "dependence": share(case.dependence for case in outside if case.dependence is not None),
@@ -60,6 +65,11 @@ def figures(cases: Sequence[Scored]) -> dict[str, Figure]:
         "seconds_worst": _quantile(seconds, 1.0),
         "failed": share(case.failed for case in cases),
     }  # fmt: skip
+
+
+def _found_shown(cases: Iterable[Scored]) -> Share:
+    pairs = [pair for case in cases for pair in zip(case.found, case.shows, strict=True)]
+    return share(found for found, shows in pairs if shows)
 
 
 def by_effect(cases: Iterable[Scored]) -> dict[str, Share]:

@@ -4,34 +4,38 @@ The true structure (what the twin file declares and all hidden effects) is fitte
 so is each structure in which one hidden effect is replaced by another of the library, its noise as well as
 its values. A rival of more parameters than the effect pays 1/2 log n for each (Schwarz 1978), or a wall that
 stores heat would stand for every wall that does not; one of fewer gets nothing. A member of the effect's
-class is within ALIAS_NATS of the truth, or better. An effect whose column the runs don't have (`door_open`:
-when the door was open) is no rival, and as a hidden effect has none.
+class is within ALIAS_NATS of the truth, either way, and gains as much over nothing in the effect's place:
+what fits better than the truth by more mends something else, and where the effect itself gains less, nothing
+can stand for it. Rows further than OUTLIER_SD from the true fit are left out. An effect whose column the runs
+don't have (`door_open`: when the door was open) is no rival, and as a hidden effect has none.
 """
 
 import json
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.hidden_effects.cases import Hidden, Truth
+from bench.hidden_effects.score_fit import Fit, fit
 from bench.hidden_effects.score_noise import Noise
 from bench.hidden_effects.score_rivals import sieve, unknown
-from bench.hidden_effects.score_structure import Fit, Structure, fit, structure
+from bench.hidden_effects.score_structure import Structure, structure
 from edge.run_file import Run
 from edge.twin.effects import EFFECTS, applied
 from edge.twin.recorded import Recorded, recorded
-from edge.twin.twin_file import TwinFile
+from edge.twin.twin_file import Place, TwinFile
+from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
-METHOD_VERSION = 1  # classes of another version are computed anew
+METHOD_VERSION = 3  # classes of another version are computed anew
 ALIAS_NATS = 3.0
 KEPT_NATS = 10.0  # rivals further behind are not written down
 SECOND_LOOK_NATS = 20.0  # rivals further behind after one pass get no second
-_TRUTH_PASSES = 3
+OUTLIER_SD = 6.0
 _FIRST_NOISE = Noise(0.1, 0.1, 20.0)
 _WITHOUT_A_COLUMN = ("door_opening",)  # the runs don't say when the door was open
 
@@ -40,11 +44,13 @@ _WITHOUT_A_COLUMN = ("door_opening",)  # the runs don't say when the door was op
 class AliasClass:
     """What a hidden effect can't be told from.
 
-    behind : nats by which each rival fits worse than the truth, KEPT_NATS at most; the effect itself at 0
+    behind : nats by which each rival fits worse than the truth, KEPT_NATS at most; below 0 it fits better
+    gain_nats : of the effect over nothing in its place; None where that can't be told
     """
 
     effect: str
-    behind: Mapping[str, float]
+    behind: Mapping[str, float] = field(default_factory=dict)
+    gain_nats: float | None = None
 
     @property
     def members(self) -> frozenset[str]:
@@ -52,58 +58,86 @@ class AliasClass:
         return self.within(ALIAS_NATS)
 
     def within(self, nats: float) -> frozenset[str]:
-        return frozenset({self.effect, *(name for name, behind in self.behind.items() if behind <= nats)})
+        """Those that near to the truth."""
+        near = (name for name, behind in self.behind.items() if abs(behind) <= nats)
+        return frozenset({self.effect, *near})
+
+    def up_to(self, nats: float) -> frozenset[str]:
+        """The same, with those that fit better than the truth."""
+        return self.within(nats) | {name for name, behind in self.behind.items() if behind <= nats}
+
+    @property
+    def shows(self) -> bool:
+        """Whether the runs tell that something is missing here at all."""
+        return self.gain_nats is None or self.gain_nats >= ALIAS_NATS
 
 
-def alias_classes(truth: Truth, file: TwinFile, runs: list[Run]) -> tuple[AliasClass, ...]:
+def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[Run]) -> tuple[AliasClass, ...]:
     """The class of each hidden effect of a case, in the truth's order. Errors: DataError as of `recorded`."""
-    names = [item.name for item in truth.hidden]
-    if not set(names) - set(_WITHOUT_A_COLUMN):
-        return tuple(AliasClass(name, {}) for name in names)
+    if all(item.name in _WITHOUT_A_COLUMN for item in truth.hidden):
+        return tuple(AliasClass(item.name) for item in truth.hidden)
     data = recorded(runs, file.sample_s)
-    whole = structure(_with(file, truth.hidden), data)
-    found = fit(whole, whole.start, _FIRST_NOISE, _TRUTH_PASSES)
+    mains_sd, curve = (truth.noise.get(key, 0.0) for key in ("heater_power_run_sd", "ua_curve_per_10_k"))
+    whole = structure(_with(file, truth.hidden), data, mains_sd, curve)
+    found = fit(whole, whole.start, _FIRST_NOISE, passes=1)
+    whole = structure(whole.file, _without_outliers(whole, found), mains_sd, curve)
+    found = fit(whole, found.scaled, found.noise, passes=2)
     return tuple(_class(item, whole, found) for item in truth.hidden)
+
+
+def _without_outliers(truth: Structure, found: Fit) -> Recorded:
+    residual = truth.residual(found.scaled)
+    usual = 1.4826 * np.median(np.abs(residual[truth.measured]))  # sd of a normal distribution
+    temp = truth.data.temp.copy()
+    temp[:, 1:][np.abs(residual) > OUTLIER_SD * usual] = np.nan
+    return replace(truth.data, temp=temp)
 
 
 def _class(hidden: Hidden, truth: Structure, found: Fit) -> AliasClass:
     if hidden.name in _WITHOUT_A_COLUMN:
-        return AliasClass(hidden.name, {})
-    sifted = sieve(truth, found, hidden.name)
-    behind = {}
-    for name in _rivals(hidden.name, truth.file, truth.data):
-        start = sifted.start_of(name)
-        if start is None:
-            continue
-        nats = _behind(name, start, truth, found, hidden.name)
-        if nats <= KEPT_NATS:
-            behind[name] = nats
-    return AliasClass(hidden.name, behind)
+        return AliasClass(hidden.name)
+    nothing = _fit_near(truth.other(_others(truth, hidden.name)), {}, truth, found)
+    gain = found.log_likelihood - nothing
+    behind: dict[str, float] = {}
+    if gain >= ALIAS_NATS:
+        sifted = sieve(truth, found, hidden.name)
+        for name in _rivals(hidden.name, truth.file, truth.data):
+            own = sifted.start_of(name)
+            if own is None:
+                continue
+            rival = truth.other({**_others(truth, hidden.name), name: unknown(name, truth.file)})
+            reached = _fit_near(rival, dict(zip(_places(name), own, strict=True)), truth, found)
+            nats = found.log_likelihood - reached + _price(name, hidden.name, truth)
+            if nats <= KEPT_NATS and reached - nothing >= ALIAS_NATS:
+                behind[name] = nats
+    return AliasClass(hidden.name, behind, gain)
+
+
+def _others(truth: Structure, hidden: str) -> dict[str, Mapping[str, Value]]:
+    return {key: own for key, own in truth.file.effects.items() if key != hidden}
+
+
+def _places(name: str) -> list[Place]:
+    return [("effects", name, item.name) for item in EFFECTS[name].parameters]
+
+
+def _fit_near(rival: Structure, own: Mapping[Place, float], truth: Structure, found: Fit) -> float:
+    """Log likelihood of a structure, begun at its own scaled parameters and the true fit of the others."""
+    others = truth.values(found.scaled)
+    begun = [
+        own[item.place] if item.place in own else item.scaled(others.get(item.place, item.start))
+        for item in rival.unknowns
+    ]
+    once = fit(rival, np.array(begun), found.noise, passes=1)
+    if found.log_likelihood - once.log_likelihood > SECOND_LOOK_NATS:
+        return once.log_likelihood
+    return max(once.log_likelihood, fit(rival, once.scaled, once.noise, passes=1).log_likelihood)
 
 
 def _price(rival: str, hidden: str, truth: Structure) -> float:
     """Of the rival's further parameters [nats]."""
     more = len(EFFECTS[rival].parameters) - len(EFFECTS[hidden].parameters)
     return max(0, more) * 0.5 * float(np.log(truth.measured.sum()))
-
-
-def _behind(name: str, start: Floats, truth: Structure, found: Fit, hidden: str) -> float:
-    """Nats by which the rival `name` fits worse, begun at its best place in the sieve and the others' fit."""
-    effects = {key: own for key, own in truth.file.effects.items() if key != hidden}
-    file = replace(truth.file, effects={**effects, name: unknown(name, truth.file)})
-    rival = structure(file, truth.data)
-    others = truth.values(found.scaled)
-    own = iter(start)
-    begun = [
-        next(own) if item.place[:2] == ("effects", name) else item.scaled(others.get(item.place, item.start))
-        for item in rival.unknowns
-    ]
-    once = fit(rival, np.array(begun), found.noise, passes=1)
-    if found.log_likelihood - once.log_likelihood > SECOND_LOOK_NATS:
-        return np.inf
-    again = fit(rival, once.scaled, once.noise, passes=1)
-    best = max(once.log_likelihood, again.log_likelihood)
-    return found.log_likelihood - best + _price(name, hidden, truth)
 
 
 def _rivals(hidden: str, file: TwinFile, data: Recorded) -> Iterator[str]:
@@ -123,7 +157,7 @@ def _with(file: TwinFile, hidden: tuple[Hidden, ...]) -> TwinFile:
 
 
 def cached_classes(
-    cache: Path, key: str, truth: Truth, file: TwinFile, runs: list[Run]
+    cache: Path, key: str, truth: Truth, file: TwinFile, runs: Sequence[Run]
 ) -> tuple[AliasClass, ...]:
     """The classes as they were once computed for this key, else computed and written to `cache`."""
     key = f"{METHOD_VERSION}:{key}"
@@ -136,7 +170,7 @@ def cached_classes(
     document = {
         "key": key,
         "seconds": time.process_time() - begun_s,
-        "classes": [{"effect": item.effect, "behind": dict(item.behind)} for item in classes],
+        "classes": [asdict(item) for item in classes],
     }
     cache.parent.mkdir(parents=True, exist_ok=True)
     cache.write_text(json.dumps(document) + "\n", encoding="utf-8")

@@ -64,7 +64,7 @@ class Scored:
     found : per hidden effect, whether it was found; true_names, names : how many names are true, of how many
     first_right : the first name is true; exact : all hidden effects found and nothing else named
     told : per hidden effect, whether its class was told honestly; told_exactly : as the class has it
-    has_rivals : per hidden effect, whether its class has others
+    has_rivals, shows : per hidden effect, whether its class has others, whether the runs show it at all
     covered : per parameter of exactly named effects
     dependence : a true one among the first two; None where there is none to name
     """
@@ -84,6 +84,7 @@ class Scored:
     told: tuple[bool, ...] = ()
     told_exactly: tuple[bool, ...] = ()
     has_rivals: tuple[bool, ...] = ()
+    shows: tuple[bool, ...] = ()
     covered: Mapping[str, bool] = field(default_factory=dict)
     dependence: bool | None = None
     errors: Errors | None = None
@@ -118,6 +119,7 @@ def score(
         told_exactly=tuple(item is not None and _told(item) == own.members
                            for own, item in zip(classes, matched, strict=True)),
         has_rivals=tuple(len(own.members) > 1 for own in classes),
+        shows=tuple(own.shows for own in classes),
         covered=_covered(truth, names),
         dependence=_dependence(truth, given),
         errors=errors(truth.tests, given),
@@ -148,7 +150,7 @@ def _told(named: Named) -> frozenset[str]:
 def _is_honest(own: AliasClass, named: Named | None) -> bool:
     if named is None:
         return False
-    return own.within(CLEARLY_IN_NATS) <= _told(named) <= own.within(CLEARLY_OUT_NATS)
+    return own.within(CLEARLY_IN_NATS) <= _told(named) <= own.up_to(CLEARLY_OUT_NATS)
 
 
 def _covered(truth: Truth, names: Sequence[Named]) -> dict[str, bool]:

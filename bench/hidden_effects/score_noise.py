@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 LEAST_SD_K = 1e-3
 _LONGEST_ROWS = 500.0  # a correlation beyond this is an offset, which would take the place of effects
-_MOST_EVALUATIONS = 120
+_MOST_EVALUATIONS = 80
 
 
 class Noise(NamedTuple):

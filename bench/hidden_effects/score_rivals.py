@@ -5,20 +5,22 @@ stays as there, and the rival's own parameters are tried at a few places, then f
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.hidden_effects.score_fit import Fit, stacked
 from bench.hidden_effects.score_noise import Whitener, whitener
-from bench.hidden_effects.score_structure import Fit, Structure, stacked, structure
+from bench.hidden_effects.score_structure import Structure, structure
 from edge.twin.effects import EFFECTS
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
-HOPELESS_NATS = 50.0  # behind the truth in the sieve, where the noise does not give way
+HOPELESS_NATS = 25.0  # behind the truth in the sieve, where the noise does not give way
+LEAST_GAIN_NATS = 1.5  # over nothing in the effect's place, in the sieve
 _HOPELESS_SHARE = 0.1  # of what the effect explains, on top, for a rival between the tried places
 _TRIED = (0.25, 1.0, 4.0)
 _STEP = 1e-4
@@ -45,16 +47,18 @@ class Sieve:
     def start_of(self, name: str) -> Floats | None:
         """The rival's best parameters, as the optimiser has them [p]; None where it is hopeless."""
         file = self.without.file
-        effects = {**file.effects, name: unknown(name, file)}
-        rival = structure(replace(file, effects=effects), self.without.data)
+        rival = self.without.other({**file.effects, name: unknown(name, file)})
         missed = _Missed(self, rival, rival.start)
         places = _places(rival)
         tried = [missed(place) for place in places]
         if self._leaves_too_much(missed.without(), tried):
             return None
-        best = places[int(np.argmin([each @ each for each in tried]))]
-        found = _fitted(missed, rival, best)
-        return found if _nats(missed(found)) - self.truth_nats <= HOPELESS_NATS else None
+        found = _fitted(missed, rival, places[int(np.argmin([each @ each for each in tried]))])
+        nats = _nats(missed(found))
+        is_hopeless = (
+            nats - self.truth_nats > HOPELESS_NATS or _nats(missed.without()) - nats < LEAST_GAIN_NATS
+        )
+        return None if is_hopeless else found
 
     def _leaves_too_much(self, without: Floats, tried: list[Floats]) -> bool:
         """Whether even a mixture of all signatures misses much of what the effect explains."""
@@ -105,8 +109,8 @@ def _without(truth: Structure, fit: Fit, effect: str) -> Structure:
     exact = {place: Value(value.value) for place, value in file.values().items()}
     found = {place: Value(value) for place, value in truth.values(fit.scaled).items()}
     file = file.with_values(exact | found)
-    effects = {name: own for name, own in file.effects.items() if name != effect}
-    return structure(replace(file, effects=effects), truth.data)
+    exactly = structure(file, truth.data, truth.mains_sd, truth.curve)
+    return exactly.other({name: own for name, own in file.effects.items() if name != effect})
 
 
 class _Missed:

@@ -2,31 +2,34 @@
 
 Output error: a free run from rest of each run, with what is not known of each run alone (states at the start,
 the mains) integrated out as normal, and noise as `score_noise` has it. Values that the file says are
-uncertain are held to their priors; exact ones stay.
+uncertain are held to their priors; exact ones stay. Heat that depends on the air's temperature other than in
+proportion (what radiation has beyond its tangent, evaporation) is taken at the measured temperature: a free
+run near the truth is as near as the noise, and some forty times faster so. What a case has beside its effects
+without saying so (walls whose loss bends) is part of every structure.
 """
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.score_noise import Noise, Whitener, likeliest, log_likelihood, whitener
+from bench.hidden_effects.equations import CURVE_AT_K
 from edge.twin.effects import EFFECTS, applied
 from edge.twin.model import Twin
+from edge.twin.network import HEATER
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
-from edge.twin.warm_start import at_rest, spread
+from edge.twin.warm_start import at_rest, held
 
 Floats = NDArray[np.float64]
 _LEAST = 1e-4  # of a positive parameter, share of the table's start
 _INSIDE = 1e-6  # of a bound, so that a fit does not begin on it
 _SURE_REL_SD = 0.005  # of a wall's loss at rest, where the file gives it as exact
 _MAINS_STEP = 0.01
-_CLOSE = 1e-4  # of a sum of squares of about the number of rows: a tenth of a nat
-_MOST_EVALUATIONS = 25
+_BODY_START_K, _HEATER_START_W = 1.0, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +69,6 @@ class Unknown:
         return value / self._unit
 
 
-class Fit(NamedTuple):
-    """log_likelihood : at the best values, without the constant; scaled : [p]"""
-
-    log_likelihood: float
-    scaled: Floats
-    noise: Noise
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
     """A twin file of which some values are unknown, and the runs that tell them."""
@@ -81,6 +76,14 @@ class Structure:
     file: TwinFile
     data: Recorded
     unknowns: tuple[Unknown, ...]
+    middle: Floats  # the measured temperature in the middle of each step, [B, N]
+    mains_sd: float = 0.0  # of the heater's power from run to run, share
+    curve: float = 0.0  # by which the walls' loss grows per 10 K, share
+
+    def other(self, effects: Mapping[str, Mapping[str, Value]]) -> "Structure":
+        """The same runs with other effects."""
+        file = replace(self.file, effects=effects)
+        return structure(file, self.data, self.mains_sd, self.curve)
 
     @property
     def start(self) -> Floats:
@@ -110,13 +113,13 @@ class Structure:
     def response(self, scaled: Floats) -> Floats:
         """What one sd of each state at the start, and of the mains if they vary, does: [B, q, N] [K]."""
         twin = self.twin(scaled)
-        rest, spreads = self._rest(twin), spread(twin)
+        rest, spreads = self._rest(twin), _start_sd(twin)
         usual = self._missed(twin, rest)
         moves = [usual - self._missed(twin, rest + sd * unit)
                  for sd, unit in zip(spreads, np.eye(len(spreads)), strict=True)]  # fmt: skip
-        if varying := self.file.nuisance.get("heater_power_run_sd") or 0.0:
+        if self.mains_sd:
             stronger = self.twin(scaled, 1.0 + _MAINS_STEP)
-            moves.append((usual - self._missed(stronger, rest)) * varying / _MAINS_STEP)
+            moves.append((usual - self._missed(stronger, rest)) * self.mains_sd / _MAINS_STEP)
         return np.stack(moves, axis=1)
 
     def priors(self, scaled: Floats) -> Floats:
@@ -144,11 +147,29 @@ class Structure:
 
     def _missed(self, twin: Twin, start: Floats) -> Floats:
         data = self.data
-        predicted = twin.rollout(start, data.duty, data.fan, data.ambient, conditions=data.conditions or None)
+        heat_w = self._bent_w(twin)
+        source = heat_w / twin.system.air_capacity_j_k
+        twin = _unbent(twin) if twin.signals.bends else twin
+        conditions = data.conditions or None
+        predicted = twin.rollout(start, data.duty, data.fan, data.ambient, source, conditions=conditions)
         return np.where(self.measured, data.temp[:, 1:] - predicted, 0.0)
 
+    def _bent_w(self, twin: Twin) -> Floats:
+        """Heat that is not in proportion to the temperature, at the measured one [B, N]."""
+        data = self.data
+        bent = twin.signals.heat_w(self.middle, data.ambient, data.conditions, by_temp=True)
+        excess, share, loss_w_k = self.middle - data.ambient, 1.0, 0.0
+        if "wall_mass" in twin.effects:
+            wall = twin.effects["wall_mass"]
+            share = wall["G_in"] / (wall["G_in"] + wall["G_out"])  # of what the wall loses, that the air does
+            loss_w_k = wall["G_out"]
+        elif "wall_loss" in twin.effects:
+            loss_w_k = twin.effects["wall_loss"]["UA"]
+        beyond = share * excess
+        return bent - share * loss_w_k * self.curve * (beyond - CURVE_AT_K) / 10.0 * beyond
 
-def structure(file: TwinFile, data: Recorded) -> Structure:
+
+def structure(file: TwinFile, data: Recorded, mains_sd: float = 0.0, curve: float = 0.0) -> Structure:
     """What of the file is to be found: values to be fitted and uncertain ones, of the effects that act."""
     if "ua_drift" in file.effects and file.day0_utc is None and "utc" in data.conditions:
         file = replace(file, day0_utc=float(data.conditions["utc"].min()))
@@ -160,47 +181,22 @@ def structure(file: TwinFile, data: Recorded) -> Structure:
         low, high = _range(place, value.value)
         prior_sd = np.inf if value.rel_sd is None else abs(value.rel_sd * value.value)
         unknowns.append(Unknown(place, value.value, low, high, prior_sd))
-    return Structure(file, data, tuple(unknowns))
+    temp = np.stack([held(values) for values in data.temp])
+    return Structure(file, data, tuple(unknowns), 0.5 * (temp[:, :-1] + temp[:, 1:]), mains_sd, curve)
 
 
-def fit(problem: Structure, start: Floats, noise: Noise, passes: int) -> Fit:
-    """The likeliest values from `start`, [p], and then the likeliest noise; as often as there are passes."""
-    scaled = start
-    for _ in range(passes):
-        response = problem.response(scaled)
-        if len(scaled):
-            scaled = _least_squares(problem, scaled, response, whitener(noise, problem.measured))
-        residual = problem.residual(scaled)
-        noise = likeliest(noise, residual, response, problem.measured)
-    found = log_likelihood(noise, residual, response, problem.measured)
-    return Fit(found - 0.5 * float((problem.priors(scaled) ** 2).sum()), scaled, noise)
+def _start_sd(twin: Twin) -> Floats:
+    """How far each state may be from rest [n]; cases begin near it, with the heater off or nearly so."""
+    hidden = [_HEATER_START_W if name == HEATER else _BODY_START_K for name in twin.states[1:]]
+    return np.array([twin.noise.sensor_k, *hidden])
 
 
-def stacked(white: Floats, moved: Floats) -> Floats:
-    """Columns [B, m, N] less what the runs' own unknowns [B, q, N] explain of them, and at which price.
-
-    Returns : [B (N + q), m]; the sum of squares of a column is its quadratic form with those integrated out
-    """
-    normal = moved @ moved.swapaxes(1, 2) + np.eye(moved.shape[1])
-    pull = np.linalg.solve(normal, moved @ white.swapaxes(1, 2))  # [B, q, m]
-    left = white.swapaxes(1, 2) - moved.swapaxes(1, 2) @ pull
-    return np.concatenate([left, pull], axis=1).reshape(-1, white.shape[1])
-
-
-def _least_squares(problem: Structure, start: Floats, response: Floats, whiten: Whitener) -> Floats:
-    from scipy.optimize import least_squares
-
-    moved = whiten(response)
-
-    def missed(scaled: Floats) -> Floats:
-        white = whiten(problem.residual(scaled)[:, None])
-        return np.concatenate([stacked(white, moved)[:, 0], problem.priors(scaled)])
-
-    low, high = np.array([item.bounds for item in problem.unknowns]).T
-    solved = least_squares(
-        missed, start, bounds=(low, high), x_scale="jac", xtol=_CLOSE, ftol=_CLOSE, max_nfev=_MOST_EVALUATIONS
-    )
-    return np.asarray(solved.x, dtype=np.float64)
+def _unbent(twin: Twin) -> Twin:
+    """The twin without heat that depends on its temperature."""
+    straight = copy.copy(twin)
+    heats = [heat for heat in twin.signals.heats if not heat.by_temp]
+    object.__setattr__(straight, "signals", replace(twin.signals, heats=heats))  # frozen for all but this
+    return straight
 
 
 def _range(place: Place, start: float) -> tuple[float, float]:
