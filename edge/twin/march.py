@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 PART_S = 5.0  # of a fan that spins up
 BENT_PART_S = 7.5  # of bent heat alone
+SHORTEST_S = 1e-6  # of a part: nothing happens in less, and rounding makes such
 SPEED_DIGITS = 5  # of a mean speed: so that a fan that has nearly arrived needs no matrix of its own
 
 
@@ -157,8 +158,9 @@ def times(matrices: Floats, vectors: Floats) -> Floats:
 
 def cuts(signals: Signals, step_s: float, longest_s: float) -> Floats:
     """Lengths of a step's parts: cut where late commands arrive, and fine where a fan spins up [s]."""
-    arrivals = {signals.heater_dead_s % step_s, signals.fan_dead_s % step_s}
-    edges = np.array(sorted({0.0, *arrivals, step_s}))
+    arrivals = (signals.heater_dead_s % step_s, signals.fan_dead_s % step_s)
+    inside = {arrival for arrival in arrivals if SHORTEST_S < arrival < step_s - SHORTEST_S}
+    edges = np.array([0.0, *sorted(inside), step_s])
     whole = np.diff(edges)
     counts = np.ceil(whole / (PART_S if signals.fan_lag_s > 0.0 else longest_s)).astype(int)
     return np.repeat(whole / counts, counts)
@@ -182,15 +184,21 @@ def spun_up(wanted: Floats, lengths: Floats, lag_s: float) -> Floats:
     """Mean speed in each part, [P + N, J, B], from rest at the first row's speed."""
     if lag_s == 0.0:
         return wanted
-    speeds, now = np.empty_like(wanted), wanted[0, 0]
-    left = np.exp(-lengths / lag_s)
-    mean = (1.0 - left) * lag_s / lengths
+    left = np.exp(-lengths / lag_s)[:, None]
+    # A part's end is an affine function of its step's beginning, so that only the steps need a loop.
+    gone = np.zeros_like(wanted)  # what the parts before have added
+    for j in range(1, len(lengths)):
+        gone[:, j] = gone[:, j - 1] * left[j - 1] + wanted[:, j - 1] * (1.0 - left[j - 1])
+    whole = gone[:, -1] * left[-1] + wanted[:, -1] * (1.0 - left[-1])
+    kept = np.concatenate([np.ones((1, 1)), np.cumprod(left, axis=0)])
+    first = np.empty_like(whole)
+    now = wanted[0, 0]
     for k in range(len(wanted)):
-        for j in range(len(lengths)):
-            off = now - wanted[k, j]
-            speeds[k, j] = wanted[k, j] + off * mean[j]
-            now = wanted[k, j] + off * left[j]
-    return np.round(speeds, SPEED_DIGITS)
+        first[k] = now
+        now = kept[-1] * now + whole[k]
+    before = first[:, None] * kept[:-1] + gone
+    mean = (1.0 - left) * lag_s / lengths[:, None]
+    return np.round(wanted + (before - wanted) * mean, SPEED_DIGITS)
 
 
 def _in_time(values: ArrayLike, shape: tuple[int, int]) -> Floats:

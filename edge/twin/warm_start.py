@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from edge.errors import DataError
 from edge.twin.march import Commands
@@ -35,19 +35,23 @@ class Past(NamedTuple):
         return Commands(np.nan_to_num(self.duty[:-1]), np.nan_to_num(self.fan[:-1]))
 
 
-def at_rest(twin: Twin, temp: float, ambient: float) -> Floats:
-    """The state [n] that would stay, fan off, with the heat that holds `temp` [°C]."""
+def at_rest(twin: Twin, temp: ArrayLike, ambient: ArrayLike) -> Floats:
+    """The state that would stay, fan off, with the heat that holds `temp` [°C].
+
+    temp, ambient : scalars, or [B]. Returns : [n], or [B, n]
+    """
+    temps = np.asarray(temp, dtype=np.float64)
     system, size = twin.system, len(twin.states)
     if size == 1:
-        return np.array([temp])
-    room = float(twin.signals.room(np.array(ambient)))
+        return temps[..., None]
+    room = twin.signals.room(np.asarray(ambient, dtype=np.float64))
     # Unknown: the hidden states and the duty that holds them. Rows in one size, as W/s is far from K/s.
     balance = np.column_stack([system.rates[:, 1:], system.drive[:, 0]])
-    known = -(system.rates[:, 0] * temp + system.drive[:, 1] * room)
+    known = -(system.rates[:, 0] * temps[..., None] + system.drive[:, 1] * room[..., None])
     scale = np.abs(balance).max(axis=1)
     scale[scale == 0.0] = 1.0  # a node that neither another nor the heater warms
-    hidden = np.linalg.lstsq(balance / scale[:, None], known / scale, rcond=None)[0]
-    return np.array([temp, *hidden[: size - 1]])
+    hidden = np.linalg.lstsq(balance / scale[:, None], (known / scale).T, rcond=None)[0].T
+    return np.concatenate([temps[..., None], hidden[..., : size - 1]], axis=-1)
 
 
 def spread(twin: Twin) -> Floats:

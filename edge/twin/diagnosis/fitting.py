@@ -1,7 +1,7 @@
 """Maximum likelihood of several twins over the same runs, all fitted side by side.
 
 Each is a twin file whose unknowns move (Levenberg 1944, Marquardt 1963, on whitened innovations, with the
-filter's gains held over a step and renewed between steps). What is linear and of no interest of its own, like
+filter of where they start, renewed at the end). What is linear and of no interest of its own, like
 a loss that changes a little with T - T_amb, is solved for exactly in every step.
 """
 
@@ -23,7 +23,8 @@ from edge.twin.warm_start import at_rest, spread
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 DIFFERENCE = 1e-2  # of a coordinate, for a derivative
-DAMPINGS = (0.0, 0.1, 10.0)  # tried side by side, shares of the normal matrix' diagonal
+FIRST_DAMPING, CALMER, BOLDER = 1e-3, 20.0, 0.1  # share of the normal matrix' diagonal, and its changes
+LARGEST_DAMPING = 1e4  # beyond it there is no way down
 LARGEST_MOVE = 1.5  # of a coordinate in one step
 SETTLED = 0.02  # a gain in nats that is not worth another step
 
@@ -32,13 +33,14 @@ SETTLED = 0.02  # a gain in nats that is not worth another step
 class Term:
     """Something of unknown size that acts in proportion to it: heat into the air, or an error of the reading.
 
-    shape : [N, B] for a size of 1, W or K; sd : of the size, before the runs are seen
+    shape : [N, B] for a size of 1, W or K; mean, sd : of the size, before the runs are seen
     """
 
     name: str
     shape: Floats
     sd: float
     of_reading: bool = False
+    mean: float = 0.0
 
     def response(self, steps: LinearSteps) -> Response:
         """What it does to the temperature, where that goes through the twin."""
@@ -48,11 +50,15 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A twin to be fitted: its file, its noise, and terms whose sizes are found with it."""
+    """A twin to be fitted: its file, its noise, and terms whose sizes are found with it.
+
+    free : what may move, with its priors; None: what the file says of its values
+    """
 
     file: TwinFile
     levels: NoiseLevels
     nuisances: tuple[Term, ...] = ()
+    free: tuple[Unknown, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +89,7 @@ class _State:
     free: tuple[Unknown, ...]
     x: Floats
     cost: float = np.inf
-    damping: float = 1.0
+    damping: float = FIRST_DAMPING
     done: bool = False
 
 
@@ -95,82 +101,107 @@ class _Linearised:
     gradient: Floats
     square: float
     residual: Floats
+    terms: Floats  # whitened, [terms, B N]
 
 
 def start_of(twin: Twin, runs: Recorded) -> Floats:
     """Where runs begin, [B, n]: at rest with the first temperature."""
-    first = zip(runs.temp[:, 0], runs.ambient[:, 0], strict=True)
-    return np.stack([at_rest(twin, float(temp), float(room)) for temp, room in first])
+    return at_rest(twin, runs.temp[:, 0], runs.ambient[:, 0])
 
 
 def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fitted]:
     """Each trial at its best, in the order given."""
     states = [_begun(trial) for trial in trials]
     measured = np.isfinite(runs.temp[:, 1:])
+    filters = None
     for _ in range(iterations):
-        moving = [state for state in states if not state.done]
+        moving = [i for i, state in enumerate(states) if not state.done]
         if not moving:
             break
-        _improve(moving, runs, measured)
+        filters = filters or _filters(states, runs, measured)
+        _improve([states[i] for i in moving], np.array(moving), filters, runs)
     return _finished(states, runs, measured)
 
 
+def _filters(states: list[_State], runs: Recorded, measured: NDArray[np.bool_]) -> Gains:
+    """Of the states as they stand."""
+    filtered = []
+    for state in states:
+        twin, steps = _nominal(state, state.x, runs)
+        filtered.append(Filtered(steps, state.trial.levels, spread(twin), twin.step_s))
+    return gains(filtered, measured)
+
+
 def _begun(trial: Trial) -> _State:
-    free = unknowns(trial.file)
+    free = unknowns(trial.file) if trial.free is None else trial.free
     values = trial.file.values()
     x = np.array([item.coordinate(values[item.place].value) for item in free])
     return _State(trial, free, x)
 
 
-def _improve(states: list[_State], runs: Recorded, measured: NDArray[np.bool_]) -> None:
-    """One step of each."""
-    linear, filters = _linearise(states, runs, measured)
+def _improve(states: list[_State], owners: Indices, filters: Gains, runs: Recorded) -> None:
+    """One step of each. owners : their places among the filters"""
+    linear = _linearise(states, owners, filters, runs)
     tried = []
     for state, found in zip(states, linear, strict=True):
         state.cost = _cost(found, state)
-        tried += [_moved(state, found, state.damping * share) for share in DAMPINGS]
-    costs = _costs(tried, states, filters, runs, measured)
-    for i, state in enumerate(states):
-        own = costs[i * len(DAMPINGS) : (i + 1) * len(DAMPINGS)]
-        best = int(np.nanargmin(own)) if np.isfinite(own).any() else 0
-        gained = state.cost - own[best]
+        tried.append(_moved(state, found))
+    costs = _costs(tried, states, owners, linear, filters, runs)
+    for state, x, cost in zip(states, tried, costs, strict=True):
+        gained = state.cost - cost
         if not gained > 0.0:
-            state.damping *= 100.0
-            state.done = state.damping > 1e5
+            state.damping = max(state.damping, FIRST_DAMPING) * CALMER
+            state.done = state.damping > LARGEST_DAMPING or gained > -1e-6
             continue
-        state.x = tried[i * len(DAMPINGS) + best]
-        state.damping = max(state.damping * max(DAMPINGS[best], 1e-2), 1e-6) if best != 1 else state.damping
-        state.done = gained < SETTLED
+        state.x, state.damping, state.done = x, state.damping * BOLDER, gained < SETTLED
+
+
+def slopes(found: Fitted, runs: Recorded) -> list[Term]:
+    """What moves with a fitted twin, as terms of a twin beside it: its unknowns, frozen where they are."""
+    state = _State(found.trial, found.free, found.coordinates)
+    twin, steps = _nominal(state, state.x, runs)
+    wanted = [Response(steps, start_of(twin, runs), steps.driven)]
+    for other, moved in _neighbours(state, runs):
+        wanted.append(Response(moved, start_of(other, runs), moved.driven))
+    shown = responses(wanted)
+    return [
+        Term(
+            ".".join(item.place),
+            ((shown[1 + j] - shown[0]) / _difference(item, x)).T,
+            item.sd,
+            of_reading=True,
+            mean=item.mean - x,
+        )
+        for j, (item, x) in enumerate(zip(found.free, found.coordinates, strict=True))
+    ]
+
+
+def _neighbours(state: _State, runs: Recorded) -> list[tuple[Twin, LinearSteps]]:
+    """The twin a little off in each unknown."""
+    found = []
+    for j, item in enumerate(state.free):
+        near = state.x.copy()
+        near[j] += _difference(item, near[j])
+        found.append(_nominal(state, near, runs))
+    return found
 
 
 def _linearise(
-    states: list[_State], runs: Recorded, measured: NDArray[np.bool_]
-) -> tuple[list[_Linearised], Gains]:
+    states: list[_State], owners: Indices, filters: Gains, runs: Recorded
+) -> list[_Linearised]:
     """Residuals and their derivatives, whitened."""
     wanted: list[Response] = []
-    filtered: list[Filtered] = []
-    owner: list[int] = []
-    for i, state in enumerate(states):
+    counts = [1 + len(state.free) + len(state.trial.nuisances) for state in states]
+    for state in states:
         twin, steps = _nominal(state, state.x, runs)
-        filtered.append(Filtered(steps, state.trial.levels, spread(twin), twin.step_s))
         wanted.append(Response(steps, start_of(twin, runs), steps.driven))
-        for j, item in enumerate(state.free):
-            near = state.x.copy()
-            near[j] += _difference(item, near[j])
-            other, moved = _nominal(state, near, runs)
+        for other, moved in _neighbours(state, runs):
             wanted.append(Response(moved, start_of(other, runs), moved.driven))
         wanted += [term.response(steps) for term in state.trial.nuisances]
-        owner += [i] * (1 + len(state.free) + len(state.trial.nuisances))
-    filters = gains(filtered, measured)
     columns = _columns(responses(wanted), states, runs)
-    white = whitened(filters, np.array(owner), columns)
-    found, place = [], 0
-    for state in states:
-        count = len(state.free) + len(state.trial.nuisances)
-        own = white[place : place + 1 + count].reshape(1 + count, -1)
-        found.append(_normal(own, state))
-        place += 1 + count
-    return found, filters
+    white = whitened(filters, np.repeat(owners, counts), columns)
+    parts = np.split(white.reshape(len(white), -1), np.cumsum(counts)[:-1])
+    return [_normal(own, state) for own, state in zip(parts, states, strict=True)]
 
 
 def _nominal(state: _State, x: Floats, runs: Recorded) -> tuple[Twin, LinearSteps]:
@@ -215,8 +246,9 @@ def _normal(columns: Floats, state: _State) -> _Linearised:
         gradient[j] += (item.mean - state.x[j]) / item.sd**2
     for j, term in enumerate(state.trial.nuisances):
         normal[p + j, p + j] += term.sd**-2
+        gradient[p + j] += term.mean / term.sd**2
     normal[:p, :p], gradient[:p] = _with_paths(normal[:p, :p], gradient[:p], state)
-    return _Linearised(normal, gradient, float(residual @ residual), residual)
+    return _Linearised(normal, gradient, float(residual @ residual), residual, slopes[p:])
 
 
 def _with_paths(normal: Floats, gradient: Floats, state: _State) -> tuple[Floats, Floats]:
@@ -250,10 +282,10 @@ def _explained(found: _Linearised, p: int) -> float:
     return 0.5 * float(gradient @ np.linalg.solve(found.normal[p:, p:], gradient))
 
 
-def _moved(state: _State, found: _Linearised, damping: float) -> Floats:
+def _moved(state: _State, found: _Linearised) -> Floats:
     """The unknowns after a damped step, inside their bounds; nuisances follow on their own."""
     p = len(state.free)
-    normal = found.normal + damping * np.diag(np.diag(found.normal))
+    normal = found.normal + state.damping * np.diag(np.diag(found.normal))
     move = np.linalg.lstsq(normal, found.gradient, rcond=1e-12)[0][:p]
     largest = np.abs(move).max(initial=0.0)
     if largest > LARGEST_MOVE:
@@ -263,45 +295,39 @@ def _moved(state: _State, found: _Linearised, damping: float) -> Floats:
 
 
 def _costs(
-    tried: list[Floats], states: list[_State], filters: Gains, runs: Recorded, measured: NDArray[np.bool_]
+    tried: list[Floats],
+    states: list[_State],
+    owners: Indices,
+    linear: list[_Linearised],
+    filters: Gains,
+    runs: Recorded,
 ) -> Floats:
-    """What each step of each state would cost, by the gains from where it stands."""
-    wanted, owner = [], []
-    for i, x in enumerate(tried):
-        state = states[i // len(DAMPINGS)]
+    """What the next place of each state would cost, by the terms from where it stands."""
+    wanted = []
+    for state, x in zip(states, tried, strict=True):
         twin, steps = _nominal(state, x, runs)
         wanted.append(Response(steps, start_of(twin, runs), steps.driven))
-        wanted += [term.response(steps) for term in state.trial.nuisances]
-        owner += [i // len(DAMPINGS)] * (1 + len(state.trial.nuisances))
-    shown = responses(wanted)
-    costs, place = np.empty(len(tried)), 0
-    counts = [1 + len(states[i // len(DAMPINGS)].trial.nuisances) for i in range(len(tried))]
-    for i in range(len(tried)):
-        shown[place] = np.nan_to_num(runs.temp[:, 1:]) - shown[place]
-        place = _readings(shown, place + 1, states[i // len(DAMPINGS)].trial)
-    white = whitened(filters, np.array(owner), shown)
-    place = 0
-    for i, x in enumerate(tried):
-        state = states[i // len(DAMPINGS)]
-        own = white[place : place + counts[i]].reshape(counts[i], -1)
-        place += counts[i]
-        cost = 0.5 * (float(own[0] @ own[0]) + _penalty(state, x))
-        if counts[i] > 1:
-            normal = own[1:] @ own[1:].T + np.diag([term.sd**-2 for term in state.trial.nuisances])
-            gradient = own[1:] @ own[0]
-            cost -= 0.5 * float(gradient @ np.linalg.solve(normal, gradient))
-        costs[i] = cost
+    white = whitened(filters, owners, np.nan_to_num(runs.temp[:, 1:]) - responses(wanted))
+    costs = np.empty(len(tried))
+    for j, (state, x, found) in enumerate(zip(states, tried, linear, strict=True)):
+        residual, p = white[j].ravel(), len(state.free)
+        means = np.array([term.mean / term.sd**2 for term in state.trial.nuisances])
+        moved = replace(found, gradient=np.concatenate([found.gradient[:p], found.terms @ residual + means]))
+        costs[j] = 0.5 * (float(residual @ residual) + _penalty(state, x)) - _explained(moved, p)
     return costs
 
 
 def _finished(states: list[_State], runs: Recorded, measured: NDArray[np.bool_]) -> list[Fitted]:
-    linear, filters = _linearise(states, runs, measured)
+    filters = _filters(states, runs, measured)
+    linear = _linearise(states, np.arange(len(states)), filters, runs)
     found = []
     for i, (state, own) in enumerate(zip(states, linear, strict=True)):
         spreads = np.log(filters.sd[:, i].T)[measured].sum()
         p = len(state.free)
         inverse = np.linalg.pinv(own.normal, hermitian=True)
-        sizes = np.linalg.solve(own.normal[p:, p:], own.gradient[p:]) if p < len(own.gradient) else np.zeros(0)
+        sizes = (
+            np.linalg.solve(own.normal[p:, p:], own.gradient[p:]) if p < len(own.gradient) else np.zeros(0)
+        )
         found.append(
             Fitted(
                 state.trial,
@@ -315,8 +341,3 @@ def _finished(states: list[_State], runs: Recorded, measured: NDArray[np.bool_])
             )
         )
     return found
-
-
-def with_levels(trial: Trial, **changed: float) -> Trial:
-    """The trial with other noise."""
-    return replace(trial, levels=replace(trial.levels, **changed))

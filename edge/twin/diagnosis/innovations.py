@@ -106,9 +106,7 @@ def _variances(twins: Sequence[Filtered]) -> tuple[Floats, Floats, Floats]:
     )
 
 
-def _stacked(
-    twins: Sequence[Filtered], size: int
-) -> tuple[Floats, NDArray[np.intp], Floats, Floats, Floats]:
+def _stacked(twins: Sequence[Filtered], size: int) -> tuple[Floats, NDArray[np.intp], Floats, Floats, Floats]:
     """All matrices behind each other [K, size, size], their index [N, C, B], and gains [N, C, B, size]."""
     rows, runs = twins[0].steps.index.shape
     tables, offset = [], 0

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 LOG_PRIOR_SD = 2.0  # of what nothing is known but its usual size: a factor of 7 either way
 GEOMETRY_PRIOR_SD = 3.0  # the same for a geometry value that is to be fitted
 LINEAR_PRIOR_SHARE = 0.5  # of the range of a value that may be 0 or negative
-PATH_SD = 0.03  # relative, of a loss that two values in series must give, where it is known as exact
+PATH_SD = 0.005  # relative, of a loss that two values in series must give, where it is known as exact
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,139 @@
+"""How much of the measurements no twin can know: found with the twin, by maximum likelihood."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.diagnosis.fitting import Fitted, Trial, start_of
+from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
+from edge.twin.ensemble import Response, responses
+from edge.twin.linear_steps import LinearSteps, linear_steps
+from edge.twin.recorded import Recorded
+from edge.twin.twin_file import TwinFile
+from edge.twin.warm_start import spread
+
+Floats = NDArray[np.float64]
+USUAL_HEAT_W = 1.0  # unknown heat where the file does not say: most rigs are within a factor of 5
+USUAL_HEAT_LOG_SD = 1.6
+USUAL_POWER_SHARE = 0.01  # mains from run to run where the file does not say
+USUAL_TAU_S, TAU_RANGE_S = 600.0, (90.0, 7200.0)
+SENSOR_RANGE_K = (0.005, 2.0)
+HEAT_RANGE_W = (0.02, 500.0)
+RANGES = {
+    "heat_tau_s": TAU_RANGE_S,
+    "heat_w": HEAT_RANGE_W,
+    "sensor_k": SENSOR_RANGE_K,
+    "room_k": SENSOR_RANGE_K,
+}
+FIRST_FACTOR, LAST_FACTOR = 3.0, 1.25  # of the steps in which levels are sought
+PASSES = 8
+
+
+def first_levels(file: TwinFile, runs: Recorded) -> NoiseLevels:
+    """What the file declares, and first values for the rest."""
+    step_k = file.sensor.get("quantisation_k") or 0.0
+    sensor_k = file.sensor.get("noise_sd_k")
+    heat_w = file.nuisance.get("heat_noise_sd_w")
+    power = file.nuisance.get("heater_power_run_sd")
+    reading_k = _curl(runs.temp[:, 1:], runs) if sensor_k is None else np.hypot(sensor_k, step_k / 12**0.5)
+    return NoiseLevels(
+        sensor_k=float(np.clip(reading_k, max(SENSOR_RANGE_K[0], step_k / 12**0.5), SENSOR_RANGE_K[1])),
+        room_k=float(np.clip(_curl(runs.ambient, runs), *SENSOR_RANGE_K)),
+        heat_w=USUAL_HEAT_W if heat_w is None else max(heat_w, HEAT_RANGE_W[0]),
+        heat_tau_s=USUAL_TAU_S,
+        power_share=USUAL_POWER_SHARE if power is None else power,
+    )
+
+
+def _curl(values: Floats, runs: Recorded) -> float:
+    """Noise of a slow signal by its second differences, in rows in which no input changed."""
+    still = np.ones(runs.duty.shape, dtype=bool)
+    for column in (runs.duty, runs.fan):
+        changed = np.diff(column, axis=1, prepend=column[:, :1]) != 0.0
+        for rows in range(4):
+            still[:, rows:] &= ~changed[:, : changed.shape[1] - rows]
+    second = values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]
+    chosen = second[still[:, 2:] & np.isfinite(second) & np.isfinite(runs.temp[:, 3:])]
+    return float(np.sqrt(np.mean(chosen**2) / 6.0)) if len(chosen) > 10 else 0.0
+
+
+def find_levels(found: Sequence[Fitted], file: TwinFile, runs: Recorded) -> list[Trial]:
+    """The trials again, each from its best values and with the noise that makes them likeliest."""
+    free = _free(file)
+    measured = np.isfinite(runs.temp[:, 1:])
+    bases = [_Base(item, runs) for item in found]
+    levels = [item.trial.levels for item in found]
+    factor = FIRST_FACTOR
+    best = _scores(bases, [[item] for item in levels], file, measured)
+    for _ in range(PASSES):
+        tried = [
+            [_changed(own, name, by) for name in free for by in (factor, 1.0 / factor)] for own in levels
+        ]
+        scores = _scores(bases, tried, file, measured)
+        moved = False
+        for i, own in enumerate(scores):
+            top = int(np.argmax(own))
+            if own[top] > best[i][0] + 0.02:
+                levels[i], best[i], moved = tried[i][top], own[top : top + 1], True
+        if not moved:
+            if factor <= LAST_FACTOR:
+                break
+            factor = max(np.sqrt(factor), LAST_FACTOR)
+    return [replace(item.trial, file=item.file, free=item.free, levels=own)
+        for item, own in zip(found, levels, strict=True)]
+
+
+def _free(file: TwinFile) -> tuple[str, ...]:
+    names = ["heat_tau_s", "room_k"]
+    if file.nuisance.get("heat_noise_sd_w") is None:
+        names.append("heat_w")
+    if file.sensor.get("noise_sd_k") is None:
+        names.append("sensor_k")
+    return tuple(names)
+
+
+def _changed(levels: NoiseLevels, name: str, by: float) -> NoiseLevels:
+    low, high = RANGES[name]
+    return replace(levels, **{name: float(np.clip(getattr(levels, name) * by, low, high))})
+
+
+class _Base:
+    """A fitted twin's steps and what its free run leaves, its terms at their sizes."""
+
+    def __init__(self, found: Fitted, runs: Recorded) -> None:
+        self.twin = found.file.twin()
+        self.steps: LinearSteps = linear_steps(self.twin, runs)
+        terms = [term.response(self.steps) for term in found.trial.nuisances]
+        shown = responses([Response(self.steps, start_of(self.twin, runs), self.steps.driven), *terms])
+        for i, term in enumerate(found.trial.nuisances):
+            shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
+        self.error = np.nan_to_num(runs.temp[:, 1:]) - shown[0]
+
+
+def _scores(
+    bases: list[_Base], tried: list[list[NoiseLevels]], file: TwinFile, measured: NDArray[np.bool_]
+) -> list[Floats]:
+    """Log likelihood of each of the levels of each base, with the prior of an undeclared heat."""
+    filtered = [
+        Filtered(base.steps, levels, spread(base.twin), base.twin.step_s)
+        for base, own in zip(bases, tried, strict=True)
+        for levels in own
+    ]
+    filters = gains(filtered, measured)
+    errors = np.stack([base.error for base, own in zip(bases, tried, strict=True) for _ in own])
+    white = whitened(filters, np.arange(len(filtered)), errors)
+    likelihood = -0.5 * (white**2).sum(axis=(1, 2))
+    likelihood -= np.where(measured.T[:, None], np.log(filters.sd), 0.0).sum(axis=(0, 2))
+    every = [levels for own in tried for levels in own]
+    likelihood += np.array([level_prior(levels, file) for levels in every])
+    ends = np.cumsum([len(own) for own in tried])[:-1]
+    return list(np.split(likelihood, ends))
+
+
+def level_prior(levels: NoiseLevels, file: TwinFile) -> float:
+    """Log prior of the noise that the file does not declare."""
+    if file.nuisance.get("heat_noise_sd_w") is not None:
+        return 0.0
+    return float(-0.5 * (np.log(levels.heat_w / USUAL_HEAT_W) / USUAL_HEAT_LOG_SD) ** 2)

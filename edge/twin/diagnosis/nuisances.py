@@ -1,0 +1,42 @@
+"""What every twin of this kind gets a little wrong and nobody wants named."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.diagnosis.fitting import Term
+from edge.twin.model import Twin
+from edge.twin.network import AIR
+from edge.twin.recorded import Recorded
+from edge.twin.warm_start import held
+
+Floats = NDArray[np.float64]
+CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box warms
+EXCESS_K = 10.0
+
+
+def nuisances(twin: Twin, runs: Recorded) -> tuple[Term, ...]:
+    """Terms for every trial on these runs."""
+    loss_w_k = still_loss_w_k(twin)
+    return (curved_loss(runs, CURVATURE_SD * loss_w_k),) if loss_w_k > 0.0 else ()
+
+
+def curved_loss(runs: Recorded, sd_w_k: float) -> Term:
+    """A loss that grows with T - T_amb: Q = -k |T - T_amb| (T - T_amb) / 10 K."""
+    excess = (middle_temps(runs) - runs.ambient).T
+    return Term("curved loss", -np.abs(excess) * excess / EXCESS_K, sd_w_k)
+
+
+def middle_temps(runs: Recorded) -> Floats:
+    """The air in the middle of each row as measured, held over holes [B, N]."""
+    temps = np.stack([held(row) for row in runs.temp])
+    return np.asarray(0.5 * (temps[:, 1:] + temps[:, :-1]))
+
+
+def still_loss_w_k(twin: Twin) -> float:
+    """Heat that keeps the air 1 K above the room with the fan off [W/K]; 0 for a box that loses none."""
+    system = twin.system
+    try:
+        warmed = -np.linalg.solve(system.rates, system.drive[:, 2])[system.states.index(AIR)]
+    except np.linalg.LinAlgError:
+        return 0.0
+    return float(system.air_capacity_j_k / warmed) if warmed > 1e-9 else 0.0
