@@ -147,7 +147,7 @@ def _disturbed(box: Box, heat_w: float) -> Settings:
 
 def _run(rng: Generator, plan: Plan, found: Driven, sensing: Sensing, lit: bool, role: str) -> Run:
     columns = {
-        "temp_air_c": read_temps(rng, found.clean_c, sensing),
+        "temp_air_c": read_temps(rng, found.clean_c, sensing, role),
         "temp_ambient_c": found.shown["temp_ambient_c"],
         "heater_duty": plan.duty[LEAD_ROWS:],
         "fan_on": plan.fan[LEAD_ROWS:],

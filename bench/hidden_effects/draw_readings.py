@@ -30,10 +30,13 @@ def draw_sensing(rng: Generator, hard: bool) -> Sensing:
     return Sensing(rng.uniform(0.05, 0.1), 0.1)
 
 
-def read_temps(rng: Generator, clean: Floats, sensing: Sensing) -> Floats:
-    """Temperatures as shown, NaN where missing; the rows that a forecast starts from are always there."""
+def read_temps(rng: Generator, clean: Floats, sensing: Sensing, role: str) -> Floats:
+    """Temperatures as shown, NaN where missing.
+
+    A test run has neither holes nor spikes: nobody sees them, and forecasts would be scored by them.
+    """
     shown = stepped(clean + rng.normal(0.0, sensing.noise_k, len(clean)), sensing.step_k)
-    if sensing.hard:
+    if sensing.hard and role != "test":
         rows = np.arange(GIVEN_ROWS, len(clean))
         spikes = rng.choice(rows, rng.integers(2, 6), replace=False)
         shown[spikes] += rng.choice([-1.0, 1.0], len(spikes)) * rng.uniform(3.0, 15.0, len(spikes)).round()

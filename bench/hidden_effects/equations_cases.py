@@ -133,9 +133,9 @@ def _recorded(scene: Scene, b: int, values: Floats) -> Floats:
 
 
 def _run(rng: Generator, scene: Scene, b: int, clean: Floats, sensing: Sensing, lit: bool) -> Run:
-    inputs = scene.inputs
+    inputs, role = scene.inputs, "test" if b in scene.tests else "train"
     columns = {
-        "temp_air_c": read_temps(rng, _recorded(scene, b, clean), sensing),
+        "temp_air_c": read_temps(rng, _recorded(scene, b, clean), sensing, role),
         "temp_ambient_c": read_ambient(rng, _recorded(scene, b, inputs.ambient[:, b])),
         "heater_duty": _recorded(scene, b, inputs.duty[:, b]),
         "fan_on": _recorded(scene, b, inputs.fan[:, b]),
@@ -143,5 +143,4 @@ def _run(rng: Generator, scene: Scene, b: int, clean: Floats, sensing: Sensing, 
     if lit:
         columns["light"] = _recorded(scene, b, inputs.light[:, b])
         columns["rel_humidity_pct"] = read_humidity(rng, _recorded(scene, b, inputs.rel_humidity[:, b]))
-    role = "test" if b in scene.tests else "train"
     return run_of(columns, role, scene.starts[0, b], scene.starts[1, b])
