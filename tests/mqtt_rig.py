@@ -8,7 +8,7 @@ from edge.errors import RequestError
 from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, TickRecord
 from edge.operation import Desk, Operation, operate, to_dict
 from edge.settings import CONTROLLERS, MqttSettings, Settings
-from edge.tick_json import echo_json, skill_json, tick_json
+from edge.tick_json import drift_json, echo_json, skill_json, tick_json
 
 ROOT = "greenhouse/rig-1"
 
@@ -74,6 +74,7 @@ class ControlLoop:
             "tick": tick_json(self.last_record),
             "echo": echo_json(self.last_record.echo),
             "skill": skill_json(self.last_record.skill),
+            "drift": drift_json(self.last_record.drift),
         }
 
 

@@ -43,23 +43,23 @@ def test_the_threshold_is_the_number_of_ticks_in_the_days_promised():
 
 @pytest.mark.parametrize("colour", [Colour("white"), Colour("10 min", phi=0.9), Colour("t", degrees=4.0)])
 def test_false_alarms_are_fewer_than_promised(colour):
-    # 40 rigs, 3 days each, at most one alarm a day promised on average: 120 would be allowed. The bound of
-    # the test is not sharp: 0 are measured, and a tenth of the promise is what must not be exceeded.
-    alarms = simulate(colour, paths=40, days=3.0, promise=Promise(STEP_S, false_alarm_days=1.0, learn_h=3.0))
+    # 60 rigs, 2 days each, one alarm a day promised at most: 120 would be allowed on average. The promise is
+    # a bound for the worst that is allowed, so ordinary noise keeps far below it: a tenth is asked for here.
+    alarms = simulate(colour, paths=60, days=2.0, promise=Promise(STEP_S, false_alarm_days=1.0, learn_h=3.0))
     assert alarms.count <= 12
 
 
 def test_noise_that_the_test_cannot_allow_does_alarm():
-    # the same count as above, of innovations whose mean is one stated sd off after half the time
+    # the same rigs, the mean of whose innovations is one stated sd off for the second half
     promise = Promise(STEP_S, false_alarm_days=1.0, learn_h=3.0)
-    assert simulate(Colour("white"), 40, 3.0, promise, shift=1.0, at=2160).count > 40
+    assert simulate(Colour("white"), 60, 2.0, promise, shift=1.0, at=1440).count > 60
 
 
 def test_a_shift_of_half_a_kelvin_a_step_is_seen_within_20_minutes_and_dated_to_5():
     # the packaged twin's innovations have a stated sd of 0.22 K with the fan off: 0.5 K are 2.3 of them
-    begin = 2 * 1440
+    begin = 1440
     alarms = simulate(
-        Colour("white"), 40, 2.1, Promise(STEP_S, 90.0, learn_h=4.0), shift=0.5 / 0.22, at=begin
+        Colour("white"), 40, 1.1, Promise(STEP_S, 90.0, learn_h=4.0), shift=0.5 / 0.22, at=begin
     )
     assert len(alarms.first) == 40
     assert (alarms.first >= begin).all()

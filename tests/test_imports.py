@@ -23,6 +23,16 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
         "edge.commands",
     ),
     "edge/controllers": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.clock"),
+    "edge/drift": (
+        "edge.board",
+        "edge.storage",
+        "edge.mqtt",
+        "edge.loop",
+        "edge.controllers",
+        "edge.clock",
+        "edge.bundle",
+        "edge.settings",
+    ),
     "edge/forecasts": (
         "edge.board",
         "edge.storage",

@@ -62,7 +62,7 @@ def test_a_late_subscriber_finds_all_that_is_retained(broker):
         own.write(record())
         with Listener(broker.port) as listener:
             wanted = {AVAILABILITY, STATE, f"{ROOT}/decision", f"{ROOT}/forecast", DISCOVERY}
-            wanted |= {f"{ROOT}/forecasts", f"{ROOT}/skill"}
+            wanted |= {f"{ROOT}/forecasts", f"{ROOT}/skill", f"{ROOT}/drift"}
             wait_for(lambda: wanted <= {message.topic for message in listener.heard})
 
 
