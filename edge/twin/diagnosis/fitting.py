@@ -31,9 +31,10 @@ SETTLED = 0.02  # a gain in nats that is not worth another step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """Something of unknown size that acts in proportion to it: heat into the air, or an error of the reading.
+    """Something of unknown size that acts in proportion to it: heat into the air, or an error of a reading.
 
-    shape : [N, B] for a size of 1, W or K; mean, sd : of the size, before the runs are seen
+    shape : [N, B] for a size of 1, W or K; of_reading, of_room : of the air's or the room's temperature;
+    mean, sd : of the size, before the runs are seen
     """
 
     name: str
@@ -41,11 +42,14 @@ class Term:
     sd: float
     of_reading: bool = False
     mean: float = 0.0
+    of_room: bool = False
 
     def response(self, steps: LinearSteps) -> Response:
         """What it does to the temperature, where that goes through the twin."""
-        driven = None if self.of_reading else steps.heat * self.shape[..., None]
-        return Response(steps, None, driven)
+        if self.of_reading:
+            return Response(steps, None, None)
+        gain = steps.room if self.of_room else steps.heat
+        return Response(steps, None, gain * self.shape[..., None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +72,7 @@ class Fitted:
     file : with the values found; free : what moved
     log_likelihood : in nats, priors included, up to a constant of the data
     covariance : [p, p], of the coordinates; innovations : [B, N] in standard deviations, 0 where not measured
-    sizes : of the nuisances
+    sizes, size_sds : of the nuisances
     """
 
     trial: Trial
@@ -79,6 +83,7 @@ class Fitted:
     covariance: Floats
     innovations: Floats
     sizes: Floats
+    size_sds: Floats
 
 
 @dataclass(slots=True, eq=False)
@@ -186,9 +191,7 @@ def _neighbours(state: _State, runs: Recorded) -> list[tuple[Twin, LinearSteps]]
     return found
 
 
-def _linearise(
-    states: list[_State], owners: Indices, filters: Gains, runs: Recorded
-) -> list[_Linearised]:
+def _linearise(states: list[_State], owners: Indices, filters: Gains, runs: Recorded) -> list[_Linearised]:
     """Residuals and their derivatives, whitened."""
     wanted: list[Response] = []
     counts = [1 + len(state.free) + len(state.trial.nuisances) for state in states]
@@ -325,9 +328,7 @@ def _finished(states: list[_State], runs: Recorded, measured: NDArray[np.bool_])
         spreads = np.log(filters.sd[:, i].T)[measured].sum()
         p = len(state.free)
         inverse = np.linalg.pinv(own.normal, hermitian=True)
-        sizes = (
-            np.linalg.solve(own.normal[p:, p:], own.gradient[p:]) if p < len(own.gradient) else np.zeros(0)
-        )
+        sizes = np.asarray(np.linalg.solve(own.normal[p:, p:], own.gradient[p:]))
         found.append(
             Fitted(
                 state.trial,
@@ -336,8 +337,9 @@ def _finished(states: list[_State], runs: Recorded, measured: NDArray[np.bool_])
                 state.x,
                 -_cost(own, state) - float(spreads),
                 inverse[:p, :p],
-                own.residual.reshape(measured.shape),
+                np.asarray((own.residual - sizes @ own.terms).reshape(measured.shape)),
                 sizes,
+                np.sqrt(np.diag(inverse)[p:]),
             )
         )
     return found

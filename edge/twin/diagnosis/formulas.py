@@ -47,8 +47,9 @@ def _shape(
 
 def _sun(first: int, hours: int) -> Callable[[Columns], Floats]:
     """Half a sine from an hour of the day on."""
-    return lambda c: np.maximum(np.sin(np.pi * ((c["hour"] - first) % 24.0) / hours), 0.0) * (
-        (c["hour"] - first) % 24.0 < hours
+    return lambda c: (
+        np.maximum(np.sin(np.pi * ((c["hour"] - first) % 24.0) / hours), 0.0)
+        * ((c["hour"] - first) % 24.0 < hours)
     )
 
 

@@ -121,10 +121,11 @@ def _stacked(twins: Sequence[Filtered], size: int) -> tuple[Floats, NDArray[np.i
     return np.concatenate(tables), index, heat, duty, room
 
 
-def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats) -> Floats:
+def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats, everywhere: bool = False) -> Floats:
     """Columns in standard deviations of their innovation, 0 where nothing was measured.
 
     owner : [M], the filter of each column; columns : [M, B, N] [K], finite
+    everywhere : also where nothing was measured, from what was before
     Returns : [M, B, N]
     """
     count, runs, rows = columns.shape
@@ -145,5 +146,7 @@ def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats) -> Floats
         state += gain * innovation[..., None]
         found[k] = innovation
     found /= filters.sd[:, owner]
-    seen = filters.gain[..., 0].any(axis=1)  # [N, B]
+    if everywhere:
+        return found.transpose(1, 2, 0)
+    seen = np.any(filters.gain[..., 0] != 0.0, axis=1)  # [N, B]
     return np.where(seen[:, None], found, 0.0).transpose(1, 2, 0)

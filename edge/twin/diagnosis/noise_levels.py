@@ -27,6 +27,8 @@ RANGES = {
     "sensor_k": SENSOR_RANGE_K,
     "room_k": SENSOR_RANGE_K,
 }
+MORE_HEAT, HEAT_NATS = 1.5, 10.0  # times the declared heat, and how sure that it is more
+MOST_HEAT_W = 4.0  # that nobody would look for a cause of, where the file declares none
 FIRST_FACTOR, LAST_FACTOR = 3.0, 1.25  # of the steps in which levels are sought
 PASSES = 8
 
@@ -81,8 +83,10 @@ def find_levels(found: Sequence[Fitted], file: TwinFile, runs: Recorded) -> list
             if factor <= LAST_FACTOR:
                 break
             factor = max(np.sqrt(factor), LAST_FACTOR)
-    return [replace(item.trial, file=item.file, free=item.free, levels=own)
-        for item, own in zip(found, levels, strict=True)]
+    return [
+        replace(item.trial, file=item.file, free=item.free, levels=own)
+        for item, own in zip(found, levels, strict=True)
+    ]
 
 
 def _free(file: TwinFile) -> tuple[str, ...]:
@@ -137,3 +141,17 @@ def level_prior(levels: NoiseLevels, file: TwinFile) -> float:
     if file.nuisance.get("heat_noise_sd_w") is not None:
         return 0.0
     return float(-0.5 * (np.log(levels.heat_w / USUAL_HEAT_W) / USUAL_HEAT_LOG_SD) ** 2)
+
+
+def unexplained_heat(found: Fitted, file: TwinFile, runs: Recorded) -> bool:
+    """Whether more heat is unknown than the file declares, or than such a box has where it declares none."""
+    declared = file.nuisance.get("heat_noise_sd_w")
+    usual_w = MOST_HEAT_W if declared is None else declared
+    open_file = replace(file, nuisance={**file.nuisance, "heat_noise_sd_w": None})
+    trial = find_levels([found], open_file, runs)[0]
+    if trial.levels.heat_w <= MORE_HEAT * usual_w:
+        return False
+    base = _Base(found, runs)
+    bounded = replace(trial.levels, heat_w=MORE_HEAT * usual_w)
+    scores = _scores([base], [[trial.levels, bounded]], file, np.isfinite(runs.temp[:, 1:]))[0]
+    return bool(scores[0] - scores[1] > HEAT_NATS)

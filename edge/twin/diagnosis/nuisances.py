@@ -12,6 +12,7 @@ from edge.twin.warm_start import held
 Floats = NDArray[np.float64]
 CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box warms
 EXCESS_K = 10.0
+ROOM_SD_K = 5.0  # of a room about a run's first temperature
 
 
 def nuisances(twin: Twin, runs: Recorded) -> tuple[Term, ...]:
@@ -40,3 +41,14 @@ def still_loss_w_k(twin: Twin) -> float:
     except np.linalg.LinAlgError:
         return 0.0
     return float(system.air_capacity_j_k / warmed) if warmed > 1e-9 else 0.0
+
+
+def rooms(runs: Recorded) -> tuple[Term, ...]:
+    """A room temperature per run where none was recorded: how far it is from the one assumed."""
+    count, rows = runs.duty.shape
+    return tuple(
+        Term(
+            f"room of run {i + 1}", np.repeat(np.eye(count)[i : i + 1], rows, axis=0), ROOM_SD_K, of_room=True
+        )
+        for i in range(count)
+    )

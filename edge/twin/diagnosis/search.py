@@ -73,6 +73,7 @@ class Search:
     nuisances: tuple[Term, ...] = ()
     formulas: Mapping[str, Term] = field(default_factory=dict)
     rounds: list[Round] = field(default_factory=list)
+    held_out: dict[str, float] = field(default_factory=dict)
     _known: dict[Names, Scored] = field(default_factory=dict)
     _screened: dict[Names, list[tuple[str, Fitted]]] = field(default_factory=dict)
 
@@ -92,11 +93,6 @@ class Search:
         if name == "ua_drift":
             return True
         return not (name == "wall_loss" and "wall_mass" in self.file.effects)
-
-    def named(self, item: Scored) -> list[str]:
-        """The named effects of a set, the one that is worth most first."""
-        names = [name for name in item.added if name not in self.formulas]
-        return sorted(names, key=lambda name: self.without(item, name).score)
 
     @property
     def rows(self) -> int:
@@ -169,7 +165,8 @@ class Search:
         near = [
             (key, found)
             for key, found in screened
-            if key not in item.added and found.log_likelihood >= floor + self.penalty(key) - self.penalty(name)
+            if key not in item.added
+            and found.log_likelihood >= floor + self.penalty(key) - self.penalty(name)
         ]
         return self._looked_at(beside, near[:REFINED])
 

@@ -1,0 +1,57 @@
+"""`greenhouse twin diagnose`: where twin and measurements disagree, which effect is missing, and the gap without it.
+
+The report folder gets report.html, diagnosis.json, twin_before.yaml and, where effects were named, twin.yaml.
+"""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+from edge.commands.output import writing
+from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
+from edge.twin.diagnosis.progress import TerminalProgress
+from edge.twin.diagnosis.report.summary import summary_text
+from edge.twin.twin_file import read_twin_file, write_twin_file
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the action."""
+    add_data_arguments(parser)
+    parser.add_argument("--twin", type=Path, required=True, help="twin file: what is known already")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the report")
+    parser.add_argument(
+        "--json-only", action="store_true", help="no pictures: diagnosis.json and the twin alone"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 whatever the verdict. Errors: DataError, RequestError"""
+    from edge.twin.diagnosis.answer import answer, traces
+    from edge.twin.diagnosis.diagnose import diagnose
+    from edge.twin.diagnosis.diagnosis_document import write_json
+    from edge.twin.diagnosis.located import located
+    from edge.twin.diagnosis.report.report import write_report
+    from edge.twin.diagnosis.report.story import Story
+
+    file = read_twin_file(arguments.twin)
+    data = diagnosis_runs_of(arguments, file)
+    command = shlex.join(["greenhouse", *sys.argv[1:]])
+    with writing(arguments.out):
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    with TerminalProgress() as progress:
+        found = diagnose(file, data, progress, command)
+        progress("where it disagrees")
+        places = located(found)
+        document = answer(found, places, command, None)
+        with writing(arguments.out):
+            write_twin_file(file, arguments.out / "twin_before.yaml")
+            if found.verdict.effects:
+                write_twin_file(found.adopted, arguments.out / "twin.yaml")
+            if arguments.json_only:
+                write_json(arguments.out / "diagnosis.json", document)
+            else:
+                progress("the report")
+                write_report(arguments.out, Story(document, traces(found, places)))
+    print(summary_text(document, str(arguments.out)))
+    return 0

@@ -1,0 +1,89 @@
+"""What a diagnosis works on: the training runs as arrays, cleaned, with their doors, and the twin as given."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.twin.diagnosis.fitting import Term, Trial, fit
+from edge.twin.diagnosis.locate.events import Door, find_events
+from edge.twin.diagnosis.noise_levels import find_levels, first_levels
+from edge.twin.diagnosis.nuisances import nuisances, rooms
+from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
+from edge.twin.recorded import Recorded, recorded
+from edge.twin.twin_file import TwinFile
+
+Floats = NDArray[np.float64]
+ITERATIONS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Given:
+    """The twin as given, with `day0_utc` where the runs tell it, and the runs.
+
+    runs : with doors as a condition where any were found, wrong readings taken out, and a room temperature
+    guessed : whether no room temperature was recorded: `runs` has one constant per run that fits the twin
+    wrong : readings taken out
+    """
+
+    file: TwinFile
+    runs: Recorded
+    names: tuple[str, ...]
+    terms: tuple[Term, ...]
+    doors: tuple[Door, ...]
+    wrong: int
+    guessed: bool
+
+    def room_of(self, named: NamedRun) -> float | None:
+        """The room temperature of a run where none was recorded, else None.
+
+        Of a run that was not fitted on: as far from its first temperature as those were.
+        """
+        if not self.guessed:
+            return None
+        if named.name in self.names:
+            return float(self.runs.ambient[self.names.index(named.name), 0])
+        first = named.run.columns["temp_air_c"]
+        offset = np.mean(self.runs.ambient[:, 0] - self.runs.temp[:, 0])
+        return float(first[np.isfinite(first)][0] + offset)
+
+
+def given(file: TwinFile, data: DiagnosisRuns) -> Given:
+    """Prepare the training runs. Errors: DataError for a column that the twin needs and the runs have not"""
+    runs = recorded([named.run for named in data.train], file.sample_s)
+    names = tuple(named.name for named in data.train)
+    if file.day0_utc is None and "utc" in runs.conditions:
+        file = replace(file, day0_utc=float(runs.conditions["utc"].min()))
+    guessed = not runs.has_ambient
+    if guessed:
+        runs = replace(runs, ambient=np.repeat(runs.temp[:, :1], runs.duty.shape[1], axis=1))
+    terms = (*(rooms(runs) if guessed else nuisances(file.twin(), runs)),)
+    return _without_events(Given(file, runs, names, terms, (), 0, guessed))
+
+
+def _without_events(plain: Given) -> Given:
+    """Find doors and wrong readings by the twin as it fits best before anything is added."""
+    trial = Trial(plain.file, first_levels(plain.file, plain.runs), plain.terms)
+    best = find_levels(fit([trial], plain.runs, ITERATIONS), plain.file, plain.runs)[0]
+    known = with_rooms(plain, fit([best], plain.runs, 0)[0].sizes)
+    try:
+        events = find_events(best.file.twin(), known.runs, plain.names, best.levels.sensor_k)
+    except (DataError, np.linalg.LinAlgError):
+        return plain  # a twin that is so far off has no events to tell
+    temp = np.where(events.wrong, np.nan, plain.runs.temp)
+    temp[:, 0] = plain.runs.temp[:, 0]  # a run's first reading is where it begins
+    runs = replace(plain.runs, temp=temp)
+    if events.doors:
+        runs = replace(runs, conditions={**runs.conditions, "door_open": events.door_open})
+    wrong = int(np.isfinite(plain.runs.temp).sum() - np.isfinite(temp).sum())
+    return replace(plain, runs=runs, doors=events.doors, wrong=wrong)
+
+
+def with_rooms(item: Given, sizes: Sequence[float] | Floats) -> Given:
+    """With the fitted constant as room temperature, where none was recorded."""
+    if not item.guessed:
+        return item
+    offsets = np.array([size for term, size in zip(item.terms, sizes, strict=False) if term.of_room])
+    return replace(item, runs=replace(item.runs, ambient=item.runs.ambient + offsets[:, None]))

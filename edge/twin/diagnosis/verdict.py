@@ -1,0 +1,122 @@
+"""What the search has found, in the words of diagnosis.json."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.twin.diagnosis.fitting import Fitted
+from edge.twin.diagnosis.formulas import PREFIX, Shape
+from edge.twin.diagnosis.noise_levels import unexplained_heat
+from edge.twin.diagnosis.search import RIVAL_NATS, Scored, Search
+from edge.twin.diagnosis.unknowns import Unknown
+from edge.twin.value import Value
+
+_95 = 1.959964
+AT_BOUND = 1e-3  # of the range of a coordinate
+NOTHING = "none"  # that an unknown effect depends on
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A missing effect.
+
+    alternatives : effects that explain the runs as well in its place, and by how many nats more or less
+    log_odds : against the best set without it [nat]
+    """
+
+    name: str
+    alternatives: Mapping[str, float]
+    log_odds: float
+    parameters: Mapping[str, Value]
+    at_bound: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficient:
+    """Of a formula's term, with its 95 % interval."""
+
+    text: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """kind : of diagnosis.json; effects, most important first; final : the set that the gap is shown for"""
+
+    kind: str
+    effects: tuple[Named, ...]
+    depends_on: tuple[str, ...]
+    formula: tuple[Coefficient, ...]
+    final: Scored
+
+
+def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
+    """The best set, read."""
+    best = search.missing()
+    worth = {name: best.score - search.without(best, name).score for name in best.added}
+    order = sorted(best.added, key=lambda name: -worth[name])
+    formula = [name for name in order if name.startswith(PREFIX)]
+    if formula and order[0] == formula[0]:
+        return Verdict(
+            "unknown", (), _dependences(formula, shapes), _coefficients(best, formula, shapes), best
+        )
+    named = [name for name in order if not name.startswith(PREFIX)]
+    if named:
+        effects = tuple(_named(search, best, name, worth[name]) for name in named)
+        return Verdict("named", effects, (), _coefficients(best, formula, shapes), best)
+    if unexplained_heat(best.fitted, search.file, search.runs):
+        return Verdict("unknown", (), (NOTHING,), (), best)
+    return Verdict("nothing_missing", (), (), (), best)
+
+
+def _dependences(formula: Sequence[str], shapes: Mapping[str, Shape]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for key in formula for name in shapes[key].depends_on))
+
+
+def _coefficients(
+    best: Scored, formula: Sequence[str], shapes: Mapping[str, Shape]
+) -> tuple[Coefficient, ...]:
+    terms = [term.name for term in best.fitted.trial.nuisances]
+    found = []
+    for name in formula:
+        place = terms.index(name)
+        size, sd = float(best.fitted.sizes[place]), float(best.fitted.size_sds[place])
+        shape = shapes[name]
+        found.append(Coefficient(shape.text, size, size - _95 * sd, size + _95 * sd, shape.unit))
+    return tuple(found)
+
+
+def _named(search: Search, best: Scored, name: str, worth: float) -> Named:
+    rivals = {}
+    for item in search.rivals(best, name):
+        (other,) = item.added - (best.added - {name})
+        if item.likelihood >= best.likelihood - RIVAL_NATS and not other.startswith(PREFIX):
+            rivals[other] = item.likelihood - best.likelihood
+    values, bound = intervals(best.fitted, name)
+    ordered = dict(sorted(rivals.items(), key=lambda pair: -pair[1]))
+    return Named(name, ordered, float(worth), values, bound)
+
+
+def intervals(fitted: Fitted, name: str) -> tuple[dict[str, Value], tuple[str, ...]]:
+    """Values of an effect with 95 % intervals, cut at their bounds, and those that ended at one."""
+    values, bound = {}, []
+    for i, item in enumerate(fitted.free):
+        if item.place[:2] == ("effects", name):
+            values[item.place[2]] = interval(
+                item, float(fitted.coordinates[i]), float(fitted.covariance[i, i])
+            )
+            low, high = item.bounds
+            margin = AT_BOUND * (high - low)
+            if not low + margin < fitted.coordinates[i] < high - margin:
+                bound.append(item.place[2])
+    return values, tuple(bound)
+
+
+def interval(item: Unknown, x: float, variance: float) -> Value:
+    """A value with its 95 % interval."""
+    sd = float(np.sqrt(max(variance, 0.0)))
+    return Value(item.value(x), low=item.value(x - _95 * sd), high=item.value(x + _95 * sd))
