@@ -26,6 +26,7 @@ STEP_S = 60.0
 TICKS_A_DAY = 1440
 ROOM_C, LIFT_K, LIFT_TICKS = 21.0, 12.0, 30.0  # a temperature for the regime of a warm box
 CHANGE_H = 24
+BOX_LEARN_H = 4.0  # four cells in less than CHANGE_H
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +185,7 @@ def main() -> None:
     parser.add_argument("--boxes", type=int, default=20)
     arguments = parser.parse_args()
     false_alarms(arguments.paths, arguments.days, Promise(STEP_S))
-    delays(arguments.boxes, Promise(STEP_S, learn_h=4.0))
+    delays(arguments.boxes, Promise(STEP_S, learn_h=BOX_LEARN_H))
 
 
 if __name__ == "__main__":

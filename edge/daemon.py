@@ -227,7 +227,12 @@ class Daemon:
         settings = self.settings
         if settings.drift.diagnose == "never" or bundles is None:
             return None
-        places = Places(Path(settings.history.path), bundles.twin_file, self.config_file)
+        places = Places(
+            Path(settings.history.path),
+            bundles.twin_file,
+            self.config_file,
+            lambda: bundles.serving.rival is not None,
+        )
         nightly = NightlyDiagnosis(settings.drift, places, self.clock, zone_of(settings.timezone))
         self._stack.callback(nightly.close)
         sinks.append(nightly)

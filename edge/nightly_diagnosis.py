@@ -43,11 +43,13 @@ class Places:
 
     twin : file of the running twin, None while none runs
     config : edge.yaml of this daemon, None where it has none
+    on_trial : a bundle is being compared with the active one: another would end its trial
     """
 
     history: Path
     twin: Callable[[], Path | None]
     config: Path | None = None
+    on_trial: Callable[[], bool] = lambda: False
 
 
 class NightlyDiagnosis:
@@ -128,9 +130,15 @@ class NightlyDiagnosis:
         found = _diagnosis(report / "diagnosis.json")
         self._tell("diagnosis.done", f"{_in_words(found)}; report: {report}")
         if found.get("effects") and settings.adopt in _HOW:
-            config = () if places.config is None else ("--config", places.config)
-            self._call(("adopt", report, _HOW[settings.adopt], *config), report / LOG, ADOPT_MAX_S)
-            self._tell("diagnosis.adopted", _last_line(report / LOG))
+            self._adopt(report)
+
+    def _adopt(self, report: Path) -> None:
+        if self._places.on_trial():
+            self._tell("diagnosis.kept", f"a bundle is on trial, so the twin stays in {report}")
+            return
+        config = () if self._places.config is None else ("--config", self._places.config)
+        self._call(("adopt", report, _HOW[self._settings.adopt], *config), report / LOG, ADOPT_MAX_S)
+        self._tell("diagnosis.adopted", _last_line(report / LOG))
 
     def _call(self, words: Sequence[str | Path], log: Path, patience_s: float) -> None:
         """Run `greenhouse twin ...` to its end. Errors: _Failed"""

@@ -151,7 +151,7 @@ class DriftSettings(Section):
     diagnose_max_min: float = number(120.0, "a diagnosis that takes longer is ended", "min", 1.0, 720.0)
     reports: str = text("/var/lib/greenhouse/diagnosis", "folder of its reports")
     adopt: str = text(
-        "never",
+        "shadow",
         "what becomes of a twin that it finds: never: it stays in the report; shadow: it runs beside the "
         "active bundle and is scored; activate: it takes its place, on probation",
         ("never", "shadow", "activate"),

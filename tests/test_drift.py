@@ -152,6 +152,7 @@ def _memory() -> dict:
         lambda d: d.update(table=[0.0]),
         lambda d: d.update(table=["x"] * len(d["table"])),
         lambda d: d["table"].__setitem__(0, None),
+        lambda d: d["table"].__setitem__(0, float("inf")),
         lambda d: d["evidence"].update(cusum=[]),
         lambda d: d.update(evidence=None),
         lambda d: d.update(since_utc="yesterday"),
@@ -199,7 +200,17 @@ def test_what_cannot_be_judged_says_why(twin, history, reason):
     drift = monitor.tick(twin, history, confirmed=True)
     assert drift.state is DriftState.UNKNOWN
     assert reason in drift.reason
+    assert reason in drift.text
     assert monitor.take_events() == []
+
+
+def test_an_alarm_of_a_twin_that_runs_no_more_is_not_told():
+    monitor = DriftMonitor(PROMISE)
+    run(monitor, lambda k: Box(TWIN), 65)
+    monitor.memory = replace(monitor.memory, since_utc=UTC_0)
+    assert monitor.tick(TWIN, _history(3), confirmed=True).state is DriftState.DISAGREES
+    assert monitor.tick(None, _history(3), confirmed=True).state is DriftState.UNKNOWN
+    assert monitor.tick(HALF_FAN, _history(3), confirmed=True).state is DriftState.UNKNOWN
 
 
 def test_a_column_that_the_twin_needs_and_the_rig_lacks_is_named():

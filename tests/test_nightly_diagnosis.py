@@ -41,12 +41,13 @@ else:
 class Night:
     """A nightly diagnosis whose ticks a test hands in, and what it says."""
 
-    def __init__(self, folder: Path, body: str = NAMED, twin: Path | None = Path("twin.yaml"), **settings):
+    def __init__(self, folder: Path, body: str = NAMED, twin: Path | None = Path("twin.yaml"),
+                 on_trial: bool = False, **settings):  # fmt: skip
         self.folder = folder
         program = folder / "greenhouse.py"
         program.write_text(FAKE.format(folder=str(folder), body=body))
         given = DriftSettings(reports=str(folder / "reports"), **{"diagnose": "disagrees", **settings})
-        places = Places(folder / "history.db", lambda: twin, folder / "edge.yaml")
+        places = Places(folder / "history.db", lambda: twin, folder / "edge.yaml", lambda: on_trial)
         self.diagnosis = NightlyDiagnosis(given, places, FakeClock(), UTC, (sys.executable, str(program)))
         self.events: list[Event] = []
 
@@ -132,7 +133,7 @@ def test_it_runs_where_it_is_asked_for(tmp_path, diagnose, drift, called):
 
 
 def test_it_reads_the_history_and_writes_a_report(tmp_path):
-    with Night(tmp_path, diagnose_since_d=0.5) as night:
+    with Night(tmp_path, diagnose_since_d=0.5, adopt="never") as night:
         night.strike_three()
         report = tmp_path / "reports" / "2026-07-01_0300"
         assert night.told("diagnosis.done") == f"the diagnosis names wall_loss; report: {report}"
@@ -152,6 +153,13 @@ def test_what_it_found_goes_where_the_settings_say(tmp_path, adopt, word):
     assert night.calls[1].endswith(
         f"twin adopt {tmp_path}/reports/2026-07-01_0300 {word} --config {tmp_path}/edge.yaml"
     )
+
+
+def test_a_trial_that_runs_is_not_ended_by_another_twin(tmp_path):
+    with Night(tmp_path, adopt="activate", on_trial=True) as night:
+        night.strike_three()
+        assert "stays in" in night.told("diagnosis.kept")
+    assert len(night.calls) == 1
 
 
 @pytest.mark.parametrize(

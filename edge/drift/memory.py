@@ -76,6 +76,6 @@ def _listed(array: Floats) -> list[float | None]:
 
 def _array(values: list[float | None], like: Floats, instead_of_null: float = math.nan) -> Floats:
     found = np.array([instead_of_null if value is None else value for value in values], dtype=np.float64)
-    if found.size != like.size or np.isnan(found).any():
+    if found.size != like.size or not (np.isfinite(found) | (found == instead_of_null)).all():
         raise ValueError(f"{found.size} numbers, not {like.size}")
     return found.reshape(like.shape)

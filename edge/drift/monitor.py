@@ -33,7 +33,7 @@ class Promise:
 
     step_s: float
     false_alarm_days: float = 90.0
-    learn_h: float = 12.0
+    learn_h: float = 24.0
 
 
 class DriftMonitor:
@@ -63,7 +63,7 @@ class DriftMonitor:
         known, self._confirmed = self._confirmed, confirmed
         unjudged = "maintenance" if hands_in else "" if known else "the board did not confirm the inputs"
         if self._off:
-            return Drift(reason=self._off)
+            return self._unwatched(self._off)
         if not len(history["time_s"]):
             return self._told("no air temperature yet")
         now, utc = float(history["time_s"][-1]), float(history["utc"][-1])
@@ -75,7 +75,7 @@ class DriftMonitor:
         except Exception as bug:  # control goes on; the same bug at every tick would fill the history
             self._off = f"internal error: {bug!r}"
             self._events.append(Event("drift.failed", Severity.WARNING, self._off, now, utc))
-            return Drift(reason=self._off)
+            return self._unwatched(self._off)
 
     def take_events(self) -> list[Event]:
         """What began or ended since the last call."""
@@ -91,7 +91,7 @@ class DriftMonitor:
     def _observe(self, twin: Twin | None, history: Columns, utc: float, unjudged: str) -> Drift:
         if twin is None:
             self._let_go()
-            return self._told("no twin runs")
+            return self._unwatched("no twin runs")
         if self._filter is None or self._filter.twin is not twin:
             self._begin(twin, utc)
         assert self._filter is not None
@@ -172,11 +172,15 @@ class DriftMonitor:
     def _tell(self, key: str, severity: Severity, text: str, now: float, utc: float) -> None:
         self._events.append(Event(key, severity, text, now, utc))
 
+    def _unwatched(self, reason: str) -> Drift:
+        drift = Drift(reason=reason)
+        return replace(drift, text=in_words(drift, self._zone))
+
     def _told(self, reason: str = "") -> Drift:
         """What holds now; an alarm stands until the twin has been seen to agree."""
         memory = self.memory
         if memory is None:
-            return Drift(reason=reason)
+            return self._unwatched(reason)
         worst = where.worst(memory.table, evidence.by_regime(memory.evidence))
         rows = where.rows(memory.table)
         agrees = DriftState.UNKNOWN if reason else DriftState.AGREES
