@@ -3,12 +3,13 @@
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from bench.drift_box import with_fan
-from edge import config
+from edge import config, daemon
 from edge.bundle.orders import carry_out
 from edge.bundle.sign import sign_folder
 from edge.bundle.store import PACKAGED_FOLDER, Store
@@ -17,6 +18,7 @@ from edge.daemon import Daemon
 from edge.drift import monitor
 from edge.messages import Command, Decision, DriftState, TickRecord
 from edge.models.from_bundle import loader
+from edge.nightly_diagnosis import NightlyDiagnosis
 from edge.sim_clock import SimClock
 from edge.twin.twin_file import read_twin_file, write_twin_file
 from edge.virtual_rig import virtual_rig
@@ -33,6 +35,7 @@ history: {{path: {folder}/history.db}}
 board: {{port: {folder}/board}}
 bundle: {{path: {folder}/bundles, trusted_keys: {folder}/trusted}}
 timezone: UTC
+drift: {{diagnose: disagrees, diagnose_at: "01:08", reports: {folder}/reports}}
 mqtt: {{enabled: {enabled}, host: 127.0.0.1, port: {port}, rig: rig-1}}
 """
 
@@ -80,23 +83,28 @@ def ran(folder: Path, share: float, mqtt_port: int | None = None) -> list[TickRe
                 stop_at_s=60.0 * MINUTES,
                 experiment=Blows.name,
                 more_controllers=[Blows()],
-            ) as daemon:
-                daemon.run()
+            ) as running:
+                running.run()
         finally:
             clock.close()
     return records
 
 
 def stored(folder: Path) -> list[tuple[str, str]]:
-    """Key and text of the drift monitor's events in the history."""
+    """Key and text of the drift monitor's and the diagnosis's events in the history."""
     with closing(sqlite3.connect(folder / "history.db")) as history:
-        query = "SELECT key, text FROM events WHERE key GLOB 'twin.*' OR key GLOB 'drift.*' ORDER BY utc"
+        query = (
+            "SELECT key, text FROM events "
+            "WHERE key GLOB 'twin.*' OR key GLOB 'drift.*' OR key GLOB 'diagnosis.*' ORDER BY utc"
+        )
         return history.execute(query).fetchall()
 
 
 @pytest.fixture(autouse=True)
 def _soon_settled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(monitor, "SETTLE_S", SETTLED_S)
+    # What is called at night is tested in test_nightly_diagnosis.py; here only that it is, and ends.
+    monkeypatch.setattr(daemon, "NightlyDiagnosis", partial(NightlyDiagnosis, program=("sh", "-c", "sleep 60")))
 
 
 @pytest.fixture
@@ -113,8 +121,9 @@ def test_a_twin_with_half_the_fan_is_told_in_history_and_by_mqtt(tmp_path: Path,
         wait_for(lambda: any(drift["state"] == "disagrees" for drift in listener.objects(f"{ROOT}/drift")))
         told = listener.objects(f"{ROOT}/drift")[-1]
         events = [event["key"] for event in listener.objects(f"{ROOT}/event")]
-    assert [key for key, _ in stored(tmp_path)] == ["twin.disagrees"]
-    ((_, text),) = stored(tmp_path)
+    (first, text), *later = stored(tmp_path)
+    assert first == "twin.disagrees"
+    assert later[0][0] == "diagnosis.started"
     assert "colder than it expects" in text
     assert "twin.disagrees" in events
     assert told["state"] == "disagrees"
