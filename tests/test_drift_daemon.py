@@ -104,7 +104,9 @@ def stored(folder: Path) -> list[tuple[str, str]]:
 def _soon_settled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(monitor, "SETTLE_S", SETTLED_S)
     # What is called at night is tested in test_nightly_diagnosis.py; here only that it is, and ends.
-    monkeypatch.setattr(daemon, "NightlyDiagnosis", partial(NightlyDiagnosis, program=("sh", "-c", "sleep 60")))
+    monkeypatch.setattr(
+        daemon, "NightlyDiagnosis", partial(NightlyDiagnosis, program=("sh", "-c", "sleep 60"))
+    )
 
 
 @pytest.fixture
