@@ -1,4 +1,4 @@
-"""`greenhouse twin diagnose`: where twin and measurements disagree, which effect is missing, and the gap without it.
+"""`greenhouse twin diagnose`: where twin and measurements disagree, what is missing, and the gap without it.
 
 The report folder gets report.html, diagnosis.json, twin_before.yaml and, where effects were named, twin.yaml.
 """

@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 
 class Response(NamedTuple):
-    """What is to be run: steps, from a start [B, n] (None: 0), driven [N, B, n] by something (None: nothing)."""
+    """What is to be run: steps, from a start [B, n] (None: 0), driven [N, B, n] (None: by nothing)."""
 
     steps: LinearSteps
     start: Floats | None

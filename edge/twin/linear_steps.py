@@ -1,13 +1,15 @@
 """A twin as one linear step per row of recorded runs, also where its effects are late, slow or bent.
 
-Where temperatures were measured, heat that bends with the air's temperature has a tangent there, so that every
-twin is x+ = A x + d with a matrix and a drive of its own for each row. What an input, a start or an unknown
-heat does to the temperature is then linear, exactly, and many twins can be run at once (`edge.twin.ensemble`).
+Where temperatures were measured, heat that bends with the air's temperature has a tangent there, so that
+every twin is x+ = A x + d with a matrix and a drive of its own for each row. What an input, a start or an
+unknown heat does to the temperature is then linear, exactly, and many twins can be run at once
+(`edge.twin.ensemble`).
 
 Error against `Twin.rollout`: rounding for linear effects; for bent ones the second order in the distance from
 what was measured, below 0.01 K for a distance of 1 K (tests/test_linear_steps.py).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -164,7 +166,7 @@ def _transitions(twin: Twin, modes: list[Floats], length_s: float) -> tuple[Floa
     return state, integral @ drive, which
 
 
-def _coded(modes: list[Floats]) -> tuple[Indices, Indices]:
+def _coded(modes: Sequence[Floats | Indices]) -> tuple[Indices, Indices]:
     """A place where each combination of modes occurs, and which combination holds at each place."""
     code = np.zeros(modes[0].size, dtype=np.intp)
     for mode in modes:
@@ -182,7 +184,7 @@ def _folded_matrices(parts: list[_Part]) -> tuple[Floats, Indices]:
     if len(parts) == 1:
         return parts[0].state, parts[0].which
     places, index = _coded([part.which for part in parts])
-    table = np.eye(parts[0].state.shape[-1])
+    table: Floats = np.eye(parts[0].state.shape[-1])
     for part in parts:
         table = part.state[part.which.ravel()[places]] @ table
     return table, index

@@ -198,7 +198,7 @@ def spun_up(wanted: Floats, lengths: Floats, lag_s: float) -> Floats:
         now = kept[-1] * now + whole[k]
     before = first[:, None] * kept[:-1] + gone
     mean = (1.0 - left) * lag_s / lengths[:, None]
-    return np.round(wanted + (before - wanted) * mean, SPEED_DIGITS)
+    return np.asarray(np.round(wanted + (before - wanted) * mean, SPEED_DIGITS))
 
 
 def _in_time(values: ArrayLike, shape: tuple[int, int]) -> Floats:

@@ -327,7 +327,7 @@ def _finished(states: list[_State], runs: Recorded, measured: NDArray[np.bool_])
     for i, (state, own) in enumerate(zip(states, linear, strict=True)):
         spreads = np.log(filters.sd[:, i].T)[measured].sum()
         p = len(state.free)
-        inverse = np.linalg.pinv(own.normal, hermitian=True)
+        inverse = np.asarray(np.linalg.pinv(own.normal, hermitian=True), dtype=np.float64)
         sizes = np.asarray(np.linalg.solve(own.normal[p:, p:], own.gradient[p:]))
         found.append(
             Fitted(
@@ -339,7 +339,7 @@ def _finished(states: list[_State], runs: Recorded, measured: NDArray[np.bool_])
                 inverse[:p, :p],
                 np.asarray((own.residual - sizes @ own.terms).reshape(measured.shape)),
                 sizes,
-                np.sqrt(np.diag(inverse)[p:]),
+                np.asarray(np.sqrt(np.diag(inverse)[p:])),
             )
         )
     return found

@@ -50,10 +50,9 @@ def forecast(twin: Twin, named: NamedRun, room_c: float | None = None) -> Foreca
     temp = columns["temp_air"]
     start = _start_row(temp)
     known = {name: values for name, values in columns.items() if name != "temp_air"}
+    before = {name: values[: start + 1] for name, values in known.items()}
     past = Past(
-        temp[: start + 1],
-        *(known[name][: start + 1] for name in ("temp_ambient", "heater_duty", "fan_on")),
-        conditions={name: values[: start + 1] for name, values in known.items()},
+        temp[: start + 1], before["temp_ambient"], before["heater_duty"], before["fan_on"], conditions=before
     )
     ahead = {name: values[None, start:-1] for name, values in known.items()}
     predicted = twin.rollout(
@@ -91,11 +90,8 @@ def alone(named: NamedRun, guess: Forecast, room_c: float | None = None) -> Reco
     """One run as arrays, missing temperatures as in its free run."""
     columns = columns_of(named.run, room_c)
     temp = np.where(np.isfinite(columns["temp_air"]), columns["temp_air"], guess.predicted)
-    return Recorded(
-        temp[None],
-        *(columns[name][None, :-1] for name in ("heater_duty", "fan_on", "temp_ambient")),
-        {name: values[None, :-1] for name, values in columns.items() if name != "temp_air"},
-    )
+    inputs = {name: values[None, :-1] for name, values in columns.items() if name != "temp_air"}
+    return Recorded(temp[None], inputs["heater_duty"], inputs["fan_on"], inputs["temp_ambient"], inputs)
 
 
 def one_step(twin: Twin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:

@@ -1,4 +1,4 @@
-"""What a diagnosis works on: the training runs as arrays, cleaned, with their doors, and the twin as given."""
+"""What a diagnosis works on: the training runs as arrays, cleaned, their doors, and the twin as given."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,10 +1,10 @@
 """Innovations of many twins over the same runs: what each row tells beyond all rows before it.
 
-A Kalman filter over each twin's states, a coloured heat into the air that the twin does not know (first order,
-constant over a row) and one factor on the heater's power per run. Given linear steps and Gaussian noise the
-sum of squared innovations is the likelihood, hidden starts and all (Jazwinski 1970, ch. 7; Kristensen, Madsen
-& Jørgensen 2004, Automatica 40). It works on errors: a column is the measured minus a free run, or the effect
-of something on a free run, and comes out whitened.
+A Kalman filter over each twin's states, a coloured heat into the air that the twin does not know (first
+order, constant over a row) and one factor on the heater's power per run. Given linear steps and Gaussian
+noise the sum of squared innovations is the likelihood, hidden starts and all (Jazwinski 1970, ch. 7;
+Kristensen, Madsen & Jørgensen 2004, Automatica 40). It works on errors: a column is the measured minus a free
+run, or the effect of something on a free run, and comes out whitened.
 """
 
 from collections.abc import Sequence

@@ -20,7 +20,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Located:
-    """In the form of diagnosis.json; before, after : residuals by run name, none where a twin is too far off."""
+    """In the form of diagnosis.json.
+
+    before, after : residuals by run name, none where a twin is too far off
+    """
 
     regimes: list[dict[str, Any]] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
