@@ -71,7 +71,8 @@ class Fitted:
 
     file : with the values found; free : what moved
     log_likelihood : in nats, priors included, up to a constant of the data
-    covariance : [p, p], of the coordinates; innovations : [B, N] in standard deviations, 0 where not measured
+    covariance : [p + q, p + q], of the coordinates and then the sizes of the q nuisances
+    innovations : [B, N] in standard deviations, 0 where not measured
     sizes, size_sds : of the nuisances
     """
 
@@ -336,7 +337,7 @@ def _finished(states: list[_State], runs: Recorded, measured: NDArray[np.bool_])
                 state.free,
                 state.x,
                 -_cost(own, state) - float(spreads),
-                inverse[:p, :p],
+                inverse,
                 np.asarray((own.residual - sizes @ own.terms).reshape(measured.shape)),
                 sizes,
                 np.asarray(np.sqrt(np.diag(inverse)[p:])),
