@@ -50,18 +50,3 @@ def _march(table: Floats, index: NDArray[np.intp], state: Floats, driven: Floats
         state += driven[k]
         shown[k] = state[:, 0]
     return shown
-
-
-def impulses(steps: LinearSteps, gains: Floats) -> Floats:
-    """What a unit of something in row j shows after row k, by its gain in each row.
-
-    gains : [N, B, n], such as `LinearSteps.heat`. Returns : [B, N, N], rows k, columns j <= k
-    """
-    rows, runs = steps.index.shape
-    found = np.zeros((runs, rows, rows))
-    state = np.zeros((runs, len(steps.states), rows))
-    for k in range(rows):
-        state[:, :, : k + 1] = steps.table[steps.index[k]] @ state[:, :, : k + 1]
-        state[:, :, k] = gains[k]
-        found[:, k] = state[:, 0]
-    return found
