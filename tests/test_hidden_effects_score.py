@@ -89,7 +89,7 @@ def test_the_first_name_and_the_set_are_two_questions():
 
 
 def test_a_member_of_the_class_is_as_good_as_the_effect():
-    own = classes("fan_effectiveness", short_circuit=0.4, led_gain=3.1, soil_mass=-3.1)
+    own = classes("fan_effectiveness", short_circuit=0.4, led_gain=3.1, soil_mass=-6.1)
     named = {
         name: score(truth("single", "fan_effectiveness"), own, answer(diagnosis(effect(name)))).exact
         for name in ("short_circuit", "led_gain", "soil_mass")

@@ -4,10 +4,11 @@ The true structure (what the twin file declares and all hidden effects) is fitte
 so is each structure in which one hidden effect is replaced by another of the library, its noise as well as
 its values. A rival of more parameters than the effect pays 1/2 log n for each (Schwarz 1978), or a wall that
 stores heat would stand for every wall that does not; one of fewer gets nothing. A member of the effect's
-class is within ALIAS_NATS of the truth, either way, and gains as much over nothing in the effect's place:
-what fits better than the truth by more mends something else, and where the effect itself gains less, nothing
-can stand for it. Rows further than OUTLIER_SD from the true fit are left out. An effect whose column the runs
-don't have (`door_open`: when the door was open) is no rival, and as a hidden effect has none.
+class is at most ALIAS_NATS behind the truth, at most BETTER_NATS ahead of it (by chance; what fits better by
+more mends something else), and gains ALIAS_NATS over nothing in the effect's place. Where the effect itself
+gains less, nothing can stand for it. Rows further than OUTLIER_SD from the true fit are left out. An effect
+whose column the runs don't have (`door_open`: when the door was open) is no rival, and as a hidden effect has
+none.
 """
 
 import json
@@ -31,11 +32,13 @@ from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
-METHOD_VERSION = 3  # classes of another version are computed anew
+METHOD_VERSION = 4  # classes of another version are computed anew
 ALIAS_NATS = 3.0
+BETTER_NATS = 6.0  # by which a rival is ahead in one case of exp(6) = 400 at most
 KEPT_NATS = 10.0  # rivals further behind are not written down
 SECOND_LOOK_NATS = 20.0  # rivals further behind after one pass get no second
 OUTLIER_SD = 6.0
+_TRUTH_PASSES = 6
 _FIRST_NOISE = Noise(0.1, 0.1, 20.0)
 _WITHOUT_A_COLUMN = ("door_opening",)  # the runs don't say when the door was open
 
@@ -54,12 +57,12 @@ class AliasClass:
 
     @property
     def members(self) -> frozenset[str]:
-        """Within ALIAS_NATS, the effect itself among them."""
+        """As near as that, the effect itself among them."""
         return self.within(ALIAS_NATS)
 
     def within(self, nats: float) -> frozenset[str]:
-        """Those that near to the truth."""
-        near = (name for name, behind in self.behind.items() if abs(behind) <= nats)
+        """Those at most so far behind the truth."""
+        near = (name for name, behind in self.behind.items() if -BETTER_NATS <= behind <= nats)
         return frozenset({self.effect, *near})
 
     def up_to(self, nats: float) -> frozenset[str]:
@@ -81,7 +84,7 @@ def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[Run]) -> tuple[Al
     whole = structure(_with(file, truth.hidden), data, mains_sd, curve)
     found = fit(whole, whole.start, _FIRST_NOISE, passes=1)
     whole = structure(whole.file, _without_outliers(whole, found), mains_sd, curve)
-    found = fit(whole, found.scaled, found.noise, passes=2)
+    found = fit(whole, found.scaled, found.noise, _TRUTH_PASSES)
     return tuple(_class(item, whole, found) for item in truth.hidden)
 
 

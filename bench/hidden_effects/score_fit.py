@@ -11,6 +11,7 @@ from bench.hidden_effects.score_structure import Structure
 Floats = NDArray[np.float64]
 _CLOSE = 1e-4  # of a sum of squares of about the number of rows: a tenth of a nat
 _MOST_EVALUATIONS = 25
+_WORTH_NATS = 0.1  # that a further pass must bring
 
 
 class Fit(NamedTuple):
@@ -22,16 +23,22 @@ class Fit(NamedTuple):
 
 
 def fit(problem: Structure, start: Floats, noise: Noise, passes: int) -> Fit:
-    """The likeliest values from `start`, [p], and then the likeliest noise; as often as there are passes."""
-    scaled = start
+    """The likeliest values from `start`, [p], then the likeliest noise, and so on while it helps.
+
+    passes : at most
+    """
+    scaled, best = start, -np.inf
     for _ in range(passes):
         response = problem.response(scaled)
         if len(scaled):
             scaled = _least_squares(problem, scaled, response, whitener(noise, problem.measured))
         residual = problem.residual(scaled)
         noise = likeliest(noise, residual, response, problem.measured)
-    found = log_likelihood(noise, residual, response, problem.measured)
-    return Fit(found - 0.5 * float((problem.priors(scaled) ** 2).sum()), scaled, noise)
+        before, best = best, log_likelihood(noise, residual, response, problem.measured)
+        best -= 0.5 * float((problem.priors(scaled) ** 2).sum())
+        if best - before < _WORTH_NATS:
+            break
+    return Fit(best, scaled, noise)
 
 
 def stacked(white: Floats, moved: Floats) -> Floats:

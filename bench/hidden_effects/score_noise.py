@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 LEAST_SD_K = 1e-3
 _LONGEST_ROWS = 500.0  # a correlation beyond this is an offset, which would take the place of effects
+_LEAST_SHARE, _START_ROWS = 0.3, (3.0, 60.0)  # of a start
 _MOST_EVALUATIONS = 80
 
 
@@ -78,7 +79,10 @@ def log_likelihood(noise: Noise, residual: Floats, response: Floats, measured: N
 
 
 def likeliest(start: Noise, residual: Floats, response: Floats, measured: NDArray[np.bool_]) -> Noise:
-    """The noise under which the residuals are likeliest, by the simplex of Nelder & Mead from `start`."""
+    """The noise under which the residuals are likeliest, by the simplex of Nelder & Mead from `start`.
+
+    From a start that hardly wanders, or over hardly any rows, no small step leads away: it is moved first.
+    """
     from scipy.optimize import minimize
 
     def noise(logs: Floats) -> Noise:
@@ -89,9 +93,11 @@ def likeliest(start: Noise, residual: Floats, response: Floats, measured: NDArra
             float(np.clip(rows, 0.2, _LONGEST_ROWS)),
         )
 
+    white, wandering, rows = start
+    begun = np.log([white, max(wandering, _LEAST_SHARE * white), np.clip(rows, *_START_ROWS)])
     found = minimize(
         lambda logs: -log_likelihood(noise(logs), residual, response, measured),
-        np.log(start),
+        begun,
         method="Nelder-Mead",
         options={"maxfev": _MOST_EVALUATIONS, "fatol": 0.02, "xatol": 0.02},
     )
