@@ -85,11 +85,11 @@ def test_it_agrees_again_an_hour_of_agreement_after_the_fan_is_right(half_fan):
     assert said[-1].since_utc is None
 
 
-def test_heat_that_lifts_the_resting_box_by_half_a_kelvin_is_told_within_six_hours():
-    # 2.2 W, in a box whose own heat noise is 1.5 W
-    warmer = Box(TWIN, heat_w=heat_for(TWIN, 0.5))
+def test_heat_that_lifts_the_resting_box_by_a_kelvin_is_told_within_three_hours():
+    # 4.4 W, in a box whose own heat noise is 1.5 W; median of 20 boxes 43 min (bench/drift_alarms.py)
+    warmer = Box(TWIN, heat_w=heat_for(TWIN, 1.0))
     boxes = lambda k: warmer if k > LEARNT else Box(TWIN)  # noqa: E731
-    _, events = run(DriftMonitor(PROMISE), boxes, LEARNT + 361, chances=QUIET)
+    _, events = run(DriftMonitor(PROMISE), boxes, LEARNT + 181, chances=QUIET)
     assert keys(events) == ["twin.disagrees"]
     assert events[0][0] > LEARNT
 
