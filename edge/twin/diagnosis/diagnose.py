@@ -56,7 +56,7 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
     begun = time.monotonic()
     progress("reading the runs, looking for doors and wrong readings")
     prepared = given(file, data)
-    shapes = formulas(prepared.runs, file.sample_s)
+    shapes = formulas(prepared.runs, prepared.expected, file.sample_s)
     terms = {name: term for name, (_, term) in shapes.items()}
     search = Search(prepared.file, prepared.runs, progress, prepared.terms, terms)
     found = verdict(search, {name: shape for name, (shape, _) in shapes.items()})

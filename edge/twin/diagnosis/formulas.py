@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.diagnosis.fitting import Term
-from edge.twin.diagnosis.nuisances import middle_temps
+from edge.twin.diagnosis.nuisances import middle
 from edge.twin.model import DAY_S
 from edge.twin.recorded import Recorded
 
@@ -102,13 +102,15 @@ SHAPES: tuple[Shape, ...] = (
     _shape("reading: day", "K/d", "time", lambda c: c["day"], "day", of_reading=True),
     _shape("reading: RH - 50", "K/%", "rel_humidity", lambda c: c["RH"] - 50, "RH", of_reading=True),
     _shape("reading: L", "K", "light", lambda c: c["L"], "L", of_reading=True),
-    _shape("reading: T - 25", "K/K", "temp_air", lambda c: c["T"] - 25, of_reading=True),
 )  # fmt: skip
 
 
-def formulas(runs: Recorded, step_s: float) -> dict[str, tuple[Shape, Term]]:
-    """By name, what these runs have the columns for and can tell from nothing."""
-    columns = _columns(runs, step_s)
+def formulas(runs: Recorded, temps: Floats, step_s: float) -> dict[str, tuple[Shape, Term]]:
+    """By name, what these runs have the columns for and can tell from nothing.
+
+    temps : [B, N + 1], the air without its reading's noise [°C]: with it a formula would explain that noise
+    """
+    columns = _columns(runs, temps, step_s)
     measured = np.isfinite(runs.temp[:, 1:]).T
     found = {}
     for shape in SHAPES:
@@ -122,16 +124,16 @@ def formulas(runs: Recorded, step_s: float) -> dict[str, tuple[Shape, Term]]:
     return found
 
 
-def _columns(runs: Recorded, step_s: float) -> dict[str, Floats]:
+def _columns(runs: Recorded, temps: Floats, step_s: float) -> dict[str, Floats]:
     """[N, B] each: T in the middle of a row, hours since the run began, of fan in it, and of the day."""
-    temps = middle_temps(runs)
+    inside = middle(temps)
     hours = np.broadcast_to(np.arange(runs.fan.shape[1]) * step_s / 3600.0, runs.fan.shape)
     columns = {
         "u": runs.duty,
         "fan": runs.fan,
-        "T": temps,
+        "T": inside,
         "room": runs.ambient,
-        "excess": temps - runs.ambient,
+        "excess": inside - runs.ambient,
         "t": hours,
         "worn": np.cumsum(runs.fan, axis=1) * step_s / 3600.0,
     }

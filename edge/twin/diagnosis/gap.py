@@ -41,10 +41,10 @@ class Forecast:
         return (self.measured - self.predicted)[self.start + 1 :]
 
 
-def forecast(twin: Twin, named: NamedRun, room_c: float | None = None) -> Forecast:
+def forecast(twin: Twin, named: NamedRun, room_c: Floats) -> Forecast:
     """From the first measured rows of a run on, with the inputs that were recorded.
 
-    room_c : the room temperature where none was recorded
+    room_c : the room temperature over each row, [rows]
     """
     columns = columns_of(named.run, room_c)
     temp = columns["temp_air"]
@@ -66,13 +66,12 @@ def forecast(twin: Twin, named: NamedRun, room_c: float | None = None) -> Foreca
     return Forecast(named.name, start, temp, np.concatenate([held(temp[: start + 1]), predicted]))
 
 
-def columns_of(run: Run, room_c: float | None = None) -> dict[str, Floats]:
+def columns_of(run: Run, room_c: Floats) -> dict[str, Floats]:
     """A run's columns by their names inside, inputs and conditions without holes."""
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in inside_names(run).items()}
     rows = len(run)
     columns.setdefault("fan_on", np.zeros(rows))
-    if room_c is not None and not np.isfinite(columns.get("temp_ambient", np.full(rows, np.nan))).any():
-        columns["temp_ambient"] = np.full(rows, room_c)
+    columns["temp_ambient"] = room_c
     return {name: values if name == "temp_air" else held(values) for name, values in columns.items()}
 
 
@@ -86,7 +85,7 @@ def _start_row(temp: Floats) -> int:
     return row
 
 
-def alone(named: NamedRun, guess: Forecast, room_c: float | None = None) -> Recorded:
+def alone(named: NamedRun, guess: Forecast, room_c: Floats) -> Recorded:
     """One run as arrays, missing temperatures as in its free run."""
     columns = columns_of(named.run, room_c)
     temp = np.where(np.isfinite(columns["temp_air"]), columns["temp_air"], guess.predicted)

@@ -7,13 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
-from edge.twin.diagnosis.fitting import Term, Trial, fit
+from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit
 from edge.twin.diagnosis.locate.events import Door, find_events
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels
 from edge.twin.diagnosis.nuisances import nuisances, rooms
+from edge.twin.diagnosis.readings import expected, spikes
+from edge.twin.diagnosis.room import WAYS, over_rows
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
+from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
 ITERATIONS = 6
@@ -26,6 +29,8 @@ class Given:
     runs : with doors as a condition where any were found, wrong readings taken out, and a room temperature
     guessed : whether no room temperature was recorded: `runs` has one constant per run that fits the twin
     wrong : readings taken out
+    room : how the room goes from one reading to the next, of `edge.twin.diagnosis.room.WAYS`; "" if guessed
+    expected : the air without its reading's noise, [B, N + 1] [°C]
     """
 
     file: TwinFile
@@ -35,19 +40,23 @@ class Given:
     doors: tuple[Door, ...]
     wrong: int
     guessed: bool
+    expected: Floats
+    room: str
 
-    def room_of(self, named: NamedRun) -> float | None:
-        """The room temperature of a run where none was recorded, else None.
+    def room_of(self, named: NamedRun) -> Floats:
+        """The room temperature over each row of a run, [rows].
 
-        Of a run that was not fitted on: as far from its first temperature as those were.
+        Where none was recorded, of a run that was not fitted on: as far from its first temperature as those
+        were.
         """
+        rows = len(named.run)
         if not self.guessed:
-            return None
+            return over_rows(held(named.run.columns["temp_ambient_c"])[None], self.room)[0]
         if named.name in self.names:
-            return float(self.runs.ambient[self.names.index(named.name), 0])
+            return np.full(rows, self.runs.ambient[self.names.index(named.name), 0])
         first = named.run.columns["temp_air_c"]
         offset = np.mean(self.runs.ambient[:, 0] - self.runs.temp[:, 0])
-        return float(first[np.isfinite(first)][0] + offset)
+        return np.full(rows, first[np.isfinite(first)][0] + offset)
 
 
 def given(file: TwinFile, data: DiagnosisRuns) -> Given:
@@ -59,17 +68,44 @@ def given(file: TwinFile, data: DiagnosisRuns) -> Given:
     guessed = not runs.has_ambient
     if guessed:
         runs = replace(runs, ambient=np.repeat(runs.temp[:, :1], runs.duty.shape[1], axis=1))
-    terms = (*(rooms(runs) if guessed else nuisances(file.twin(), runs)),)
-    return _without_events(Given(file, runs, names, terms, (), 0, guessed))
+    wrong = spikes(runs)
+    runs = replace(runs, temp=np.where(wrong, np.nan, runs.temp))
+    terms = rooms(runs) if guessed else nuisances(file.twin(), runs, runs.temp)
+    plain = Given(file, runs, names, terms, (), int(wrong.sum()), guessed, runs.temp, "")
+    return _with_expected(_without_events(plain if guessed else _with_room(plain)))
+
+
+def _with_room(item: Given) -> Given:
+    """With the room over each row, in the way that explains the runs better before anything is added."""
+    ways = [
+        replace(item, runs=replace(item.runs, ambient=over_rows(item.runs.ambient, way)), room=way)
+        for way in WAYS
+    ]
+    return max(ways, key=lambda way: _fitted(way).log_likelihood)
+
+
+def _fitted(item: Given) -> Fitted:
+    """The twin as it fits best before anything is added."""
+    trial = Trial(item.file, first_levels(item.file, item.runs), item.terms)
+    levelled = find_levels(fit([trial], item.runs, ITERATIONS), item.file, item.runs)
+    return fit(levelled, item.runs, ITERATIONS)[0]
+
+
+def _with_expected(item: Given) -> Given:
+    """With what the twin expected of each temperature, which has nothing of the readings' own noise."""
+    temps = expected(_fitted(item), item.runs)
+    if not np.isfinite(temps).all():
+        return item
+    terms = item.terms if item.guessed else nuisances(item.file.twin(), item.runs, temps)
+    return replace(item, expected=temps, terms=terms)
 
 
 def _without_events(plain: Given) -> Given:
     """Find doors and wrong readings by the twin as it fits best before anything is added."""
-    trial = Trial(plain.file, first_levels(plain.file, plain.runs), plain.terms)
-    best = find_levels(fit([trial], plain.runs, ITERATIONS), plain.file, plain.runs)[0]
-    known = with_rooms(plain, fit([best], plain.runs, 0)[0].sizes)
+    best = _fitted(plain)
+    known = with_rooms(plain, best.sizes)
     try:
-        events = find_events(best.file.twin(), known.runs, plain.names, best.levels.sensor_k)
+        events = find_events(best.file.twin(), known.runs, plain.names, best.trial.levels.sensor_k)
     except (DataError, np.linalg.LinAlgError):
         return plain  # a twin that is so far off has no events to tell
     temp = np.where(events.wrong, np.nan, plain.runs.temp)
@@ -78,7 +114,7 @@ def _without_events(plain: Given) -> Given:
     if events.doors:
         runs = replace(runs, conditions={**runs.conditions, "door_open": events.door_open})
     wrong = int(np.isfinite(plain.runs.temp).sum() - np.isfinite(temp).sum())
-    return replace(plain, runs=runs, doors=events.doors, wrong=wrong)
+    return replace(plain, runs=runs, doors=events.doors, wrong=plain.wrong + wrong)
 
 
 def with_rooms(item: Given, sizes: Sequence[float] | Floats) -> Given:

@@ -29,8 +29,8 @@ RANGES = {
 }
 MORE_HEAT, HEAT_NATS = 1.5, 10.0  # times the declared heat, and how sure that it is more
 MOST_HEAT_W = 4.0  # that nobody would look for a cause of, where the file declares none
-FIRST_FACTOR, LAST_FACTOR = 3.0, 1.25  # of the steps in which levels are sought
-PASSES = 8
+FIRST_FACTOR, LAST_FACTOR = 3.0, 1.15  # of the steps in which levels are sought
+PASSES = 10
 
 
 def first_levels(file: TwinFile, runs: Recorded) -> NoiseLevels:

@@ -15,22 +15,22 @@ EXCESS_K = 10.0
 ROOM_SD_K = 5.0  # of a room about a run's first temperature
 
 
-def nuisances(twin: Twin, runs: Recorded) -> tuple[Term, ...]:
-    """Terms for every trial on these runs."""
+def nuisances(twin: Twin, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
+    """Terms for every trial on these runs. temps : [B, N + 1], the air without its reading's noise [°C]"""
     loss_w_k = still_loss_w_k(twin)
-    return (curved_loss(runs, CURVATURE_SD * loss_w_k),) if loss_w_k > 0.0 else ()
+    return (curved_loss(runs, temps, CURVATURE_SD * loss_w_k),) if loss_w_k > 0.0 else ()
 
 
-def curved_loss(runs: Recorded, sd_w_k: float) -> Term:
+def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> Term:
     """A loss that grows with T - T_amb: Q = -k |T - T_amb| (T - T_amb) / 10 K."""
-    excess = (middle_temps(runs) - runs.ambient).T
+    excess = (middle(temps) - runs.ambient).T
     return Term("curved loss", -np.abs(excess) * excess / EXCESS_K, sd_w_k)
 
 
-def middle_temps(runs: Recorded) -> Floats:
-    """The air in the middle of each row as measured, held over holes [B, N]."""
-    temps = np.stack([held(row) for row in runs.temp])
-    return np.asarray(0.5 * (temps[:, 1:] + temps[:, :-1]))
+def middle(temps: Floats) -> Floats:
+    """In the middle of each row [B, N], of [B, N + 1]; what was not measured is as it was last."""
+    known = np.stack([held(row) for row in temps])
+    return np.asarray(0.5 * (known[:, 1:] + known[:, :-1]))
 
 
 def still_loss_w_k(twin: Twin) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, slopes
+from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels, level_prior
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.starts import settled, with_effect
@@ -140,9 +141,13 @@ class Search:
         self.rounds.append(self._round(beside, screened))
         return self._looked_at(beside, self._promising(beside, screened))
 
-    def _looked_at(self, beside: Scored, found: Sequence[tuple[str, Fitted]]) -> list[Scored]:
-        """Candidates of a screening with noise of their own."""
+    def _looked_at(
+        self, beside: Scored, found: Sequence[tuple[str, Fitted]], levels: NoiseLevels | None = None
+    ) -> list[Scored]:
+        """Candidates of a screening with noise of their own, sought from `levels` on."""
         wanted = {beside.added | {name}: self.thawed(beside, name, item) for name, item in found}
+        if levels is not None:
+            wanted = {key: replace(trial, levels=levels) for key, trial in wanted.items()}
         self._refined({key: trial for key, trial in wanted.items() if key not in self._known})
         return [self._known[key] for key in wanted]
 
@@ -168,7 +173,7 @@ class Search:
             if key not in item.added
             and found.log_likelihood >= floor + self.penalty(key) - self.penalty(name)
         ]
-        return self._looked_at(beside, near[:REFINED])
+        return self._looked_at(beside, near[:REFINED], item.fitted.trial.levels)
 
     def _promising(
         self, beside: Scored, screened: Sequence[tuple[str, Fitted]]

@@ -1,4 +1,4 @@
-"""From where a candidate effect is fitted: one or several sets of values, as a likelihood can have several tops."""
+"""From where a candidate effect is fitted: several sets of values where a likelihood has several tops."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,6 +9,8 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
 Values = Mapping[str, float]
+# The likelihood of a dead time has a top in each row that it can end in: usually rows are a minute.
+DEAD_TIMES_S = (15.0, 45.0, 80.0, 140.0, 200.0, 260.0)
 # Near none of the effect where its size may be 0, else over the scales on which it can be seen at all.
 STARTS: Mapping[str, Sequence[Values]] = {
     "wall_loss": ({"UA": 1.0},),
@@ -19,14 +21,14 @@ STARTS: Mapping[str, Sequence[Values]] = {
     "door_opening": ({"G_door": 10.0},),
     "ua_drift": ({"ua_drift": 0.01},),
     "heater_lag": ({"tau_h": 40.0}, {"tau_h": 180.0}, {"tau_h": 700.0}),
-    "heater_deadtime": ({"d_h": 20.0}, {"d_h": 65.0}, {"d_h": 150.0}),
+    "heater_deadtime": tuple({"d_h": seconds} for seconds in DEAD_TIMES_S),
     "heater_efficiency": ({"eta": 0.95},),
     "radiative_split": ({"f_rad": 0.1},),
     "heater_saturation": ({"u_sat": 0.9}, {"u_sat": 0.7}, {"u_sat": 0.5}),
     "heater_sag": ({"sag": 0.05},),
     "fan_effectiveness": ({"eps_f": 0.95},),
     "short_circuit": ({"s_sc": 0.05},),
-    "fan_deadtime": ({"d_f": 15.0}, {"d_f": 50.0}, {"d_f": 110.0}),
+    "fan_deadtime": tuple({"d_f": seconds} for seconds in DEAD_TIMES_S),
     "fan_spinup": ({"tau_f": 10.0}, {"tau_f": 40.0}),
     "imperfect_mixing": ({"F_mix": 0.004}, {"F_mix": 0.02}, {"F_mix": 0.1}),
     "sensor_lag": ({"tau_s": 20.0}, {"tau_s": 90.0}),

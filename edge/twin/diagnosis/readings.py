@@ -1,0 +1,51 @@
+"""Readings that are wrong on their face, and what a reading was expected to be."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.diagnosis.fitting import Fitted, start_of
+from edge.twin.diagnosis.innovations import Filtered, gains, whitened
+from edge.twin.ensemble import Response, responses
+from edge.twin.linear_steps import linear_steps
+from edge.twin.recorded import Recorded
+from edge.twin.warm_start import held, spread
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+SPIKE_SDS, SPIKE_K = 6.0, 1.5  # a reading this far from both neighbours, which agree, is no temperature
+DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
+AGREE = 0.5  # share of that distance which the neighbours may be apart
+
+
+def spikes(runs: Recorded) -> Mask:
+    """Single readings farther from both neighbours than any input can make them, [B, N + 1]."""
+    temp = np.stack([held(row) for row in runs.temp])
+    found = np.zeros(temp.shape, dtype=bool)
+    off = temp[:, 1:-1] - 0.5 * (temp[:, 2:] + temp[:, :-2])
+    known = np.isfinite(runs.temp[:, 1:-1])
+    usual = 1.4826 * np.median(np.abs(off[known])) if known.any() else 0.0
+    jump = np.zeros(runs.duty.shape)  # that an input's change might make, there and back
+    for column, most_k in ((runs.duty, DUTY_JUMP_K), (runs.fan, FAN_JUMP_K)):
+        jump += most_k * np.abs(np.diff(column, axis=1, prepend=column[:, :1]))
+    least = max(SPIKE_SDS * usual, SPIKE_K) + np.maximum(jump[:, 1:], jump[:, :-1])
+    agree = np.abs(temp[:, 2:] - temp[:, :-2]) < AGREE * np.abs(off)
+    found[:, 1:-1] = (np.abs(off) > least) & agree & known
+    return found
+
+
+def expected(found: Fitted, runs: Recorded) -> Floats:
+    """Each temperature as the twin expected it from all before, [B, N + 1]: nothing of the reading's own noise."""
+    twin = found.file.twin()
+    steps = linear_steps(twin, runs)
+    terms = found.trial.nuisances
+    shown = responses(
+        [Response(steps, start_of(twin, runs), steps.driven), *(term.response(steps) for term in terms)]
+    )
+    for i, term in enumerate(terms):
+        shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
+    measured = np.isfinite(runs.temp[:, 1:])
+    filters = gains([Filtered(steps, found.trial.levels, spread(twin), twin.step_s)], measured)
+    filled = np.where(measured, runs.temp[:, 1:], shown[0])
+    white = whitened(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]
+    predicted = filled - white * filters.sd[:, 0].T
+    return np.concatenate([runs.temp[:, :1], predicted], axis=1)

@@ -1,0 +1,55 @@
+"""The room's temperature over each row, from readings at its ends that are noisy and rounded."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+RATIOS = np.logspace(-3.0, 2.0, 16)  # wander between two rows over the noise of a reading, variances
+LEAST_ROWS = 10
+
+
+def smoothed(ambient: Floats) -> Floats:
+    """The room as it wanders, without the noise of its readings; ambient : [B, N], without holes.
+
+    A random walk seen through white noise (local level model; Harvey 1989, Forecasting, ch. 2), the ratio of
+    the two by maximum likelihood over all runs.
+    """
+    from scipy.linalg import solveh_banded
+
+    rows = ambient.shape[1]
+    if rows < LEAST_ROWS or not np.ptp(ambient, axis=1).any():
+        return ambient
+    ratio = RATIOS[int(np.argmax([_log_likelihood(ambient, float(item)) for item in RATIOS]))]
+    bands = np.zeros((2, rows))
+    bands[1] = 1.0 + 2.0 / ratio
+    bands[1, [0, -1]] = 1.0 + 1.0 / ratio
+    bands[0, 1:] = -1.0 / ratio
+    return np.asarray(solveh_banded(bands, ambient.T).T)
+
+
+def _log_likelihood(values: Floats, ratio: float) -> float:
+    """Up to a constant, the noise's size at its best."""
+    level, variance, square, spread = values[:, 0].copy(), 1.0, 0.0, 0.0
+    for k in range(1, values.shape[1]):
+        variance += ratio
+        total = variance + 1.0
+        error = values[:, k] - level
+        level += variance / total * error
+        variance /= total
+        square += float(error @ error) / total
+        spread += float(np.log(total))
+    count = len(values) * (values.shape[1] - 1)
+    return -0.5 * (count * float(np.log(max(square, 1e-12) / count)) + len(values) * spread)
+
+
+def between(ambient: Floats) -> Floats:
+    """In the middle of each row: half way to the next reading; ambient : [B, N]."""
+    return np.concatenate([0.5 * (ambient[:, 1:] + ambient[:, :-1]), ambient[:, -1:]], axis=1)
+
+
+WAYS = {"held": lambda ambient: ambient, "between": between}  # how the room goes from reading to reading
+
+
+def over_rows(ambient: Floats, way: str) -> Floats:
+    """The room over each row, [B, N]."""
+    return np.asarray(WAYS[way](smoothed(ambient)))
