@@ -270,6 +270,17 @@ def test_an_effect_outside_the_library_has_no_name_in_it() -> None:
     assert not set(OUTSIDE) & set(EFFECTS)
 
 
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_what_the_chamber_has_and_no_library_changes_what_a_quiet_run_shows(name: str) -> None:
+    rng = np.random.default_rng(3)
+    base = {**draw_base(rng), **draw_known(rng, "wall_loss")}
+    on = np.ones(LEAD_ROWS + 30)
+    plan = Plan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
+    setting = OUTSIDE[name][0]
+    changed = quiet_c({**base, **setting.at(setting.high)}, plan) - quiet_c(base, plan)
+    assert np.abs(changed).max() > 0.1
+
+
 def test_the_chamber_without_an_effect_is_the_chamber_before_it() -> None:
     rng = np.random.default_rng(2)
     base = {**draw_base(rng), **draw_known(rng, "wall_loss")}

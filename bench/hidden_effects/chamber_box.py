@@ -23,13 +23,14 @@ BASE: Settings = {
     "cover.inner_film_fan_w_m2_k": 0.0, "soil.floor_w_k": 0.0, "air.fan_mixing_flow_m3_s": 0.0,
     "heater.duty_window_s": 0.0, "heater.emissivity": 0.05, "led.light_share": 0.0, "led.power_w": 20.0,
     "heater.fan_convection_factor": 1.0, "room.diurnal_k": 0.3, "air.contact_capacity_factor": 3.0,
+    "events.heat_noise_w": 0.0,
     "effects.ambient_diurnal": 1.0, "effects.ambient_wander": 1.0, "effects.power_run_variation": 1.0,
     "effects.power_wander": 1.0, "effects.heat_noise": 1.0, "effects.sensor_noise": 1.0,
     "effects.sensor_step": 1.0,
 }  # fmt: skip
 QUIET: Settings = {
-    "effects.power_run_variation": 0.0, "effects.power_wander": 0.0, "effects.heat_noise": 0.0,
-    "effects.sensor_noise": 0.0, "effects.sensor_step": 0.0,
+    "effects.power_run_variation": 0.0, "effects.power_wander": 0.0, "effects.sensor_noise": 0.0,
+    "effects.sensor_step": 0.0,
 }  # fmt: skip
 
 
@@ -105,11 +106,13 @@ SETTINGS: Mapping[str, Setting] = {
 }
 OUTSIDE: Mapping[str, tuple[Setting, tuple[str, ...]]] = {
     "sun_window": (
-        Setting("room.sun_w", 1.0, 150.0, (0, 0), others=_on("sun_window", ("room.sun_light", 0.0))),
+        Setting("room.sun_w", 1.0, 150.0, (0, 0),
+                others=_on("sun_window", ("room.sun_light", 0.0), ("room.sun_from_hour", 9.0),
+                           ("room.sun_to_hour", 16.0))),
         ("time",),
     ),
     "room_draught": (
-        Setting("cover.draught_share", 0.02, 1.0, (0, 0), others=_on("room_draught")),
+        Setting("cover.draught_share", 0.02, 2.0, (0, 0), others=_on("room_draught")),
         ("none",),
     ),
     "fan_clogging": (
