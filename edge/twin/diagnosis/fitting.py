@@ -182,6 +182,19 @@ def slopes(found: Fitted, runs: Recorded) -> list[Term]:
     ]
 
 
+def gains_of(trial: Trial, terms: Sequence[Term], runs: Recorded) -> Floats:
+    """What one more term brings a trial whose unknowns stand still, for each of `terms` [nats]."""
+    state = _begun(replace(trial, nuisances=(*trial.nuisances, *terms), free=()))
+    filters = _filters([state], runs, np.isfinite(runs.temp[:, 1:]))
+    (found,) = _linearise([state], np.array([0]), filters, runs)
+    own = len(trial.nuisances)
+    normal, gradient = found.normal, found.gradient
+    known = np.linalg.solve(normal[:own, :own], np.column_stack([normal[:own, own:], gradient[:own]]))
+    left = gradient[own:] - normal[own:, :own] @ known[:, -1]
+    size = np.diag(normal)[own:] - np.einsum("ti,it->t", normal[own:, :own], known[:, :-1])
+    return np.asarray(0.5 * left**2 / size)
+
+
 def _neighbours(state: _State, runs: Recorded) -> list[tuple[Twin, LinearSteps]]:
     """The twin a little off in each unknown."""
     found = []

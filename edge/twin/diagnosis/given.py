@@ -19,7 +19,7 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
-ITERATIONS = 6
+ITERATIONS, FEW = 6, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def given(file: TwinFile, data: DiagnosisRuns) -> Given:
     runs = replace(runs, temp=np.where(wrong, np.nan, runs.temp))
     terms = rooms(runs) if guessed else nuisances(file.twin(), runs, runs.temp)
     plain = Given(file, runs, names, terms, (), int(wrong.sum()), guessed, runs.temp, "")
-    return _with_expected(_without_events(plain if guessed else _with_room(plain)))
+    return _without_events(plain if guessed else _with_room(plain))
 
 
 def _with_room(item: Given) -> Given:
@@ -81,19 +81,19 @@ def _with_room(item: Given) -> Given:
         replace(item, runs=replace(item.runs, ambient=over_rows(item.runs.ambient, way)), room=way)
         for way in WAYS
     ]
-    return max(ways, key=lambda way: _fitted(way).log_likelihood)
+    return max(ways, key=lambda way: _fitted(way, FEW).log_likelihood)
 
 
-def _fitted(item: Given) -> Fitted:
+def _fitted(item: Given, iterations: int = ITERATIONS) -> Fitted:
     """The twin as it fits best before anything is added."""
     trial = Trial(item.file, first_levels(item.file, item.runs), item.terms)
-    levelled = find_levels(fit([trial], item.runs, ITERATIONS), item.file, item.runs)
-    return fit(levelled, item.runs, ITERATIONS)[0]
+    levelled = find_levels(fit([trial], item.runs, iterations), item.file, item.runs)
+    return fit(levelled, item.runs, FEW)[0]
 
 
-def _with_expected(item: Given) -> Given:
+def _with_expected(item: Given, best: Fitted) -> Given:
     """With what the twin expected of each temperature, which has nothing of the readings' own noise."""
-    temps = expected(_fitted(item), item.runs)
+    temps = expected(best, item.runs)
     if not np.isfinite(temps).all():
         return item
     terms = item.terms if item.guessed else nuisances(item.file.twin(), item.runs, temps)
@@ -107,14 +107,17 @@ def _without_events(plain: Given) -> Given:
     try:
         events = find_events(best.file.twin(), known.runs, plain.names, best.trial.levels.sensor_k)
     except (DataError, np.linalg.LinAlgError):
-        return plain  # a twin that is so far off has no events to tell
+        return _with_expected(plain, best)  # a twin that is so far off has no events to tell
+    if not events.doors and not events.wrong.any():
+        return _with_expected(plain, best)
     temp = np.where(events.wrong, np.nan, plain.runs.temp)
     temp[:, 0] = plain.runs.temp[:, 0]  # a run's first reading is where it begins
     runs = replace(plain.runs, temp=temp)
     if events.doors:
         runs = replace(runs, conditions={**runs.conditions, "door_open": events.door_open})
     wrong = int(np.isfinite(plain.runs.temp).sum() - np.isfinite(temp).sum())
-    return replace(plain, runs=runs, doors=events.doors, wrong=plain.wrong + wrong)
+    clean = replace(plain, runs=runs, doors=events.doors, wrong=plain.wrong + wrong)
+    return _with_expected(clean, _fitted(clean))
 
 
 def with_rooms(item: Given, sizes: Sequence[float] | Floats) -> Given:

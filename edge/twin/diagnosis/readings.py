@@ -13,28 +13,32 @@ from edge.twin.warm_start import held, spread
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 SPIKE_SDS, SPIKE_K = 6.0, 1.5  # a reading this far from both neighbours, which agree, is no temperature
+AFTER_CHANGE = 0.2  # share of a change in one direction alone
 DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
-AGREE = 0.5  # share of that distance which the neighbours may be apart
 
 
 def spikes(runs: Recorded) -> Mask:
     """Single readings farther from both neighbours than any input can make them, [B, N + 1]."""
-    temp = np.stack([held(row) for row in runs.temp])
-    found = np.zeros(temp.shape, dtype=bool)
-    off = temp[:, 1:-1] - 0.5 * (temp[:, 2:] + temp[:, :-2])
-    known = np.isfinite(runs.temp[:, 1:-1])
-    usual = 1.4826 * np.median(np.abs(off[known])) if known.any() else 0.0
+    before = np.stack([held(row) for row in runs.temp])
+    after = np.stack([held(row[::-1])[::-1] for row in runs.temp])
+    low, high = np.minimum(before[:, :-2], after[:, 2:]), np.maximum(before[:, :-2], after[:, 2:])
+    temp = runs.temp[:, 1:-1]
+    known = np.isfinite(temp)
+    outside = np.maximum(temp - high, low - temp)  # of what lies between its neighbours
+    off = np.where(known, outside, 0.0)
+    usual = 1.4826 * np.median(np.abs(temp - 0.5 * (low + high))[known]) if known.any() else 0.0
     jump = np.zeros(runs.duty.shape)  # that an input's change might make, there and back
     for column, most_k in ((runs.duty, DUTY_JUMP_K), (runs.fan, FAN_JUMP_K)):
         jump += most_k * np.abs(np.diff(column, axis=1, prepend=column[:, :1]))
-    least = max(SPIKE_SDS * usual, SPIKE_K) + np.maximum(jump[:, 1:], jump[:, :-1])
-    agree = np.abs(temp[:, 2:] - temp[:, :-2]) < AGREE * np.abs(off)
-    found[:, 1:-1] = (np.abs(off) > least) & agree & known
+    into, out = jump[:, :-1], jump[:, 1:]  # only a change and one back make a peak of one row
+    least = max(SPIKE_SDS * usual, SPIKE_K) + np.minimum(into, out) + AFTER_CHANGE * np.maximum(into, out)
+    found = np.zeros(runs.temp.shape, dtype=bool)
+    found[:, 1:-1] = off > least
     return found
 
 
 def expected(found: Fitted, runs: Recorded) -> Floats:
-    """Each temperature as the twin expected it from all before, [B, N + 1]: nothing of the reading's own noise."""
+    """Each temperature as the twin expected it from all before, [B, N + 1], without the reading's own noise."""
     twin = found.file.twin()
     steps = linear_steps(twin, runs)
     terms = found.trial.nuisances

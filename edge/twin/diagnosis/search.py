@@ -7,10 +7,11 @@ any of the candidates is named by luck stays small however many are tried.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, slopes
+from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, gains_of, slopes
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels, level_prior
 from edge.twin.diagnosis.progress import Progress
@@ -29,6 +30,7 @@ FORMULAS = 2  # in one set: more of them can follow anything
 EXCHANGE_NATS = 0.5
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
+HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a candidate above 0
 RIVAL_NATS = 3.0  # a set as likely as the best within this is its rival
 WORTH_A_LOOK = 12.0  # nats within which a screened rival is fitted with noise levels of its own
 
@@ -46,6 +48,14 @@ class Scored:
     score: float
 
 
+class Candidate(NamedTuple):
+    """Beside a set, with the set's noise: nats over the set, and its file, None for a formula."""
+
+    name: str
+    gain: float
+    file: TwinFile | None
+
+
 @dataclass(frozen=True, slots=True)
 class Tried:
     """A candidate in a round."""
@@ -53,7 +63,6 @@ class Tried:
     name: str
     gain_nats: float  # over the set that it was added to
     score_gain: float  # after the penalty
-    refined: bool  # whether its noise levels were found
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +85,7 @@ class Search:
     rounds: list[Round] = field(default_factory=list)
     held_out: dict[str, float] = field(default_factory=dict)
     _known: dict[Names, Scored] = field(default_factory=dict)
-    _screened: dict[Names, list[tuple[str, Fitted]]] = field(default_factory=dict)
+    _screened: dict[Names, list[Candidate]] = field(default_factory=dict)
 
     @property
     def candidates(self) -> list[str]:
@@ -139,13 +148,13 @@ class Search:
         """A set with one more effect, those that promise most."""
         screened = self.screened(beside)
         self.rounds.append(self._round(beside, screened))
-        return self._looked_at(beside, self._promising(beside, screened))
+        return self._looked_at(beside, self._promising(screened))
 
     def _looked_at(
-        self, beside: Scored, found: Sequence[tuple[str, Fitted]], levels: NoiseLevels | None = None
+        self, beside: Scored, found: Sequence[Candidate], levels: NoiseLevels | None = None
     ) -> list[Scored]:
         """Candidates of a screening with noise of their own, sought from `levels` on."""
-        wanted = {beside.added | {name}: self.thawed(beside, name, item) for name, item in found}
+        wanted = {beside.added | {item.name}: self.thawed(beside, item) for item in found}
         if levels is not None:
             wanted = {key: replace(trial, levels=levels) for key, trial in wanted.items()}
         self._refined({key: trial for key, trial in wanted.items() if key not in self._known})
@@ -165,75 +174,77 @@ class Search:
         """The sets in which another candidate stands in the place of `name`, those that come near."""
         beside = self.without(item, name)
         screened = self.screened(beside)
-        own = {key: found.log_likelihood for key, found in screened}.get(name)
-        floor = (item.fitted.log_likelihood if own is None else own) - WORTH_A_LOOK
+        own = {found.name: found.gain for found in screened}.get(name, item.likelihood - beside.likelihood)
         near = [
-            (key, found)
-            for key, found in screened
-            if key not in item.added
-            and found.log_likelihood >= floor + self.penalty(key) - self.penalty(name)
+            found
+            for found in screened
+            if found.name not in item.added
+            and found.gain >= own - WORTH_A_LOOK + min(self.penalty(found.name) - self.penalty(name), 0.0)
         ]
         return self._looked_at(beside, near[:REFINED], item.fitted.trial.levels)
 
-    def _promising(
-        self, beside: Scored, screened: Sequence[tuple[str, Fitted]]
-    ) -> Sequence[tuple[str, Fitted]]:
-        """Those not far behind the first."""
-        worth = [
-            found.log_likelihood - beside.fitted.log_likelihood - self.penalty(name)
-            for name, found in screened
-        ]
-        least = worth[0] - max(WORTH_A_LOOK, BEHIND * abs(worth[0])) if worth else 0.0
-        return [item for item, own in zip(screened, worth, strict=True) if own >= least][:REFINED]
+    def _promising(self, screened: Sequence[Candidate]) -> Sequence[Candidate]:
+        """The first, and those not far behind it, as long as they explain something."""
+        worth = [item.gain - self.penalty(item.name) for item in screened]
+        if not worth:
+            return []
+        least = max(worth[0] - max(WORTH_A_LOOK, BEHIND * abs(worth[0])), HOPELESS_NATS)
+        near = [item for item, own in zip(screened, worth, strict=True) if own >= least]
+        return near[:REFINED] or screened[:1]
 
-    def _round(self, beside: Scored, screened: Sequence[tuple[str, Fitted]]) -> Round:
-        gains = [(name, found.log_likelihood - beside.fitted.log_likelihood) for name, found in screened]
-        return Round(
-            beside.added,
-            tuple(Tried(name, gain, gain - self.penalty(name), False) for name, gain in gains),
-        )
+    def _round(self, beside: Scored, screened: Sequence[Candidate]) -> Round:
+        tried = (Tried(item.name, item.gain, item.gain - self.penalty(item.name)) for item in screened)
+        return Round(beside.added, tuple(tried))
 
-    def screened(self, beside: Scored) -> list[tuple[str, Fitted]]:
-        """Each candidate beside a set, with the set's noise, the most promising first.
-
-        What else may move, moves in proportion; each start gets one step, the best of each candidate more.
-        """
+    def screened(self, beside: Scored) -> list[Candidate]:
+        """Each candidate beside a set, with the set's noise, the most promising first."""
         if beside.added not in self._screened:
             self._screened[beside.added] = self._screen(beside)
         return self._screened[beside.added]
 
-    def _screen(self, beside: Scored) -> list[tuple[str, Fitted]]:
-        names = [name for name in self.candidates if name not in beside.added]
+    def _screen(self, beside: Scored) -> list[Candidate]:
         base = beside.fitted
-        frozen = (*base.trial.nuisances, *slopes(base, self.runs))
-        trials, owners = [], []
-        for name in names:
-            for file in with_effect(settled(base.file), name):
-                trials.append(Trial(file, base.trial.levels, frozen))
-                owners.append(name)
+        settled_trial = Trial(
+            settled(base.file), base.trial.levels, (*base.trial.nuisances, *slopes(base, self.runs))
+        )
+        names = [name for name in self.candidates if name not in beside.added]
         self.progress(f"{_text(beside.added)}: {len(names)} candidates")
-        first = _best(owners, fit(trials, self.runs, FIRST_LOOK))
-        few = len(beside.added & self.formulas.keys()) < FORMULAS
-        wanted = [term for name, term in self.formulas.items() if few and name not in beside.added]
-        linear = [Trial(settled(base.file), base.trial.levels, (*frozen, term)) for term in wanted]
+        found = [*self._effects(settled_trial, names)]
+        if len(beside.added & self.formulas.keys()) < FORMULAS:
+            terms = [term for name, term in self.formulas.items() if name not in beside.added]
+            gains = gains_of(settled_trial, terms, self.runs)
+            found += [
+                Candidate(term.name, float(gain), None) for term, gain in zip(terms, gains, strict=True)
+            ]
+        return sorted(found, key=lambda item: self.penalty(item.name) - item.gain)
+
+    def _effects(self, beside: Trial, names: Sequence[str]) -> list[Candidate]:
+        """Each effect beside a trial whose own values move in proportion; each start gets one step, the best
+        of each effect more."""
+        trials, owners = [replace(beside, free=())], [""]
+        for name in names:
+            for file in with_effect(beside.file, name):
+                trials.append(replace(beside, file=file))
+                owners.append(name)
+        base, *first = fit(trials, self.runs, FIRST_LOOK)
+        best = _best(owners[1:], first)
         again = fit(
-            [replace(item.trial, file=item.file, free=item.free) for item in first.values()],
+            [replace(item.trial, file=item.file, free=item.free) for item in best.values()],
             self.runs,
             SCREENED,
         )
-        every = [*zip(first, again, strict=True)]
-        if linear:
-            every += zip((term.name for term in wanted), fit(linear, self.runs, 0), strict=True)
-        return sorted(every, key=lambda item: self.penalty(item[0]) - item[1].log_likelihood)
+        return [
+            Candidate(name, item.log_likelihood - base.log_likelihood, item.file)
+            for name, item in zip(best, again, strict=True)
+        ]
 
-    def thawed(self, beside: Scored, name: str, found: Fitted) -> Trial:
+    def thawed(self, beside: Scored, found: Candidate) -> Trial:
         """A screened candidate with all that may move."""
-        file = beside.fitted.file
-        if name in self.formulas:
-            like = beside.fitted.trial
-            return self._trial(file, replace(like, nuisances=(*like.nuisances, self.formulas[name])))
-        effects = {**file.effects, name: found.file.effects[name]}
-        return self._trial(replace(file, effects=effects), beside.fitted.trial)
+        file, like = beside.fitted.file, beside.fitted.trial
+        if found.file is None:
+            return self._trial(file, replace(like, nuisances=(*like.nuisances, self.formulas[found.name])))
+        effects = {**file.effects, found.name: found.file.effects[found.name]}
+        return self._trial(replace(file, effects=effects), like)
 
     def _trial(self, file: TwinFile, like: Trial) -> Trial:
         """A trial that starts at a file's values, with the priors of what was given."""
