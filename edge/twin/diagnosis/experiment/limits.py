@@ -1,6 +1,7 @@
 """What an experiment may do: the safety supervisor's limits, so that what is planned is what will be sent."""
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,10 @@ class ExperimentLimits:
 
     def duty(self, level: float) -> float:
         """The next lower duty that may be sent."""
-        return float(np.floor(min(level, self.safety.heater_max_duty) * HEATER_LEVELS + ROUNDING)) / HEATER_LEVELS
+        return (
+            float(np.floor(min(level, self.safety.heater_max_duty) * HEATER_LEVELS + ROUNDING))
+            / HEATER_LEVELS
+        )
 
     def sent(self, duty: Floats, row_s: float) -> Floats:
         """Duties [B, N] after the limit on their rise, which begins at 0."""
@@ -54,19 +58,21 @@ class ExperimentLimits:
 
     def allowed(self, duty: Floats, fan: Floats, row_s: float) -> NDArray[np.bool_]:
         """Which of [B, N] keep the relay's times and the caps on energy, [B]."""
-        within = np.ones(len(duty), dtype=bool)
+        relay = [self._keeps_relay(row, row_s) for row in fan]
+        within: NDArray[np.bool_] = np.array(relay, dtype=bool)
         for window_s, cap_wh in (
             (HOUR_S, self.safety.energy_hour_max_wh),
             (DAY_S, self.safety.energy_day_max_wh),
         ):
-            within &= _most_in(duty, max(1, round(window_s / row_s))) * HEATER_MAX_W * row_s / HOUR_S <= cap_wh
-        relay = [self._keeps_relay(row, row_s) for row in fan]
-        return within & np.array(relay, dtype=bool)
+            within &= (
+                _most_in(duty, max(1, round(window_s / row_s))) * HEATER_MAX_W * row_s / HOUR_S <= cap_wh
+            )
+        return within
 
     def _keeps_relay(self, fan: Floats, row_s: float) -> bool:
         """The first state may be as short as it likes: it has been so before; so may the last."""
         switches = np.flatnonzero(np.diff(fan, prepend=0.0))
-        for begin, end in zip(switches, switches[1:], strict=False):
+        for begin, end in pairwise(switches):
             least_s = self.safety.fan_min_on_s if fan[begin] else self.safety.fan_min_off_s
             if (end - begin) * row_s < least_s - ROUNDING:
                 return False

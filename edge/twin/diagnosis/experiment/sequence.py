@@ -49,7 +49,10 @@ class Inputs:
         """Some of the sequences."""
         return Inputs(
             self.row_s,
-            *(column[which] for column in (self.wanted, self.duty, self.fan, self.light)),
+            self.wanted[which],
+            self.duty[which],
+            self.fan[which],
+            self.light[which],
             self.within[which],
             self.allowed[which],
         )
