@@ -1,18 +1,26 @@
 """`greenhouse twin diagnose`: where twin and measurements disagree, what is missing, and the gap without it.
 
-The report folder gets report.html, diagnosis.json, twin_before.yaml and, where effects were named, twin.yaml.
+The report folder gets report.html, diagnosis.json, twin_before.yaml and, where effects were named, twin.yaml;
+where rivals are left, next_experiment.csv, a profile for `greenhouse experiment`.
 """
 
 import argparse
+import os
 import shlex
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from edge import config
+from edge.commands.experiment import RIG_CONFIG
 from edge.commands.output import writing
 from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
 from edge.twin.diagnosis.progress import TerminalProgress
 from edge.twin.diagnosis.report.summary import summary_text
 from edge.twin.twin_file import read_twin_file, write_twin_file
+
+if TYPE_CHECKING:
+    from edge.twin.diagnosis.experiment.limits import ExperimentLimits
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_data_arguments(parser)
     parser.add_argument("--twin", type=Path, required=True, help="twin file: what is known already")
     parser.add_argument("--out", type=Path, required=True, help="folder for the report")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help=f"edge.yaml with the limits of the next experiment; else {RIG_CONFIG} where it is, or the defaults",
+    )
     parser.add_argument(
         "--json-only", action="store_true", help="no pictures: diagnosis.json and the twin alone"
     )
@@ -30,12 +43,15 @@ def run(arguments: argparse.Namespace) -> int:
     from edge.twin.diagnosis.answer import answer, traces
     from edge.twin.diagnosis.diagnose import diagnose
     from edge.twin.diagnosis.diagnosis_document import write_json
+    from edge.twin.diagnosis.experiment.design import next_experiment
+    from edge.twin.diagnosis.experiment.experiment import write_profile
     from edge.twin.diagnosis.located import located
     from edge.twin.diagnosis.report.report import write_report
     from edge.twin.diagnosis.report.story import Story
 
     file = read_twin_file(arguments.twin)
     data = diagnosis_runs_of(arguments, file)
+    limits = _limits(arguments.config)
     command = shlex.join(["greenhouse", *sys.argv[1:]])
     with writing(arguments.out):
         arguments.out.mkdir(parents=True, exist_ok=True)
@@ -43,11 +59,14 @@ def run(arguments: argparse.Namespace) -> int:
         found = diagnose(file, data, progress, command)
         progress("where it disagrees")
         places = located(found)
-        document = answer(found, places, command, None)
+        progress("the next experiment")
+        experiment = next_experiment(found, limits)
+        document = answer(found, places, command, None if experiment is None else experiment.document())
         with writing(arguments.out):
             write_twin_file(file, arguments.out / "twin_before.yaml")
             if found.verdict.effects:
                 write_twin_file(found.adopted, arguments.out / "twin.yaml")
+            write_profile(experiment, arguments.out)
             if arguments.json_only:
                 write_json(arguments.out / "diagnosis.json", document)
             else:
@@ -55,3 +74,13 @@ def run(arguments: argparse.Namespace) -> int:
                 write_report(arguments.out, Story(document, traces(found, places)))
     print(summary_text(document, str(arguments.out)))
     return 0
+
+
+def _limits(path: Path | None) -> "ExperimentLimits":
+    """Those of the rig. Errors: ConfigError"""
+    from edge.twin.diagnosis.experiment.limits import ExperimentLimits
+
+    if path is None and not os.access(RIG_CONFIG, os.R_OK):
+        return ExperimentLimits()
+    settings = config.load(path or RIG_CONFIG)
+    return ExperimentLimits(settings.safety, settings.control.step_s)

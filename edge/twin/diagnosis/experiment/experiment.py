@@ -77,19 +77,22 @@ class Experiment:
             found["asks"] = told
         return found
 
-    def write(self, folder: Path) -> None:
-        """The profile into a folder, or none where an older one was. Errors: OSError"""
-        path = folder / PROFILE
-        if not self.profile:
-            path.unlink(missing_ok=True)
-            return
-        columns = {"time_s": [row.time_s for row in self.profile]}
-        columns["heater_duty"] = [row.heater_duty for row in self.profile]
-        columns["fan_on"] = [row.fan_on for row in self.profile]
-        if self.profile[0].light is not None:
-            columns["light"] = [row.light or 0.0 for row in self.profile]
-        facts = {"notes": f"{self.kind}, to separate {', '.join(self.separates)}"}
-        write_table(path, {name: np.array(values) for name, values in columns.items()}, facts)
+
+def write_profile(found: Experiment | None, folder: Path) -> None:
+    """An experiment's profile into a folder, in the place of an older one. Errors: OSError"""
+    path = folder / PROFILE
+    if found is None or not found.profile:
+        path.unlink(missing_ok=True)
+        return
+    columns = {
+        "time_s": [row.time_s for row in found.profile],
+        "heater_duty": [row.heater_duty for row in found.profile],
+        "fan_on": [row.fan_on for row in found.profile],
+    }
+    if found.profile[0].light is not None:
+        columns["light"] = [row.light or 0.0 for row in found.profile]
+    facts = {"notes": f"{found.kind}, to separate {', '.join(found.separates)}"}
+    write_table(path, {name: np.array(values) for name, values in columns.items()}, facts)
 
 
 def _calibration(item: Calibration) -> dict[str, Any]:
