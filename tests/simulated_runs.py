@@ -1,6 +1,6 @@
 """Runs that a twin has made, with noise of every kind that a diagnosis reckons with, from fixed seeds."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.run_file import Run
+from edge.twin.diagnosis.formulas import Shape, formulas
+from edge.twin.diagnosis.given import given
 from edge.twin.diagnosis.innovations import NoiseLevels
+from edge.twin.diagnosis.progress import silent
+from edge.twin.diagnosis.runs import DiagnosisRuns, diagnosis_runs
+from edge.twin.diagnosis.search import Search
 from edge.twin.model import Twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -38,31 +43,36 @@ def twin_file(effects: Effects = BOX, noise: NoiseLevels = NOISE) -> TwinFile:
 
 
 def simulated(
-    effects: Effects, seed: int, rows: int = 150, noise: NoiseLevels = NOISE, further: Heat | None = None
+    effects: Effects,
+    seed: int,
+    rows: int = 150,
+    noise: NoiseLevels = NOISE,
+    further: Heat | None = None,
+    fan: bool = True,
 ) -> Run:
     """From rest at the room: duty in steps of 10 to 25 rows, the fan now and then, a room that swings 1.5 K.
 
-    further : a heat that the library has no effect for
+    further : a heat that the library has no effect for; fan : False for one that never runs
     """
     draw = np.random.default_rng(seed)
     duty = _stairs(draw, rows, (10, 25), [0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    fan = _stairs(draw, rows, (6, 16), [0.0, 0.0, 1.0])
+    blown = float(fan) * _stairs(draw, rows, (6, 16), [0.0, 0.0, 1.0])
     light = _stairs(draw, rows, (20, 40), [0.0, 0.5, 1.0])
     time_s = STEP_S * np.arange(rows)
     room = 21.0 + 1.5 * np.sin(2.0 * np.pi * time_s / 7200.0 + seed)
     twin = Twin(effects=effects, step_s=STEP_S)
     power = duty * (1.0 + noise.power_share * draw.standard_normal())
     heat_w = coloured(draw, rows, noise)
-    temp = _run(twin, power, fan, room, heat_w, light)
+    temp = _run(twin, power, blown, room, heat_w, light)
     if further is not None:
         for _ in range(20):  # heat that depends on the temperature it makes: to its fixed point
-            temp = _run(twin, power, fan, room, heat_w + further(duty, fan, temp - room), light)
+            temp = _run(twin, power, blown, room, heat_w + further(duty, blown, temp - room), light)
     columns = {
         "time_s": time_s,
         "temp_air_c": np.round(temp + noise.sensor_k * draw.standard_normal(rows), 4),
         "temp_ambient_c": np.round(room + noise.room_k * draw.standard_normal(rows), 4),
         "heater_duty": duty,
-        "fan_on": fan,
+        "fan_on": blown,
         "light": light,
     }
     facts = {"role": "train", "start_utc": "2026-07-01T08:00:00Z"}
@@ -76,6 +86,23 @@ def coloured(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats
     for k in range(1, rows):
         fresh[k] = decay * fresh[k - 1] + np.sqrt(1.0 - decay**2) * fresh[k]
     return fresh
+
+
+def diagnosed(runs: Sequence[Run], test: Sequence[Run] = (), file: TwinFile | None = None) -> DiagnosisRuns:
+    """Runs as a diagnosis needs them, by their file names."""
+    train, later = ([(str(run.path), run) for run in some] for some in (runs, test))
+    return diagnosis_runs(train, later, file or twin_file())
+
+
+def search_over(runs: Sequence[Run], file: TwinFile | None = None) -> tuple[Search, dict[str, Shape]]:
+    """A search as a diagnosis begins it, and the formulas in it."""
+    file = file or twin_file()
+    known = given(file, diagnosed(runs, file=file))
+    found = formulas(known.runs, known.expected, STEP_S)
+    search = Search(
+        known.file, known.runs, silent, known.terms, {name: term for name, (_, term) in found.items()}
+    )
+    return search, {name: shape for name, (shape, _) in found.items()}
 
 
 def changed(run: Run, facts: Mapping[str, str] | None = None, **columns: Floats | None) -> Run:
