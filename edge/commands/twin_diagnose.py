@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge import config
-from edge.commands.experiment import RIG_CONFIG
 from edge.commands.output import writing
 from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
 from edge.twin.diagnosis.progress import TerminalProgress
@@ -31,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config",
         type=Path,
-        help=f"edge.yaml with the limits of the next experiment; else {RIG_CONFIG} where it is, or the defaults",
+        help="edge.yaml, whose limits the next experiment keeps; else the rig's where there is one",
     )
     parser.add_argument(
         "--json-only", action="store_true", help="no pictures: diagnosis.json and the twin alone"
@@ -78,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _limits(path: Path | None) -> "ExperimentLimits":
     """Those of the rig. Errors: ConfigError"""
+    from edge.commands.experiment import RIG_CONFIG
     from edge.twin.diagnosis.experiment.limits import ExperimentLimits
 
     if path is None and not os.access(RIG_CONFIG, os.R_OK):
