@@ -1,6 +1,6 @@
 """How far a twin's free runs are from what was measured, run by run and together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,10 +128,3 @@ def errors(forecasts: Sequence[Forecast]) -> dict[str, Any] | None:
 
 def _error(residual: Floats) -> dict[str, float]:
     return {"rmse_k": float(np.sqrt(np.mean(residual**2))), "mae_k": float(np.mean(np.abs(residual)))}
-
-
-def shrink(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None, floor_k: float) -> float | None:
-    """(before - after) / (before - floor); None where there is no gap to close."""
-    if before is None or after is None or before["rmse_k"] <= floor_k:
-        return None
-    return float((before["rmse_k"] - after["rmse_k"]) / (before["rmse_k"] - floor_k))
