@@ -44,7 +44,7 @@ def answer(
         "formula": _formula(found.verdict.formula),
         "findings": [*located.findings, *found.data.told, *found.data.cannot_tell],
         "events": located.events,
-        "innovations": {"before": located.white_before, "after": located.white_after},
+        "innovations": {when: located.whiteness(when) for when in ("before", "after")},
         "data_sha256": found.data.data_sha256,
         "software": f"greenhouse-twin {__version__}",
         "command": command,

@@ -23,7 +23,8 @@ from edge.twin.warm_start import at_rest, spread
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 DIFFERENCE = 1e-2  # of a coordinate, for a derivative
-FIRST_DAMPING, CALMER, BOLDER = 1e-3, 20.0, 0.1  # share of the normal matrix' diagonal, and its changes
+FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-6  # share of the normal matrix' diagonal
+CAREFUL, CALMER, BOLDER = 2.0, 8.0, 0.1  # a damping that is tried as well; changes after a step
 LARGEST_DAMPING = 1e4  # beyond it there is no way down
 LARGEST_MOVE = 1.5  # of a coordinate in one step
 SETTLED = 0.02  # a gain in nats that is not worth another step
@@ -146,20 +147,25 @@ def _begun(trial: Trial) -> _State:
 
 
 def _improve(states: list[_State], owners: Indices, filters: Gains, runs: Recorded) -> None:
-    """One step of each. owners : their places among the filters"""
+    """One step of each, the better of a bold and a careful one. owners : their places among the filters"""
     linear = _linearise(states, owners, filters, runs)
-    tried = []
     for state, found in zip(states, linear, strict=True):
         state.cost = _cost(found, state)
-        tried.append(_moved(state, found))
-    costs = _costs(tried, states, owners, linear, filters, runs)
-    for state, x, cost in zip(states, tried, costs, strict=True):
-        gained = state.cost - cost
+    tries = [
+        [_moved(state, found, max(state.damping, least)) for state, found in zip(states, linear, strict=True)]
+        for least in (0.0, CAREFUL)
+    ]
+    costs = np.stack([_costs(tried, states, owners, linear, filters, runs) for tried in tries])
+    costs[~np.isfinite(costs)] = np.inf
+    for i, state in enumerate(states):
+        careful = int(np.argmin(costs[:, i]))
+        gained = state.cost - costs[careful, i]
         if not gained > 0.0:
-            state.damping = max(state.damping, FIRST_DAMPING) * CALMER
+            state.damping = max(state.damping, CAREFUL) * CALMER
             state.done = state.damping > LARGEST_DAMPING or gained > -1e-6
             continue
-        state.x, state.damping, state.done = x, state.damping * BOLDER, gained < SETTLED
+        state.x, state.done = tries[careful][i], gained < SETTLED
+        state.damping = max(state.damping * (1.0 if careful else BOLDER), LEAST_DAMPING)
 
 
 def slopes(found: Fitted, runs: Recorded) -> list[Term]:
@@ -299,10 +305,10 @@ def _explained(found: _Linearised, p: int) -> float:
     return 0.5 * float(gradient @ np.linalg.solve(found.normal[p:, p:], gradient))
 
 
-def _moved(state: _State, found: _Linearised) -> Floats:
+def _moved(state: _State, found: _Linearised, damping: float) -> Floats:
     """The unknowns after a damped step, inside their bounds; nuisances follow on their own."""
     p = len(state.free)
-    normal = found.normal + state.damping * np.diag(np.diag(found.normal))
+    normal = found.normal + damping * np.diag(np.diag(found.normal))
     move = np.linalg.lstsq(normal, found.gradient, rcond=1e-12)[0][:p]
     largest = np.abs(move).max(initial=0.0)
     if largest > LARGEST_MOVE:

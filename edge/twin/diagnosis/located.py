@@ -13,7 +13,8 @@ from edge.twin.diagnosis.locate.regimes import regimes
 from edge.twin.diagnosis.locate.residuals import Residuals, residuals_of
 from edge.twin.diagnosis.locate.sentences import findings
 from edge.twin.diagnosis.locate.stretches import stretches
-from edge.twin.diagnosis.locate.whiteness import whiteness_of
+from edge.twin.diagnosis.locate.whiteness import whiteness
+from edge.twin.diagnosis.search import Scored
 
 Floats = NDArray[np.float64]
 
@@ -31,23 +32,26 @@ class Located:
     before: Mapping[str, Residuals] = field(default_factory=dict)
     after: Mapping[str, Residuals] = field(default_factory=dict)
 
-    @property
-    def white_before(self) -> dict[str, Any]:
-        """Whiteness by run."""
-        return _whiteness(self.before)
+    white_before: Mapping[str, Floats] = field(default_factory=dict)
+    white_after: Mapping[str, Floats] = field(default_factory=dict)
+    step_s: float = 60.0
 
-    @property
-    def white_after(self) -> dict[str, Any]:
-        """Whiteness by run."""
-        return _whiteness(self.after)
+    def whiteness(self, when: str) -> dict[str, Any]:
+        """Of the innovations `before` or `after`, by run."""
+        runs = self.white_before if when == "before" else self.white_after
+        return {name: _whiteness(values, self.step_s) for name, values in runs.items()}
 
     def series(self, name: str) -> dict[str, Floats]:
         """Residual heat and innovations of a run, for the report."""
         found = {}
-        for when, runs in (("before", self.before), ("after", self.after)):
+        for when, runs, white in (
+            ("before", self.before, self.white_before),
+            ("after", self.after, self.white_after),
+        ):
             if name in runs:
                 found[f"residual_heat_{when}_w"] = runs[name].heat_w
-                found[f"innovations_{when}"] = runs[name].one_step_k / runs[name].innovation_sd
+            if name in white:
+                found[f"innovations_{when}"] = white[name]
         return found
 
 
@@ -70,7 +74,23 @@ def located(found: Diagnosis) -> Located:
             "rmse_k": place.rmse_k,
         }
         listed.append(rows | _afterwards(place.masks, list(before), after))
-    return Located(listed, findings(places, times), _events(found), before, after)
+    return Located(
+        listed,
+        findings(places, times),
+        _events(found),
+        before,
+        after,
+        _innovations(found, found.search.base()),
+        _innovations(found, found.verdict.final),
+        found.before.file.sample_s,
+    )
+
+
+def _innovations(found: Diagnosis, item: Scored) -> dict[str, Floats]:
+    """In standard deviations, by run, NaN where nothing was measured, with the noise found for the set."""
+    measured = np.isfinite(found.known.runs.temp[:, 1:])
+    values = np.where(measured, item.fitted.innovations, np.nan)
+    return dict(zip(found.known.names, values, strict=True))
 
 
 def _afterwards(
@@ -104,13 +124,10 @@ def _events(found: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def _whiteness(runs: Mapping[str, Residuals]) -> dict[str, Any]:
-    found = {}
-    for name, item in runs.items():
-        white = whiteness_of(item)
-        found[name] = {
-            "ljung_box_p": white.ljung_box_p,
-            "lag1_autocorrelation": white.lag1_autocorrelation,
-            "strongest_period_s": white.strongest_period_s,
-        }
-    return found
+def _whiteness(values: Floats, step_s: float) -> dict[str, Any]:
+    found = whiteness(values, step_s)
+    return {
+        "ljung_box_p": found.ljung_box_p,
+        "lag1_autocorrelation": found.lag1_autocorrelation,
+        "strongest_period_s": found.strongest_period_s,
+    }

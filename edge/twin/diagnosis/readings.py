@@ -38,7 +38,7 @@ def spikes(runs: Recorded) -> Mask:
 
 
 def expected(found: Fitted, runs: Recorded) -> Floats:
-    """Each temperature as the twin expected it from all before, [B, N + 1], without the reading's own noise."""
+    """Each temperature as the twin expected it from all before, [B, N + 1]: without its reading's noise."""
     twin = found.file.twin()
     steps = linear_steps(twin, runs)
     terms = found.trial.nuisances
