@@ -42,7 +42,7 @@ def answer(
         "waterfall": [_step(names, side) for names, side in found.steps],
         "rounds": [_round(item, found) for item in found.search.rounds],
         "formula": _formula(found.verdict.formula),
-        "findings": [*located.findings, *found.data.told, *found.data.cannot_tell],
+        "findings": [*located.findings, *found.data.told, *found.known.told, *found.data.cannot_tell],
         "events": located.events,
         "innovations": {when: located.whiteness(when) for when in ("before", "after")},
         "data_sha256": found.data.data_sha256,

@@ -70,7 +70,8 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
         twin = _settled(prepared.file, item, names[:count])
         steps.append((names[:count], _side(twin, item.fitted.trial.levels, data, known)))
     after = steps[-1][1]
-    floor = (_floor_k(after, data.train, after.train, known), _floor_k(after, data.test, after.test, known))
+    train = known.as_fitted()
+    floor = (_floor_k(after, train, after.train, known), _floor_k(after, data.test, after.test, known))
     origin = Origin(
         data.data_sha256,
         {"train": _rounded(errors(before.train)), "test": _rounded(errors(before.test))},
@@ -106,7 +107,8 @@ def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: Given
     def of(named: NamedRun) -> Forecast:
         return forecast(twin, named, known.room_of(named))
 
-    return Side(file, levels, tuple(of(item) for item in data.train), tuple(of(item) for item in data.test))
+    train, test = known.as_fitted(), data.test
+    return Side(file, levels, tuple(of(item) for item in train), tuple(of(item) for item in test))
 
 
 def _floor_k(

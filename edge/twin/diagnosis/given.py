@@ -11,7 +11,7 @@ from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit
 from edge.twin.diagnosis.locate.events import Door, find_events
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels
 from edge.twin.diagnosis.nuisances import nuisances, rooms
-from edge.twin.diagnosis.readings import expected, spikes
+from edge.twin.diagnosis.readings import expected, spikes, wrong_starts
 from edge.twin.diagnosis.room import WAYS, over_rows
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.twin.recorded import Recorded, recorded
@@ -26,7 +26,9 @@ ITERATIONS, FEW = 6, 3
 class Given:
     """The twin as given, with `day0_utc` where the runs tell it, and the runs.
 
-    runs : with doors as a condition where any were found, wrong readings taken out, and a room temperature
+    train : the training runs, without a first reading that is wrong
+    runs : they without wrong readings, with a room temperature, and with doors as a condition where any were
+        found
     guessed : whether no room temperature was recorded: `runs` has one constant per run that fits the twin
     wrong : readings taken out
     room : how the room goes from one reading to the next, of `edge.twin.diagnosis.room.WAYS`; "" if guessed
@@ -34,14 +36,42 @@ class Given:
     """
 
     file: TwinFile
+    train: tuple[NamedRun, ...]
     runs: Recorded
-    names: tuple[str, ...]
     terms: tuple[Term, ...]
     doors: tuple[Door, ...]
     wrong: int
     guessed: bool
     expected: Floats
     room: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the training runs."""
+        return tuple(named.name for named in self.train)
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What was taken out, sentences."""
+        if not self.wrong:
+            return ()
+        count = "1 temperature" if self.wrong == 1 else f"{self.wrong} temperatures"
+        return (f"{count} of the training runs can't be what the air had and counted as missing",)
+
+    def as_fitted(self) -> tuple[NamedRun, ...]:
+        """The training runs without wrong readings, and with the doors that were found as `door_open`."""
+        return tuple(self._as_fitted(i, named) for i, named in enumerate(self.train))
+
+    def _as_fitted(self, i: int, named: NamedRun) -> NamedRun:
+        columns = dict(named.run.columns)
+        known = np.flatnonzero(np.isfinite(columns["temp_air_c"]))
+        first, last = int(known[0]), int(known[-1])  # the rows that `recorded` takes
+        columns["temp_air_c"] = np.full(len(named.run), np.nan)
+        columns["temp_air_c"][first : last + 1] = self.runs.temp[i, : last + 1 - first]
+        if self.doors:
+            columns["door_open"] = np.zeros(len(named.run))
+            columns["door_open"][first:last] = self.runs.conditions["door_open"][i, : last - first]
+        return replace(named, run=replace(named.run, columns=columns))
 
     def room_of(self, named: NamedRun) -> Floats:
         """The room temperature over each row of a run, [rows].
@@ -51,7 +81,7 @@ class Given:
         """
         rows = len(named.run)
         if not self.guessed:
-            return over_rows(held(named.run.columns["temp_ambient_c"])[None], self.room)[0]
+            return np.asarray(over_rows(held(named.run.columns["temp_ambient_c"])[None], self.room)[0])
         if named.name in self.names:
             return np.full(rows, self.runs.ambient[self.names.index(named.name), 0])
         first = named.run.columns["temp_air_c"]
@@ -61,8 +91,27 @@ class Given:
 
 def given(file: TwinFile, data: DiagnosisRuns) -> Given:
     """Prepare the training runs. Errors: DataError for a column that the twin needs and the runs have not"""
-    runs = recorded([named.run for named in data.train], file.sample_s)
-    names = tuple(named.name for named in data.train)
+    item = _prepared(file, data.train)
+    best = _fitted(item)
+    wrong = wrong_starts(best, item.runs)
+    if wrong.any():
+        train = [_begun_later(named) if bad else named for named, bad in zip(data.train, wrong, strict=True)]
+        item = _prepared(file, train)
+        item = replace(item, wrong=item.wrong + int(wrong.sum()))
+        best = _fitted(item)
+    return _without_events(item, best)
+
+
+def _begun_later(named: NamedRun) -> NamedRun:
+    """The run without its first reading."""
+    temp = named.run.columns["temp_air_c"].copy()
+    temp[np.isfinite(temp).argmax()] = np.nan
+    return replace(named, run=replace(named.run, columns={**named.run.columns, "temp_air_c": temp}))
+
+
+def _prepared(file: TwinFile, train: Sequence[NamedRun]) -> Given:
+    """Without what is wrong on its face, and with a room temperature."""
+    runs = recorded([named.run for named in train], file.sample_s)
     if file.day0_utc is None and "utc" in runs.conditions:
         file = replace(file, day0_utc=float(runs.conditions["utc"].min()))
     guessed = not runs.has_ambient
@@ -71,8 +120,8 @@ def given(file: TwinFile, data: DiagnosisRuns) -> Given:
     wrong = spikes(runs)
     runs = replace(runs, temp=np.where(wrong, np.nan, runs.temp))
     terms = rooms(runs) if guessed else nuisances(file.twin(), runs, runs.temp)
-    plain = Given(file, runs, names, terms, (), int(wrong.sum()), guessed, runs.temp, "")
-    return _without_events(plain if guessed else _with_room(plain))
+    plain = Given(file, tuple(train), runs, terms, (), int(wrong.sum()), guessed, runs.temp, "")
+    return plain if guessed else _with_room(plain)
 
 
 def _with_room(item: Given) -> Given:
@@ -100,9 +149,8 @@ def _with_expected(item: Given, best: Fitted) -> Given:
     return replace(item, expected=temps, terms=terms)
 
 
-def _without_events(plain: Given) -> Given:
+def _without_events(plain: Given, best: Fitted) -> Given:
     """Find doors and wrong readings by the twin as it fits best before anything is added."""
-    best = _fitted(plain)
     known = with_rooms(plain, best.sizes)
     try:
         events = find_events(best.file.twin(), known.runs, plain.names, best.trial.levels.sensor_k)
@@ -114,7 +162,9 @@ def _without_events(plain: Given) -> Given:
     temp[:, 0] = plain.runs.temp[:, 0]  # a run's first reading is where it begins
     runs = replace(plain.runs, temp=temp)
     if events.doors:
-        runs = replace(runs, conditions={**runs.conditions, "door_open": events.door_open})
+        recorded_doors = runs.conditions.get("door_open", np.zeros_like(runs.duty))
+        door_open = np.maximum(recorded_doors, events.door_open)
+        runs = replace(runs, conditions={**runs.conditions, "door_open": door_open})
     wrong = int(np.isfinite(plain.runs.temp).sum() - np.isfinite(temp).sum())
     clean = replace(plain, runs=runs, doors=events.doors, wrong=plain.wrong + wrong)
     return _with_expected(clean, _fitted(clean))

@@ -1,9 +1,11 @@
 """Readings that are wrong on their face, and what a reading was expected to be."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.fitting import Fitted, start_of
+from edge.twin.diagnosis.fitting import Fitted, fit, start_of
 from edge.twin.diagnosis.innovations import Filtered, gains, whitened
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import linear_steps
@@ -14,6 +16,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 SPIKE_SDS, SPIKE_K = 6.0, 1.5  # a reading this far from both neighbours, which agree, is no temperature
 AFTER_CHANGE = 0.2  # share of a change in one direction alone
+FIRST_AGREE, FIRST_NATS = 0.5, 20.0  # the same of a run's first reading, and what beginning later must gain
 DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
 
 
@@ -35,6 +38,27 @@ def spikes(runs: Recorded) -> Mask:
     found = np.zeros(runs.temp.shape, dtype=bool)
     found[:, 1:-1] = off > least
     return found
+
+
+def wrong_starts(found: Fitted, runs: Recorded) -> Mask:
+    """Runs whose first reading stands alone, and which the twin explains far better begun a row later [B]."""
+    temp = np.stack([held(row[::-1])[::-1] for row in runs.temp[:, :4]])
+    off = np.abs(temp[:, 1] - temp[:, 0])
+    alone = (off > SPIKE_K) & (np.abs(temp[:, 2] - temp[:, 1]) < FIRST_AGREE * off)
+    if not alone.any():
+        return alone
+    later = Recorded(
+        temp=np.concatenate([temp[:, 1:2], runs.temp[:, 2:]], axis=1),
+        duty=runs.duty[:, 1:],
+        fan=runs.fan[:, 1:],
+        ambient=runs.ambient[:, 1:],
+        conditions={name: column[:, 1:] for name, column in runs.conditions.items()},
+    )
+    trial = replace(found.trial, file=found.file, free=())
+    terms = tuple(replace(term, shape=term.shape[1:]) for term in trial.nuisances)
+    [whole], [rest] = fit([trial], runs, 0), fit([replace(trial, nuisances=terms)], later, 0)
+    squares = [(item.innovations**2).sum(axis=1) for item in (whole, rest)]
+    return np.asarray(alone & (0.5 * (squares[0] - squares[1]) > FIRST_NATS))
 
 
 def expected(found: Fitted, runs: Recorded) -> Floats:

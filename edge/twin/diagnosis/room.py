@@ -39,7 +39,7 @@ def _log_likelihood(values: Floats, ratio: float) -> float:
         square += float(error @ error) / total
         spread += float(np.log(total))
     count = len(values) * (values.shape[1] - 1)
-    return -0.5 * (count * float(np.log(max(square, 1e-12) / count)) + len(values) * spread)
+    return float(-0.5 * (count * np.log(max(square, 1e-12) / count) + len(values) * spread))
 
 
 def between(ambient: Floats) -> Floats:
