@@ -27,6 +27,7 @@ FIRST_LOOK, SCREENED, REFITTED = 1, 4, 3  # iterations
 LARGEST_SET = 7
 BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
 FORMULAS = 2  # in one set: more of them can follow anything
+MIMICS = 3  # names that may be tried on what a formula explains better
 EXCHANGE_NATS = 0.5
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
@@ -125,9 +126,22 @@ class Search:
         return self._known[frozenset()]
 
     def missing(self) -> Scored:
-        """The set that is worth most: grown one by one, pruned, and with each member exchanged."""
+        """The set that is worth most: of names, of formulas, or of names with what formulas leave of them.
+
+        Names are sought by themselves first, as a formula can stand for two of them and so end the search.
+        """
+        vague = self._extended(self.base(), FORMULAS)
+        named = self._names(vague.score)
+        both = self._pruned(self._extended(named, 1))
+        return max((named, both, vague), key=lambda item: item.score)
+
+    def _names(self, rival: float) -> Scored:
+        """Names alone: grown one by one, pruned, and with each member exchanged.
+
+        rival : what formulas are worth; a set of several names that is worth less follows what has none
+        """
         best = self.base()
-        while len(best.added) < LARGEST_SET and not self._vague(best):
+        while len(best.added) < LARGEST_SET and not (len(best.added) >= MIMICS and best.score < rival):
             grown = self._best_of(self._grown(best))
             if grown is None or grown.score < best.score + MARGIN:
                 better = self._exchanged(best)
@@ -137,9 +151,15 @@ class Search:
             best = self._pruned(grown)
         return best
 
-    def _vague(self, item: Scored) -> bool:
-        """Whether a formula stands for something, so that one more name would only fill what it leaves."""
-        return len(item.added) > 1 and bool(item.added & self.formulas.keys())
+    def _extended(self, item: Scored, most: int) -> Scored:
+        """A set with up to so many formulas, as far as each is worth it."""
+        for _ in range(most):
+            found = [candidate for candidate in self.screened(item) if candidate.file is None]
+            grown = self._best_of(self._looked_at(item, self._promising(found)))
+            if grown is None or grown.score < item.score + MARGIN:
+                break
+            item = grown
+        return item
 
     def _best_of(self, sets: Sequence[Scored]) -> Scored | None:
         return max(sets, key=lambda item: item.score, default=None)
@@ -148,7 +168,7 @@ class Search:
         """A set with one more effect, those that promise most."""
         screened = self.screened(beside)
         self.rounds.append(self._round(beside, screened))
-        return self._looked_at(beside, self._promising(screened))
+        return self._looked_at(beside, self._promising([item for item in screened if item.file is not None]))
 
     def _looked_at(
         self, beside: Scored, found: Sequence[Candidate], levels: NoiseLevels | None = None
