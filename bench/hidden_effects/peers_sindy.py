@@ -28,7 +28,7 @@ THRESHOLDS = (
     10.0,
 )  # share of the residual's size; the last leaves nothing
 HELD_OUT = 4  # a quarter of the rows
-NEARLY = 1.02
+NEARLY = 1.1
 _ALIKE = 0.3  # difference of two coefficients that are one, share of the larger
 _NAMES = [term.effect for term in TERMS]
 _STRAIGHT, _LEAK, _BLOWN = (_NAMES.index(name) for name in ("wall_loss", "infiltration", "fan_effectiveness"))

@@ -40,6 +40,7 @@ class Task(NamedTuple):
     folder: Path
     out: Path
     limit_s: float
+    pictures: bool = False
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -49,7 +50,7 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(words)
     results = arguments.results / arguments.suite / arguments.split
     tasks = [
-        Task(solver, folder, results / solver / folder.name, arguments.limit_s)
+        Task(solver, folder, results / solver / folder.name, arguments.limit_s, arguments.pictures)
         for folder, _ in cases_of(arguments)
         for solver in _solvers(arguments.solvers)
     ]
@@ -65,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--solvers", default=",".join(SOLVERS), help="comma between; default: %(default)s")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--limit-s", type=float, default=LIMIT_S, help="of one case; default: %(default)g")
+    parser.add_argument("--pictures", action="store_true", help="the whole report, which takes seconds more")
     parser.add_argument("--again", action="store_true", help="also what has an answer")
 
 
@@ -114,6 +116,7 @@ def _diagnosis(task: Task) -> dict[str, Any]:
     command = [
         "nice", "-n", "10", sys.executable, "-m", "edge", "twin", "diagnose", *map(str, train),
         "--test", *map(str, tests), "--twin", str(task.folder / "twin.yaml"), "--out", str(task.out),
+        *(() if task.pictures else ("--json-only",)),
     ]  # fmt: skip
     before, begun_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     with subprocess.Popen(

@@ -12,7 +12,8 @@ unknown, dependence : of cases outside the library; of those whose effect depend
 unknown_wrongly : unknown said of a null or of a hidden effect of the library
 told, told_rivals : alias class told honestly, over hidden effects of all kinds; of those with rivals
 coverage : of parameters; shrink : cases whose gap shrank by SHRUNK or more
-ratio_median, ratio_p90 : of RMSE after over the noise floor; seconds_median, seconds_worst
+ratio_median, ratio_p90 : of RMSE after over the noise floor
+seconds_median, seconds_worst : by the clock; cpu_median : of processors
 """
 
 import json
@@ -63,6 +64,7 @@ def figures(cases: Sequence[Scored]) -> dict[str, Figure]:
         "ratio_p90": _quantile(ratios, 0.9),
         "seconds_median": _quantile(seconds, 0.5),
         "seconds_worst": _quantile(seconds, 1.0),
+        "cpu_median": _quantile([case.cpu_s for case in cases if math.isfinite(case.cpu_s)], 0.5),
         "failed": share(case.failed for case in cases),
     }  # fmt: skip
 

@@ -89,12 +89,17 @@ class Scored:
     dependence: bool | None = None
     errors: Errors | None = None
     seconds: float = math.nan
+    cpu_s: float = math.nan
 
 
 def score(
-    truth: Truth, classes: Sequence[AliasClass], given: Answer | None, seconds: float = math.nan
+    truth: Truth,
+    classes: Sequence[AliasClass],
+    given: Answer | None,
+    seconds: float = math.nan,
+    cpu_s: float = math.nan,
 ) -> Scored:
-    """The answer's worth; None: there is none."""
+    """The answer's worth; None: there is none. seconds, cpu_s : by the clock, and of processors."""
     hidden = tuple(item.name for item in truth.hidden)
     outside = truth.outside.name if truth.outside else ""
     verdict = given.verdict if given else "failed"
@@ -124,6 +129,7 @@ def score(
         dependence=_dependence(truth, given),
         errors=errors(truth.tests, given),
         seconds=seconds,
+        cpu_s=cpu_s,
     )  # fmt: skip
 
 

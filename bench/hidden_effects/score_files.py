@@ -85,7 +85,7 @@ def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any],
             given = read_answer(place / "diagnosis.json")
         except DataError as error:
             print(error)
-    return score(read_truth(truth), classes, given, float(took["wall_s"]))
+    return score(read_truth(truth), classes, given, float(took["wall_s"]), float(took["cpu_s"]))
 
 
 def _took(path: Path, folder: Path) -> dict[str, Any]:

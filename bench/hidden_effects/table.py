@@ -53,6 +53,7 @@ LINES = (
     Line("ratio_p90", "RMSE after / noise floor, p90", "1.25", _most(1.25)),
     Line("seconds_median", "seconds per case, median", "5", _most(5.0)),
     Line("seconds_worst", "seconds per case, worst", "60", _most(60.0)),
+    Line("cpu_median", "seconds of processors, median"),
     Line("failed", "no answer at all"),
 )
 KIND_COLUMNS = {
