@@ -32,6 +32,9 @@ EXCHANGE_NATS = 0.5
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
 HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a candidate above 0
+NEXT_MARGIN = (
+    8.0  # the same beside an effect that is named: what the first leaves a little wrong invites more
+)
 RIVAL_NATS = 3.0  # a set as likely as the best within this is its rival
 WORTH_A_LOOK = 12.0  # nats within which a screened rival is fitted with noise levels of its own
 
@@ -143,7 +146,7 @@ class Search:
         best = self.base()
         while len(best.added) < LARGEST_SET and not (len(best.added) >= MIMICS and best.score < rival):
             grown = self._best_of(self._grown(best))
-            if grown is None or grown.score < best.score + MARGIN:
+            if grown is None or grown.score < best.score + (NEXT_MARGIN if best.added else MARGIN):
                 better = self._exchanged(best)
                 if better is best:
                     break
@@ -308,7 +311,7 @@ class Search:
         """The set without effects that the others make needless."""
         while len(item.added) > 1:
             least = self._best_of(self._less(item, sorted(item.added)))
-            if least is None or least.score < item.score - MARGIN:
+            if least is None or least.score < item.score - NEXT_MARGIN:
                 break
             item = least
         return item

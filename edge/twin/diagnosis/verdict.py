@@ -13,6 +13,9 @@ from edge.twin.diagnosis.unknowns import Unknown
 from edge.twin.value import Value
 
 _95 = 1.959964
+# The twin's physics is not quite the box's: intervals by the noise alone held 87 % of 63 true values in
+# development cases (bench/hidden_effects), with this factor they hold what they say.
+WIDER = 1.25
 AT_BOUND = 1e-3  # of the range of a coordinate
 NOTHING = "none"  # that an unknown effect depends on
 
@@ -118,5 +121,5 @@ def intervals(fitted: Fitted, name: str) -> tuple[dict[str, Value], tuple[str, .
 
 def interval(item: Unknown, x: float, variance: float) -> Value:
     """A value with its 95 % interval."""
-    sd = float(np.sqrt(max(variance, 0.0)))
+    sd = WIDER * float(np.sqrt(max(variance, 0.0)))
     return Value(item.value(x), low=item.value(x - _95 * sd), high=item.value(x + _95 * sd))
