@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from edge.twin.diagnosis.diagnose import Diagnosis
 from edge.twin.diagnosis.experiment.advice import calibrate_first, swung
-from edge.twin.diagnosis.experiment.experiment import Experiment, ProfileRow
+from edge.twin.diagnosis.experiment.experiment import Experiment, ProfileRow, Sides
 from edge.twin.diagnosis.experiment.families import candidates
 from edge.twin.diagnosis.experiment.improve import SAME_NATS, Evaluated, cool, evaluated, improved
 from edge.twin.diagnosis.experiment.limits import ExperimentLimits
@@ -57,14 +57,16 @@ def _lit(plan: Separation) -> bool:
 
 def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> Experiment:
     pairs, log_odds = plan.rivals.pairs, chosen.log_odds[:, 0]
-    likely = _likely(pairs, told)
-    expected = float(log_odds[likely].min())
-    unsaid = ~same & ~_either_way(pairs, log_odds >= RIVAL_NATS)
+    apart = _likely(pairs, told & _both_ways(pairs, log_odds >= RIVAL_NATS))
+    unsaid = ~_either_way(pairs, log_odds >= RIVAL_NATS)
+    if not apart.any():
+        apart = _likely(pairs, told)
+    expected = float(log_odds[apart].min())
     hard = ~told & ~same
     return Experiment(
         profile=_profile(chosen.cool.inputs, _lit(plan)),
         kind=chosen.cool.candidates[0].what,
-        separates=_names(pairs, likely),
+        separates=_sides(pairs, apart, unsaid),
         expected_log_odds=expected,
         largest_temp_air_c=float(chosen.cool.highest_c[0]),
         between={
@@ -72,8 +74,8 @@ def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> 
             for pair, value in zip(pairs, log_odds, strict=True)
         },
         inseparable=_groups(plan.rivals, same),
-        weak=_unordered(pairs, _likely(pairs, unsaid)) if expected >= RIVAL_NATS else (),
-        calibration=calibrate_first(plan, likely, chosen, expected),
+        weak=_unordered(pairs, _likely(pairs, unsaid & ~same)),
+        calibration=calibrate_first(plan, apart, chosen, expected),
         swing_log_odds=swung(plan, chosen, hard) if hard.any() else None,
     )
 
@@ -112,9 +114,15 @@ def _profile(inputs: Inputs, lit: bool) -> tuple[ProfileRow, ...]:
 
 
 def _either_way(pairs: tuple[Pair, ...], holds: Mask) -> Mask:
-    """Whether it holds for a pair, whichever of the two is the true one."""
+    """Whether it holds for a pair, or with the two exchanged."""
     known = {frozenset((pair.true, pair.other)) for pair, own in zip(pairs, holds, strict=True) if own}
     return np.array([frozenset((pair.true, pair.other)) in known for pair in pairs])
+
+
+def _both_ways(pairs: tuple[Pair, ...], holds: Mask) -> Mask:
+    """Whether it holds for a pair whichever of the two is the true one."""
+    known = {(pair.true, pair.other) for pair, own in zip(pairs, holds, strict=True) if own}
+    return np.array([{(pair.true, pair.other), (pair.other, pair.true)} <= known for pair in pairs])
 
 
 def _same(pairs: tuple[Pair, ...], most: Floats) -> Mask:
@@ -127,9 +135,20 @@ def _unordered(pairs: tuple[Pair, ...], which: Mask) -> tuple[tuple[str, str], .
     return tuple((pair.true_name, pair.other_name) for pair in chosen)
 
 
-def _names(pairs: tuple[Pair, ...], which: Mask) -> tuple[str, ...]:
-    chosen = [pair for pair, own in zip(pairs, which, strict=True) if own]
-    return tuple(dict.fromkeys(name for pair in chosen for name in (pair.true_name, pair.other_name)))
+def _sides(pairs: tuple[Pair, ...], apart: Mask, unsaid: Mask) -> tuple[Sides, ...]:
+    """For each effect's place, who is told from whom; names together that are not told from one another."""
+    found = []
+    for place in dict.fromkeys(pair.place for pair in pairs):
+        here = [(pair, own) for pair, own in zip(pairs, apart, strict=True) if pair.place == place]
+        names = dict.fromkeys(pair.true_name for pair, own in here if own)
+        alike = {name: {name} for name in names}
+        for pair, own in zip(pairs, unsaid, strict=True):
+            if own and pair.place == place and {pair.true_name, pair.other_name} <= set(names):
+                alike[pair.true_name].add(pair.other_name)
+        sides = {frozenset(group): tuple(own for own in names if own in group) for group in alike.values()}
+        if len(sides) > 1:
+            found.append(tuple(sides.values()))
+    return tuple(found)
 
 
 def _groups(rivals: Rivals, same: Mask) -> tuple[tuple[str, ...], ...]:

@@ -13,6 +13,7 @@ from edge.twin.diagnosis.experiment.independent import calibration, checks
 from edge.twin.diagnosis.experiment.wording import asks, why
 
 PROFILE = "next_experiment.csv"
+Sides = tuple[tuple[str, ...], ...]  # effects that are told from one another; several where they are not
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,7 @@ class Experiment:
     """What is to be done next.
 
     profile : rows for `greenhouse experiment`; none where no experiment with heater and fan can tell anything
-    kind : of experiment, in words; separates : effects that it tells from one another
+    kind : of experiment, in words; separates : what it tells apart, for each effect's place
     expected_log_odds : of the true one over the one that is hardest to tell from it [nat]
     between : the same of each pair, `true over other`
     inseparable : groups of effects that say the same whatever heater and fan do
@@ -41,7 +42,7 @@ class Experiment:
 
     profile: tuple[ProfileRow, ...] = ()
     kind: str = ""
-    separates: tuple[str, ...] = ()
+    separates: tuple[Sides, ...] = ()
     expected_log_odds: float | None = None
     largest_temp_air_c: float | None = None
     between: Mapping[str, float] = field(default_factory=dict)
@@ -49,6 +50,11 @@ class Experiment:
     weak: tuple[tuple[str, str], ...] = ()
     calibration: Calibration | None = None
     swing_log_odds: float | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """Effects that it tells apart."""
+        return list(dict.fromkeys(name for sides in self.separates for side in sides for name in side))
 
     @property
     def duration_s(self) -> float:
@@ -59,7 +65,7 @@ class Experiment:
         """As diagnosis.json has it."""
         found: dict[str, Any] = {
             "why": why(self),
-            "separates": list(self.separates),
+            "separates": self.names,
             "duration_s": self.duration_s,
             "expected_log_odds": self.expected_log_odds,
         }
@@ -91,7 +97,7 @@ def write_profile(found: Experiment | None, folder: Path) -> None:
     }
     if found.profile[0].light is not None:
         columns["light"] = [row.light or 0.0 for row in found.profile]
-    facts = {"notes": f"{found.kind}, to separate {', '.join(found.separates)}"}
+    facts = {"notes": f"{found.kind}, to separate {', '.join(found.names)}"}
     write_table(path, {name: np.array(values) for name, values in columns.items()}, facts)
 
 

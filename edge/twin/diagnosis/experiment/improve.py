@@ -15,8 +15,7 @@ from edge.twin.diagnosis.experiment.separation import Separation
 from edge.twin.diagnosis.experiment.sequence import Inputs, Part, Sequence, inputs_of, rows_of
 
 Floats = NDArray[np.float64]
-ENOUGH_NATS = 20.0  # more evidence settles nothing further
-HOUR_NATS = 2.0  # that an hour of the rig is worth
+HOUR = float(np.log(2.0))  # what an hour of the rig is worth: it must double the evidence
 SAME_NATS = 0.3  # below it, by every experiment, two models say the same
 STRONGEST = 2  # levels of a candidate that are looked at: the strongest that stay cool enough
 PASSES, TRIED = 4, 16
@@ -56,9 +55,12 @@ class Evaluated:
     log_odds: Floats
 
     def worth(self, weights: Floats) -> Floats:
-        """In nats [B]: the mean over all pairs by their weights, which sum to 1, less the time it takes."""
+        """Mean logarithm of the log odds, less the time it takes [B]: what is hard to tell counts most.
+
+        weights : [pairs], their sum is 1
+        """
         hours = self.cool.inputs.within.sum(axis=1) * self.cool.inputs.row_s / 3600.0
-        return np.asarray(weights @ np.minimum(self.log_odds, ENOUGH_NATS) - HOUR_NATS * hours)
+        return np.asarray(weights @ np.log1p(self.log_odds) - HOUR * hours)
 
     def best(self, weights: Floats) -> "Evaluated":
         """The one that is worth most."""

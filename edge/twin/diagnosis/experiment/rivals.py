@@ -18,6 +18,7 @@ MOST_RIVALS = 5  # the nearest ones
 class Pair:
     """`true` explains the new run, `other` is refitted to it: places among the models, and their names.
 
+    place : the effect of the best set in whose place they stand
     share : how likely it is, by the runs so far, that the first is the true one of those in its place
     weight : of the pair among all, in proportion
     """
@@ -26,6 +27,7 @@ class Pair:
     other: int
     true_name: str
     other_name: str
+    place: str
     share: float
     weight: float
 
@@ -62,7 +64,7 @@ def open_rivals(found: Diagnosis) -> Rivals | None:
                 members.append((len(models), name, item))
                 models.append(item.fitted)
         if len(members) > 1:
-            pairs += _pairs(members)
+            pairs += _pairs(effect.name, members)
     return Rivals(tuple(models), tuple(pairs))
 
 
@@ -76,12 +78,12 @@ def _near(found: Diagnosis, best: Scored, name: str) -> list[tuple[str, Scored]]
     return near
 
 
-def _pairs(members: Sequence[tuple[int, str, Scored]]) -> list[Pair]:
+def _pairs(place: str, members: Sequence[tuple[int, str, Scored]]) -> list[Pair]:
     likelihoods = np.array([item.likelihood for _, _, item in members])
     odds = np.exp(likelihoods - likelihoods.max())
     shares = odds / odds.sum()
     return [
-        Pair(i, j, name, other, float(share), float(share) / (len(members) - 1))
+        Pair(i, j, name, other, place, float(share), float(share) / (len(members) - 1))
         for (i, name, _), share in zip(members, shares, strict=True)
         for j, other, _ in members
         if i != j

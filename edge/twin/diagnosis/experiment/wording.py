@@ -34,18 +34,17 @@ def _planned(found: "Experiment") -> list[str]:
         return []
     kind = found.kind[:1].upper() + found.kind[1:]
     expected = f"expected log odds {nats(found.expected_log_odds)} ({odds(found.expected_log_odds)})"
-    told = "separates" if found.expected_log_odds >= RIVAL_NATS else "tells little, but most of all, between"
-    return [f"{kind}, {duration(found.duration_s)}, {told} {listed(_grouped(found))}: {expected}."]
+    told = (
+        "separates"
+        if found.expected_log_odds >= RIVAL_NATS
+        else "is best to separate, though it tells little,"
+    )
+    sides = "; ".join(_apart([" or ".join(side) for side in sides]) for sides in found.separates)
+    return [f"{kind}, {duration(found.duration_s)}, {told} {sides}: {expected}."]
 
 
-def _grouped(found: "Experiment") -> list[str]:
-    """The names, those together that say the same."""
-    home = {
-        name: [own for own in group if own in found.separates]
-        for group in found.inseparable
-        for name in group
-    }
-    return list(dict.fromkeys(" or ".join(home.get(name, [name])) for name in found.separates))
+def _apart(sides: list[str]) -> str:
+    return " from ".join(sides) if len(sides) == 2 else f"{listed(sides)} from one another"
 
 
 def _same(found: "Experiment") -> list[str]:
