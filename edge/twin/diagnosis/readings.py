@@ -22,21 +22,34 @@ DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by al
 
 def spikes(runs: Recorded) -> Mask:
     """Single readings farther from both neighbours than any input can make them, [B, N + 1]."""
-    before = np.stack([held(row) for row in runs.temp])
-    after = np.stack([held(row[::-1])[::-1] for row in runs.temp])
+    found = np.zeros(runs.temp.shape, dtype=bool)
+    for _ in range(runs.temp.shape[1]):  # the worst first: beside one, a good reading stands out as well
+        more = _worst(np.where(found, np.nan, runs.temp), runs)
+        if not more.any():
+            break
+        found |= more
+    return found
+
+
+def _worst(readings: Floats, runs: Recorded) -> Mask:
+    """Of those that are too far off, the ones that no neighbour exceeds."""
+    before = np.stack([held(row) for row in readings])
+    after = np.stack([held(row[::-1])[::-1] for row in readings])
     low, high = np.minimum(before[:, :-2], after[:, 2:]), np.maximum(before[:, :-2], after[:, 2:])
-    temp = runs.temp[:, 1:-1]
+    temp = readings[:, 1:-1]
     known = np.isfinite(temp)
     outside = np.maximum(temp - high, low - temp)  # of what lies between its neighbours
     off = np.where(known, outside, 0.0)
     usual = 1.4826 * np.median(np.abs(temp - 0.5 * (low + high))[known]) if known.any() else 0.0
     jump = np.zeros(runs.duty.shape)  # that an input's change might make, there and back
     for column, most_k in ((runs.duty, DUTY_JUMP_K), (runs.fan, FAN_JUMP_K)):
-        jump += most_k * np.abs(np.diff(column, axis=1, prepend=column[:, :1]))
+        jump += most_k * np.abs(np.diff(column, axis=1, prepend=0.0))
     into, out = jump[:, :-1], jump[:, 1:]  # only a change and one back make a peak of one row
     least = max(SPIKE_SDS * usual, SPIKE_K) + np.minimum(into, out) + AFTER_CHANGE * np.maximum(into, out)
-    found = np.zeros(runs.temp.shape, dtype=bool)
-    found[:, 1:-1] = off > least
+    bent = np.zeros(readings.shape)  # a slope leaves this, so that it ranks neighbours where `off` may not
+    bent[:, 1:-1] = np.where(known, np.abs(temp - 0.5 * (low + high)), 0.0)
+    found = np.zeros(readings.shape, dtype=bool)
+    found[:, 1:-1] = (off > least) & (bent[:, 1:-1] >= np.maximum(bent[:, :-2], bent[:, 2:]))
     return found
 
 
