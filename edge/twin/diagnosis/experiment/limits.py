@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.names import HEATER_LEVELS, HEATER_MAX_W
+from edge.safety_state import HEAT_BUCKET_S
 from edge.settings import SafetySettings
 
 Floats = NDArray[np.float64]
@@ -59,15 +60,13 @@ class ExperimentLimits:
     def allowed(self, duty: Floats, fan: Floats, row_s: float) -> NDArray[np.bool_]:
         """Which of [B, N] keep the relay's times and the caps on energy, [B]."""
         relay = [self._keeps_relay(row, row_s) for row in fan]
-        within: NDArray[np.bool_] = np.array(relay, dtype=bool)
-        for window_s, cap_wh in (
-            (HOUR_S, self.safety.energy_hour_max_wh),
-            (DAY_S, self.safety.energy_day_max_wh),
-        ):
-            within &= (
-                _most_in(duty, max(1, round(window_s / row_s))) * HEATER_MAX_W * row_s / HOUR_S <= cap_wh
-            )
-        return within
+        hour = _most_wh(duty, row_s, HOUR_S, self.safety.energy_hour_max_wh)
+        day = _most_wh(duty, row_s, DAY_S, self.safety.energy_day_max_wh)
+        return (
+            np.array(relay)
+            & (hour <= self.safety.energy_hour_max_wh)
+            & (day <= self.safety.energy_day_max_wh)
+        )
 
     def _keeps_relay(self, fan: Floats, row_s: float) -> bool:
         """The first state may be as short as it likes: it has been so before; so may the last."""
@@ -79,7 +78,12 @@ class ExperimentLimits:
         return True
 
 
-def _most_in(values: Floats, rows: int) -> Floats:
-    """Largest sum over so many rows in succession, [B]."""
-    sums = np.pad(np.cumsum(values, axis=1), ((0, 0), (rows, 0)))
-    return np.asarray((sums[:, rows:] - sums[:, :-rows]).max(axis=1))
+def _most_wh(duty: Floats, row_s: float, window_s: float, cap_wh: float) -> Floats:
+    """Most heat that safety may count in a window, [B]; 0 where the heater can't reach the cap."""
+    if cap_wh >= HEATER_MAX_W * window_s / HOUR_S:
+        return np.zeros(len(duty))
+    rows = (
+        round((window_s + HEAT_BUCKET_S) / row_s) + 1
+    )  # heat is counted in pieces, and with what comes next
+    sums = np.pad(np.cumsum(duty, axis=1), ((0, 0), (rows, 0)))
+    return np.asarray((sums[:, rows:] - sums[:, :-rows]).max(axis=1) * HEATER_MAX_W * row_s / HOUR_S)
