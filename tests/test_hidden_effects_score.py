@@ -254,7 +254,7 @@ def test_an_effect_that_the_runs_do_not_show_is_told_apart():
     shown = score(hidden, (AliasClass("heater_lag", {}, 3.0),), answer(diagnosis()))
     assert (silent.shows, shown.shows) == ((False,), (True,))
     found = figures([silent, shown])
-    assert (found["shown"].hits, found["found_shown"].cases) == (1, 1)
+    assert (found["shown"].hits, found["found_shown"].cases, found["told"].cases) == (1, 1, 1)
 
 
 def test_no_case_has_tables_all_the_same():

@@ -10,7 +10,8 @@ single, pair, weak and hard, and of bare; shown : how many they are
 false_alarms : nulls with a verdict other than nothing_missing
 unknown, dependence : of cases outside the library; of those whose effect depends on something
 unknown_wrongly : unknown said of a null or of a hidden effect of the library
-told, told_rivals : alias class told honestly, over hidden effects of all kinds; of those with rivals
+told, told_rivals : alias class told honestly, over hidden effects of all kinds that the runs show; of those
+with rivals
 coverage : of parameters; shrink : cases whose gap shrank by SHRUNK or more
 ratio_median, ratio_p90 : of RMSE after over the noise floor
 seconds_median, seconds_worst : by the clock; cpu_median : of processors
@@ -54,7 +55,7 @@ def figures(cases: Sequence[Scored]) -> dict[str, Figure]:
         "unknown": share(case.verdict == "unknown" for case in outside),
         "dependence": share(case.dependence for case in outside if case.dependence is not None),
         "unknown_wrongly": share(case.verdict == "unknown" for case in cases if case.kind != "outside"),
-        "told": share(told for case in hidden for told in case.told),
+        "told": _told(hidden),
         "told_rivals": share(told for case in hidden
                              for told, has in zip(case.told, case.has_rivals, strict=True) if has),
         "coverage": share(covered for case in hidden for covered in case.covered.values()),
@@ -67,6 +68,11 @@ def figures(cases: Sequence[Scored]) -> dict[str, Figure]:
         "cpu_median": _quantile([case.cpu_s for case in cases if math.isfinite(case.cpu_s)], 0.5),
         "failed": share(case.failed for case in cases),
     }  # fmt: skip
+
+
+def _told(cases: Iterable[Scored]) -> Share:
+    pairs = [pair for case in cases for pair in zip(case.told, case.shows, strict=True)]
+    return share(told for told, shows in pairs if shows)
 
 
 def _found_shown(cases: Iterable[Scored]) -> Share:
@@ -101,7 +107,7 @@ def _of_kind(cases: Sequence[Scored]) -> dict[str, Figure]:
     return {
         "first_right": share(case.first_right for case in cases),
         "exact": share(case.exact for case in cases),
-        "told": share(told for case in cases for told in case.told),
+        "told": _told(cases),
         "coverage": share(covered for case in cases for covered in case.covered.values()),
         "shrink": share(shrunk >= SHRUNK for shrunk in shrinks(cases)),
         "ratio_median": _quantile([case.errors.ratio for case in cases if case.errors], 0.5),
