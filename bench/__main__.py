@@ -33,6 +33,7 @@ BENCHES = {
          "--out", "out/bench/closed_loop_day.txt", "--picture", "out/bench/closed_loop_day.png"),
         keeps_its_table=True,
     ),
+    "resolve_alias": Bench(("heater_saturation",)),
     "drift_alarms": Bench(("--paths", "5", "--days", "6", "--boxes", "1")),
     "twin": Bench(("--repeats", "3")),
     "rollout": Bench(("--seconds", "0.3")),

@@ -57,7 +57,7 @@ def _stairs(levels: Sequence[float], rows: int) -> np.ndarray[Any, np.dtype[np.f
 
 
 ELEMENT: Settings = {"effects.heater_lag": 1.0, "heater.capacity_j_k": 40.0}  # evens out the relay's windows
-CASES = (
+_CASES = (
     Case(
         "a leak, in runs in which the fan never runs",
         ("longwave_radiation", "extra_capacity", "heater_lag"),
@@ -89,6 +89,7 @@ CASES = (
         (4, 5, 6, 12),
     ),
 )
+CASES: Mapping[str, Case] = {case.hidden: case for case in _CASES}
 
 
 def twin_of(case: Case, late_s: float = 0.0) -> TwinFile:
@@ -205,18 +206,20 @@ def _measured(case: Case, before: Mapping[str, Any], after: Mapping[str, Any]) -
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Both cases; 1 if a class was not resolved."""
+    """The cases named, or all; 1 if a class was not resolved."""
     parser = argparse.ArgumentParser(prog="python -m bench.resolve_alias", description=__doc__)
-    parser.add_argument("--cases", type=int, default=len(CASES), help="so many of them")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}")
     parser.add_argument("--keep", type=Path, help="folder for runs and reports, else they are thrown away")
     arguments = parser.parse_args(words)
+    if unknown := [name for name in arguments.names if name not in CASES]:
+        parser.error(f"there is no {unknown[0]!r}; there are {', '.join(CASES)}")
     failed = False
-    for number, case in enumerate(CASES[: arguments.cases]):
+    for name in arguments.names or CASES:
         with tempfile.TemporaryDirectory(prefix="greenhouse-resolve-") as temporary:
-            folder = Path(temporary) if arguments.keep is None else arguments.keep / str(number + 1)
+            folder = Path(temporary) if arguments.keep is None else arguments.keep / name
             folder.mkdir(parents=True, exist_ok=True)
             begun = time.monotonic()
-            lines = resolve(case, folder)
+            lines = resolve(CASES[name], folder)
             print(*lines, f"  took {time.monotonic() - begun:.0f} s", "", sep="\n", flush=True)
             failed |= "NOT" in lines[-1] or "no experiment" in lines[-1]
     return int(failed)

@@ -57,8 +57,8 @@ def _lit(plan: Separation) -> bool:
 
 def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> Experiment:
     pairs, log_odds = plan.rivals.pairs, chosen.log_odds[:, 0]
-    apart = _likely(pairs, told & _both_ways(pairs, log_odds >= RIVAL_NATS))
-    unsaid = ~_either_way(pairs, log_odds >= RIVAL_NATS)
+    settled = _both_ways(pairs, log_odds >= RIVAL_NATS)
+    apart = _likely(pairs, told & settled)
     if not apart.any():
         apart = _likely(pairs, told)
     expected = float(log_odds[apart].min())
@@ -66,7 +66,7 @@ def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> 
     return Experiment(
         profile=_profile(chosen.cool.inputs, _lit(plan)),
         kind=chosen.cool.candidates[0].what,
-        separates=_sides(pairs, apart, unsaid),
+        separates=_sides(pairs, apart, ~settled),
         expected_log_odds=expected,
         largest_temp_air_c=float(chosen.cool.highest_c[0]),
         between={
@@ -74,7 +74,7 @@ def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> 
             for pair, value in zip(pairs, log_odds, strict=True)
         },
         inseparable=_groups(plan.rivals, same),
-        weak=_unordered(pairs, _likely(pairs, unsaid & ~same)),
+        weak=_unordered(pairs, _likely(pairs, ~settled & ~same)),
         calibration=calibrate_first(plan, apart, chosen, expected),
         swing_log_odds=swung(plan, chosen, hard) if hard.any() else None,
     )
