@@ -1,8 +1,8 @@
 """Small formulas that stand in for effects which the library has no name for.
 
 They compete with the named effects in the same search, so that an effect is named only where no formula of
-what was recorded explains the runs better, and what has no name still gets an equation with units. Formulas
-that say the same as a named effect (a constant, u, u², L, fan and T - T_amb alone or together) are left to it.
+what was recorded explains the runs better, and what has no name still gets an equation with units. What says
+the same as a named effect (a constant, u, u², L, T - T_amb with the fan or without) is left to it.
 """
 
 from collections.abc import Callable, Mapping
@@ -66,7 +66,8 @@ SHAPES: tuple[Shape, ...] = (
     _shape("fan (T - T_amb)^2", "W/K2", "fan_on temp_air", lambda c: c["fan"] * c["excess"] ** 2),
     _shape("fan max(T - 28, 0)", "W/K", "fan_on temp_air", lambda c: c["fan"] * np.maximum(c["T"] - 28, 0)),
     _shape("fan t (T - T_amb)", "W/K/h", "fan_on time", lambda c: c["fan"] * c["t"] * c["excess"]),
-    _shape("fan hours of fan (T - T_amb)", "W/K/h", "fan_on time", lambda c: c["fan"] * c["worn"] * c["excess"]),
+    _shape("fan hours of fan (T - T_amb)", "W/K/h", "fan_on time", lambda c: c["fan"] * c["worn"] * c["excess"]
+    ),
     _shape("fan day (T - T_amb)", "W/K/d", "fan_on time", lambda c: c["fan"] * c["day"] * c["excess"], "day"),
     _shape("|T - T_amb| (T - T_amb)", "W/K2", "temp_air", lambda c: np.abs(c["excess"]) * c["excess"]),
     _shape("(T - T_amb)^3", "W/K3", "temp_air", lambda c: c["excess"] ** 3),
@@ -80,12 +81,15 @@ SHAPES: tuple[Shape, ...] = (
     _shape("sin(day)", "W", "time", lambda c: np.sin(2 * np.pi * c["hour"] / 24), "hour"),
     _shape("cos(day)", "W", "time", lambda c: np.cos(2 * np.pi * c["hour"] / 24), "hour"),
     *(
-        _shape(f"half a sine of the day, {first}..{(first + hours) % 24} h", "W", "time", _sun(first, hours), "hour")
+        _shape(
+            f"half a sine of the day, {first}..{(first + hours) % 24} h", "W", "time", _sun(first, hours), "hour"
+        )
         for hours in SUNS_H
         for first in range(0, 24, hours // 2)
     ),
     _shape("RH - 50", "W/%", "rel_humidity", lambda c: c["RH"] - 50, "RH"),
-    _shape("(RH - 50) (T - T_amb)", "W/%/K", "rel_humidity temp_air", lambda c: (c["RH"] - 50) * c["excess"], "RH"),
+    _shape("(RH - 50) (T - T_amb)", "W/%/K", "rel_humidity temp_air", lambda c: (c["RH"] - 50) * c["excess"],
+           "RH"),
     _shape("max(RH - 60, 0)", "W/%", "rel_humidity", lambda c: np.maximum(c["RH"] - 60, 0), "RH"),
     _shape("max(RH - 75, 0)", "W/%", "rel_humidity", lambda c: np.maximum(c["RH"] - 75, 0), "RH"),
     _shape("fan (RH - 50)", "W/%", "rel_humidity fan_on", lambda c: c["fan"] * (c["RH"] - 50), "RH"),
