@@ -66,8 +66,8 @@ SHAPES: tuple[Shape, ...] = (
     _shape("fan (T - T_amb)^2", "W/K2", "fan_on temp_air", lambda c: c["fan"] * c["excess"] ** 2),
     _shape("fan max(T - 28, 0)", "W/K", "fan_on temp_air", lambda c: c["fan"] * np.maximum(c["T"] - 28, 0)),
     _shape("fan t (T - T_amb)", "W/K/h", "fan_on time", lambda c: c["fan"] * c["t"] * c["excess"]),
-    _shape("fan hours of fan (T - T_amb)", "W/K/h", "fan_on time", lambda c: c["fan"] * c["worn"] * c["excess"]
-    ),
+    _shape("fan hours of fan (T - T_amb)", "W/K/h", "fan_on time",
+           lambda c: c["fan"] * c["worn"] * c["excess"]),
     _shape("fan day (T - T_amb)", "W/K/d", "fan_on time", lambda c: c["fan"] * c["day"] * c["excess"], "day"),
     _shape("|T - T_amb| (T - T_amb)", "W/K2", "temp_air", lambda c: np.abs(c["excess"]) * c["excess"]),
     _shape("(T - T_amb)^3", "W/K3", "temp_air", lambda c: c["excess"] ** 3),
@@ -82,7 +82,8 @@ SHAPES: tuple[Shape, ...] = (
     _shape("cos(day)", "W", "time", lambda c: np.cos(2 * np.pi * c["hour"] / 24), "hour"),
     *(
         _shape(
-            f"half a sine of the day, {first}..{(first + hours) % 24} h", "W", "time", _sun(first, hours), "hour"
+            f"half a sine of the day, {first}..{(first + hours) % 24} h",
+            "W", "time", _sun(first, hours), "hour",
         )
         for hours in SUNS_H
         for first in range(0, 24, hours // 2)
