@@ -34,6 +34,8 @@ def _planned(found: "Experiment") -> list[str]:
         return []
     kind = found.kind[:1].upper() + found.kind[1:]
     expected = f"expected log odds {nats(found.expected_log_odds)} ({odds(found.expected_log_odds)})"
+    if len(found.separates) > 1 or any(len(sides) > 2 for sides in found.separates):
+        expected += " between the two that are hardest to separate"
     told = (
         "separates"
         if found.expected_log_odds >= RIVAL_NATS
