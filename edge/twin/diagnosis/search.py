@@ -13,9 +13,10 @@ import numpy as np
 
 from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, gains_of, slopes
 from edge.twin.diagnosis.innovations import NoiseLevels
-from edge.twin.diagnosis.noise_levels import find_levels, first_levels, level_prior
+from edge.twin.diagnosis.noise_levels import first_levels
 from edge.twin.diagnosis.progress import Progress
-from edge.twin.diagnosis.starts import settled, with_effect
+from edge.twin.diagnosis.refining import begun, likelihood, refined
+from edge.twin.diagnosis.starts import settled, with_effect, with_usual
 from edge.twin.diagnosis.unknowns import unknowns
 from edge.twin.effects import EFFECTS, USUAL_EFFECTS
 from edge.twin.recorded import Recorded
@@ -23,7 +24,7 @@ from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
 REFINED = 6  # candidates of a round that get noise levels of their own
-FIRST_LOOK, SCREENED, REFITTED = 1, 4, 3  # iterations
+FIRST_LOOK, SCREENED = 1, 4  # iterations
 LARGEST_SET = 7
 BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
 FORMULAS = 2  # in one set: more of them can follow anything
@@ -35,6 +36,11 @@ HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a
 NEXT_MARGIN = (
     8.0  # the same beside an effect that is named: what the first leaves a little wrong invites more
 )
+# A light body is a capacity of the air, a light wall a loss too: what may be taken apart, and into what.
+TAKEN_APART = {
+    "wall_mass": (("wall_loss", "extra_capacity"), ("wall_mass", "extra_capacity")),
+    "soil_mass": (("soil_mass", "extra_capacity"),),
+}
 RIVAL_NATS = 3.0  # a set as likely as the best within this is its rival
 WORTH_A_LOOK = 12.0  # nats within which a screened rival is fitted with noise levels of its own
 
@@ -143,16 +149,22 @@ class Search:
 
         rival : what formulas are worth; a set of several names that is worth less follows what has none
         """
-        best = self.base()
-        while len(best.added) < LARGEST_SET and not (len(best.added) >= MIMICS and best.score < rival):
-            grown = self._best_of(self._grown(best))
-            if grown is None or grown.score < best.score + (NEXT_MARGIN if best.added else MARGIN):
-                better = self._exchanged(best)
-                if better is best:
-                    break
-                grown = better
-            best = self._pruned(grown)
+        best, seen = self.base(), set[Names]()
+        while len(best.added) < LARGEST_SET and best.added not in seen:
+            if len(best.added) >= MIMICS and best.score < rival:
+                break
+            seen.add(best.added)
+            best = self._pruned(self._next(best))
         return best
+
+    def _next(self, best: Scored) -> Scored:
+        """A better set: a body taken apart, one more effect or one exchanged; `best` where there is none."""
+        apart = self._apart(best)
+        if apart is not None:
+            return apart
+        grown = self._best_of(self._grown(best))
+        margin = NEXT_MARGIN if best.added else MARGIN
+        return grown if grown and grown.score >= best.score + margin else self._exchanged(best)
 
     def _extended(self, item: Scored, most: int) -> Scored:
         """A set with up to so many formulas, as far as each is worth it."""
@@ -163,6 +175,28 @@ class Search:
                 break
             item = grown
         return item
+
+    def _apart(self, best: Scored) -> Scored | None:
+        """The set with a body that stood for two taken apart, where that explains more."""
+        wanted = {}
+        for name in sorted(best.added & TAKEN_APART.keys()):
+            for parts in TAKEN_APART[name]:
+                key = best.added - {name} | set(parts)
+                if len(key) > len(best.added) and key - best.added <= set(self.candidates):
+                    wanted[key] = self._as_usual(best, key)
+        self._refined({key: trial for key, trial in wanted.items() if key not in self._known})
+        found = self._best_of([self._known[key] for key in wanted])
+        if found is None:
+            return None
+        margin = NEXT_MARGIN if found.added > best.added else 0.0
+        return found if found.score > best.score + margin else None
+
+    def _as_usual(self, like: Scored, names: Names) -> Trial:
+        """A trial of a set of effects that begins at their usual values."""
+        file = replace(like.fitted.file, effects=dict(self.file.effects))
+        for name in sorted(names - self.formulas.keys()):
+            file = with_usual(file, name)
+        return begun(self._trial(file, like.fitted.trial), self.file, self.runs)
 
     def _best_of(self, sets: Sequence[Scored]) -> Scored | None:
         return max(sets, key=lambda item: item.score, default=None)
@@ -278,18 +312,16 @@ class Search:
         free = tuple(priors.get(item.place, item) for item in unknowns(file))
         return replace(like, file=file, free=free)
 
-    def _refined(self, wanted: dict[Names, Trial]) -> None:
+    def _refined(self, wanted: dict[Names, Trial], afresh: bool = True) -> None:
         """Fit with noise levels of their own, and keep."""
         if not wanted:
             return
         self.progress(f"{len(wanted)} sets with noise of their own")
-        found = fit(list(wanted.values()), self.runs, REFITTED)
-        for _ in range(2):
-            found = fit(find_levels(found, self.file, self.runs), self.runs, REFITTED)
+        found = refined(list(wanted.values()), self.file, self.runs, afresh)
         for key, item in zip(wanted, found, strict=True):
-            likelihood = item.log_likelihood + level_prior(item.trial.levels, self.file)
-            score = likelihood - sum(self.penalty(name) for name in key)
-            self._known[key] = Scored(key, item, likelihood, score)
+            nats = likelihood(item, self.file)
+            score = nats - sum(self.penalty(name) for name in key)
+            self._known[key] = Scored(key, item, nats, score)
 
     def without(self, item: Scored, name: str) -> Scored:
         """The set less one effect."""
@@ -298,7 +330,8 @@ class Search:
     def _less(self, item: Scored, names: Sequence[str]) -> list[Scored]:
         """The set less one effect, for each of them."""
         keys = {item.added - {name}: name for name in names}
-        self._refined({key: self._short(item, name) for key, name in keys.items() if key not in self._known})
+        wanted = {key: self._short(item, name) for key, name in keys.items() if key not in self._known}
+        self._refined(wanted, afresh=False)
         return [self._known[key] for key in keys]
 
     def _short(self, item: Scored, name: str) -> Trial:

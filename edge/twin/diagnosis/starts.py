@@ -43,12 +43,18 @@ INNER_TIMES_OUTER = (0.4, 2.5)  # of the two films of a wall whose loss as a who
 USUAL_UA_W_K = 4.0  # where it is not
 
 
+def with_usual(file: TwinFile, name: str) -> TwinFile:
+    """The file with one more effect, to be fitted, from its usual values."""
+    return _added(file, name, {item.name: item.start for item in EFFECTS[name].parameters})
+
+
 def with_effect(file: TwinFile, name: str) -> list[TwinFile]:
     """The file with one more effect, to be fitted, from each of its starts."""
     if name == "wall_mass":
         return [_added(file, name, values) for values in _walls(file)]
-    usual = {item.name: item.start for item in EFFECTS[name].parameters}
-    return [_added(file, name, values) for values in STARTS.get(name, (usual,))]
+    if name not in STARTS:
+        return [with_usual(file, name)]
+    return [_added(file, name, values) for values in STARTS[name]]
 
 
 def _walls(file: TwinFile) -> list[Values]:

@@ -1,0 +1,67 @@
+"""Sets of effects fitted with noise levels of their own, from where they were found and from the beginning.
+
+A likelihood has several tops. While effects are missing, the twin does best with noise that swallows most of
+what was measured, and its values follow; a set that is then grown from there stays on that slope. So a set
+with that much noise, or with several effects, is fitted once more as if nothing had been found before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from edge.twin.diagnosis.fitting import Fitted, Trial, fit
+from edge.twin.diagnosis.noise_levels import find_levels, first_levels, level_prior
+from edge.twin.effects import EFFECTS
+from edge.twin.recorded import Recorded
+from edge.twin.twin_file import Place, TwinFile
+from edge.twin.value import Value
+
+REFITTED, AFRESH = 3, 8  # iterations, from where a set was found and from the beginning
+ROUNDS = 2  # of levels and values in turn
+LOUD = 3.0  # times the usual heat noise: no twin that lacks nothing has that much
+SEVERAL = 3  # effects, beside which another one may change what the first ones were taken for
+
+
+def refined(trials: Sequence[Trial], given: TwinFile, runs: Recorded, afresh: bool = True) -> list[Fitted]:
+    """The likelier fit of each trial, in the order given.
+
+    given : the twin as it was before anything was added; afresh : whether trials may begin again
+    """
+    found = _levelled(fit(trials, runs, REFITTED), given, runs)
+    again = [i for i, item in enumerate(found) if afresh and _doubtful(item, given, runs)]
+    if again:
+        fresh = [begun(trials[i], given, runs) for i in again]
+        others = _levelled(fit(fresh, runs, AFRESH), given, runs)
+        for i, other in zip(again, others, strict=True):
+            if likelihood(other, given) > likelihood(found[i], given):
+                found[i] = other
+    return found
+
+
+def likelihood(found: Fitted, given: TwinFile) -> float:
+    """In nats, the prior of its noise levels included."""
+    return found.log_likelihood + level_prior(found.trial.levels, given)
+
+
+def _levelled(found: list[Fitted], given: TwinFile, runs: Recorded) -> list[Fitted]:
+    for _ in range(ROUNDS):
+        found = fit(find_levels(found, given, runs), runs, REFITTED)
+    return found
+
+
+def _doubtful(found: Fitted, given: TwinFile, runs: Recorded) -> bool:
+    added = found.file.effects.keys() - given.effects.keys()
+    usual = first_levels(given, runs).heat_w
+    return len(added) >= SEVERAL or found.trial.levels.heat_w > LOUD * usual
+
+
+def begun(trial: Trial, given: TwinFile, runs: Recorded) -> Trial:
+    """With its free values where a fit begins, and the noise that is usual."""
+    known = given.values()
+    starts: dict[Place, Value] = {}
+    for item in trial.free or ():
+        if item.place in known:
+            starts[item.place] = known[item.place]
+        else:
+            _, effect, name = item.place
+            starts[item.place] = Value(EFFECTS[effect].parameter(name).start, fit=True)
+    return replace(trial, file=trial.file.with_values(starts), levels=first_levels(given, runs))
