@@ -97,6 +97,22 @@ def test_a_run_of_another_period_is_resampled_and_its_own_rows_are_found_again(t
     assert named.at_rows(named.run.columns["time_s"])[:290] == pytest.approx(10.0 * np.arange(290))
 
 
+@pytest.mark.parametrize(("step_s", "refused"), [(60.0, False), (40.0, False), (39.0, True), (10.0, True)])
+def test_rows_much_coarser_than_the_twins_step_are_refused(train: Path, step_s: float, refused: bool) -> None:
+    twin = replace(TWIN, sample_s=step_s)
+    if refused:
+        with pytest.raises(DataError, match="rows are 60 s apart, the twin's step is"):
+            read(train, twin=twin)
+    else:
+        assert read(train, twin=twin).train
+
+
+def test_a_run_too_short_to_be_of_use_is_left_out_and_that_is_told(train: Path, tmp_path: Path) -> None:
+    runs = read(train, recorded(tmp_path / "stub.csv", box_run(2, rows=PIECE_ROWS - 1)))
+    assert [named.name for named in runs.train] == ["train.csv"]
+    assert runs.told == (f"stub.csv is left out: it has 4 temperatures, {PIECE_ROWS} are of use",)
+
+
 def test_rows_of_a_regular_run_are_given_back_exactly(train: Path) -> None:
     named = read(train).train[0]
     temps = named.run.columns["temp_air_c"]

@@ -90,7 +90,8 @@ def state_now(twin: Twin, past: Past) -> Floats:
         unknown = moved[0] + fan * (moved[1] - moved[0])
         covariance = _predicted(covariance, matrix, unknown)
         if np.isfinite(temps[k + 1]):
-            gain = covariance[:, 0] / (covariance[0, 0] + twin.noise.sensor_k**2)
+            variance = covariance[0, 0] + twin.noise.sensor_k**2
+            gain = covariance[:, 0] / (variance or np.inf)  # no noise at all: nothing is left to learn
             state = state + gain * (temps[k + 1] - state[0])
             covariance = covariance - np.outer(gain, covariance[0])
     if np.isfinite(temps[-1]):

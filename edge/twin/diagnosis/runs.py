@@ -18,6 +18,7 @@ from edge.twin.twin_file import TwinFile
 
 USABLE_ROWS = 30  # with a temperature, of all training runs together
 PIECE_ROWS = 5  # with a temperature: in fewer, the start takes all that a piece tells
+COARSEST = 1.5  # rows of a training run, in steps of the twin
 _COLUMN = {name: key for key, name in CONDITIONS.items()}
 
 Floats = NDArray[np.float64]
@@ -91,6 +92,8 @@ def diagnosis_runs(
     """Recordings with their names as a diagnosis needs them. Errors: DataError, as `read_runs`."""
     fitted = [(name, _until_validation(run)) for name, run in train]
     _check_columns([run for _, run in fitted], [run for _, run in test], twin)
+    for _, run in fitted:
+        _check_period(run, twin.sample_s)
     notes = list(told)
     training = [piece for name, run in fitted for piece in _training_pieces(name, run, twin.sample_s, notes)]
     _check_rows([run for _, run in fitted], training, twin.sample_s)
@@ -133,6 +136,16 @@ def _until_validation(run: Run) -> Run:
     return replace(part, facts={key: fact for key, fact in part.facts.items() if key != "validate_from_s"})
 
 
+def _check_period(run: Run, step_s: float) -> None:
+    """Temperatures between two rows would be interpolated: readings that are none, and lags that are none."""
+    usual_s = float(np.median(np.diff(run.columns["time_s"]))) if len(run) > 1 else 0.0
+    if usual_s > COARSEST * step_s:
+        raise DataError(
+            f"{run.path}: time_s: rows are {usual_s:g} s apart, the twin's step is {step_s:g} s; "
+            f"a twin file with sample_s: {usual_s:g} can be told by them"
+        )
+
+
 def _check_columns(train: Sequence[Run], test: Sequence[Run], twin: TwinFile) -> None:
     for run in (*train, *test):
         if not np.isfinite(run.columns["temp_air_c"]).any():
@@ -159,6 +172,9 @@ def _training_pieces(name: str, run: Run, step_s: float, told: list[str]) -> lis
     names = [name if len(parts) == 1 else f"{name} ({i} of {len(parts)})" for i in range(1, len(parts) + 1)]
     found = [_at_step(of, part, step_s) for of, part in zip(names, parts, strict=True)]
     kept = [piece for piece in found if _measured(piece.run) >= PIECE_ROWS]
+    if len(parts) == 1 and not kept:
+        count = _measured(found[0].run)
+        told.append(f"{name} is left out: it has {count} temperatures, {PIECE_ROWS} are of use")
     if len(parts) > 1:
         short = len(parts) - len(kept)
         left_out = f", {short} of them too short to be of use" if short else ""
