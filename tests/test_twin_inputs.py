@@ -206,6 +206,6 @@ def test_the_plain_reference_refuses_a_twin_of_late_inputs():
         rk45_rollout(Twin(effects=TWINS["late"]), np.array([22.0]), *np.zeros((3, 2)))
 
 
-def test_a_graph_of_plain_inputs_refuses_a_twin_of_late_ones():
-    with pytest.raises(DataError, match=r"^twin: has effects on its inputs"):
+def test_a_graph_of_plain_inputs_refuses_a_twin_of_late_ones_and_names_them():
+    with pytest.raises(DataError, match=r"^twin: heater_deadtime, fan_deadtime, fan_spinup: acts on the inputs"):
         TwinStep.of(Twin(effects=TWINS["late"]))
