@@ -207,5 +207,7 @@ def test_the_plain_reference_refuses_a_twin_of_late_inputs():
 
 
 def test_a_graph_of_plain_inputs_refuses_a_twin_of_late_ones_and_names_them():
-    with pytest.raises(DataError, match=r"^twin: heater_deadtime, fan_deadtime, fan_spinup: acts on the inputs"):
+    with pytest.raises(
+        DataError, match=r"^twin: heater_deadtime, fan_deadtime, fan_spinup: acts on the inputs"
+    ):
         TwinStep.of(Twin(effects=TWINS["late"]))
