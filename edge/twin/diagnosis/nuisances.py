@@ -12,13 +12,14 @@ from edge.twin.warm_start import held
 Floats = NDArray[np.float64]
 CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box warms
 EXCESS_K = 10.0
+USUAL_LOSS_W_K = 4.0  # of a box whose twin is not said to lose heat, and lacks that
 ROOM_SD_K = 5.0  # of a room about a run's first temperature
 
 
 def nuisances(twin: Twin, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
     """Terms for every trial on these runs. temps : [B, N + 1], the air without its reading's noise [°C]"""
-    loss_w_k = still_loss_w_k(twin)
-    return (curved_loss(runs, temps, CURVATURE_SD * loss_w_k),) if loss_w_k > 0.0 else ()
+    loss_w_k = still_loss_w_k(twin) or USUAL_LOSS_W_K
+    return (curved_loss(runs, temps, CURVATURE_SD * loss_w_k),)
 
 
 def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> Term:
