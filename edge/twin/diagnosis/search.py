@@ -5,7 +5,7 @@ for each effect chosen among them (Chen & Chen 2008, Biometrika 95: the extended
 any of the candidates is named by luck stays small however many are tried.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
 REFINED = 6  # candidates of a round that get noise levels of their own
-FIRST_LOOK, SCREENED = 1, 4  # iterations
+FIRST_LOOK, SCREENED, LAST_LOOK = 1, 4, 8  # iterations; the last for those that may be looked at further
 LARGEST_SET = 7
 BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
 FORMULAS = 2  # in one set: more of them can follow anything
@@ -277,7 +277,7 @@ class Search:
 
     def _effects(self, beside: Trial, names: Sequence[str]) -> list[Candidate]:
         """Each effect beside a trial whose own values move in proportion; each start gets one step, the best
-        of each effect more."""
+        of each effect more, the best effects as many as they need."""
         trials, owners = [replace(beside, free=())], [""]
         for name in names:
             for file in with_effect(beside.file, name):
@@ -285,14 +285,13 @@ class Search:
                 owners.append(name)
         base, *first = fit(trials, self.runs, FIRST_LOOK)
         best = _best(owners[1:], first)
-        again = fit(
-            [replace(item.trial, file=item.file, free=item.free) for item in best.values()],
-            self.runs,
-            SCREENED,
-        )
+        again = dict(zip(best, fit(_onward(best.values()), self.runs, SCREENED), strict=True))
+        first_few = sorted(again, key=lambda name: self.penalty(name) - again[name].log_likelihood)[:REFINED]
+        last = fit(_onward(again[name] for name in first_few), self.runs, LAST_LOOK)
+        again |= zip(first_few, last, strict=True)
         return [
             Candidate(name, item.log_likelihood - base.log_likelihood, item.file)
-            for name, item in zip(best, again, strict=True)
+            for name, item in again.items()
         ]
 
     def thawed(self, beside: Scored, found: Candidate) -> Trial:
@@ -357,6 +356,11 @@ def _best(names: Sequence[str], found: Sequence[Fitted]) -> dict[str, Fitted]:
         if name not in best or item.log_likelihood > best[name].log_likelihood:
             best[name] = item
     return best
+
+
+def _onward(found: Iterable[Fitted]) -> list[Trial]:
+    """Trials that begin where these ended."""
+    return [replace(item.trial, file=item.file, free=item.free) for item in found]
 
 
 def _text(names: Names) -> str:
