@@ -61,7 +61,6 @@ def test_a_lamp_is_named_by_the_regression_and_forecast(tmp_path: Path):
 
 
 def test_pysindy_names_it_too(tmp_path: Path):
-    pytest.importorskip("pysindy")
     found = answer(diagnose("pysindy", case(tmp_path / "case_1", led_w=20.0)))
     assert found.effects[0].name == "led_gain"
 

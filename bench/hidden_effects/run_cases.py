@@ -101,7 +101,7 @@ def _solvers(words: str) -> list[str]:
     if unknown := [name for name in names if name not in SOLVERS]:
         raise DataError(f"--solvers: there is no {unknown[0]!r}; there are {', '.join(SOLVERS)}")
     if "pysindy" in names and importlib.util.find_spec("pysindy") is None:
-        raise DataError("--solvers: pysindy is not installed: pip install '.[bench]'")
+        raise DataError("--solvers: pysindy is not installed: pip install '.[dev]'")
     return names
 
 
