@@ -97,7 +97,7 @@ def twin_of(case: Case, late_s: float = 0.0) -> TwinFile:
 
     late_s : by which readings are older than the rows they stand in
     """
-    known = calibrate(case.known, case.box, [_plan(seed) for seed in (91, 92)]).effects
+    known = calibrate(case.known, case.box, [quiet_plan(seed) for seed in (91, 92)]).effects
     late = {"heater_deadtime": {"d_h": late_s}, "fan_deadtime": {"d_f": late_s}} if late_s else {}
     return TwinFile(
         effects={
@@ -109,8 +109,8 @@ def twin_of(case: Case, late_s: float = 0.0) -> TwinFile:
     )
 
 
-def _plan(seed: int) -> Plan:
-    """Two hours in which heater and fan switch at random."""
+def quiet_plan(seed: int) -> Plan:
+    """Two hours in which heater and fan switch at random, to calibrate a twin on."""
     random = np.random.default_rng(seed)
     duty, fan = np.repeat(random.uniform(0.0, 0.7, 12), 10), np.repeat(random.integers(0, 2, 12), 10)
     before = np.zeros(LEAD_ROWS)
