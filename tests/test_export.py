@@ -99,9 +99,12 @@ def ham() -> HamNet:
 
 def guarded() -> GuardedHamNet:
     torch.manual_seed(3)
-    twin = Twin(
-        effects={"wall_mass": {"C_w": 18000.0, "G_in": 6.0, "G_out": 11.0}, "extra_capacity": {"kC": 6.0}}
-    )
+    effects = {
+        "wall_mass": {"C_w": 18000.0, "G_in": 6.0, "G_out": 11.0},
+        "extra_capacity": {"kC": 6.0},
+        "sensor_bias": {"bias": 0.4},
+    }
+    twin = Twin(effects=effects)
     network = GuardedHamNet(TwinStep.of(twin))
     for name, values in {
         "mean": (28.0, 21.0, 0.5, 0.5),

@@ -1,6 +1,7 @@
 """The corrective source term: its algebra, its scaler, its guard."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from training.ham import HamNet
 from training.ham_guarded import GuardedHamNet
 from training.pairs import stretches, transitions
 from training.twin_step import TwinStep
+from training.weights import load_network, save_network
 
 QUICK = ham.HamSettings(epochs=2)
 GUARDED_QUICK = ham_guarded.GuardedHamSettings(epochs=2)
@@ -106,6 +108,30 @@ def test_the_hidden_states_are_found_as_on_the_edge() -> None:
     expected = state_now(BOX, Past(*window))
     found = TwinStep.of(BOX).start(*(column[None] for column in tensors(*window)))[0]
     assert found.tolist() == pytest.approx(expected.tolist(), abs=1e-2)
+
+
+def test_a_sensor_with_a_bias_moves_the_room_as_on_the_edge() -> None:
+    biased = replace(BOX, effects={**BOX.effects, "sensor_bias": {"bias": 0.5}})
+    names = ("temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
+    window = [box_run(3).columns[name][30:40] for name in names]
+    found = TwinStep.of(biased).start(*(column[None] for column in tensors(*window)))[0]
+    assert found.tolist() == pytest.approx(state_now(biased, Past(*window)).tolist(), abs=1e-2)
+    following = TwinStep.of(biased).step(found[None], *tensors([22.0], [0.5], [0.0], [0.0]))
+    as_measured = TwinStep.of(BOX).step(found[None], *tensors([22.5], [0.5], [0.0], [0.0]))
+    assert following.tolist() == as_measured.tolist()
+
+
+def test_weights_kept_before_the_shift_have_none(guarded: GuardedHamNet, tmp_path: Path) -> None:
+    save_network(guarded, tmp_path / "network.pt", {})
+    content = torch.load(tmp_path / "network.pt", weights_only=True)
+    del content["weights"]["twin.room_shift"]
+    torch.save(content, tmp_path / "network.pt")
+    loaded, _ = load_network(tmp_path / "network.pt")
+    assert float(loaded.get_buffer("twin.room_shift")) == 0.0
+    del content["weights"]["twin.noise"]
+    torch.save(content, tmp_path / "network.pt")
+    with pytest.raises(RuntimeError, match=r"twin\.noise"):
+        load_network(tmp_path / "network.pt")
 
 
 def test_the_guarded_source_reproduces_the_next_measurement() -> None:

@@ -1,5 +1,7 @@
 """A twin as matrices in torch: its exact step, and its state from a window of measurements."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -7,22 +9,26 @@ from torch import Tensor, nn
 
 from edge.errors import DataError
 from edge.twin.model import Twin
+from edge.twin.signals import Signals
 from edge.twin.warm_start import at_rest, drift, spread
 
 
 class TwinStep(nn.Module):
-    """x+ = A x + B (u_h, T_amb, r), A and B by the fan; x is (air temperature [°C], hidden states).
+    """x+ = A x + B (u_h, T_room, r), A and B by the fan; x is (air temperature [°C], hidden states).
+
+    T_room is the measured T_amb and `room_shift`: how the air's sensor would show the room.
 
     Buffers, all of them `edge.twin`'s (see `edge/twin/warm_start.py`): `transition` [2, S, S] and `drive`
     [2, S, 3] with the fan off and on; `rest_excess` and `rest_ambient` [S], the state at rest per kelvin over
-    the room and per kelvin of the room; `spread` [S], how far (sd) the state may be from rest; `drift`
-    [2, S], what unknown heat does over a step (sd); `noise`, sd of a measured temperature [K].
+    the room and per kelvin of the room; `room_shift` [K]; `spread` [S], how far (sd) the state may be from
+    rest; `drift` [2, S], what unknown heat does over a step (sd); `noise`, sd of a measured temperature [K].
     """
 
     transition: Tensor
     drive: Tensor
     rest_excess: Tensor
     rest_ambient: Tensor
+    room_shift: Tensor
     spread: Tensor
     drift: Tensor
     noise: Tensor
@@ -34,6 +40,7 @@ class TwinStep(nn.Module):
             "drive": (2, states, 3),
             "rest_excess": (states,),
             "rest_ambient": (states,),
+            "room_shift": (),
             "spread": (states,),
             "drift": (2, states),
             "noise": (),
@@ -47,17 +54,19 @@ class TwinStep(nn.Module):
 
         Errors : DataError for a twin whose inputs do not act as they are: late, bent, or more than these
         """
-        if not twin.signals.plain:
+        if beyond := beyond_a_graph(twin):
             raise DataError(
-                f"twin: {', '.join(_on_inputs(twin))}: acts on the inputs or bends the balance, which a "
+                f"twin: {', '.join(beyond)}: acts on the inputs or bends the balance, which a "
                 "network's graph does not hold; the twin by itself forecasts with it"
             )
         step = cls(len(twin.states))
+        shift = float(twin.signals.room(np.zeros(())))
         values: dict[str, NDArray[np.float64] | float] = {
             "transition": twin.off_on.state,
             "drive": twin.off_on.drive,
-            "rest_excess": at_rest(twin, 1.0, 0.0),  # at_rest is linear in both temperatures
-            "rest_ambient": at_rest(twin, 1.0, 1.0),
+            "rest_excess": at_rest(twin, 1.0, -shift),  # at_rest is linear in both temperatures
+            "rest_ambient": at_rest(twin, 1.0, 1.0 - shift),
+            "room_shift": shift,
             "spread": spread(twin),
             "drift": drift(twin),
             "noise": twin.noise.sensor_k,
@@ -68,7 +77,7 @@ class TwinStep(nn.Module):
 
     def step(self, state: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor, source: Tensor) -> Tensor:
         """The state one step later; state [B, S]; ambient [°C], duty, fan 0..1, source [K/s] : [B]."""
-        inputs = torch.stack([duty, ambient, source], dim=-1)
+        inputs = torch.stack([duty, ambient + self.room_shift, source], dim=-1)
         off = state @ self.transition[0].T + inputs @ self.drive[0].T
         on = state @ self.transition[1].T + inputs @ self.drive[1].T
         return off + fan.unsqueeze(-1) * (on - off)
@@ -87,8 +96,8 @@ class TwinStep(nn.Module):
 
     def filtered(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
         """The same at every row, [B, rows, S]."""
-        excess = (temp[:, 0] - ambient[:, 0]).unsqueeze(-1)
-        state = self.rest_excess * excess + self.rest_ambient * ambient[:, :1]
+        room = ambient[:, :1] + self.room_shift
+        state = self.rest_excess * (temp[:, :1] - room) + self.rest_ambient * room
         covariance = torch.diag(self.spread**2).expand(len(temp), -1, -1)
         none = torch.zeros_like(temp[:, 0])
         states = [state]
@@ -110,10 +119,14 @@ class TwinStep(nn.Module):
         return matrix @ covariance @ matrix.transpose(1, 2) + unknown
 
 
-def _on_inputs(twin: Twin) -> list[str]:
-    """The effects that make it more than one matrix per fan speed."""
+def beyond_a_graph(twin: Twin) -> list[str]:
+    """The effects of a twin that make it more than one matrix per fan speed and a room that is shifted."""
     return [
         name
         for name, values in twin.effects.items()
-        if not Twin(twin.geometry, {name: values}, twin.step_s).signals.plain
+        if not _held(Twin(twin.geometry, {name: values}, twin.step_s).signals)
     ]
+
+
+def _held(signals: Signals) -> bool:
+    return replace(signals, ambient_error_k=0.0, sensor_bias_k=0.0).plain

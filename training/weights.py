@@ -16,6 +16,8 @@ from training.lstm import LstmNet
 from training.twin_step import TwinStep
 
 FORMAT = 1
+# Kept before a twin in a graph could have a sensor with a bias: it had none.
+_SINCE = {"twin.room_shift": torch.zeros(())}
 
 
 def save_network(network: nn.Module, path: Path, facts: Mapping[str, Any]) -> None:
@@ -41,7 +43,8 @@ def load_network(path: Path) -> tuple[LstmNet | HamNet | GuardedHamNet, dict[str
     if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("kind") not in _EMPTY:
         raise DataError(f"{path}: not a network of format {FORMAT} and of {sorted(_EMPTY)}")
     network = _EMPTY[content["kind"]](content)
-    network.load_state_dict(content["weights"])
+    earlier = _SINCE if isinstance(network, GuardedHamNet) else {}
+    network.load_state_dict({**earlier, **content["weights"]})
     return network.eval(), content["facts"]
 
 
