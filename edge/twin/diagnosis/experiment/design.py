@@ -66,7 +66,7 @@ def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> 
     return Experiment(
         profile=_profile(chosen.cool.inputs, _lit(plan)),
         kind=chosen.cool.candidates[0].what,
-        separates=_sides(pairs, apart, ~settled),
+        separates=_sides(pairs, apart, ~settled & ~_either_way(pairs, apart)),
         expected_log_odds=expected,
         largest_temp_air_c=float(chosen.cool.highest_c[0]),
         between={
