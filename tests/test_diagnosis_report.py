@@ -17,6 +17,7 @@ import pytest
 from edge.errors import DataError
 from edge.twin.diagnosis.progress import TerminalProgress
 from edge.twin.diagnosis.report.heat_variables import explained, variables
+from edge.twin.diagnosis.report.markup import paragraph
 from edge.twin.diagnosis.report.number_text import duration, kelvin, nats, number, odds, percent, plus_minus
 from edge.twin.diagnosis.report.pictures import pictures, told_runs
 from edge.twin.diagnosis.report.report import write_report
@@ -25,7 +26,15 @@ from edge.twin.diagnosis.report.run_picture import limits
 from edge.twin.diagnosis.report.story import Story, Trace, worst_stretch
 from edge.twin.diagnosis.report.summary import summary_text
 from edge.twin.diagnosis.report.whiteness_picture import autocorrelation
-from edge.twin.diagnosis.report.wording import headline, listed, shrink, step_names
+from edge.twin.diagnosis.report.wording import (
+    gap_sentence,
+    headline,
+    listed,
+    noticed,
+    shrink,
+    step_names,
+    where_found,
+)
 from tests.diagnosis_examples import STORIES, named_story, nothing_story, unknown_story
 
 ROOT = Path(__file__).parent.parent
@@ -112,14 +121,15 @@ def test_every_picture_is_there_in_the_colours_of_the_page(
 def test_the_page_tells_the_gap_the_effects_the_odds_and_what_to_do(pages: dict[str, str]) -> None:
     text = words(pages["named"])
     for said in (
-        "tau_h = 418 s (95 %: 402 to 435)",
+        "tau_h 418 402 to 435 s",
+        "How sure: log odds 812 nat against the best model without it, more than a million to one",
         "These data cannot tell it from short_circuit",
         "100 % of the gap is closed",
         "within 15 min of a change of the duty 58 % -14.2 ± 0.9",
-        "rival: short_circuit 0.0 even",
+        "short_circuit fan_effectiveness 0.0 even",
         "Round 2: 4 candidates beside heater_lag",
         "the same as fan_effectiveness",
-        "white in 0 of 3 runs before and in 2 of 3 after",
+        "white in 2 of 3 runs with the new twin",
         "A pseudo-random fan sequence",
         "largest_temp_air_c 38.2",
         "greenhouse experiment",
@@ -130,12 +140,42 @@ def test_the_page_tells_the_gap_the_effects_the_odds_and_what_to_do(pages: dict[
         assert said in text, said
 
 
+def test_the_page_goes_from_where_to_what_to_what_to_do(pages: dict[str, str]) -> None:
+    heads = re.findall("<h2>(.*?)</h2>", pages["named"])
+    assert heads[:5] == [
+        "Where the twin disagrees",
+        "What is missing, and how sure that is",
+        "Rivals",
+        "Before and after",
+        "What to do next",
+    ]
+    assert all(head.startswith("Details: ") for head in heads[5:])
+    assert "<h2>Rivals</h2>" not in pages["nothing_missing"]
+
+
+def test_every_picture_says_what_it_shows(pages: dict[str, str]) -> None:
+    labels = re.findall('<svg role="img" aria-label="([^"]+)"', pages["named"])
+    assert len(labels) == len(set(labels)) == pages["named"].count("<svg")
+    assert any("the twin as given 2.87 K, + heater_lag" in label for label in labels)
+
+
+def test_a_number_and_its_unit_stay_on_one_line() -> None:
+    line = paragraph("71 % of it: 38 ± 3 W in 5 min, of 3 runs")
+    assert line == "<p>71\N{NO-BREAK SPACE}% of it: 38\xa0±\xa03\xa0W in 5\xa0min, of 3 runs</p>"
+
+
+def test_only_findings_that_tell_where_stand_where_the_twin_disagrees() -> None:
+    document = {"findings": ["71 % of the squared error lies where the fan is off", "there is no test run"]}
+    assert where_found(document) == document["findings"][:1]
+    assert noticed(document) == document["findings"][1:]
+
+
 def test_an_unknown_effect_comes_with_its_dependence_and_formula(pages: dict[str, str]) -> None:
     text = words(pages["unknown"])
     assert "the heater's duty the temperature of the air" in text
     assert "Q = a u^2, with a = -21.6 W (95 %: -23.1 to -20.2)" in text
     assert "greenhouse twin adopt" not in text
-    assert "None was kept." in text and "Blue: kept." in words(pages["named"])
+    assert "None was kept." in text and "Blue: kept in the end." in words(pages["named"])
 
 
 def test_where_nothing_was_added_there_is_no_after(pages: dict[str, str]) -> None:
@@ -181,7 +221,8 @@ def test_names_are_escaped(tmp_path: Path) -> None:
 def test_without_temperatures_of_a_test_run_the_training_runs_are_told() -> None:
     story = named_story(test=False)
     assert story.document["gap"]["before"]["test"] is None
-    assert "On the training runs the RMSE of free runs goes from" in summary_text(story.document)
+    assert "On the training runs the RMSE of free runs goes from" in gap_sentence(story.document)
+    assert "Step by step, training runs:" in summary_text(story.document)
     assert [one.name for one in told_runs(story)] == ["train_01.csv"]  # its error, 2.67 K, is the largest
 
 
@@ -268,19 +309,22 @@ def test_autocorrelation_of_what_is_known() -> None:
 
 
 @pytest.mark.parametrize("name", STORIES)
-def test_the_summary_has_the_facts_in_some_fifteen_lines(name: str) -> None:
+def test_the_summary_has_the_facts_in_a_screenful_of_short_lines(name: str) -> None:
     text = summary_text(STORIES[name]().document, "out dir/report")
     assert text.splitlines()[0] == HEADLINES[name]
-    assert 6 <= len(text.splitlines()) <= 18
+    assert 6 <= len(text.splitlines()) <= 24  # of a terminal
+    assert max(map(len, text.splitlines())) <= 100
     assert ("greenhouse twin adopt 'out dir/report'" in text) == (name == "named")
 
 
 def test_the_summary_of_a_named_effect() -> None:
     text = summary_text(named_story().document)
-    assert re.search(r"test +2\.87 +0\.084 +0\.085 +100 %", text)
-    assert "58 % of the squared error: within 15 min of a change of the duty; -14.2 ± 0.9 W" in text
-    assert "heater_lag has log odds 812 (more than a million to one)" in text
-    assert "White innovations: 0 of 3 runs before, 2 of 3 after" in text
+    assert re.search(r"test runs +2\.87 +0\.084 +0\.085 +100 %", text)
+    text = " ".join(text.split())
+    assert "58 % within 15 min of a change of the duty; there the twin gains 14.2 ± 0.9 W too much" in text
+    assert "tau_h = 418 s (95 %: 402 to 435); odds more than a million to one" in text
+    assert "these data cannot tell it from short_circuit" in text
+    assert "greenhouse experiment report/next_experiment.csv --out next_run.csv" in text
 
 
 def test_headlines_count_and_join() -> None:

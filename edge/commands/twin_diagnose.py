@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     from edge.twin.diagnosis.experiment.design import next_experiment
     from edge.twin.diagnosis.experiment.experiment import write_profile
     from edge.twin.diagnosis.located import located
-    from edge.twin.diagnosis.report.report import write_report
+    from edge.twin.diagnosis.report.report import PAGE_NAME, write_report
     from edge.twin.diagnosis.report.story import Story
 
     file = read_twin_file(arguments.twin)
@@ -71,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
             else:
                 progress("the report")
                 write_report(arguments.out, Story(document, traces(found, places)))
-    print(summary_text(document, str(arguments.out)))
+    page = None if arguments.json_only else PAGE_NAME
+    print(summary_text(document, str(arguments.out), page), end="")
     return 0
 
 

@@ -39,8 +39,8 @@ def candidates_picture(document: Document) -> Picture | None:
         return Picture(
             svg(figure),
             "Gain of each candidate",
-            f"{'Blue: kept' if kept else 'None was kept'}. Each parameter more, and each try more, has to pay"
-            " for itself; the table says why a candidate was not kept.",
+            f"{'Blue: kept in the end' if kept else 'None was kept'}. What gains most alone may only stand in"
+            " for what is missing, and be needless beside it; the tables say why each was not kept.",
         )
 
 

@@ -8,10 +8,12 @@ from edge.twin.diagnosis.report.markup import Column, bullets, folded, paragraph
 from edge.twin.diagnosis.report.number_text import DASH, duration, nats, number, odds
 from edge.twin.diagnosis.report.wording import (
     Document,
+    changed,
     effect_text,
     formula_text,
     interval_text,
     listed,
+    noticed,
     white_runs,
 )
 
@@ -36,15 +38,26 @@ def what(document: Document) -> Iterator[str]:
         yield from _unknown(document)
 
 
-def how_sure(document: Document) -> Iterator[str]:
-    """Odds, rivals, and the whole search."""
-    if document["effects"]:
-        columns = (Column("effect", words=True), Column("log odds [nat]"), Column("odds", words=True))
-        yield from table(columns, list(_odds_rows(document["effects"])))
-        yield paragraph(
-            "Of an effect: against the best model without it. Of a rival: against the effect itself.",
-            "soft",
+def rivals(document: Document) -> Iterator[str]:
+    """Effects that these data cannot tell from those that were named, and what else they cannot tell."""
+    rows = list(_rival_rows(document["effects"]))
+    if rows:
+        columns = (
+            Column("rival", words=True),
+            Column("in the place of", words=True),
+            Column("log odds [nat]"),
+            Column("odds against the effect named", words=True),
         )
+        yield from table(columns, rows)
+    else:
+        yield paragraph("None: no other effect explains these runs about as well.")
+
+
+def tried(document: Document) -> Iterator[str]:
+    """The whole search, and what these runs could not tell."""
+    if told := noticed(document):
+        yield paragraph("To be kept in mind:")
+        yield bullets(told)
     rounds = document.get("rounds", [])
     for place, search_round in enumerate(rounds, start=1):
         beside = listed(search_round["beside"]) or "the twin as given"
@@ -58,11 +71,18 @@ def left(document: Document) -> Iterator[str]:
     if not innovations:
         yield paragraph("The innovations were not tested.", "soft")
         return
-    (before, tested), (after, tested_after) = (white_runs(document, when) for when in ("before", "after"))
+    white, tested = white_runs(document, "after")
+    which = " with the new twin" if changed(document) else ""
     yield paragraph(
-        f"Innovations, measured minus predicted from the row before, are white in {before} of {tested} runs"
-        f" before and in {after} of {tested_after} after. Where they are white, nothing is left to explain."
+        f"Innovations, measured minus predicted from the row before, are white in {white} of {tested} runs"
+        f"{which}. Where they are white, nothing is left to explain."
     )
+    if changed(document):
+        yield paragraph(
+            "Each twin is judged with the noise that was found for it: a twin that lacks an effect can take"
+            " it for noise, and be white too.",
+            "soft",
+        )
     columns = (
         Column("run", words=True),
         *map(Column, ("Ljung-Box p before", "after", "lag-1 autocorrelation before", "after")),
@@ -75,9 +95,13 @@ def _effect(effect: Mapping[str, Any]) -> Iterator[str]:
     yield f"<h3><code>{escape(effect_text(effect))}</code></h3>"
     if equation := effect.get("equation"):
         yield paragraph(equation)
-    if without := effect.get("without"):
-        yield paragraph(f"Without it the residual, measured minus predicted, is {without}.", "soft")
     yield from _parameters(effect["parameters"], effect.get("at_bound", ()))
+    yield paragraph(
+        f"How sure: log odds {nats(effect['log_odds'])} nat against the best model without it,"
+        f" {odds(effect['log_odds'])}."
+    )
+    if without := effect.get("without"):
+        yield paragraph(f"Its mark in measured minus predicted: {without}.", "soft")
     if effect["alternatives"]:
         yield paragraph(
             f"These data cannot tell it from {listed(effect['alternatives'])}: in the twin, each predicts the"
@@ -119,13 +143,12 @@ def _unknown(document: Document) -> Iterator[str]:
         )
 
 
-def _odds_rows(effects: list[Mapping[str, Any]]) -> Iterator[tuple[str, str, str]]:
+def _rival_rows(effects: list[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
     for effect in effects:
-        yield effect["name"], nats(effect["log_odds"]), odds(effect["log_odds"])
-        rivals = effect.get("alternative_log_odds", {})
+        known = effect.get("alternative_log_odds", {})
         for name in effect["alternatives"]:
-            said = odds(rivals.get(name)) if name in rivals else "as likely, as far as these data tell"
-            yield f"rival: {name}", nats(rivals.get(name)), said
+            said = odds(known.get(name)) if name in known else "as likely, as far as these data tell"
+            yield name, effect["name"], nats(known.get(name)), said
 
 
 def _candidates(candidates: list[Mapping[str, Any]]) -> Iterator[str]:

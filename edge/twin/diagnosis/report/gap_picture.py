@@ -32,13 +32,13 @@ def gap_picture(document: Document) -> Picture | None:
     if len(steps) < 2 or not roles:
         return None
     role = roles[0]
-    errors = [_error(step, role) or 0.0 for step in steps]
+    names, errors = step_names(steps), [_error(step, role) or 0.0 for step in steps]
     with styled():
         figure = new_figure(ROW_IN * len(steps) + BORDER_IN)
         axes = figure.subplots()
-        _draw(axes, step_names(steps), errors)
-        if "train" in roles and role == "test":
-            trained = [step["train_rmse_k"] for step in steps]
+        trained = [step["train_rmse_k"] for step in steps] if roles == ["test", "train"] else []
+        _draw(axes, names, errors, trained)
+        if trained:
             axes.plot(trained, range(len(steps)), "D", color=INK, ms=4.5, label="training runs", zorder=4)
         floor = document["gap"]["noise_floor"][role]
         if floor is not None:
@@ -47,14 +47,15 @@ def gap_picture(document: Document) -> Picture | None:
         axes.set_xlabel(f"RMSE of free runs, {_ROLES[role]} [K]")
         if axes.get_legend_handles_labels()[1]:
             legend_above(axes, 2)
-        title = f"Error of free runs after each step, {_ROLES[role]}"
+        told = ", ".join(f"{name} {kelvin(error)} K" for name, error in zip(names, errors, strict=True))
+        title = f"Error of free runs after each step, {_ROLES[role]}: {told}"
         return Picture(
             svg(figure), title, "Pale: what the step closed. Left of the dashed line is only noise."
         )
 
 
-def _draw(axes: "Axes", names: list[str], errors: list[float]) -> None:
-    """A bar a step, its end labelled; pale from there to where the step before ended."""
+def _draw(axes: "Axes", names: list[str], errors: list[float], trained: list[float]) -> None:
+    """A bar a step, labelled behind its end and its mark; pale from there to where the step before ended."""
     rows = range(len(names))
     colours = [BEFORE] + [AFTER] * (len(names) - 1)
     axes.barh(rows, errors, color=colours, height=0.62, zorder=2)
@@ -62,11 +63,11 @@ def _draw(axes: "Axes", names: list[str], errors: list[float]) -> None:
         closed = max(errors[row - 1] - errors[row], 0.0)
         axes.barh(row, closed, left=errors[row], color=AFTER, alpha=0.18, height=0.62, zorder=2)
     for row in rows:
-        end = errors[row] if row == 0 else max(errors[row], errors[row - 1])
-        axes.annotate(f"{kelvin(errors[row])} K", (end, row), (5, 0), textcoords="offset points", va="center")
+        end = max([*errors[max(row - 1, 0) : row + 1], *trained[row : row + 1]])
+        axes.annotate(f"{kelvin(errors[row])} K", (end, row), (7, 0), textcoords="offset points", va="center")
     axes.set_yticks(rows, names)
     axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_xlim(0.0, 1.18 * max(errors))
+    axes.set_xlim(0.0, 1.18 * max(errors + trained))
     axes.grid(axis="y", visible=False)
     axes.tick_params(axis="y", length=0)
 

@@ -27,22 +27,28 @@ def tiles(document: Document) -> Iterator[str]:
     yield "</div>"
 
 
-def gap_tables(document: Document) -> Iterator[str]:
-    """Errors of free runs, all together and run by run."""
-    sides = _sides(document)
+def gap_table(document: Document) -> Iterator[str]:
+    """Errors of free runs, all together."""
     yield paragraph(
         "Free runs: the twin is given the inputs and the first temperature, and no other. Held-out test runs"
         " had no part in any fit or choice."
     )
-    errors = [Column(f"{error}{text} [K]") for error in ("RMSE", "MAE") for text in sides.values()]
     further = [Column("noise floor [K]"), *([Column("closed")] if changed(document) else [])]
     rows = [_role_row(document, role) for role in _ROLES]
-    yield from table([Column("", words=True), *errors, *further], rows)
+    yield from table([Column("", words=True), *_errors(document), *further], rows)
     if document["gap"]["before"]["test"] is None:
         yield paragraph("No temperatures of a test run were given to compare with.", "soft")
+
+
+def run_table(document: Document) -> Iterator[str]:
+    """Errors of free runs, run by run."""
     runs = [row for role in _ROLES for row in _run_rows(document, role)]
-    lines = table([Column("run", words=True), Column("role", words=True), *errors], runs)
+    lines = table([Column("run", words=True), Column("role", words=True), *_errors(document)], runs)
     yield from lines if len(runs) <= OPEN_RUNS else folded(f"Run by run ({len(runs)} runs)", lines)
+
+
+def _errors(document: Document) -> list[Column]:
+    return [Column(f"{error}{text} [K]") for error in ("RMSE", "MAE") for text in _sides(document).values()]
 
 
 def _sides(document: Document) -> dict[str, str]:

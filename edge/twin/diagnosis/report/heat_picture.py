@@ -42,8 +42,9 @@ def heat_picture(story: Story, adds: bool) -> Picture | None:
         return Picture(
             svg(figure),
             f"Residual heat over {chosen.label}",
-            "Heat into the air, measured minus the twin's; below 0 the twin gains too much. Large marks:"
-            f" means with twice their standard error; they explain {share} of the variance before.",
+            "Residual heat: what must be added to the twin's air to make it show what was measured; below 0"
+            " the twin gains too much. Large marks: means with twice their standard error; they explain"
+            f" {share} of the variance before.",
         )
 
 

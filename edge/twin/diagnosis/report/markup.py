@@ -1,10 +1,12 @@
 """Pieces of HTML. Text that comes from outside is escaped here and nowhere else."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 
 BAR_REM = 4.0  # width of a bar that stands for all
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:K|W|%|s|min|h|d)\b|%)|(?<=±) | (?=±)")  # where no line may break
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +26,11 @@ class Bar:
 
 
 def paragraph(text: str, kind: str = "") -> str:
-    return f"<p{_class(kind)}>{escape(text)}</p>"
+    return f"<p{_class(kind)}>{_sentence(text)}</p>"
 
 
 def bullets(texts: Iterable[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in texts)}</ul>"
+    return f"<ul>{''.join(f'<li>{_sentence(text)}</li>' for text in texts)}</ul>"
 
 
 def tile(value: str, label: str, kind: str = "") -> str:
@@ -57,8 +59,17 @@ def folded(title: str, lines: Iterable[str]) -> Iterator[str]:
     yield "</details>"
 
 
+def terms(pairs: Iterable[tuple[str, str]]) -> str:
+    """Words and what they mean."""
+    return f"<dl>{''.join(f'<dt>{escape(word)}</dt><dd>{_sentence(text)}</dd>' for word, text in pairs)}</dl>"
+
+
 def command(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
+
+
+def _sentence(text: str) -> str:
+    return _BEFORE_UNIT.sub("\N{NO-BREAK SPACE}", escape(text))
 
 
 def _cell(cell: str | Bar) -> str:

@@ -6,18 +6,37 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from edge.twin.diagnosis.report.cause_sections import how_sure, left, what
-from edge.twin.diagnosis.report.gap_sections import gap_tables, tiles
-from edge.twin.diagnosis.report.markup import Column, command, folded, paragraph, table
+from edge.twin.diagnosis.report.cause_sections import left, rivals, tried, what
+from edge.twin.diagnosis.report.gap_sections import gap_table, run_table, tiles
+from edge.twin.diagnosis.report.markup import Column, command, folded, paragraph, table, terms
 from edge.twin.diagnosis.report.number_text import duration, nats, number, odds
 from edge.twin.diagnosis.report.page_style import STYLE
 from edge.twin.diagnosis.report.picture import Picture
 from edge.twin.diagnosis.report.where_sections import where_tables
-from edge.twin.diagnosis.report.wording import Document, gap_sentence, headline, listed, meaning, new_twin
+from edge.twin.diagnosis.report.wording import (
+    Document,
+    changed,
+    gap_sentence,
+    gloss,
+    headline,
+    listed,
+    meaning,
+    new_twin,
+)
 
 NO_PICTURES = (
     "No pictures: they need matplotlib. Get them with `pip install 'greenhouse-twin[report]'`, and again."
 )
+WORDS = {
+    "free run": "the twin simulated over a whole run from its first rows, without another look at the air",
+    "RMSE, MAE": "root of the mean square, and mean size, of measured minus free run",
+    "noise floor": "the RMSE that is left to a twin with the right effects and values: sensor noise, steps of"
+    " the reading, and heat that no input explains",
+    "residual heat": "heat into the air that, added to the twin, would make it show what was measured",
+    "log odds": "how much better the runs are explained [nat]: 3 are odds of 20 to 1, 14 of a million to one",
+    "innovation": "measured minus what was predicted from the row before",
+    "white": "without a pattern in time, like noise",
+}
 _VERDICTS = {"named": "Named", "nothing_missing": "Nothing missing", "unknown": "Unknown"}
 
 
@@ -40,32 +59,36 @@ def _lines(
     yield f"<style>{STYLE}</style></head><body><main>"
     verdict = document["verdict"]
     yield f'<div class="verdict {verdict}">{_VERDICTS[verdict]}</div><h1>{title}</h1>'
-    yield from (paragraph(sentence) for sentence in (*meaning(document), gap_sentence(document)))
+    glosses = [gloss(effect) for effect in document["effects"]]
+    yield from (paragraph(sentence) for sentence in (*glosses, *meaning(document), gap_sentence(document)))
     yield from tiles(document)
     if pictures is None:
         yield paragraph(NO_PICTURES, "soft")
-    yield from _figures(shown, "run")
-    sections = (
-        ("The gap in numbers", gap_tables(document), "gap"),
-        ("Where the twin disagrees", where_tables(document), "where"),
-        ("What is missing", what(document), ""),
-        ("How sure this is", how_sure(document), "sure"),
-        ("What is left", left(document), "left"),
-        ("What to do next", _next(document, folder), ""),
-        ("Where this comes from", _origin(document), ""),
-    )
-    for head, lines, name in sections:
+    for head, lines, name in _sections(document, folder):
         yield f"<h2>{head}</h2>"
         yield from lines
         yield from _figures(shown, name)
     yield "</main></body></html>"
 
 
+def _sections(document: Document, folder: str) -> Iterator[tuple[str, Iterator[str], str]]:
+    """Head, lines, and the name of the pictures behind them."""
+    yield "Where the twin disagrees", where_tables(document), "where"
+    yield "What is missing, and how sure that is", what(document), ""
+    if document["effects"]:
+        yield "Rivals", rivals(document), ""
+    yield ("Before and after" if changed(document) else "The twin as it is"), gap_table(document), "run"
+    yield "What to do next", _next(document, folder), ""
+    yield "Details: run by run", run_table(document), ""
+    yield "Details: what was tried", tried(document), "tried"
+    yield "Details: what is left", left(document), "left"
+    yield "Details: words, and where this comes from", _origin(document), ""
+
+
 def _figures(pictures: Mapping[str, tuple[Picture, ...]], section: str) -> Iterator[str]:
     for picture in pictures.get(section, ()):
-        label = escape(picture.title)
-        yield f'<figure role="img" aria-label="{label}">{picture.svg}'
-        yield f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
+        drawn = picture.svg.replace("<svg", f'<svg role="img" aria-label="{escape(picture.title)}"', 1)
+        yield f"<figure>{drawn}<figcaption>{escape(picture.caption)}</figcaption></figure>"
 
 
 def _next(document: Document, folder: str) -> Iterator[str]:
@@ -75,8 +98,11 @@ def _next(document: Document, folder: str) -> Iterator[str]:
         yield from _experiment(experiment, folder)
     if twin := new_twin(document):
         yield "<h3>Adopt the new twin</h3>"
-        yield paragraph(f"It is {twin} beside this report. With --back instead of the folder it is undone.")
-        yield command(f"greenhouse twin adopt {shlex.quote(folder)}")
+        yield paragraph(
+            f"It is {twin} beside this report. On a rig it runs in shadow beside the one before; the second"
+            " command takes it back."
+        )
+        yield command(f"greenhouse twin adopt {shlex.quote(folder)}\ngreenhouse twin adopt --back")
     elif not experiment:
         yield paragraph("Nothing: there is no twin to adopt and no experiment to run.")
 
@@ -111,6 +137,7 @@ def _origin(document: Document) -> Iterator[str]:
         "took": duration(document["seconds"]),
     }
     told = [(key, value) for key, value in facts.items() if value]
+    yield from folded("Words used here", [terms(WORDS.items())])
     yield '<div class="hash">'
     yield from table((Column("", words=True), Column("", words=True)), told)
     yield "</div>"

@@ -34,6 +34,7 @@ td.words, th.words { text-align: left; min-width: 7rem } tr.kept td { font-weigh
   margin-right: .4em }
 code, pre { background: var(--code); border-radius: .25rem; font-size: .875em; padding: .1em .3em }
 pre { padding: .6rem .8rem; overflow-x: auto } ul { padding-left: 1.2rem }
+dt { font-weight: 600; margin-top: .4rem } dd { margin: 0 0 0 1rem; color: var(--soft) }
 summary { cursor: pointer; color: var(--soft); margin: .5rem 0 }
 .hash { overflow-wrap: anywhere }
 @media print { body { max-width: none } figure, .tile { break-inside: avoid } }

@@ -28,10 +28,12 @@ def pictures(story: Story) -> Mapping[str, tuple[Picture, ...]] | None:
     story = replace(story, traces=tuple(one for one in story.traces if len(one.time_s) >= LEAST_ROWS))
     adds = changed(story.document)
     drawn: dict[str, list[Picture | None]] = {
-        "run": [*(run_picture(one, _errors(story.document, one), adds) for one in told_runs(story))],
-        "gap": [gap_picture(story.document)],
         "where": [heat_picture(story, adds), residual_picture(story, adds)],
-        "sure": [candidates_picture(story.document)],
+        "run": [
+            *(run_picture(one, _errors(story.document, one), adds) for one in told_runs(story)),
+            gap_picture(story.document),
+        ],
+        "tried": [candidates_picture(story.document)],
         "left": [whiteness_picture(story, adds)],
     }
     return {section: tuple(one for one in found if one is not None) for section, found in drawn.items()}

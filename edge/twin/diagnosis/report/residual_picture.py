@@ -51,7 +51,9 @@ def residual_picture(story: Story, adds: bool) -> Picture | None:
         legend_above(axes, 3, room_pt=12.0)
         held_out = " Shaded: held out." if any(one.role == "test" for one in traces) else ""
         return Picture(
-            svg(figure), "Residuals of free runs in time", f"What remains should be noise around 0.{held_out}"
+            svg(figure),
+            "Residuals of free runs in time, all runs end to end",
+            f"What remains should be noise around 0.{held_out}",
         )
 
 

@@ -61,7 +61,8 @@ def run_picture(trace: Trace, errors: Sequence[float | None], adds: bool) -> Pic
         drawn[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
         figure.align_ylabels(list(drawn))
         shown = " Shown: the day with the largest error." if trace is not whole else ""
-        return Picture(svg(figure), title, _caption(trace, errors, adds) + shown)
+        told = "measured, and free runs of the twin before and after" if adds else "measured, and a free run"
+        return Picture(svg(figure), f"{title}: air {told}", _caption(trace, errors, adds) + shown)
 
 
 def limits(
@@ -143,11 +144,14 @@ def _finite(*series: Floats | None) -> Floats:
 def _caption(trace: Trace, errors: Sequence[float | None], adds: bool) -> str:
     before, after = errors
     if before is None and trace.scored:
-        return "Free runs from the first rows."
+        return "Free runs: the twin is given the inputs and the first rows, and no other temperature."
     if before is None:
         return (
             "Free runs from the first rows. Later temperatures were not given, so there is no error to tell."
         )
     if not adds or after is None:
         return f"A free run from the first rows. RMSE {kelvin(before)} K."
-    return f"Free runs from the first rows. RMSE {kelvin(before)} K before, {kelvin(after)} K after."
+    return (
+        "Free runs: the twin is given the inputs and the first rows, and no other temperature."
+        f" RMSE {kelvin(before)} K before, {kelvin(after)} K after."
+    )

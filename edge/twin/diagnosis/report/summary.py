@@ -1,76 +1,107 @@
 """A diagnosis in some fifteen lines, for the terminal."""
 
 import shlex
+import textwrap
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-from edge.twin.diagnosis.report.number_text import duration, kelvin, nats, odds, percent, plus_minus
+from edge.twin.diagnosis.report.number_text import duration, kelvin, odds, percent
 from edge.twin.diagnosis.report.wording import (
     Document,
-    gap_sentence,
     headline,
+    heat_text,
+    listed,
     meaning,
     new_twin,
+    parameter_text,
+    scored,
     shrink,
     step_names,
-    white_runs,
 )
 
+COLUMNS = 100  # of a line
 REGIMES = 3
+_ROLES = {"train": "training runs", "test": "held-out test runs"}
 
 
-def summary_text(document: Document, folder: str = "report") -> str:
-    """The facts of the report. folder : of the report, for the command that adopts the new twin"""
-    return "\n".join(_lines(document, folder)) + "\n"
+def summary_text(document: Document, folder: str = "report", page: str | None = None) -> str:
+    """The facts of the report, in its order.
+
+    folder : of the report, for what lies there;  page : its page there, None where none was written
+    """
+    lines = [*_lines(document, folder), *([] if page is None else [f"Report: {Path(folder) / page}"])]
+    return "\n".join(lines) + "\n"
 
 
 def _lines(document: Document, folder: str) -> Iterator[str]:
-    yield headline(document)
-    yield from (f"  {sentence}" for sentence in meaning(document))
-    yield gap_sentence(document)
-    yield from _gap_rows(document)
+    yield from _wrapped(headline(document), "", "  ")
+    for sentence in meaning(document):
+        yield from _wrapped(sentence)
     yield from _regimes(document)
-    yield from _sure(document)
+    yield from _effects(document)
+    yield from _gap_rows(document)
     if experiment := document["next_experiment"]:
-        yield f"Next experiment: {_experiment(experiment)}"
+        yield from _experiment(experiment, folder)
     if new_twin(document):
         yield f"To adopt the new twin: greenhouse twin adopt {shlex.quote(folder)}"
     yield f"Took {duration(document['seconds'])}."
 
 
-def _gap_rows(document: Document) -> Iterator[str]:
-    gap = document["gap"]
-    yield f"  {'RMSE of free runs [K]':<24}{'before':>9}{'after':>9}{'noise':>9}{'closed':>9}"
-    for role in ("train", "test"):
-        errors = [(gap[when][role] or {}).get("rmse_k") for when in ("before", "after")]
-        cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(shrink(document, role))]
-        yield f"  {role:<24}" + "".join(f"{cell:>9}" for cell in cells)
-    steps = document.get("waterfall", [])
-    if len(steps) > 2:
-        told = zip(step_names(steps), steps, strict=True)
-        yield "  Step by step: " + ", ".join(f"{name} {kelvin(step['train_rmse_k'])}" for name, step in told)
-
-
 def _regimes(document: Document) -> Iterator[str]:
     if document["regimes"]:
-        yield "Where it disagrees:"
+        yield "Where it disagrees, by share of the squared error:"
     for regime in document["regimes"][:REGIMES]:
-        share, heat = regime["share_of_squared_error"], plus_minus(regime["heat_w"], regime["heat_w_se"])
-        yield f"  {percent(share):>5} of the squared error: {regime['where']}; {heat} W"
+        share = percent(regime["share_of_squared_error"])
+        yield from _wrapped(f"{regime['where']}; there {heat_text(regime)}", f"  {share:>6}  ", " " * 10)
 
 
-def _sure(document: Document) -> Iterator[str]:
+def _effects(document: Document) -> Iterator[str]:
+    """What is missing, how sure, and its rivals."""
+    if document["effects"]:
+        yield "What is missing, by how much, and how sure:"
     for effect in document["effects"]:
-        bounds = "".join(f"; {name} is at its bound" for name in effect.get("at_bound", ()))
-        log_odds = effect["log_odds"]
-        yield f"How sure: {effect['name']} has log odds {nats(log_odds)} ({odds(log_odds)}){bounds}"
-    (before, tested), (after, tested_after) = (white_runs(document, when) for when in ("before", "after"))
-    if tested and tested_after:
-        yield f"White innovations: {before} of {tested} runs before, {after} of {tested_after} after"
+        told = [parameter_text(name, value) for name, value in effect["parameters"].items()]
+        told += [f"{name} is at its bound" for name in effect.get("at_bound", ())]
+        told += [f"odds {odds(effect['log_odds'])}"]
+        if effect["alternatives"]:
+            told += [f"these data cannot tell it from {listed(effect['alternatives'])}"]
+        equation = effect.get("equation", "").rstrip(".")
+        yield from _wrapped(f"{effect['name']}: {equation}".rstrip(": "))
+        yield from _wrapped("; ".join(told), "    ", "    ")
 
 
-def _experiment(experiment: dict[str, Any]) -> str:
-    parts = [str(experiment[key]) for key in ("why", "profile") if isinstance(experiment.get(key), str)] or [
-        ", ".join(f"{key} {value}" for key, value in experiment.items())
-    ]
-    return "; ".join(parts)
+def _gap_rows(document: Document) -> Iterator[str]:
+    gap = document["gap"]
+    yield f"{'RMSE of free runs [K]':<24}{'before':>9}{'after':>9}{'noise':>9}{'closed':>9}"
+    for role, name in _ROLES.items():
+        errors = [(gap[when][role] or {}).get("rmse_k") for when in ("before", "after")]
+        cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(shrink(document, role))]
+        yield f"  {name:<22}" + "".join(f"{cell:>9}" for cell in cells)
+    steps = document.get("waterfall", [])
+    if len(steps) > 2:
+        role = scored(document)
+        told = zip(step_names(steps), (step[f"{role}_rmse_k"] for step in steps), strict=True)
+        steps_text = ", ".join(f"{name} {kelvin(value)}" for name, value in told)
+        yield from _wrapped(f"Step by step, {_ROLES[role]}: {steps_text}")
+
+
+def _experiment(experiment: dict[str, Any], folder: str) -> Iterator[str]:
+    worded = {key: experiment[key] for key in ("why", "profile") if isinstance(experiment.get(key), str)}
+    yield "Next experiment:"
+    yield from _wrapped(worded.get("why") or ", ".join(f"{key} {value}" for key, value in experiment.items()))
+    if "profile" in worded:
+        profile = shlex.quote(str(Path(folder) / worded["profile"]))
+        yield f"  greenhouse experiment {profile} --out next_run.csv"
+
+
+def _wrapped(text: str, first: str = "  ", further: str = "    ") -> list[str]:
+    """Lines of a sentence; a command is never broken this way. first, further : what lines begin with"""
+    return textwrap.wrap(
+        text,
+        COLUMNS,
+        initial_indent=first,
+        subsequent_indent=further,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

@@ -3,17 +3,20 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from edge.twin.diagnosis.report.markup import Bar, Column, bullets, paragraph, table
+from edge.twin.diagnosis.report.markup import Bar, Column, bullets, folded, paragraph, table
 from edge.twin.diagnosis.report.number_text import duration, kelvin, number, percent, plus_minus
-from edge.twin.diagnosis.report.wording import Document
+from edge.twin.diagnosis.report.wording import Document, where_found
 
 REGIMES = 10
+OPEN_FINDINGS = 3  # more are folded
 
 
 def where_tables(document: Document) -> Iterator[str]:
     """Findings, regimes, events."""
-    if findings := document.get("findings"):
-        yield bullets(findings)
+    if found := where_found(document):
+        yield bullets(found[:OPEN_FINDINGS])
+    if more := found[OPEN_FINDINGS:]:
+        yield from folded(f"{len(more)} more", [bullets(more)])
     if document["regimes"]:
         yield from _regimes(document["regimes"][:REGIMES])
     else:
@@ -63,5 +66,6 @@ def _regimes(regimes: list[Mapping[str, Any]]) -> Iterator[str]:
 
 def _further(regime: Mapping[str, Any], key: str) -> str:
     if key == "heat_after_w":
-        return plus_minus(regime.get(key), regime.get("heat_after_w_se"))
+        error = regime.get("heat_after_w_se")
+        return plus_minus(regime.get(key), error) if error else number(regime.get(key), 2)
     return kelvin(regime.get(key))

@@ -3,13 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from edge.twin.diagnosis.report.number_text import kelvin, number, percent
+from edge.twin.diagnosis.report.number_text import kelvin, number, percent, plus_minus
 
 Document = Mapping[str, Any]
 
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 _ROLES = {"train": "training runs", "test": "held-out test runs"}
 NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
+CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
+ERROR_SHARE = "squared error"  # what a finding that tells where the error lies has in it
 WHITE_P = 0.05  # a run's innovations count as white from this p-value on
 
 
@@ -29,8 +31,8 @@ def headline(document: Document) -> str:
 
 
 def meaning(document: Document) -> list[str]:
-    """What the verdict means, a sentence or two each."""
-    sentences = [_effect_meaning(effect) for effect in document["effects"]]
+    """What a verdict means that is no name, a sentence or two each."""
+    sentences = []
     if document["verdict"] == "nothing_missing":
         sentences.append(
             "None of the effects that were tried explains these runs better than the twin as it is, beyond"
@@ -60,6 +62,32 @@ def gap_sentence(document: Document) -> str:
         f"On the {_ROLES[role]} the RMSE of free runs goes from {kelvin(before)} K"
         f" to {kelvin(after)} K{noise}{share}."
     )
+
+
+def gloss(effect: Mapping[str, Any]) -> str:
+    """An effect in plain words, the equation left out: `heater_lag: the element warms up before it heats.`"""
+    plain = effect.get("equation", "").partition(":")[0].rstrip(". ")
+    return f"{effect['name']}: {plain[:1].lower()}{plain[1:]}." if plain else f"{effect['name']}."
+
+
+def where_found(document: Document) -> list[str]:
+    """Findings that tell where, and when, the error lies."""
+    return [text for text in document.get("findings", []) if ERROR_SHARE in text]
+
+
+def noticed(document: Document) -> list[str]:
+    """The other findings: what was left out, and what these runs can't tell."""
+    return [text for text in document.get("findings", []) if ERROR_SHARE not in text]
+
+
+def heat_text(regime: Mapping[str, Any]) -> str:
+    """A regime's heat: `the twin gains 38 ± 3 W too much`."""
+    heat, error = regime["heat_w"], regime["heat_w_se"]
+    if heat is None:
+        return "the heat is not known"
+    if error and abs(heat) < CLEAR * error:
+        return f"the residual heat is {plus_minus(heat, error)} W, no clear direction"
+    return f"the twin gains {plus_minus(abs(heat), error)} W too {'much' if heat < 0.0 else 'little'}"
 
 
 def changed(document: Document) -> bool:
@@ -136,12 +164,3 @@ def step_names(waterfall: Sequence[Mapping[str, Any]]) -> list[str]:
 def listed(names: Sequence[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
-
-
-def _effect_meaning(effect: Mapping[str, Any]) -> str:
-    said = f"{effect['name']}: {effect.get('equation', '')}".rstrip(": ")
-    parameters = ", ".join(parameter_text(name, value) for name, value in effect["parameters"].items())
-    sentence = f"{said.rstrip('.')}{'; ' if parameters else ''}{parameters}."
-    if effect["alternatives"]:
-        sentence += f" These data cannot tell it from {listed(effect['alternatives'])}."
-    return sentence
