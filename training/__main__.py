@@ -73,6 +73,9 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
     bundle.set_defaults(run=_bundle)
     _add_evaluate(commands.add_parser("evaluate", help=_evaluate.__doc__, description=_evaluate.__doc__))
+    _add_paper_case(
+        commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
+    )
     box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
     box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
     box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")
@@ -87,6 +90,34 @@ def _add_evaluate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--check", action="store_true", help="compare with what is there and change nothing")
     sub.add_argument("--tolerance", type=float, default=0.0, help="of --check, on other machines (usual: 0)")
     sub.set_defaults(run=_evaluate)
+
+
+def _add_paper_case(sub: argparse.ArgumentParser) -> None:
+    case = RESULTS / "paper_case"
+    sub.add_argument("--results", type=Path, default=case, help=f"twins, figures, picture (usual: {case})")
+    evaluation = RESULTS / "evaluation.json"
+    sub.add_argument(
+        "--evaluation", type=Path, default=evaluation, help=f"the other models' figures (usual: {evaluation})"
+    )
+    networks = OUT.parent / "paper_case"
+    sub.add_argument("--out", type=Path, default=networks, help=f"trained networks (usual: {networks})")
+    sub.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="of the networks (usual: 0 to 4)")
+    sub.add_argument(
+        "--kept-twins", action="store_true", help="diagnose nothing, take the twins that are there"
+    )
+    sub.add_argument(
+        "--check",
+        action="store_true",
+        help="the same, compare with the figures that are there, change nothing",
+    )
+    sub.set_defaults(run=_paper_case)
+
+
+def _paper_case(arguments: argparse.Namespace) -> int:
+    """the bare physics model told what it lacks, and the hybrid over it before and after"""
+    from training.paper_case import run
+
+    return run(arguments)
 
 
 def _heated_box(arguments: argparse.Namespace) -> int:
