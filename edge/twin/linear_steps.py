@@ -12,6 +12,7 @@ in one of ten while the heater is switched (tests/test_linear_steps.py).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -169,15 +170,20 @@ def _transitions(twin: Twin, modes: list[Floats], length_s: float) -> tuple[Floa
 
 def _coded(modes: Sequence[Floats | Indices]) -> tuple[Indices, Indices]:
     """A place where each combination of modes occurs, and which combination holds at each place."""
-    code = np.zeros(modes[0].size, dtype=np.intp)
-    for mode in modes:
-        if (mode == mode.flat[0]).all():
-            continue  # the usual case, and sorting is what takes the time
-        values, index = np.unique(mode, return_inverse=True)
-        code = code * len(values) + index.ravel()
-        code = np.unique(code, return_inverse=True)[1].ravel()
+    varying = [np.ascontiguousarray(mode) for mode in modes if not (mode == mode.flat[0]).all()]
+    places, which = _combinations(tuple((mode.tobytes(), mode.dtype.char) for mode in varying))
+    return places, which.reshape(modes[0].shape) if varying else np.zeros(modes[0].shape, dtype=np.intp)
+
+
+@lru_cache(maxsize=64)  # twins of one search see the same fan: sorting it is what takes the time
+def _combinations(columns: tuple[tuple[bytes, str], ...]) -> tuple[Indices, Indices]:
+    """Of columns as bytes, so that they can be remembered; flat."""
+    code = np.zeros(1, dtype=np.intp)
+    for content, kind in columns:
+        values, index = np.unique(np.frombuffer(content, dtype=kind), return_inverse=True)
+        code = np.unique(code * len(values) + index, return_inverse=True)[1]
     _, places, which = np.unique(code, return_index=True, return_inverse=True)
-    return places, which.reshape(modes[0].shape)
+    return places, which
 
 
 def _folded_matrices(parts: list[_Part]) -> tuple[Floats, Indices]:

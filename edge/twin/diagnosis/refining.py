@@ -8,6 +8,8 @@ with that much noise, or with several effects, is fitted once more as if nothing
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from edge.twin.diagnosis.fitting import Fitted, Trial, fit
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels, level_prior
 from edge.twin.effects import EFFECTS
@@ -16,6 +18,7 @@ from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 REFITTED, AFRESH = 3, 8  # iterations, from where a set was found and from the beginning
+AGAIN = 2  # sets of a round that may begin again
 ROUNDS = 2  # of levels and values in turn
 LOUD = 3.0  # times the usual heat noise: no twin that lacks nothing has that much
 SEVERAL = 3  # effects, beside which another one may change what the first ones were taken for
@@ -24,10 +27,11 @@ SEVERAL = 3  # effects, beside which another one may change what the first ones 
 def refined(trials: Sequence[Trial], given: TwinFile, runs: Recorded, afresh: bool = True) -> list[Fitted]:
     """The likelier fit of each trial, in the order given.
 
-    given : the twin as it was before anything was added; afresh : whether trials may begin again
+    given : the twin as it was before anything was added; afresh : whether the best trials may begin again
     """
     found = _levelled(fit(trials, runs, REFITTED), given, runs)
-    again = [i for i, item in enumerate(found) if afresh and _doubtful(item, given, runs)]
+    doubtful = [i for i, item in enumerate(found) if afresh and _doubtful(item, given, runs)]
+    again = sorted(doubtful, key=lambda i: -_worth(found[i], given, runs))[:AGAIN]
     if again:
         fresh = [begun(trials[i], given, runs) for i in again]
         others = _levelled(fit(fresh, runs, AFRESH), given, runs)
@@ -46,6 +50,12 @@ def _levelled(found: list[Fitted], given: TwinFile, runs: Recorded) -> list[Fitt
     for _ in range(ROUNDS):
         found = fit(find_levels(found, given, runs), runs, REFITTED)
     return found
+
+
+def _worth(found: Fitted, given: TwinFile, runs: Recorded) -> float:
+    """Likelihood less what its values may explain by chance (BIC) [nats]."""
+    rows = np.isfinite(runs.temp[:, 1:]).sum()
+    return likelihood(found, given) - 0.5 * len(found.free) * float(np.log(rows))
 
 
 def _doubtful(found: Fitted, given: TwinFile, runs: Recorded) -> bool:

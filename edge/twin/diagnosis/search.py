@@ -7,6 +7,7 @@ any of the candidates is named by luck stays small however many are tried.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, gains_of, slop
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import first_levels
 from edge.twin.diagnosis.progress import Progress
-from edge.twin.diagnosis.refining import begun, likelihood, refined
+from edge.twin.diagnosis.refining import SEVERAL, begun, likelihood, refined
 from edge.twin.diagnosis.starts import settled, with_effect, with_usual
 from edge.twin.diagnosis.unknowns import unknowns
 from edge.twin.effects import EFFECTS, USUAL_EFFECTS
@@ -24,12 +25,13 @@ from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
 REFINED = 6  # candidates of a round that get noise levels of their own
-FIRST_LOOK, SCREENED, LAST_LOOK = 1, 4, 8  # iterations; the last for those that may be looked at further
-LARGEST_SET = 7
+FIRST_LOOK, SCREENED, LAST_LOOK = 1, 4, 8  # iterations; the last of rivals, which are compared
+LARGEST_SET = 10
 BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
 FORMULAS = 2  # in one set: more of them can follow anything
 MIMICS = 3  # names that may be tried on what a formula explains better
 EXCHANGE_NATS = 0.5
+MERGED_PAIRS, MERGED_INTO = 2, 2  # pairs that one effect may stand for, the least ones; how many are tried
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
 HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a candidate above 0
@@ -95,7 +97,8 @@ class Search:
     rounds: list[Round] = field(default_factory=list)
     held_out: dict[str, float] = field(default_factory=dict)
     _known: dict[Names, Scored] = field(default_factory=dict)
-    _screened: dict[Names, list[Candidate]] = field(default_factory=dict)
+    _screened: dict[tuple[Names, NoiseLevels], list[Candidate]] = field(default_factory=dict)
+    _shortened: set[tuple[Names, str]] = field(default_factory=set)
 
     @property
     def candidates(self) -> list[str]:
@@ -164,7 +167,10 @@ class Search:
             return apart
         grown = self._best_of(self._grown(best))
         margin = NEXT_MARGIN if best.added else MARGIN
-        return grown if grown and grown.score >= best.score + margin else self._exchanged(best)
+        if grown and grown.score >= best.score + margin:
+            return grown
+        exchanged = self._exchanged(best)
+        return exchanged if exchanged is not best else self._merged(best)
 
     def _extended(self, item: Scored, most: int) -> Scored:
         """A set with up to so many formulas, as far as each is worth it."""
@@ -227,10 +233,29 @@ class Search:
                 return best
         return item
 
+    def _merged(self, item: Scored) -> Scored:
+        """The set with two members exchanged for one that does what both did, if there is one."""
+        names = sorted(item.added & EFFECTS.keys())
+        if len(item.added) < SEVERAL or len(names) < 2:
+            return item
+        worth = {
+            name: item.score - less.score for name, less in zip(names, self._less(item, names), strict=True)
+        }
+        pairs = sorted(combinations(names, 2), key=lambda pair: worth[pair[0]] + worth[pair[1]])
+        for pair in pairs[:MERGED_PAIRS]:
+            beside = self._as_it_is(item, pair)
+            found = [
+                other for other in self._sharpened(beside) if other.file and other.name not in item.added
+            ]
+            best = self._best_of(self._looked_at(beside, found[:MERGED_INTO], item.fitted.trial.levels))
+            if best is not None and best.score > item.score + EXCHANGE_NATS:
+                return best
+        return item
+
     def rivals(self, item: Scored, name: str) -> list[Scored]:
         """The sets in which another candidate stands in the place of `name`, those that come near."""
-        beside = self.without(item, name)
-        screened = self.screened(beside)
+        beside = self._as_it_is(item, [name])
+        screened = self._sharpened(beside)
         own = {found.name: found.gain for found in screened}.get(name, item.likelihood - beside.likelihood)
         near = [
             found
@@ -253,45 +278,75 @@ class Search:
         tried = (Tried(item.name, item.gain, item.gain - self.penalty(item.name)) for item in screened)
         return Round(beside.added, tuple(tried))
 
+    def _as_it_is(self, item: Scored, names: Sequence[str]) -> Scored:
+        """The set less some effects, with its own noise: levels found without them might swallow them."""
+        trial = self._short(item, *names)
+        [found] = fit([trial], self.runs, SCREENED)
+        nats = likelihood(found, self.file)
+        key = item.added - set(names)
+        return Scored(key, found, nats, nats - sum(self.penalty(name) for name in key))
+
     def screened(self, beside: Scored) -> list[Candidate]:
         """Each candidate beside a set, with the set's noise, the most promising first."""
-        if beside.added not in self._screened:
-            self._screened[beside.added] = self._screen(beside)
-        return self._screened[beside.added]
+        key = beside.added, beside.fitted.trial.levels
+        if key not in self._screened:
+            self._screened[key] = self._screen(beside)
+        return self._screened[key]
+
+    def _sharpened(self, beside: Scored) -> list[Candidate]:
+        """The screening with its first few names as good as they get: a start may lie far from the top."""
+        screened = self.screened(beside)
+        first_few = [found for found in screened if found.file is not None][:REFINED]
+        still = self._still(beside)
+        trials = [replace(still, file=found.file) for found in first_few if found.file is not None]
+        base, *better = fit([replace(still, free=()), *trials], self.runs, LAST_LOOK)
+        found_of = {found.name: found for found in screened} | {
+            found.name: Candidate(found.name, item.log_likelihood - base.log_likelihood, item.file)
+            for found, item in zip(first_few, better, strict=True)
+        }
+        key = beside.added, beside.fitted.trial.levels
+        self._screened[key] = self._in_order(found_of.values())
+        return self._screened[key]
+
+    def _in_order(self, found: Iterable[Candidate]) -> list[Candidate]:
+        return sorted(found, key=lambda item: self.penalty(item.name) - item.gain)
+
+    def _still(self, beside: Scored) -> Trial:
+        """A trial whose own values move in proportion, so that only what is added to it is sought."""
+        base = beside.fitted
+        terms = (*base.trial.nuisances, *slopes(base, self.runs))
+        return Trial(settled(base.file), base.trial.levels, terms)
 
     def _screen(self, beside: Scored) -> list[Candidate]:
-        base = beside.fitted
-        settled_trial = Trial(
-            settled(base.file), base.trial.levels, (*base.trial.nuisances, *slopes(base, self.runs))
-        )
+        still = self._still(beside)
         names = [name for name in self.candidates if name not in beside.added]
         self.progress(f"{_text(beside.added)}: {len(names)} candidates")
-        found = [*self._effects(settled_trial, names)]
+        found = [*self._effects(still, names)]
         if len(beside.added & self.formulas.keys()) < FORMULAS:
             terms = [term for name, term in self.formulas.items() if name not in beside.added]
-            gains = gains_of(settled_trial, terms, self.runs)
+            gains = gains_of(still, terms, self.runs)
             found += [
                 Candidate(term.name, float(gain), None) for term, gain in zip(terms, gains, strict=True)
             ]
-        return sorted(found, key=lambda item: self.penalty(item.name) - item.gain)
+        return self._in_order(found)
 
-    def _effects(self, beside: Trial, names: Sequence[str]) -> list[Candidate]:
-        """Each effect beside a trial whose own values move in proportion; each start gets one step, the best
-        of each effect more, the best effects as many as they need."""
-        trials, owners = [replace(beside, free=())], [""]
+    def _effects(self, still: Trial, names: Sequence[str]) -> list[Candidate]:
+        """Each effect beside a trial that stands still; each start gets one step, the best of each more."""
+        trials, owners = [replace(still, free=())], [""]
         for name in names:
-            for file in with_effect(beside.file, name):
-                trials.append(replace(beside, file=file))
+            for file in with_effect(still.file, name):
+                trials.append(replace(still, file=file))
                 owners.append(name)
         base, *first = fit(trials, self.runs, FIRST_LOOK)
         best = _best(owners[1:], first)
-        again = dict(zip(best, fit(_onward(best.values()), self.runs, SCREENED), strict=True))
-        first_few = sorted(again, key=lambda name: self.penalty(name) - again[name].log_likelihood)[:REFINED]
-        last = fit(_onward(again[name] for name in first_few), self.runs, LAST_LOOK)
-        again |= zip(first_few, last, strict=True)
+        again = fit(
+            [replace(item.trial, file=item.file, free=item.free) for item in best.values()],
+            self.runs,
+            SCREENED,
+        )
         return [
             Candidate(name, item.log_likelihood - base.log_likelihood, item.file)
-            for name, item in again.items()
+            for name, item in zip(best, again, strict=True)
         ]
 
     def thawed(self, beside: Scored, found: Candidate) -> Trial:
@@ -312,7 +367,7 @@ class Search:
         return replace(like, file=file, free=free)
 
     def _refined(self, wanted: dict[Names, Trial], afresh: bool = True) -> None:
-        """Fit with noise levels of their own, and keep."""
+        """Fit with noise levels of their own, and keep what is better than before."""
         if not wanted:
             return
         self.progress(f"{len(wanted)} sets with noise of their own")
@@ -320,23 +375,25 @@ class Search:
         for key, item in zip(wanted, found, strict=True):
             nats = likelihood(item, self.file)
             score = nats - sum(self.penalty(name) for name in key)
-            self._known[key] = Scored(key, item, nats, score)
+            if key not in self._known or score > self._known[key].score:
+                self._known[key] = Scored(key, item, nats, score)
 
     def without(self, item: Scored, name: str) -> Scored:
         """The set less one effect."""
         return self._less(item, [name])[0]
 
     def _less(self, item: Scored, names: Sequence[str]) -> list[Scored]:
-        """The set less one effect, for each of them."""
+        """The set less one effect, for each of them: fitted from here too, where it may have ended lower."""
         keys = {item.added - {name}: name for name in names}
-        wanted = {key: self._short(item, name) for key, name in keys.items() if key not in self._known}
-        self._refined(wanted, afresh=False)
+        new = {key: name for key, name in keys.items() if (item.added, name) not in self._shortened}
+        self._shortened |= {(item.added, name) for name in new.values()}
+        self._refined({key: self._short(item, name) for key, name in new.items()}, afresh=False)
         return [self._known[key] for key in keys]
 
-    def _short(self, item: Scored, name: str) -> Trial:
+    def _short(self, item: Scored, *names: str) -> Trial:
         file, like = item.fitted.file, item.fitted.trial
-        effects = {own: values for own, values in file.effects.items() if own != name}
-        kept = tuple(term for term in like.nuisances if term.name != name)
+        effects = {own: values for own, values in file.effects.items() if own not in names}
+        kept = tuple(term for term in like.nuisances if term.name not in names)
         return self._trial(replace(file, effects=effects), replace(like, nuisances=kept))
 
     def _pruned(self, item: Scored) -> Scored:
@@ -356,11 +413,6 @@ def _best(names: Sequence[str], found: Sequence[Fitted]) -> dict[str, Fitted]:
         if name not in best or item.log_likelihood > best[name].log_likelihood:
             best[name] = item
     return best
-
-
-def _onward(found: Iterable[Fitted]) -> list[Trial]:
-    """Trials that begin where these ended."""
-    return [replace(item.trial, file=item.file, free=item.free) for item in found]
 
 
 def _text(names: Names) -> str:
