@@ -65,6 +65,7 @@ def trace(
     later = run_through(after(duty), fan, ambient, 21.0, share_after)
     noise_w = 2.5 * random.standard_normal(rows)
     missing_w = truth(duty) - twin(duty) + (1.0 - fan_share) * FAN_W_K * fan * (real - ambient)
+    missing_w = np.append(0.0, missing_w[:-1])  # what a row's measurement tells stands at that row
     white = NOISE_K * random.standard_normal(rows)
     return Trace(
         name,

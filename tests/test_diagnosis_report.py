@@ -366,6 +366,8 @@ def test_steps_of_the_waterfall_have_names() -> None:
         (percent(0.714), "71 %"),
         (percent(0.004), "< 1 %"),
         (percent(0.0), "0 %"),
+        (percent(0.996), "> 99 %"),
+        (percent(1.0), "100 %"),
         (plus_minus(38.1, 3.1), "38 ± 3"),
         (plus_minus(0.2, 0.3), "0.2 ± 0.3"),
         (plus_minus(2.314, 0.142), "2.31 ± 0.14"),

@@ -8,6 +8,7 @@ from edge.twin.diagnosis.report.picture import (
     AFTER,
     BEFORE,
     INK,
+    PLAIN,
     Picture,
     legend_above,
     new_figure,
@@ -19,7 +20,8 @@ from edge.twin.diagnosis.report.wording import Document, step_names
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ROW_IN, BORDER_IN = 0.4, 1.1
+ROW_IN, BORDER_IN = 0.45, 1.1
+BELOW = 0.41  # rows from a bar's middle down to that of the training runs
 _ROLES = {"train": "training runs", "test": "held-out test runs"}
 
 
@@ -37,9 +39,11 @@ def gap_picture(document: Document) -> Picture | None:
         figure = new_figure(ROW_IN * len(steps) + BORDER_IN)
         axes = figure.subplots()
         trained = [step["train_rmse_k"] for step in steps] if roles == ["test", "train"] else []
-        _draw(axes, names, errors, trained)
+        _draw(axes, names, errors)
         if trained:
-            axes.plot(trained, range(len(steps)), "D", color=INK, ms=4.5, label="training runs", zorder=4)
+            below = [row + BELOW for row in range(len(steps))]
+            axes.set_xlim(0.0, 1.18 * max(errors + trained))
+            axes.barh(below, trained, color=PLAIN, height=0.12, label="training runs")
         floor = document["gap"]["noise_floor"][role]
         if floor is not None:
             axes.axvline(floor, color=INK, ls=(0, (4, 3)), lw=1.2, label=f"noise floor {kelvin(floor)} K")
@@ -54,8 +58,8 @@ def gap_picture(document: Document) -> Picture | None:
         )
 
 
-def _draw(axes: "Axes", names: list[str], errors: list[float], trained: list[float]) -> None:
-    """A bar a step, labelled behind its end and its mark; pale from there to where the step before ended."""
+def _draw(axes: "Axes", names: list[str], errors: list[float]) -> None:
+    """A bar a step, its end labelled; pale from there to where the step before ended."""
     rows = range(len(names))
     colours = [BEFORE] + [AFTER] * (len(names) - 1)
     axes.barh(rows, errors, color=colours, height=0.62, zorder=2)
@@ -63,11 +67,11 @@ def _draw(axes: "Axes", names: list[str], errors: list[float], trained: list[flo
         closed = max(errors[row - 1] - errors[row], 0.0)
         axes.barh(row, closed, left=errors[row], color=AFTER, alpha=0.18, height=0.62, zorder=2)
     for row in rows:
-        end = max([*errors[max(row - 1, 0) : row + 1], *trained[row : row + 1]])
-        axes.annotate(f"{kelvin(errors[row])} K", (end, row), (7, 0), textcoords="offset points", va="center")
+        end = max(errors[max(row - 1, 0) : row + 1])
+        axes.annotate(f"{kelvin(errors[row])} K", (end, row), (5, 0), textcoords="offset points", va="center")
     axes.set_yticks(rows, names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_xlim(0.0, 1.18 * max(errors + trained))
+    axes.set_ylim(len(names) - 0.45, -0.5)
+    axes.set_xlim(0.0, 1.18 * max(errors))
     axes.grid(axis="y", visible=False)
     axes.tick_params(axis="y", length=0)
 

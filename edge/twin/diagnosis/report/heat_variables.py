@@ -25,9 +25,12 @@ class Variable:
 
 
 def variables(traces: Sequence[Trace]) -> list[Variable]:
-    """All that are known of these runs, their rows one after another; those named like a signal first."""
+    """All that are known of these runs, their rows one after another; those named like a signal first.
+
+    The heat of a row was missing since the row before: it goes with the inputs that were held from there.
+    """
     found = []
-    fan = _series(traces, lambda one: one.fan)
+    fan = _series(traces, lambda one: _last(one.fan))
     group = (np.nan_to_num(fan, nan=0.0) > 0.5).astype(np.intp)
     for key, label, of in _SIGNALS:
         x = _series(traces, of)
@@ -75,6 +78,11 @@ def _series(traces: Sequence[Trace], of: Callable[[Trace], Floats | None]) -> Fl
     return np.concatenate([b if p is None else p for p, b in zip(parts, blanks, strict=True)])
 
 
+def _last(values: Floats | None) -> Floats | None:
+    """Of the row before."""
+    return None if values is None else np.append(np.nan, values[:-1])
+
+
 def _difference(trace: Trace) -> Floats | None:
     known = trace.measured is not None and trace.ambient is not None
     return trace.measured - trace.ambient if known else None  # type: ignore[operator]  # both are known
@@ -91,13 +99,13 @@ def _since_change(trace: Trace) -> tuple[Floats, Floats]:
     begun = changes[last[rows]]
     since[rows] = (trace.time_s[rows] - trace.time_s[begun]) / 60.0
     rising[rows] = trace.duty[begun] > trace.duty[begun - 1]
-    since[since > SWITCH_MIN] = np.nan
+    since[(since == 0.0) | (since > SWITCH_MIN)] = np.nan  # at 0 the change has not acted yet
     return since, rising
 
 
 _SIGNALS: tuple[tuple[str, str, Callable[[Trace], Floats | None]], ...] = (
     ("difference", "air − room [K]", _difference),
-    ("heater_duty", "heater duty [0..1]", lambda one: one.duty),
+    ("heater_duty", "heater duty [0..1]", lambda one: _last(one.duty)),
     ("temp_air", "air temperature [°C]", lambda one: one.measured),
     ("temp_ambient", "room temperature [°C]", lambda one: one.ambient),
     ("time", "time in the run [min]", lambda one: one.time_s / 60.0),

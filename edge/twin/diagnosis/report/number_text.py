@@ -26,10 +26,12 @@ def kelvin(value: float | None) -> str:
 
 
 def percent(share: float | None) -> str:
-    """A share of 1: `71 %`."""
+    """A share of 1: `71 %`; neither 0 nor 100 where it is not."""
     if share is None:
         return DASH
-    return "< 1 %" if 0.0 < share < 0.005 else f"{100.0 * share:.0f} %"
+    if 0.0 < share < 0.005:
+        return "< 1 %"
+    return "> 99 %" if 0.995 <= share < 1.0 else f"{100.0 * share:.0f} %"
 
 
 def plus_minus(value: float | None, error: float | None) -> str:

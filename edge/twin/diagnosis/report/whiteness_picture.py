@@ -7,7 +7,6 @@ import numpy as np
 
 from edge.twin.diagnosis.report.picture import (
     AFTER,
-    BEFORE,
     INK,
     PLAIN,
     Picture,
@@ -23,33 +22,32 @@ if TYPE_CHECKING:
 
 LAGS = 40
 LEAST_ROWS = 20  # fewer tell nothing
+LEAST_REACH = 0.4  # of the axis
 
 
 def whiteness_picture(story: Story, adds: bool) -> Picture | None:
-    """None where innovations are not known. adds : whether after is another twin than before"""
-    series = {
-        "before": [one.innovations_before for one in story.traces if one.innovations_before is not None],
-        "after": [
-            one.innovations_after for one in story.traces if adds and one.innovations_after is not None
-        ],
-    }
-    found = {when: autocorrelation(parts) for when, parts in series.items() if _rows(parts) >= LEAST_ROWS}
-    if not found:
+    """None where innovations are not known. adds : whether after is another twin than before
+
+    Of the last twin alone: each has noise of its own, and one that lacks an effect may take that for noise.
+    """
+    every = [one.innovations_after if adds else one.innovations_before for one in story.traces]
+    parts = [one for one in every if one is not None]
+    rows = _rows(parts)
+    if rows < LEAST_ROWS:
         return None
-    step_min = _step_min(story.traces)
-    band = 1.96 / np.sqrt(min(_rows(series[when]) for when in found))
+    values = autocorrelation(parts)
+    band = 1.96 / np.sqrt(rows)
     with styled():
         figure = new_figure(2.4)
         axes = figure.subplots()
         axes.axhspan(-band, band, color=PLAIN, alpha=0.3, lw=0, label="95 % of white noise")
         axes.axhline(0.0, color=INK, lw=0.8, alpha=0.7)
-        for number, (when, values) in enumerate(found.items()):
-            shift = (number - 0.5 * (len(found) - 1)) * 0.4
-            _draw(axes, values, when if adds else "twin", step_min, shift)
+        _draw(axes, values, "twin after" if adds else "twin", _step_min(story.traces))
+        axes.set_ylim(*_limits(values, band))
         axes.set_xlabel("lag [min]")
         axes.set_ylabel("autocorrelation")
         axes.set_title("Innovations: is anything left?")
-        legend_above(axes, 3)
+        legend_above(axes, 2)
         return Picture(
             svg(figure),
             "Autocorrelation of the innovations",
@@ -78,12 +76,16 @@ def autocorrelation(parts: Sequence[Floats]) -> Floats:
     return np.array(values)
 
 
-def _draw(axes: "Axes", values: Floats, when: str, step_min: float, shift: float) -> None:
-    lags = (np.arange(1, len(values) + 1) + shift) * step_min
-    colour = BEFORE if when == "before" else AFTER
-    marker = "s" if when == "before" else "o"
-    axes.vlines(lags, 0.0, values, color=colour, lw=1.2)
-    axes.plot(lags, values, marker, color=colour, ms=3.2, label=when)
+def _draw(axes: "Axes", values: Floats, label: str, step_min: float) -> None:
+    lags = np.arange(1, len(values) + 1) * step_min
+    axes.vlines(lags, 0.0, values, color=AFTER, lw=1.2)
+    axes.plot(lags, values, "o", color=AFTER, ms=3.2, label=label)
+
+
+def _limits(values: Floats, band: float) -> tuple[float, float]:
+    """A correlation that is small looks small."""
+    reach = max(LEAST_REACH, 1.15 * band, 1.1 * float(np.abs(values).max(initial=0.0)))
+    return -reach, reach
 
 
 def _rows(parts: Sequence[Floats]) -> int:
