@@ -34,6 +34,9 @@ BENCHES = {
         keeps_its_table=True,
     ),
     "resolve_alias": Bench(("heater_saturation",)),
+    "example_diagnosis": Bench(
+        ("--out", "out/bench/example_diagnosis.txt", "--images", "out/bench"), keeps_its_table=True
+    ),
     "drift_alarms": Bench(("--paths", "5", "--days", "6", "--boxes", "1")),
     "twin": Bench(("--repeats", "3")),
     "rollout": Bench(("--seconds", "0.3")),

@@ -9,6 +9,7 @@ from typing import Any
 from edge.twin.diagnosis.report.number_text import duration, kelvin, odds, percent
 from edge.twin.diagnosis.report.wording import (
     Document,
+    changed,
     headline,
     heat_text,
     listed,
@@ -76,7 +77,8 @@ def _gap_rows(document: Document) -> Iterator[str]:
     yield f"{'RMSE of free runs [K]':<24}{'before':>9}{'after':>9}{'noise':>9}{'closed':>9}"
     for role, name in _ROLES.items():
         errors = [(gap[when][role] or {}).get("rmse_k") for when in ("before", "after")]
-        cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(shrink(document, role))]
+        closed = shrink(document, role) if changed(document) else None
+        cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(closed)]
         yield f"  {name:<22}" + "".join(f"{cell:>9}" for cell in cells)
     steps = document.get("waterfall", [])
     if len(steps) > 2:
