@@ -11,7 +11,7 @@ from bench.hidden_effects import chamber_hide, make
 from bench.hidden_effects.cases import FIRST_SEEDS, GIVEN_ROWS, KINDS, case_id, seed_of
 from bench.hidden_effects.chamber_box import BASE, OUTSIDE, SETTINGS, chamber_of, draw_base, draw_known
 from bench.hidden_effects.chamber_calibration import DIRECT, read_off
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan, drive, quiet_c
+from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan, believed_c, drive, quiet_c
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS
 from bench.hidden_effects.draw_readings import Sensing, read_temps
 from bench.hidden_effects.equations import STATES, simulate
@@ -279,6 +279,15 @@ def test_what_the_chamber_has_and_no_library_changes_what_a_quiet_run_shows(name
     setting = OUTSIDE[name][0]
     changed = quiet_c({**base, **setting.at(setting.high)}, plan) - quiet_c(base, plan)
     assert np.abs(changed).max() > 0.1
+
+
+def test_an_offset_of_the_rooms_sensor_matters_to_one_who_believes_it() -> None:
+    base = {**draw_base(np.random.default_rng(3)), **draw_known(np.random.default_rng(3), "wall_loss")}
+    on = np.ones(LEAD_ROWS + 30)
+    plan = Plan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
+    offset = {**base, **SETTINGS["ambient_offset"].at(2.0, 1.0)}
+    assert quiet_c(offset, plan) == pytest.approx(quiet_c(base, plan))  # nothing happens to the air
+    assert believed_c(offset, plan) - believed_c(base, plan) == pytest.approx(2.0, abs=0.1)
 
 
 def test_the_chamber_without_an_effect_is_the_chamber_before_it() -> None:

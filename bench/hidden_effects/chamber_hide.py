@@ -18,7 +18,7 @@ from bench.hidden_effects.chamber_box import (
     draw_sign,
 )
 from bench.hidden_effects.chamber_calibration import read_off
-from bench.hidden_effects.chamber_runs import Plan, quiet_c
+from bench.hidden_effects.chamber_runs import Plan, believed_c
 from bench.hidden_effects.equations_box import are_alike
 from bench.hidden_effects.equations_inputs import Floats
 from bench.hidden_effects.equations_search import strength_for
@@ -166,7 +166,7 @@ def _checked(
 
 
 def _runs(settings: Settings, plans: Sequence[Plan]) -> Floats:
-    return np.concatenate([quiet_c(settings, plan) for plan in plans])
+    return np.concatenate([believed_c(settings, plan) for plan in plans])
 
 
 def _rms(one: Floats, other: Floats) -> float:

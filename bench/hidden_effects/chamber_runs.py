@@ -86,3 +86,11 @@ def drive(settings: Mapping[str, float], plan: Plan) -> Driven:
 def quiet_c(settings: Mapping[str, float], plan: Plan) -> Floats:
     """What the air's sensor would show without noise, steps and disturbances."""
     return drive({**settings, **QUIET}, plan).clean_c
+
+
+def believed_c(settings: Mapping[str, float], plan: Plan) -> Floats:
+    """The same as one would have it who believes the room's sensor: its offset does nothing to the air."""
+    switch, offset_k = (
+        settings.get(key, 0.0) for key in ("effects.ambient_offset", "sensors.ambient_offset_k")
+    )
+    return quiet_c(settings, replace(plan, room_c=plan.room_c + switch * offset_k))

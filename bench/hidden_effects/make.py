@@ -3,7 +3,7 @@
 import argparse
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
@@ -57,33 +57,42 @@ def make(arguments: argparse.Namespace) -> int:
     ]
     missing = [task for task in tasks if not is_made(task.root, task.suite, task.split, task.id)]
     print(f"{len(tasks)} cases, {len(tasks) - len(missing)} of them there", flush=True)
-    _make_all(missing, arguments.workers)
+    made = _make_all(missing, arguments.workers)
     given, _ = folders(arguments.out, arguments.suite, arguments.split)
     print(f"in {given}")
-    return 0
+    return 0 if made else 1
 
 
-def _make_all(tasks: Sequence[Task], workers: int) -> None:
+def _make_all(tasks: Sequence[Task], workers: int) -> bool:
+    """Whether each could be made."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     if workers <= 1 or len(tasks) <= 1:
-        for task in tasks:
-            print(_make_one(task), flush=True)
-        return
+        return _told(map(_make_one, tasks))
     with get_context("spawn").Pool(workers) as pool:
-        for line in pool.imap_unordered(_make_one, tasks):
-            print(line, flush=True)
+        return _told(pool.imap_unordered(_make_one, tasks))
 
 
-def _make_one(task: Task) -> str:
-    """Make and write a case; a line that says so without telling what is hidden."""
+def _told(made: Iterable[tuple[bool, str]]) -> bool:
+    good = True
+    for is_there, line in made:
+        print(line, flush=True)
+        good &= is_there
+    return good
+
+
+def _make_one(task: Task) -> tuple[bool, str]:
+    """Make and write a case; whether it could be, and a line that says so without telling what is hidden."""
     begun = time.perf_counter()
     if task.suite == "equations":
         from bench.hidden_effects.equations_cases import make_case
     else:
         from bench.hidden_effects.chamber_cases import make_case
-    write_case(make_case(task.split, task.kind, task.number), task.root)
-    return f"{task.id} {task.kind} {time.perf_counter() - begun:.1f} s"
+    try:
+        write_case(make_case(task.split, task.kind, task.number), task.root)
+    except RuntimeError as error:  # no box came out as wanted
+        return False, str(error)
+    return True, f"{task.id} {task.kind} {time.perf_counter() - begun:.1f} s"
 
 
 if __name__ == "__main__":
