@@ -20,6 +20,7 @@ from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
 ITERATIONS, FEW = 6, 3
+FAR_OFF = 3.0  # times a reading's noise: what a twin expects is then worse than the reading
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,9 +142,13 @@ def _fitted(item: Given, iterations: int = ITERATIONS) -> Fitted:
 
 
 def _with_expected(item: Given, best: Fitted) -> Given:
-    """With what the twin expected of each temperature, which has nothing of the readings' own noise."""
+    """With what the twin expected of each temperature, which has nothing of the readings' own noise.
+
+    A twin that lacks much expects nonsense: then the readings stand for the air, noise and all.
+    """
     temps = expected(best, item.runs)
-    if not np.isfinite(temps).all():
+    off_k = np.sqrt(np.nanmean((temps - item.runs.temp) ** 2))
+    if not off_k <= FAR_OFF * first_levels(item.file, item.runs).sensor_k:
         return item
     terms = item.terms if item.guessed else nuisances(item.file.twin(), item.runs, temps)
     return replace(item, expected=temps, terms=terms)

@@ -28,6 +28,10 @@ REFINED = 6  # candidates of a round that get noise levels of their own
 FIRST_LOOK, SCREENED, LAST_LOOK = 1, 4, 8  # iterations; the last of rivals, which are compared
 LARGEST_SET = 10
 BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
+LARGE_NATS, ROUGHLY = (
+    200.0,
+    4,
+)  # a gain that a screening misses much of, as other values can't follow; looks then
 FORMULAS = 2  # in one set: more of them can follow anything
 MIMICS = 3  # names that may be tried on what a formula explains better
 EXCHANGE_NATS = 0.5
@@ -257,13 +261,15 @@ class Search:
         beside = self._as_it_is(item, [name])
         screened = self._sharpened(beside)
         own = {found.name: found.gain for found in screened}.get(name, item.likelihood - beside.likelihood)
+        others = [found for found in screened if found.name not in item.added]
         near = [
             found
-            for found in screened
-            if found.name not in item.added
-            and found.gain >= own - WORTH_A_LOOK + min(self.penalty(found.name) - self.penalty(name), 0.0)
+            for i, found in enumerate(others)
+            if found.gain >= own - WORTH_A_LOOK + min(self.penalty(found.name) - self.penalty(name), 0.0)
+            or (i < ROUGHLY and own > LARGE_NATS)
         ]
-        return self._looked_at(beside, near[:REFINED], item.fitted.trial.levels)
+        lent = replace(beside.fitted, file=self._short(item, name).file)  # values that a rival lives with too
+        return self._looked_at(replace(beside, fitted=lent), near[:REFINED], item.fitted.trial.levels)
 
     def _promising(self, screened: Sequence[Candidate]) -> Sequence[Candidate]:
         """The first, and those not far behind it, as long as they explain something."""
