@@ -60,8 +60,8 @@ class Recording:
 
 
 RECORDINGS = (
-    *(Recording(f"train_{number}.csv", "train", 150, number) for number in range(1, 5)),
-    Recording("test_1.csv", "test", 180, 5),
+    *(Recording(f"train_{number}.csv", "train", 120, number) for number in range(1, 5)),
+    Recording("test_1.csv", "test", 150, 5),
 )
 
 
