@@ -1,4 +1,4 @@
-"""Measured logs through the diagnosis: how they are divided, what is told and checked. The logs are made up."""
+"""Measured logs through the diagnosis: how they are divided, told and checked. The logs are made up."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from bench import real_diagnosis
 from bench.real_diagnosis import Result, Step, lines_of, measured
-from bench.real_diagnosis_logs import LOG_SETS, TOLD, Logs, LogSet, first_part, first_runs, read_logs
+from bench.real_diagnosis_logs import LOG_SETS, TOLD, Logs, first_part, first_runs, read_logs
 from bench.real_diagnosis_plate import Heated, plate_of
 from edge.run_file import Run, read_run, write_run
 from edge.twin.twin_file import read_twin_file
