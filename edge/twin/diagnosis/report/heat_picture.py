@@ -95,14 +95,14 @@ def _mean(x: Floats, heat: Floats) -> tuple[float, float, float]:
 
 
 def _limits(variable: Variable, heats: dict[str, Floats]) -> tuple[float, float]:
-    """All means, and all dots but the farthest of a hundred."""
+    """All means with their errors, and all dots but the farthest of a hundred."""
     values = np.concatenate([heat[np.isfinite(heat)] for heat in heats.values()])
     means = [
-        _mean(variable.x[cell], heat[cell])[1]
+        _mean(variable.x[cell], heat[cell])[1:]
         for heat in heats.values()
         for cell, _ in binned(variable, heat)
     ]
-    low = min(0.0, float(np.quantile(values, 0.01)), *means)
-    high = max(0.0, float(np.quantile(values, 0.99)), *means)
+    low = min(0.0, float(np.quantile(values, 0.01)), *(mean - 2.0 * error for mean, error in means))
+    high = max(0.0, float(np.quantile(values, 0.99)), *(mean + 2.0 * error for mean, error in means))
     room = 0.08 * (high - low) or 1.0
     return low - room, high + room

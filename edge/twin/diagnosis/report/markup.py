@@ -76,7 +76,7 @@ def _cell(cell: str | Bar) -> str:
     if isinstance(cell, str):
         return escape(cell)
     width = BAR_REM * min(max(cell.share, 0.0), 1.0)
-    return f'<span class="bar" style="width:{width:.2f}rem"></span>{escape(cell.text)}'
+    return f'<span class="bar" style="width:{width:.2f}rem"></span>{_sentence(cell.text)}'
 
 
 def _class(kind: str) -> str:

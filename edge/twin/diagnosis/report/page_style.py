@@ -15,7 +15,7 @@ h3 { font-size: 1.02rem; margin: 1.4rem 0 .4rem }
 p { margin: .5rem 0 }
 .verdict { font-weight: 600; font-size: .85rem; letter-spacing: .04em; text-transform: uppercase }
 .named { color: var(--after) } .nothing_missing { color: var(--good) } .unknown { color: var(--open) }
-.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: .6rem;
+.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(10rem, 1fr)); gap: .6rem;
   margin: 1.2rem 0 }
 .tile, figure { background: var(--card); border: 1px solid var(--line); border-radius: .5rem }
 .tile { padding: .6rem .8rem }
