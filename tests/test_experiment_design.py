@@ -104,6 +104,16 @@ def test_fan_effectiveness_and_short_circuit_are_said_to_be_the_same():
     assert "anemometer" in document["why"]
 
 
+def test_an_experiment_that_settles_nothing_still_says_what_it_tells_a_little_of(
+    leak_plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("edge.twin.diagnosis.experiment.design.RIVAL_NATS", 1e6)  # nothing is worth that much
+    found = designed(leak_plan, ExperimentLimits())
+    assert found.names == ["wall_loss", "infiltration"]
+    write_profile(found, tmp_path)
+    assert "to separate wall_loss, infiltration" in (tmp_path / PROFILE).read_text(encoding="utf-8")
+
+
 def test_two_that_are_the_same_are_told_from_a_third_together():
     runs = driven(SATURATED, [Inputs(ONE_DUTY, BLOWN), Inputs(ONE_DUTY, STILL)])
     names = ("heater_efficiency", "radiative_split", "heater_saturation")  # without a wall radiation is lost
