@@ -6,7 +6,7 @@ a loss that changes a little with T - T_amb, is solved for exactly in every step
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-6  # share of the normal matrix' diagona
 CAREFUL, CALMER, BOLDER = 2.0, 8.0, 0.1  # a damping that is tried as well; changes after a step
 LARGEST_DAMPING = 1e4  # beyond it there is no way down
 LARGEST_MOVE = 1.5  # of a coordinate in one step
+REMEMBERED = 3  # places of a fit: where it stands and the two that it tries
 SETTLED = 0.02  # a gain in nats that is not worth another step
 
 
@@ -98,6 +99,7 @@ class _State:
     cost: float = np.inf
     damping: float = FIRST_DAMPING
     done: bool = False
+    seen: dict[bytes, tuple[Twin, LinearSteps]] = field(default_factory=dict)  # the last places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +130,22 @@ def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fi
         filters = filters or _filters(states, runs, measured)
         _improve([states[i] for i in moving], np.array(moving), filters, runs)
     return _finished(states, runs, measured)
+
+
+def glance(trials: Sequence[Trial], runs: Recorded) -> list[tuple[Trial, float]]:
+    """Each trial one step further, and how likely it is then by the filter of where it began [nats]."""
+    states = [_begun(trial) for trial in trials]
+    measured = np.isfinite(runs.temp[:, 1:])
+    filters = _filters(states, runs, measured)
+    _improve(states, np.arange(len(states)), filters, runs)
+    spreads = np.where(measured.T[:, None], np.log(filters.sd), 0.0).sum(axis=(0, 2))
+    return [
+        (
+            replace(state.trial, file=placed(state.trial.file, state.free, state.x), free=state.free),
+            float(nats),
+        )
+        for state, nats in zip(states, -np.array([state.cost for state in states]) - spreads, strict=True)
+    ]
 
 
 def _filters(states: list[_State], runs: Recorded, measured: NDArray[np.bool_]) -> Gains:
@@ -164,7 +182,7 @@ def _improve(states: list[_State], owners: Indices, filters: Gains, runs: Record
             state.damping = max(state.damping, CAREFUL) * CALMER
             state.done = state.damping > LARGEST_DAMPING or gained > -1e-6
             continue
-        state.x, state.done = tries[careful][i], gained < SETTLED
+        state.x, state.cost, state.done = tries[careful][i], float(costs[careful, i]), gained < SETTLED
         state.damping = max(state.damping * (1.0 if careful else BOLDER), LEAST_DAMPING)
 
 
@@ -207,7 +225,7 @@ def _neighbours(state: _State, runs: Recorded) -> list[tuple[Twin, LinearSteps]]
     for j, item in enumerate(state.free):
         near = state.x.copy()
         near[j] += _difference(item, near[j])
-        found.append(_nominal(state, near, runs))
+        found.append(_at(state, near, runs))
     return found
 
 
@@ -228,6 +246,16 @@ def _linearise(states: list[_State], owners: Indices, filters: Gains, runs: Reco
 
 
 def _nominal(state: _State, x: Floats, runs: Recorded) -> tuple[Twin, LinearSteps]:
+    """The twin there; where a step ends the next one begins."""
+    place = x.tobytes()
+    if place not in state.seen:
+        while len(state.seen) >= REMEMBERED:
+            del state.seen[next(iter(state.seen))]
+        state.seen[place] = _at(state, x, runs)
+    return state.seen[place]
+
+
+def _at(state: _State, x: Floats, runs: Recorded) -> tuple[Twin, LinearSteps]:
     twin = placed(state.trial.file, state.free, x).twin()
     return twin, linear_steps(twin, runs)
 

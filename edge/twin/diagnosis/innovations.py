@@ -48,15 +48,13 @@ class Filtered(NamedTuple):
 class Gains:
     """Of C filters over N rows of B runs, m states each, padded.
 
-    matrix : K matrices [K, m - 2, m - 2]; index : [N, C, B]; heat, duty : [N, C, B, m - 2]; decay : [C]
+    closed : [N, C, B, m, m], what a row makes of the states, its reading taken in as 0
+    shown : [N, C, B, m], what the reading is expected to be by the states before
     gain : [N, C, B, m], 0 where nothing was measured; sd : [N, C, B], of the innovation [K]
     """
 
-    matrix: Floats
-    index: NDArray[np.intp]
-    heat: Floats
-    duty: Floats
-    decay: Floats
+    closed: Floats
+    shown: Floats
     gain: Floats
     sd: Floats
 
@@ -78,14 +76,13 @@ def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
     fresh *= 1.0 - decay**2
     gain = np.zeros((rows, count, runs, m))
     sds = np.empty((rows, count, runs))
-    step = np.zeros((count, runs, m, m))
+    step = np.zeros((rows, count, runs, m, m))
+    step[..., :size, :size] = matrix[index]
+    step[..., :size, size], step[..., :size, size + 1] = heat, duty
     step[..., size, size] = decay[:, None]
     step[..., size + 1, size + 1] = 1.0
     for k in range(rows):
-        step[..., :size, :size] = matrix[index[k]]
-        step[..., :size, size] = heat[k]
-        step[..., :size, size + 1] = duty[k]
-        cov = step @ cov @ step.swapaxes(-1, -2)
+        cov = step[k] @ cov @ step[k].swapaxes(-1, -2)
         cov[..., size, size] += fresh[:, None]
         moved = room[k] * dull[:, None, None]
         cov[..., :size, :size] += moved[..., :, None] * moved[..., None, :]
@@ -93,7 +90,9 @@ def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
         sds[k] = np.sqrt(variance)
         gain[k] = cov[..., 0] / variance[..., None] * measured[:, k, None]
         cov -= gain[k][..., :, None] * cov[..., 0, :][..., None, :]
-    return Gains(matrix, index, heat, duty, decay, gain, sds)
+    shown = step[..., 0, :].copy()
+    step -= gain[..., :, None] * shown[..., None, :]
+    return Gains(step, shown, gain, sds)
 
 
 def _variances(twins: Sequence[Filtered]) -> tuple[Floats, Floats, Floats]:
@@ -129,22 +128,15 @@ def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats, everywher
     Returns : [M, B, N]
     """
     count, runs, rows = columns.shape
-    size = filters.matrix.shape[-1]
-    state = np.zeros((count, runs, size + 2))
+    state = np.zeros((count, runs, filters.gain.shape[-1]))
     found = np.empty((rows, count, runs))
-    decay = filters.decay[owner][:, None]
     in_time = np.ascontiguousarray(columns.transpose(2, 0, 1))
+    drive = filters.gain[:, owner] * in_time[..., None]
     for k in range(rows):
-        body, heat, share = state[..., :size], state[..., size], state[..., size + 1]
-        moved = np.einsum("cbij,cbj->cbi", filters.matrix[filters.index[k, owner]], body)
-        moved += filters.heat[k, owner] * heat[..., None]
-        moved += filters.duty[k, owner] * share[..., None]
-        innovation = in_time[k] - moved[..., 0]
-        gain = filters.gain[k, owner]
-        state[..., :size] = moved
-        state[..., size] *= decay
-        state += gain * innovation[..., None]
-        found[k] = innovation
+        found[k] = np.einsum("cbj,cbj->cb", filters.shown[k, owner], state)
+        state = np.einsum("cbij,cbj->cbi", filters.closed[k, owner], state)
+        state += drive[k]
+    np.subtract(in_time, found, out=found)
     found /= filters.sd[:, owner]
     if everywhere:
         return found.transpose(1, 2, 0)

@@ -29,7 +29,7 @@ RANGES = {
 }
 MORE_HEAT, HEAT_NATS = 1.5, 10.0  # times the declared heat, and how sure that it is more
 MOST_HEAT_W = 4.0  # that nobody would look for a cause of, where the file declares none
-FIRST_FACTOR, LAST_FACTOR = 3.0, 1.15  # of the steps in which levels are sought
+FIRST_FACTOR, NEAR_FACTOR, LAST_FACTOR = 3.0, 1.4, 1.15  # of the steps in which levels are sought
 PASSES = 10
 
 
@@ -61,13 +61,17 @@ def _curl(values: Floats, runs: Recorded) -> float:
     return float(np.sqrt(np.mean(chosen**2) / 6.0)) if len(chosen) > 10 else 0.0
 
 
-def find_levels(found: Sequence[Fitted], file: TwinFile, runs: Recorded) -> list[Trial]:
-    """The trials again, each from its best values and with the noise that makes them likeliest."""
+def find_levels(
+    found: Sequence[Fitted], file: TwinFile, runs: Recorded, factor: float = FIRST_FACTOR
+) -> list[Trial]:
+    """The trials again, each from its best values and with the noise that makes them likeliest.
+
+    factor : of the first steps
+    """
     free = _free(file)
     measured = np.isfinite(runs.temp[:, 1:])
     bases = [_Base(item, runs) for item in found]
     levels = [item.trial.levels for item in found]
-    factor = FIRST_FACTOR
     best = _scores(bases, [[item] for item in levels], file, measured)
     for _ in range(PASSES):
         tried = [

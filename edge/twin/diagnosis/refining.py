@@ -11,7 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from edge.twin.diagnosis.fitting import Fitted, Trial, fit
-from edge.twin.diagnosis.noise_levels import find_levels, first_levels, level_prior
+from edge.twin.diagnosis.noise_levels import (
+    FIRST_FACTOR,
+    NEAR_FACTOR,
+    find_levels,
+    first_levels,
+    level_prior,
+)
 from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import Place, TwinFile
@@ -19,7 +25,6 @@ from edge.twin.value import Value
 
 REFITTED, AFRESH = 3, 8  # iterations, from where a set was found and from the beginning
 AGAIN = 2  # sets of a round that may begin again
-ROUNDS = 2  # of levels and values in turn
 LOUD = 3.0  # times the usual heat noise: no twin that lacks nothing has that much
 SEVERAL = 3  # effects, beside which another one may change what the first ones were taken for
 
@@ -47,8 +52,8 @@ def likelihood(found: Fitted, given: TwinFile) -> float:
 
 
 def _levelled(found: list[Fitted], given: TwinFile, runs: Recorded) -> list[Fitted]:
-    for _ in range(ROUNDS):
-        found = fit(find_levels(found, given, runs), runs, REFITTED)
+    for factor in (FIRST_FACTOR, NEAR_FACTOR):
+        found = fit(find_levels(found, given, runs, factor), runs, REFITTED)
     return found
 
 

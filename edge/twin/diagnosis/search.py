@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, gains_of, slopes
+from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, gains_of, glance, slopes
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import first_levels
 from edge.twin.diagnosis.progress import Progress
@@ -25,7 +25,7 @@ from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
 REFINED = 6  # candidates of a round that get noise levels of their own
-FIRST_LOOK, SCREENED, LAST_LOOK = 1, 4, 8  # iterations; the last of rivals, which are compared
+SCREENED, LAST_LOOK = 4, 8  # iterations; the last of rivals, which are compared
 LARGEST_SET = 10
 BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
 LARGE_NATS, ROUGHLY = (
@@ -35,6 +35,7 @@ LARGE_NATS, ROUGHLY = (
 FORMULAS = 2  # in one set: more of them can follow anything
 MIMICS = 3  # names that may be tried on what a formula explains better
 EXCHANGE_NATS = 0.5
+EXCHANGED = 2  # others that are tried in the place of a member
 MERGED_PAIRS, MERGED_INTO = 2, 2  # pairs that one effect may stand for, the least ones; how many are tried
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
@@ -102,6 +103,8 @@ class Search:
     held_out: dict[str, float] = field(default_factory=dict)
     _known: dict[Names, Scored] = field(default_factory=dict)
     _screened: dict[tuple[Names, NoiseLevels], list[Candidate]] = field(default_factory=dict)
+    _shaped: dict[tuple[Names, NoiseLevels], list[Candidate]] = field(default_factory=dict)
+    _sharp: set[tuple[Names, NoiseLevels]] = field(default_factory=set)
     _shortened: set[tuple[Names, str]] = field(default_factory=set)
 
     @property
@@ -179,7 +182,7 @@ class Search:
     def _extended(self, item: Scored, most: int) -> Scored:
         """A set with up to so many formulas, as far as each is worth it."""
         for _ in range(most):
-            found = [candidate for candidate in self.screened(item) if candidate.file is None]
+            found = self._shapes(item)
             grown = self._best_of(self._looked_at(item, self._promising(found)))
             if grown is None or grown.score < item.score + MARGIN:
                 break
@@ -232,7 +235,7 @@ class Search:
         if len(item.added) < 2:
             return item
         for name in sorted(item.added):
-            best = self._best_of(self.rivals(item, name))
+            best = self._best_of(self.rivals(item, name, EXCHANGED))
             if best is not None and best.score > item.score + EXCHANGE_NATS:
                 return best
         return item
@@ -256,7 +259,7 @@ class Search:
                 return best
         return item
 
-    def rivals(self, item: Scored, name: str) -> list[Scored]:
+    def rivals(self, item: Scored, name: str, most: int = REFINED) -> list[Scored]:
         """The sets in which another candidate stands in the place of `name`, those that come near."""
         beside = self._as_it_is(item, [name])
         screened = self._sharpened(beside)
@@ -269,7 +272,7 @@ class Search:
             or (i < ROUGHLY and own > LARGE_NATS)
         ]
         lent = replace(beside.fitted, file=self._short(item, name).file)  # values that a rival lives with too
-        return self._looked_at(replace(beside, fitted=lent), near[:REFINED], item.fitted.trial.levels)
+        return self._looked_at(replace(beside, fitted=lent), near[:most], item.fitted.trial.levels)
 
     def _promising(self, screened: Sequence[Candidate]) -> Sequence[Candidate]:
         """The first, and those not far behind it, as long as they explain something."""
@@ -301,7 +304,9 @@ class Search:
 
     def _sharpened(self, beside: Scored) -> list[Candidate]:
         """The screening with its first few names as good as they get: a start may lie far from the top."""
-        screened = self.screened(beside)
+        screened, key = self.screened(beside), (beside.added, beside.fitted.trial.levels)
+        if key in self._sharp:
+            return screened
         first_few = [found for found in screened if found.file is not None][:REFINED]
         still = self._still(beside)
         trials = [replace(still, file=found.file) for found in first_few if found.file is not None]
@@ -310,8 +315,8 @@ class Search:
             found.name: Candidate(found.name, item.log_likelihood - base.log_likelihood, item.file)
             for found, item in zip(first_few, better, strict=True)
         }
-        key = beside.added, beside.fitted.trial.levels
         self._screened[key] = self._in_order(found_of.values())
+        self._sharp.add(key)
         return self._screened[key]
 
     def _in_order(self, found: Iterable[Candidate]) -> list[Candidate]:
@@ -327,29 +332,26 @@ class Search:
         still = self._still(beside)
         names = [name for name in self.candidates if name not in beside.added]
         self.progress(f"{_text(beside.added)}: {len(names)} candidates")
-        found = [*self._effects(still, names)]
-        if len(beside.added & self.formulas.keys()) < FORMULAS:
+        return self._in_order([*self._effects(still, names), *self._shapes(beside)])
+
+    def _shapes(self, beside: Scored) -> list[Candidate]:
+        """Each formula beside a set, as far as there is room for one more."""
+        key = beside.added, beside.fitted.trial.levels
+        if len(beside.added & self.formulas.keys()) >= FORMULAS:
+            return []
+        if key not in self._shaped:
             terms = [term for name, term in self.formulas.items() if name not in beside.added]
-            gains = gains_of(still, terms, self.runs)
-            found += [
-                Candidate(term.name, float(gain), None) for term, gain in zip(terms, gains, strict=True)
-            ]
-        return self._in_order(found)
+            gains = gains_of(self._still(beside), terms, self.runs)
+            found = (Candidate(term.name, float(gain), None) for term, gain in zip(terms, gains, strict=True))
+            self._shaped[key] = self._in_order(found)
+        return self._shaped[key]
 
     def _effects(self, still: Trial, names: Sequence[str]) -> list[Candidate]:
         """Each effect beside a trial that stands still; each start gets one step, the best of each more."""
-        trials, owners = [replace(still, free=())], [""]
-        for name in names:
-            for file in with_effect(still.file, name):
-                trials.append(replace(still, file=file))
-                owners.append(name)
-        base, *first = fit(trials, self.runs, FIRST_LOOK)
-        best = _best(owners[1:], first)
-        again = fit(
-            [replace(item.trial, file=item.file, free=item.free) for item in best.values()],
-            self.runs,
-            SCREENED,
-        )
+        starts = [(name, file) for name in names for file in with_effect(still.file, name)]
+        first = glance([replace(still, file=file) for _, file in starts], self.runs)
+        best = _best([name for name, _ in starts], first)
+        base, *again = fit([replace(still, free=()), *best.values()], self.runs, SCREENED)
         return [
             Candidate(name, item.log_likelihood - base.log_likelihood, item.file)
             for name, item in zip(best, again, strict=True)
@@ -412,13 +414,13 @@ class Search:
         return item
 
 
-def _best(names: Sequence[str], found: Sequence[Fitted]) -> dict[str, Fitted]:
+def _best(names: Sequence[str], found: Sequence[tuple[Trial, float]]) -> dict[str, Trial]:
     """The likeliest of each name."""
-    best: dict[str, Fitted] = {}
-    for name, item in zip(names, found, strict=True):
-        if name not in best or item.log_likelihood > best[name].log_likelihood:
-            best[name] = item
-    return best
+    best: dict[str, tuple[Trial, float]] = {}
+    for name, (trial, nats) in zip(names, found, strict=True):
+        if name not in best or nats > best[name][1]:
+            best[name] = trial, nats
+    return {name: trial for name, (trial, _) in best.items()}
 
 
 def _text(names: Names) -> str:
