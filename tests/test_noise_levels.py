@@ -10,11 +10,11 @@ from simulated_runs import BOX, NOISE, changed, simulated, twin_file
 from edge.twin.diagnosis.fitting import Fitted, Trial, fit
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import (
-    HEAT_RANGE_W,
+    HEAT_RANGE,
     RANGES,
     SENSOR_RANGE_K,
+    USUAL_HEAT,
     USUAL_HEAT_LOG_SD,
-    USUAL_HEAT_W,
     find_levels,
     first_levels,
     level_prior,
@@ -24,6 +24,7 @@ from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 
 LOUD = NoiseLevels(sensor_k=0.3, room_k=0.05, heat_w=3.0, heat_tau_s=600.0, power_share=0.01)
+HEATER_W = 100.0  # of a twin file that does not say
 SEEDS = range(1, 7)
 
 
@@ -120,8 +121,8 @@ def test_a_heat_that_is_usual_is_likelier_before_anything_is_seen() -> None:
     def prior(heat_w: float, file: TwinFile) -> float:
         return level_prior(replace(NOISE, heat_w=heat_w), file)
 
-    off_by_one_sd = USUAL_HEAT_W * math.exp(USUAL_HEAT_LOG_SD)
-    assert prior(USUAL_HEAT_W, undeclared()) == 0.0
+    off_by_one_sd = USUAL_HEAT * HEATER_W * math.exp(USUAL_HEAT_LOG_SD)
+    assert prior(USUAL_HEAT * HEATER_W, undeclared()) == 0.0
     assert prior(off_by_one_sd, undeclared()) == pytest.approx(-0.5)
     assert prior(off_by_one_sd, twin_file()) == 0.0  # declared: there is nothing to believe
 
@@ -130,5 +131,5 @@ def test_a_heat_that_is_usual_is_likelier_before_anything_is_seen() -> None:
 def test_more_heat_than_the_file_or_a_usual_box_has_is_told(file: TwinFile) -> None:
     for heat_w, told in ((NOISE.heat_w, False), (15.0, True)):
         runs = runs_with(replace(NOISE, heat_w=heat_w))
-        [found] = fit([Trial(file, replace(NOISE, heat_w=max(heat_w, HEAT_RANGE_W[0])))], runs, 1)
+        [found] = fit([Trial(file, replace(NOISE, heat_w=max(heat_w, HEAT_RANGE[0] * HEATER_W)))], runs, 1)
         assert unexplained_heat(found, file, runs) is told

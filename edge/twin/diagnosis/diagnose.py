@@ -63,12 +63,13 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
     known = with_rooms(prepared, found.final.fitted.sizes)
     progress("free runs before and after")
     names = tuple(effect.name for effect in found.effects)
-    before = _side(prepared.file, search.base().fitted.trial.levels, data, known)
+    before = _before(prepared, search.base(), data)
     steps: list[tuple[tuple[str, ...], Side]] = [((), before)]
     for count in range(1, len(names) + 1):
         item = _only(search, found, names[:count])
         twin = _settled(prepared.file, item, names[:count])
-        steps.append((names[:count], _side(twin, item.fitted.trial.levels, data, known)))
+        own = with_rooms(prepared, item.fitted.sizes)
+        steps.append((names[:count], _side(twin, item.fitted.trial.levels, data, own)))
     after = steps[-1][1]
     train = known.as_fitted()
     floor = (_floor_k(after, train, after.train, known), _floor_k(after, data.test, after.test, known))
@@ -91,6 +92,24 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
         _adopted(prepared.file, search, found, names, origin),
         time.monotonic() - begun,
     )
+
+
+def _before(prepared: Given, base: Scored, data: DiagnosisRuns) -> Side:
+    """The twin as given; what it leaves open is as the file has them or fitted, whichever is better."""
+    levels, file = base.fitted.trial.levels, prepared.file
+    given_side = _side(file, levels, data, with_rooms(prepared, base.fitted.sizes))
+    is_open = {place for place, value in file.values().items() if value.fit}
+    if not is_open:
+        return given_side
+    values = base.fitted.file.values()
+    fitted = file.with_values({place: Value(values[place].value) for place in is_open})
+    fitted_side = _side(fitted, levels, data, with_rooms(prepared, base.fitted.sizes))
+    return min(given_side, fitted_side, key=_train_rmse_k)
+
+
+def _train_rmse_k(side: Side) -> float:
+    found = errors(side.train)
+    return np.inf if found is None else float(str(found["rmse_k"]))
 
 
 def _only(search: Search, found: Verdict, names: tuple[str, ...]) -> Scored:

@@ -78,16 +78,16 @@ class Given:
         """The room temperature over each row of a run, [rows].
 
         Where none was recorded, of a run that was not fitted on: as far from its first temperature as those
-        were.
+        were, as long as it begins no warmer nor colder than they.
         """
         rows = len(named.run)
         if not self.guessed:
             return np.asarray(over_rows(held(named.run.columns["temp_ambient_c"])[None], self.room)[0])
         if named.name in self.names:
             return np.full(rows, self.runs.ambient[self.names.index(named.name), 0])
-        first = named.run.columns["temp_air_c"]
-        offset = np.mean(self.runs.ambient[:, 0] - self.runs.temp[:, 0])
-        return np.full(rows, first[np.isfinite(first)][0] + offset)
+        readings, known = named.run.columns["temp_air_c"], self.runs.temp[:, 0]
+        first = np.clip(readings[np.isfinite(readings)][0], known.min(), known.max())
+        return np.full(rows, first + np.mean(self.runs.ambient[:, 0] - known))
 
 
 def given(file: TwinFile, data: DiagnosisRuns) -> Given:

@@ -1,6 +1,6 @@
 """How much of the measurements no twin can know: found with the twin, by maximum likelihood."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,20 +15,16 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import spread
 
 Floats = NDArray[np.float64]
-USUAL_HEAT_W = 1.0  # unknown heat where the file does not say: most rigs are within a factor of 5
+Step = Mapping[str, float]  # factors of levels
+USUAL_HEAT = 0.01  # unknown heat where the file does not say, share of the heater's: most are within 5 times
 USUAL_HEAT_LOG_SD = 1.6
 USUAL_POWER_SHARE = 0.01  # mains from run to run where the file does not say
 USUAL_TAU_S, TAU_RANGE_S = 600.0, (90.0, 7200.0)
 SENSOR_RANGE_K = (0.005, 2.0)
-HEAT_RANGE_W = (0.02, 500.0)
-RANGES = {
-    "heat_tau_s": TAU_RANGE_S,
-    "heat_w": HEAT_RANGE_W,
-    "sensor_k": SENSOR_RANGE_K,
-    "room_k": SENSOR_RANGE_K,
-}
+HEAT_RANGE = (0.0002, 5.0)  # share of the heater's
+RANGES = {"heat_tau_s": TAU_RANGE_S, "sensor_k": SENSOR_RANGE_K, "room_k": SENSOR_RANGE_K}
 MORE_HEAT, HEAT_NATS = 1.5, 10.0  # times the declared heat, and how sure that it is more
-MOST_HEAT_W = 4.0  # that nobody would look for a cause of, where the file declares none
+MOST_HEAT = 0.04  # share that nobody would look for a cause of, where the file declares none
 FIRST_FACTOR, NEAR_FACTOR, LAST_FACTOR = 3.0, 1.4, 1.15  # of the steps in which levels are sought
 PASSES = 10
 
@@ -43,10 +39,17 @@ def first_levels(file: TwinFile, runs: Recorded) -> NoiseLevels:
     return NoiseLevels(
         sensor_k=float(np.clip(reading_k, max(SENSOR_RANGE_K[0], step_k / 12**0.5), SENSOR_RANGE_K[1])),
         room_k=float(np.clip(_curl(runs.ambient, runs), *SENSOR_RANGE_K)),
-        heat_w=USUAL_HEAT_W if heat_w is None else max(heat_w, HEAT_RANGE_W[0]),
+        heat_w=max(
+            USUAL_HEAT * _heater_w(file) if heat_w is None else heat_w, HEAT_RANGE[0] * _heater_w(file)
+        ),
         heat_tau_s=USUAL_TAU_S,
         power_share=USUAL_POWER_SHARE if power is None else power,
     )
+
+
+def _heater_w(file: TwinFile) -> float:
+    """Full power of the heater: what is much heat and what is little in a box [W]."""
+    return max(file.values()["geometry", "heater_max_w"].value, 1e-3)
 
 
 def _curl(values: Floats, runs: Recorded) -> float:
@@ -74,15 +77,16 @@ def find_levels(
     levels = [item.trial.levels for item in found]
     best = _scores(bases, [[item] for item in levels], file, measured)
     for _ in range(PASSES):
-        tried = [
-            [_changed(own, name, by) for name in free for by in (factor, 1.0 / factor)] for own in levels
-        ]
-        scores = _scores(bases, tried, file, measured)
         moved = False
-        for i, own in enumerate(scores):
-            top = int(np.argmax(own))
-            if own[top] > best[i][0] + 0.02:
-                levels[i], best[i], moved = tried[i][top], own[top : top + 1], True
+        for steps in (_single(free, factor), _along(free, factor)):
+            tried = [[_changed(own, step, file) for step in steps] for own in levels]
+            scores = _scores(bases, tried, file, measured) if steps else []
+            for i, own in enumerate(scores):
+                top = int(np.argmax(own))
+                if own[top] > best[i][0] + 0.02:
+                    levels[i], best[i], moved = tried[i][top], own[top : top + 1], True
+            if moved:
+                break
         if not moved:
             if factor <= LAST_FACTOR:
                 break
@@ -102,9 +106,22 @@ def _free(file: TwinFile) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _changed(levels: NoiseLevels, name: str, by: float) -> NoiseLevels:
-    low, high = RANGES[name]
-    return replace(levels, **{name: float(np.clip(getattr(levels, name) * by, low, high))})
+def _single(free: Sequence[str], factor: float) -> list[Step]:
+    return [{name: by} for name in free for by in (factor, 1.0 / factor)]
+
+
+def _along(free: Sequence[str], factor: float) -> list[Step]:
+    """Heat that wanders as far in a row, but for longer: one by one such levels do not move."""
+    if not {"heat_w", "heat_tau_s"} <= set(free):
+        return []
+    return [{"heat_w": float(np.sqrt(by)), "heat_tau_s": by} for by in (factor, 1.0 / factor)]
+
+
+def _changed(levels: NoiseLevels, step: Step, file: TwinFile) -> NoiseLevels:
+    heater_w = _heater_w(file)
+    ranges = {**RANGES, "heat_w": (HEAT_RANGE[0] * heater_w, HEAT_RANGE[1] * heater_w)}
+    values = {name: float(np.clip(getattr(levels, name) * by, *ranges[name])) for name, by in step.items()}
+    return replace(levels, **values)
 
 
 class _Base:
@@ -144,13 +161,13 @@ def level_prior(levels: NoiseLevels, file: TwinFile) -> float:
     """Log prior of the noise that the file does not declare."""
     if file.nuisance.get("heat_noise_sd_w") is not None:
         return 0.0
-    return float(-0.5 * (np.log(levels.heat_w / USUAL_HEAT_W) / USUAL_HEAT_LOG_SD) ** 2)
+    return float(-0.5 * (np.log(levels.heat_w / (USUAL_HEAT * _heater_w(file))) / USUAL_HEAT_LOG_SD) ** 2)
 
 
 def unexplained_heat(found: Fitted, file: TwinFile, runs: Recorded) -> bool:
     """Whether more heat is unknown than the file declares, or than such a box has where it declares none."""
     declared = file.nuisance.get("heat_noise_sd_w")
-    usual_w = MOST_HEAT_W if declared is None else declared
+    usual_w = MOST_HEAT * _heater_w(file) if declared is None else declared
     open_file = replace(file, nuisance={**file.nuisance, "heat_noise_sd_w": None})
     trial = find_levels([found], open_file, runs)[0]
     if trial.levels.heat_w <= MORE_HEAT * usual_w:

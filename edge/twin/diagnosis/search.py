@@ -232,8 +232,6 @@ class Search:
 
     def _exchanged(self, item: Scored) -> Scored:
         """The set with one member exchanged for a better one, if there is one."""
-        if len(item.added) < 2:
-            return item
         for name in sorted(item.added):
             best = self._best_of(self.rivals(item, name, EXCHANGED))
             if best is not None and best.score > item.score + EXCHANGE_NATS:
