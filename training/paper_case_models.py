@@ -59,8 +59,9 @@ def diagnose(regime: Regime, folder: Path) -> None:
     judged = [test_run(number) for number in SCENARIOS[regime]]
     words = ["twin", "diagnose", *_paths(training_runs(regime)), "--test", *_paths(judged)]
     words += ["--twin", _named(folder / BARE_FILE), "--out", _named(folder), "--json-only"]
-    if subprocess.run([sys.executable, "-m", "edge", *words], cwd=ROOT, check=False).returncode != 0:
-        raise DataError(f"{folder}: greenhouse twin diagnose failed")
+    code = subprocess.run([sys.executable, "-m", "edge", *words], cwd=ROOT, check=False).returncode
+    if code != 0:
+        raise DataError(f"{folder}: greenhouse twin diagnose failed, exit code {code}")
 
 
 def improved(regime: Regime, folder: Path) -> Improved:
