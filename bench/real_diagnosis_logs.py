@@ -22,19 +22,22 @@ TOLD = ("time_s", "temp_air_c", "heater_duty")  # the plate's and the second hea
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A recording or a part of one, with all that was measured. name : of its run file"""
+    """A recording with all that was measured.
+
+    name : of its run file; judged_from_s : what is before trains, the rest is held out [s]; None: it is whole
+    """
 
     name: str
     run: Run
+    judged_from_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Logs:
-    """train, test : parts; same_runs : whether held-out part i goes on where training part i ended"""
+    """train, test : recordings; the same ones where each is divided"""
 
     train: tuple[Part, ...]
     test: tuple[Part, ...]
-    same_runs: bool
 
 
 Rule = Callable[[Sequence[tuple[str, Run]]], Logs]
@@ -59,7 +62,7 @@ class LogSet:
 
 LOG_SETS = {
     # 12 V and less than 3.5 A; ten minutes a run, and rows 1 s apart are more than one mass needs
-    "heated_box": LogSet("heated_box", 10.0, 42.0, "temp_plate_c"),
+    "heated_box": LogSet("heated_box", 5.0, 42.0, "temp_plate_c"),
     # half of the logs have rows 3 s apart; higher_order.csv is energy_balance.csv rounded to 0.1 degC
     "tclab": LogSet("tclab", 3.0, 100.0, left_out=("higher_order",)),
 }
@@ -67,18 +70,17 @@ LOG_SETS = {
 
 def first_part(runs: Sequence[tuple[str, Run]]) -> Logs:
     """The first FIRST_SHARE of the rows of each run trains, the rest is held out."""
-    train, test = [], []
-    for name, run in runs:
-        rows = round(FIRST_SHARE * len(run))
-        train.append(Part(f"{name}_first.csv", cut(run, 0, rows)))
-        test.append(Part(f"{name}_rest.csv", cut(run, rows, len(run))))
-    return Logs(tuple(train), tuple(test), same_runs=True)
+    parts = tuple(
+        Part(f"{name}.csv", run, float(run.columns["time_s"][round(FIRST_SHARE * len(run))]))
+        for name, run in runs
+    )
+    return Logs(parts, parts)
 
 
 def first_runs(runs: Sequence[tuple[str, Run]]) -> Logs:
     """The first FIRST_RUNS by name, which begins with the date, train; later ones are held out."""
     parts = [Part(f"{name}.csv", run) for name, run in runs]
-    return Logs(tuple(parts[:FIRST_RUNS]), tuple(parts[FIRST_RUNS:]), same_runs=False)
+    return Logs(tuple(parts[:FIRST_RUNS]), tuple(parts[FIRST_RUNS:]))
 
 
 RULES: dict[str, Rule] = {"first part": first_part, "first runs": first_runs}
@@ -99,17 +101,29 @@ def read_logs(data: Path, log_set: LogSet, rule: Rule) -> Logs:
 def write_case(folder: Path, log_set: LogSet, logs: Logs) -> tuple[list[Path], list[Path], Path]:
     """Training runs, held-out runs and the twin that is given, as files. Errors: DataError"""
     folder.mkdir(parents=True, exist_ok=True)
-    train, test = _written(folder, logs.train, "train"), _written(folder, logs.test, "test")
+    train = _written(folder, logs.train, "train")
+    test = train if logs.test is logs.train else _written(folder, logs.test, "test")
     twin = folder / "twin.yaml"
-    write_twin_file(given_twin(log_set, [read_run(path) for path in train]), twin)
+    first = [_until(part) for part in logs.train]
+    write_twin_file(given_twin(log_set, first), twin)
     return train, test, twin
+
+
+def _until(part: Part) -> Run:
+    """What of a recording trains."""
+    if part.judged_from_s is None:
+        return part.run
+    return cut(part.run, 0, int((part.run.columns["time_s"] < part.judged_from_s).sum()))
 
 
 def _written(folder: Path, parts: Sequence[Part], role: str) -> list[Path]:
     paths = []
     for part in parts:
         columns = {name: part.run.columns[name] for name in TOLD}
-        write_run(replace(part.run, columns=columns, facts={"role": role}), folder / part.name)
+        facts = {"role": role}
+        if part.judged_from_s is not None:
+            facts["validate_from_s"] = f"{part.judged_from_s:g}"
+        write_run(replace(part.run, columns=columns, facts=facts), folder / part.name)
         paths.append(folder / part.name)
     return paths
 

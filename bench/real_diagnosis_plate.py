@@ -39,6 +39,7 @@ class Plate(NamedTuple):
 def heated(twin: Twin, free: Forecast, duty: Floats, room_c: Floats, plate_c: Floats) -> Heated:
     """The states of a free run, fan off. duty, room_c, plate_c : [rows] of its run"""
     start, heater = free.start, twin.states.index(HEATER)
+    plate_c, duty = plate_c[: len(free.measured)], duty[: len(free.measured)]
     off = np.zeros(start + 1)
     known = Past(free.measured[: start + 1], room_c[: start + 1], duty[: start + 1], off)
     state = state_now(twin, known)

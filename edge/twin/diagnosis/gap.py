@@ -48,7 +48,7 @@ def forecast(twin: Twin, named: NamedRun, room_c: Floats) -> Forecast:
     """
     columns = columns_of(named.run, room_c)
     temp = columns["temp_air"]
-    start = _start_row(temp)
+    start = _start_row(temp, named)
     known = {name: values for name, values in columns.items() if name != "temp_air"}
     before = {name: values[: start + 1] for name, values in known.items()}
     past = Past(
@@ -75,9 +75,14 @@ def columns_of(run: Run, room_c: Floats) -> dict[str, Floats]:
     return {name: values if name == "temp_air" else held(values) for name, values in columns.items()}
 
 
-def _start_row(temp: Floats) -> int:
-    """The last row measured without a hole from the first measured one on, of the first rows."""
+def _start_row(temp: Floats, named: NamedRun) -> int:
+    """The last measured row before the part that a run judges by, or where it has no such part the last one
+    without a hole from the first measured one on, of the first rows."""
     known = np.isfinite(temp)
+    if named.from_s is not None:
+        before = known & (named.run.columns["time_s"] < named.from_s)
+        if before.any():
+            return int(np.flatnonzero(before)[-1])
     first = int(known.argmax())
     row = first
     while row + 1 < min(first + START_ROWS, len(temp) - 1) and known[row + 1]:

@@ -83,8 +83,9 @@ class Given:
         rows = len(named.run)
         if not self.guessed:
             return np.asarray(over_rows(held(named.run.columns["temp_ambient_c"])[None], self.room)[0])
-        if named.name in self.names:
-            return np.full(rows, self.runs.ambient[self.names.index(named.name), 0])
+        own = named.rest_of or named.name
+        if own in self.names:
+            return np.full(rows, self.runs.ambient[self.names.index(own), 0])
         readings, known = named.run.columns["temp_air_c"], self.runs.temp[:, 0]
         first = np.clip(readings[np.isfinite(readings)][0], known.min(), known.max())
         return np.full(rows, first + np.mean(self.runs.ambient[:, 0] - known))

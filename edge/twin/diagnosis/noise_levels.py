@@ -71,7 +71,7 @@ def find_levels(
 
     factor : of the first steps
     """
-    free = _free(file)
+    free = _free(file, runs)
     measured = np.isfinite(runs.temp[:, 1:])
     bases = [_Base(item, runs) for item in found]
     levels = [item.trial.levels for item in found]
@@ -97,8 +97,10 @@ def find_levels(
     ]
 
 
-def _free(file: TwinFile) -> tuple[str, ...]:
-    names = ["heat_tau_s", "room_k"]
+def _free(file: TwinFile, runs: Recorded) -> tuple[str, ...]:
+    names = ["heat_tau_s"]
+    if (runs.ambient != runs.ambient[:, :1]).any():  # a room that was read, not one constant a run
+        names.append("room_k")
     if file.nuisance.get("heat_noise_sd_w") is None:
         names.append("heat_w")
     if file.sensor.get("noise_sd_k") is None:

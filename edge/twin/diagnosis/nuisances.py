@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box warms
 EXCESS_K = 10.0
 USUAL_LOSS_W_K = 4.0  # of a box whose twin is not said to lose heat, and lacks that
-ROOM_SD_K = 5.0  # of a room about a run's first temperature
+ROOM_SD_K = 2.0  # of a room about a run's first temperature: a run begins at rest or soon after another
 
 
 def nuisances(twin: Twin, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
@@ -23,9 +23,14 @@ def nuisances(twin: Twin, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
 
 
 def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> Term:
-    """A loss that grows with T - T_amb: Q = -k |T - T_amb| (T - T_amb) / 10 K."""
+    """A loss that grows with T - T_amb: Q = -k (|T - T_amb| - E) (T - T_amb) / 10 K.
+
+    E is where these runs tell a straight loss best, so that k takes nothing of what that one is.
+    """
     excess = (middle(temps) - runs.ambient).T
-    return Term("curved loss", -np.abs(excess) * excess / EXCESS_K, sd_w_k)
+    squares = np.nansum(excess**2)
+    usual_k = np.nansum(np.abs(excess) ** 3) / squares if squares > 0.0 else 0.0
+    return Term("curved loss", -(np.abs(excess) - usual_k) * excess / EXCESS_K, sd_w_k)
 
 
 def middle(temps: Floats) -> Floats:

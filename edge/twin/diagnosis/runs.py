@@ -18,6 +18,7 @@ from edge.twin.twin_file import TwinFile
 
 USABLE_ROWS = 30  # with a temperature, of all training runs together
 PIECE_ROWS = 5  # with a temperature: in fewer, the start takes all that a piece tells
+FROM_S = "validate_from_s"
 COARSEST = 1.5  # rows of a training run, in steps of the twin
 _COLUMN = {name: key for key, name in CONDITIONS.items()}
 
@@ -29,11 +30,15 @@ class NamedRun:
     """A run at the twin's step, under the name that it has in a report.
 
     rows_s : times of the rows that the recording has in it [s]; the run's own where it was not resampled
+    from_s : when the part begins that a test run judges by [s]; what was before may be known
+    rest_of : the training run that a test run goes on from, where one recording is both
     """
 
     name: str  # `run_01.csv`, `run_01.csv (2 of 3)`, `history_1`
     run: Run
     rows_s: Floats
+    from_s: float | None = None
+    rest_of: str = ""
 
     def at_rows(self, values: Floats) -> Floats:
         """Values [len(run)] of the run's rows at the recording's own rows, [len(rows_s)]."""
@@ -61,7 +66,8 @@ def read_runs(train: Sequence[Path], test: Sequence[Path], twin: TwinFile) -> Di
     """Run files as a diagnosis needs them.
 
     A training run ends where its fact `validate_from_s` says, and is cut where rows are missing for long and
-    after 12 h. A test run stays whole: it may have temperatures in its first rows only.
+    after 12 h. A test run stays whole: it may have temperatures in its first rows only. One with that fact
+    judges from there on and may know what was before: so one recording may train and then test.
 
     Errors : DataError naming file, line and column: a run of role test to fit on, one file twice, wrong
         units, time that goes backwards, nothing measured, too few rows, a missing column that the twin needs
@@ -71,9 +77,9 @@ def read_runs(train: Sequence[Path], test: Sequence[Path], twin: TwinFile) -> Di
     paths = [*train, *test]
     read = [plausible_run(read_table(Path(path))) for path in paths]
     recordings = [run for run, _ in read]
-    _refuse_twice(recordings)
     for run in recordings[: len(train)]:
         refuse_test(run)
+    _refuse_twice(recordings[: len(train)], recordings[len(train) :])
     names = _names(paths)
     return diagnosis_runs(
         list(zip(names[: len(train)], recordings[: len(train)], strict=True)),
@@ -98,9 +104,11 @@ def diagnosis_runs(
     training = [piece for name, run in fitted for piece in _training_pieces(name, run, twin.sample_s, notes)]
     _check_rows([run for _, run in fitted], training, twin.sample_s)
     runs = [piece.run for piece in training]
+    ends = {data_sha256([run]): name for name, run in train}
+    rests = {name: ends.get(data_sha256([run]), "") for name, run in test}
     return DiagnosisRuns(
         tuple(training),
-        tuple(_whole(name, run, twin.sample_s, notes) for name, run in test),
+        tuple(_whole(name, run, twin.sample_s, rests[name], notes) for name, run in test),
         tuple(notes),
         cannot_tell(runs, bool(test), len(train)),
         data_sha256([run for _, run in train]),
@@ -110,30 +118,40 @@ def diagnosis_runs(
 def _names(paths: Sequence[Path]) -> list[str]:
     """File names, with the folder where two files have one name."""
     names = [Path(path).name for path in paths]
-    return [name if names.count(name) == 1 else str(path) for name, path in zip(names, paths, strict=True)]
+    of_name = {name: {path for path in paths if Path(path).name == name} for name in names}
+    return [name if len(of_name[name]) == 1 else str(path) for name, path in zip(names, paths, strict=True)]
 
 
-def _refuse_twice(runs: Sequence[Run]) -> None:
-    """One recording counted twice is evidence that is not there; in training and test it judges itself."""
+def _refuse_twice(train: Sequence[Run], test: Sequence[Run]) -> None:
+    """One recording counted twice is evidence that is not there; in training and test it judges itself,
+    unless each has its own part of it."""
     seen: dict[str, Run] = {}
-    for run in runs:
+    for run in (*train, *test):
         before = seen.setdefault(data_sha256([run]), run)
-        if before is not run:
+        if before is run:
+            continue
+        shared = any(before is other for other in train) and not any(run is other for other in train)
+        if not shared or FROM_S not in run.facts or before.facts.get(FROM_S) != run.facts[FROM_S]:
             raise DataError(f"{run.path}: is the same recording as {before.path}")
 
 
 def _until_validation(run: Run) -> Run:
     """The part that may be fitted on."""
-    if (text := run.facts.get("validate_from_s")) is None:
+    if (from_s := _validate_from_s(run)) is None:
         return run
-    try:
-        rows = int((run.columns["time_s"] < float(text)).sum())
-    except ValueError:
-        raise DataError(f"{run.path}: validate_from_s: {text!r} is no number") from None
+    rows = int((run.columns["time_s"] < from_s).sum())
     if rows == 0:
-        raise DataError(f"{run.path}: validate_from_s: {text} leaves no row to fit on")
+        raise DataError(f"{run.path}: {FROM_S}: {run.facts[FROM_S]} leaves no row to fit on")
     part = cut(run, 0, rows)
-    return replace(part, facts={key: fact for key, fact in part.facts.items() if key != "validate_from_s"})
+    return replace(part, facts={key: fact for key, fact in part.facts.items() if key != FROM_S})
+
+
+def _validate_from_s(run: Run) -> float | None:
+    text = run.facts.get(FROM_S)
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        raise DataError(f"{run.path}: {FROM_S}: {text!r} is no number") from None
 
 
 def _check_period(run: Run, step_s: float) -> None:
@@ -183,12 +201,15 @@ def _training_pieces(name: str, run: Run, step_s: float, told: list[str]) -> lis
     return kept
 
 
-def _whole(name: str, run: Run, step_s: float, told: list[str]) -> NamedRun:
-    piece = _at_step(name, run, step_s)
+def _whole(name: str, run: Run, step_s: float, rest_of: str, told: list[str]) -> NamedRun:
+    from_s = _validate_from_s(run)
+    if from_s is not None and not (run.columns["time_s"] >= from_s).any():
+        raise DataError(f"{run.path}: {FROM_S}: {from_s:g} leaves no row to test on")
+    piece = _at_step(f"{name} from {from_s:g} s" if rest_of else name, run, step_s)
     _tell_resampled(name, piece, told)
     if len(piece.run) < 2:
         raise DataError(f"{run.path}: reaches over less than one step of {step_s:g} s: nothing to forecast")
-    return piece
+    return replace(piece, from_s=from_s, rest_of=rest_of)
 
 
 def _at_step(name: str, run: Run, step_s: float) -> NamedRun:
