@@ -36,6 +36,7 @@ FORMULAS = 2  # in one set: more of them can follow anything
 MIMICS = 3  # names that may be tried on what a formula explains better
 EXCHANGE_NATS = 0.5
 EXCHANGED = 2  # others that are tried in the place of a member
+MOST_EXCHANGED = 4  # members of a set that this is done for
 MERGED_PAIRS, MERGED_INTO = 2, 2  # pairs that one effect may stand for, the least ones; how many are tried
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
@@ -232,7 +233,11 @@ class Search:
 
     def _exchanged(self, item: Scored) -> Scored:
         """The set with one member exchanged for a better one, if there is one."""
-        for name in sorted(item.added):
+        names = sorted(item.added)
+        if len(names) > MOST_EXCHANGED:  # those that explain least of their own
+            less = dict(zip(names, self._less(item, names), strict=True))
+            names = sorted(names, key=lambda name: -less[name].score)[:MOST_EXCHANGED]
+        for name in names:
             best = self._best_of(self.rivals(item, name, EXCHANGED))
             if best is not None and best.score > item.score + EXCHANGE_NATS:
                 return best
