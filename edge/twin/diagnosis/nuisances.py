@@ -12,7 +12,7 @@ from edge.twin.warm_start import held
 Floats = NDArray[np.float64]
 CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box warms
 EXCESS_K = 10.0
-USUAL_LOSS_W_K = 4.0  # of a box whose twin is not said to lose heat, and lacks that
+USUAL_LOSS_W_K = 8.0  # of a box whose twin is not said to lose heat, and lacks that
 ROOM_SD_K = 2.0  # of a room about a run's first temperature: a run begins at rest or soon after another
 
 
