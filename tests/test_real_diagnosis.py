@@ -56,13 +56,15 @@ def case(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Lo
     return folder, few, measured(folder, BOX, few)
 
 
-def test_a_rest_begins_where_its_first_part_ends(data: Path) -> None:
-    logs = read_logs(data, BOX, first_part)
-    assert [len(part.run) for part in (logs.train[0], logs.test[0])] == [36, 24]  # 60 rows of 10 s, 60 %
-    whole = log(0).columns
-    # Rows at 0, 10, ... of the log: the first held out is at 360 s.
-    assert logs.test[0].run.columns["temp_plate_c"][0] == pytest.approx(whole["temp_plate_c"][360])
-    assert logs.test[0].run.columns["time_s"][0] == 0.0
+def test_a_rest_begins_where_its_first_part_ends(case: tuple[Path, Logs, Result]) -> None:
+    _, logs, result = case
+    assert logs.train is logs.test
+    train, test = result.diagnosis.data.train[0], result.diagnosis.data.test[0]
+    assert len(train.run) == 72  # 120 rows of 5 s, 60 %
+    assert test.from_s == 360.0
+    # The forecast goes on from the last row that trained and is judged by those behind it.
+    forecast = result.diagnosis.after.test[0]
+    assert (forecast.start, len(forecast.residual)) == (71, 48)
 
 
 def test_the_first_runs_by_date_train(data: Path) -> None:
@@ -78,9 +80,8 @@ def test_a_recording_that_is_another_again_is_left_out(data: Path) -> None:
 
 def test_the_workflow_is_told_neither_plate_nor_fan_nor_room(case: tuple[Path, Logs, Result]) -> None:
     folder, logs, _ = case
-    for part, role in ((logs.train[0], "train"), (logs.test[0], "test")):
-        run = read_run(folder / part.name)
-        assert (tuple(run.columns), run.facts["role"]) == (TOLD, role)
+    run = read_run(folder / logs.train[0].name)
+    assert (tuple(run.columns), run.facts["role"]) == (TOLD, "train")
 
 
 def test_capacity_and_loss_are_left_to_be_fitted(case: tuple[Path, Logs, Result]) -> None:
