@@ -11,6 +11,7 @@ from edge.twin.diagnosis.adopted_twin import Added, Origin, twin_after
 from edge.twin.diagnosis.formulas import formulas
 from edge.twin.diagnosis.gap import Forecast, alone, errors, floor_squares, forecast
 from edge.twin.diagnosis.given import Given, given, with_rooms
+from edge.twin.diagnosis.held_out import held_out_gains
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
@@ -63,6 +64,7 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
     known = with_rooms(prepared, found.final.fitted.sizes)
     progress("free runs before and after")
     names = tuple(effect.name for effect in found.effects)
+    search.held_out |= held_out_gains(search, found.final, names)
     before = _before(prepared, search.base(), data)
     steps: list[tuple[tuple[str, ...], Side]] = [((), before)]
     for count in range(1, len(names) + 1):
