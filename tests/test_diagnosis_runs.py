@@ -311,6 +311,39 @@ def test_no_recording_counts_twice(train: Path, test: Path, tmp_path: Path) -> N
     assert len(read(train, test=[test]).test) == 1
 
 
+def test_one_recording_trains_and_then_tests_where_it_says_from_when(tmp_path: Path) -> None:
+    write_run(box_run(1), tmp_path / "a.csv")  # validates from its 73rd row on
+    runs = read(tmp_path / "a.csv", test=[tmp_path / "a.csv"])
+    first, rest = runs.train[0], runs.test[0]
+    assert (len(first.run), len(rest.run)) == (72, 90)
+    assert rest.from_s == rest.run.columns["time_s"][72]
+    assert (rest.name, rest.rest_of) == (f"a.csv from {rest.from_s:g} s", "a.csv")
+    assert first.from_s is None
+
+
+def test_a_test_run_of_its_own_may_say_from_when_too(train: Path, tmp_path: Path) -> None:
+    run = replace(box_run(2), facts={"role": "test", "validate_from_s": "600"})
+    write_run(run, tmp_path / "b.csv")
+    [named] = read(train, test=[tmp_path / "b.csv"]).test
+    assert (named.name, named.from_s, named.rest_of) == ("b.csv", 600.0, "")
+
+
+@pytest.mark.parametrize(("text", "error"), [("soon", "is no number"), ("1e9", "leaves no row to test on")])
+def test_a_test_run_that_judges_from_never_is_refused(
+    train: Path, tmp_path: Path, text: str, error: str
+) -> None:
+    write_run(replace(box_run(2), facts={"role": "test", "validate_from_s": text}), tmp_path / "b.csv")
+    with pytest.raises(DataError, match=rf"b\.csv: validate_from_s: .*{error}"):
+        read(train, test=[tmp_path / "b.csv"])
+
+
+def test_the_same_rows_never_train_and_test(tmp_path: Path) -> None:
+    for name, from_s in (("a", "3000"), ("b", "1800")):
+        write_run(replace(box_run(1), facts={"validate_from_s": from_s}), tmp_path / f"{name}.csv")
+    with pytest.raises(DataError, match="is the same recording as"):
+        read(tmp_path / "a.csv", test=[tmp_path / "b.csv"])
+
+
 def test_no_run_at_all_is_refused() -> None:
     with pytest.raises(DataError, match="at least one training run"):
         read()

@@ -1,5 +1,7 @@
 """edge/twin/diagnosis/gap.py: free runs from the first rows of a run, what they miss, and what they must."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated_runs import BOX, NOISE, QUIET, STEP_S, Floats, changed, coloured, simulated, twin_file
@@ -70,6 +72,16 @@ def test_a_forecast_begins_at_the_last_of_the_first_rows_measured_without_a_hole
     assert np.isfinite(found.predicted).all()
     assert len(found.residual) == ROWS - 1 - start
     assert found.predicted[start] == run.columns["temp_air_c"][start]
+
+
+@pytest.mark.parametrize(("from_row", "holes", "start"), [(40, (), 39), (40, (39, 38), 37), (0, (), 9)])
+def test_a_run_that_judges_from_a_row_on_is_known_before_it(
+    from_row: int, holes: tuple[int, ...], start: int
+) -> None:
+    run = measured_only(simulated(BOX, 1, ROWS), [k for k in range(ROWS) if k not in holes])
+    found = forecast(PLAIN, replace(named(run), from_s=60.0 * from_row), run.columns["temp_ambient_c"])
+    assert found.start == start
+    assert len(found.residual) == ROWS - 1 - start
 
 
 def test_up_to_its_start_a_forecast_is_what_was_measured() -> None:
