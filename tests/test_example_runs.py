@@ -13,7 +13,7 @@ from bench.example_diagnosis import EXAMPLE, command, standalone, with_answer
 from bench.make_example_runs import KNOWN, RECORDINGS, SINCE
 from edge.__main__ import main
 from edge.run_file import read_run
-from edge.twin.diagnosis import search
+from edge.twin.diagnosis import candidates
 from edge.twin.diagnosis.diagnosis_schema import schema
 from edge.twin.diagnosis.report.report import PAGE_NAME, write_report
 from edge.twin.effects import USUAL_EFFECTS
@@ -38,7 +38,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ["twin", "diagnose", *train, "--test", str(RUNS / "test_1.csv")]
     words += ["--twin", str(RUNS / "twin.yaml"), "--out", str(folder), "--json-only"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(search, "USUAL_EFFECTS", few)
+        patch.setattr(candidates, "USUAL_EFFECTS", few)
         assert main(words) == 0
     return folder
 

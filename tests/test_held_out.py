@@ -3,8 +3,9 @@
 import pytest
 from simulated_runs import BOX, search_over, simulated
 
+from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.held_out import held_out_gains
-from edge.twin.diagnosis.search import Scored, Search
+from edge.twin.diagnosis.search import Search
 
 LAG = {"heater_lag": {"tau_h": 200.0}}
 ROWS = 60

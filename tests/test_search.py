@@ -9,8 +9,9 @@ import pytest
 from simulated_runs import BOX, Effects, changed, search_over, simulated, twin_file
 
 from edge.run_file import Run
-from edge.twin.diagnosis import search as module
-from edge.twin.diagnosis.search import RIVAL_NATS, Round, Scored, Search
+from edge.twin.diagnosis import candidates as module
+from edge.twin.diagnosis.candidates import Scored
+from edge.twin.diagnosis.search import RIVAL_NATS, Round, Search
 from edge.twin.effects import USUAL_EFFECTS
 from edge.twin.value import Value
 
@@ -110,7 +111,9 @@ class Misled(Search):
         if turn >= len(self.OFFERED):
             return Search._grown(self, beside)
         self.rounds.append(Round(beside.added, ()))
-        return self._looked_at(beside, [x for x in self.screened(beside) if x.name == self.OFFERED[turn]])
+        return self._looked_at(
+            beside, [x for x in self.screening.beside(beside) if x.name == self.OFFERED[turn]]
+        )
 
 
 def test_a_member_that_another_explains_better_is_exchanged() -> None:
@@ -127,29 +130,29 @@ def test_a_member_that_another_explains_better_is_exchanged() -> None:
 
 def test_candidates_are_what_the_file_has_not_and_the_runs_have_columns_for() -> None:
     search, _ = searched()
-    assert set(search.candidates) == set(CANDIDATES) - set(BOX)
+    assert set(search.candidates.names) == set(CANDIDATES) - set(BOX)
     dark, _ = search_over([changed(run, light=None) for run in runs_with({})])
-    assert set(search.candidates) - set(dark.candidates) == {"led_gain"}
+    assert set(search.candidates.names) - set(dark.candidates.names) == {"led_gain"}
 
 
 def test_a_door_is_a_candidate_only_where_one_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "USUAL_EFFECTS", USUAL_EFFECTS)
     search, _ = searched()
-    assert "door_opening" not in search.candidates
+    assert "door_opening" not in search.candidates.names
     opened = {**search.runs.conditions, "door_open": np.zeros_like(search.runs.duty)}
     runs = replace(search.runs, conditions=opened)
-    assert "door_opening" in Search(search.file, runs, search.progress).candidates
+    assert "door_opening" in Search(search.file, runs, search.progress).candidates.names
 
 
 def test_a_loss_that_a_wall_replaces_is_no_candidate() -> None:
     wall = {"wall_mass": {"C_w": 5000.0, "G_in": 10.0, "G_out": 8.0}}
     search, _ = searched()
-    assert "wall_loss" not in Search(twin_file(wall), search.runs, search.progress).candidates
+    assert "wall_loss" not in Search(twin_file(wall), search.runs, search.progress).candidates.names
 
 
 def test_what_has_more_values_or_more_rivals_has_to_explain_more() -> None:
     search, _ = searched()
-    values, candidates = 0.5 * np.log(search.rows), np.log(len(search.candidates))
+    values, candidates = 0.5 * np.log(search.candidates.rows), np.log(len(search.candidates.names))
     assert search.penalty("heater_lag") == pytest.approx(values + candidates)
     assert search.penalty("soil_mass") == pytest.approx(2.0 * values + candidates)
     # Of the three values of a wall the known loss gives one.
@@ -164,7 +167,7 @@ def test_rounds_tell_what_was_tried_the_most_promising_first() -> None:
     assert first.tried[0].name == "heater_lag"
     worth = [item.score_gain for item in first.tried]
     assert worth == sorted(worth, reverse=True)
-    assert set(search.candidates) <= {item.name for item in first.tried}
+    assert set(search.candidates.names) <= {item.name for item in first.tried}
     for item in first.tried:
         assert item.score_gain == pytest.approx(item.gain_nats - search.penalty(item.name))
 

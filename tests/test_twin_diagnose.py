@@ -16,7 +16,7 @@ from simulated_runs import BOX, Effects, changed, simulated, twin_file
 from edge.__main__ import main
 from edge.models.pbm import read_twin
 from edge.run_file import Run, data_sha256, write_run
-from edge.twin.diagnosis import search
+from edge.twin.diagnosis import candidates
 from edge.twin.diagnosis.diagnosis_document import check_diagnosis
 from edge.twin.diagnosis.diagnosis_schema import schema
 from edge.twin.effects import USUAL_EFFECTS
@@ -226,7 +226,7 @@ def test_what_has_no_name_is_unknown_with_a_formula(diagnose: Command, tmp_path:
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """For what does not depend on how many effects there are, and takes long with all."""
     few = {name: effect for name, effect in USUAL_EFFECTS.items() if name in CANDIDATES}
-    monkeypatch.setattr(search, "USUAL_EFFECTS", few)
+    monkeypatch.setattr(candidates, "USUAL_EFFECTS", few)
 
 
 def with_readings(run: Run, added: dict[int, float]) -> Run:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from simulated_runs import BOX, NOISE, simulated, twin_file
 
+from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit
 from edge.twin.diagnosis.formulas import SHAPES
-from edge.twin.diagnosis.search import RIVAL_NATS, Scored
+from edge.twin.diagnosis.search import RIVAL_NATS
 from edge.twin.diagnosis.starts import with_effect
 from edge.twin.diagnosis.unknowns import unknowns
 from edge.twin.diagnosis.verdict import Verdict, interval, intervals, verdict

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.diagnosis.adopted_twin import Added, Origin, twin_after
+from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.formulas import formulas
 from edge.twin.diagnosis.gap import Forecast, alone, errors, floor_squares, forecast
 from edge.twin.diagnosis.given import Given, given, with_rooms
@@ -15,7 +16,7 @@ from edge.twin.diagnosis.held_out import held_out_gains
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
-from edge.twin.diagnosis.search import Scored, Search
+from edge.twin.diagnosis.search import Search
 from edge.twin.diagnosis.verdict import Verdict, interval, verdict
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value

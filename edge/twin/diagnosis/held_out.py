@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.fitting import Trial, fit
-from edge.twin.diagnosis.search import Scored, Search
+from edge.twin.diagnosis.search import Search
 from edge.twin.diagnosis.starts import settled
 from edge.twin.recorded import Recorded
 

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.diagnose import Diagnosis, Side
 from edge.twin.diagnosis.locate.regimes import regimes
 from edge.twin.diagnosis.locate.residuals import Residuals, residuals_of
 from edge.twin.diagnosis.locate.sentences import findings
 from edge.twin.diagnosis.locate.stretches import stretches
 from edge.twin.diagnosis.locate.whiteness import whiteness
-from edge.twin.diagnosis.search import Scored
 
 Floats = NDArray[np.float64]
 

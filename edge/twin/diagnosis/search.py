@@ -1,49 +1,38 @@
 """Which effects are missing: a search over sets of named effects, each fitted by maximum likelihood.
 
-A set is worth its likelihood less half log(rows) for each value found (BIC, Schwarz 1978) and log(candidates)
-for each effect chosen among them (Chen & Chen 2008, Biometrika 95: the extended BIC), so that the chance that
-any of the candidates is named by luck stays small however many are tried.
+Sets are compared by their likelihood less what their effects cost (`edge.twin.diagnosis.candidates`).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import NamedTuple
 
-import numpy as np
-
-from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, gains_of, glance, slopes
+from edge.twin.diagnosis.candidates import Candidates, Names, Scored
+from edge.twin.diagnosis.fitting import Term, Trial, fit
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import first_levels
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.refining import SEVERAL, begun, likelihood, refined
-from edge.twin.diagnosis.starts import settled, with_effect, with_usual
+from edge.twin.diagnosis.screening import FORMULAS, SCREENED, Candidate, Screening
+from edge.twin.diagnosis.starts import with_usual
 from edge.twin.diagnosis.unknowns import unknowns
-from edge.twin.effects import EFFECTS, USUAL_EFFECTS
+from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 
-Names = frozenset[str]
 REFINED = 6  # candidates of a round that get noise levels of their own
-SCREENED, LAST_LOOK = 4, 8  # iterations; the last of rivals, which are compared
 LARGEST_SET = 10
 BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
-LARGE_NATS, ROUGHLY = (
-    200.0,
-    4,
-)  # a gain that a screening misses much of, as other values can't follow; looks then
-FORMULAS = 2  # in one set: more of them can follow anything
+LARGE_NATS = 200.0  # a gain of which a screening misses much, as other values can't follow
+ROUGHLY = 4  # names that are looked at then, however far they seem
 MIMICS = 3  # names that may be tried on what a formula explains better
 EXCHANGE_NATS = 0.5
 EXCHANGED = 2  # others that are tried in the place of a member
 MOST_EXCHANGED = 4  # members of a set that this is done for
 MERGED_PAIRS, MERGED_INTO = 2, 2  # pairs that one effect may stand for, the least ones; how many are tried
-FORMULA_NATS = 4.0  # by which a formula must be better than a name
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
+NEXT_MARGIN = 8.0  # the same beside an effect: what the first leaves a little wrong invites more
 HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a candidate above 0
-NEXT_MARGIN = (
-    8.0  # the same beside an effect that is named: what the first leaves a little wrong invites more
-)
 # A light body is a capacity of the air, a light wall a loss too: what may be taken apart, and into what.
 TAKEN_APART = {
     "wall_mass": (("wall_loss", "extra_capacity"), ("wall_mass", "extra_capacity")),
@@ -51,27 +40,6 @@ TAKEN_APART = {
 }
 RIVAL_NATS = 3.0  # a set as likely as the best within this is its rival
 WORTH_A_LOOK = 12.0  # nats within which a screened rival is fitted with noise levels of its own
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scored:
-    """A set of effects beside those that were known, at its best.
-
-    likelihood : nats, noise levels' prior included; score : less the penalty
-    """
-
-    added: Names
-    fitted: Fitted
-    likelihood: float
-    score: float
-
-
-class Candidate(NamedTuple):
-    """Beside a set, with the set's noise: nats over the set, and its file, None for a formula."""
-
-    name: str
-    gain: float
-    file: TwinFile | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,42 +70,18 @@ class Search:
     formulas: Mapping[str, Term] = field(default_factory=dict)
     rounds: list[Round] = field(default_factory=list)
     held_out: dict[str, float] = field(default_factory=dict)
+    candidates: Candidates = field(init=False)
+    screening: Screening = field(init=False)
     _known: dict[Names, Scored] = field(default_factory=dict)
-    _screened: dict[tuple[Names, NoiseLevels], list[Candidate]] = field(default_factory=dict)
-    _shaped: dict[tuple[Names, NoiseLevels], list[Candidate]] = field(default_factory=dict)
-    _sharp: set[tuple[Names, NoiseLevels]] = field(default_factory=set)
     _shortened: set[tuple[Names, str]] = field(default_factory=set)
 
-    @property
-    def candidates(self) -> list[str]:
-        """Effects that may be missing: the usual ones that are not there and have their columns."""
-        have = set(self.runs.conditions)
-        return [
-            name
-            for name, effect in USUAL_EFFECTS.items()
-            if name not in self.file.effects and set(effect.needs) <= have and self._can_be(name)
-        ]
-
-    def _can_be(self, name: str) -> bool:
-        if name == "door_opening":
-            return "door_open" in self.runs.conditions
-        if name == "ua_drift":
-            return True
-        return not (name == "wall_loss" and "wall_mass" in self.file.effects)
-
-    @property
-    def rows(self) -> int:
-        """Temperatures that are fitted to."""
-        return int(np.isfinite(self.runs.temp[:, 1:]).sum())
+    def __post_init__(self) -> None:
+        self.candidates = Candidates(self.file, self.runs, self.formulas)
+        self.screening = Screening(self.candidates, self.runs, self.progress)
 
     def penalty(self, name: str) -> float:
         """Of naming an effect, or of a formula [nats]."""
-        if name in self.formulas:
-            return 0.5 * float(np.log(self.rows)) + float(np.log(len(self.formulas))) + FORMULA_NATS
-        values = len(EFFECTS[name].parameters)
-        if name == "wall_mass" and "wall_loss" in self.file.effects:
-            values -= 1  # what its films give in series is known
-        return 0.5 * values * float(np.log(self.rows)) + float(np.log(len(self.candidates)))
+        return self.candidates.penalty(name)
 
     def base(self) -> Scored:
         """The twin as it is given."""
@@ -183,7 +127,7 @@ class Search:
     def _extended(self, item: Scored, most: int) -> Scored:
         """A set with up to so many formulas, as far as each is worth it."""
         for _ in range(most):
-            found = self._shapes(item)
+            found = self.screening.formulas_beside(item)
             grown = self._best_of(self._looked_at(item, self._promising(found)))
             if grown is None or grown.score < item.score + MARGIN:
                 break
@@ -196,7 +140,7 @@ class Search:
         for name in sorted(best.added & TAKEN_APART.keys()):
             for parts in TAKEN_APART[name]:
                 key = best.added - {name} | set(parts)
-                if len(key) > len(best.added) and key - best.added <= set(self.candidates):
+                if len(key) > len(best.added) and key - best.added <= set(self.candidates.names):
                     wanted[key] = self._as_usual(best, key)
         self._refined({key: trial for key, trial in wanted.items() if key not in self._known})
         found = self._best_of([self._known[key] for key in wanted])
@@ -217,7 +161,7 @@ class Search:
 
     def _grown(self, beside: Scored) -> list[Scored]:
         """A set with one more effect, those that promise most."""
-        screened = self.screened(beside)
+        screened = self.screening.beside(beside)
         self.rounds.append(self._round(beside, screened))
         return self._looked_at(beside, self._promising([item for item in screened if item.file is not None]))
 
@@ -255,7 +199,9 @@ class Search:
         for pair in pairs[:MERGED_PAIRS]:
             beside = self._as_it_is(item, pair)
             found = [
-                other for other in self._sharpened(beside) if other.file and other.name not in item.added
+                other
+                for other in self.screening.closely_beside(beside)
+                if other.file and other.name not in item.added
             ]
             best = self._best_of(self._looked_at(beside, found[:MERGED_INTO], item.fitted.trial.levels))
             if best is not None and best.score > item.score + EXCHANGE_NATS:
@@ -265,7 +211,7 @@ class Search:
     def rivals(self, item: Scored, name: str, most: int = REFINED) -> list[Scored]:
         """The sets in which another candidate stands in the place of `name`, those that come near."""
         beside = self._as_it_is(item, [name])
-        screened = self._sharpened(beside)
+        screened = self.screening.closely_beside(beside)
         own = {found.name: found.gain for found in screened}.get(name, item.likelihood - beside.likelihood)
         others = [found for found in screened if found.name not in item.added]
         near = [
@@ -297,68 +243,6 @@ class Search:
         nats = likelihood(found, self.file)
         key = item.added - set(names)
         return Scored(key, found, nats, nats - sum(self.penalty(name) for name in key))
-
-    def screened(self, beside: Scored) -> list[Candidate]:
-        """Each candidate beside a set, with the set's noise, the most promising first."""
-        key = beside.added, beside.fitted.trial.levels
-        if key not in self._screened:
-            self._screened[key] = self._screen(beside)
-        return self._screened[key]
-
-    def _sharpened(self, beside: Scored) -> list[Candidate]:
-        """The screening with its first few names as good as they get: a start may lie far from the top."""
-        screened, key = self.screened(beside), (beside.added, beside.fitted.trial.levels)
-        if key in self._sharp:
-            return screened
-        first_few = [found for found in screened if found.file is not None][:REFINED]
-        still = self._still(beside)
-        trials = [replace(still, file=found.file) for found in first_few if found.file is not None]
-        base, *better = fit([replace(still, free=()), *trials], self.runs, LAST_LOOK)
-        found_of = {found.name: found for found in screened} | {
-            found.name: Candidate(found.name, item.log_likelihood - base.log_likelihood, item.file)
-            for found, item in zip(first_few, better, strict=True)
-        }
-        self._screened[key] = self._in_order(found_of.values())
-        self._sharp.add(key)
-        return self._screened[key]
-
-    def _in_order(self, found: Iterable[Candidate]) -> list[Candidate]:
-        return sorted(found, key=lambda item: self.penalty(item.name) - item.gain)
-
-    def _still(self, beside: Scored) -> Trial:
-        """A trial whose own values move in proportion, so that only what is added to it is sought."""
-        base = beside.fitted
-        terms = (*base.trial.nuisances, *slopes(base, self.runs))
-        return Trial(settled(base.file), base.trial.levels, terms)
-
-    def _screen(self, beside: Scored) -> list[Candidate]:
-        still = self._still(beside)
-        names = [name for name in self.candidates if name not in beside.added]
-        self.progress(f"{_text(beside.added)}: {len(names)} candidates")
-        return self._in_order([*self._effects(still, names), *self._shapes(beside)])
-
-    def _shapes(self, beside: Scored) -> list[Candidate]:
-        """Each formula beside a set, as far as there is room for one more."""
-        key = beside.added, beside.fitted.trial.levels
-        if len(beside.added & self.formulas.keys()) >= FORMULAS:
-            return []
-        if key not in self._shaped:
-            terms = [term for name, term in self.formulas.items() if name not in beside.added]
-            gains = gains_of(self._still(beside), terms, self.runs)
-            found = (Candidate(term.name, float(gain), None) for term, gain in zip(terms, gains, strict=True))
-            self._shaped[key] = self._in_order(found)
-        return self._shaped[key]
-
-    def _effects(self, still: Trial, names: Sequence[str]) -> list[Candidate]:
-        """Each effect beside a trial that stands still; each start gets one step, the best of each more."""
-        starts = [(name, file) for name in names for file in with_effect(still.file, name)]
-        first = glance([replace(still, file=file) for _, file in starts], self.runs)
-        best = _best([name for name, _ in starts], first)
-        base, *again = fit([replace(still, free=()), *best.values()], self.runs, SCREENED)
-        return [
-            Candidate(name, item.log_likelihood - base.log_likelihood, item.file)
-            for name, item in zip(best, again, strict=True)
-        ]
 
     def thawed(self, beside: Scored, found: Candidate) -> Trial:
         """A screened candidate with all that may move."""
@@ -415,16 +299,3 @@ class Search:
                 break
             item = least
         return item
-
-
-def _best(names: Sequence[str], found: Sequence[tuple[Trial, float]]) -> dict[str, Trial]:
-    """The likeliest of each name."""
-    best: dict[str, tuple[Trial, float]] = {}
-    for name, (trial, nats) in zip(names, found, strict=True):
-        if name not in best or nats > best[name][1]:
-            best[name] = trial, nats
-    return {name: trial for name, (trial, _) in best.items()}
-
-
-def _text(names: Names) -> str:
-    return " + ".join(sorted(names)) or "as given"

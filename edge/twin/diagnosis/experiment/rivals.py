@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.diagnose import Diagnosis
 from edge.twin.diagnosis.fitting import Fitted
 from edge.twin.diagnosis.formulas import PREFIX
-from edge.twin.diagnosis.search import Scored
 
 OPEN_NATS = 10.0  # behind the best, within which a rival may still be the truth
 MOST_RIVALS = 5  # the nearest ones
