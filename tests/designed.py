@@ -13,9 +13,10 @@ from edge.twin.diagnosis.experiment.limits import ExperimentLimits
 from edge.twin.diagnosis.experiment.rivals import Pair, Rivals
 from edge.twin.diagnosis.experiment.separation import Separation, separation
 from edge.twin.diagnosis.experiment.surroundings import surroundings
-from edge.twin.diagnosis.fitting import Fitted, Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.starts import with_effect
+from edge.twin.diagnosis.trial import Fitted, Trial
 from edge.twin.geometry import Geometry
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded

@@ -18,7 +18,8 @@ from edge.twin.diagnosis.experiment.families import candidates
 from edge.twin.diagnosis.experiment.improve import cool
 from edge.twin.diagnosis.experiment.limits import ExperimentLimits
 from edge.twin.diagnosis.experiment.sequence import Part, inputs_of
-from edge.twin.diagnosis.fitting import Trial, fit
+from edge.twin.diagnosis.fitting import fit
+from edge.twin.diagnosis.trial import Trial
 from edge.twin.value import Value
 from tests.designed import (
     BLOWN,

@@ -10,10 +10,11 @@ from scipy.stats import chi2
 from simulated_runs import BOX, NOISE, Effects, Floats, changed, simulated, twin_file
 
 from edge.run_file import Run
-from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit, slopes
+from edge.twin.diagnosis.fitting import fit, slopes
 from edge.twin.diagnosis.noise_levels import find_levels
 from edge.twin.diagnosis.nuisances import rooms
 from edge.twin.diagnosis.starts import STARTS, with_effect
+from edge.twin.diagnosis.trial import Fitted, Term, Trial
 from edge.twin.diagnosis.unknowns import path_priors, placed, unknowns
 from edge.twin.diagnosis.verdict import intervals
 from edge.twin.effects import EFFECTS, USUAL_EFFECTS

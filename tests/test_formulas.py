@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.twin.diagnosis.fitting import Term
 from edge.twin.diagnosis.formulas import HEAT_SD_W, PREFIX, READING_SD_K, SHAPES, Shape, formulas
+from edge.twin.diagnosis.trial import Term
 from edge.twin.recorded import Recorded
 
 STEP_S = 60.0

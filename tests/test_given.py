@@ -7,12 +7,13 @@ import pytest
 from simulated_runs import BOX, NOISE, Floats, changed, diagnosed, known, simulated, twin_file
 
 from edge.run_file import Run
-from edge.twin.diagnosis.fitting import Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.gap import errors, forecast
 from edge.twin.diagnosis.given import Given, given, with_rooms
 from edge.twin.diagnosis.nuisances import CURVATURE_SD, USUAL_LOSS_W_K, still_loss_w_k
 from edge.twin.diagnosis.readings import spikes
 from edge.twin.diagnosis.room import WAYS, between, over_rows, smoothed
+from edge.twin.diagnosis.trial import Trial
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated_runs import BOX, NOISE, changed, simulated, twin_file
 
-from edge.twin.diagnosis.fitting import Fitted, Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import (
     HEAT_RANGE,
@@ -20,6 +20,7 @@ from edge.twin.diagnosis.noise_levels import (
     level_prior,
     unexplained_heat,
 )
+from edge.twin.diagnosis.trial import Fitted, Trial
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 

@@ -8,10 +8,11 @@ import pytest
 from simulated_runs import BOX, NOISE, simulated, twin_file
 
 from edge.twin.diagnosis.candidates import Scored
-from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.formulas import SHAPES
 from edge.twin.diagnosis.search import RIVAL_NATS
 from edge.twin.diagnosis.starts import with_effect
+from edge.twin.diagnosis.trial import Fitted, Term, Trial
 from edge.twin.diagnosis.unknowns import unknowns
 from edge.twin.diagnosis.verdict import Verdict, interval, intervals, verdict
 from edge.twin.recorded import Recorded, recorded

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.twin.diagnosis.fitting import Fitted, Term
+from edge.twin.diagnosis.trial import Fitted, Term
 from edge.twin.effects import EFFECTS, USUAL_EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.fitting import Term
 from edge.twin.diagnosis.nuisances import middle
+from edge.twin.diagnosis.trial import Term
 from edge.twin.model import DAY_S
 from edge.twin.recorded import Recorded
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.run_file import Run, inside_names
-from edge.twin.diagnosis.fitting import start_of
 from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
 from edge.twin.diagnosis.runs import NamedRun
+from edge.twin.diagnosis.trial import start_of
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import linear_steps
 from edge.twin.march import Commands

@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
-from edge.twin.diagnosis.fitting import Fitted, Term, Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.locate.events import Door, find_events
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels
 from edge.twin.diagnosis.nuisances import nuisances, rooms
 from edge.twin.diagnosis.readings import expected, spikes, wrong_starts
 from edge.twin.diagnosis.room import WAYS, over_rows
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
+from edge.twin.diagnosis.trial import Fitted, Term, Trial
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import held

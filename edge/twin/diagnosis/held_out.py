@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.diagnosis.candidates import Scored
-from edge.twin.diagnosis.fitting import Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.search import Search
 from edge.twin.diagnosis.starts import settled
+from edge.twin.diagnosis.trial import Trial
 from edge.twin.recorded import Recorded
 
 Indices = NDArray[np.intp]

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.fitting import Fitted, Trial, start_of
 from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
+from edge.twin.diagnosis.trial import Fitted, Trial, start_of
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
 from edge.twin.recorded import Recorded

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.fitting import Term
+from edge.twin.diagnosis.trial import Term
 from edge.twin.model import Twin
 from edge.twin.network import AIR
 from edge.twin.recorded import Recorded

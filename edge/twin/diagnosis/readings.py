@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.fitting import Fitted, fit, start_of
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.innovations import Filtered, gains, whitened
+from edge.twin.diagnosis.trial import Fitted, start_of
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import linear_steps
 from edge.twin.recorded import Recorded

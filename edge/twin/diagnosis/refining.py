@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge.twin.diagnosis.fitting import Fitted, Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.noise_levels import (
     FIRST_FACTOR,
     NEAR_FACTOR,
@@ -18,6 +18,7 @@ from edge.twin.diagnosis.noise_levels import (
     first_levels,
     level_prior,
 )
+from edge.twin.diagnosis.trial import Fitted, Trial
 from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import Place, TwinFile

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
-from edge.twin.diagnosis.fitting import Trial, fit, gains_of, glance, slopes
+from edge.twin.diagnosis.fitting import fit, gains_of, glance, slopes
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.starts import settled, with_effect
+from edge.twin.diagnosis.trial import Trial
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 

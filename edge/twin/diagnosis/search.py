@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
-from edge.twin.diagnosis.fitting import Term, Trial, fit
+from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import first_levels
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.refining import SEVERAL, begun, likelihood, refined
 from edge.twin.diagnosis.screening import FORMULAS, SCREENED, Candidate, Screening
 from edge.twin.diagnosis.starts import with_usual
+from edge.twin.diagnosis.trial import Term, Trial
 from edge.twin.diagnosis.unknowns import unknowns
 from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.twin.diagnosis.candidates import Scored
-from edge.twin.diagnosis.fitting import Fitted
 from edge.twin.diagnosis.formulas import PREFIX, Shape
 from edge.twin.diagnosis.noise_levels import unexplained_heat
 from edge.twin.diagnosis.search import RIVAL_NATS, Search
+from edge.twin.diagnosis.trial import Fitted
 from edge.twin.diagnosis.unknowns import Unknown
 from edge.twin.value import Value
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.diagnose import Diagnosis
-from edge.twin.diagnosis.fitting import Fitted
 from edge.twin.diagnosis.formulas import PREFIX
+from edge.twin.diagnosis.trial import Fitted
 
 OPEN_NATS = 10.0  # behind the best, within which a rival may still be the truth
 MOST_RIVALS = 5  # the nearest ones

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from edge.twin.diagnosis.experiment.rivals import Rivals
 from edge.twin.diagnosis.experiment.sequence import Inputs
 from edge.twin.diagnosis.experiment.surroundings import Surroundings, free_run, resting_c
-from edge.twin.diagnosis.fitting import Fitted, Term, slopes
+from edge.twin.diagnosis.fitting import slopes
 from edge.twin.diagnosis.formulas import PREFIX, formulas
 from edge.twin.diagnosis.innovations import Filtered, gains, whitened
 from edge.twin.diagnosis.nuisances import ROOM_SD_K, curved_loss
+from edge.twin.diagnosis.trial import Fitted, Term
 from edge.twin.ensemble import responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
 from edge.twin.recorded import Recorded
