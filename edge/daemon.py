@@ -25,9 +25,6 @@ from edge.drift.monitor import DriftMonitor, Promise
 from edge.drift_state import DriftKeeping, read_memory
 from edge.errors import ConfigError
 from edge.estimator import Estimator
-from edge.forecasts.skill import SkillState
-from edge.forecasts.skill_json import from_dict as skill_from_dict
-from edge.forecasts.skill_json import to_dict as skill_to_dict
 from edge.inbox import Inbox, Reply, Request
 from edge.loop import Loop, Rig, Sink
 from edge.messages import TickRecord
@@ -41,6 +38,7 @@ from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
 from edge.settings import CONTROLLERS, Settings
+from edge.skill_state import SkillKeeping, read_skill
 from edge.state_file import StateFileBroken, StateWriter
 from edge.storage import Outbox, Session, Storage
 
@@ -134,10 +132,10 @@ class Daemon:
     def _wire(self) -> Loop:
         settings, stack = self.settings, self._stack
         bundles = self._bundles()
-        skill_file = StateWriter(Path(settings.state_file).with_name("skill.json"))
-        stack.callback(skill_file.close)
-        models = ActiveModels(settings.control, bundles, _read_skill(skill_file.path))
-        stack.callback(lambda: skill_file.save(skill_to_dict(models.forecasting.state)))
+        skill_file = Path(settings.state_file).with_name("skill.json")
+        models = ActiveModels(settings.control, bundles, read_skill(skill_file))
+        skill = SkillKeeping(lambda: models.forecasting.state, skill_file)
+        stack.callback(skill.close)
         controllers = models.controllers() | {each.name: each for each in self.more_controllers}
         if self.experiment and self.experiment not in controllers:
             raise ConfigError(f"control: {self.experiment} needs a model for {settings.control.step_s:g} s")
@@ -158,7 +156,7 @@ class Daemon:
         stack.callback(storage.close)
         state = StateSink(StateWriter(Path(settings.state_file)))
         stack.callback(state.writer.close)
-        sinks: list[Sink] = [storage, state, *([bundles] if bundles else [])]
+        sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else [])]
         drift = self._drift(sinks)
         nightly = self._nightly(sinks, bundles)
         if settings.mqtt.enabled:
@@ -271,14 +269,6 @@ class Daemon:
             return inbox.ask(request)
 
         return ask
-
-
-def _read_skill(path: Path) -> SkillState:
-    """Of the process before; where it can't be read the scores begin anew, which endangers nothing."""
-    try:
-        return skill_from_dict(state_file.read(path) or {"pairs": [], "widths": []})
-    except (StateFileBroken, ValueError):
-        return SkillState()
 
 
 def _no_bundles() -> Reply:

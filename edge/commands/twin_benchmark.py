@@ -1,6 +1,6 @@
 """How often the diagnosis is right where the truth is known: cases with hidden effects, made, run and scored.
 
-Needs the project's checkout, which holds the cases' generator and the scorer, and `pip install '.[bench]'`.
+Needs the project's checkout, which holds the cases' generator and the scorer, and `pip install '.[dev]'`.
 """
 
 import argparse
@@ -53,7 +53,7 @@ def refuse_without_checkout(checkout: Path) -> None:
         raise RequestError(f"{folder}: is not there: the benchmark runs in a checkout of the project")
     if importlib.util.find_spec("pysindy") is None:
         raise RequestError(
-            "pysindy is not installed, which runs beside the diagnosis: pip install '.[bench]'"
+            "pysindy is not installed, which runs beside the diagnosis: pip install '.[dev]'"
         )
 
 
