@@ -52,9 +52,7 @@ def refuse_without_checkout(checkout: Path) -> None:
     if not (folder / "__main__.py").exists():
         raise RequestError(f"{folder}: is not there: the benchmark runs in a checkout of the project")
     if importlib.util.find_spec("pysindy") is None:
-        raise RequestError(
-            "pysindy is not installed, which runs beside the diagnosis: pip install '.[dev]'"
-        )
+        raise RequestError("pysindy is not installed, which runs beside the diagnosis: pip install '.[dev]'")
 
 
 def steps(arguments: argparse.Namespace) -> list[list[str]]:
