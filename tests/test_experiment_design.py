@@ -12,11 +12,12 @@ from edge.safety import SafetyMemory, supervise
 from edge.settings import SafetySettings
 from edge.twin.diagnosis.diagnosis_document import check_diagnosis
 from edge.twin.diagnosis.experiment.advice import calibrate_first
-from edge.twin.diagnosis.experiment.design import designed
+from edge.twin.diagnosis.experiment.design import _sides, designed
 from edge.twin.diagnosis.experiment.experiment import PROFILE, Experiment, write_profile
 from edge.twin.diagnosis.experiment.families import candidates
 from edge.twin.diagnosis.experiment.improve import cool
 from edge.twin.diagnosis.experiment.limits import ExperimentLimits
+from edge.twin.diagnosis.experiment.rivals import Pair
 from edge.twin.diagnosis.experiment.sequence import Part, inputs_of
 from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.trial import Trial
@@ -271,3 +272,14 @@ def test_an_experiment_begins_where_the_box_rests():
     box = {**BOX, "constant_heat": {"P0": 10.0}}
     plan = plan_of(file_of(BOX), driven(box, NO_FAN), ("constant_heat", "sensor_bias"))
     assert plan.start_c == pytest.approx(ROOM_C + 10.0 / 5.0, abs=0.3)  # P0 / UA
+
+
+@pytest.mark.parametrize("told", [[True, False], [False, True], [True, True]])
+def test_what_is_told_one_way_round_only_has_two_sides_too(told: list[bool]) -> None:
+    pairs = (
+        Pair(0, 1, "wall_mass", "wall_loss", "wall_mass", 0.5, 0.5),
+        Pair(1, 0, "wall_loss", "wall_mass", "wall_mass", 0.5, 0.5),
+    )
+    [sides] = _sides(pairs, np.array(told), np.array([False, False]))
+    assert {name for side in sides for name in side} == {"wall_mass", "wall_loss"}
+    assert _sides(pairs, np.array([False, False]), np.array([False, False])) == ()

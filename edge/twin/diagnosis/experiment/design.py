@@ -140,7 +140,7 @@ def _sides(pairs: tuple[Pair, ...], apart: Mask, unsaid: Mask) -> tuple[Sides, .
     found = []
     for place in dict.fromkeys(pair.place for pair in pairs):
         here = [(pair, own) for pair, own in zip(pairs, apart, strict=True) if pair.place == place]
-        names = dict.fromkeys(pair.true_name for pair, own in here if own)
+        names = dict.fromkeys(name for pair, own in here if own for name in (pair.true_name, pair.other_name))
         alike = {name: {name} for name in names}
         for pair, own in zip(pairs, unsaid, strict=True):
             if own and pair.place == place and {pair.true_name, pair.other_name} <= set(names):

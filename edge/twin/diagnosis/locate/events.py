@@ -178,6 +178,8 @@ def _told(
         for item in found_here:
             full = full_w_k(item) if is_long(item) else max(full_w_k(item), usual)
             share = shares(item, full)
+            if not (share > 0.0).any():
+                continue  # beside the usual door's conductance it is none
             rows = slice(item.begin, item.begin + len(share))
             door_open[i, rows] = np.maximum(door_open[i, rows], share)
             told.append(_door(name, step_s, item, share, full, shapes[i].excess))
