@@ -22,7 +22,7 @@ from edge.config import config_hash
 from edge.control_socket import ControlSocket
 from edge.controllers.base import Controller
 from edge.drift.monitor import DriftMonitor, Promise
-from edge.drift_state import DriftKeeping, read_memory
+from edge.drift_state import drift_keeping, read_memory
 from edge.errors import ConfigError
 from edge.estimator import Estimator
 from edge.inbox import Inbox, Reply, Request
@@ -38,7 +38,7 @@ from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
 from edge.settings import CONTROLLERS, Settings
-from edge.skill_state import SkillKeeping, read_skill
+from edge.skill_state import read_skill, skill_keeping
 from edge.state_file import StateFileBroken, StateWriter
 from edge.storage import Outbox, Session, Storage
 
@@ -134,7 +134,7 @@ class Daemon:
         bundles = self._bundles()
         skill_file = Path(settings.state_file).with_name("skill.json")
         models = ActiveModels(settings.control, bundles, read_skill(skill_file))
-        skill = SkillKeeping(lambda: models.forecasting.state, skill_file)
+        skill = skill_keeping(lambda: models.forecasting.state, skill_file)
         stack.callback(skill.close)
         controllers = models.controllers() | {each.name: each for each in self.more_controllers}
         if self.experiment and self.experiment not in controllers:
@@ -215,7 +215,7 @@ class Daemon:
         promise = Promise(settings.control.step_s, settings.drift.false_alarm_days, settings.drift.learn_h)
         path = Path(settings.state_file).with_name("drift.json")
         monitor = DriftMonitor(promise, zone_of(settings.timezone), read_memory(path))
-        keeping = DriftKeeping(monitor, path)
+        keeping = drift_keeping(monitor, path)
         self._stack.callback(keeping.close)
         sinks.append(keeping)
         return monitor

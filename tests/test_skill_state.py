@@ -6,7 +6,8 @@ import pytest
 from history_records import tick
 
 from edge.forecasts.skill import Pair, SkillState
-from edge.skill_state import SAVE_S, SkillKeeping, read_skill
+from edge.skill_state import read_skill, skill_keeping
+from edge.state_keeping import SAVE_S
 
 KEY = ("ham", 3, "persistence")
 
@@ -21,13 +22,13 @@ def count_in(path: Path) -> int:
 
 def test_scores_are_saved_every_hour_and_at_the_end(tmp_path: Path) -> None:
     path, now = tmp_path / "skill.json", [scored(0)]
-    keeping = SkillKeeping(lambda: now[0], path)
+    keeping = skill_keeping(lambda: now[0], path)
     for count, time_s in enumerate((0.0, SAVE_S - 1.0, SAVE_S, SAVE_S + 60.0)):
         now[0] = scored(count)
         keeping.write(tick(count + 1, time_s=time_s))
     keeping._writer.close()  # a kill: all that was handed over is on disk, what came later is not
     assert count_in(path) == 2
-    again = SkillKeeping(lambda: scored(5), path)
+    again = skill_keeping(lambda: scored(5), path)
     again.close()
     assert count_in(path) == 5
 
