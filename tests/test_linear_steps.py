@@ -117,6 +117,12 @@ def test_effects_that_are_late_or_slow_go_together() -> None:
     assert error_k(Twin(effects=effects), noise_k=1.0) < ROUNDING_K
 
 
+@pytest.mark.parametrize("box", [BOX, AIR_ALONE], ids=["box", "air alone"])
+@pytest.mark.parametrize("tau_f", [0.5, 15.0, 120.0, 600.0])
+def test_a_fan_that_takes_any_time_is_stepped_as_the_rollout_does(tau_f: float, box: Effects) -> None:
+    assert error_k(Twin(effects={**box, "fan_spinup": {"tau_f": tau_f}}), noise_k=1.0) < ROUNDING_K
+
+
 def test_twins_of_different_sizes_run_side_by_side_as_alone() -> None:
     runs = recording()
     twins = [

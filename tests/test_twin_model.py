@@ -205,3 +205,12 @@ def test_the_matrix_exponential_is_scipys(seed, magnitude):
     np.testing.assert_allclose(exact[0], expm(2.0 * rates[0]), atol=1e-10)
     # A times the integral of exp(A s) is exp(A t) - 1
     np.testing.assert_allclose(rates[0] @ integral[0], exact[0] - np.eye(3), atol=1e-9)
+
+
+def test_a_matrix_exponential_takes_a_time_for_each_matrix():
+    rates = -np.random.default_rng(2).random((3, 2, 2))
+    lengths = np.array([0.5, 2.0, 60.0])
+    together = exponential(rates, lengths[:, None, None])
+    for i, length in enumerate(lengths):
+        alone = exponential(rates[i : i + 1], length)
+        np.testing.assert_allclose([part[i] for part in together], [part[0] for part in alone], rtol=1e-9)

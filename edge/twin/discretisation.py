@@ -42,11 +42,11 @@ def discretise_modes(system: LinearSystem, modes: Floats, step_s: float) -> Tran
     return Transition(state, integral @ drive)
 
 
-def exponential(rates: Floats, step_s: float) -> tuple[Floats, Floats]:
+def exponential(rates: Floats, step_s: float | Floats) -> tuple[Floats, Floats]:
     """exp(A t) and its integral from 0 to t, for each A; NaN rates give NaN.
 
-    rates : [K, n, n] [1/s]
-    Returns : [K, n, n] each, the second in s
+    rates : [..., n, n] [1/s]; step_s : one t, or one for each A, [..., 1, 1]
+    Returns : [..., n, n] each, the second in s
     """
     if rates.shape[-1] == 1:
         exponent = rates * step_s
@@ -54,22 +54,23 @@ def exponential(rates: Floats, step_s: float) -> tuple[Floats, Floats]:
         return np.exp(exponent), step_s * np.where(
             still, 1.0, np.expm1(exponent) / np.where(still, 1.0, exponent)
         )
-    size = rates.shape[-1]
-    block = np.zeros((len(rates), 2 * size, 2 * size))  # exp of [[A, 1], [0, 0]] t holds both (Van Loan 1978)
-    block[:, :size, :size] = rates * step_s
-    block[:, :size, size:] = step_s * np.eye(size)
-    norm = np.abs(block).sum(axis=-1).max(initial=0.0)
+    scaled = rates * step_s
+    norm = np.abs(scaled).sum(axis=-1).max(initial=0.0)
     halvings = max(0, int(np.ceil(np.log2(norm / _TAYLOR_NORM)))) if np.isfinite(norm) and norm > 0.0 else 0
-    result = _taylor(block / 2.0**halvings)
+    scaled /= 2.0**halvings
+    mean = _mean_exponential(scaled)
+    state = np.eye(rates.shape[-1]) + scaled @ mean
+    integral = mean * (step_s / 2.0**halvings)
     for _ in range(halvings):
-        result = result @ result
-    return result[:, :size, :size], result[:, :size, size:]
+        integral = integral + state @ integral
+        state = state @ state
+    return state, integral
 
 
-def _taylor(matrices: Floats) -> Floats:
-    """exp of matrices of a small norm, by Horner's scheme."""
+def _mean_exponential(matrices: Floats) -> Floats:
+    """The mean of exp(A s) over s from 0 to 1, of matrices of a small norm, by Horner's scheme."""
     identity = np.eye(matrices.shape[-1])
     result = np.broadcast_to(identity, matrices.shape)
-    for term in range(_TAYLOR_TERMS, 0, -1):
+    for term in range(_TAYLOR_TERMS, 1, -1):
         result = identity + matrices @ result / term
     return result

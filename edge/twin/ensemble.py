@@ -31,7 +31,9 @@ def responses(wanted: Sequence[Response]) -> Floats:
         own = len(steps.states)
         if id(steps) not in known:
             known[id(steps)] = offset
-            tables.append(np.pad(steps.table, ((0, 0), (0, size - own), (0, size - own))))
+            table = np.zeros((len(steps.table), size, size))
+            table[:, :own, :own] = steps.table
+            tables.append(table)
             offset += len(steps.table)
         index[:, i] = steps.index + known[id(steps)]
         if start is not None:

@@ -10,17 +10,17 @@ what was measured: 0.01 K where noise is 0.3 K, 0.06 K where it is 1 K, 0.03 K i
 in one of ten while the heater is switched (tests/test_linear_steps.py).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from edge.errors import DataError
 from edge.twin.discretisation import exponential
-from edge.twin.march import cuts, late, spun_up, times
+from edge.twin.march import cuts, late, spun_up
 from edge.twin.model import DAY_S, Twin
 from edge.twin.network import AIR
 from edge.twin.recorded import Recorded
@@ -31,6 +31,10 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 SLOPE_LEVELS = 8  # of bent heat, between its flattest and steepest: one matrix for each
 SLOPE_K = 0.05  # either side of where a slope is taken
+MANY_SPEEDS = 64  # of a fan that spins up, beyond which their exponentials are interpolated
+CHEBYSHEV = (
+    16  # points: in parts of 5 s the error is that of rounding while the air changes within 1 s or more
+)
 AGES_PER_DAY = 48.0  # walls age in half hours: one matrix for each
 
 
@@ -59,44 +63,51 @@ class _Bend(NamedTuple):
     level_w: Floats
 
 
-class _Part(NamedTuple):
-    """One part of every row: its modes (fan, door, day, slope), and what it does for each mode that occurs.
+class _Acting(NamedTuple):
+    """What acts in each of J parts of every row.
 
-    state : [K, n, n]; drive : [K, n, 3]; which : [N, B]; duty : [N, B]; heat_w : [N, B]
+    lengths : [J] [s]; fan, duty, heat_w : [N, J, B]; door, day, slope : [N, B]
     """
 
-    state: Floats
-    drive: Floats
-    which: Indices
+    lengths: Floats
+    fan: Floats
     duty: Floats
     heat_w: Floats
+    door: Floats
+    day: Floats
+    slope: Floats
 
 
 def linear_steps(twin: Twin, runs: Recorded) -> LinearSteps:
     """The rows of `runs` by `twin`. Errors: DataError naming a column that is missing, or `day0_utc`."""
-    parts = _parts(twin, runs)
-    table, index = _folded_matrices(parts)
-    shape = (*parts[0].which.shape, len(twin.states))
-    duty, room, heat, driven = (np.zeros(shape) for _ in range(4))
-    room_c = twin.signals.room(runs.ambient.T)[..., None]
-    for part in parts:
-        matrix = part.state[part.which] if len(parts) > 1 else None
-        by_input = part.drive[part.which]
-        by_duty = by_input[..., 0] * part.duty[..., None]
-        by_watt = by_input[..., 2] / twin.system.air_capacity_j_k
-        duty = _then(matrix, duty) + by_duty
-        room = _then(matrix, room) + by_input[..., 1]
-        heat = _then(matrix, heat) + by_watt
-        all_inputs = by_duty + by_input[..., 1] * room_c + by_watt * part.heat_w[..., None]
-        driven = _then(matrix, driven) + all_inputs
-    return LinearSteps(twin.states, table, index, driven, duty, room, heat)
+    acting = _acting(twin, runs)
+    places, index = _distinct(acting)
+    table, drives = _whole_steps(twin, acting, places)
+    drives[..., 2] /= twin.system.air_capacity_j_k
+    by_any = drives.sum(axis=0)[index]
+    duty, room, heat = np.ascontiguousarray(by_any.transpose(3, 0, 1, 2))
+    by_duty = _driven(drives[..., 0], index, duty, acting.duty)
+    driven = _driven(drives[..., 2], index, heat, acting.heat_w)
+    driven += by_duty
+    driven += room * twin.signals.room(runs.ambient.T)[..., None]
+    return LinearSteps(twin.states, table, index, driven, by_duty, room, heat)
 
 
-def _then(matrix: Floats | None, vectors: Floats) -> Floats:
-    return vectors if matrix is None else times(matrix, vectors)
+def _driven(drives: Floats, index: Indices, steady: Floats, acting: Floats) -> Floats:
+    """What an input does over whole rows, [N, B, n].
+
+    drives : [J, S, n], by the end of each kind of row; steady : [N, B, n], by an input that stays at 1
+    acting : [N, J, B], the input
+    """
+    if (acting == acting[:, :1]).all():
+        return np.asarray(steady * acting[:, 0, :, None])
+    driven = np.zeros((*index.shape, drives.shape[-1]))
+    for j, drive in enumerate(drives):
+        driven += drive[index] * acting[:, j, :, None]
+    return driven
 
 
-def _parts(twin: Twin, runs: Recorded) -> list[_Part]:
+def _acting(twin: Twin, runs: Recorded) -> _Acting:
     signals, shape = twin.signals, runs.fan.T.shape
     room, columns = runs.ambient.T, _columns(twin, runs)
     lengths = cuts(signals, twin.step_s, twin.step_s)
@@ -107,14 +118,11 @@ def _parts(twin: Twin, runs: Recorded) -> list[_Part]:
     duties = signals.duty(late(duty, signals.heater_dead_s, middles, twin.step_s)[1:])
     bend = _bend(twin, runs, columns)
     door, day = (columns.get(name, np.zeros(shape)) for name in ("door_open", "day"))
-    parts = []
-    for j, length in enumerate(lengths):
-        modes = [speeds[:, j], door, day, bend.slope_w_k]
-        state, drive, which = _transitions(twin, modes, float(length))
+    heat_w = np.empty(speeds.shape)
+    for j in range(len(lengths)):
         seen = {**columns, "fan_on": speeds[:, j]}
-        heat_w = bend.level_w + signals.heat_w(np.zeros(shape), room, seen, by_temp=False)
-        parts.append(_Part(state, drive, which, duties[:, j], heat_w))
-    return parts
+        heat_w[:, j] = bend.level_w + signals.heat_w(np.zeros(shape), room, seen, by_temp=False)
+    return _Acting(lengths, speeds, duties, heat_w, door, day, bend.slope_w_k)
 
 
 def _columns(twin: Twin, runs: Recorded) -> dict[str, Floats]:
@@ -153,45 +161,56 @@ def _levelled(slopes: Floats) -> Floats:
     return low + step * np.round((slopes - low) / step)
 
 
-def _transitions(twin: Twin, modes: list[Floats], length_s: float) -> tuple[Floats, Floats, Indices]:
-    """Matrices [K, n, n] and drives [K, n, 3] of the modes that occur, and which belongs to each place."""
-    code, which = _coded(modes)
-    fan, door, day, slope = (mode.ravel()[code][:, None, None] for mode in modes)
-    system = twin.system
-    bent = np.zeros((len(twin.states), len(twin.states)))
-    bent[:, system.states.index(AIR)] = system.drive[:, 2] / system.air_capacity_j_k
-    rates = system.rates + fan * system.fan_rates + slope * bent
-    rates = rates + door * system.other_rates[0] + day * system.other_rates[1]
-    drive = system.drive + fan * system.fan_drive
-    drive = drive + door * system.other_drive[0] + day * system.other_drive[1]
-    state, integral = exponential(rates, length_s)
-    return state, integral @ drive, which
-
-
-def _coded(modes: Sequence[Floats | Indices]) -> tuple[Indices, Indices]:
-    """A place where each combination of modes occurs, and which combination holds at each place."""
-    varying = [np.ascontiguousarray(mode) for mode in modes if not (mode == mode.flat[0]).all()]
-    places, which = _combinations(tuple((mode.tobytes(), mode.dtype.char) for mode in varying))
-    return places, which.reshape(modes[0].shape) if varying else np.zeros(modes[0].shape, dtype=np.intp)
+def _distinct(acting: _Acting) -> tuple[Indices, Indices]:
+    """Places, flat, where each kind of row occurs, and which kind each row is [N, B]."""
+    modes = (*acting.fan.swapaxes(0, 1), acting.door, acting.day, acting.slope)
+    varying = [mode for mode in modes if not (mode == mode.flat[0]).all()]
+    if not varying:
+        return np.zeros(1, dtype=np.intp), np.zeros(acting.door.shape, dtype=np.intp)
+    places, which = _combinations(np.stack(varying, axis=-1).tobytes(), len(varying))
+    return places, which.reshape(acting.door.shape)
 
 
 @lru_cache(maxsize=64)  # twins of one search see the same fan: sorting it is what takes the time
-def _combinations(columns: tuple[tuple[bytes, str], ...]) -> tuple[Indices, Indices]:
-    """Of columns as bytes, so that they can be remembered; flat."""
-    code = np.zeros(1, dtype=np.intp)
-    for content, kind in columns:
-        values, index = np.unique(np.frombuffer(content, dtype=kind), return_inverse=True)
-        code = np.unique(code * len(values) + index, return_inverse=True)[1]
-    _, places, which = np.unique(code, return_index=True, return_inverse=True)
+def _combinations(content: bytes, count: int) -> tuple[Indices, Indices]:
+    """Of rows of `count` numbers as bytes, so that they can be remembered."""
+    rows = np.frombuffer(content, dtype=np.dtype((np.void, 8 * count)))
+    _, places, which = np.unique(rows, return_index=True, return_inverse=True)
     return places, which
 
 
-def _folded_matrices(parts: list[_Part]) -> tuple[Floats, Indices]:
-    """One matrix for each sequence of parts that occurs, and which belongs to each row."""
-    if len(parts) == 1:
-        return parts[0].state, parts[0].which
-    places, index = _coded([part.which for part in parts])
-    table: Floats = np.eye(parts[0].state.shape[-1])
-    for part in parts:
-        table = part.state[part.which.ravel()[places]] @ table
-    return table, index
+def _whole_steps(twin: Twin, acting: _Acting, places: Indices) -> tuple[Floats, Floats]:
+    """Of each kind of row the matrix [S, n, n], and what each part's inputs do by its end [J, S, n, 3]."""
+    system, count = twin.system, len(twin.states)
+    door, day, slope = (
+        mode.ravel()[places][:, None, None] for mode in (acting.door, acting.day, acting.slope)
+    )
+    bent = np.zeros((count, count))
+    bent[:, system.states.index(AIR)] = system.drive[:, 2] / system.air_capacity_j_k
+    rates = system.rates + slope * bent + door * system.other_rates[0] + day * system.other_rates[1]
+    drive = system.drive + door * system.other_drive[0] + day * system.other_drive[1]
+    fan = acting.fan.swapaxes(0, 1).reshape(len(acting.lengths), -1)[:, places]
+    if fan.size > MANY_SPEEDS and (rates == rates[0]).all():
+        state, integral = _by_speed(rates[0], system.fan_rates, fan, acting.lengths)
+    else:
+        every = rates + fan[..., None, None] * system.fan_rates
+        state, integral = exponential(every, acting.lengths[:, None, None, None])
+    driven = integral @ (drive + fan[..., None, None] * system.fan_drive)
+    whole = state[-1]
+    for j in range(len(state) - 2, -1, -1):
+        driven[j] = whole @ driven[j]
+        whole = whole @ state[j]
+    return whole, driven
+
+
+def _by_speed(rates: Floats, fan_rates: Floats, fan: Floats, lengths: Floats) -> tuple[Floats, Floats]:
+    """exp(A t) and its integral, [J, S, n, n] each, for many speeds of the fan in each of J parts [J, S]."""
+    points = chebyshev.chebpts1(CHEBYSHEV)
+    kinds, which = np.unique(lengths, return_inverse=True)
+    between = rates + 0.5 * (1.0 + points)[:, None, None] * fan_rates
+    both = np.stack(exponential(between, kinds[:, None, None, None]), axis=2)
+    values = both.reshape(len(kinds), CHEBYSHEV, -1)
+    series = np.linalg.solve(chebyshev.chebvander(points, CHEBYSHEV - 1), values)
+    found = chebyshev.chebvander(2.0 * fan - 1.0, CHEBYSHEV - 1) @ series[which]
+    state, integral = np.moveaxis(found.reshape(*fan.shape, 2, *rates.shape), 2, 0)
+    return np.ascontiguousarray(state), np.ascontiguousarray(integral)

@@ -6,6 +6,7 @@ With no effects it is the paper's PBM (eq. pbm): dT/dt = H/(rho V C_p) - F (T - 
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +36,7 @@ class Noise:
     heat_w: float = 5.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Twin:
     """Physics of the box at one step length; immutable, so what depends on the fan alone is computed once.
 
@@ -52,7 +53,6 @@ class Twin:
     day0_utc: float | None = None
     system: LinearSystem = field(init=False)
     signals: Signals = field(init=False)
-    off_on: Transition = field(init=False)  # the step with the fan off and on, K = 2
 
     def __post_init__(self) -> None:
         if not (self.step_s > 0.0 and np.isfinite(self.step_s)):
@@ -61,7 +61,11 @@ class Twin:
         system = network.system()
         object.__setattr__(self, "system", system)  # frozen for all but its own making
         object.__setattr__(self, "signals", network.signals)
-        object.__setattr__(self, "off_on", discretise(system, np.array([0.0, 1.0]), self.step_s))
+
+    @cached_property
+    def off_on(self) -> Transition:
+        """The step with the fan off and on, K = 2; a search makes many twins that never need it."""
+        return discretise(self.system, np.array([0.0, 1.0]), self.step_s)
 
     @property
     def states(self) -> tuple[str, ...]:

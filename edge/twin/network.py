@@ -149,7 +149,7 @@ class Network:
         self, states: tuple[str, ...], rates: Floats, drive: Floats, heated: Floats
     ) -> tuple[tuple[str, ...], Floats, Floats]:
         """The element's heat as one more state, the last."""
-        rates, drive = np.pad(rates, ((0, 0), (0, 1), (0, 1))), np.pad(drive, ((0, 0), (0, 1), (0, 0)))
+        rates, drive = _one_more(rates, drive, slice(None, -1))
         rates[0, :-1, -1] = heated
         rates[0, -1, -1] = -1.0 / self.heater_lag_s
         drive[0, -1, 0] = self._power_w() / self.heater_lag_s
@@ -159,6 +159,14 @@ class Network:
         self, states: tuple[str, ...], rates: Floats, drive: Floats
     ) -> tuple[tuple[str, ...], Floats, Floats]:
         """What the sensor shows as one more state, the first."""
-        rates, drive = np.pad(rates, ((0, 0), (1, 0), (1, 0))), np.pad(drive, ((0, 0), (1, 0), (0, 0)))
+        rates, drive = _one_more(rates, drive, slice(1, None))
         rates[0, 0, 0], rates[0, 0, 1] = -1.0 / self.sensor_lag_s, 1.0 / self.sensor_lag_s
         return (SENSOR, *states), rates, drive
+
+
+def _one_more(rates: Floats, drive: Floats, old: slice) -> tuple[Floats, Floats]:
+    """Room for one more state. old : where those before go"""
+    count, size = len(rates), rates.shape[-1] + 1
+    wider, driven = np.zeros((count, size, size)), np.zeros((count, size, drive.shape[-1]))
+    wider[:, old, old], driven[:, old] = rates, drive
+    return wider, driven
