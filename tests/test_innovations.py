@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2, multivariate_normal
 from simulated_runs import BOX, NOISE, STEP_S, Floats, coloured
 
-from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
+from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, gains, log_likelihoods, whitened
 from edge.twin.linear_steps import linear_steps
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
@@ -136,6 +136,22 @@ def test_twins_filtered_side_by_side_come_out_as_alone() -> None:
     for i, own in enumerate(owner):
         alone = whitened(gains([filtered[own]], seen), np.array([0]), errors[i : i + 1])
         assert together[i] == pytest.approx(alone[0], abs=1e-12)
+
+
+def test_a_likelihood_is_that_of_the_whitened_errors() -> None:
+    runs = recording()
+    seen = np.ones((2, ROWS), dtype=bool)
+    seen[1, 5] = seen[0, -1] = False
+    other = Twin(effects=BOX)
+    filtered = [
+        Filtered(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
+        Filtered(linear_steps(other, runs), NOISE, spread(other), STEP_S),
+    ]
+    errors = np.random.default_rng(4).normal(0.0, 0.5, (2, 2, ROWS))
+    found, filters = log_likelihoods(filtered, seen, errors), gains(filtered, seen)
+    white = whitened(filters, np.array([0, 1]), errors)
+    spreads = np.where(seen.T[:, None], np.log(filters.sd), 0.0).sum(axis=(0, 2))
+    assert found == pytest.approx(-0.5 * (white**2).sum(axis=(1, 2)) - spreads, rel=1e-12)
 
 
 def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:

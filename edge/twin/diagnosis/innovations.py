@@ -48,76 +48,106 @@ class Filtered(NamedTuple):
 class Gains:
     """Of C filters over N rows of B runs, m states each, padded.
 
-    closed : [N, C, B, m, m], what a row makes of the states, its reading taken in as 0
-    shown : [N, C, B, m], what the reading is expected to be by the states before
-    gain : [N, C, B, m], 0 where nothing was measured; sd : [N, C, B], of the innovation [K]
+    rows : [N, C, B, m + 1, m + 1], what a row makes of the states and its reading, behind each other: the
+        states after it, and what the reading was expected to be; the last column is 0 where nothing was read
+    sd : [N, C, B], of the innovation [K]
     """
 
-    closed: Floats
-    shown: Floats
-    gain: Floats
+    rows: Floats
     sd: Floats
 
 
 def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
     """Run the covariances. measured : [B, N], after each row."""
-    rows, runs = twins[0].steps.index.shape
-    size = max(len(item.steps.states) for item in twins)
-    count, m = len(twins), size + 2
-    matrix, index, heat, duty, room = _stacked(twins, size)
-    decay = np.array([np.exp(-item.step_s / item.levels.heat_tau_s) for item in twins])
-    cov = np.zeros((count, runs, m, m))
-    for i, (steps, levels, spread, _) in enumerate(twins):
-        diagonal = np.zeros(m)
-        diagonal[: len(steps.states)] = spread
-        diagonal[size:] = levels.heat_w, levels.power_share
-        cov[i] = np.diag(diagonal**2)
-    sensor, fresh, dull = _variances(twins)
-    fresh *= 1.0 - decay**2
-    gain = np.zeros((rows, count, runs, m))
-    sds = np.empty((rows, count, runs))
-    step = np.zeros((rows, count, runs, m, m))
-    step[..., :size, :size] = matrix[index]
-    step[..., :size, size], step[..., :size, size + 1] = heat, duty
-    step[..., size, size] = decay[:, None]
-    step[..., size + 1, size + 1] = 1.0
-    for k in range(rows):
-        cov = step[k] @ cov @ step[k].swapaxes(-1, -2)
-        cov[..., size, size] += fresh[:, None]
-        moved = room[k] * dull[:, None, None]
-        cov[..., :size, :size] += moved[..., :, None] * moved[..., None, :]
-        variance = cov[..., 0, 0] + sensor[:, None]
+    walk = _Walk(twins, measured)
+    sds = np.empty(walk.step.shape[:3])
+    for k in range(len(sds)):
+        gain, variance = walk.row(k)
         sds[k] = np.sqrt(variance)
-        gain[k] = cov[..., 0] / variance[..., None] * measured[:, k, None]
-        cov -= gain[k][..., :, None] * cov[..., 0, :][..., None, :]
-    shown = step[..., 0, :].copy()
-    step -= gain[..., :, None] * shown[..., None, :]
-    return Gains(step, shown, gain, sds)
+        walk.step[k, ..., :-1, -1] = gain
+    step = walk.step
+    step[..., -1, :-1] = step[..., 0, :-1]
+    step[..., :-1, :-1] -= step[..., :-1, -1:] * step[..., -1:, :-1]
+    return Gains(step, sds)
 
 
-def _variances(twins: Sequence[Filtered]) -> tuple[Floats, Floats, Floats]:
-    """Sensor [K²] and heat [W²], and the room's sd [K], [C] each."""
-    levels = [item.levels for item in twins]
-    return (
-        np.array([item.sensor_k**2 for item in levels]),
-        np.array([item.heat_w**2 for item in levels]),
-        np.array([item.room_k for item in levels]),
-    )
+def log_likelihoods(twins: Sequence[Filtered], measured: NDArray[np.bool_], errors: Floats) -> Floats:
+    """Of errors of free runs by each filter, up to a constant of the data, [C].
+
+    measured : [B, N]; errors : [C, B, N] [K], finite
+    """
+    walk = _Walk(twins, measured)
+    total = np.zeros(walk.step.shape[1:3])
+    in_time = np.ascontiguousarray(errors.transpose(2, 0, 1))
+    for k, error in enumerate(in_time):
+        gain, variance = walk.row(k)
+        off = error - walk.mean[..., 0]
+        walk.mean += gain * off[..., None]
+        total += np.where(measured[:, k], off**2 / variance + np.log(variance), 0.0)
+    return np.asarray(-0.5 * total.sum(axis=1))
 
 
-def _stacked(twins: Sequence[Filtered], size: int) -> tuple[Floats, NDArray[np.intp], Floats, Floats, Floats]:
-    """All matrices behind each other [K, size, size], their index [N, C, B], and gains [N, C, B, size]."""
+class _Walk:
+    """Covariances on their way over the rows, and what the errors so far say of the states.
+
+    step : [N, C, B, m + 1, m + 1], what rows make of the states, the last of each free; mean : [C, B, m]
+    """
+
+    def __init__(self, twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> None:
+        size = max(len(item.steps.states) for item in twins)
+        self.step, self._flipped = _forward(twins, size)
+        self._measured, self._heat = measured, size
+        shape = (*self.step.shape[1:3], size + 2, size + 3)
+        self._known, self._half = np.zeros(shape), np.empty(shape)  # covariance, and mean behind it
+        self._known[..., :-1] = np.stack([np.diag(_start(item, size) ** 2) for item in twins])[:, None]
+        self.mean, self._covariance = self._known[..., -1], np.empty((*shape[:-1], shape[-1] - 1))
+        self._sensor = np.array([[item.levels.sensor_k**2] for item in twins])
+        self._fresh = np.array([[item.levels.heat_w**2 * (1.0 - _kept(item) ** 2)] for item in twins])
+
+    def row(self, k: int) -> tuple[Floats, Floats]:
+        """Go on by a row: the reading's gain [C, B, m], 0 where there is none, and its variance [C, B]."""
+        np.matmul(self.step[k, ..., :-1, :-1], self._known, out=self._half)
+        self.mean[...] = self._half[..., -1]
+        self._half[..., -1] = self._flipped[k, ..., -1, :]
+        covariance = np.matmul(self._half, self._flipped[k], out=self._covariance)
+        covariance[..., self._heat, self._heat] += self._fresh
+        variance = covariance[..., 0, 0] + self._sensor
+        first = covariance[..., 0, :]
+        gain = first * (self._measured[:, k] / variance)[..., None]
+        np.subtract(covariance, gain[..., :, None] * first[..., None, :], out=self._known[..., :-1])
+        return gain, variance
+
+
+def _start(item: Filtered, size: int) -> Floats:
+    """Standard deviations of the states before the first row, the unknown heat's and the power's last."""
+    found = np.zeros(size + 2)
+    found[: len(item.spread)] = item.spread
+    found[size:] = item.levels.heat_w, item.levels.power_share
+    return found
+
+
+def _kept(item: Filtered) -> float:
+    """Share of the unknown heat that is still there after a row."""
+    return float(np.exp(-item.step_s / item.levels.heat_tau_s))
+
+
+def _forward(twins: Sequence[Filtered], size: int) -> tuple[Floats, Floats]:
+    """What rows make of the states, [N, C, B, m + 1, m + 1], and the same flipped, [N, C, B, m + 1, m].
+
+    A row's covariance is A P A' + r r' with r the room's reading error, so the flipped one ends with r'.
+    """
     rows, runs = twins[0].steps.index.shape
-    tables, offset = [], 0
-    index = np.empty((rows, len(twins), runs), dtype=np.intp)
-    heat, duty, room = (np.zeros((rows, len(twins), runs, size)) for _ in range(3))
+    m = size + 2
+    step = np.zeros((rows, len(twins), runs, m + 1, m + 1))
+    flipped = np.zeros((rows, len(twins), runs, m + 1, m))
     for i, item in enumerate(twins):
-        steps, own = item.steps, len(item.steps.states)
-        tables.append(np.pad(steps.table, ((0, 0), (0, size - own), (0, size - own))))
-        index[:, i] = steps.index + offset
-        offset += len(steps.table)
-        heat[:, i, :, :own], duty[:, i, :, :own], room[:, i, :, :own] = steps.heat, steps.duty, steps.room
-    return np.concatenate(tables), index, heat, duty, room
+        own, steps = len(item.steps.states), item.steps
+        step[:, i, :, :own, :own] = steps.table[steps.index]
+        step[:, i, :, :own, size], step[:, i, :, :own, size + 1] = steps.heat, steps.duty
+        step[:, i, :, size, size], step[:, i, :, size + 1, size + 1] = _kept(item), 1.0
+        flipped[:, i, :, m, :own] = steps.room * item.levels.room_k
+    flipped[..., :m, :] = step[..., :m, :m].swapaxes(-1, -2)
+    return step, flipped
 
 
 def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats, everywhere: bool = False) -> Floats:
@@ -127,18 +157,27 @@ def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats, everywher
     everywhere : also where nothing was measured, from what was before
     Returns : [M, B, N]
     """
-    count, runs, rows = columns.shape
-    state = np.zeros((count, runs, filters.gain.shape[-1]))
-    found = np.empty((rows, count, runs))
+    place = _places(owner, filters.sd.shape[1])
+    known = np.zeros((*filters.rows.shape[1:4], int(place.max()) + 1))  # the states, and the reading last
+    found = np.empty((columns.shape[2], *columns.shape[:2]))
     in_time = np.ascontiguousarray(columns.transpose(2, 0, 1))
-    drive = filters.gain[:, owner] * in_time[..., None]
-    for k in range(rows):
-        found[k] = np.einsum("cbj,cbj->cb", filters.shown[k, owner], state)
-        state = np.einsum("cbij,cbj->cbi", filters.closed[k, owner], state)
-        state += drive[k]
+    for k, row in enumerate(filters.rows):
+        known[owner, :, -1, place] = in_time[k]
+        known = row @ known
+        found[k] = known[owner, :, -1, place]
     np.subtract(in_time, found, out=found)
     found /= filters.sd[:, owner]
     if everywhere:
         return found.transpose(1, 2, 0)
-    seen = np.any(filters.gain[..., 0] != 0.0, axis=1)  # [N, B]
+    seen = np.any(filters.rows[..., 0, -1] != 0.0, axis=1)  # [N, B]
     return np.where(seen[:, None], found, 0.0).transpose(1, 2, 0)
+
+
+def _places(owner: NDArray[np.intp], filters: int) -> NDArray[np.intp]:
+    """Of each column among those of its filter."""
+    before = np.zeros(filters, dtype=np.intp)
+    found = np.empty_like(owner)
+    for i, own in enumerate(owner):
+        found[i] = before[own]
+        before[own] += 1
+    return found

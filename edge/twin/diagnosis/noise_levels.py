@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
+from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, log_likelihoods
 from edge.twin.diagnosis.trial import Fitted, Trial, start_of
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
@@ -27,6 +27,10 @@ MORE_HEAT, HEAT_NATS = 1.5, 10.0  # times the declared heat, and how sure that i
 MOST_HEAT = 0.04  # share that nobody would look for a cause of, where the file declares none
 FIRST_FACTOR, NEAR_FACTOR, LAST_FACTOR = 3.0, 1.4, 1.15  # of the steps in which levels are sought
 PASSES = 10
+LONGEST_STEP = 1.5  # powers of the factor
+CLOSE = 1.8  # a factor over which a likelihood is a parabola
+LEAST_BEND = 1e-3  # nats, of a level that hardly matters
+WORTH_A_STEP = 0.05  # nats
 
 
 def first_levels(file: TwinFile, runs: Recorded) -> NoiseLevels:
@@ -73,27 +77,15 @@ def find_levels(
     """
     free = _free(file, runs)
     measured = np.isfinite(runs.temp[:, 1:])
-    bases = [_Base(item, runs) for item in found]
-    levels = [item.trial.levels for item in found]
-    best = _scores(bases, [[item] for item in levels], file, measured)
-    for _ in range(PASSES):
-        moved = False
-        for steps in (_single(free, factor), _along(free, factor)):
-            tried = [[_changed(own, step, file) for step in steps] for own in levels]
-            scores = _scores(bases, tried, file, measured) if steps else []
-            for i, own in enumerate(scores):
-                top = int(np.argmax(own))
-                if own[top] > best[i][0] + 0.02:
-                    levels[i], best[i], moved = tried[i][top], own[top : top + 1], True
-            if moved:
-                break
-        if not moved:
-            if factor <= LAST_FACTOR:
-                break
-            factor = max(np.sqrt(factor), LAST_FACTOR)
+    sought = [_Sought(_Base(item, runs), item.trial.levels, free, factor) for item in found]
+    while moving := [item for item in sought if free and item.passes < PASSES]:
+        tried = [[_changed(item.centre, step, file) for step in item.steps] for item in moving]
+        scores = _scores([item.base for item in moving], tried, file, measured)
+        for item, levels, own in zip(moving, tried, scores, strict=True):
+            item.take(levels, own, file)
     return [
-        replace(item.trial, file=item.file, free=item.free, levels=own)
-        for item, own in zip(found, levels, strict=True)
+        replace(item.trial, file=item.file, free=item.free, levels=own.levels)
+        for item, own in zip(found, sought, strict=True)
     ]
 
 
@@ -106,17 +98,6 @@ def _free(file: TwinFile, runs: Recorded) -> tuple[str, ...]:
     if file.sensor.get("noise_sd_k") is None:
         names.append("sensor_k")
     return tuple(names)
-
-
-def _single(free: Sequence[str], factor: float) -> list[Step]:
-    return [{name: by} for name in free for by in (factor, 1.0 / factor)]
-
-
-def _along(free: Sequence[str], factor: float) -> list[Step]:
-    """Heat that wanders as far in a row, but for longer: one by one such levels do not move."""
-    if not {"heat_w", "heat_tau_s"} <= set(free):
-        return []
-    return [{"heat_w": float(np.sqrt(by)), "heat_tau_s": by} for by in (factor, 1.0 / factor)]
 
 
 def _changed(levels: NoiseLevels, step: Step, file: TwinFile) -> NoiseLevels:
@@ -139,6 +120,61 @@ class _Base:
         self.error = np.nan_to_num(runs.temp[:, 1:]) - shown[0]
 
 
+class _Sought:
+    """Levels on their way: Newton steps on log levels, by differences either side that get smaller.
+
+    Heat that wanders as far in a row, but for longer, is looked at too: of all pairs of levels only those
+    two make a ridge.
+    """
+
+    def __init__(self, base: "_Base", levels: NoiseLevels, free: Sequence[str], factor: float) -> None:
+        self.base, self.levels, self.centre, self._free = base, levels, levels, free
+        self.passes, self._best, self._factor = 0, -np.inf, factor
+        self._along = {"heat_w", "heat_tau_s"} <= set(free)
+
+    @property
+    def steps(self) -> list[Step]:
+        """Those to be tried next: none, either way in each level, and along the ridge."""
+        by = self._factor
+        found: list[Step] = [{}, *({name: factor} for name in self._free for factor in (by, 1.0 / by))]
+        if self._along:
+            found += [{"heat_w": float(np.sqrt(factor)), "heat_tau_s": factor} for factor in (by, 1.0 / by)]
+        return found
+
+    def take(self, tried: Sequence[NoiseLevels], scores: Floats, file: TwinFile) -> None:
+        """Go on from the best place, or from where it must be by their differences."""
+        top = int(np.argmax(scores))
+        if scores[top] > self._best:
+            self.levels, self._best = tried[top], float(scores[top])
+        move, promised = self._newton(tried, scores)
+        self.passes += 1
+        if self._factor <= CLOSE and scores[0] > self._best - WORTH_A_STEP and promised < WORTH_A_STEP:
+            self.passes = PASSES  # arrived
+        ahead = scores[0] + promised > self._best
+        steps = dict(zip(self._free, self._factor**move, strict=True))
+        self.centre = _changed(self.centre, steps, file) if ahead else self.levels
+        if np.abs(move).max() < LONGEST_STEP:  # else there is a way to go
+            self._factor = max(float(np.sqrt(self._factor)), LAST_FACTOR)
+
+    def _newton(self, tried: Sequence[NoiseLevels], scores: Floats) -> tuple[Floats, float]:
+        """The step to the top, in powers of the factor, and by how much it should be higher [nats]."""
+        count = len(self._free)
+        up, down = scores[1 : 2 * count : 2], scores[2 : 2 * count + 1 : 2]
+        slope, bend = 0.5 * (up - down), np.diag(up + down - 2.0 * scores[0])
+        if self._along:
+            heat, tau = self._free.index("heat_w"), self._free.index("heat_tau_s")
+            both = scores[-2:].sum() - 2.0 * scores[0] - 0.25 * bend[heat, heat] - bend[tau, tau]
+            bend[heat, tau] = bend[tau, heat] = both
+        pairs = zip(self._free, tried[1 : 2 * count : 2], tried[2 : 2 * count + 1 : 2], strict=True)
+        wide = 0.99 * self._factor**2  # else a range ends between the two
+        whole = [getattr(above, name) >= wide * getattr(below, name) for name, above, below in pairs]
+        slope, bend = np.where(whole, slope, 0.0), np.where(np.outer(whole, whole), bend, 0.0)
+        curvature, axes = np.linalg.eigh(bend)
+        move = axes @ (axes.T @ slope / np.maximum(np.abs(curvature), LEAST_BEND))
+        move = np.clip(move, -LONGEST_STEP, LONGEST_STEP)
+        return move, float(slope @ move + 0.5 * move @ bend @ move)
+
+
 def _scores(
     bases: list[_Base], tried: list[list[NoiseLevels]], file: TwinFile, measured: NDArray[np.bool_]
 ) -> list[Floats]:
@@ -148,11 +184,8 @@ def _scores(
         for base, own in zip(bases, tried, strict=True)
         for levels in own
     ]
-    filters = gains(filtered, measured)
     errors = np.stack([base.error for base, own in zip(bases, tried, strict=True) for _ in own])
-    white = whitened(filters, np.arange(len(filtered)), errors)
-    likelihood = -0.5 * (white**2).sum(axis=(1, 2))
-    likelihood -= np.where(measured.T[:, None], np.log(filters.sd), 0.0).sum(axis=(0, 2))
+    likelihood = log_likelihoods(filtered, measured, errors)
     every = [levels for own in tried for levels in own]
     likelihood += np.array([level_prior(levels, file) for levels in every])
     ends = np.cumsum([len(own) for own in tried])[:-1]
