@@ -125,7 +125,16 @@ class NightlyDiagnosis:
         report.mkdir(parents=True, exist_ok=True)
         prune(report.parent)
         self._tell("diagnosis.started", f"the diagnosis of the last {settings.diagnose_since_d:g} days began")
-        given = ("--history", places.history, "--since", f"{settings.diagnose_since_d:g}d", "--twin", twin)
+        given = (
+            "--jobs",
+            "1",
+            "--history",
+            places.history,
+            "--since",
+            f"{settings.diagnose_since_d:g}d",
+            "--twin",
+            twin,
+        )
         self._call(("diagnose", *given, "--out", report), report / LOG, 60.0 * settings.diagnose_max_min)
         found = _diagnosis(report / "diagnosis.json")
         self._tell("diagnosis.done", f"{_in_words(found)}; report: {report}")

@@ -14,6 +14,7 @@ from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.progress import silent
 from edge.twin.diagnosis.runs import DiagnosisRuns, diagnosis_runs
 from edge.twin.diagnosis.search import Search
+from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.model import Twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -94,14 +95,15 @@ def diagnosed(runs: Sequence[Run], test: Sequence[Run] = (), file: TwinFile | No
     return diagnosis_runs(train, later, file or twin_file())
 
 
-def search_over(runs: Sequence[Run], file: TwinFile | None = None) -> tuple[Search, dict[str, Shape]]:
+def search_over(
+    runs: Sequence[Run], file: TwinFile | None = None, shared: SideBySide | None = None
+) -> tuple[Search, dict[str, Shape]]:
     """A search as a diagnosis begins it, and the formulas in it."""
     file = file or twin_file()
     known = given(file, diagnosed(runs, file=file))
     found = formulas(known.runs, known.expected, STEP_S)
-    search = Search(
-        known.file, known.runs, silent, known.terms, {name: term for name, (_, term) in found.items()}
-    )
+    terms = {name: term for name, (_, term) in found.items()}
+    search = Search(known.file, known.runs, silent, known.terms, terms, shared=shared or SideBySide())
     return search, {name: shape for name, (shape, _) in found.items()}
 
 

@@ -26,6 +26,7 @@ from bench.hidden_effects.peers import PEERS, diagnose
 from bench.hidden_effects.score import write_document
 from bench.hidden_effects.score_truth import add_place, cases_of
 from edge.errors import DataError, GreenhouseError
+from edge.processors import processors
 
 OURS = "diagnose"
 SOLVERS = (OURS, *PEERS)
@@ -41,6 +42,7 @@ class Task(NamedTuple):
     out: Path
     limit_s: float
     pictures: bool = False
+    jobs: int = 1
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -49,8 +51,9 @@ def main(words: Sequence[str] | None = None) -> int:
     add_arguments(parser)
     arguments = parser.parse_args(words)
     results = arguments.results / arguments.suite / arguments.split
+    jobs = max(1, processors() // arguments.workers)  # of one diagnosis
     tasks = [
-        Task(solver, folder, results / solver / folder.name, arguments.limit_s, arguments.pictures)
+        Task(solver, folder, results / solver / folder.name, arguments.limit_s, arguments.pictures, jobs)
         for folder, _ in cases_of(arguments)
         for solver in _solvers(arguments.solvers)
     ]
@@ -64,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of `run`."""
     add_place(parser)
     parser.add_argument("--solvers", default=",".join(SOLVERS), help="comma between; default: %(default)s")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="cases at a time; default: %(default)s")
     parser.add_argument("--limit-s", type=float, default=LIMIT_S, help="of one case; default: %(default)g")
     parser.add_argument("--pictures", action="store_true", help="the whole report, which takes seconds more")
     parser.add_argument("--again", action="store_true", help="also what has an answer")
@@ -116,6 +119,7 @@ def _diagnosis(task: Task) -> dict[str, Any]:
     command = [
         "nice", "-n", "10", sys.executable, "-m", "edge", "twin", "diagnose", *map(str, train),
         "--test", *map(str, tests), "--twin", str(task.folder / "twin.yaml"), "--out", str(task.out),
+        "--jobs", str(task.jobs),
         *(() if task.pictures else ("--json-only",)),
     ]  # fmt: skip
     before, begun_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from edge import config
 from edge.commands.output import writing
 from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
+from edge.processors import processors
 from edge.twin.diagnosis.progress import TerminalProgress
 from edge.twin.diagnosis.report.summary import summary_text
 from edge.twin.twin_file import read_twin_file, write_twin_file
@@ -31,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         help="edge.yaml, whose limits the next experiment keeps; else the rig's where there is one",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=processors(),
+        help="processes: they change the time, not the answer; default: one for each processor",
     )
     parser.add_argument(
         "--json-only", action="store_true", help="no pictures: diagnosis.json and the twin alone"
@@ -55,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     with writing(arguments.out):
         arguments.out.mkdir(parents=True, exist_ok=True)
     with TerminalProgress() as progress:
-        found = diagnose(file, data, progress, command)
+        found = diagnose(file, data, progress, command, arguments.jobs)
         progress("where it disagrees")
         places = located(found)
         progress("the next experiment")

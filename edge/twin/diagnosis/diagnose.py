@@ -17,7 +17,9 @@ from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.twin.diagnosis.search import Search
+from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.verdict import Verdict, interval, verdict
+from edge.twin.effects import EFFECTS
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
@@ -53,14 +55,32 @@ class Diagnosis:
     seconds: float
 
 
-def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: str) -> Diagnosis:
-    """From a twin and runs to what it lacks. Errors: DataError for runs that the twin can't be fitted to"""
+def diagnose(
+    file: TwinFile, data: DiagnosisRuns, progress: Progress, command: str, jobs: int = 1
+) -> Diagnosis:
+    """From a twin and runs to what it lacks.
+
+    jobs : processes, which change the time and not the answer
+    Errors : DataError for runs that the twin can't be fitted to
+    """
     begun = time.monotonic()
     progress("reading the runs, looking for doors and wrong readings")
     prepared = given(file, data)
-    shapes = formulas(prepared.runs, prepared.expected, file.sample_s)
+    with SideBySide(jobs, prepared.runs.temp.size) as shared:
+        return _diagnosis(prepared, data, progress, command, shared, begun)
+
+
+def _diagnosis(
+    prepared: Given,
+    data: DiagnosisRuns,
+    progress: Progress,
+    command: str,
+    shared: SideBySide,
+    begun: float,
+) -> Diagnosis:
+    shapes = formulas(prepared.runs, prepared.expected, prepared.file.sample_s)
     terms = {name: term for name, (_, term) in shapes.items()}
-    search = Search(prepared.file, prepared.runs, progress, prepared.terms, terms)
+    search = Search(prepared.file, prepared.runs, progress, prepared.terms, terms, shared=shared)
     found = verdict(search, {name: shape for name, (shape, _) in shapes.items()})
     known = with_rooms(prepared, found.final.fitted.sizes)
     progress("free runs before and after")
@@ -157,8 +177,6 @@ def _settled(file: TwinFile, item: Scored, names: tuple[str, ...]) -> TwinFile:
 
 
 def _replaced(names: tuple[str, ...]) -> set[str]:
-    from edge.twin.effects import EFFECTS
-
     return {EFFECTS[name].replaces for name in names} - {""}
 
 

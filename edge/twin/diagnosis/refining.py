@@ -7,6 +7,7 @@ with that much noise, or with several effects, is fitted once more as if nothing
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from edge.twin.diagnosis.noise_levels import (
     first_levels,
     level_prior,
 )
+from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.trial import Fitted, Trial
 from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded
@@ -25,22 +27,30 @@ from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 REFITTED, AFRESH = 3, 8  # iterations, from where a set was found and from the beginning
+LEVELS_TRIED = 8  # filters of a trial whose noise is sought
 AGAIN = 2  # sets of a round that may begin again
 LOUD = 3.0  # times the usual heat noise: no twin that lacks nothing has that much
 SEVERAL = 3  # effects, beside which another one may change what the first ones were taken for
 
 
-def refined(trials: Sequence[Trial], given: TwinFile, runs: Recorded, afresh: bool = True) -> list[Fitted]:
+def refined(
+    trials: Sequence[Trial],
+    given: TwinFile,
+    runs: Recorded,
+    afresh: bool = True,
+    shared: SideBySide | None = None,
+) -> list[Fitted]:
     """The likelier fit of each trial, in the order given.
 
     given : the twin as it was before anything was added; afresh : whether the best trials may begin again
     """
-    found = _levelled(fit(trials, runs, REFITTED), given, runs)
+    shared = shared or SideBySide()
+    found = shared.map(partial(_levelled, given=given, runs=runs, first=REFITTED), trials, LEVELS_TRIED)
     doubtful = [i for i, item in enumerate(found) if afresh and _doubtful(item, given, runs)]
     again = sorted(doubtful, key=lambda i: -_worth(found[i], given, runs))[:AGAIN]
     if again:
         fresh = [begun(trials[i], given, runs) for i in again]
-        others = _levelled(fit(fresh, runs, AFRESH), given, runs)
+        others = shared.map(partial(_levelled, given=given, runs=runs, first=AFRESH), fresh, LEVELS_TRIED)
         for i, other in zip(again, others, strict=True):
             if likelihood(other, given) > likelihood(found[i], given):
                 found[i] = other
@@ -52,7 +62,9 @@ def likelihood(found: Fitted, given: TwinFile) -> float:
     return found.log_likelihood + level_prior(found.trial.levels, given)
 
 
-def _levelled(found: list[Fitted], given: TwinFile, runs: Recorded) -> list[Fitted]:
+def _levelled(trials: Sequence[Trial], given: TwinFile, runs: Recorded, first: int) -> list[Fitted]:
+    """Fitted, and then twice with better noise. first : iterations before"""
+    found = fit(trials, runs, first)
     for factor in (FIRST_FACTOR, NEAR_FACTOR):
         found = fit(find_levels(found, given, runs, factor), runs, REFITTED)
     return found

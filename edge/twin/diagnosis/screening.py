@@ -5,12 +5,14 @@ The set's own values move in proportion only, so that nothing but what is added 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
 from edge.twin.diagnosis.fitting import fit, gains_of, glance, slopes
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.progress import Progress
+from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.starts import settled, with_effect
 from edge.twin.diagnosis.trial import Trial
 from edge.twin.recorded import Recorded
@@ -38,6 +40,7 @@ class Screening:
     candidates: Candidates
     runs: Recorded
     progress: Progress
+    shared: SideBySide = field(default_factory=SideBySide)
     _known: dict[Key, list[Candidate]] = field(default_factory=dict)
     _formulas: dict[Key, list[Candidate]] = field(default_factory=dict)
     _close: set[Key] = field(default_factory=set)
@@ -60,7 +63,8 @@ class Screening:
         first_few = [other for other in found if other.file is not None][:FIRST_FEW]
         still = self._still(item)
         trials = [replace(still, file=other.file) for other in first_few if other.file is not None]
-        base, *better = fit([replace(still, free=()), *trials], self.runs, CLOSELY)
+        [base] = fit([replace(still, free=())], self.runs, CLOSELY)
+        better = self.shared.map(partial(fit, runs=self.runs, iterations=CLOSELY), trials)
         of_name = {other.name: other for other in found} | {
             other.name: Candidate(other.name, fitted.log_likelihood - base.log_likelihood, fitted.file)
             for other, fitted in zip(first_few, better, strict=True)
@@ -93,9 +97,11 @@ class Screening:
     def _effects(self, still: Trial, names: Sequence[str]) -> list[Candidate]:
         """Each effect beside a trial that stands still; each start gets one step, the best of each more."""
         starts = [(name, file) for name in names for file in with_effect(still.file, name)]
-        first = glance([replace(still, file=file) for _, file in starts], self.runs)
+        trials = [replace(still, file=file) for _, file in starts]
+        first = self.shared.map(partial(glance, runs=self.runs), trials)
         best = _best([name for name, _ in starts], first)
-        base, *again = fit([replace(still, free=()), *best.values()], self.runs, SCREENED)
+        [base] = fit([replace(still, free=())], self.runs, SCREENED)
+        again = self.shared.map(partial(fit, runs=self.runs, iterations=SCREENED), list(best.values()))
         return [
             Candidate(name, item.log_likelihood - base.log_likelihood, item.file)
             for name, item in zip(best, again, strict=True)

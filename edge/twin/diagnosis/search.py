@@ -14,6 +14,7 @@ from edge.twin.diagnosis.noise_levels import first_levels
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.refining import SEVERAL, begun, likelihood, refined
 from edge.twin.diagnosis.screening import FORMULAS, SCREENED, Candidate, Screening
+from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.starts import with_usual
 from edge.twin.diagnosis.trial import Term, Trial
 from edge.twin.diagnosis.unknowns import unknowns
@@ -71,6 +72,7 @@ class Search:
     formulas: Mapping[str, Term] = field(default_factory=dict)
     rounds: list[Round] = field(default_factory=list)
     held_out: dict[str, float] = field(default_factory=dict)
+    shared: SideBySide = field(default_factory=SideBySide)
     candidates: Candidates = field(init=False)
     screening: Screening = field(init=False)
     _known: dict[Names, Scored] = field(default_factory=dict)
@@ -78,7 +80,7 @@ class Search:
 
     def __post_init__(self) -> None:
         self.candidates = Candidates(self.file, self.runs, self.formulas)
-        self.screening = Screening(self.candidates, self.runs, self.progress)
+        self.screening = Screening(self.candidates, self.runs, self.progress, self.shared)
 
     def penalty(self, name: str) -> float:
         """Of naming an effect, or of a formula [nats]."""
@@ -267,7 +269,7 @@ class Search:
         if not wanted:
             return
         self.progress(f"{len(wanted)} sets with noise of their own")
-        found = refined(list(wanted.values()), self.file, self.runs, afresh)
+        found = refined(list(wanted.values()), self.file, self.runs, afresh, self.shared)
         for key, item in zip(wanted, found, strict=True):
             nats = likelihood(item, self.file)
             score = nats - sum(self.penalty(name) for name in key)
