@@ -1,6 +1,6 @@
 """edge/twin/diagnosis/verdict.py: what a search has found, read; the search itself is a made-up one."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,20 +24,24 @@ NO_RUNS = Recorded(np.full((1, 3), 21.0), np.zeros((1, 2)), np.zeros((1, 2)), np
 
 @dataclass
 class Found:
-    """A search that has come to its end. worth : by set; rivals : by member, sets and their likelihoods"""
+    """A search that has come to its end. left : scores by set; near : rivals by member"""
 
     best: Scored
-    worth: Mapping[frozenset[str], float] = field(default_factory=dict)
+    left: Mapping[frozenset[str], float] = field(default_factory=dict)
     near: Mapping[str, list[Scored]] = field(default_factory=dict)
+    vague: Scored | None = None
     file: TwinFile = field(default_factory=twin_file)
     runs: Recorded = NO_RUNS
 
     def missing(self) -> Scored:
         return self.best
 
-    def without(self, item: Scored, name: str) -> Scored:
-        less = item.added - {name}
-        return replace(item, added=less, score=self.worth.get(less, 0.0))
+    def unnamed(self) -> Scored:
+        assert self.vague is not None
+        return self.vague
+
+    def worth(self, item: Scored, names: Sequence[str]) -> dict[str, float]:
+        return {name: item.score - self.left.get(item.added - {name}, 0.0) for name in names}
 
     def rivals(self, item: Scored, name: str) -> list[Scored]:
         return self.near.get(name, [])
@@ -135,6 +139,43 @@ def test_a_name_worth_more_than_the_formula_beside_it_is_named() -> None:
     assert said.kind == "named"
     assert [effect.name for effect in said.effects] == ["infiltration"]
     assert [term.text for term in said.formula] == ["u fan"]
+
+
+def errors_that_follow(share: float) -> np.ndarray:
+    """One run's innovations, each with so much of the one before it."""
+    found = np.random.default_rng(1).standard_normal(4000)
+    for k in range(1, len(found)):
+        found[k] += share * found[k - 1]
+    return found[None]
+
+
+@pytest.mark.parametrize(
+    ("share", "kind"), [(0.0, "named"), (0.40, "named"), (0.50, "unknown"), (0.9, "unknown")]
+)
+def test_a_name_that_leaves_errors_which_follow_from_each_other_is_none(share: float, kind: str) -> None:
+    best = scored("infiltration")
+    best = replace(best, fitted=replace(best.fitted, innovations=errors_that_follow(share)))
+    vague = scored("~t (T - T_amb)", score=50.0)
+    said = read(Found(best, vague=vague))
+    assert said.kind == kind
+    assert said.depends_on == (("time", "temp_air") if kind == "unknown" else ())
+    assert said.final is (vague if kind == "unknown" else best)
+
+
+def test_where_no_formula_explains_such_errors_either_it_depends_on_nothing_known() -> None:
+    best = scored("infiltration")
+    loud = errors_that_follow(0.8)
+    best, plain = (replace(item, fitted=replace(item.fitted, innovations=loud)) for item in (best, scored()))
+    said = read(Found(best, vague=plain))
+    assert (said.kind, said.effects, said.depends_on) == ("unknown", (), ("none",))
+
+
+def test_rows_that_were_not_measured_refute_nothing() -> None:
+    best = scored("infiltration")
+    holes = errors_that_follow(0.9)
+    holes[0, ::2] = 0.0
+    found = Found(replace(best, fitted=replace(best.fitted, innovations=holes)))
+    assert read(found).kind == "named"
 
 
 @pytest.mark.parametrize(("heat_w", "kind"), [(NOISE.heat_w, "nothing_missing"), (15.0, "unknown")])

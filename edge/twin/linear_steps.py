@@ -15,11 +15,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from edge.errors import DataError
-from edge.twin.discretisation import exponential
+from edge.twin.fan_speeds import exponentials
 from edge.twin.march import cuts, late, spun_up
 from edge.twin.model import DAY_S, Twin
 from edge.twin.network import AIR
@@ -31,10 +30,6 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 SLOPE_LEVELS = 8  # of bent heat, between its flattest and steepest: one matrix for each
 SLOPE_K = 0.05  # either side of where a slope is taken
-MANY_SPEEDS = 64  # of a fan that spins up, beyond which their exponentials are interpolated
-CHEBYSHEV = (
-    16  # points: in parts of 5 s the error is that of rounding while the air changes within 1 s or more
-)
 AGES_PER_DAY = 48.0  # walls age in half hours: one matrix for each
 
 
@@ -190,27 +185,10 @@ def _whole_steps(twin: Twin, acting: _Acting, places: Indices) -> tuple[Floats, 
     rates = system.rates + slope * bent + door * system.other_rates[0] + day * system.other_rates[1]
     drive = system.drive + door * system.other_drive[0] + day * system.other_drive[1]
     fan = acting.fan.swapaxes(0, 1).reshape(len(acting.lengths), -1)[:, places]
-    if fan.size > MANY_SPEEDS and (rates == rates[0]).all():
-        state, integral = _by_speed(rates[0], system.fan_rates, fan, acting.lengths)
-    else:
-        every = rates + fan[..., None, None] * system.fan_rates
-        state, integral = exponential(every, acting.lengths[:, None, None, None])
+    state, integral = exponentials(rates, system.fan_rates, fan, acting.lengths)
     driven = integral @ (drive + fan[..., None, None] * system.fan_drive)
     whole = state[-1]
     for j in range(len(state) - 2, -1, -1):
         driven[j] = whole @ driven[j]
         whole = whole @ state[j]
     return whole, driven
-
-
-def _by_speed(rates: Floats, fan_rates: Floats, fan: Floats, lengths: Floats) -> tuple[Floats, Floats]:
-    """exp(A t) and its integral, [J, S, n, n] each, for many speeds of the fan in each of J parts [J, S]."""
-    points = chebyshev.chebpts1(CHEBYSHEV)
-    kinds, which = np.unique(lengths, return_inverse=True)
-    between = rates + 0.5 * (1.0 + points)[:, None, None] * fan_rates
-    both = np.stack(exponential(between, kinds[:, None, None, None]), axis=2)
-    values = both.reshape(len(kinds), CHEBYSHEV, -1)
-    series = np.linalg.solve(chebyshev.chebvander(points, CHEBYSHEV - 1), values)
-    found = chebyshev.chebvander(2.0 * fan - 1.0, CHEBYSHEV - 1) @ series[which]
-    state, integral = np.moveaxis(found.reshape(*fan.shape, 2, *rates.shape), 2, 0)
-    return np.ascontiguousarray(state), np.ascontiguousarray(integral)

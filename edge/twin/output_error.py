@@ -40,7 +40,7 @@ def free_run(twin: Twin, runs: Recorded, ambient: Floats, noise_k: float) -> Fre
     )
     conditions = runs.conditions or None
     predicted = twin.rollout(rest, runs.duty, runs.fan, ambient, conditions=conditions)
-    measured = np.isfinite(runs.temp[:, 1:])
+    measured = runs.measured
     residual = np.where(measured, runs.temp[:, 1:] - predicted, 0.0)
     response = _responses(twin, runs, rest, ambient, predicted).reshape(count, size, -1)
     response = response * measured[:, None, :]

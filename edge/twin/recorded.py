@@ -35,6 +35,11 @@ class Recorded:
         """Whether the room temperature was recorded."""
         return bool(np.isfinite(self.ambient).all())
 
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Where a temperature was measured after a row, [B, N]: what a model is fitted to."""
+        return np.isfinite(self.temp[:, 1:])
+
 
 def recorded(runs: Sequence[Run], step_s: float) -> Recorded:
     """The runs that a model may be fitted on, at `step_s`.

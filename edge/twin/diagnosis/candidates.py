@@ -58,7 +58,7 @@ class Candidates:
     @property
     def rows(self) -> int:
         """Temperatures that are fitted to."""
-        return int(np.isfinite(self.runs.temp[:, 1:]).sum())
+        return int(self.runs.measured.sum())
 
     def penalty(self, name: str) -> float:
         """Of naming an effect, or of a formula [nats]."""

@@ -42,7 +42,7 @@ SETTLED = 0.02  # a gain in nats that is not worth another step
 def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fitted]:
     """Each trial at its best, in the order given."""
     states = [begun_from(trial) for trial in trials]
-    measured = np.isfinite(runs.temp[:, 1:])
+    measured = runs.measured
     filters = None
     for _ in range(iterations):
         moving = [i for i, state in enumerate(states) if not state.done]
@@ -56,7 +56,7 @@ def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fi
 def glance(trials: Sequence[Trial], runs: Recorded) -> list[tuple[Trial, float]]:
     """Each trial one step further, and how likely it is then by the filter of where it began [nats]."""
     states = [begun_from(trial) for trial in trials]
-    measured = np.isfinite(runs.temp[:, 1:])
+    measured = runs.measured
     filters = filters_of(states, runs, measured)
     _improve(states, np.arange(len(states)), filters, runs)
     spreads = np.where(measured.T[:, None], np.log(filters.sd), 0.0).sum(axis=(0, 2))
@@ -114,7 +114,7 @@ def slopes(found: Fitted, runs: Recorded) -> list[Term]:
 def gains_of(trial: Trial, terms: Sequence[Term], runs: Recorded) -> Floats:
     """What one more term brings a trial whose unknowns stand still, for each of `terms` [nats]."""
     state = begun_from(replace(trial, nuisances=(*trial.nuisances, *terms), free=()))
-    filters = filters_of([state], runs, np.isfinite(runs.temp[:, 1:]))
+    filters = filters_of([state], runs, runs.measured)
     (found,) = linearise([state], np.array([0]), filters, runs)
     own = len(trial.nuisances)
     normal, gradient = found.normal, found.gradient

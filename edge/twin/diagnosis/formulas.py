@@ -116,7 +116,7 @@ def formulas(runs: Recorded, temps: Floats, step_s: float) -> dict[str, tuple[Sh
     temps : [B, N + 1], the air without its reading's noise [°C]: with it a formula would explain that noise
     """
     columns = _columns(runs, temps, step_s)
-    measured = np.isfinite(runs.temp[:, 1:]).T
+    measured = runs.measured.T
     found = {}
     for shape in SHAPES:
         if not set(shape.needs) <= set(columns):

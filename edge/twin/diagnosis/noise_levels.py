@@ -76,7 +76,7 @@ def find_levels(
     factor : of the first steps
     """
     free = _free(file, runs)
-    measured = np.isfinite(runs.temp[:, 1:])
+    measured = runs.measured
     sought = [_Sought(_Base(item, runs), item.trial.levels, free, factor) for item in found]
     while moving := [item for item in sought if free and item.passes < PASSES]:
         tried = [[_changed(item.centre, step, file) for step in item.steps] for item in moving]
@@ -209,5 +209,5 @@ def unexplained_heat(found: Fitted, file: TwinFile, runs: Recorded) -> bool:
         return False
     base = _Base(found, runs)
     bounded = replace(trial.levels, heat_w=MORE_HEAT * usual_w)
-    scores = _scores([base], [[trial.levels, bounded]], file, np.isfinite(runs.temp[:, 1:]))[0]
+    scores = _scores([base], [[trial.levels, bounded]], file, runs.measured)[0]
     return bool(scores[0] - scores[1] > HEAT_NATS)

@@ -85,7 +85,7 @@ def expected(found: Fitted, runs: Recorded) -> Floats:
     )
     for i, term in enumerate(terms):
         shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
-    measured = np.isfinite(runs.temp[:, 1:])
+    measured = runs.measured
     filters = gains([Filtered(steps, found.trial.levels, spread(twin), twin.step_s)], measured)
     filled = np.where(measured, runs.temp[:, 1:], shown[0])
     white = whitened(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]

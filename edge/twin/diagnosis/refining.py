@@ -72,7 +72,7 @@ def _levelled(trials: Sequence[Trial], given: TwinFile, runs: Recorded, first: i
 
 def _worth(found: Fitted, given: TwinFile, runs: Recorded) -> float:
     """Likelihood less what its values may explain by chance (BIC) [nats]."""
-    rows = np.isfinite(runs.temp[:, 1:]).sum()
+    rows = runs.measured.sum()
     return likelihood(found, given) - 0.5 * len(found.free) * float(np.log(rows))
 
 

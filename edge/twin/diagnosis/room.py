@@ -19,7 +19,7 @@ def smoothed(ambient: Floats) -> Floats:
     rows = ambient.shape[1]
     if rows < LEAST_ROWS or not np.ptp(ambient, axis=1).any():
         return ambient
-    ratio = RATIOS[int(np.argmax([_log_likelihood(ambient, float(item)) for item in RATIOS]))]
+    ratio = RATIOS[int(np.argmax(_log_likelihoods(ambient, RATIOS)))]
     bands = np.zeros((2, rows))
     bands[1] = 1.0 + 2.0 / ratio
     bands[1, [0, -1]] = 1.0 + 1.0 / ratio
@@ -27,19 +27,20 @@ def smoothed(ambient: Floats) -> Floats:
     return np.asarray(solveh_banded(bands, ambient.T).T)
 
 
-def _log_likelihood(values: Floats, ratio: float) -> float:
-    """Up to a constant, the noise's size at its best."""
-    level, variance, square, spread = values[:, 0].copy(), 1.0, 0.0, 0.0
-    for k in range(1, values.shape[1]):
-        variance += ratio
+def _log_likelihoods(values: Floats, ratios: Floats) -> Floats:
+    """Of each ratio, up to a constant, the noise's size at its best."""
+    level = np.repeat(values[:, 0][None], len(ratios), axis=0)
+    variance, square, spread = np.ones(len(ratios)), np.zeros(len(ratios)), np.zeros(len(ratios))
+    for reading in values.T[1:]:
+        variance = variance + ratios
         total = variance + 1.0
-        error = values[:, k] - level
-        level += variance / total * error
+        error = reading - level
+        level += (variance / total)[:, None] * error
         variance /= total
-        square += float(error @ error) / total
-        spread += float(np.log(total))
-    count = len(values) * (values.shape[1] - 1)
-    return float(-0.5 * (count * np.log(max(square, 1e-12) / count) + len(values) * spread))
+        square += (error**2).sum(axis=1) / total
+        spread += np.log(total)
+    count = values.size - len(values)
+    return -0.5 * (count * np.log(np.maximum(square, 1e-12) / count) + len(values) * spread)
 
 
 def between(ambient: Floats) -> Floats:

@@ -97,10 +97,14 @@ class Search:
 
         Names are sought by themselves first, as a formula can stand for two of them and so end the search.
         """
-        vague = self._extended(self.base(), FORMULAS)
+        vague = self.unnamed()
         named = self._names(vague.score)
         both = self._pruned(self._extended(named, 1))
         return max((named, both, vague), key=lambda item: item.score)
+
+    def unnamed(self) -> Scored:
+        """The set of formulas alone that is worth most, the twin as it is given where none is."""
+        return self._extended(self.base(), FORMULAS)
 
     def _names(self, rival: float) -> Scored:
         """Names alone: grown one by one, pruned, and with each member exchanged.
@@ -181,9 +185,8 @@ class Search:
     def _exchanged(self, item: Scored) -> Scored:
         """The set with one member exchanged for a better one, if there is one."""
         names = sorted(item.added)
-        if len(names) > MOST_EXCHANGED:  # those that explain least of their own
-            less = dict(zip(names, self._less(item, names), strict=True))
-            names = sorted(names, key=lambda name: -less[name].score)[:MOST_EXCHANGED]
+        if len(names) > MOST_EXCHANGED:
+            names = sorted(names, key=self.worth(item, names).__getitem__)[:MOST_EXCHANGED]
         for name in names:
             best = self._best_of(self.rivals(item, name, EXCHANGED))
             if best is not None and best.score > item.score + EXCHANGE_NATS:
@@ -195,9 +198,7 @@ class Search:
         names = sorted(item.added & EFFECTS.keys())
         if len(item.added) < SEVERAL or len(names) < 2:
             return item
-        worth = {
-            name: item.score - less.score for name, less in zip(names, self._less(item, names), strict=True)
-        }
+        worth = self.worth(item, names)
         pairs = sorted(combinations(names, 2), key=lambda pair: worth[pair[0]] + worth[pair[1]])
         for pair in pairs[:MERGED_PAIRS]:
             beside = self._as_it_is(item, pair)
@@ -275,6 +276,11 @@ class Search:
             score = nats - sum(self.penalty(name) for name in key)
             if key not in self._known or score > self._known[key].score:
                 self._known[key] = Scored(key, item, nats, score)
+
+    def worth(self, item: Scored, names: Sequence[str]) -> dict[str, float]:
+        """By how much a set is better with each of its effects than without [nats]."""
+        less = self._less(item, names)
+        return {name: item.score - found.score for name, found in zip(names, less, strict=True)}
 
     def without(self, item: Scored, name: str) -> Scored:
         """The set less one effect."""

@@ -18,6 +18,9 @@ _95 = 1.959964
 # development cases (bench/hidden_effects), with this factor they hold what they say.
 WIDER = 1.25
 AT_BOUND = 1e-3  # of the range of a coordinate
+# In development cases (bench/hidden_effects) right names left 0.37 or less; 0.50 and 0.70 were left by wrong
+# ones, where the declared noise could not be made to cover what they do not explain.
+REFUTED = 0.45
 NOTHING = "none"  # that an unknown effect depends on
 
 
@@ -61,7 +64,9 @@ class Verdict:
 def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
     """The best set, read."""
     best = search.missing()
-    worth = {name: best.score - search.without(best, name).score for name in best.added}
+    if best.added and _is_refuted(best.fitted):
+        best = search.unnamed()
+    worth = search.worth(best, sorted(best.added))
     order = sorted(best.added, key=lambda name: -worth[name])
     formula = [name for name in order if name.startswith(PREFIX)]
     if formula and order[0] == formula[0]:
@@ -72,9 +77,20 @@ def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
     if named:
         effects = tuple(_named(search, best, name, worth[name]) for name in named)
         return Verdict("named", effects, (), _coefficients(best, formula, shapes), best)
-    if unexplained_heat(best.fitted, search.file, search.runs):
+    if _is_refuted(best.fitted) or unexplained_heat(best.fitted, search.file, search.runs):
         return Verdict("unknown", (), (NOTHING,), (), best)
     return Verdict("nothing_missing", (), (), (), best)
+
+
+def _is_refuted(fitted: Fitted) -> bool:
+    """Whether its errors still follow from those before: a gap that shrank under a wrong name.
+
+    Lag-1 autocorrelation of the innovations over all runs, which is 0 for a right twin with its right noise
+    """
+    seen = fitted.innovations != 0.0
+    both = seen[:, 1:] & seen[:, :-1]
+    pairs = (fitted.innovations[:, 1:] * fitted.innovations[:, :-1])[both]
+    return bool(pairs.sum() > REFUTED * (fitted.innovations[:, 1:] ** 2)[both].sum())
 
 
 def _dependences(formula: Sequence[str], shapes: Mapping[str, Shape]) -> tuple[str, ...]:
