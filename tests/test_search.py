@@ -157,6 +157,12 @@ def test_what_has_more_values_or_more_rivals_has_to_explain_more() -> None:
     assert search.penalty("soil_mass") == pytest.approx(2.0 * values + candidates)
     # Of the three values of a wall the known loss gives one.
     assert search.penalty("wall_mass") == pytest.approx(2.0 * values + candidates)
+    rows = search.runs.duty.shape[1]
+    with_doors = replace(search.candidates, doors=3)
+    assert with_doors.penalty("door_opening") == pytest.approx(
+        search.penalty("door_opening") + 3 * np.log(6.0 * rows)
+    )
+    assert with_doors.penalty("heater_lag") == search.penalty("heater_lag")
     assert search.penalty("~u fan") > values + np.log(len(search.formulas))
 
 

@@ -2,7 +2,7 @@
 
 Each value found costs half log(rows) (BIC, Schwarz 1978) and each effect chosen among others log(candidates)
 (Chen & Chen 2008, Biometrika 95: the extended BIC), so that the chance that any of the candidates is named
-by luck stays small however many are tried.
+by luck stays small however many are tried. A door that was found in the runs was chosen among all places.
 """
 
 from collections.abc import Mapping
@@ -16,6 +16,7 @@ from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
+DOOR_LENGTHS = 6.0  # among which that of a door was chosen, as if they had nothing in common
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 
 
@@ -34,11 +35,15 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Named effects and formulas that a twin may lack, over one lot of runs."""
+    """Named effects and formulas that a twin may lack, over one lot of runs.
+
+    doors : how many were found in the runs, each where it explains most
+    """
 
     file: TwinFile
     runs: Recorded
     formulas: Mapping[str, Term]
+    doors: int = 0
 
     @property
     def names(self) -> list[str]:
@@ -67,4 +72,7 @@ class Candidates:
         values = len(EFFECTS[name].parameters)
         if name == "wall_mass" and "wall_loss" in self.file.effects:
             values -= 1  # what its films give in series is known
-        return 0.5 * values * float(np.log(self.rows)) + float(np.log(len(self.names)))
+        chosen = float(np.log(len(self.names)))
+        if name == "door_opening":
+            chosen += self.doors * float(np.log(DOOR_LENGTHS * self.runs.duty.shape[1]))
+        return 0.5 * values * float(np.log(self.rows)) + chosen

@@ -80,7 +80,9 @@ def _diagnosis(
 ) -> Diagnosis:
     shapes = formulas(prepared.runs, prepared.expected, prepared.file.sample_s)
     terms = {name: term for name, (_, term) in shapes.items()}
-    search = Search(prepared.file, prepared.runs, progress, prepared.terms, terms, shared=shared)
+    search = Search(
+        prepared.file, prepared.runs, progress, prepared.terms, terms, len(prepared.doors), shared=shared
+    )
     found = verdict(search, {name: shape for name, (shape, _) in shapes.items()})
     known = with_rooms(prepared, found.final.fitted.sizes)
     progress("free runs before and after")

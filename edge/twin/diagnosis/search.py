@@ -70,6 +70,7 @@ class Search:
     progress: Progress
     nuisances: tuple[Term, ...] = ()
     formulas: Mapping[str, Term] = field(default_factory=dict)
+    doors: int = 0
     rounds: list[Round] = field(default_factory=list)
     held_out: dict[str, float] = field(default_factory=dict)
     shared: SideBySide = field(default_factory=SideBySide)
@@ -79,7 +80,7 @@ class Search:
     _shortened: set[tuple[Names, str]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        self.candidates = Candidates(self.file, self.runs, self.formulas)
+        self.candidates = Candidates(self.file, self.runs, self.formulas, self.doors)
         self.screening = Screening(self.candidates, self.runs, self.progress, self.shared)
 
     def penalty(self, name: str) -> float:
