@@ -22,9 +22,9 @@ KEEPS_SESSIONS = "allow_anonymous true\npersistence true\nmax_queued_messages 0"
 PATIENCE_S = 20.0  # a wait in a test ends when what it waits for happens; this is only for when it never does
 
 
-def wait_for(condition: Any, what: str = "") -> None:
+def wait_for(condition: Any, what: str = "", patience_s: float = PATIENCE_S) -> None:
     """Return once `condition()` holds."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + patience_s
     while not condition():
         assert time.monotonic() < deadline, f"never happened: {what or condition}"
         time.sleep(0.01)
