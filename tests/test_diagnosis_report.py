@@ -16,9 +16,11 @@ import pytest
 
 from edge.errors import DataError
 from edge.twin.diagnosis.progress import TerminalProgress
+from edge.twin.diagnosis.report.gap_picture import error_axis
 from edge.twin.diagnosis.report.heat_variables import explained, variables
 from edge.twin.diagnosis.report.markup import paragraph
 from edge.twin.diagnosis.report.number_text import duration, kelvin, nats, number, odds, percent, plus_minus
+from edge.twin.diagnosis.report.picture import new_figure
 from edge.twin.diagnosis.report.pictures import pictures, told_runs
 from edge.twin.diagnosis.report.report import write_report
 from edge.twin.diagnosis.report.residual_picture import residual_limits
@@ -354,6 +356,20 @@ def test_steps_of_the_waterfall_have_names() -> None:
 
 
 @pytest.mark.parametrize(
+    ("errors", "scale", "begin"),
+    [([640.0, 1.0, 0.2], "log", 0.12), ([6.1, 0.2], "log", 0.12), ([5.9, 0.2], "linear", 0.0),
+     ([640.0, 0.0], "linear", 0.0)],
+)  # fmt: skip
+def test_a_gap_that_shrinks_thirtyfold_and_more_is_drawn_on_a_logarithmic_axis(
+    errors: list[float], scale: str, begin: float
+) -> None:
+    axes = new_figure(2.0).subplots()
+    assert error_axis(axes, errors) == pytest.approx(begin)
+    assert axes.get_xscale() == scale
+    assert axes.get_xlim()[1] > max(errors)
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         (number(1234.5), "1234"),
@@ -363,6 +379,8 @@ def test_steps_of_the_waterfall_have_names() -> None:
         (number(1e-9), "1.00e-09"),
         (kelvin(2.871), "2.87"),
         (kelvin(0.0849), "0.085"),
+        (kelvin(99.94), "99.94"),
+        (kelvin(642.7), "643"),
         (percent(0.714), "71 %"),
         (percent(0.004), "< 1 %"),
         (percent(0.0), "0 %"),

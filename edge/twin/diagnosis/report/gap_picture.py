@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROW_IN, BORDER_IN = 0.45, 1.1
+WIDE = 30.0  # times the smallest error: beyond it on a logarithmic axis
 BELOW = 0.41  # rows from a bar's middle down to that of the training runs
 _ROLES = {"train": "training runs", "test": "held-out test runs"}
 
@@ -39,12 +40,13 @@ def gap_picture(document: Document) -> Picture | None:
         figure = new_figure(ROW_IN * len(steps) + BORDER_IN)
         axes = figure.subplots()
         trained = [step["train_rmse_k"] for step in steps] if roles == ["test", "train"] else []
-        _draw(axes, names, errors)
+        floor = document["gap"]["noise_floor"][role]
+        low = error_axis(axes, [*errors, *trained, *([] if floor is None else [floor])])
+        _draw(axes, names, errors, low)
         if trained:
             below = [row + BELOW for row in range(len(steps))]
-            axes.set_xlim(0.0, 1.18 * max(errors + trained))
-            axes.barh(below, trained, color=PLAIN, height=0.12, label="training runs")
-        floor = document["gap"]["noise_floor"][role]
+            lengths = [max(error - low, 0.0) for error in trained]
+            axes.barh(below, lengths, left=low, color=PLAIN, height=0.12, label="training runs")
         if floor is not None:
             axes.axvline(floor, color=INK, ls=(0, (4, 3)), lw=1.2, label=f"noise floor {kelvin(floor)} K")
         axes.set_title("The gap, step by step")
@@ -58,11 +60,25 @@ def gap_picture(document: Document) -> Picture | None:
         )
 
 
-def _draw(axes: "Axes", names: list[str], errors: list[float]) -> None:
+def error_axis(axes: "Axes", shown: list[float]) -> float:
+    """Scale the axis of errors; bars begin at 0, or below the smallest where that would be invisible."""
+    least, most = min(shown), max(shown)
+    if not 0.0 < least < most / WIDE:
+        axes.set_xlim(0.0, 1.18 * most)
+        return 0.0
+    low = 0.6 * least
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
+    axes.set_xlim(low, most * (most / low) ** 0.18)
+    return low
+
+
+def _draw(axes: "Axes", names: list[str], errors: list[float], low: float) -> None:
     """A bar a step, its end labelled; pale from there to where the step before ended."""
     rows = range(len(names))
     colours = [BEFORE] + [AFTER] * (len(names) - 1)
-    axes.barh(rows, errors, color=colours, height=0.62, zorder=2)
+    axes.barh(rows, [error - low for error in errors], left=low, color=colours, height=0.62, zorder=2)
     for row in rows[1:]:
         closed = max(errors[row - 1] - errors[row], 0.0)
         axes.barh(row, closed, left=errors[row], color=AFTER, alpha=0.18, height=0.62, zorder=2)
@@ -71,7 +87,6 @@ def _draw(axes: "Axes", names: list[str], errors: list[float]) -> None:
         axes.annotate(f"{kelvin(errors[row])} K", (end, row), (5, 0), textcoords="offset points", va="center")
     axes.set_yticks(rows, names)
     axes.set_ylim(len(names) - 0.45, -0.5)
-    axes.set_xlim(0.0, 1.18 * max(errors))
     axes.grid(axis="y", visible=False)
     axes.tick_params(axis="y", length=0)
 

@@ -19,10 +19,11 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def kelvin(value: float | None) -> str:
-    """An error: hundredths of a kelvin, thousandths where it is below a tenth."""
+    """An error: hundredths of a kelvin, thousandths below a tenth, whole ones from a hundred on."""
     if value is None:
         return DASH
-    return f"{value:.3f}" if abs(value) < 0.0995 else f"{value:.2f}"
+    decimals = 3 if abs(value) < 0.0995 else 2 if abs(value) < 99.95 else 0
+    return f"{value:.{decimals}f}"
 
 
 def percent(share: float | None) -> str:
