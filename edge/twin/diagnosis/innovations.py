@@ -7,7 +7,7 @@ Kristensen, Madsen & Jørgensen 2004, Automatica 40). It works on errors: a colu
 run, or the effect of something on a free run, and comes out whitened.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from edge.twin.linear_steps import LinearSteps
 
 Floats = NDArray[np.float64]
+BLOCK = 128  # rows whose matrices are made at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +61,18 @@ class Gains:
 def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
     """Run the covariances. measured : [B, N], after each row."""
     walk = _Walk(twins, measured)
-    sds = np.empty(walk.step.shape[:3])
-    for k in range(len(sds)):
-        gain, variance = walk.row(k)
-        sds[k] = np.sqrt(variance)
-        walk.step[k, ..., :-1, -1] = gain
-    step = walk.step
-    step[..., -1, :-1] = step[..., 0, :-1]
-    step[..., :-1, :-1] -= step[..., :-1, -1:] * step[..., -1:, :-1]
-    return Gains(step, sds)
+    found = np.zeros((measured.shape[1], *walk.shape, walk.states + 1, walk.states + 1))
+    sds = np.empty(found.shape[:3])
+    for rows in walk.blocks():
+        step = found[rows]
+        flipped = walk.forward(rows, step)
+        for k, row in enumerate(step):
+            gain, variance = walk.row(rows.start + k, row[..., :-1, :-1], flipped[k])
+            sds[rows.start + k] = np.sqrt(variance)
+            row[..., :-1, -1] = gain
+        step[..., -1, :-1] = step[..., 0, :-1]
+        step[..., :-1, :-1] -= step[..., :-1, -1:] * step[..., -1:, :-1]
+    return Gains(found, sds)
 
 
 def log_likelihoods(twins: Sequence[Filtered], measured: NDArray[np.bool_], errors: Floats) -> Floats:
@@ -77,39 +81,64 @@ def log_likelihoods(twins: Sequence[Filtered], measured: NDArray[np.bool_], erro
     measured : [B, N]; errors : [C, B, N] [K], finite
     """
     walk = _Walk(twins, measured)
-    total = np.zeros(walk.step.shape[1:3])
+    total = np.zeros(walk.shape)
     in_time = np.ascontiguousarray(errors.transpose(2, 0, 1))
-    for k, error in enumerate(in_time):
-        gain, variance = walk.row(k)
-        off = error - walk.mean[..., 0]
-        walk.mean += gain * off[..., None]
-        total += np.where(measured[:, k], off**2 / variance + np.log(variance), 0.0)
+    for rows in walk.blocks():
+        step = np.zeros((rows.stop - rows.start, *walk.shape, walk.states, walk.states))
+        flipped = walk.forward(rows, step)
+        for k, error in enumerate(in_time[rows]):
+            gain, variance = walk.row(rows.start + k, step[k], flipped[k])
+            off = error - walk.mean[..., 0]
+            walk.mean += gain * off[..., None]
+            total += np.where(measured[:, rows.start + k], off**2 / variance + np.log(variance), 0.0)
     return np.asarray(-0.5 * total.sum(axis=1))
 
 
 class _Walk:
-    """Covariances on their way over the rows, and what the errors so far say of the states.
+    """Covariances of C filters on their way over N rows of B runs, and what the errors so far say.
 
-    step : [N, C, B, m + 1, m + 1], what rows make of the states, the last of each free; mean : [C, B, m]
+    shape : C, B; states : m, those that every filter has room for; mean : [C, B, m], of the states
     """
 
     def __init__(self, twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> None:
-        size = max(len(item.steps.states) for item in twins)
-        self.step, self._flipped = _forward(twins, size)
-        self._measured, self._heat = measured, size
-        shape = (*self.step.shape[1:3], size + 2, size + 3)
-        self._known, self._half = np.zeros(shape), np.empty(shape)  # covariance, and mean behind it
-        self._known[..., :-1] = np.stack([np.diag(_start(item, size) ** 2) for item in twins])[:, None]
-        self.mean, self._covariance = self._known[..., -1], np.empty((*shape[:-1], shape[-1] - 1))
+        self._twins, self._measured = twins, measured
+        self._heat = max(len(item.steps.states) for item in twins)
+        self.shape, self.states = (len(twins), len(measured)), self._heat + 2
+        known = (*self.shape, self.states, self.states + 1)
+        self._known, self._half = np.zeros(known), np.empty(known)  # covariance, and mean behind it
+        self._known[..., :-1] = np.stack([np.diag(_start(item, self._heat) ** 2) for item in twins])[:, None]
+        self.mean, self._covariance = self._known[..., -1], np.empty((*self.shape, self.states, self.states))
         self._sensor = np.array([[item.levels.sensor_k**2] for item in twins])
         self._fresh = np.array([[item.levels.heat_w**2 * (1.0 - _kept(item) ** 2)] for item in twins])
 
-    def row(self, k: int) -> tuple[Floats, Floats]:
-        """Go on by a row: the reading's gain [C, B, m], 0 where there is none, and its variance [C, B]."""
-        np.matmul(self.step[k, ..., :-1, :-1], self._known, out=self._half)
+    def blocks(self) -> Iterator[slice]:
+        """All rows, so many at a time."""
+        count = self._measured.shape[1]
+        for begin in range(0, count, BLOCK):
+            yield slice(begin, min(begin + BLOCK, count))
+
+    def forward(self, rows: slice, step: Floats) -> Floats:
+        """Fill in what rows make of the states, A; A' and below it the room's error r', [K, C, B, m + 1, m].
+
+        step : [K, C, B, m, m] or wider, zeros. A row's covariance is A P A' + r r'.
+        """
+        size = self._heat
+        flipped = np.zeros((len(step), *self.shape, self.states + 1, self.states))
+        for i, item in enumerate(self._twins):
+            own, steps = len(item.steps.states), item.steps
+            step[:, i, :, :own, :own] = steps.table[steps.index[rows]]
+            step[:, i, :, :own, size], step[:, i, :, :own, size + 1] = steps.heat[rows], steps.duty[rows]
+            step[:, i, :, size, size], step[:, i, :, size + 1, size + 1] = _kept(item), 1.0
+            flipped[:, i, :, -1, :own] = steps.room[rows] * item.levels.room_k
+        flipped[..., :-1, :] = step[..., : self.states, : self.states].swapaxes(-1, -2)
+        return flipped
+
+    def row(self, k: int, step: Floats, flipped: Floats) -> tuple[Floats, Floats]:
+        """Go on by row k: the reading's gain [C, B, m], 0 where there is none, and its variance [C, B]."""
+        np.matmul(step, self._known, out=self._half)
         self.mean[...] = self._half[..., -1]
-        self._half[..., -1] = self._flipped[k, ..., -1, :]
-        covariance = np.matmul(self._half, self._flipped[k], out=self._covariance)
+        self._half[..., -1] = flipped[..., -1, :]
+        covariance = np.matmul(self._half, flipped, out=self._covariance)
         covariance[..., self._heat, self._heat] += self._fresh
         variance = covariance[..., 0, 0] + self._sensor
         first = covariance[..., 0, :]
@@ -129,25 +158,6 @@ def _start(item: Filtered, size: int) -> Floats:
 def _kept(item: Filtered) -> float:
     """Share of the unknown heat that is still there after a row."""
     return float(np.exp(-item.step_s / item.levels.heat_tau_s))
-
-
-def _forward(twins: Sequence[Filtered], size: int) -> tuple[Floats, Floats]:
-    """What rows make of the states, [N, C, B, m + 1, m + 1], and the same flipped, [N, C, B, m + 1, m].
-
-    A row's covariance is A P A' + r r' with r the room's reading error, so the flipped one ends with r'.
-    """
-    rows, runs = twins[0].steps.index.shape
-    m = size + 2
-    step = np.zeros((rows, len(twins), runs, m + 1, m + 1))
-    flipped = np.zeros((rows, len(twins), runs, m + 1, m))
-    for i, item in enumerate(twins):
-        own, steps = len(item.steps.states), item.steps
-        step[:, i, :, :own, :own] = steps.table[steps.index]
-        step[:, i, :, :own, size], step[:, i, :, :own, size + 1] = steps.heat, steps.duty
-        step[:, i, :, size, size], step[:, i, :, size + 1, size + 1] = _kept(item), 1.0
-        flipped[:, i, :, m, :own] = steps.room * item.levels.room_k
-    flipped[..., :m, :] = step[..., :m, :m].swapaxes(-1, -2)
-    return step, flipped
 
 
 def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats, everywhere: bool = False) -> Floats:

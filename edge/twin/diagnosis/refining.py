@@ -27,7 +27,6 @@ from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 REFITTED, AFRESH = 3, 8  # iterations, from where a set was found and from the beginning
-LEVELS_TRIED = 8  # filters of a trial whose noise is sought
 AGAIN = 2  # sets of a round that may begin again
 LOUD = 3.0  # times the usual heat noise: no twin that lacks nothing has that much
 SEVERAL = 3  # effects, beside which another one may change what the first ones were taken for
@@ -45,12 +44,12 @@ def refined(
     given : the twin as it was before anything was added; afresh : whether the best trials may begin again
     """
     shared = shared or SideBySide()
-    found = shared.map(partial(_levelled, given=given, runs=runs, first=REFITTED), trials, LEVELS_TRIED)
+    found = shared.map(partial(_levelled, given=given, runs=runs, first=REFITTED), trials)
     doubtful = [i for i, item in enumerate(found) if afresh and _doubtful(item, given, runs)]
     again = sorted(doubtful, key=lambda i: -_worth(found[i], given, runs))[:AGAIN]
     if again:
         fresh = [begun(trials[i], given, runs) for i in again]
-        others = shared.map(partial(_levelled, given=given, runs=runs, first=AFRESH), fresh, LEVELS_TRIED)
+        others = shared.map(partial(_levelled, given=given, runs=runs, first=AFRESH), fresh)
         for i, other in zip(again, others, strict=True):
             if likelihood(other, given) > likelihood(found[i], given):
                 found[i] = other

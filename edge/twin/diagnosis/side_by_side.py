@@ -42,14 +42,13 @@ class SideBySide:
             self._others.shutdown(cancel_futures=True)
 
     def map(
-        self, function: Callable[[Sequence[Item]], Sequence[Found]], items: Sequence[Item], weight: int = 1
+        self, function: Callable[[Sequence[Item]], Sequence[Found]], items: Sequence[Item]
     ) -> list[Found]:
         """What `function` makes of each item, in their order.
 
-        function : can be pickled, and makes of an item the same in every lot; weight : rows of an item
-            count so many times
+        function : can be pickled, and makes of an item the same in every lot
         """
-        count = max(min(self._jobs, len(items)), -(-len(items) * weight // self._most))
+        count = max(min(self._jobs, len(items)), -(-len(items) // self._most))
         lots = [items[i::count] for i in range(count)]
         found = self._of_lots(function, lots)
         return [found[i % count][i // count] for i in range(len(items))]
