@@ -30,6 +30,7 @@ class Found:
     left: Mapping[frozenset[str], float] = field(default_factory=dict)
     near: Mapping[str, list[Scored]] = field(default_factory=dict)
     vague: Scored | None = None
+    alone: Mapping[frozenset[str], Scored] = field(default_factory=dict)
     file: TwinFile = field(default_factory=twin_file)
     runs: Recorded = NO_RUNS
 
@@ -39,6 +40,10 @@ class Found:
     def unnamed(self) -> Scored:
         assert self.vague is not None
         return self.vague
+
+    def without(self, item: Scored, name: str) -> Scored:
+        less = item.added - {name}
+        return self.alone.get(less, replace(item, added=less))
 
     def worth(self, item: Scored, names: Sequence[str]) -> dict[str, float]:
         return {name: item.score - self.left.get(item.added - {name}, 0.0) for name in names}
@@ -176,6 +181,17 @@ def test_rows_that_were_not_measured_refute_nothing() -> None:
     holes[0, ::2] = 0.0
     found = Found(replace(best, fitted=replace(best.fitted, innovations=holes)))
     assert read(found).kind == "named"
+
+
+def test_values_beside_a_formula_are_those_of_the_twin_that_has_none() -> None:
+    best = scored("~u fan", "infiltration")
+    alone = scored("infiltration")
+    there = replace(alone.fitted, coordinates=alone.fitted.coordinates + 0.5)
+    alone = replace(alone, fitted=there)
+    left = {frozenset({"infiltration"}): 90.0, frozenset({"~u fan"}): 10.0}
+    said = read(Found(best, left, alone={frozenset({"infiltration"}): alone}))
+    assert said.effects[0].parameters == intervals(there, "infiltration")[0]
+    assert said.effects[0].parameters != intervals(best.fitted, "infiltration")[0]
 
 
 @pytest.mark.parametrize(("heat_w", "kind"), [(NOISE.heat_w, "nothing_missing"), (15.0, "unknown")])

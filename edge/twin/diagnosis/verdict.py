@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -75,7 +76,9 @@ def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
         )
     named = [name for name in order if not name.startswith(PREFIX)]
     if named:
-        effects = tuple(_named(search, best, name, worth[name]) for name in named)
+        # Values as the twin has them that is handed on: it has no formula, and one beside them bends them.
+        alone = reduce(search.without, formula, best)
+        effects = tuple(_named(search, best, alone, name, worth[name]) for name in named)
         return Verdict("named", effects, (), _coefficients(best, formula, shapes), best)
     if _is_refuted(best.fitted) or unexplained_heat(best.fitted, search.file, search.runs):
         return Verdict("unknown", (), (NOTHING,), (), best)
@@ -110,13 +113,13 @@ def _coefficients(
     return tuple(found)
 
 
-def _named(search: Search, best: Scored, name: str, worth: float) -> Named:
+def _named(search: Search, best: Scored, alone: Scored, name: str, worth: float) -> Named:
     rivals = {}
     for item in search.rivals(best, name):
         (other,) = item.added - (best.added - {name})
         if item.likelihood >= best.likelihood - RIVAL_NATS and not other.startswith(PREFIX):
             rivals[other] = item.likelihood - best.likelihood
-    values, bound = intervals(best.fitted, name)
+    values, bound = intervals(alone.fitted, name)
     ordered = dict(sorted(rivals.items(), key=lambda pair: -pair[1]))
     return Named(name, ordered, float(worth), values, bound)
 
