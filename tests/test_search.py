@@ -86,7 +86,7 @@ def test_two_names_of_one_flow_are_as_likely_as_each_other() -> None:
     search, best = searched(WEAK_FAN)
     [own] = best.added
     [other] = {"fan_effectiveness", "short_circuit"} - {own}
-    near = likelihoods(search.rivals(best, own))
+    near = likelihoods(search.rivals(best, [own])[own])
     assert near.pop(other) == pytest.approx(best.likelihood, abs=0.1)
     assert all(value < best.likelihood - RIVAL_NATS for value in near.values())
 
@@ -97,7 +97,7 @@ def test_a_leak_looks_like_a_loss_where_the_fan_never_runs() -> None:
     best = search.missing()
     [own] = best.added
     [other] = {"wall_loss", "infiltration"} - {own}
-    assert likelihoods(search.rivals(best, own))[other] == pytest.approx(best.likelihood, abs=0.1)
+    assert likelihoods(search.rivals(best, [own])[own])[other] == pytest.approx(best.likelihood, abs=0.1)
 
 
 class Misled(Search):

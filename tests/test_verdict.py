@@ -48,8 +48,8 @@ class Found:
     def worth(self, item: Scored, names: Sequence[str]) -> dict[str, float]:
         return {name: item.score - self.left.get(item.added - {name}, 0.0) for name in names}
 
-    def rivals(self, item: Scored, name: str) -> list[Scored]:
-        return self.near.get(name, [])
+    def rivals(self, item: Scored, names: Sequence[str]) -> dict[str, list[Scored]]:
+        return {name: self.near.get(name, []) for name in names}
 
 
 def fitted(*names: str, variance: float = 1e-4, terms: tuple[Term, ...] = ()) -> Fitted:

@@ -41,6 +41,8 @@ SETTLED = 0.02  # a gain in nats that is not worth another step
 
 def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fitted]:
     """Each trial at its best, in the order given."""
+    if not trials:
+        return []
     states = [begun_from(trial) for trial in trials]
     measured = runs.measured
     filters = None

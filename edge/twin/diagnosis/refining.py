@@ -36,21 +36,21 @@ def refined(
     trials: Sequence[Trial],
     given: TwinFile,
     runs: Recorded,
-    afresh: bool = True,
+    again: int = AGAIN,
     shared: SideBySide | None = None,
 ) -> list[Fitted]:
     """The likelier fit of each trial, in the order given.
 
-    given : the twin as it was before anything was added; afresh : whether the best trials may begin again
+    given : the twin as it was before anything was added; again : how many, the best, may begin again
     """
     shared = shared or SideBySide()
     found = shared.map(partial(_levelled, given=given, runs=runs, first=REFITTED), trials)
-    doubtful = [i for i, item in enumerate(found) if afresh and _doubtful(item, given, runs)]
-    again = sorted(doubtful, key=lambda i: -_worth(found[i], given, runs))[:AGAIN]
-    if again:
-        fresh = [begun(trials[i], given, runs) for i in again]
+    doubtful = [i for i, item in enumerate(found) if again and _doubtful(item, given, runs)]
+    best = sorted(doubtful, key=lambda i: -_worth(found[i], given, runs))[:again]
+    if best:
+        fresh = [begun(trials[i], given, runs) for i in best]
         others = shared.map(partial(_levelled, given=given, runs=runs, first=AFRESH), fresh)
-        for i, other in zip(again, others, strict=True):
+        for i, other in zip(best, others, strict=True):
             if likelihood(other, given) > likelihood(found[i], given):
                 found[i] = other
     return found

@@ -47,31 +47,36 @@ class Screening:
 
     def beside(self, item: Scored) -> list[Candidate]:
         """Every candidate beside a set, the most promising first."""
-        key = _key(item)
-        if key not in self._known:
-            still = self._still(item)
-            names = [name for name in self.candidates.names if name not in item.added]
-            self.progress(f"{' + '.join(sorted(item.added)) or 'as given'}: {len(names)} candidates")
-            self._known[key] = self._in_order([*self._effects(still, names), *self.formulas_beside(item)])
-        return self._known[key]
+        self._look([item])
+        return self._known[_key(item)]
 
-    def closely_beside(self, item: Scored) -> list[Candidate]:
-        """The same, its first few names as good as they get: a start may lie far from the top."""
-        found, key = self.beside(item), _key(item)
-        if key in self._close:
-            return found
-        first_few = [other for other in found if other.file is not None][:FIRST_FEW]
-        still = self._still(item)
-        trials = [replace(still, file=other.file) for other in first_few if other.file is not None]
-        [base] = fit([replace(still, free=())], self.runs, CLOSELY)
-        better = self.shared.map(partial(fit, runs=self.runs, iterations=CLOSELY), trials)
-        of_name = {other.name: other for other in found} | {
-            other.name: Candidate(other.name, fitted.log_likelihood - base.log_likelihood, fitted.file)
-            for other, fitted in zip(first_few, better, strict=True)
-        }
-        self._known[key] = self._in_order(of_name.values())
-        self._close.add(key)
-        return self._known[key]
+    def closely_beside(self, items: Sequence[Scored]) -> list[list[Candidate]]:
+        """The same of each set, its first few names as good as they get: a start may lie far from the top."""
+        self._look(items)
+        self._look_closely([item for item in items if _key(item) not in self._close])
+        return [self._known[_key(item)] for item in items]
+
+    def _look(self, items: Sequence[Scored]) -> None:
+        new = list({_key(item): item for item in items if _key(item) not in self._known}.values())
+        if not new:
+            return
+        names = [[name for name in self.candidates.names if name not in item.added] for item in new]
+        for item, own in zip(new, names, strict=True):
+            self.progress(f"{' + '.join(sorted(item.added)) or 'as given'}: {len(own)} candidates")
+        for item, found in zip(new, self._effects(new, names), strict=True):
+            self._known[_key(item)] = self._in_order([*found, *self.formulas_beside(item)])
+
+    def _look_closely(self, items: Sequence[Scored]) -> None:
+        stills = [self._still(item) for item in items]
+        few = [
+            [other for other in self._known[_key(item)] if other.file is not None][:FIRST_FEW]
+            for item in items
+        ]
+        better = self._over(stills, few, CLOSELY)
+        for item, found in zip(items, better, strict=True):
+            of_name = {other.name: other for other in [*self._known[_key(item)], *found]}
+            self._known[_key(item)] = self._in_order(of_name.values())
+            self._close.add(_key(item))
 
     def formulas_beside(self, item: Scored) -> list[Candidate]:
         """Formulas alone, as far as there is room for one more."""
@@ -94,17 +99,42 @@ class Screening:
         terms = (*base.trial.nuisances, *slopes(base, self.runs))
         return Trial(settled(base.file), base.trial.levels, terms)
 
-    def _effects(self, still: Trial, names: Sequence[str]) -> list[Candidate]:
-        """Each effect beside a trial that stands still; each start gets one step, the best of each more."""
-        starts = [(name, file) for name in names for file in with_effect(still.file, name)]
-        trials = [replace(still, file=file) for _, file in starts]
+    def _effects(self, items: Sequence[Scored], names: Sequence[Sequence[str]]) -> list[list[Candidate]]:
+        """Each effect beside sets that stand still; each start gets one step, the best of each name more."""
+        stills = [self._still(item) for item in items]
+        starts = [
+            (i, name, file)
+            for i, own in enumerate(names)
+            for name in own
+            for file in with_effect(stills[i].file, name)
+        ]
+        trials = [replace(stills[i], file=file) for i, _, file in starts]
         first = self.shared.map(partial(glance, runs=self.runs), trials)
-        best = _best([name for name, _ in starts], first)
-        [base] = fit([replace(still, free=())], self.runs, SCREENED)
-        again = self.shared.map(partial(fit, runs=self.runs, iterations=SCREENED), list(best.values()))
+        best = _best([(i, name) for i, name, _ in starts], first)
+        few = [
+            [Candidate(name, 0.0, trial.file) for (j, name), trial in best.items() if j == i]
+            for i in range(len(items))
+        ]
+        return self._over(stills, few, SCREENED)
+
+    def _over(
+        self, stills: Sequence[Trial], few: Sequence[Sequence[Candidate]], iterations: int
+    ) -> list[list[Candidate]]:
+        """Candidates fitted beside what stands still, and what they bring over it."""
+        bases = fit([replace(still, free=()) for still in stills], self.runs, iterations)
+        trials = [
+            replace(still, file=other.file)
+            for still, own in zip(stills, few, strict=True)
+            for other in own
+            if other.file is not None
+        ]
+        fitted = iter(self.shared.map(partial(fit, runs=self.runs, iterations=iterations), trials))
         return [
-            Candidate(name, item.log_likelihood - base.log_likelihood, item.file)
-            for name, item in zip(best, again, strict=True)
+            [
+                Candidate(other.name, item.log_likelihood - base.log_likelihood, item.file)
+                for other, item in zip(own, fitted, strict=False)
+            ]
+            for base, own in zip(bases, few, strict=True)
         ]
 
 
@@ -112,9 +142,11 @@ def _key(item: Scored) -> Key:
     return item.added, item.fitted.trial.levels
 
 
-def _best(names: Sequence[str], found: Sequence[tuple[Trial, float]]) -> dict[str, Trial]:
-    """The likeliest of each name."""
-    best: dict[str, tuple[Trial, float]] = {}
+def _best(
+    names: Sequence[tuple[int, str]], found: Sequence[tuple[Trial, float]]
+) -> dict[tuple[int, str], Trial]:
+    """The likeliest of each name beside each set."""
+    best: dict[tuple[int, str], tuple[Trial, float]] = {}
     for name, (trial, nats) in zip(names, found, strict=True):
         if name not in best or nats > best[name][1]:
             best[name] = trial, nats

@@ -5,14 +5,14 @@ Sets are compared by their likelihood less what their effects cost (`edge.twin.d
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
 from edge.twin.diagnosis.fitting import fit
-from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.noise_levels import first_levels
 from edge.twin.diagnosis.progress import Progress
-from edge.twin.diagnosis.refining import SEVERAL, begun, likelihood, refined
+from edge.twin.diagnosis.refining import AGAIN, SEVERAL, begun, likelihood, refined
 from edge.twin.diagnosis.screening import FORMULAS, SCREENED, Candidate, Screening
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.starts import with_usual
@@ -173,13 +173,9 @@ class Search:
         self.rounds.append(self._round(beside, screened))
         return self._looked_at(beside, self._promising([item for item in screened if item.file is not None]))
 
-    def _looked_at(
-        self, beside: Scored, found: Sequence[Candidate], levels: NoiseLevels | None = None
-    ) -> list[Scored]:
-        """Candidates of a screening with noise of their own, sought from `levels` on."""
+    def _looked_at(self, beside: Scored, found: Sequence[Candidate]) -> list[Scored]:
+        """Candidates of a screening with noise of their own."""
         wanted = {beside.added | {item.name}: self.thawed(beside, item) for item in found}
-        if levels is not None:
-            wanted = {key: replace(trial, levels=levels) for key, trial in wanted.items()}
         self._refined({key: trial for key, trial in wanted.items() if key not in self._known})
         return [self._known[key] for key in wanted]
 
@@ -188,11 +184,8 @@ class Search:
         names = sorted(item.added)
         if len(names) > MOST_EXCHANGED:
             names = sorted(names, key=self.worth(item, names).__getitem__)[:MOST_EXCHANGED]
-        for name in names:
-            best = self._best_of(self.rivals(item, name, EXCHANGED))
-            if best is not None and best.score > item.score + EXCHANGE_NATS:
-                return best
-        return item
+        found = self.rivals(item, names, EXCHANGED)
+        return self._better([other for own in found.values() for other in own], item)
 
     def _merged(self, item: Scored) -> Scored:
         """The set with two members exchanged for one that does what both did, if there is one."""
@@ -201,32 +194,62 @@ class Search:
             return item
         worth = self.worth(item, names)
         pairs = sorted(combinations(names, 2), key=lambda pair: worth[pair[0]] + worth[pair[1]])
-        for pair in pairs[:MERGED_PAIRS]:
-            beside = self._as_it_is(item, pair)
-            found = [
-                other
-                for other in self.screening.closely_beside(beside)
-                if other.file and other.name not in item.added
-            ]
-            best = self._best_of(self._looked_at(beside, found[:MERGED_INTO], item.fitted.trial.levels))
-            if best is not None and best.score > item.score + EXCHANGE_NATS:
-                return best
-        return item
+        besides = self._as_they_are(item, pairs[:MERGED_PAIRS])
+        places = [
+            (beside, [other for other in screened if other.file and other.name not in item.added])
+            for beside, screened in zip(besides, self.screening.closely_beside(besides), strict=True)
+        ]
+        found = self._in_place(item, [(beside, own[:MERGED_INTO]) for beside, own in places])
+        return self._better([other for own in found for other in own], item)
 
-    def rivals(self, item: Scored, name: str, most: int = REFINED) -> list[Scored]:
-        """The sets in which another candidate stands in the place of `name`, those that come near."""
-        beside = self._as_it_is(item, [name])
-        screened = self.screening.closely_beside(beside)
+    def _better(self, found: Sequence[Scored], item: Scored) -> Scored:
+        best = self._best_of(found)
+        return item if best is None or best.score <= item.score + EXCHANGE_NATS else best
+
+    def rivals(self, item: Scored, names: Sequence[str], most: int = REFINED) -> dict[str, list[Scored]]:
+        """For each of some members the sets in which another candidate stands in its place and comes near."""
+        besides = self._as_they_are(item, [(name,) for name in names])
+        places = []
+        for name, beside, screened in zip(
+            names, besides, self.screening.closely_beside(besides), strict=True
+        ):
+            near = self._near(item, name, beside, screened)
+            lent = replace(
+                beside.fitted, file=self._short(item, name).file
+            )  # values that a rival lives with too
+            places.append((replace(beside, fitted=lent), near[:most]))
+        return dict(zip(names, self._in_place(item, places), strict=True))
+
+    def _near(
+        self, item: Scored, name: str, beside: Scored, screened: Sequence[Candidate]
+    ) -> list[Candidate]:
+        """Candidates that may explain as much as a member, at the noise of the set."""
         own = {found.name: found.gain for found in screened}.get(name, item.likelihood - beside.likelihood)
         others = [found for found in screened if found.name not in item.added]
-        near = [
+        return [
             found
             for i, found in enumerate(others)
             if found.gain >= own - WORTH_A_LOOK + min(self.penalty(found.name) - self.penalty(name), 0.0)
             or (i < ROUGHLY and own > LARGE_NATS)
         ]
-        lent = replace(beside.fitted, file=self._short(item, name).file)  # values that a rival lives with too
-        return self._looked_at(replace(beside, fitted=lent), near[:most], item.fitted.trial.levels)
+
+    def _in_place(
+        self, item: Scored, places: Sequence[tuple[Scored, Sequence[Candidate]]]
+    ) -> list[list[Scored]]:
+        """What is left of a set, with candidates in the place of what is gone; noise from the set's on."""
+        wanted: dict[Names, Trial] = {}
+        keys: list[list[Names]] = []
+        for beside, found in places:
+            trials = {
+                beside.added | {other.name}: replace(
+                    self.thawed(beside, other), levels=item.fitted.trial.levels
+                )
+                for other in found
+            }
+            keys.append(list(trials))
+            wanted |= {key: trial for key, trial in trials.items() if key not in self._known}
+        self._refined(wanted, again=AGAIN * len(places))
+        return [[self._known[key] for key in own] for own in keys]
 
     def _promising(self, screened: Sequence[Candidate]) -> Sequence[Candidate]:
         """The first, and those not far behind it, as long as they explain something."""
@@ -241,13 +264,15 @@ class Search:
         tried = (Tried(item.name, item.gain, item.gain - self.penalty(item.name)) for item in screened)
         return Round(beside.added, tuple(tried))
 
-    def _as_it_is(self, item: Scored, names: Sequence[str]) -> Scored:
+    def _as_they_are(self, item: Scored, groups: Sequence[Sequence[str]]) -> list[Scored]:
         """The set less some effects, with its own noise: levels found without them might swallow them."""
-        trial = self._short(item, *names)
-        [found] = fit([trial], self.runs, SCREENED)
-        nats = likelihood(found, self.file)
-        key = item.added - set(names)
-        return Scored(key, found, nats, nats - sum(self.penalty(name) for name in key))
+        trials = [self._short(item, *names) for names in groups]
+        fitted = self.shared.map(partial(fit, runs=self.runs, iterations=SCREENED), trials)
+        found = []
+        for names, one in zip(groups, fitted, strict=True):
+            nats, key = likelihood(one, self.file), item.added - set(names)
+            found.append(Scored(key, one, nats, nats - sum(self.penalty(name) for name in key)))
+        return found
 
     def thawed(self, beside: Scored, found: Candidate) -> Trial:
         """A screened candidate with all that may move."""
@@ -266,12 +291,12 @@ class Search:
         free = tuple(priors.get(item.place, item) for item in unknowns(file))
         return replace(like, file=file, free=free)
 
-    def _refined(self, wanted: dict[Names, Trial], afresh: bool = True) -> None:
+    def _refined(self, wanted: dict[Names, Trial], again: int = AGAIN) -> None:
         """Fit with noise levels of their own, and keep what is better than before."""
         if not wanted:
             return
         self.progress(f"{len(wanted)} sets with noise of their own")
-        found = refined(list(wanted.values()), self.file, self.runs, afresh, self.shared)
+        found = refined(list(wanted.values()), self.file, self.runs, again, self.shared)
         for key, item in zip(wanted, found, strict=True):
             nats = likelihood(item, self.file)
             score = nats - sum(self.penalty(name) for name in key)
@@ -292,7 +317,7 @@ class Search:
         keys = {item.added - {name}: name for name in names}
         new = {key: name for key, name in keys.items() if (item.added, name) not in self._shortened}
         self._shortened |= {(item.added, name) for name in new.values()}
-        self._refined({key: self._short(item, name) for key, name in new.items()}, afresh=False)
+        self._refined({key: self._short(item, name) for key, name in new.items()}, again=0)
         return [self._known[key] for key in keys]
 
     def _short(self, item: Scored, *names: str) -> Trial:

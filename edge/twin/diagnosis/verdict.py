@@ -78,7 +78,8 @@ def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
     if named:
         # Values as the twin has them that is handed on: it has no formula, and one beside them bends them.
         alone = reduce(search.without, formula, best)
-        effects = tuple(_named(search, best, alone, name, worth[name]) for name in named)
+        rivals = search.rivals(best, named)
+        effects = tuple(_named(rivals[name], best, alone, name, worth[name]) for name in named)
         return Verdict("named", effects, (), _coefficients(best, formula, shapes), best)
     if _is_refuted(best.fitted) or unexplained_heat(best.fitted, search.file, search.runs):
         return Verdict("unknown", (), (NOTHING,), (), best)
@@ -113,9 +114,9 @@ def _coefficients(
     return tuple(found)
 
 
-def _named(search: Search, best: Scored, alone: Scored, name: str, worth: float) -> Named:
+def _named(near: Sequence[Scored], best: Scored, alone: Scored, name: str, worth: float) -> Named:
     rivals = {}
-    for item in search.rivals(best, name):
+    for item in near:
         (other,) = item.added - (best.added - {name})
         if item.likelihood >= best.likelihood - RIVAL_NATS and not other.startswith(PREFIX):
             rivals[other] = item.likelihood - best.likelihood

@@ -48,10 +48,11 @@ class Rivals:
 def open_rivals(found: Diagnosis) -> Rivals | None:
     """Of all named effects; None where nothing is open."""
     best = found.verdict.final
+    named = [effect.name for effect in found.verdict.effects]
     near = [
-        (effect.name, name, item)
-        for effect in found.verdict.effects
-        for name, item in _near(found, best, effect.name)
+        (name, other, item)
+        for name, items in found.search.rivals(best, named).items()
+        for other, item in _near(items, best, name)
     ]
     near = sorted(near, key=lambda entry: -entry[2].likelihood)[:MOST_RIVALS]
     if not near:
@@ -68,10 +69,10 @@ def open_rivals(found: Diagnosis) -> Rivals | None:
     return Rivals(tuple(models), tuple(pairs))
 
 
-def _near(found: Diagnosis, best: Scored, name: str) -> list[tuple[str, Scored]]:
+def _near(items: Sequence[Scored], best: Scored, name: str) -> list[tuple[str, Scored]]:
     """Named effects in the place of `name`."""
     near = []
-    for item in found.search.rivals(best, name):
+    for item in items:
         (other,) = item.added - (best.added - {name})
         if item.likelihood >= best.likelihood - OPEN_NATS and not other.startswith(PREFIX):
             near.append((other, item))
