@@ -13,8 +13,8 @@ ROWS = 60
 
 def fitted(search: Search, *names: str) -> Scored:
     key = frozenset(names)
-    search._refined({key: search._as_usual(search.base(), key)})
-    return search._known[key]
+    [found] = search.sets.fitted({key: search.sets.as_usual(search.sets.base(), key)})
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +32,11 @@ def test_runs_left_out_confirm_what_is_there_and_nothing_else(search: Search) ->
 
 def test_what_is_told_is_of_all_runs_once(search: Search) -> None:
     lag = fitted(search, "heater_lag")
-    in_sample = lag.likelihood - search.without(lag, "heater_lag").likelihood
+    in_sample = lag.likelihood - search.sets.without(lag, "heater_lag").likelihood
     assert held_out_gains(search, lag, ["heater_lag"])["heater_lag"] == pytest.approx(in_sample, rel=0.3)
 
 
 def test_a_single_run_leaves_none_out() -> None:
     search, _ = search_over([simulated({**BOX, **LAG}, 1, ROWS)])
     assert held_out_gains(search, fitted(search, "heater_lag"), ["heater_lag"]) == {}
-    assert held_out_gains(search, search.base(), []) == {}
+    assert held_out_gains(search, search.sets.base(), []) == {}

@@ -57,7 +57,7 @@ def test_nothing_is_added_where_nothing_is_missing(first_seed: int) -> None:
 def test_what_is_hidden_is_found_and_nothing_else(names: tuple[str, ...]) -> None:
     search, best = searched(names)
     assert best.added == set(names)
-    assert best.score > search.base().score
+    assert best.score > search.sets.base().score
     for name in names:
         found = best.fitted.file.effects[name]
         values = {key: value.value for key, value in found.items()}
@@ -180,8 +180,8 @@ def test_rounds_tell_what_was_tried_the_most_promising_first() -> None:
 
 def test_a_set_that_was_fitted_is_not_fitted_again() -> None:
     search, best = searched(LAG)
-    assert search.base() is search.base()
-    assert search.without(best, "heater_lag") is search.base()
+    assert search.sets.base() is search.sets.base()
+    assert search.sets.without(best, "heater_lag") is search.sets.base()
 
 
 def test_an_uncertain_value_keeps_its_prior_through_the_search() -> None:
@@ -192,6 +192,6 @@ def test_an_uncertain_value_keeps_its_prior_through_the_search() -> None:
     best = search.missing()
     assert best.added == {"heater_lag"}
     [own] = [item for item in best.fitted.free if item.place[1] == "fan_effectiveness"]
-    [given] = [item for item in search.base().fitted.free if item.place[1] == "fan_effectiveness"]
+    [given] = [item for item in search.sets.base().fitted.free if item.place[1] == "fan_effectiveness"]
     assert (own.mean, own.sd) == (given.mean, given.sd)
     assert own.mean * own.scale == pytest.approx(0.8)

@@ -34,6 +34,10 @@ class Found:
     file: TwinFile = field(default_factory=twin_file)
     runs: Recorded = NO_RUNS
 
+    @property
+    def sets(self) -> "Found":
+        return self
+
     def missing(self) -> Scored:
         return self.best
 

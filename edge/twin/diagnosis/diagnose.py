@@ -88,7 +88,7 @@ def _diagnosis(
     progress("free runs before and after")
     names = tuple(effect.name for effect in found.effects)
     search.held_out |= held_out_gains(search, found.final, names)
-    before = _before(prepared, search.base(), data)
+    before = _before(prepared, search.sets.base(), data)
     steps: list[tuple[tuple[str, ...], Side]] = [((), before)]
     for count in range(1, len(names) + 1):
         item = _only(search, found, names[:count])
@@ -141,7 +141,7 @@ def _only(search: Search, found: Verdict, names: tuple[str, ...]) -> Scored:
     """The final set with no more than these effects."""
     item = found.final
     for name in sorted(item.added - set(names)):
-        item = search.without(item, name)
+        item = search.sets.without(item, name)
     return item
 
 

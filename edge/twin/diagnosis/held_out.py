@@ -27,7 +27,7 @@ def held_out_gains(search: Search, final: Scored, names: Sequence[str]) -> dict[
     count = len(search.runs.temp)
     if count < FEWEST_RUNS or not names:
         return {}
-    sets = [final, *(search.without(final, name) for name in names)]
+    sets = [final, *(search.sets.without(final, name) for name in names)]
     halves = np.arange(0, count, 2), np.arange(1, count, 2)
     told = sum(_told(sets, search.runs, *pair) for pair in (halves, halves[::-1]))
     return dict(zip(names, (np.asarray(told)[0] - np.asarray(told)[1:]).tolist(), strict=True))

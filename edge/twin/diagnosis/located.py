@@ -80,7 +80,7 @@ def located(found: Diagnosis) -> Located:
         _events(found),
         before,
         after,
-        _innovations(found, found.search.base()),
+        _innovations(found, found.search.sets.base()),
         _innovations(found, found.verdict.final),
         found.before.file.sample_s,
     )

@@ -67,7 +67,7 @@ def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
     best = search.missing()
     if best.added and _is_refuted(best.fitted):
         best = search.unnamed()
-    worth = search.worth(best, sorted(best.added))
+    worth = search.sets.worth(best, sorted(best.added))
     order = sorted(best.added, key=lambda name: -worth[name])
     formula = [name for name in order if name.startswith(PREFIX)]
     if formula and order[0] == formula[0]:
@@ -77,7 +77,7 @@ def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
     named = [name for name in order if not name.startswith(PREFIX)]
     if named:
         # Values as the twin has them that is handed on: it has no formula, and one beside them bends them.
-        alone = reduce(search.without, formula, best)
+        alone = reduce(search.sets.without, formula, best)
         rivals = search.rivals(best, named)
         effects = tuple(_named(rivals[name], best, alone, name, worth[name]) for name in named)
         return Verdict("named", effects, (), _coefficients(best, formula, shapes), best)
