@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from edge.errors import DataError
+from edge.models.pbm import Pbm
 from edge.run_file import Run, write_run
 from edge.twin.model import Twin
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
@@ -21,6 +22,7 @@ from tests.comparison_figures import all_scored, score
 from tests.training_runs import box_run
 from training import ham_guarded, paper_case, paper_case_models
 from training.datasets import data_sha256
+from training.datasets import test_run as run_of
 from training.paper_case import json_of, read_scores
 from training.paper_case_chamber import Real, real_effects
 from training.paper_case_models import (
@@ -35,9 +37,12 @@ from training.paper_case_models import (
 )
 from training.paper_case_picture import waterfall_picture
 from training.paper_case_tables import tables, text_of, waterfall
-from training.scores import Score
+from training.rollout import errors, free_run
+from training.scores import Score, maes
 from training.study import SCENARIOS, Regime
 
+RESULTS = Path(paper_case.__file__).parent / "results"
+KEPT = RESULTS / "paper_case"
 UA = 5.0
 CHAMBER = (Real("wall_loss", "", None, "", 1.1, True), Real("sensor_lag", "tau_s", 25.0, "s", 0.1, True))
 
@@ -310,3 +315,34 @@ def test_a_file_without_figures_is_refused(tmp_path: Path) -> None:
     (tmp_path / "evaluation.json").write_text("{}")
     with pytest.raises(DataError, match="no figures of a comparison"):
         read_scores(tmp_path / "evaluation.json")
+
+
+@pytest.fixture(scope="module")
+def kept() -> dict[str, Any]:
+    document: dict[str, Any] = json.loads((KEPT / "paper_case.json").read_text())
+    return document
+
+
+@pytest.mark.parametrize("regime", SCENARIOS)
+def test_the_kept_twin_began_bare_and_forecasts_as_was_scored(regime: Regime, kept: dict[str, Any]) -> None:
+    folder = KEPT / regime
+    assert read_twin_file(folder / "bare.yaml").twin().sha256 == Twin().sha256
+    number = SCENARIOS[regime][1]
+    found = errors(free_run(Pbm(read_twin_file(folder / "twin.yaml").twin()), run_of(number)), run_of(number))
+    scored = next(one for one in kept["scores"] if one["model"] == TWIN and one["scenario"] == number)
+    assert found.mae_k == pytest.approx(scored["free_run"]["mae_k"], abs=1e-4)
+
+
+def test_the_kept_text_says_what_the_kept_figures_say(kept: dict[str, Any]) -> None:
+    twins = {regime: improved(regime, KEPT / regime) for regime in SCENARIOS}
+    figures = [*read_scores(RESULTS / "evaluation.json"), *read_scores(KEPT / "paper_case.json")]
+    text = text_of([Real(**row) for row in kept["chamber"]], twins, figures)
+    assert (KEPT / "paper_case.txt").read_text() == f"greenhouse-train paper-case\n\n{text}"
+
+
+@pytest.mark.parametrize("regime", SCENARIOS)
+def test_with_every_seed_the_improved_twin_makes_the_better_hybrid(regime: Regime) -> None:
+    found = [*read_scores(RESULTS / "evaluation.json"), *read_scores(KEPT / "paper_case.json")]
+    bare, better = (maes(found, model, regime).mean(axis=1) for model in ("ham", HAM))
+    assert len(bare) == len(better) == 5
+    assert better.max() < bare.min()
