@@ -69,6 +69,12 @@ def test_when_a_process_is_killed_the_rest_is_done_here() -> None:
         assert shared.map(processes, [1, 2]) == [PARENT, PARENT]
 
 
+def test_what_comes_after_the_end_is_done_here() -> None:
+    with SideBySide(2) as shared:
+        pass
+    assert shared.map(processes, [1, 2, 3]) == [PARENT] * 3
+
+
 @pytest.mark.parametrize("at", [0, 1])
 def test_an_error_comes_back_from_either_process(at: int) -> None:
     with SideBySide(2) as shared, pytest.raises(ZeroDivisionError, match=f"at {at}"):

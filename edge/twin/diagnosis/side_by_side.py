@@ -19,7 +19,7 @@ AT_ONCE = 100_000  # rows of all trials of one lot together, as each row of a tr
 
 
 class SideBySide:
-    """Functions of lots of items; this process takes its share.
+    """Functions of lots of items; this process takes its share, and all of it once the others have ended.
 
     jobs : processes, this one included; rows : of all runs together, which bound the size of a lot
     """
@@ -40,6 +40,7 @@ class SideBySide:
     ) -> None:
         if self._others is not None:
             self._others.shutdown(cancel_futures=True)
+            self._others = None
 
     def map(
         self, function: Callable[[Sequence[Item]], Sequence[Found]], items: Sequence[Item]
