@@ -6,6 +6,7 @@ The set's own values move in proportion only, so that nothing but what is added 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from typing import NamedTuple
 
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
@@ -132,7 +133,7 @@ class Screening:
         return [
             [
                 Candidate(other.name, item.log_likelihood - base.log_likelihood, item.file)
-                for other, item in zip(own, fitted, strict=False)
+                for other, item in zip(own, islice(fitted, len(own)), strict=True)
             ]
             for base, own in zip(bases, few, strict=True)
         ]
