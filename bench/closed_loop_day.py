@@ -25,7 +25,7 @@ from edge.models.arx_file import read_arx
 from edge.names import HEATER_MAX_W
 from edge.settings import CONTROLLERS, Settings
 from edge.sim_clock import SimClock
-from edge.virtual_rig import virtual_rig
+from edge.virtual_rig import settings_in, virtual_rig
 
 Floats = NDArray[np.float64]
 RESULT = Path(__file__).parent / "results" / "closed_loop_day.txt"
@@ -85,25 +85,14 @@ def run_day(controller: str, seed: int, hours: float, yaml: str = DAY_YAML) -> D
     with tempfile.TemporaryDirectory(prefix="closed-loop-day-") as temporary:
         folder = Path(temporary)
         (folder / "chamber.yaml").write_text(CHAMBER_YAML)
-        settings = _settings(yaml, controller, folder)
+        settings = settings_in(folder, config.parse(yaml, "closed_loop_day"))
+        settings = replace(settings, control=replace(settings.control, controller=controller))
         with virtual_rig(folder, seed, ("--chamber", str(folder / "chamber.yaml"))) as rig:
             clock = SimClock(rig.control)
             try:
                 return _run(settings, clock, seed, 3600.0 * hours)
             finally:
                 clock.close()
-
-
-def _settings(yaml: str, controller: str, folder: Path) -> Settings:
-    settings = config.parse(yaml, "closed_loop_day")
-    return replace(
-        settings,
-        state_file=str(folder / "state.json"),
-        control=replace(settings.control, controller=controller),
-        board=replace(settings.board, port=str(folder / "board")),
-        control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
-        history=replace(settings.history, path=str(folder / "history.db")),
-    )
 
 
 def _run(settings: Settings, clock: SimClock, seed: int, length_s: float) -> Day:

@@ -11,9 +11,8 @@ from edge.controllers.base import Context, Controller
 from edge.daemon import Daemon
 from edge.messages import Decision
 from edge.models.base import Predictor
-from edge.settings import Settings
 from edge.sim_clock import SimClock
-from edge.virtual_rig import virtual_rig
+from edge.virtual_rig import settings_in, virtual_rig
 
 
 class Logger:
@@ -39,7 +38,8 @@ def logged_contexts(controller: str, model: Predictor, seed: int, hours: float) 
     with tempfile.TemporaryDirectory(prefix="logged-contexts-") as temporary:
         folder = Path(temporary)
         (folder / "chamber.yaml").write_text(CHAMBER_YAML)
-        settings = _settings(controller, folder)
+        settings = settings_in(folder, config.parse(DAY_YAML, "logged_contexts"))
+        settings = replace(settings, control=replace(settings.control, controller=controller))
         logger = Logger(registry.make(controller, settings.control, model))
         with virtual_rig(folder, seed, ("--chamber", str(folder / "chamber.yaml"))) as rig:
             clock = SimClock(rig.control)
@@ -50,15 +50,3 @@ def logged_contexts(controller: str, model: Predictor, seed: int, hours: float) 
             finally:
                 clock.close()
     return logger.contexts
-
-
-def _settings(controller: str, folder: Path) -> Settings:
-    settings = config.parse(DAY_YAML, "logged_contexts")
-    return replace(
-        settings,
-        state_file=str(folder / "state.json"),
-        control=replace(settings.control, controller=controller),
-        board=replace(settings.board, port=str(folder / "board")),
-        control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
-        history=replace(settings.history, path=str(folder / "history.db")),
-    )

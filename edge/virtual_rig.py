@@ -7,11 +7,13 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from edge.errors import GreenhouseError
+from edge.settings import Settings
 
+BOARD = "board"  # name of its port
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, linux/prctl.h
 START_PATIENCE_S = 20.0  # real time; a single-board computer imports slowly
 
@@ -24,10 +26,24 @@ class VirtualRig:
     control: Path
 
 
+def settings_in(folder: Path, settings: Settings) -> Settings:
+    """The same rig with its board and all its files in a folder, and no broker: no real one is touched."""
+    return replace(
+        settings,
+        state_file=str(folder / "state.json"),
+        board=replace(settings.board, port=str(folder / BOARD)),
+        control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
+        history=replace(settings.history, path=str(folder / "history.db")),
+        bundle=replace(settings.bundle, path=str(folder / "bundles"), trusted_keys=str(folder / "keys")),
+        drift=replace(settings.drift, reports=str(folder / "diagnoses")),
+        mqtt=replace(settings.mqtt, enabled=False),
+    )
+
+
 @contextmanager
 def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterator[VirtualRig]:
     """Start the board, wait until it answers, and surely end it. Errors: GreenhouseError with its output."""
-    rig = VirtualRig(folder / "board", folder / "board.sock")
+    rig = VirtualRig(folder / BOARD, folder / "board.sock")
     log = folder / "board.log"
     program = [sys.executable, "-m", "firmware_protocol.virtual_board"]
     places = ["--link", str(rig.port), "--control", str(rig.control), "--seed", str(seed)]

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from edge.safety import SafetyMemory, memory_to_dict
 from edge.settings import Settings
 from edge.sim_clock import SimClock
 from edge.storage.runs import export_run
-from edge.virtual_rig import virtual_rig
+from edge.virtual_rig import settings_in, virtual_rig
 from tests.contexts import context
 
 TWELVE_MINUTES = "time_s,heater_duty,fan_on\n0,0.5,0\n180,0,1\n360,1,0\n480,0.25,1\n720,0,0\n"
@@ -41,18 +41,6 @@ def profile_file(folder: Path, text: str = TWELVE_MINUTES, name: str = "steps.cs
 def record(folder: Path, profile: Path, *options: str, out: str = "run.csv") -> tuple[int, Run]:
     code = main(["experiment", str(profile), "--out", str(folder / out), "--virtual", *options])
     return code, read_run(folder / out)
-
-
-def settings_in(folder: Path) -> Settings:
-    """A rig whose files are in `folder`."""
-    settings = config.default()
-    return replace(
-        settings,
-        state_file=str(folder / "state.json"),
-        board=replace(settings.board, port=str(folder / "board")),
-        control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
-        history=replace(settings.history, path=str(folder / "history.db")),
-    )
 
 
 @contextmanager
@@ -185,7 +173,7 @@ def test_a_stop_during_the_lead_in_leaves_no_run(tmp_path):
 
         clock.wait = wait_and_stop
         with pytest.raises(GreenhouseError, match=r"steps\.csv: stopped during the lead-in"):
-            run_experiment(Experiment(profile), settings_in(tmp_path), clock)
+            run_experiment(Experiment(profile), settings_in(tmp_path, config.default()), clock)
 
 
 def test_another_chamber_is_another_box(tmp_path):
@@ -204,7 +192,7 @@ def test_the_history_keeps_the_run_by_name(tmp_path):
 
 
 def test_a_stop_leaves_a_shorter_run_that_says_so(tmp_path):
-    settings = settings_in(tmp_path)
+    settings = settings_in(tmp_path, config.default())
     profile = read_profile(profile_file(tmp_path))
     with lock_step(tmp_path) as clock:
         wait = clock.wait
@@ -249,7 +237,7 @@ def ticks_in(database: Path) -> int:
 
 
 def test_standing_orders_wait_and_stand_again_afterwards(tmp_path):
-    settings = settings_in(tmp_path)
+    settings = settings_in(tmp_path, config.default())
     orders = Operation(controller="rules", reference_c=33.0)
     stand(settings, Standing(orders, SafetyMemory()))
     profile = read_profile(profile_file(tmp_path))
@@ -267,7 +255,7 @@ def test_standing_orders_wait_and_stand_again_afterwards(tmp_path):
     ],
 )
 def test_a_rig_that_is_held_off_is_not_experimented_with(tmp_path, standing, reason):
-    settings = settings_in(tmp_path)
+    settings = settings_in(tmp_path, config.default())
     stand(settings, standing)
     with pytest.raises(GreenhouseError, match=reason):
         run_experiment(Experiment(read_profile(profile_file(tmp_path))), settings, NoClock())
@@ -301,11 +289,11 @@ def test_a_profile_that_does_not_fit_is_refused_before_it_begins(tmp_path, rows,
     profile = read_profile(profile_file(tmp_path, rows))
     controller = "MPC" if profile.is_reference else "profile"
     with pytest.raises(DataError, match=reason):
-        run_experiment(Experiment(profile, controller), settings_in(tmp_path), NoClock())
+        run_experiment(Experiment(profile, controller), settings_in(tmp_path, config.default()), NoClock())
 
 
 def test_a_board_that_is_not_there_is_an_error_not_an_empty_run(tmp_path):
-    settings = settings_in(tmp_path)
+    settings = settings_in(tmp_path, config.default())
     settings = replace(settings, board=replace(settings.board, port=str(tmp_path / "none")))
     profile = read_profile(profile_file(tmp_path))
     with lock_step(tmp_path) as clock, pytest.raises(GreenhouseError, match="none"):
@@ -319,3 +307,19 @@ def test_a_late_tick_still_gets_its_own_row():
     at = [100.004, 160.0001, 221.0]  # the first tick was later than the second
     duties = [controller.decide(replace(context(), now_s=now)).command.heater_duty for now in at]
     assert duties == [0.1, 0.2, 0.3]
+
+
+def paths_of(part: object, place: str = "") -> Iterator[tuple[str, str]]:
+    """Settings that are absolute paths, by their keys."""
+    for field in fields(part):  # type: ignore[arg-type]
+        value, key = getattr(part, field.name), f"{place}.{field.name}".lstrip(".")
+        if is_dataclass(value):
+            yield from paths_of(value, key)
+        elif isinstance(value, str) and value.startswith("/"):
+            yield key, value
+
+
+def test_a_virtual_rig_touches_no_file_of_a_real_one(tmp_path: Path) -> None:
+    elsewhere = dict(paths_of(settings_in(tmp_path, config.default())))
+    assert elsewhere, "no setting is a path"
+    assert [key for key, path in elsewhere.items() if not path.startswith(str(tmp_path))] == []

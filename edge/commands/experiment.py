@@ -17,7 +17,7 @@ from edge.profile_file import Profile, read_profile
 from edge.run_file import Run, write_run
 from edge.settings import CONTROLLERS, Settings
 from edge.sim_clock import SimClock
-from edge.virtual_rig import virtual_rig
+from edge.virtual_rig import settings_in, virtual_rig
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
 HISTORY_FACTS = ("history_id", "first_seq", "last_seq")  # mean nothing where no history is kept
@@ -101,24 +101,15 @@ def _rig(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
     options = [] if arguments.chamber is None else ["--chamber", str(arguments.chamber)]
     with tempfile.TemporaryDirectory(prefix="greenhouse-experiment-") as temporary:
         folder = Path(temporary)
+        placed = settings_in(folder, settings)
+        if arguments.history is not None:
+            placed = replace(placed, history=replace(placed.history, path=str(arguments.history)))
         with virtual_rig(folder, arguments.seed, options) as rig:
             clock = SimClock(rig.control)
             try:
-                yield _placed(settings, folder, rig.port, arguments.history), clock
+                yield placed, clock
             finally:
                 clock.close()
-
-
-def _placed(settings: Settings, folder: Path, port: Path, history: Path | None) -> Settings:
-    """The same rig without touching any file or broker of a real one."""
-    return replace(
-        settings,
-        state_file=str(folder / "state.json"),
-        board=replace(settings.board, port=str(port)),
-        control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
-        history=replace(settings.history, path=str(history or folder / "history.db")),
-        mqtt=replace(settings.mqtt, enabled=False),
-    )
 
 
 def _virtual_facts(arguments: argparse.Namespace) -> dict[str, str]:
