@@ -10,14 +10,9 @@ from edge.daemon import Daemon
 from edge.display import make_display
 from edge.settings import Settings
 from edge.sim_clock import SimClock
-from edge.virtual_rig import virtual_rig
+from edge.virtual_rig import settings_in, virtual_rig
 
 DEMO_YAML = """
-state_file: {folder}/state.json
-control_socket: {{path: {folder}/control.sock}}
-history: {{path: {folder}/history.db}}
-board: {{port: {folder}/board}}
-bundle: {{path: {folder}/bundles, trusted_keys: {folder}/keys}}
 control: {{controller: {controller}}}
 reference:
   kind: steps
@@ -48,9 +43,9 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="greenhouse-demo-") as temporary:
         folder = arguments.out or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        settings = config.parse(DEMO_YAML.format(folder=folder, controller=arguments.controller), "demo")
+        settings = config.parse(DEMO_YAML.format(controller=arguments.controller), "demo")
         with virtual_rig(folder, arguments.seed) as rig:
-            _run(arguments, settings, rig.control)
+            _run(arguments, settings_in(folder, settings), rig.control)
     return 0
 
 

@@ -5,9 +5,9 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from edge.twin.discretisation import exponential
+from edge.twin.distinct import distinct
 
 Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
 MANY = 256  # exponentials of one kind of rates, beyond which they are interpolated
 POINTS = 16  # in parts of 5 s the error is that of rounding while the fan changes the air within 1 s or more
 
@@ -18,7 +18,7 @@ def exponentials(rates: Floats, fan_rates: Floats, fan: Floats, lengths: Floats)
     rates : [S, n, n] with the fan at rest; fan_rates : [n, n], more at its full speed; fan : [J, S], 0..1
     lengths : [J] [s]
     """
-    kinds, kind = _kinds(rates)
+    kinds, kind = distinct(rates.reshape(len(rates), -1))
     if fan.size <= MANY * len(kinds):
         return exponential(rates + fan[..., None, None] * fan_rates, lengths[:, None, None, None])
     state, integral = np.empty((2, *fan.shape, *fan_rates.shape))
@@ -26,14 +26,6 @@ def exponentials(rates: Floats, fan_rates: Floats, fan: Floats, lengths: Floats)
         rows = kind == i
         state[:, rows], integral[:, rows] = _between(rates[own], fan_rates, fan[:, rows], lengths)
     return state, integral
-
-
-def _kinds(rates: Floats) -> tuple[Indices, Indices]:
-    """Where each that is different occurs first, and which each is [S]."""
-    rows = np.ascontiguousarray(rates).reshape(len(rates), -1)
-    whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel()
-    _, first, kind = np.unique(whole, return_index=True, return_inverse=True)
-    return first, kind
 
 
 def _between(rates: Floats, fan_rates: Floats, fan: Floats, lengths: Floats) -> tuple[Floats, Floats]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.twin.distinct import distinct
 from edge.twin.fan_speeds import exponentials
 from edge.twin.march import cuts, late, spun_up
 from edge.twin.model import DAY_S, Twin
@@ -169,9 +170,7 @@ def _distinct(acting: _Acting) -> tuple[Indices, Indices]:
 @lru_cache(maxsize=64)  # twins of one search see the same fan: sorting it is what takes the time
 def _combinations(content: bytes, count: int) -> tuple[Indices, Indices]:
     """Of rows of `count` numbers as bytes, so that they can be remembered."""
-    rows = np.frombuffer(content, dtype=np.dtype((np.void, 8 * count)))
-    _, places, which = np.unique(rows, return_index=True, return_inverse=True)
-    return places, which
+    return distinct(np.frombuffer(content).reshape(-1, count))
 
 
 def _whole_steps(twin: Twin, acting: _Acting, places: Indices) -> tuple[Floats, Floats]:
