@@ -33,6 +33,7 @@ class Sets:
     shared: SideBySide = field(default_factory=SideBySide)
     _known: dict[Names, Scored] = field(default_factory=dict)
     _shortened: set[tuple[Names, str]] = field(default_factory=set)
+    _as_they_are: dict[tuple[Scored, tuple[str, ...]], Scored] = field(default_factory=dict)
 
     def base(self) -> Scored:
         """The twin as it is given."""
@@ -68,12 +69,13 @@ class Sets:
 
     def as_they_are(self, item: Scored, groups: Sequence[Sequence[str]]) -> list[Scored]:
         """The set less some effects, with its own noise: levels found without them might swallow them."""
-        trials = [self.shortened(item, *names) for names in groups]
+        keys = [(item, tuple(names)) for names in groups]
+        new = [key for key in keys if key not in self._as_they_are]
+        trials = [self.shortened(item, *names) for _, names in new]
         fitted = self.shared.map(partial(fit, runs=self.candidates.runs, iterations=SCREENED), trials)
-        found = []
-        for names, one in zip(groups, fitted, strict=True):
-            found.append(self._scored(item.added - set(names), one))
-        return found
+        for (_, names), one in zip(new, fitted, strict=True):
+            self._as_they_are[item, names] = self._scored(item.added - set(names), one)
+        return [self._as_they_are[key] for key in keys]
 
     def as_usual(self, like: Scored, names: Names) -> Trial:
         """A trial of a set of effects that begins at their usual values."""
