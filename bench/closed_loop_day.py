@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from bench.closed_loop_picture import draw
 from edge import __version__, config
+from edge.controller_names import MPC, RULES
 from edge.daemon import Daemon
 from edge.messages import Quality, TickRecord
 from edge.models.arx_file import read_arx
 from edge.names import HEATER_MAX_W
-from edge.settings import CONTROLLERS, Settings
+from edge.settings import Settings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
 
@@ -32,6 +33,7 @@ RESULT = Path(__file__).parent / "results" / "closed_loop_day.txt"
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "closed_loop_day.png"
 SETTLE_MIN = 30  # after each change of the reference, left out of the "settled" columns
 NEAR_K = 0.5
+COMPARED = (RULES, *MPC)
 DRAWN = ("rules", "MPC", "MPC-P")  # more columns could not be read
 
 DAY_YAML = """
@@ -179,7 +181,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3], help="of the virtual board")
     parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=list(CONTROLLERS))
+    parser.add_argument("--controllers", nargs="+", choices=COMPARED, default=list(COMPARED))
     parser.add_argument("--out", type=Path, default=RESULT)
     parser.add_argument("--picture", type=Path, default=PICTURE)
     words = sys.argv[1:] if words is None else words

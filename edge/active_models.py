@@ -5,6 +5,7 @@ from typing import Protocol
 
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.serving import Serving
+from edge.controller_names import NEED_A_MODEL
 from edge.controllers import registry
 from edge.controllers.base import Controller
 from edge.errors import ConfigError
@@ -19,7 +20,7 @@ from edge.models.base import Columns, Predictor
 from edge.models.configured import configured_model
 from edge.models.pbm import Pbm
 from edge.models.persistence import Persistence
-from edge.settings import CONTROLLERS, NEED_NO_MODEL, ControlSettings
+from edge.settings import Settings
 from edge.twin.model import Twin
 
 Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
@@ -57,9 +58,10 @@ class ActiveModels:
     packaged ARX.
     """
 
-    def __init__(self, control: ControlSettings, keeper: BundleKeeper | None, state: SkillState) -> None:
+    def __init__(self, settings: Settings, keeper: BundleKeeper | None, state: SkillState) -> None:
         """Errors: ConfigError where no model fits the configured step and a controller needs one."""
-        self._control = control
+        self._names = settings.controllers
+        control = self._control = settings.control
         self._keeper = keeper
         self._configured = configured_model(control) if keeper is None or control.model else None
         self._serving = None if keeper is None else keeper.serving
@@ -75,9 +77,9 @@ class ActiveModels:
 
     def controllers(self) -> dict[str, Controller]:
         """All that can decide with these models, by name."""
-        names = NEED_NO_MODEL if isinstance(self.model, Persistence) else CONTROLLERS
-        made = [registry.make(name, self._control, self.model, self.linear) for name in names]
-        return {controller.name: controller for controller in made}
+        parts = registry.Parts(self._control, self.model, self.linear, _active(self._serving))
+        without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
+        return {name: registry.make(name, parts) for name in self._names if name not in without}
 
     def versions(self) -> dict[str, str]:
         """Of every model that forecasts."""
@@ -88,16 +90,16 @@ class ActiveModels:
         if self._keeper is None or self._keeper.serving is self._serving:
             return ""
         self._serving = self._keeper.serving
-        before = self.model, self.linear
+        before = self.model
         kept = ""
         try:
             self.model, self.linear = self._chosen()
         except ConfigError as error:
             kept = f"; {error}: the one before goes on"
         self.forecasting.serve(*self._forecasting_parts())
-        if (self.model, self.linear) != before:
+        if self.model != before:
             estimator.set_model(self.model)
-            controllers.update(self.controllers())
+        controllers.update(self.controllers())
         return f"{self.model.name} {self.model.version} estimates and plans{kept}"
 
     def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:

@@ -20,6 +20,7 @@ from edge.bundle.store import Store
 from edge.clock import Clock, RealClock, boot_id
 from edge.config import config_hash
 from edge.control_socket import ControlSocket
+from edge.controller_names import CONTROLLERS
 from edge.controllers.base import Controller
 from edge.drift.monitor import DriftMonitor, Promise
 from edge.drift_state import drift_keeping, read_memory
@@ -37,7 +38,7 @@ from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
-from edge.settings import CONTROLLERS, Settings
+from edge.settings import Settings
 from edge.skill_state import read_skill, skill_keeping
 from edge.state_file import StateFileBroken, StateWriter
 from edge.storage import Outbox, Session, Storage
@@ -96,7 +97,7 @@ class Daemon:
     reference: Reference | None = None  # instead of the configured one
     stop_at_s: float = float("inf")
     experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
-    more_controllers: Sequence[Controller] = ()  # than those of settings.CONTROLLERS
+    more_controllers: Sequence[Controller] = ()  # than those of edge/controller_names.py
     config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
@@ -133,12 +134,14 @@ class Daemon:
         settings, stack = self.settings, self._stack
         bundles = self._bundles()
         skill_file = Path(settings.state_file).with_name("skill.json")
-        models = ActiveModels(settings.control, bundles, read_skill(skill_file))
+        models = ActiveModels(settings, bundles, read_skill(skill_file))
         skill = skill_keeping(lambda: models.forecasting.state, skill_file)
         stack.callback(skill.close)
         controllers = models.controllers() | {each.name: each for each in self.more_controllers}
         if self.experiment and self.experiment not in controllers:
-            raise ConfigError(f"control: {self.experiment} needs a model for {settings.control.step_s:g} s")
+            reason = settings.unready(self.experiment)
+            step_s = settings.control.step_s
+            raise ConfigError(f"control: {reason or f'{self.experiment} needs a model for {step_s:g} s'}")
         standing = read_standing(Path(settings.state_file), settings)
         if standing.operation.controller not in controllers:  # chosen when the rig had a model
             chosen = replace(standing.operation, controller=settings.control.controller)

@@ -358,8 +358,10 @@ class Loop:
             self._act_now()
 
     def _desk(self) -> Desk:
-        limits = self._rig.settings.reference
-        return Desk(self._rig.clock.utc(), tuple(self._rig.controllers), limits.min_c, limits.max_c)
+        settings = self._rig.settings
+        limits = settings.reference
+        names = tuple(self._rig.controllers)
+        return Desk(self._rig.clock.utc(), names, limits.min_c, limits.max_c, settings.unready)
 
     def _clear_trip(self) -> None:
         clock = self._rig.clock

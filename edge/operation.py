@@ -68,6 +68,7 @@ class Desk:
     controllers: tuple[str, ...]
     reference_min_c: float
     reference_max_c: float
+    unready: Callable[[str], str] = lambda name: ""  # why a controller cannot be chosen on this rig
 
 
 def apply_orders(operation: Operation, command: Command) -> tuple[Command, tuple[Change, ...]]:
@@ -148,6 +149,8 @@ def _set_reference(operation: Operation, request: Request, desk: Desk) -> Operat
 
 
 def _set_controller(operation: Operation, request: Request, desk: Desk) -> Operation:
+    if reason := desk.unready(str(request.get("name"))):
+        raise RequestError(f"name: {reason}")
     return replace(operation, controller=_choice(request, "name", desk.controllers))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.active_models import NoForecasts
+from edge.controller_names import MPC, RULES
 from edge.controllers import registry
 from edge.controllers.base import Context, Controller
 from edge.controllers.mpc import Mpc
@@ -28,11 +29,12 @@ from edge.reference import make_reference, zone_of
 from edge.run_file import Run
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
-from edge.settings import CONTROLLERS, Settings
+from edge.settings import Settings
 from edge.tick_json import tick_json
 
 Floats = NDArray[np.float64]
 TIME_BOX_MAX_MS = 60_000.0
+REPLAYED = (RULES, *MPC)  # those that ask nothing but their own model
 OTHERS = tuple(name for name in SIGNALS if name not in ("temp_air", "temp_ambient"))
 
 
@@ -94,7 +96,7 @@ def replay(
         estimator=Estimator(settings.estimator, model, step_s, settings.control.ambient_default_c),
         reference=make_reference(settings.reference),
         zone=zone_of(settings.timezone),
-        controllers={name: _controller(name, settings, model, node_limits) for name in CONTROLLERS},
+        controllers={name: _controller(name, settings, model, node_limits) for name in REPLAYED},
         models=NoForecasts(),
         sinks=[tape],
         more_events=list,
@@ -114,7 +116,7 @@ def _controller(
 ) -> Controller:
     # Nobody waits for a replay: only nodes bound its searches, unless they were cut short when recorded.
     unhurried = replace(settings.control, time_box_ms=TIME_BOX_MAX_MS)
-    controller = registry.make(name, unhurried, model)
+    controller = registry.make(name, registry.Parts(unhurried, model))
     return Replayed(controller, node_limits) if isinstance(controller, Mpc | MpcRollout) else controller
 
 

@@ -6,11 +6,12 @@ from itertools import pairwise
 
 from edge import hard_limits as hard
 from edge.config_schema import Section, clock, flag, items, number, text, whole
+from edge.controller_names import CONTROLLERS, EXTERNAL, LLM, MPC, RULES
 
+URL = r"(https?://[^\s/]+(/\S*)?)?"
 NAME = r"[a-zA-Z0-9_-]{1,64}"  # fit for MQTT topics and Home Assistant ids
-CONTROLLERS = ("rules", "MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P")
 PREDICTORS = ("arx", "pbm", "lstm", "ham")
-NEED_NO_MODEL = ("rules",)
+FALLBACKS = (RULES, *MPC)  # nothing that asks somebody else
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,7 @@ class ControlSettings(Section):
 
     step_s: float = number(60.0, "control step", "s", hard.STEP_MIN_S, hard.STEP_MAX_S, hard=True)
     controller: str = text("MPC-P", "controller at the first start", CONTROLLERS)
-    fallback: str = text("rules", "controller used when the chosen one fails", CONTROLLERS)
+    fallback: str = text("MPC", "decides when the chosen one fails; when it fails too, rules", FALLBACKS)
     horizon: int = whole(10, "steps an MPC looks ahead", 1, 60)
     tail: int = whole(
         10, "steps after the horizon that MPC and MPC-P count too, fan still, heater as it would hold", 0, 60
@@ -92,7 +93,7 @@ class ControlSettings(Section):
     time_box_ms: float = number(250.0, "wall clock that guards the search", "ms", 1.0, 60_000.0)
     preview: bool = flag(False, "MPC and MPC-P know the coming reference")
     decision_deadline_s: float = number(
-        5.0, "a later decision is replaced by the fallback's; never more than half a step", "s", 0.05, 300.0
+        4.0, "a later decision is replaced by the fallback's; never more than half a step", "s", 0.05, 4.0
     )
     predictor: str = text(
         "arx", "model of the active bundle that estimates and that MPC and MPC-P plan with", PREDICTORS
@@ -100,6 +101,43 @@ class ControlSettings(Section):
     rollout_budget: int = whole(400, "plans an MPC over another model than the ARX may try", 1, 10_000_000)
     model: str = text("", "ARX model file instead of a bundle's model; empty: none")
     ambient_default_c: float = number(21.0, "room temperature where no sensor tells", "degC", -20.0, 60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LlmSettings(Section):
+    """A language model behind an OpenAI-compatible endpoint."""
+
+    url: str = text("", "base URL, e.g. http://localhost:11434/v1; empty: there is none", pattern=URL)
+    model: str = text("", "its name there")
+    key_file: str = text("", "file that holds the API key; a bare name is a systemd credential; empty: none")
+    timeout_s: float = number(20.0, "for one exchange", "s", 0.1, 600.0)
+    retries: int = whole(2, "of an exchange that failed by 429, 5xx or the line", 0, 10)
+    backoff_s: float = number(1.0, "pause before the first retry, doubled for each more", "s", 0.0, 60.0)
+    exchanges: int = whole(8, "exchanges for one answer, those with tools among them", 1, 50)
+    answer_tokens: int = whole(800, "longest answer of one exchange [tokens]", 16, 100_000)
+    answer_age_max_s: float = number(
+        90.0, "a command is taken from an answer to a question no older than this", "s", 1.0, 3600.0
+    )
+    tokens_per_day: int = whole(1_000_000, "budget of a UTC day [tokens]; 0: none is set", 0, 10**12)
+    cost_per_day: float = number(
+        0.0, "budget of a UTC day, in the prices' currency; 0: none is set", "1", 0.0, 1e6
+    )
+    price_in: float = number(0.0, "of a million tokens sent", "1", 0.0, 1e6)
+    price_out: float = number(0.0, "of a million tokens received", "1", 0.0, 1e6)
+
+    def cross_check(self) -> None:
+        """An endpoint needs a model's name; a cost budget needs prices."""
+        if self.url and not self.model:
+            self.refuse("model", "is empty but url is given")
+        if self.cost_per_day and not (self.price_in or self.price_out):
+            self.refuse("cost_per_day", "needs price_in and price_out")
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalSettings(Section):
+    """A process of its own that decides: the controller `external`."""
+
+    socket: str = text("", "Unix socket on which it is asked; empty: there is none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -381,6 +419,8 @@ class Settings(Section):
     history: HistorySettings = field(default_factory=HistorySettings)
     mqtt: MqttSettings = field(default_factory=MqttSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
+    llm: LlmSettings = field(default_factory=LlmSettings)
+    external: ExternalSettings = field(default_factory=ExternalSettings)
     bundle: BundleSettings = field(default_factory=BundleSettings)
     drift: DriftSettings = field(default_factory=DriftSettings)
     reference: ReferenceSettings = field(default_factory=ReferenceSettings)
@@ -402,8 +442,23 @@ class Settings(Section):
                 "watering.pulse_s",
                 f"is more than safety.valve_pulse_max_s, {self.safety.valve_pulse_max_s:g}",
             )
+        if reason := self.unready(self.control.controller):
+            self.refuse("control.controller", reason)
         if self.timezone != "local" and not _known_zone(self.timezone):
             self.refuse("timezone", f'{self.timezone!r} is neither "local" nor a zone of this machine')
+
+    def unready(self, controller: str) -> str:
+        """Why this rig cannot have a controller, "" where it can."""
+        if controller in LLM and not self.llm.url:
+            return f"{controller} needs llm.url and llm.model"
+        if controller == EXTERNAL and not self.external.socket:
+            return f"{controller} needs external.socket"
+        return ""
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Those that this rig can have."""
+        return tuple(name for name in CONTROLLERS if not self.unready(name))
 
 
 def _known_zone(name: str) -> bool:

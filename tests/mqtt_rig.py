@@ -4,10 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from edge.controller_names import CONTROLLERS
 from edge.errors import RequestError
 from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, TickRecord
 from edge.operation import Desk, Operation, operate, to_dict
-from edge.settings import CONTROLLERS, MqttSettings, Settings
+from edge.settings import MqttSettings, Settings
 from edge.tick_json import drift_json, echo_json, skill_json, tick_json
 
 ROOT = "greenhouse/rig-1"

@@ -29,11 +29,9 @@ def test_a_model_file_of_ones_own_comes_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step_s", [1.0, 59.9, 60.1, 600.0])
-@pytest.mark.parametrize(
-    ("controller", "fallback"), [("MPC", "rules"), ("rules", "MPC"), ("MPC-BFGS-P", "MPC")]
-)
-def test_a_model_for_another_step_is_refused(step_s: float, controller: str, fallback: str) -> None:
-    settings = ControlSettings(step_s=step_s, controller=controller, fallback=fallback)
+@pytest.mark.parametrize("controller", ["MPC", "MPC-BFGS-P"])
+def test_a_model_for_another_step_is_refused(step_s: float, controller: str) -> None:
+    settings = ControlSettings(step_s=step_s, controller=controller)
     with pytest.raises(ConfigError, match=rf"made for steps of 60 s, control\.step_s is {step_s:g}"):
         configured_model(settings)
 

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import pytest
 
+from edge.controller_names import CONTROLLERS
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.topics import Topics
-from edge.settings import CONTROLLERS, ControlSettings, ReferenceSettings
+from edge.settings import ControlSettings, ReferenceSettings
 from tests.home_assistant import check_device, check_topic
 from tests.mqtt_rig import ROOT, ControlLoop, settings
 

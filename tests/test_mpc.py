@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from contexts import context
 
+from edge.controller_names import MPC, RULES
 from edge.controllers.base import Limits
 from edge.controllers.mpc import Mpc, MpcSettings
-from edge.controllers.registry import make
+from edge.controllers.registry import Parts, make
 from edge.errors import DataError, RequestError
 from edge.messages import Command
 from edge.models.arx_file import read_arx
-from edge.settings import CONTROLLERS, ControlSettings
+from edge.settings import ControlSettings
 
 MODEL = read_arx()
 
@@ -80,7 +81,7 @@ def test_the_soft_limit_is_stronger_than_the_reference():
 
 def test_every_why_is_json_and_complete():
     for name in ("MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P"):
-        decision = make(name, ControlSettings(), MODEL).decide(context())
+        decision = make(name, Parts(ControlSettings(), MODEL)).decide(context())
         why = json.loads(json.dumps(decision.why, allow_nan=False))
         for key in (
             "cost",
@@ -147,7 +148,7 @@ def test_any_length_of_history_will_do(rows):
 def test_a_forecast_that_is_no_number_is_refused(here):
     for name in ("MPC", "MPC-P", "MPC-BFGS"):
         with pytest.raises(DataError):
-            make(name, ControlSettings(), MODEL).decide(here)
+            make(name, Parts(ControlSettings(), MODEL)).decide(here)
 
 
 def test_a_preview_shorter_than_the_horizon_is_refused():
@@ -156,23 +157,24 @@ def test_a_preview_shorter_than_the_horizon_is_refused():
 
 
 def test_every_name_makes_its_controller():
-    for name in CONTROLLERS:
-        assert make(name, ControlSettings(), MODEL).name == name
+    for name in (RULES, *MPC):
+        assert make(name, Parts(ControlSettings(), MODEL)).name == name
 
 
 def test_an_unknown_name_gets_the_nearest_known():
     with pytest.raises(RequestError, match=r"no 'MCP-P'; did you mean 'MPC-P'\?"):
-        make("MCP-P", ControlSettings(), MODEL)
+        make("MCP-P", Parts(ControlSettings(), MODEL))
 
 
 def test_an_mpc_decides_without_scipy():
     script = (
         "import sys; sys.path.insert(0, 'tests')\n"
         "from contexts import context\n"
-        "from edge.controllers.registry import make\n"
+        "from edge.controllers.registry import Parts, make\n"
         "from edge.models.arx_file import read_arx\n"
-        "from edge.settings import CONTROLLERS, ControlSettings\n"
-        "made = {name: make(name, ControlSettings(), read_arx()) for name in CONTROLLERS}\n"
+        "from edge.controller_names import MPC\n"
+        "from edge.settings import ControlSettings\n"
+        "made = {name: make(name, Parts(ControlSettings(), read_arx())) for name in MPC}\n"
         "made['MPC-P'].decide(context())\n"
         "assert not [name for name in sys.modules if name.startswith('scipy')]\n"
     )

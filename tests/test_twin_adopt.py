@@ -354,7 +354,7 @@ def test_the_adopted_twin_estimates_and_the_mpc_plans_with_it(rig: Rig) -> None:
     settings = config.load(rig.folder / "edge.yaml")
     keeper = BundleKeeper(rig.store, RealClock(), automatic=False, trial_ticks=10)
     try:
-        models = ActiveModels(settings.control, keeper, SkillState())
+        models = ActiveModels(settings, keeper, SkillState())
     finally:
         keeper.close()
     adopted = read_twin(rig.report / "twin.yaml")

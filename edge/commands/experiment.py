@@ -10,12 +10,13 @@ from pathlib import Path
 from edge import config
 from edge.clock import Clock, RealClock
 from edge.commands.output import writing
+from edge.controller_names import CONTROLLERS
 from edge.controllers.input_profile import InputProfile
 from edge.errors import DataError
 from edge.experiment import ROLES, Experiment, describe_changes, run_experiment
 from edge.profile_file import Profile, read_profile
 from edge.run_file import Run, write_run
-from edge.settings import CONTROLLERS, Settings
+from edge.settings import Settings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
 

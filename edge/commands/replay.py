@@ -13,9 +13,9 @@ from edge import config
 from edge.errors import DataError
 from edge.messages import TickRecord
 from edge.models.arx_file import DEFAULT_PATH, read_arx
-from edge.replay import Skill, decisions_digest, fired_limits, replay, score
+from edge.replay import REPLAYED, Skill, decisions_digest, fired_limits, replay, score
 from edge.run_file import read_run
-from edge.settings import CONTROLLERS, Settings
+from edge.settings import Settings
 from edge.tick_json import tick_json
 
 HORIZONS_S = (60.0, 300.0, 900.0, 1800.0, 3600.0)
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv")
     parser.add_argument("--model", type=Path, default=DEFAULT_PATH, help="ARX file; its step is the replay's")
-    parser.add_argument("--controller", choices=CONTROLLERS, default="MPC")
+    parser.add_argument("--controller", choices=REPLAYED, default="MPC")
     parser.add_argument("--reference", type=float, default=24.0, metavar="DEGC", help="what it should hold")
     parser.add_argument("--horizons", type=_horizons, default=HORIZONS_S, metavar="S,S,...")
     parser.add_argument("--fan-always-on", action="store_true", help="for runs without a fan_on column")

@@ -1,5 +1,9 @@
 """Controllers by their public names."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from edge import controller_names as names
 from edge.config_schema import nearest
 from edge.controllers.base import Controller
 from edge.controllers.mpc import Mpc, MpcSettings
@@ -7,22 +11,38 @@ from edge.controllers.rules import Rules
 from edge.errors import RequestError
 from edge.models.arx import Arx
 from edge.models.base import Predictor
-from edge.settings import CONTROLLERS, ControlSettings
+from edge.settings import ControlSettings
 
 
-def make(
-    name: str, settings: ControlSettings, model: Predictor, linear: Predictor | None = None
-) -> Controller:
-    """The controller called `name`.
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What controllers are made of.
 
+    model : estimates, and MPC and MPC-P plan with it
     linear : the ARX model whose plan a search over another `model` begins with
-    Raises : RequestError for a name there is not, with the nearest one
+    predictors : of the active bundle, by name
     """
-    if name not in CONTROLLERS:
-        raise RequestError(f"controller: there is no {name!r}; {nearest(name, CONTROLLERS)}")
-    if name == "rules":
+
+    control: ControlSettings
+    model: Predictor
+    linear: Predictor | None = None
+    predictors: Mapping[str, Predictor] = field(default_factory=dict)
+
+
+def make(name: str, parts: Parts) -> Controller:
+    """The controller called `name`. Raises : RequestError for a name there is not, with the nearest one"""
+    if name not in names.CONTROLLERS:
+        raise RequestError(f"controller: there is no {name!r}; {nearest(name, names.CONTROLLERS)}")
+    if name == names.RULES:
         return Rules()
-    arx = model if linear is None else linear
+    if name in names.MPC:
+        return _mpc(name, parts)
+    raise RequestError(f"controller: {name} is not built in")
+
+
+def _mpc(name: str, parts: Parts) -> Controller:
+    settings, model = parts.control, parts.model
+    arx = model if parts.linear is None else parts.linear
     if not isinstance(arx, Arx):
         raise RequestError(f"{name}: plans with an ARX model, not with {arx.name} {arx.version}")
     weight = 1.0 if name.endswith("-P") else 0.0

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+from edge.controller_names import NEED_NO_MODEL
 from edge.errors import ConfigError
 from edge.models.arx_file import DEFAULT_PATH, read_arx
 from edge.models.base import Predictor
 from edge.models.persistence import Persistence
-from edge.settings import NEED_NO_MODEL, ControlSettings
+from edge.settings import ControlSettings
 
 
 def configured_model(control: ControlSettings) -> Predictor:
@@ -17,10 +18,10 @@ def configured_model(control: ControlSettings) -> Predictor:
     model = read_arx(Path(control.model) if control.model else DEFAULT_PATH)
     if model.step_s == control.step_s:
         return model
-    if not control.model and control.controller in NEED_NO_MODEL and control.fallback in NEED_NO_MODEL:
+    if not control.model and control.controller in NEED_NO_MODEL:
         return Persistence(control.step_s)
     raise ConfigError(
         f"control.model: {control.model or 'the packaged model'} is made for steps of {model.step_s:g} s, "
         f"control.step_s is {control.step_s:g}: fit one to recorded runs with "
-        f"`greenhouse fit-arx --step-s {control.step_s:g}`, or use controller and fallback `rules`"
+        f"`greenhouse fit-arx --step-s {control.step_s:g}`, or use the controller `rules`"
     )

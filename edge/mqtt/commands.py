@@ -4,10 +4,11 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from edge.controller_names import CONTROLLERS
 from edge.errors import RequestError
 from edge.hard_limits import MAINTENANCE_MAX_MIN
 from edge.operation import FanMode, Mode
-from edge.settings import CONTROLLERS, ReferenceSettings
+from edge.settings import ReferenceSettings
 from edge.strict_json import parse_object
 
 Request = dict[str, Any]

@@ -16,7 +16,7 @@ from edge.mqtt.states import LINE_COUNTERS
 from edge.mqtt.topics import Topics
 from edge.names import HEATER_LEVELS
 from edge.operation import FanMode
-from edge.settings import CONTROLLERS, Settings
+from edge.settings import Settings
 
 Json = dict[str, Any]
 
@@ -100,7 +100,7 @@ def _climate(settings: Settings, topics: Topics) -> Json:
         "fan_mode_command_topic": topics.command("fan_mode"),
         "fan_mode_state_topic": state,
         "fan_mode_state_template": _value("fan_mode"),
-        "preset_modes": list(CONTROLLERS),
+        "preset_modes": list(settings.controllers),
         "preset_mode_command_topic": topics.command("controller"),
         "preset_mode_state_topic": state,
         "preset_mode_value_template": _value("controller"),
