@@ -5,7 +5,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from edge.commands import ask
+from edge.commands import orders
 from edge.errors import GreenhouseError
 
 COMMANDS = {  # command -> help; the module is edge.commands.<name with underscores>
@@ -20,6 +20,8 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "plot": "a picture of a stretch of history or of a run file",
     "forget-discovery": "take a rig that is no more out of Home Assistant and off the broker",
     "watch": "what the running daemon does, live",
+    "ask": "say what you want in words: a language model makes a proposal, you confirm it",
+    "why": "why a command was sent, from the recorded decisions",
     "twin": "the physics model: simulate it, find what it lacks, adopt what was found",
     "bundle": "signed bundles of models: verify, install, activate, roll back, list",
 }
@@ -35,10 +37,10 @@ def parser_for(command: str | None) -> argparse.ArgumentParser:
             module = importlib.import_module(f"edge.commands.{_module(name)}")
             module.add_arguments(sub)
             sub.set_defaults(run=module.run)
-    for name, (_, help_text, _) in ask.ASKS.items():
+    for name, (_, help_text, _) in orders.ORDERS.items():
         sub = commands.add_parser(name, help=help_text, description=help_text)
-        ask.add_arguments(name, sub)
-        sub.set_defaults(run=ask.run)
+        orders.add_arguments(name, sub)
+        sub.set_defaults(run=orders.run)
     return parser
 
 

@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any, Self, TypeGuard
 
 from edge import __version__, state_file
-from edge import operation as orders
+from edge import operation_json as orders
 from edge.active_models import ActiveModels
 from edge.board import Board
 from edge.bundle.keeper import BundleKeeper

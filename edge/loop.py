@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 from datetime import tzinfo
 from typing import Any, Protocol
 
-import numpy as np
-
 from edge.active_models import Models
 from edge.clock import Clock
 from edge.conditions import Conditions
@@ -25,8 +23,9 @@ from edge.estimator import Estimator
 from edge.hard_limits import LEASE_S
 from edge.inbox import Inbox, Reply, Request
 from edge.lighting import led_level
-from edge.messages import Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
-from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate, to_dict
+from edge.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
+from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate
+from edge.operation_json import to_dict
 from edge.reference import Reference, seconds_of_day
 from edge.safety import (
     SafetyMemory,
@@ -39,11 +38,11 @@ from edge.safety import (
 )
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
+from edge.tick_context import Moment, context_of
 from edge.tick_json import drift_json, echo_json, skill_json, tick_json
 from edge.watering import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
-REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
 START_WAIT_S = 5.0  # for the board, before the first tick
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 SINK_FAULTS = (
@@ -156,11 +155,10 @@ class Loop:
             self._tell("models.exchanged", Severity.INFO, exchanged, now)
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
         estimate = rig.estimator.update(readings, now, utc)
+        self._end_steering(now, utc)
         context = self._context(estimate, now, utc)
         decision, decide_ms = self._decider.decide(self._operation.controller, context)
-        wanted, orders = apply_orders(
-            self._operation, self._with_light_and_water(decision.command, readings, now, utc)
-        )
+        wanted, orders = self._ordered(self._with_light_and_water(decision.command, readings, now, utc), utc)
         verdict = self._supervise(wanted, readings, estimate, now, utc)
         echo = self._drive(verdict)
         rig.estimator.record_sent(self._sent)
@@ -199,19 +197,22 @@ class Loop:
 
     def _context(self, estimate: Estimate, now: float, utc: float) -> Context:
         rig = self._rig
-        reference = rig.reference.ahead(now - self._start_s, utc, rig.zone, self._step_s, REFERENCE_STEPS)
-        if self._operation.reference_c is not None:
-            reference = np.full(REFERENCE_STEPS, self._operation.reference_c)
-        return Context(
-            now_s=now,
-            utc=utc,
-            step_s=self._step_s,
-            history=rig.estimator.history(),
-            estimate=estimate,
-            reference=reference,
-            last_sent=self._sent,
-            limits=planning_limits(self._memory, rig.settings.safety, now, self._step_s),
-        )
+        limits = planning_limits(self._memory, rig.settings.safety, now, self._step_s)
+        moment = Moment(now, utc, now - self._start_s, seconds_of_day(utc, rig.zone), self._step_s)
+        history = rig.estimator.history()
+        return context_of(moment, self._operation, rig.reference, history, estimate, self._sent, limits)
+
+    def _end_steering(self, now: float, utc: float) -> None:
+        """What was asked for in words ends by itself, and that is told once."""
+        ended = self._operation.steering
+        if ended is None or self._operation.steering_at(utc) is not None:
+            return
+        self._operation = replace(self._operation, steering=None, before=None)
+        self._rig.save_state(self._operation, self._memory)
+        self._tell("steering.ended", Severity.INFO, f"{ended.id} has ended: {ended.words}", now)
+
+    def _ordered(self, command: Command, utc: float) -> tuple[Command, tuple[Change, ...]]:
+        return apply_orders(self._operation, command, utc, seconds_of_day(utc, self._rig.zone))
 
     def _with_light_and_water(
         self, command: Command, readings: Mapping[str, Reading], now: float, utc: float
@@ -378,7 +379,7 @@ class Loop:
         rig, now, utc = self._rig, self._rig.clock.now(), self._rig.clock.utc()
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
         command = replace(record.decision.command, led=record.wanted.led)
-        wanted, _ = apply_orders(self._operation, command)
+        wanted, _ = self._ordered(command, utc)
         verdict = self._supervise(wanted, readings, record.estimate, now, utc)
         self._drive(verdict)
         rig.estimator.record_sent(self._sent)

@@ -5,7 +5,7 @@ Command line, MQTT and, later, a language model end in the same `operate`. All o
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from enum import Enum
 from typing import Any
@@ -13,7 +13,10 @@ from typing import Any
 from edge.errors import RequestError
 from edge.hard_limits import MAINTENANCE_MAX_MIN
 from edge.messages import Change, Command
-from edge.names import ACTUATORS, HEATER_LEVELS
+from edge.names import HEATER_LEVELS
+from edge.steering.standing import steered
+from edge.steering.steering import Steering, problem
+from edge.steering.steering import from_dict as steering_from_dict
 
 
 class Mode(Enum):
@@ -35,6 +38,14 @@ class FanMode(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Before:
+    """The orders that a confirmed steering took the place of."""
+
+    reference_c: float | None = None
+    steering: Steering | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Operation:
     """The standing orders."""
 
@@ -45,6 +56,12 @@ class Operation:
     manual: Command = field(default_factory=Command)
     emergency_stop: bool = False
     maintenance_until_utc: float | None = None
+    steering: Steering | None = None  # what was asked for in words and confirmed
+    before: Before | None = None  # what `undo` goes back to
+
+    def steering_at(self, utc: float) -> Steering | None:
+        """None once it has ended."""
+        return self.steering if self.steering is not None and utc < self.steering.until_utc else None
 
     def in_maintenance(self, utc: float) -> bool:
         """Hands are in the box. A clock set back far does not prolong it beyond the longest allowed time."""
@@ -54,7 +71,8 @@ class Operation:
 
 def acts_at_once(before: Operation, after: Operation) -> bool:
     """Whether new orders change what may be sent now; reference and controller wait for a decision."""
-    return replace(after, reference_c=before.reference_c, controller=before.controller) != before
+    waits = {name: getattr(before, name) for name in ("reference_c", "controller", "before")}
+    return replace(after, **waits) != before
 
 
 Request = Mapping[str, Any]
@@ -71,10 +89,19 @@ class Desk:
     unready: Callable[[str], str] = lambda name: ""  # why a controller cannot be chosen on this rig
 
 
-def apply_orders(operation: Operation, command: Command) -> tuple[Command, tuple[Change, ...]]:
-    """The controller's command after the standing orders, and what they changed."""
-    ordered = _ordered(operation, command)
+def apply_orders(
+    operation: Operation, command: Command, utc: float = 0.0, since_midnight_s: float = 0.0
+) -> tuple[Command, tuple[Change, ...]]:
+    """The controller's command after the standing orders, and what they changed.
+
+    since_midnight_s : local time of day, for a rest of the fan
+    """
+    steering = operation.steering_at(utc)
+    asked = command if steering is None else steered(command, steering, since_midnight_s)
+    ordered = _ordered(operation, asked)
     reason = f"mode {operation.mode.value}, fan {operation.fan_mode.value}"
+    if asked != command:
+        reason += ", asked for in words"
     changes = tuple(
         Change("operator.orders", actuator, wanted, sent, reason)
         for actuator, wanted, sent in (
@@ -175,6 +202,26 @@ def _maintenance(operation: Operation, request: Request, desk: Desk) -> Operatio
     return replace(operation, maintenance_until_utc=desk.utc + minutes * 60 if minutes > 0 else None)
 
 
+def _steer(operation: Operation, request: Request, desk: Desk) -> Operation:
+    """A confirmed steering; a temperature that was set by hand before gives way to its reference."""
+    try:
+        steering = steering_from_dict(request["steering"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RequestError(f"steering: {error}") from None
+    if wrong := problem(steering, desk.utc, desk.reference_min_c, desk.reference_max_c):
+        raise RequestError(f"steering: {wrong}")
+    before = Before(operation.reference_c, operation.steering_at(desk.utc))
+    reference_c = None if steering.daily else operation.reference_c
+    return replace(operation, reference_c=reference_c, steering=steering, before=before)
+
+
+def _undo(operation: Operation, request: Request, desk: Desk) -> Operation:
+    before = operation.before
+    if before is None:
+        raise RequestError("undo: nothing that was asked for in words is standing")
+    return replace(operation, reference_c=before.reference_c, steering=before.steering, before=None)
+
+
 ORDERS: dict[str, Order] = {
     "set_mode": _set_mode,
     "set_fan_mode": _set_fan_mode,
@@ -184,33 +231,6 @@ ORDERS: dict[str, Order] = {
     "emergency_stop": _emergency_stop,
     "release_emergency_stop": _release,
     "maintenance": _maintenance,
+    "steer": _steer,
+    "undo": _undo,
 }
-
-
-def to_dict(operation: Operation) -> dict[str, Any]:
-    """JSON values, for the state file."""
-    return {
-        **asdict(operation),
-        "mode": operation.mode.value,
-        "fan_mode": operation.fan_mode.value,
-        "manual": asdict(operation.manual),
-    }
-
-
-def from_dict(values: Mapping[str, Any]) -> Operation:
-    """Inverse of `to_dict`. Errors: KeyError, ValueError, TypeError on values `to_dict` never wrote."""
-    until = values["maintenance_until_utc"]
-    reference = values["reference_c"]
-    manual = Command(**values["manual"])
-    for name, value in (("heater_duty", manual.heater_duty), ("led", manual.led)):
-        if not ACTUATORS[name].low <= value <= ACTUATORS[name].high:
-            raise ValueError(f"manual.{name}: {value!r}")
-    return Operation(
-        controller=str(values["controller"]),
-        mode=Mode(values["mode"]),
-        fan_mode=FanMode(values["fan_mode"]),
-        reference_c=None if reference is None else float(reference),
-        manual=manual,
-        emergency_stop=bool(values["emergency_stop"]),
-        maintenance_until_utc=None if until is None else float(until),
-    )

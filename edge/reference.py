@@ -35,12 +35,10 @@ class Reference:
         index = index % len(self.times_s) if self.daily else np.maximum(index, 0)
         return np.asarray(self.values_c[index])
 
-    def ahead(
-        self, since_start_s: float, utc: float, zone: tzinfo | None, step_s: float, steps: int
-    ) -> Floats:
+    def ahead(self, since_start_s: float, since_midnight_s: float, step_s: float, steps: int) -> Floats:
         """Targets for the next `steps` control steps, the one that begins now first [°C]."""
         offsets = step_s * np.arange(steps, dtype=np.float64)
-        return self.at(since_start_s + offsets, seconds_of_day(utc, zone) + offsets)
+        return self.at(since_start_s + offsets, since_midnight_s + offsets)
 
 
 def zone_of(name: str) -> tzinfo | None:

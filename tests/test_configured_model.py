@@ -13,7 +13,8 @@ from edge.errors import ConfigError, DataError
 from edge.models.arx_file import DEFAULT_PATH, read_arx, write_arx
 from edge.models.configured import configured_model
 from edge.models.persistence import Persistence
-from edge.operation import Operation, to_dict
+from edge.operation import Operation
+from edge.operation_json import to_dict
 from edge.safety import SafetyMemory, memory_to_dict
 from edge.settings import ControlSettings
 

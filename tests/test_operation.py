@@ -1,15 +1,27 @@
 """edge/operation.py: what a person may ask, and what it does to a command."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from edge.errors import RequestError
 from edge.messages import Command
-from edge.operation import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, from_dict, operate, to_dict
+from edge.operation import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, operate
+from edge.operation_json import from_dict, to_dict
+from edge.steering import steering as steerings
+from edge.steering.steering import DailyTarget, FanRest, Steering
 
 DESK = Desk(utc=1000.0, controllers=("MPC", "rules"), reference_min_c=15.0, reference_max_c=38.0)
 AUTO = Operation(controller="MPC")
+NIGHT = Steering(
+    id="a",
+    words="20 at night, spare the fan",
+    until_utc=1000.0 + 3600.0,
+    daily=(DailyTarget(6 * 3600.0, 26.0), DailyTarget(22 * 3600.0, 20.0)),
+    fan_penalty=5.0,
+    fan_rest=(FanRest(22 * 3600.0, 6 * 3600.0),),
+)
 WANTED = Command(heater_duty=0.4, fan_on=True, led=0.5)
 
 
@@ -113,13 +125,15 @@ def test_orders_survive_the_state_file() -> None:
         {"do": "set_manual", "heater_duty": 0.25, "led": 1.0},
         {"do": "emergency_stop"},
         {"do": "maintenance", "minutes": 3},
+        {"do": "steer", "steering": steerings.to_dict(NIGHT)},
+        {"do": "steer", "steering": steerings.to_dict(replace(NIGHT, id="b", daily=()))},
     ):
         operation = operate(operation, request, DESK)
         assert from_dict(to_dict(operation)) == operation
     assert operation.emergency_stop
 
 
-@pytest.mark.parametrize("key", sorted(to_dict(AUTO)))
+@pytest.mark.parametrize("key", sorted(to_dict(AUTO).keys() - {"steering", "before"}))
 def test_a_state_with_a_missing_key_is_told(key: str) -> None:
     values = to_dict(AUTO)
     del values[key]
@@ -136,9 +150,11 @@ def test_every_order_has_a_test_of_its_effect() -> None:
         "set_manual": {"heater_duty": 1.0},
         "emergency_stop": {},
         "maintenance": {"minutes": 1},
+        "steer": {"steering": steerings.to_dict(NIGHT)},
     }
     for name, values in changed.items():
         assert ask(do=name, **values) != AUTO
     stopped = ask(do="emergency_stop")
     assert operate(stopped, {"do": "release_emergency_stop"}, DESK) == AUTO
-    assert set(ORDERS) == {*changed, "release_emergency_stop"}
+    assert operate(ask(do="steer", steering=steerings.to_dict(NIGHT)), {"do": "undo"}, DESK) == AUTO
+    assert set(ORDERS) == {*changed, "release_emergency_stop", "undo"}

@@ -1,93 +1,72 @@
-"""Commands that ask the running daemon over its control socket: `greenhouse status`, `mode`, ..."""
+"""`greenhouse ask "keep 26 by day and 20 at night"`: words become a proposal; a person applies it, or not."""
 
 import argparse
-import json
-from collections.abc import Callable
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
 from edge.control_socket import request
-from edge.operation import FanMode, Mode
+from edge.errors import RequestError
 from edge.settings import ControlSocketSettings
+from edge.steering.words import effect_table
 
-Request = dict[str, Any]
-Fill = Callable[[argparse.ArgumentParser], None]
-
-
-def _target(text: str) -> float | None:
-    if text == "none":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a temperature nor none") from None
+PATIENCE_S = 300.0  # a language model on a small machine is slow
+_POLL_S = 0.3
 
 
-def _mode(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("mode", choices=[mode.value for mode in Mode])
-
-
-def _fan(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("fan_mode", choices=[mode.value for mode in FanMode])
-
-
-def _reference(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "reference_c", metavar="DEGC|none", type=_target, help="a temperature, or none: as configured"
-    )
-
-
-def _controller(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name")
-
-
-def _manual(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--heater-duty", type=float, default=0.0, help="0..1")
-    parser.add_argument("--fan-on", type=int, choices=(0, 1), default=0)
-    parser.add_argument("--led", type=float, default=0.0, help="0..1")
-
-
-def _maintenance(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("minutes", type=float, help="ends by itself after so long; 0 ends it now")
-
-
-def _resend(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("first_seq", type=int)
-    parser.add_argument("last_seq", type=int)
-
-
-def _nothing(parser: argparse.ArgumentParser) -> None:
-    pass
-
-
-ASKS: dict[str, tuple[str, str, Fill]] = {  # command -> request, help, arguments
-    "status": ("status", "standing orders and the last tick, as JSON", _nothing),
-    "mode": ("set_mode", "who decides: auto, heat, fan_only, off, manual", _mode),
-    "fan": ("set_fan_mode", "fan: auto, on, off", _fan),
-    "reference": ("set_reference", "target temperature, over the configured one", _reference),
-    "controller": ("set_controller", "change the controller while it runs", _controller),
-    "manual": ("set_manual", "a fixed command, until the mode changes", _manual),
-    "emergency-stop": ("emergency_stop", "everything off, latched", _nothing),
-    "release": ("release_emergency_stop", "end an emergency stop", _nothing),
-    "clear-trip": ("clear_trip", "forget latched trips whose cause is gone", _nothing),
-    "maintenance": ("maintenance", "hands in the box: everything off for some minutes", _maintenance),
-    "resend": ("resend", "publish recorded ticks again, to fill a gap", _resend),
-}
-
-
-def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
-    """Arguments of one of ASKS."""
-    ASKS[name][2](parser)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("words", nargs="+", help="what you want, in your own words")
+    parser.add_argument("--yes", action="store_true", help="apply the proposal without asking back")
     parser.add_argument("--socket", type=Path, default=Path(ControlSocketSettings().path))
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Ask, print the answer; 1 when the daemon refuses."""
-    name = ASKS[arguments.command][0]
-    values = {key: value for key, value in vars(arguments).items() if key not in ("command", "socket", "run")}
-    answer = request(arguments.socket, {"do": name, **values})
-    if not answer.get("ok", False):
-        print(f"refused: {answer.get('error', answer)}")
+    """0 when the proposal was applied or left to be confirmed, 1 when there is none."""
+    answer = _asked(arguments.socket, {"do": "ask", "words": " ".join(arguments.words)})
+    proposal = _thought_out(arguments.socket, answer["proposal"])
+    if proposal["state"] != "ready":
+        print(f"{proposal['said']}" if proposal["state"] == "question" else f"failed: {proposal['error']}")
         return 1
-    print(json.dumps(answer, indent=1) if name == "status" else "done")
+    print("\n".join(_page(proposal)))
+    if not (arguments.yes or _agreed()):
+        print(f"\nnothing is applied; within 15 min: greenhouse confirm {proposal['id']}")
+        return 0
+    _asked(arguments.socket, {"do": "confirm", "id": proposal["id"]})
+    print("applied; `greenhouse undo` takes it back")
     return 0
+
+
+def _page(proposal: dict[str, Any]) -> list[str]:
+    return [
+        f"proposal {proposal['id']}",
+        *(f"  {line}" for line in proposal["changes"]),
+        f"the language model says: {proposal['said']}",
+        "",
+        *effect_table(proposal["effect"]),
+    ]
+
+
+def _thought_out(socket: Path, proposal: dict[str, Any]) -> dict[str, Any]:
+    give_up = time.monotonic() + PATIENCE_S
+    while proposal["state"] == "thinking":
+        if time.monotonic() > give_up:
+            raise RequestError(f"no proposal within {PATIENCE_S:g} s")
+        time.sleep(_POLL_S)
+        proposal = _asked(socket, {"do": "proposal", "id": proposal["id"]})["proposal"]
+    return proposal
+
+
+def _asked(socket: Path, message: dict[str, Any]) -> dict[str, Any]:
+    answer = request(socket, message)
+    if not answer.get("ok", False):
+        raise RequestError(str(answer.get("error", answer)))
+    return answer
+
+
+def _agreed() -> bool:
+    """Only a person at a terminal can say yes."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        return False
+    return input("\napply this? [y/N] ").strip().lower() in ("y", "yes")

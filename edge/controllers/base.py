@@ -1,7 +1,7 @@
 """The one seam of every controller: `decide(context) -> Decision`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -25,6 +25,14 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class Penalty:
+    """What an operator asked the use of the actuators to cost; None: as the controller's name says."""
+
+    heater: float | None = None
+    fan: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Context:
     """All that a controller may know at a tick.
 
@@ -44,6 +52,7 @@ class Context:
     reference: Floats
     last_sent: Command
     limits: Limits
+    penalty: Penalty = field(default_factory=Penalty)
 
 
 class Controller(Protocol):

@@ -123,8 +123,8 @@ def planning_problem(
         fan=fan,
         reference=reference,
         tail=tail,
-        heater_weight=weight,
-        fan_weight=weight,
+        heater_weight=weight if context.penalty.heater is None else context.penalty.heater,
+        fan_weight=weight if context.penalty.fan is None else context.penalty.fan,
         heater_levels=levels_allowed(limits.heater_max_duty),
         fan_rules=FanRules(
             on=context.last_sent.fan_on,

@@ -1,0 +1,64 @@
+"""The predicted effect of a steering, from the control loop's own status."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from edge.errors import DataError
+from edge.reference import Reference, make_reference, seconds_of_day, zone_of
+from edge.settings import Settings
+from edge.steering.effect import Now, Wanted, coming_day
+from edge.steering.standing import reference_of
+from edge.steering.steering import Steering
+from edge.steering.steering import from_dict as steering_from_dict
+from edge.twin.model import Twin
+
+Json = dict[str, Any]
+
+
+def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, settings: Settings) -> Json:
+    """Figures of the next day as it stands, `now`, and with the steering, `then`; else the `reason`."""
+    if twin is None:
+        return {"reason": "there is no twin in the active bundle"}
+    tick, operation = status["tick"], status["operation"]
+    temp, ambient = tick["estimate"]["temp_air_c"], tick["estimate"]["temp_ambient_c"]
+    if temp is None or ambient is None or not math.isfinite(temp + ambient):
+        return {"reason": "the air temperature is not known now"}
+    midnight_s = seconds_of_day(tick["utc"], zone_of(settings.timezone))
+    here = Now(temp, ambient, since_start_s=0.0, since_midnight_s=midnight_s)
+    standing = operation["steering"] and steering_from_dict(operation["steering"])
+    before = _wanted(
+        _as_it_stands(operation, standing, settings), standing, operation["controller"], settings
+    )
+    reference = reference_of(steering) or before.reference
+    after = _wanted(reference, steering, operation["controller"], settings)
+    try:
+        return {
+            "now": coming_day(twin, here, before).figures(),
+            "then": coming_day(twin, here, after).figures(),
+        }
+    except DataError as error:
+        return {"reason": str(error)}
+
+
+def _as_it_stands(operation: Mapping[str, Any], standing: Steering | None, settings: Settings) -> Reference:
+    if operation["reference_c"] is not None:
+        return Reference(np.zeros(1), np.array([float(operation["reference_c"])]))
+    asked = None if standing is None else reference_of(standing)
+    return asked or make_reference(settings.reference)
+
+
+def _wanted(reference: Reference, steering: Steering | None, controller: str, settings: Settings) -> Wanted:
+    weight = 1.0 if controller.endswith("-P") else 0.0
+    heater = fan = None
+    if steering is not None:
+        heater, fan = steering.heater_penalty, steering.fan_penalty
+    return Wanted(
+        reference,
+        weight if heater is None else heater,
+        weight if fan is None else fan,
+        settings.safety.heater_max_duty,
+        steering,
+    )

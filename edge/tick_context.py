@@ -1,0 +1,65 @@
+"""What a controller is told at a tick: history, estimate, reference ahead, limits, an operator's wishes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.controllers.base import Columns, Context, Floats, Limits, Penalty
+from edge.messages import Command, Estimate
+from edge.operation import Operation
+from edge.reference import Reference
+from edge.steering.standing import limited, penalty_of, reference_of
+from edge.steering.steering import Steering
+
+REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When a tick is, by every clock that counts [s]."""
+
+    now_s: float
+    utc: float
+    since_start_s: float  # the axis of a reference that is not daily
+    since_midnight_s: float  # local
+    step_s: float
+
+
+def context_of(
+    moment: Moment,
+    operation: Operation,
+    configured: Reference,
+    history: Columns,
+    estimate: Estimate,
+    last_sent: Command,
+    limits: Limits,
+) -> Context:
+    """The context of this tick. limits : what safety will let through"""
+    steering = operation.steering_at(moment.utc)
+    penalty = Penalty()
+    if steering is not None:
+        limits = limited(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_on)
+        penalty = penalty_of(steering)
+    return Context(
+        now_s=moment.now_s,
+        utc=moment.utc,
+        step_s=moment.step_s,
+        history=history,
+        estimate=estimate,
+        reference=_reference(moment, operation, configured, steering),
+        last_sent=last_sent,
+        limits=limits,
+        penalty=penalty,
+    )
+
+
+def _reference(
+    moment: Moment, operation: Operation, configured: Reference, steering: Steering | None
+) -> Floats:
+    """A temperature set by hand, else what was asked for in words, else as configured; [REFERENCE_STEPS]."""
+    if operation.reference_c is not None:
+        return np.full(REFERENCE_STEPS, operation.reference_c)
+    asked = None if steering is None else reference_of(steering)
+    return (asked or configured).ahead(
+        moment.since_start_s, moment.since_midnight_s, moment.step_s, REFERENCE_STEPS
+    )

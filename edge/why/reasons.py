@@ -1,0 +1,62 @@
+"""What a controller says of its own decision, in sentences, whichever controller it was."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+
+def reasons(why: Mapping[str, Any]) -> Iterator[str]:
+    """The sentences that its `why` has the values for."""
+    for tell in (_rule, _plan, _binding, _next_best, _values, _said, _claims):
+        yield from tell(why)
+
+
+def _rule(why: Mapping[str, Any]) -> Iterator[str]:
+    if "rule" in why:
+        yield f"Its rule: {why['rule']}."
+
+
+def _plan(why: Mapping[str, Any]) -> Iterator[str]:
+    if "cost" in why:
+        parts = (
+            f"tracking {why['cost_tracking']:.2f}",
+            f"heater {why['cost_heater']:.2f}",
+            f"fan {why['cost_fan']:.2f}",
+        )
+        by = f" by {why['model']}" if "model" in why else ""
+        yield f"Its plan costs {why['cost']:.2f}{by}: {', '.join(parts)}."
+    if why.get("time_box_fired"):
+        yield "The wall clock ended its search."
+
+
+def _binding(why: Mapping[str, Any]) -> Iterator[str]:
+    if why.get("binding"):
+        yield f"What bound it: {', '.join(why['binding'])}."
+
+
+def _next_best(why: Mapping[str, Any]) -> Iterator[str]:
+    other = why.get("runner_up")
+    if other and "cost_more" in other:
+        fan = "on" if other["fan_on"] else "off"
+        yield (
+            f"The next best began with heater {other['heater_duty']:.2f}, fan {fan}, "
+            f"and costs {other['cost_more']:.2g} more."
+        )
+
+
+def _values(why: Mapping[str, Any]) -> Iterator[str]:
+    """A policy's: what it takes each action to be worth."""
+    if "q" in why:
+        margin = f", {why['margin']:.3g} more than the next best" if "margin" in why else ""
+        yield f"Its policy takes that to be worth {why['q']:.3g}{margin}."
+
+
+def _said(why: Mapping[str, Any]) -> Iterator[str]:
+    """A language model's: told as its word, not as a fact."""
+    if "rationale" in why:
+        yield f'The language model said: "{why["rationale"]}"'
+
+
+def _claims(why: Mapping[str, Any]) -> Iterator[str]:
+    for claim in why.get("claims", ()):
+        if claim.get("holds") is False:
+            yield f'That does not hold: "{claim["text"]}" ({claim.get("against", "nothing bears it out")}).'
