@@ -16,14 +16,12 @@ def _rule(why: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _plan(why: Mapping[str, Any]) -> Iterator[str]:
-    if "cost" in why:
-        parts = (
-            f"tracking {why['cost_tracking']:.2f}",
-            f"heater {why['cost_heater']:.2f}",
-            f"fan {why['cost_fan']:.2f}",
-        )
+    if "cost_tracking" in why:
         by = f" by {why['model']}" if "model" in why else ""
-        yield f"Its plan costs {why['cost']:.2f}{by}: {', '.join(parts)}."
+        parts = ", ".join(
+            f"{part} {_number(why.get(f'cost_{part}'))}" for part in ("tracking", "heater", "fan")
+        )
+        yield f"Its plan costs {_number(why.get('cost'))}{by}: {parts}."
     if why.get("time_box_fired"):
         yield "The wall clock ended its search."
 
@@ -39,15 +37,15 @@ def _next_best(why: Mapping[str, Any]) -> Iterator[str]:
         fan = "on" if other["fan_on"] else "off"
         yield (
             f"The next best began with heater {other['heater_duty']:.2f}, fan {fan}, "
-            f"and costs {other['cost_more']:.2g} more."
+            f"and costs {_number(other['cost_more'])} more."
         )
 
 
 def _values(why: Mapping[str, Any]) -> Iterator[str]:
     """A policy's: what it takes each action to be worth."""
     if "q" in why:
-        margin = f", {why['margin']:.3g} more than the next best" if "margin" in why else ""
-        yield f"Its policy takes that to be worth {why['q']:.3g}{margin}."
+        margin = f", {_number(why['margin'])} more than the next best" if "margin" in why else ""
+        yield f"Its policy takes that to be worth {_number(why['q'])}{margin}."
 
 
 def _said(why: Mapping[str, Any]) -> Iterator[str]:
@@ -60,3 +58,8 @@ def _claims(why: Mapping[str, Any]) -> Iterator[str]:
     for claim in why.get("claims", ()):
         if claim.get("holds") is False:
             yield f'That does not hold: "{claim["text"]}" ({claim.get("against", "nothing bears it out")}).'
+
+
+def _number(value: Any) -> str:
+    """What was no number when it was recorded is null in the history."""
+    return f"{value:.3g}" if isinstance(value, int | float) else "not known"
