@@ -14,6 +14,7 @@ from edge.forecasts.conformal import Intervals
 from edge.forecasts.forecasting import Forecasting
 from edge.forecasts.rivals import rival_rows
 from edge.forecasts.skill import SkillState
+from edge.llm.language_model import LanguageModel
 from edge.messages import Command, Decision, Forecast, ForecastSkill
 from edge.models.arx import Arx
 from edge.models.base import Columns, Predictor
@@ -58,11 +59,18 @@ class ActiveModels:
     packaged ARX.
     """
 
-    def __init__(self, settings: Settings, keeper: BundleKeeper | None, state: SkillState) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        keeper: BundleKeeper | None,
+        state: SkillState,
+        llm: LanguageModel | None = None,
+    ) -> None:
         """Errors: ConfigError where no model fits the configured step and a controller needs one."""
         self._names = settings.controllers
         control = self._control = settings.control
         self._keeper = keeper
+        self._llm = llm
         self._configured = configured_model(control) if keeper is None or control.model else None
         self._serving = None if keeper is None else keeper.serving
         self.model, self.linear = self._chosen()
@@ -77,7 +85,8 @@ class ActiveModels:
 
     def controllers(self) -> dict[str, Controller]:
         """All that can decide with these models, by name."""
-        parts = registry.Parts(self._control, self.model, self.linear, _active(self._serving))
+        active = _active(self._serving)
+        parts = registry.Parts(self._control, self.model, self.linear, active, self._llm)
         without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
         return {name: registry.make(name, parts) for name in self._names if name not in without}
 

@@ -27,6 +27,7 @@ from edge.drift_state import drift_keeping, read_memory
 from edge.errors import ConfigError
 from edge.estimator import Estimator
 from edge.inbox import Inbox, Reply, Request
+from edge.llm.language_model import LanguageModel, open_language_model
 from edge.loop import Loop, Rig, Sink
 from edge.messages import TickRecord
 from edge.models.from_bundle import loader
@@ -134,7 +135,8 @@ class Daemon:
         settings, stack = self.settings, self._stack
         bundles = self._bundles()
         skill_file = Path(settings.state_file).with_name("skill.json")
-        models = ActiveModels(settings, bundles, read_skill(skill_file))
+        llm = self._language_model()
+        models = ActiveModels(settings, bundles, read_skill(skill_file), llm)
         skill = skill_keeping(lambda: models.forecasting.state, skill_file)
         stack.callback(skill.close)
         controllers = models.controllers() | {each.name: each for each in self.more_controllers}
@@ -183,7 +185,7 @@ class Daemon:
             models=models,
             sinks=sinks,
             more_events=lambda: [
-                event for part in (storage, bundles, nightly) if part for event in part.events_pending()
+                event for part in (storage, bundles, nightly, llm) if part for event in part.events_pending()
             ],
             inbox=inbox,
             save_state=self._save(state, standing.operation),
@@ -209,6 +211,16 @@ class Daemon:
         bundles = BundleKeeper(store, self.clock, automatic, settings.bundle.trial_ticks)
         self._stack.callback(bundles.close)
         return bundles
+
+    def _language_model(self) -> LanguageModel | None:
+        """None where the configuration has no endpoint."""
+        settings = self.settings
+        if not settings.llm.url:
+            return None
+        budget_file = Path(settings.state_file).with_name("llm_budget.json")
+        model = open_language_model(settings.llm, Path(settings.history.path), budget_file, self.clock.utc)
+        self._stack.callback(model.close)
+        return model
 
     def _drift(self, sinks: list[Sink]) -> DriftMonitor | None:
         """Watches the running twin, and saves what it knows as one of the sinks."""

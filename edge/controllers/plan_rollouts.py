@@ -49,7 +49,7 @@ def plan_rollouts(context: Context, model: Predictor, linear: Problem, held: flo
     linear : the linear planner's problem for it, of which reference, weights and limits are taken
     held : a first guess of the duty that holds the reference
     """
-    ahead = _ahead(context, len(linear.reference))
+    ahead = ahead_with_offset(context, len(linear.reference))
     if linear.tail:
         held = _holding_duty(context, model, float(linear.reference[-1]), held, linear.tail)
     return PlanRollouts(
@@ -76,7 +76,7 @@ def forecast(model: Predictor, history: Columns, controls: Floats, ahead: Column
     return np.asarray(temps, dtype=np.float64)
 
 
-def _ahead(context: Context, steps: int) -> Columns:
+def ahead_with_offset(context: Context, steps: int) -> Columns:
     """The coming steps' columns: what is measured stays as last known, time goes on."""
     ahead = {
         name: np.full(steps, last_known(column)[-1])
@@ -104,7 +104,7 @@ def _holding_duty(context: Context, model: Predictor, temp_air: float, guess: fl
         "heater_duty": np.full(rows, guess),
         "fan_on": np.zeros(rows),
     }
-    ahead = _ahead(context, steps)
+    ahead = ahead_with_offset(context, steps)
     controls = np.zeros((len(_DUTIES), steps, 2))
     controls[:, :, 0] = _DUTIES[:, None]
     off = forecast(model, stood, controls, ahead).mean(axis=1) - temp_air

@@ -9,6 +9,7 @@ from edge.controllers.base import Controller
 from edge.controllers.mpc import Mpc, MpcSettings
 from edge.controllers.rules import Rules
 from edge.errors import RequestError
+from edge.llm.language_model import LanguageModel
 from edge.models.arx import Arx
 from edge.models.base import Predictor
 from edge.settings import ControlSettings
@@ -21,12 +22,14 @@ class Parts:
     model : estimates, and MPC and MPC-P plan with it
     linear : the ARX model whose plan a search over another `model` begins with
     predictors : of the active bundle, by name
+    llm : None where none is configured
     """
 
     control: ControlSettings
     model: Predictor
     linear: Predictor | None = None
     predictors: Mapping[str, Predictor] = field(default_factory=dict)
+    llm: LanguageModel | None = None
 
 
 def make(name: str, parts: Parts) -> Controller:
@@ -37,6 +40,8 @@ def make(name: str, parts: Parts) -> Controller:
         return Rules()
     if name in names.MPC:
         return _mpc(name, parts)
+    if name in names.LLM:
+        return _llm(name, parts)
     raise RequestError(f"controller: {name} is not built in")
 
 
@@ -63,3 +68,27 @@ def _mpc(name: str, parts: Parts) -> Controller:
     from edge.controllers.mpc_rollout import MpcRollout  # late: most rigs plan with the ARX
 
     return MpcRollout(name, model, arx, mpc, settings.rollout_budget)
+
+
+def _llm(name: str, parts: Parts) -> Controller:
+    from edge.llm.controller import LlmController  # late: most rigs have no language model
+    from edge.llm.proposal import Architecture
+
+    if parts.llm is None:
+        raise RequestError(f"{name}: no language model is configured")
+    control, variant = parts.control, names.LLM[name]
+    predictor, missing = _assisting(variant.assistance, parts)
+    estimates = predictor is not None and predictor is parts.model
+    architecture = Architecture(variant, predictor, estimates, control.horizon, control.preview)
+    deadline_s = min(control.decision_deadline_s, control.step_s / 2)
+    return LlmController(name, parts.llm, architecture, deadline_s, missing)
+
+
+def _assisting(assistance: str, parts: Parts) -> tuple[Predictor | None, str]:
+    """The predictor that a variant simulates with, and why there is none where it needs one."""
+    if assistance in ("", "sql"):
+        return None, ""
+    if assistance == "arx":
+        return parts.model if parts.linear is None else parts.linear, ""
+    predictor = parts.predictors.get(assistance)
+    return predictor, "" if predictor else f"there is no {assistance} in the active bundle"

@@ -1,0 +1,55 @@
+"""The language model of a rig: what all who ask it share. The daemon makes it and closes it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from edge.llm.asking import Question
+from edge.llm.budget import Budget
+from edge.llm.endpoint import Endpoint
+from edge.messages import Event
+from edge.secrets import read_secret
+from edge.settings import LlmSettings
+
+
+@dataclass(slots=True)
+class LanguageModel:
+    """Endpoint, budget, the history it may read, and what is to be told of it."""
+
+    settings: LlmSettings
+    endpoint: Endpoint
+    budget: Budget
+    history: Path
+    utc: Callable[[], float]
+    _events: list[Event] = field(default_factory=list)
+    _questions: list[Question[Any]] = field(default_factory=list)
+
+    def tell(self, event: Event) -> None:
+        """Into the next record."""
+        self._events.append(event)
+
+    def events_pending(self) -> list[Event]:
+        """What was told since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def under_way(self, question: Question[Any]) -> None:
+        """See to the end of a question at `close`."""
+        self._questions = [each for each in self._questions if not each.wait(0.0)]
+        self._questions.append(question)
+
+    def close(self) -> None:
+        """Drop what is under way and keep what was spent."""
+        for question in self._questions:
+            question.close()
+        self.budget.close()
+
+
+def open_language_model(
+    settings: LlmSettings, history: Path, budget_file: Path, utc: Callable[[], float]
+) -> LanguageModel:
+    """Errors: ConfigError when the key can't be read."""
+    key = read_secret(settings.key_file, "llm.key_file") if settings.key_file else None
+    budget = Budget(settings, budget_file, utc)
+    return LanguageModel(settings, Endpoint(settings, budget, key), budget, history, utc)

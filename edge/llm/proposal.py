@@ -1,0 +1,119 @@
+"""One question of a controller from prompt to checked proposal, in any of the three architectures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from edge.controller_names import LlmVariant
+from edge.controllers.base import Context, Floats
+from edge.llm.agent import Conversation
+from edge.llm.answer import Answer, answer_schema, read_answer
+from edge.llm.claims import Claim, Known, check_claims
+from edge.llm.interrupt import Interrupt
+from edge.llm.language_model import LanguageModel
+from edge.llm.ledger import Ledger, Tool
+from edge.llm.prompts import question, system_prompt
+from edge.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
+from edge.llm.sql_tool import SqlTool
+from edge.messages import Command
+from edge.models.base import Predictor
+
+_ARCHITECTURES = {"": "simple", "sql": "sql"}
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What a model proposes, after all checks but safety's."""
+
+    command: Command
+    forecast: tuple[float, ...]  # after each step from the question on [°C]; () without a simulation
+    why: Mapping[str, Any]
+    flagged: tuple[Claim, ...]  # claims that do not hold
+
+
+@dataclass(frozen=True, slots=True)
+class Architecture:
+    """How a controller asks.
+
+    predictor : for the variants that simulate, else None
+    estimates : the predictor is the estimator's own model, whose offset it then takes
+    horizon : longest simulated plan [steps]
+    preview : the target of a simulation is the coming reference, not the present one
+    """
+
+    variant: LlmVariant
+    predictor: Predictor | None
+    estimates: bool
+    horizon: int
+    preview: bool
+
+    def propose(self, model: LanguageModel, context: Context, stop: Interrupt) -> Proposal:
+        """Ask and check. Errors: LlmFailure"""
+        simulator = self._simulator(context)
+        conversation = Conversation(
+            endpoint=model.endpoint,
+            messages=[
+                {"role": "system", "content": system_prompt(self.variant, context, self.horizon)},
+                {"role": "user", "content": question(self.variant, context)},
+            ],
+            tools=self._tools(model, context, simulator),
+            temperature=self.variant.temperature,
+            schema=answer_schema(simulator is not None),
+        )
+        content = conversation.run(model.settings.answer_age_max_s, stop)
+        answer = read_answer(content, simulator is not None)
+        forecast = () if simulator is None else cited_forecast(answer, conversation.ledger, simulator)
+        claims = check_claims(answer.rationale, Known(context, conversation.ledger, answer.command))
+        why = self._why(answer, conversation, model) | {"claims": [claim.to_json() for claim in claims]}
+        return Proposal(answer.command, forecast, why, tuple(claim for claim in claims if not claim.holds))
+
+    def _simulator(self, context: Context) -> Simulator | None:
+        if self.predictor is None:
+            return None
+        offset = context.estimate.offset if self.estimates else 0.0
+        return Simulator(self.predictor, context, self.horizon, offset)
+
+    def _tools(self, model: LanguageModel, context: Context, simulator: Simulator | None) -> list[Tool]:
+        if simulator is not None:
+            return [SimulateTool(simulator, self._targets(context))]
+        return [SqlTool(model.history, model.utc)] if self.variant.assistance == "sql" else []
+
+    def _targets(self, context: Context) -> Floats:
+        if self.preview:
+            return context.reference[: self.horizon]
+        return np.full(self.horizon, context.reference[0])
+
+    def _why(self, answer: Answer, conversation: Conversation, model: LanguageModel) -> dict[str, Any]:
+        usage = conversation.usage
+        why: dict[str, Any] = {
+            "rationale": answer.rationale,
+            "architecture": _ARCHITECTURES.get(self.variant.assistance, "prediction"),
+            "language_model": model.settings.model,
+            "exchanges": conversation.exchanges,
+            "tool_calls": _in_short(conversation.ledger),
+            "tokens": usage.sent + usage.received,
+            "tokens_estimated": usage.estimated,
+            "cost": model.budget.cost(usage),
+        }
+        if self.predictor is not None:
+            why["model"] = f"{self.predictor.name} {self.predictor.version}"
+            why["simulation"] = answer.simulation
+        if answer.rounded_from is not None:
+            why["rounded_from"] = answer.rounded_from
+        return why
+
+
+def _in_short(ledger: Ledger) -> list[dict[str, Any]]:
+    """Calls as they fit into a history of every minute: what was asked, and how it came out in a number."""
+    calls = []
+    for entry in ledger.entries:
+        if entry.tool == "simulate":
+            duties, fans = entry.result["heater_duty"], entry.result["fan_on"]
+            error = entry.result["mean_abs_error_k"]
+            calls.append({"id": entry.id, "heater_duty": duties, "fan_on": fans, "mean_abs_error_k": error})
+        else:
+            query = str(entry.arguments["query"])[:300]
+            calls.append({"id": entry.id, "query": query, "rows": entry.result["coverage"]["rows"]})
+    return calls
