@@ -2,14 +2,14 @@
 
 import secrets
 import signal
-import sqlite3
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, Self, TypeGuard
+from typing import Self
 
 from edge import __version__, state_file
 from edge import operation_json as orders
@@ -26,23 +26,24 @@ from edge.drift.monitor import DriftMonitor, Promise
 from edge.drift_state import drift_keeping, read_memory
 from edge.errors import ConfigError
 from edge.estimator import Estimator
-from edge.inbox import Inbox, Reply, Request
+from edge.inbox import Inbox
 from edge.llm.language_model import LanguageModel, open_language_model
 from edge.loop import Loop, Rig, Sink
 from edge.messages import TickRecord
 from edge.models.from_bundle import loader
-from edge.mqtt.commands import SEQ_MAX
 from edge.mqtt.telemetry import Telemetry
-from edge.mqtt.topics import Topics
 from edge.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
+from edge.request_routes import Routes, outbox_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
 from edge.skill_state import read_skill, skill_keeping
 from edge.state_file import StateFileBroken, StateWriter
-from edge.storage import Outbox, Session, Storage
+from edge.steering.desk import Surroundings, WishDesk
+from edge.steering.language import settings_from
+from edge.storage import Session, Storage
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +152,9 @@ class Daemon:
         inbox = Inbox()
         stack.callback(inbox.close)
         # First of all that is shared: where a daemon runs already nothing else is touched.
-        socket = ControlSocket(Path(settings.control_socket.path), self._ask(inbox, bundles))
+        desk = self._desk(inbox, models, llm)
+        routes = Routes(settings, inbox, bundles, desk)
+        socket = ControlSocket(Path(settings.control_socket.path), routes.ask)
         stack.callback(socket.close)
         # Only the machine's clock goes on from process to process.
         boot = boot_id() if isinstance(self.clock, RealClock) else ""
@@ -165,8 +168,9 @@ class Daemon:
         drift = self._drift(sinks)
         nightly = self._nightly(sinks, bundles)
         if settings.mqtt.enabled:
-            telemetry = Telemetry(settings, self._ask(inbox, bundles), lambda: _outbox(settings))
+            telemetry = Telemetry(settings, routes.ask, lambda: outbox_of(settings))
             stack.callback(telemetry.close)
+            desk.listeners.append(telemetry.show_proposal)
             sinks.append(telemetry)
         board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32))
         stack.callback(board.close)
@@ -222,6 +226,14 @@ class Daemon:
         self._stack.callback(model.close)
         return model
 
+    def _desk(self, inbox: Inbox, models: ActiveModels, llm: LanguageModel | None) -> WishDesk:
+        """Where an operator's wishes are worked on."""
+        model = None if llm is None else partial(settings_from, llm)
+        around = Surroundings(self.settings, model, inbox.ask, lambda: models.twin, self.clock.utc)
+        desk = WishDesk(around)
+        self._stack.callback(desk.close)
+        return desk
+
     def _drift(self, sinks: list[Sink]) -> DriftMonitor | None:
         """Watches the running twin, and saves what it knows as one of the sinks."""
         settings = self.settings
@@ -271,44 +283,3 @@ class Daemon:
             state.save(replace(standing, emergency_stop=stop, maintenance_until_utc=until), memory)
 
         return save
-
-    def _ask(self, inbox: Inbox, bundles: BundleKeeper | None) -> Callable[[Request], Reply]:
-        """Requests that need the disk are carried out in the asker's thread, others in the control thread."""
-
-        def ask(request: Request) -> Reply:
-            match request.get("do"):
-                case "resend":
-                    return _resend(self.settings, request)
-                case "bundle":
-                    return bundles.answer(request) if bundles else _no_bundles()
-            return inbox.ask(request)
-
-        return ask
-
-
-def _no_bundles() -> Reply:
-    return {"ok": False, "error": "bundle.path is empty: this rig uses no bundles"}
-
-
-def _outbox(settings: Settings) -> Outbox:
-    return Outbox(settings.history.path, Topics.of(settings.mqtt).root)
-
-
-def _resend(settings: Settings, request: Mapping[str, Any]) -> Reply:
-    first, last = request.get("first_seq"), request.get("last_seq")
-    if not _is_seq(first) or not _is_seq(last) or not first <= last:
-        return {
-            "ok": False,
-            "error": f"first_seq {first!r}, last_seq {last!r}: not a span of sequence numbers",
-        }
-    outbox = _outbox(settings)
-    try:
-        return {"ok": True, "queued": outbox.resend(first, last)}
-    except sqlite3.Error as error:
-        return {"ok": False, "error": str(error)}
-    finally:
-        outbox.close()
-
-
-def _is_seq(value: object) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= SEQ_MAX

@@ -406,6 +406,8 @@ def _driven(echo: Echo) -> Command:
 
 
 def _in_words(request: Request) -> str:
+    if request.get("do") == "steer":
+        return f"confirmed: {request['steering']['words']}"
     return ", ".join(f"{key} {value}" for key, value in request.items() if key != "do") or str(
         request.get("do")
     )

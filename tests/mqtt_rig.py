@@ -7,7 +7,8 @@ from typing import Any
 from edge.controller_names import CONTROLLERS
 from edge.errors import RequestError
 from edge.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, TickRecord
-from edge.operation import Desk, Operation, operate, to_dict
+from edge.operation import Desk, Operation, operate
+from edge.operation_json import to_dict
 from edge.settings import MqttSettings, Settings
 from edge.tick_json import drift_json, echo_json, skill_json, tick_json
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.__main__ import COMMANDS, main, parser_for
-from edge.commands.ask import ASKS
+from edge.commands.orders import ORDERS
 from edge.models.arx_file import read_arx
 from edge.run_file import Run, read_run, write_run
 
@@ -43,7 +43,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     return lines[0]
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, *ASKS])
+@pytest.mark.parametrize("command", [*COMMANDS, *ORDERS])
 def test_every_command_has_help(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([command, "--help"])
@@ -63,7 +63,7 @@ def test_every_command_is_listed_in_the_help(capsys):
     with pytest.raises(SystemExit):
         parser_for(None).parse_args(["--help"])
     out = capsys.readouterr().out
-    assert all(re.search(rf"^\s+{name}\b", out, re.MULTILINE) for name in (*COMMANDS, *ASKS))
+    assert all(re.search(rf"^\s+{name}\b", out, re.MULTILINE) for name in (*COMMANDS, *ORDERS))
 
 
 # import, export

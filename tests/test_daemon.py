@@ -7,7 +7,8 @@ import pytest
 
 from edge import config
 from edge.clock import RealClock
-from edge.daemon import _resend, read_standing
+from edge.daemon import read_standing
+from edge.request_routes import resend
 from edge.settings import HistorySettings, Settings
 from edge.storage import Storage
 from tests.history_records import tick
@@ -27,7 +28,7 @@ def settings(tmp_path: Path) -> Settings:
 
 @pytest.mark.parametrize(("first", "last", "queued"), [(1, 1, 1), (2, 3, 2), (1, 2**63 - 1, 3), (9, 9, 0)])
 def test_a_span_of_numbers_is_queued_again(settings: Settings, first: int, last: int, queued: int) -> None:
-    assert _resend(settings, {"first_seq": first, "last_seq": last}) == {"ok": True, "queued": queued}
+    assert resend(settings, {"first_seq": first, "last_seq": last}) == {"ok": True, "queued": queued}
 
 
 @pytest.mark.parametrize(
@@ -46,7 +47,7 @@ def test_a_span_of_numbers_is_queued_again(settings: Settings, first: int, last:
     ],
 )
 def test_what_is_no_span_of_numbers_is_refused(settings: Settings, first: object, last: object) -> None:
-    answer = _resend(settings, {"first_seq": first, "last_seq": last})
+    answer = resend(settings, {"first_seq": first, "last_seq": last})
     assert not answer["ok"]
     assert "not a span of sequence numbers" in answer["error"]
 
@@ -54,7 +55,7 @@ def test_what_is_no_span_of_numbers_is_refused(settings: Settings, first: object
 def test_a_resend_without_a_history_is_refused_and_makes_none(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
     settings = replace(config.default(), history=HistorySettings(path=str(path)))
-    assert not _resend(settings, {"first_seq": 1, "last_seq": 2})["ok"]
+    assert not resend(settings, {"first_seq": 1, "last_seq": 2})["ok"]
     assert not path.exists()
 
 

@@ -19,7 +19,8 @@ from edge.controllers.input_profile import InputProfile
 from edge.daemon import Standing, read_standing
 from edge.errors import DataError, GreenhouseError
 from edge.experiment import Experiment, run_experiment
-from edge.operation import Operation, to_dict
+from edge.operation import Operation
+from edge.operation_json import to_dict
 from edge.profile_file import Profile, read_profile
 from edge.run_file import Run, read_run
 from edge.safety import SafetyMemory, memory_to_dict

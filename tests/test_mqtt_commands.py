@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from edge.errors import RequestError
 from edge.mqtt.commands import COMMANDS, PAYLOAD_MAX, parse
 from edge.operation import Operation, operate
+from edge.request_routes import ASKED_OF_THE_DESK
 from edge.settings import ReferenceSettings
 from tests.mqtt_rig import desk
 
@@ -29,6 +30,11 @@ REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
             b'{"heater_duty": 0.5, "fan_on": 1}',
             {"do": "set_manual", "heater_duty": 0.5, "fan_on": 1},
         ),
+        ("ask", b"26 by day", {"do": "ask", "words": "26 by day"}),
+        ("confirm", b"a1b2c3", {"do": "confirm", "id": "a1b2c3"}),
+        ("undo", b"PRESS", {"do": "undo"}),
+        ("why", b"", {"do": "why", "at_utc": None}),
+        ("why", b"1767225600.5", {"do": "why", "at_utc": 1767225600.5}),
         (
             "resend",
             b'{"first_seq": 3, "last_seq": 9}',
@@ -128,7 +134,7 @@ def test_garbage_is_refused_or_is_an_order_the_loop_understands(what, payload):
         request = parse(what, payload, REFERENCE)
     except RequestError:
         return
-    if request["do"] not in ("status", "clear_trip", "resend"):
+    if request["do"] not in ("status", "clear_trip", "resend", "undo", "why", *ASKED_OF_THE_DESK):
         operate(Operation("MPC"), request, desk())
 
 

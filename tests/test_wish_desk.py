@@ -31,11 +31,9 @@ class Office:
         self.may_answer = threading.Event()
         self.may_answer.set()
         self.done = threading.Event()
-        self.desk = WishDesk(
-            Surroundings(
-                SETTINGS, self._model, self._loop, lambda: self.twin, lambda: self.now_utc, self._told
-            )
-        )
+        around = Surroundings(SETTINGS, self._model, self._loop, lambda: self.twin, lambda: self.now_utc)
+        self.desk = WishDesk(around)
+        self.desk.listeners.append(self._told)
 
     def _model(self, messages: list[dict[str, str]]) -> Mapping[str, Any]:
         assert self.may_answer.wait(10.0)

@@ -51,7 +51,7 @@ def read_answer(content: str | None, with_simulation: bool) -> Answer:
 
     Errors : LlmFailure: malformed, wrong_schema or out_of_range
     """
-    values = _object(content)
+    values = read_object(content)
     known = ["heater_duty", "fan_on", "rationale", *(["simulation"] if with_simulation else [])]
     if unknown := sorted(values.keys() - set(known)):
         raise LlmFailure("wrong_schema", f"unknown key {shortened(str(unknown[0]), 40)!r}")
@@ -76,7 +76,8 @@ def nearest_level(duty: float) -> float:
     return round(duty * HEATER_LEVELS) / HEATER_LEVELS
 
 
-def _object(content: str | None) -> Mapping[str, Any]:
+def read_object(content: str | None) -> Mapping[str, Any]:
+    """One JSON object, alone or in one fence. Errors: LlmFailure: malformed"""
     if content is None or not content.strip():
         raise LlmFailure("malformed", "the answer is empty")
     fenced = _FENCED.fullmatch(content)

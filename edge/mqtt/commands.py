@@ -76,6 +76,23 @@ def _resend(text: str, reference: ReferenceSettings) -> Request:
     return {"do": "resend", **values}
 
 
+def _wish(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "ask", "words": text}
+
+
+def _proposal(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "confirm", "id": text}
+
+
+def _why(text: str, reference: ReferenceSettings) -> Request:
+    """An empty payload asks for the newest command."""
+    if not text:
+        return {"do": "why", "at_utc": None}
+    if not _NUMBER.fullmatch(text):
+        raise RequestError(f"{_shown(text)} is no time in seconds since 1970; empty is now")
+    return {"do": "why", "at_utc": float(text)}
+
+
 def _press(request: Request) -> Callable[[str, ReferenceSettings], Request]:
     def parse_press(text: str, reference: ReferenceSettings) -> Request:
         _choice(text, (PRESS,))
@@ -124,5 +141,9 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "clear_trip": _press({"do": "clear_trip"}),
     "follow_schedule": _press({"do": "set_reference", "reference_c": None}),
     "status": _press({"do": "status"}),
+    "ask": _wish,
+    "confirm": _proposal,
+    "undo": _press({"do": "undo"}),
+    "why": _why,
 }
 COMMANDS = tuple(_PARSERS)

@@ -52,6 +52,7 @@ class Telemetry:
         self._ticks_shown = 0
         self._greet = False
         self._events: deque[Event] = deque(maxlen=EVENTS_WAITING_MAX)
+        self._proposals: deque[Mapping[str, Any]] = deque(maxlen=COMMANDS_WAITING_MAX)
         self._commands: queue.Queue[tuple[str, bytes]] = queue.Queue(COMMANDS_WAITING_MAX)
         self._closing = False
         self._wake = threading.Event()
@@ -72,6 +73,11 @@ class Telemetry:
         self._ticks_skipped += record.ticks_skipped
         self._events.extend(record.events)
         self._ticks_written += 1
+        self._wake.set()
+
+    def show_proposal(self, proposal: Mapping[str, Any]) -> None:
+        """What came of a wish, told by the desk's thread: published, whoever asked."""
+        self._proposals.append(proposal)
         self._wake.set()
 
     def faults(self) -> Mapping[str, str]:
@@ -187,6 +193,8 @@ class Telemetry:
                 self._publish_state(status)
             # What has come up meanwhile stays to be done.
             self._greet, self._ticks_shown = self._greet and not greet, written
+        while self._proposals:
+            self._publish(self._topics.proposal, self._proposals.popleft(), qos=1)
         while self._events:
             self._publish(self._topics.event, event_json(self._events.popleft()), qos=1)
 
@@ -248,7 +256,7 @@ def remove(settings: Settings, timeout_s: float = 10.0) -> None:
 
 
 def _short(answer: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: answer[key] for key in ("ok", "error", "queued") if key in answer}
+    return {key: answer[key] for key in ("ok", "error", "queued", "proposal", "lines") if key in answer}
 
 
 def _bad_command(what: str, error: str) -> Event:

@@ -69,6 +69,11 @@ class Topics:
         return f"{self.root}/event"
 
     @property
+    def proposal(self) -> str:
+        """What came of an operator's wish: to be confirmed, or not."""
+        return f"{self.root}/proposal"
+
+    @property
     def reply(self) -> str:
         """Answer to each command."""
         return f"{self.root}/reply"

@@ -69,7 +69,6 @@ class Surroundings:
     model : messages -> the JSON object that the language model answered; raises GreenhouseError
     loop : a request to the control loop and its answer
     twin : the running one, None where there is none
-    told : takes every proposal as soon as something has come of it; never waits
     """
 
     settings: Settings
@@ -77,13 +76,13 @@ class Surroundings:
     loop: Callable[[Mapping[str, Any]], Json]
     twin: Callable[[], Twin | None]
     utc: Callable[[], float]
-    told: Callable[[Json], None] = lambda proposal: None
 
 
 class WishDesk:
     """Takes `ask`, `proposal` and `confirm`; each is answered at once."""
 
     def __init__(self, around: Surroundings) -> None:
+        self.listeners: list[Callable[[Json], None]] = []  # told what came of a wish; they never wait
         self._around = around
         self._zone = zone_of(around.settings.timezone)
         self._lock = threading.Lock()
@@ -162,7 +161,8 @@ class WishDesk:
             proposal = replace(proposal, state="failed", error=f"internal error: {error!r}")
         with self._lock:
             self._keep(proposal)
-        self._around.told(proposal.as_json())
+        for listener in self.listeners:
+            listener(proposal.as_json())
 
     def _worked_out(self, proposal: Proposal) -> Proposal:
         around = self._around
