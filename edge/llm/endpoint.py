@@ -27,6 +27,7 @@ from edge.llm.wire import (
 from edge.secrets import Secret
 from edge.settings import LlmSettings
 
+PAUSE_MAX_S = 60.0  # a server that wants more than this is left alone
 RETRIED = ("unreachable", "rate_limited", "server_error")
 _REFUSED_KEY = (401, 403)
 
@@ -74,7 +75,8 @@ class Endpoint:
             except _TryAgain as again:
                 tries += 1
                 pause_s = max(settings.backoff_s * 2.0 ** (tries - 1), again.after_s)
-                if tries > settings.retries or not self.now() + pause_s < end_s:
+                waits = pause_s <= PAUSE_MAX_S and self.now() + pause_s < end_s
+                if tries > settings.retries or not waits:
                     raise again.failure from None
                 self.pause(stop, pause_s)
             if stop.fired:
