@@ -103,9 +103,10 @@ class Endpoint:
         self.budget.charge(most)
         used = Usage(estimated=True)
         try:
-            left_s = min(self.settings.timeout_s, end_s - self.now())
-            if not left_s > 0.0:
+            left_s = end_s - self.now()
+            if not left_s > 0.0:  # NaN lands here too
                 raise LlmFailure("timeout", "the time for this answer is over")
+            left_s = min(self.settings.timeout_s, left_s)
             response = self.line(self._url, body, self._headers(), left_s, stop)
             used = _usage(response, most)
             return response, used
