@@ -1,6 +1,5 @@
 """The exchange with a model: messages out, tools called, until it answers. Every architecture uses it."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -44,10 +43,10 @@ class Conversation:
         deadline_s : for all exchanges [s]
         Errors : LlmFailure; two mistakes of one kind in calling tools are a failure too
         """
-        end_s = time.monotonic() + deadline_s
+        end_s = self.endpoint.now() + deadline_s
         most = self.endpoint.settings.exchanges
         while self.exchanges < most:
-            reply = self._exchange(end_s - time.monotonic(), stop)
+            reply = self._exchange(end_s - self.endpoint.now(), stop)
             if not reply.tool_calls:
                 return reply.content
             self.messages.append(assistant_message(reply))

@@ -54,7 +54,7 @@ class Question(Generic[T]):
         except LlmFailure as failure:
             self._failure = failure
         except Exception as error:  # of any part of the work; the asker's fallback decides then
-            self._failure = LlmFailure("malformed", f"{type(error).__name__}: {error}")
+            self._failure = LlmFailure("broken", f"{type(error).__name__}: {error}")
         finally:
             self._stop.let_go()
             self._done.set()

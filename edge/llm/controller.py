@@ -84,10 +84,10 @@ class LlmController:
             proposal = question.answer()
         except LlmFailure as failure:
             raise self._counted(failure) from None
-        for claim in proposal.flagged:
-            text = f"{self.name}: a claim does not hold: {claim.text!r}, against: {claim.against}"
-            event = Event("llm.claim", Severity.WARNING, text, context.now_s, context.utc)
-            self._model.tell(event)
+        if proposal.flagged:
+            said = "; ".join(f"{claim.text!r} ({claim.against})" for claim in proposal.flagged)
+            text = f"{self.name} claims what does not hold: {said}"
+            self._model.tell(Event("llm.claim", Severity.WARNING, text, context.now_s, context.utc))
         asked_s_ago = context.now_s - question.asked_s
         passed = round(asked_s_ago / context.step_s)
         why = {**proposal.why, "asked_s_ago": asked_s_ago, "failures": dict(self._failures)}

@@ -27,6 +27,7 @@ from edge.llm.wire import (
 from edge.secrets import Secret
 from edge.settings import LlmSettings
 
+PAUSE_MAX_S = 60.0  # a server that wants more than this is left alone
 RETRIED = ("unreachable", "rate_limited", "server_error")
 _REFUSED_KEY = (401, 403)
 
@@ -74,7 +75,8 @@ class Endpoint:
             except _TryAgain as again:
                 tries += 1
                 pause_s = max(settings.backoff_s * 2.0 ** (tries - 1), again.after_s)
-                if tries > settings.retries or not self.now() + pause_s < end_s:
+                waits = pause_s <= PAUSE_MAX_S and self.now() + pause_s < end_s
+                if tries > settings.retries or not waits:
                     raise again.failure from None
                 self.pause(stop, pause_s)
             if stop.fired:
@@ -101,9 +103,10 @@ class Endpoint:
         self.budget.charge(most)
         used = Usage(estimated=True)
         try:
-            left_s = min(self.settings.timeout_s, end_s - self.now())
-            if not left_s > 0.0:
+            left_s = end_s - self.now()
+            if not left_s > 0.0:  # NaN lands here too
                 raise LlmFailure("timeout", "the time for this answer is over")
+            left_s = min(self.settings.timeout_s, left_s)
             response = self.line(self._url, body, self._headers(), left_s, stop)
             used = _usage(response, most)
             return response, used

@@ -21,6 +21,7 @@ KINDS = (
     "unfaithful",  # the simulation cited is not one of these controls
     "late",  # not there when the tick had to go on
     "interrupted",  # nobody waits for it any more
+    "broken",  # a part of ours raised
     "unequipped",  # a model or file that the architecture needs is not there
 )
 

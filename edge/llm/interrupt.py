@@ -29,7 +29,7 @@ class Interrupt:
     def hold(self, connection: socket.socket) -> None:
         """Shut `connection` down when fired; a second descriptor of it is kept, which TLS does not wrap."""
         with self._lock:
-            self._sockets.append(socket.socket(fileno=connection.dup().detach()))
+            self._sockets.append(connection.dup())
         if self.fired:
             self.fire()
 

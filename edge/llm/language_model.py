@@ -1,5 +1,6 @@
 """The language model of a rig: what all who ask it share. The daemon makes it and closes it."""
 
+import queue
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,17 +23,16 @@ class LanguageModel:
     budget: Budget
     history: Path
     utc: Callable[[], float]
-    _events: list[Event] = field(default_factory=list)
+    _events: "queue.SimpleQueue[Event]" = field(default_factory=queue.SimpleQueue)
     _questions: list[Question[Any]] = field(default_factory=list)
 
     def tell(self, event: Event) -> None:
-        """Into the next record."""
-        self._events.append(event)
+        """Into the next record; from any thread."""
+        self._events.put(event)
 
     def events_pending(self) -> list[Event]:
         """What was told since the last call."""
-        events, self._events = self._events, []
-        return events
+        return [self._events.get_nowait() for _ in range(self._events.qsize())]
 
     def under_way(self, question: Question[Any]) -> None:
         """See to the end of a question at `close`."""

@@ -13,13 +13,14 @@ from edge.llm.answer import Answer, answer_schema, read_answer
 from edge.llm.claims import Claim, Known, check_claims
 from edge.llm.interrupt import Interrupt
 from edge.llm.language_model import LanguageModel
-from edge.llm.ledger import Ledger, Tool
+from edge.llm.ledger import Entry, Ledger, Tool
 from edge.llm.prompts import question, system_prompt
 from edge.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
 from edge.llm.sql_tool import SqlTool
 from edge.messages import Command
 from edge.models.base import Predictor
 
+QUERY_MAX = 300  # characters of a query that are kept
 _ARCHITECTURES = {"": "simple", "sql": "sql"}
 
 
@@ -106,14 +107,17 @@ class Architecture:
 
 
 def _in_short(ledger: Ledger) -> list[dict[str, Any]]:
-    """Calls as they fit into a history of every minute: what was asked, and how it came out in a number."""
-    calls = []
-    for entry in ledger.entries:
-        if entry.tool == "simulate":
-            duties, fans = entry.result["heater_duty"], entry.result["fan_on"]
-            error = entry.result["mean_abs_error_k"]
-            calls.append({"id": entry.id, "heater_duty": duties, "fan_on": fans, "mean_abs_error_k": error})
-        else:
-            query = str(entry.arguments["query"])[:300]
-            calls.append({"id": entry.id, "query": query, "rows": entry.result["coverage"]["rows"]})
-    return calls
+    """Calls as they fit into a history of every minute: what was asked, and in one number what came out."""
+    return [_simulation(entry) if entry.tool == "simulate" else _query(entry) for entry in ledger.entries]
+
+
+def _simulation(entry: Entry) -> dict[str, Any]:
+    result = entry.result
+    first = {"heater_duty": result["heater_duty"][0], "fan_on": result["fan_on"][0]}
+    error_k = result["mean_abs_error_k"]
+    return {"id": entry.id, **first, "steps": len(result["fan_on"]), "mean_abs_error_k": error_k}
+
+
+def _query(entry: Entry) -> dict[str, Any]:
+    query = str(entry.arguments["query"])[:QUERY_MAX]
+    return {"id": entry.id, "query": query, "rows": entry.result["coverage"]["rows"]}

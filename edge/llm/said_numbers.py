@@ -1,8 +1,11 @@
 """Numbers with a unit in plain text, and whether a value would be said so."""
 
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+from edge.names import HEATER_LEVELS
 
 _NUMBER = r"(?<![\w.-])(?P<number>-?\d+(?:\.\d+)?)"
 _DEGREES = re.compile(rf"{_NUMBER}\s*(?:°\s*C?\b|°|deg(?:rees?)?\b(?:\s*C(?:elsius)?\b)?|degC\b|C\b)")
@@ -27,8 +30,11 @@ def degrees(text: str) -> list[Said]:
 
 
 def shares(text: str) -> list[Said]:
-    """Heater duties 0..1, from "duty 0.45", and from percentages in a text that speaks of the heater."""
-    found = [_said(match, 1.0) for match in _DUTY.finditer(text)]
+    """Heater duties 0..1, from "duty 0.45", and from percentages in a text that speaks of the heater.
+
+    "0.5" is that level of the heater and not the next one.
+    """
+    found = [_said(match, 1.0, 1.0 / HEATER_LEVELS) for match in _DUTY.finditer(text)]
     if re.search(r"\b(?:duty|heater)\b", text, re.IGNORECASE):
         found += [_said(match, 0.01) for match in _PERCENT.finditer(text)]
     return found
@@ -45,7 +51,7 @@ def fits(said: Said, values: Iterable[float]) -> bool:
     return any(abs(said.value - value) <= most for value in values)
 
 
-def _said(match: "re.Match[str]", factor: float) -> Said:
+def _said(match: "re.Match[str]", factor: float, coarsest: float = math.inf) -> Said:
     number = match["number"]
     decimals = len(number.partition(".")[2])
-    return Said(match[0].strip(), float(number) * factor, factor * 10.0**-decimals)
+    return Said(match[0].strip(), float(number) * factor, min(factor * 10.0**-decimals, coarsest))

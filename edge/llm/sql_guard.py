@@ -45,7 +45,6 @@ def open_guarded(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(place, uri=True, timeout=BUSY_S, isolation_level=None)
     try:
         connection.execute("PRAGMA query_only = ON")
-        connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("SELECT count(*) FROM v_ticks WHERE seq < 0")  # the schema is read, and is ours
         for limit, value in _LIMITS.items():
             connection.setlimit(limit, value)

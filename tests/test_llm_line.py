@@ -1,0 +1,75 @@
+"""edge/llm/line.py: on real sockets, a server that drips, hangs, never ends or hangs up."""
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from bench.llm_stand_in.server import StandIn
+from edge.llm.failure import LlmFailure
+from edge.llm.interrupt import Interrupt
+from edge.llm.line import post
+
+BODY = b'{"messages": []}'
+
+
+@pytest.fixture
+def stand_in() -> Iterator[StandIn]:
+    with StandIn() as server:
+        yield server
+
+
+def kind_of(stand_in: StandIn, behave: str, deadline_s: float = 20.0, stop: Interrupt | None = None) -> str:
+    stand_in.behave = behave
+    with pytest.raises(LlmFailure) as caught:
+        post(f"{stand_in.url}/chat/completions", BODY, {}, deadline_s, stop or Interrupt())
+    return caught.value.kind
+
+
+def test_a_reply_comes_back_whole(stand_in: StandIn) -> None:
+    stand_in.behave = "429"
+    response = post(f"{stand_in.url}/chat/completions", BODY, {"X-Y": "z"}, 20.0, Interrupt())
+    assert (response.status, response.retry_after) == (429, "20")
+    assert b"Rate limit" in response.raw
+    assert stand_in.headers[0]["X-Y"] == "z"
+
+
+@pytest.mark.parametrize("behave", ["hanging", "dripping"])
+def test_the_deadline_holds_for_the_whole_reply(stand_in: StandIn, behave: str) -> None:
+    begun = time.monotonic()
+    assert kind_of(stand_in, behave, deadline_s=0.3) == "timeout"
+    assert time.monotonic() - begun < 10.0  # dripping it would take half a minute, hanging for ever
+
+
+def test_a_reply_without_an_end_is_cut_off(stand_in: StandIn) -> None:
+    assert kind_of(stand_in, "endless_reply") == "malformed"
+
+
+def test_a_server_that_hangs_up_is_unreachable(stand_in: StandIn) -> None:
+    assert kind_of(stand_in, "cut") == "unreachable"
+
+
+def test_nobody_at_the_address_is_unreachable() -> None:
+    with StandIn() as gone:
+        url = gone.url
+    with pytest.raises(LlmFailure, match="unreachable"):
+        post(url, BODY, {}, 5.0, Interrupt())
+
+
+def test_an_interrupt_from_another_thread_ends_a_read(stand_in: StandIn) -> None:
+    stop = Interrupt()
+
+    def fire() -> None:
+        while not stand_in.requests:
+            time.sleep(0.005)
+        stop.fire()
+
+    threading.Thread(target=fire).start()
+    assert kind_of(stand_in, "hanging", stop=stop) == "interrupted"
+
+
+def test_an_interrupt_that_was_fired_before_ends_it_at_once(stand_in: StandIn) -> None:
+    stop = Interrupt()
+    stop.fire()
+    assert kind_of(stand_in, "hanging", stop=stop) == "interrupted"
