@@ -11,6 +11,7 @@ from typing import Any
 
 from bench.llm_stand_in.gains import COMMON_SENSE, Gains, estimate
 from bench.llm_stand_in.prompt import Asked, read_prompt, results
+from bench.llm_stand_in.wish import wish
 from edge.names import HEATER_LEVELS
 
 SIMULATIONS = 6  # sets of controls that are tried
@@ -32,7 +33,7 @@ def reply(body: Mapping[str, Any], seed: int) -> Turn:
     messages = body["messages"]
     asked = read_prompt(messages)
     if asked is None:
-        return says("I can only choose controls of a greenhouse.")
+        return says(wish(messages) or "I can only choose controls of a greenhouse.")
     jitter = _jitter(body, seed)
     offered = {tool["function"]["name"] for tool in body.get("tools", ())}
     found = [each for each in results(messages) if "result" in each]
