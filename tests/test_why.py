@@ -58,7 +58,10 @@ def test_a_plan_is_told_with_its_costs_and_what_bound_it() -> None:
     ("values", "sentence"),
     [
         ({"rule": "below the reference: heat"}, "Its rule: below the reference: heat."),
-        ({"q": -3.21, "margin": 0.5}, "worth -3.21, 0.5 more than the next best."),
+        (
+            {"policy": "RL-Off 1a2b", "value": -3.21, "margin": 0.5},
+            "worth -3.21, 0.5 more than the next best.",
+        ),
         ({"rationale": "it is cold"}, 'The language model said: "it is cold"'),
         (
             {

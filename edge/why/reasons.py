@@ -42,10 +42,12 @@ def _next_best(why: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _values(why: Mapping[str, Any]) -> Iterator[str]:
-    """A policy's: what it takes each action to be worth."""
-    if "q" in why:
-        margin = f", {_number(why['margin'])} more than the next best" if "margin" in why else ""
-        yield f"Its policy takes that to be worth {_number(why['q'])}{margin}."
+    """A policy's: what it takes its actions to be worth."""
+    if "policy" in why:
+        margin = (
+            f", {_number(why['margin'])} more than the next best" if why.get("margin") is not None else ""
+        )
+        yield f"{why['policy']} takes that to be worth {_number(why.get('value'))}{margin}."
 
 
 def _said(why: Mapping[str, Any]) -> Iterator[str]:
