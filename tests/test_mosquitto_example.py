@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from edge.mqtt.telemetry import Telemetry
+from edge.mqtt.topics import Topics
 from tests.broker import Broker, Listener, needs_mosquitto, wait_for
 from tests.certificates import make_certificates
 from tests.mqtt_rig import ControlLoop, MemoryOutbox, Row, record, settings
@@ -60,6 +61,10 @@ def test_the_rig_home_assistant_and_an_archive_can_do_their_work_and_no_more(bro
             own.write(record())
             wait_for(lambda: home.objects(f"{ROOT}/state") and home.objects(f"{ROOT}/decision"))
             wait_for(lambda: home.objects("homeassistant/device/greenhouse-1/config"))
+            own.show_proposal({"id": "a1"})
+            wait_for(lambda: home.objects(f"{ROOT}/proposal") == [{"id": "a1"}])
+            written = Topics.of(configured.mqtt).retained  # each has a line in the file
+            wait_for(lambda: all(home.payloads(topic) for topic in written))
             wait_for(lambda: len(archive.objects(f"{ROOT}/history/tick")) == 50)
             wait_for(lambda: outbox.depth() == 0)
             archive.send(f"{ROOT}/set/mode", "off")  # not its business
