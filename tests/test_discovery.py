@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from edge.controller_names import CONTROLLERS
+from edge.controller_names import LLM
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.topics import Topics
-from edge.settings import ControlSettings, ReferenceSettings
+from edge.settings import ControlSettings, LlmSettings, ReferenceSettings, Settings
 from tests.home_assistant import check_device, check_topic
 from tests.mqtt_rig import ROOT, ControlLoop, settings
 
@@ -55,9 +55,18 @@ def test_the_climate_has_what_the_rig_can_do():
     climate = COMPONENTS["climate"]
     assert climate["modes"] == ["off", "heat", "fan_only", "auto"]
     assert climate["fan_modes"] == ["auto", "on", "off"]
-    assert climate["preset_modes"] == list(CONTROLLERS)
+    assert climate["preset_modes"] == list(CONFIGURED.controllers)
     bounds = (CONFIGURED.reference.min_c, CONFIGURED.reference.max_c)
     assert (climate["min_temp"], climate["max_temp"]) == bounds
+
+
+def test_a_rig_offers_language_models_where_it_has_one():
+    def offered(rig: Settings) -> set[str]:
+        return set(discovery.device(rig)["components"]["climate"]["preset_modes"])
+
+    with_one = replace(CONFIGURED, llm=LlmSettings(url="http://localhost/v1", model="m"))
+    assert not offered(CONFIGURED) & set(LLM)
+    assert offered(with_one) >= set(LLM)
 
 
 def test_all_shown_on_the_state_topic_is_in_the_state():

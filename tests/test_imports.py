@@ -41,6 +41,15 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
         "edge.controllers",
         "edge.clock",
     ),
+    "edge/llm": (
+        "edge.board",
+        "edge.mqtt",
+        "edge.loop",
+        "edge.clock",
+        "edge.safety",
+        "edge.inbox",
+        "edge.control_socket",
+    ),
     "edge/models": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.controllers", "edge.clock"),
     "edge/twin": (
         "edge.board",
