@@ -1,0 +1,24 @@
+"""Settings of the DQN, in one place."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class DqnSettings:
+    """Tuned on validation episodes in the training model alone. The paper says only the steps."""
+
+    steps: int = 100_000
+    boxes: int = 16  # environments that step in one call
+    hidden: tuple[int, ...] = (64, 64)
+    gamma: float = 0.95
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 1e-4  # reached in a straight line
+    buffer: int = 100_000  # transitions
+    batch: int = 128
+    learning_starts: int = 2_000  # environment steps before the first update
+    updates: int = 1  # per step of all boxes
+    target_every: int = 400  # environment steps between copies into the target network
+    explore_share: float = 0.4  # of the steps, over which the share of random actions falls
+    explore_from: float = 1.0
+    explore_to: float = 0.05
+    reward_scale: float = 0.1  # the values of a discounted sum come to order 1
