@@ -5,7 +5,7 @@ from typing import Protocol
 
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.serving import Serving
-from edge.controller_names import NEED_A_MODEL
+from edge.controller_names import EXTERNAL, NEED_A_MODEL
 from edge.controllers import registry
 from edge.controllers.base import Controller
 from edge.errors import ConfigError
@@ -60,7 +60,7 @@ class ActiveModels:
 
     def __init__(self, settings: Settings, keeper: BundleKeeper | None, state: SkillState) -> None:
         """Errors: ConfigError where no model fits the configured step and a controller needs one."""
-        self._names = settings.controllers
+        self._names = [name for name in settings.controllers if name != EXTERNAL]  # made of no model
         control = self._control = settings.control
         self._keeper = keeper
         self._configured = configured_model(control) if keeper is None or control.model else None
@@ -77,7 +77,9 @@ class ActiveModels:
 
     def controllers(self) -> dict[str, Controller]:
         """All that can decide with these models, by name."""
-        parts = registry.Parts(self._control, self.model, self.linear, _active(self._serving))
+        serving = self._serving
+        policies = serving.active.policies if serving is not None and serving.active is not None else {}
+        parts = registry.Parts(self._control, self.model, self.linear, _active(serving), policies)
         without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
         return {name: registry.make(name, parts) for name in self._names if name not in without}
 

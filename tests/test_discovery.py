@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from edge.controller_names import CONTROLLERS
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.topics import Topics
@@ -55,7 +54,7 @@ def test_the_climate_has_what_the_rig_can_do():
     climate = COMPONENTS["climate"]
     assert climate["modes"] == ["off", "heat", "fan_only", "auto"]
     assert climate["fan_modes"] == ["auto", "on", "off"]
-    assert climate["preset_modes"] == list(CONTROLLERS)
+    assert climate["preset_modes"] == list(CONFIGURED.controllers)
     bounds = (CONFIGURED.reference.min_c, CONFIGURED.reference.max_c)
     assert (climate["min_temp"], climate["max_temp"]) == bounds
 

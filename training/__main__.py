@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge.errors import GreenhouseError
+from training.rl import command as rl
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
     from training.study import Job, Regime
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_paper_case(
         commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
     )
+    rl.add_commands(commands)
     box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
     box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
     box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")

@@ -7,10 +7,12 @@ from edge import controller_names as names
 from edge.config_schema import nearest
 from edge.controllers.base import Controller
 from edge.controllers.mpc import Mpc, MpcSettings
+from edge.controllers.rl import Rl
 from edge.controllers.rules import Rules
 from edge.errors import RequestError
 from edge.models.arx import Arx
 from edge.models.base import Predictor
+from edge.policy.onnx_policy import OnnxPolicy
 from edge.settings import ControlSettings
 
 
@@ -21,12 +23,14 @@ class Parts:
     model : estimates, and MPC and MPC-P plan with it
     linear : the ARX model whose plan a search over another `model` begins with
     predictors : of the active bundle, by name
+    policies : of the active bundle, by the controller that they are for
     """
 
     control: ControlSettings
     model: Predictor
     linear: Predictor | None = None
     predictors: Mapping[str, Predictor] = field(default_factory=dict)
+    policies: Mapping[str, OnnxPolicy] = field(default_factory=dict)
 
 
 def make(name: str, parts: Parts) -> Controller:
@@ -37,6 +41,8 @@ def make(name: str, parts: Parts) -> Controller:
         return Rules()
     if name in names.MPC:
         return _mpc(name, parts)
+    if name in names.RL:
+        return Rl(name, parts.policies.get(name))
     raise RequestError(f"controller: {name} is not built in")
 
 

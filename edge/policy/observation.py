@@ -77,7 +77,10 @@ _RULES: dict[str, Callable[[Recent, int], Floats]] = {
 
 def observe(recent: Recent) -> Floats:
     """The table of B rigs, [B, features], each in units of its scale; NaN where something is not known."""
-    return np.stack([_RULES[one.of](recent, one.steps) / one.scale for one in FEATURES], axis=1)
+    table = np.empty((len(recent.air), len(FEATURES)))
+    for column, feature in enumerate(FEATURES):
+        table[:, column] = _RULES[feature.of](recent, feature.steps) / feature.scale
+    return table
 
 
 def observe_tick(context: Context) -> Floats:
@@ -92,7 +95,7 @@ def observe_tick(context: Context) -> Floats:
         ambient=np.array([context.estimate.temp_ambient]),
         reference=context.reference[:1],
     )
-    observation = observe(recent)[0]
+    observation: Floats = observe(recent)[0]
     unknown = [name for name, value in zip(NAMES, observation, strict=True) if not np.isfinite(value)]
     if unknown:
         raise DataError(f"observation: {', '.join(unknown)}: not a number")

@@ -1,6 +1,6 @@
 """B boxes side by side: one call of the model steps them all. The environments are made of this."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ class World:
     model: StepModel
     starts: Starts
     weights: Weights
-    episodes: EpisodeSettings = EpisodeSettings()
+    episodes: EpisodeSettings = field(default_factory=EpisodeSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +68,13 @@ class Boxes:
     def observation(self) -> Floats:
         """The table of all boxes now, [B, features]."""
         now = np.arange(self.count), self._step
-        return observe(
-            Recent(self._air, self._duty, self._fan, self._ambient[now], self._reference[now])
-        )
+        return observe(Recent(self._air, self._duty, self._fan, self._ambient[now], self._reference[now]))
 
     def step(self, actions: NDArray[np.int64]) -> Stepped:
         """One action each. Boxes whose episode has ended stand still until they are reset."""
         world, now = self.world, (np.arange(self.count), self._step)
         duty, fan = duties_and_fans(actions)
-        self._state, air = world.model.advance(
-            self._state, self._ambient[now], duty, fan, self._variant
-        )
+        self._state, air = world.model.advance(self._state, self._ambient[now], duty, fan, self._variant)
         error = air - self._reference[now]
         _push(self._air, measured(air, self.rng, world.episodes))
         _push(self._duty, duty)

@@ -1,4 +1,4 @@
-"""The paper's reward (eq. method-rl-reward-function), with the weights of its table (tab:model-parameters-rl).
+"""The paper's reward (eq. method-rl-reward-function), with its table's weights (tab:model-parameters-rl).
 
 Its text calls the term of lambda_2 the squared error and that of lambda_1 the absolute one.
 """
