@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from stable_baselines3 import DQN
 from torch import nn
 
-from training.fit_network import make_deterministic
 from training.rl.boxes import World
 from training.rl.play import Act
 from training.rl.settings import DqnSettings
@@ -15,7 +14,7 @@ from training.rl.vec_env import BoxesVecEnv
 
 def train(world: World, seed: int, settings: DqnSettings) -> DQN:
     """A policy after `settings.steps` steps in the world's model."""
-    make_deterministic(seed)
+    torch.set_num_threads(1)  # the same sums in the same order, on every machine of a kind
     env = BoxesVecEnv(world, settings.boxes, seed, settings.reward_scale)
     agent = make_agent(env, seed, settings)
     agent.learn(settings.steps)
@@ -39,7 +38,7 @@ def make_agent(env: BoxesVecEnv, seed: int, settings: DqnSettings) -> DQN:
         exploration_fraction=settings.explore_share,
         exploration_initial_eps=settings.explore_from,
         exploration_final_eps=settings.explore_to,
-        policy_kwargs={"net_arch": list(settings.hidden)},
+        policy_kwargs={"net_arch": list(settings.hidden), "optimizer_kwargs": {"fused": True}},
         seed=seed,
         device="cpu",
     )
