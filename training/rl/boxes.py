@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from edge.policy.actions import duties_and_fans
 from edge.policy.observation import AIR_ROWS, INPUT_ROWS, Recent, observe
 from training.lstm import WINDOW
-from training.rl.episodes import EpisodeSettings, Starts, draw_ambient, draw_reference, measured
+from training.rl.episodes import Episodes, Sensor, Start
 from training.rl.models import StepModel, Window
 from training.rl.reward import Weights, reward
 
@@ -21,9 +21,9 @@ class World:
     """What boxes are made of."""
 
     model: StepModel
-    starts: Starts
+    episodes: Episodes
     weights: Weights
-    episodes: EpisodeSettings = field(default_factory=EpisodeSettings)
+    sensor: Sensor = field(default_factory=Sensor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,12 @@ class Boxes:
         """Begin anew in the boxes `which`, or in all; the observation of all boxes."""
         boxes = np.arange(self.count) if which is None else which
         starts = [self._begin(box) for box in boxes]
-        window = Window(*(np.stack(column)[:, -WINDOW:] for column in zip(*starts, strict=True)))
+        window = Window(
+            *(
+                np.stack([getattr(start, name)[-WINDOW:] for start in starts])
+                for name in ("temp", "ambient", "duty", "fan")
+            )
+        )
         state = self.world.model.start(window, self._variant[boxes])
         if len(boxes) == self.count:
             self._state = state
@@ -76,7 +81,7 @@ class Boxes:
         duty, fan = duties_and_fans(actions)
         self._state, air = world.model.advance(self._state, self._ambient[now], duty, fan, self._variant)
         error = air - self._reference[now]
-        _push(self._air, measured(air, self.rng, world.episodes))
+        _push(self._air, world.sensor.shows(air, self.rng))
         _push(self._duty, duty)
         _push(self._fan, fan)
         self._step += 1
@@ -84,18 +89,16 @@ class Boxes:
         ended = self._step >= world.episodes.steps
         return Stepped(self.observation(), earned, ended, error, duty, fan)
 
-    def _begin(self, box: int) -> tuple[Floats, Floats, Floats, Floats]:
+    def _begin(self, box: int) -> Start:
         """Draw an episode for a box; the rows that it begins after."""
-        rng, world = self.rng, self.world
-        self._variant[box] = rng.integers(world.model.variants)
-        self._ambient[box] = draw_ambient(rng, world.episodes)
-        reference = draw_reference(rng, world.episodes, float(self._ambient[box].mean()))
-        self._reference[box] = np.append(reference, reference[-1])
-        start = world.starts.draw(rng, float(self._ambient[box, 0]))
+        self._variant[box] = self.rng.integers(self.world.model.variants)
+        episode = self.world.episodes.draw(self.rng)
+        start = episode.start
+        self._reference[box], self._ambient[box] = episode.reference, episode.ambient
         self._air[box] = start.temp[-AIR_ROWS:]
         self._duty[box], self._fan[box] = start.duty[-START_ROWS:-1], start.fan[-START_ROWS:-1]
         self._step[box] = 0
-        return start.temp, start.ambient, start.duty, start.fan
+        return start
 
 
 def _push(column: Floats, newest: Floats) -> None:

@@ -6,6 +6,7 @@ of them is drawn.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,19 @@ class EpisodeSettings:
     ambient_c: tuple[float, float] = (17.0, 25.0)
     ambient_wander_k: float = 0.5  # sd of the room about its mean
     ambient_steps: float = 60.0  # how long it remembers
-    noise_sd_k: float = 0.03  # of an air temperature as the loop has it, averaged over samples
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What shows of an air temperature that the loop has averaged over samples."""
+
+    noise_sd_k: float = 0.03
     quantisation_k: float = 0.1
+
+    def shows(self, air: Floats, rng: np.random.Generator) -> Floats:
+        """Measurements of `air` [°C], same shape."""
+        noisy = air + rng.normal(0.0, self.noise_sd_k, air.shape)
+        return np.round(noisy / self.quantisation_k) * self.quantisation_k
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,19 +56,64 @@ class Start:
     fan: Floats
 
 
-class Starts:
-    """Windows of the training parts of recorded runs, moved to another room temperature.
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """reference, ambient : [steps + 1] [°C]; the last ones are only looked at."""
+
+    reference: Floats
+    ambient: Floats
+    start: Start
+
+
+class Episodes(Protocol):
+    """Where episodes come from, all of one length."""
+
+    @property
+    def steps(self) -> int: ...
+    def draw(self, rng: np.random.Generator) -> Episode: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """The same episode every time."""
+
+    episode: Episode
+
+    @property
+    def steps(self) -> int:
+        """Its length."""
+        return len(self.episode.reference) - 1
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """It."""
+        return self.episode
+
+
+class Drawn:
+    """Random references and rooms; starts are windows of the training parts of recorded runs.
 
     Errors : DataError where no stretch is long enough
     """
 
-    def __init__(self, runs: Sequence[Run], rows: int) -> None:
-        self._rows = rows
+    def __init__(self, runs: Sequence[Run], rows: int, settings: EpisodeSettings | None = None) -> None:
+        """rows : of a start"""
+        self._settings, self._rows = settings or EpisodeSettings(), rows
         self._stretches = [stretch for stretch in stretches(split_all(runs).train) if len(stretch[0]) >= rows]
         if not self._stretches:
             raise DataError(f"no training run has {rows} rows in which nothing is missing")
 
-    def draw(self, rng: np.random.Generator, ambient_c: float) -> Start:
+    @property
+    def steps(self) -> int:
+        """Of an episode."""
+        return self._settings.steps
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """A new one."""
+        ambient = draw_ambient(rng, self._settings)
+        reference = draw_reference(rng, self._settings, float(ambient.mean()))
+        return Episode(np.append(reference, reference[-1]), ambient, self._start(rng, float(ambient[0])))
+
+    def _start(self, rng: np.random.Generator, ambient_c: float) -> Start:
         """A window whose room is `ambient_c` at its end: air and room are moved by the same."""
         stretch = self._stretches[rng.integers(len(self._stretches))]
         first = rng.integers(len(stretch[0]) - self._rows + 1)
@@ -88,9 +145,3 @@ def draw_ambient(rng: np.random.Generator, settings: EpisodeSettings) -> Floats:
     for k, push in enumerate(pushes):
         last = wander[k] = keep * last + push
     return rng.uniform(*settings.ambient_c) + wander
-
-
-def measured(air: Floats, rng: np.random.Generator, settings: EpisodeSettings) -> Floats:
-    """What the sensor shows of `air` [°C], same shape."""
-    noisy = air + rng.normal(0.0, settings.noise_sd_k, air.shape)
-    return np.round(noisy / settings.quantisation_k) * settings.quantisation_k

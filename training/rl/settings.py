@@ -22,3 +22,31 @@ class DqnSettings:
     explore_from: float = 1.0
     explore_to: float = 0.05
     reward_scale: float = 0.1  # the values of a discounted sum come to order 1
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineSettings:
+    """On the rig a step is a minute, so there is time for many updates in each."""
+
+    steps: int = 1_440
+    hidden: tuple[int, ...] = (128, 128)
+    gamma: float = 0.95
+    learning_rate: float = 1e-3
+    batch: int = 128
+    learning_starts: int = 60
+    updates: int = 8
+    target_every: int = 20
+    explore_share: float = 0.5
+    explore_from: float = 1.0
+    explore_to: float = 0.05
+    reward_scale: float = 0.1
+    checkpoint_every: int = 20  # steps that a kill may cost
+
+
+ONLINE = {
+    "RL-On-P": OnlineSettings(),
+    # It knows already what to do: small steps, little that is tried out.
+    "RL-Tr-P": OnlineSettings(
+        learning_rate=1e-4, learning_starts=240, updates=4, explore_from=0.1, explore_to=0.02
+    ),
+}

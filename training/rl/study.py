@@ -14,7 +14,7 @@ from edge.policy.onnx_policy import OnnxPolicy
 from edge.run_file import Run, data_sha256
 from training.datasets import training_runs
 from training.rl.boxes import START_ROWS, World
-from training.rl.episodes import Starts
+from training.rl.episodes import Drawn
 from training.rl.export import export
 from training.rl.observations import recorded_observations
 from training.rl.play import play
@@ -77,7 +77,7 @@ def study(job: Job, folder: Path) -> dict[str, Any]:
 
 def world_of(variant: str, model: str, runs: list[Run], variants: int = 1) -> World:
     """Where the policies of a variant are trained and judged."""
-    return World(read_model(model, variants), Starts(runs, START_ROWS), WEIGHTS[variant])
+    return World(read_model(model, variants), Drawn(runs, START_ROWS), WEIGHTS[variant])
 
 
 def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[Run], folder: Path) -> OnnxPolicy:
