@@ -5,8 +5,7 @@ It can be killed at any time: the fallback decides meanwhile, and the next start
 
 import json
 import time
-from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +48,10 @@ class OnlineJob:
 class Course:
     """What happened so far, over all starts of the process."""
 
-    counts: Counter[str] = field(default_factory=Counter)  # steps, used, gaps, starts
+    starts: int = 0
+    steps: int = 0
+    used: int = 0  # of the steps, where the daemon took the proposal
+    gaps: int = 0  # of the steps, those that nothing is learnt from: ticks went by before them
     absolute_error_k: float = 0.0  # summed over the steps that are no gaps
     wall_s: float = 0.0
 
@@ -66,12 +68,11 @@ def learn_online(job: OnlineJob, socket: Path, folder: Path) -> dict[str, Any]:
     try:
         agent = make_online_agent(env, job)
         if path.exists():
-            course = _course(checkpoint.restore(agent, path))
-        course.counts["starts"] += 1
+            course = Course(**checkpoint.restore(agent, path))
+        course.starts += 1
         left = settings.steps - agent.num_timesteps
         if left > 0:
             agent.learn(left, callback=_Keeper(course, path, settings), reset_num_timesteps=False)
-            checkpoint.save(agent, asdict(course), path)
     finally:
         env.close()
     return _finish(agent, job, course, folder)
@@ -116,25 +117,30 @@ class _Keeper(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         if self.num_timesteps and self.num_timesteps % self._settings.checkpoint_every == 0:
-            now = time.perf_counter()
-            self._course.wall_s += now - self._since
-            self._since = now
-            checkpoint.save(self.model, asdict(self._course), self._path)
+            self._keep()
+
+    def _on_training_end(self) -> None:
+        self._keep()
+
+    def _keep(self) -> None:
+        now = time.perf_counter()
+        self._course.wall_s += now - self._since
+        self._since = now
+        checkpoint.save(self.model, asdict(self._course), self._path)
 
     def _on_step(self) -> bool:
         info = self.locals["infos"][0]
-        self._course.counts.update(steps=1, gaps=int(info["gap"]), used=int(info["used"]))
-        self._course.absolute_error_k += 0.0 if info["gap"] else abs(info["error_k"])
+        course = self._course
+        course.steps += 1
+        course.used += info["used"]
+        course.gaps += info["gap"]
+        course.absolute_error_k += 0.0 if info["gap"] else abs(info["error_k"])
         return True
-
-
-def _course(kept: dict[str, Any]) -> Course:
-    return Course(Counter(kept["counts"]), kept["absolute_error_k"], kept["wall_s"])
 
 
 def _finish(agent: DQN, job: OnlineJob, course: Course, folder: Path) -> dict[str, Any]:
     runs = training_runs(REGIME)
-    counts = course.counts
+    learnt_from = max(1, course.steps - course.gaps)
     facts = {
         "variant": job.variant,
         "sample_s": SAMPLE_S,
@@ -145,8 +151,8 @@ def _finish(agent: DQN, job: OnlineJob, course: Course, folder: Path) -> dict[st
         "seed": job.seed,
         "settings": asdict(job.settings) | {"begin_with": str(job.begin_with or "")},
         "metrics": {
-            "mae_k_while_learning": course.absolute_error_k / max(1, counts["steps"] - counts["gaps"]),
-            "counts": dict(counts),
+            "mae_k_while_learning": course.absolute_error_k / learnt_from,
+            **{name: getattr(course, name) for name in ("starts", "steps", "used", "gaps")},
         },
     }
     policy = keep(agent.policy.q_net.q_net, facts, runs, folder)

@@ -59,9 +59,7 @@ def run_on_rig(controller: Controller, reference: Reference, steps: int, seed: i
                     daemon.stop()
 
             try:
-                with Daemon(
-                    settings, clock, after_tick, reference, more_controllers=(controller,)
-                ) as daemon:
+                with Daemon(settings, clock, after_tick, reference, more_controllers=(controller,)) as daemon:
                     daemon.run()
             finally:
                 clock.close()

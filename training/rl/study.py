@@ -3,12 +3,14 @@
 import importlib.metadata
 import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
+from edge.errors import DataError
 from edge.policy.observation import table_sha256
 from edge.policy.onnx_policy import OnnxPolicy
 from edge.run_file import Run, data_sha256
@@ -27,6 +29,7 @@ from training.study import versions
 
 WEIGHTS_FILE, POLICY_FILE, RECORD_FILE = "weights.pt", "policy.onnx", "record.json"
 SAMPLE_S = 60.0
+Record = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,3 +95,23 @@ def software() -> dict[str, str]:
     return versions() | {
         name: importlib.metadata.version(name) for name in ("stable-baselines3", "gymnasium")
     }
+
+
+def read_record(folder: Path) -> Record:
+    """Of a training that was kept. Errors: DataError."""
+    path = folder / RECORD_FILE
+    try:
+        record: Record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+    return record
+
+
+def best_folder(folders: Sequence[Path]) -> Path:
+    """The training with the highest reward in its validation episodes; the rig has no say in it.
+
+    Errors : DataError where there is none
+    """
+    if not folders:
+        raise DataError("no training of a policy is kept")
+    return max(folders, key=lambda folder: read_record(folder)["metrics"]["validation"]["reward"])
