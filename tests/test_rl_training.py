@@ -15,10 +15,11 @@ from edge.policy.observation import FEATURES
 from edge.policy.onnx_policy import read_policy
 from training.datasets import training_runs
 from training.rl.export import export, graph_of
+from training.rl.kept import POLICY_FILE, WEIGHTS_FILE, best_folder
 from training.rl.observations import recorded_observations
 from training.rl.parity import parity
 from training.rl.settings import DqnSettings
-from training.rl.study import POLICY_FILE, WEIGHTS_FILE, Job, best_folder, study, world_of
+from training.rl.study import Job, study, world_of
 from training.rl.train import greedy, train
 from training.rl.weights import load_q_network
 

@@ -17,6 +17,7 @@ OUT = Path("out/training")
 LOGS = Path("out/tensorboard")
 RESULTS = Path("training/results")
 TRAINED = RESULTS / "trained"
+POLICIES = RESULTS / "policies"
 IMAGES = Path("docs/images")
 BOX = Path("../shared/data/heated_box")
 SEEDS = (0, 1, 2, 3, 4)
@@ -68,6 +69,14 @@ def _parser() -> argparse.ArgumentParser:
     bundle.add_argument("--key", type=Path, help="private key that signs")
     bundle.add_argument(
         "--hybrid", default="ham_guarded", help="ham_given: the one over a given twin (usual: ham_guarded)"
+    )
+    bundle.add_argument(
+        "--policies", type=Path, default=POLICIES, help=f"where the policies are (usual: {POLICIES})"
+    )
+    bundle.add_argument(
+        "--packaged-models",
+        action="store_true",
+        help="the models and intervals of the bundle that ships with the software, as they are",
     )
     where = bundle.add_mutually_exclusive_group(required=True)
     where.add_argument("--file", type=Path, help="archive to write, for `greenhouse bundle install`")
@@ -149,8 +158,12 @@ def _bundle(arguments: argparse.Namespace) -> int:
     from training import coverage, pack
 
     folder = Path("out/bundle")
-    pack.gather(arguments.out, folder, arguments.hybrid)
-    coverage.main([str(folder)])
+    if arguments.packaged_models:
+        pack.gather_packaged(folder)
+    else:
+        pack.gather(arguments.out, folder, arguments.hybrid)
+        coverage.main([str(folder)])
+    pack.add_policies(arguments.policies, folder)
     if arguments.default:
         pack.pack_default(folder, arguments.version, arguments.key or pack.KEY)
         print(f"{pack.PACKAGED.name}: version {arguments.version}, signed")

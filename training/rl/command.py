@@ -78,9 +78,9 @@ def _online(arguments: argparse.Namespace) -> int:
     import tempfile
     from dataclasses import replace
 
+    from training.rl.kept import WEIGHTS_FILE
     from training.rl.online import OnlineJob, learn_online
     from training.rl.settings import ONLINE as SETTINGS
-    from training.rl.study import WEIGHTS_FILE
     from training.rl.virtual_daemon import virtual_daemon
 
     variant, begin_with = arguments.variant, arguments.begin_with

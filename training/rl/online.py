@@ -17,11 +17,12 @@ from edge.run_file import data_sha256
 from training.datasets import training_runs
 from training.rl import checkpoint
 from training.rl.driven_buffer import DrivenReplayBuffer
+from training.rl.kept import RECORD_FILE
 from training.rl.read_model import REGIME
 from training.rl.reward import WEIGHTS
 from training.rl.settings import OnlineSettings
 from training.rl.socket_env import SocketEnv
-from training.rl.study import RECORD_FILE, SAMPLE_S, keep, software
+from training.rl.study import SAMPLE_S, keep, software, validated
 from training.rl.weights import load_weights
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -151,6 +152,7 @@ def _finish(agent: DQN, job: OnlineJob, course: Course, folder: Path) -> dict[st
         "seed": job.seed,
         "settings": asdict(job.settings) | {"begin_with": str(job.begin_with or "")},
         "metrics": {
+            "validation": asdict(validated(agent, job.variant, runs)),
             "mae_k_while_learning": course.absolute_error_k / learnt_from,
             **{name: getattr(course, name) for name in ("starts", "steps", "used", "gaps")},
         },

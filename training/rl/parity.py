@@ -16,9 +16,9 @@ from torch import nn
 from edge.errors import GreenhouseError
 from edge.policy.onnx_policy import OnnxPolicy, read_policy
 from training.datasets import training_runs
+from training.rl.kept import POLICY_FILE, WEIGHTS_FILE
 from training.rl.observations import recorded_observations
 from training.rl.read_model import REGIME
-from training.rl.study import POLICY_FILE, WEIGHTS_FILE
 from training.rl.train import greedy
 from training.rl.weights import load_q_network
 

@@ -3,14 +3,13 @@
 import importlib.metadata
 import json
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stable_baselines3 import DQN
 from torch import nn
 
-from edge.errors import DataError
 from edge.policy.observation import table_sha256
 from edge.policy.onnx_policy import OnnxPolicy
 from edge.run_file import Run, data_sha256
@@ -18,8 +17,9 @@ from training.datasets import training_runs
 from training.rl.boxes import START_ROWS, World
 from training.rl.episodes import Drawn
 from training.rl.export import export
+from training.rl.kept import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE
 from training.rl.observations import recorded_observations
-from training.rl.play import play
+from training.rl.play import Played, play
 from training.rl.read_model import REGIME, read_model
 from training.rl.reward import WEIGHTS
 from training.rl.settings import DqnSettings
@@ -27,9 +27,7 @@ from training.rl.train import greedy, train
 from training.rl.weights import save_q_network
 from training.study import versions
 
-WEIGHTS_FILE, POLICY_FILE, RECORD_FILE = "weights.pt", "policy.onnx", "record.json"
 SAMPLE_S = 60.0
-Record = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +52,7 @@ def study(job: Job, folder: Path) -> dict[str, Any]:
     began, cpu = time.perf_counter(), time.process_time()
     agent = train(world, job.seed, job.settings)
     wall_s, cpu_s = time.perf_counter() - began, time.process_time() - cpu
-    played = play(greedy(agent.policy.q_net), world_of(job.variant, job.model, runs))
+    played = validated(agent, job.variant, runs, job.model)
     facts = {
         "variant": job.variant,
         "sample_s": SAMPLE_S,
@@ -83,6 +81,11 @@ def world_of(variant: str, model: str, runs: list[Run], variants: int = 1) -> Wo
     return World(read_model(model, variants), Drawn(runs, START_ROWS), WEIGHTS[variant])
 
 
+def validated(agent: DQN, variant: str, runs: list[Run], model: str = "ham") -> Played:
+    """Validation episodes in a model whose parameters are as fitted."""
+    return play(greedy(agent.policy.q_net), world_of(variant, model, runs))
+
+
 def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[Run], folder: Path) -> OnnxPolicy:
     """Write the weights, for a training that goes on from them, and the file that a rig runs."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -95,23 +98,3 @@ def software() -> dict[str, str]:
     return versions() | {
         name: importlib.metadata.version(name) for name in ("stable-baselines3", "gymnasium")
     }
-
-
-def read_record(folder: Path) -> Record:
-    """Of a training that was kept. Errors: DataError."""
-    path = folder / RECORD_FILE
-    try:
-        record: Record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: cannot be read: {error}") from error
-    return record
-
-
-def best_folder(folders: Sequence[Path]) -> Path:
-    """The training with the highest reward in its validation episodes; the rig has no say in it.
-
-    Errors : DataError where there is none
-    """
-    if not folders:
-        raise DataError("no training of a policy is kept")
-    return max(folders, key=lambda folder: read_record(folder)["metrics"]["validation"]["reward"])
