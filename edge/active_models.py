@@ -5,7 +5,7 @@ from typing import Protocol
 
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.serving import Serving
-from edge.controller_names import NEED_A_MODEL
+from edge.controller_names import EXTERNAL, NEED_A_MODEL
 from edge.controllers import registry
 from edge.controllers.base import Controller
 from edge.errors import ConfigError
@@ -67,7 +67,7 @@ class ActiveModels:
         llm: LanguageModel | None = None,
     ) -> None:
         """Errors: ConfigError where no model fits the configured step and a controller needs one."""
-        self._names = settings.controllers
+        self._names = [name for name in settings.controllers if name != EXTERNAL]  # made of no model
         control = self._control = settings.control
         self._keeper = keeper
         self._llm = llm
@@ -85,8 +85,11 @@ class ActiveModels:
 
     def controllers(self) -> dict[str, Controller]:
         """All that can decide with these models, by name."""
-        active = _active(self._serving)
-        parts = registry.Parts(self._control, self.model, self.linear, active, self._llm)
+        serving = self._serving
+        policies = serving.active.policies if serving is not None and serving.active is not None else {}
+        parts = registry.Parts(
+            self._control, self.model, self.linear, _active(serving), policies=policies, llm=self._llm
+        )
         without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
         return {name: registry.make(name, parts) for name in self._names if name not in without}
 

@@ -5,24 +5,21 @@ One request object a line, one answer object a line, in order. The file's permis
 
 import contextlib
 import json
-import os
 import selectors
 import socket
-import stat
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from edge.errors import ConfigError, RequestError
+from edge.errors import RequestError
 from edge.strict_json import parse_object
+from edge.unix_socket import listen
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
 
 LINE_MAX = 65536  # longest request [bytes]
 CLIENTS_MAX = 32
-BACKLOG = 128
-MODE = 0o660
 
 
 class NobodyListens(RequestError):
@@ -79,7 +76,7 @@ class ControlSocket:
 
     def __init__(self, path: Path, ask: Ask) -> None:
         self._path, self._ask = path, ask
-        self._listener, self._inode = _listen(path)
+        self._listener, self._inode = listen(path, "control_socket.path")
         self._wake, self._ring = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
@@ -187,43 +184,3 @@ def _line(message: Mapping[str, Any]) -> bytes:
 
 def _error(text: str) -> dict[str, Any]:
     return {"ok": False, "error": text}
-
-
-def _listen(path: Path) -> tuple[socket.socket, int]:
-    """A listening socket at `path`, and its inode; a stale file is replaced, a live one refused."""
-    _refuse_live(path)
-    # The name appears by a rename, with the final permissions on it: at no moment can others get in.
-    fresh = path.with_name(f"{path.name}.{os.getpid()}")
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        with contextlib.suppress(FileNotFoundError):
-            fresh.unlink()
-        listener.bind(str(fresh))
-        fresh.chmod(MODE)
-        inode = fresh.stat().st_ino
-        listener.listen(BACKLOG)
-        listener.setblocking(False)
-        fresh.rename(path)
-    except OSError as error:
-        listener.close()
-        fresh.unlink(missing_ok=True)
-        raise ConfigError(f"control_socket.path: {path}: {error.strerror or error}") from None
-    return listener, inode
-
-
-def _refuse_live(path: Path) -> None:
-    try:
-        mode = path.lstat().st_mode
-    except OSError:
-        return
-    if not stat.S_ISSOCK(mode):
-        raise ConfigError(f"control_socket.path: {path}: exists and is not a socket")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(1.0)
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return
-        except OSError as error:
-            raise ConfigError(f"control_socket.path: {path}: {error.strerror or error}") from None
-    raise ConfigError(f"control_socket.path: {path}: another daemon listens there")

@@ -35,7 +35,7 @@ LLM = {
     "LLM-HAM-Te0-P": LlmVariant("ham", 0.0, True),
 }
 
-CONTROLLERS = (RULES, *MPC, *LLM)  # grows by PID, RL, EXTERNAL as they are built
+CONTROLLERS = (RULES, *MPC, *RL, *LLM, EXTERNAL)
 # A model of the air temperature for the rig's step; a policy and a language model bring what they know.
 NEED_A_MODEL = (*MPC, *(name for name, variant in LLM.items() if variant.assistance not in ("", "sql")))
 NEED_NO_MODEL = tuple(name for name in CONTROLLERS if name not in NEED_A_MODEL)

@@ -22,10 +22,13 @@ from edge.config import config_hash
 from edge.control_socket import ControlSocket
 from edge.controller_names import CONTROLLERS
 from edge.controllers.base import Controller
+from edge.controllers.external import External
+from edge.decider import decision_deadline_s
 from edge.drift.monitor import DriftMonitor, Promise
 from edge.drift_state import drift_keeping, read_memory
 from edge.errors import ConfigError
 from edge.estimator import Estimator
+from edge.external_proposals import ExternalProposals
 from edge.inbox import Inbox
 from edge.llm.language_model import LanguageModel, open_language_model
 from edge.loop import Loop, Rig, Sink
@@ -44,6 +47,8 @@ from edge.state_file import StateFileBroken, StateWriter
 from edge.steering.desk import Surroundings, WishDesk
 from edge.steering.language import settings_from
 from edge.storage import Session, Storage
+
+ANSWER_SHARE = 0.9  # of the decision's deadline that a client of `external` may take
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +105,7 @@ class Daemon:
     stop_at_s: float = float("inf")
     experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
     more_controllers: Sequence[Controller] = ()  # than those of edge/controller_names.py
+    client_wait_s: float = 0.0  # how long to wait for a client at `external.socket` before the first tick
     config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
@@ -141,6 +147,9 @@ class Daemon:
         skill = skill_keeping(lambda: models.forecasting.state, skill_file)
         stack.callback(skill.close)
         controllers = models.controllers() | {each.name: each for each in self.more_controllers}
+        if settings.external.socket:
+            external = self._external()
+            controllers[external.name] = external
         if self.experiment and self.experiment not in controllers:
             reason = settings.unready(self.experiment)
             step_s = settings.control.step_s
@@ -202,6 +211,15 @@ class Daemon:
         if standing.broken:
             loop.note("state.broken", standing.broken)
         return loop
+
+    def _external(self) -> External:
+        """It stops waiting a little before the one who asks it does, so that its reason is heard."""
+        control = self.settings.control
+        proposals = ExternalProposals(Path(self.settings.external.socket))
+        self._stack.callback(proposals.close)
+        if self.client_wait_s:
+            proposals.wait_for_client(self.client_wait_s)
+        return External(proposals, ANSWER_SHARE * decision_deadline_s(control))
 
     def _bundles(self) -> BundleKeeper | None:
         """None where the configuration has no folder for them."""

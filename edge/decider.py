@@ -26,7 +26,7 @@ class Decider:
     ) -> None:
         self._controllers = controllers
         self._fallbacks = (settings.fallback, RULES)
-        self._deadline_s = min(settings.decision_deadline_s, settings.step_s / 2, BLOCK_MAX_S)
+        self._deadline_s = decision_deadline_s(settings)
         self._conditions = conditions
         self._thread = DecisionThread()
         self._asked: set[str] = set()  # controllers that were asked at this tick
@@ -89,6 +89,11 @@ class Decider:
         if not _is_finite(answer.decision.command):
             return None, "controller.not_a_number", answer.wall_ms
         return answer.decision, "", answer.wall_ms
+
+
+def decision_deadline_s(settings: ControlSettings) -> float:
+    """How long the chosen controller may take [s of wall time]."""
+    return min(settings.decision_deadline_s, settings.step_s / 2, BLOCK_MAX_S)
 
 
 def _nobody(failure: str) -> Decision:

@@ -54,7 +54,7 @@ def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterato
             stdout=out,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            preexec_fn=_die_with_parent,
+            preexec_fn=die_with_parent,
         )
     try:
         _wait_until_ready(process, rig, log)
@@ -68,7 +68,7 @@ def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterato
             process.wait()
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Also when the daemon is killed and can clean up nothing."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 

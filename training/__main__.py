@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge.errors import GreenhouseError
+from training.rl import command as rl
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
     from training.study import Job, Regime
@@ -16,6 +17,7 @@ OUT = Path("out/training")
 LOGS = Path("out/tensorboard")
 RESULTS = Path("training/results")
 TRAINED = RESULTS / "trained"
+POLICIES = RESULTS / "policies"
 IMAGES = Path("docs/images")
 BOX = Path("../shared/data/heated_box")
 SEEDS = (0, 1, 2, 3, 4)
@@ -68,6 +70,14 @@ def _parser() -> argparse.ArgumentParser:
     bundle.add_argument(
         "--hybrid", default="ham_guarded", help="ham_given: the one over a given twin (usual: ham_guarded)"
     )
+    bundle.add_argument(
+        "--policies", type=Path, default=POLICIES, help=f"where the policies are (usual: {POLICIES})"
+    )
+    bundle.add_argument(
+        "--packaged-models",
+        action="store_true",
+        help="the models and intervals of the bundle that ships with the software, as they are",
+    )
     where = bundle.add_mutually_exclusive_group(required=True)
     where.add_argument("--file", type=Path, help="archive to write, for `greenhouse bundle install`")
     where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
@@ -76,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_paper_case(
         commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
     )
+    rl.add_commands(commands)
     box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
     box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
     box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")
@@ -147,8 +158,12 @@ def _bundle(arguments: argparse.Namespace) -> int:
     from training import coverage, pack
 
     folder = Path("out/bundle")
-    pack.gather(arguments.out, folder, arguments.hybrid)
-    coverage.main([str(folder)])
+    if arguments.packaged_models:
+        pack.gather_packaged(folder)
+    else:
+        pack.gather(arguments.out, folder, arguments.hybrid)
+        coverage.main([str(folder)])
+    pack.add_policies(arguments.policies, folder)
     if arguments.default:
         pack.pack_default(folder, arguments.version, arguments.key or pack.KEY)
         print(f"{pack.PACKAGED.name}: version {arguments.version}, signed")

@@ -12,11 +12,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from edge.bundle.sign import Facts, build_bundle, generate_key, sign_folder
+from edge.bundle.manifest import MANIFEST, SIGNATURE
+from edge.bundle.sign import POLICY_FILES, Facts, build_bundle, generate_key, sign_folder
 from edge.models.arx_file import DEFAULT_PATH
 from training.datasets import data_sha256, training_runs
 from training.export import export_study
 from training.models import TWIN_FILE
+from training.rl.kept import FOLDERS, POLICY_FILE, best_folder, read_record
 from training.study import Regime, versions
 from training.summary import best_seed, records
 
@@ -24,6 +26,7 @@ PACKAGED = DEFAULT_PATH.parent / "default_bundle"
 KEY = Path("out/keys/signing.pem")
 REGIME: Regime = "interpolation"  # what a rig gets has seen all that there is
 HYBRID = "ham_guarded"
+REPORT = "report.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +45,7 @@ def gather(out: Path, folder: Path, hybrid_name: str = HYBRID) -> dict[str, Any]
     Errors : DataError where a training is missing or a graph does not prove its contract
     """
     found = records(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.iterdir():
-        old.unlink()
+    _empty(folder)
     seeds = {name: best_seed(found, name, REGIME) for name in ("lstm", hybrid_name)}
     parts = Parts(
         **{kind: _folder(out, name, seeds) for kind, name in (("lstm", "lstm"), ("hybrid", hybrid_name))}
@@ -59,8 +60,34 @@ def gather(out: Path, folder: Path, hybrid_name: str = HYBRID) -> dict[str, Any]
         "versions": {"lstm": lstm.version, "ham": hybrid.version},
         "errors": {name: _errors(found, name, seed) for name, seed in seeds.items()},
     }
-    (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    (folder / REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     return report
+
+
+def gather_packaged(folder: Path) -> None:
+    """Fill `folder` with the models of the bundle that ships with the software, as they are."""
+    _empty(folder)
+    for path in PACKAGED.iterdir():
+        if path.name not in (MANIFEST, SIGNATURE):
+            shutil.copyfile(path, folder / path.name)
+
+
+def add_policies(policies: Path, folder: Path) -> None:
+    """Put the best policy of each controller among the models of `folder`, and into their report.
+
+    policies : of `greenhouse-train rl` and `rl-online`; best in validation, the rig has no say
+    Errors : DataError where a controller's is missing
+    """
+    chosen = {name: best_folder(sorted((policies / place).glob("seed_*"))) for name, place in FOLDERS.items()}
+    for name, source in chosen.items():
+        shutil.copyfile(source / POLICY_FILE, folder / POLICY_FILES[name])
+    report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+    records = {name: read_record(source) for name, source in chosen.items()}
+    report["policies"] = {
+        name: {key: record[key] for key in ("model", "seed", "policy", "metrics")}
+        for name, record in records.items()
+    }
+    (folder / REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 def facts(version: str) -> Facts:
@@ -84,6 +111,12 @@ def pack_default(folder: Path, version: str, key: Path) -> None:
     shutil.copytree(folder, PACKAGED)
     sign_folder(PACKAGED, facts(version), key)
     shutil.copyfile(key.with_suffix(".pub"), PACKAGED.with_suffix(".pub"))
+
+
+def _empty(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.iterdir():
+        old.unlink()
 
 
 def _folder(out: Path, name: str, seeds: Mapping[str, int]) -> Path:

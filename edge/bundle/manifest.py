@@ -3,11 +3,12 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from typing import Any
 
 from edge import __version__
+from edge.controller_names import RL
 from edge.errors import DataError
 from edge.names import ACTUATORS, SIGNALS
 from edge.strict_json import parse_object
@@ -17,6 +18,7 @@ MANIFEST = "manifest.json"
 SIGNATURE = "manifest.sig"
 PACKAGED = "packaged"  # the bundle that ships with the software; no other bundle may be called so
 MODELS = {"arx": "arx-json", "pbm": "twin-yaml", "lstm": "onnx", "ham": "onnx"}  # model -> kind of its file
+POLICY = "onnx-policy"  # kind of a policy's file
 TWIN = "twin.yaml"
 UNITS = {
     "step": "s",
@@ -42,7 +44,7 @@ class FileEntry:
 
 @dataclass(frozen=True, slots=True)
 class ModelEntry:
-    """Which file holds a model, and how it is to be read (a value of MODELS)."""
+    """Which file holds a model or a policy, and how it is to be read (a value of MODELS, POLICY)."""
 
     file: str
     kind: str
@@ -50,7 +52,11 @@ class ModelEntry:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """All that is said of a bundle; the signature covers its exact bytes."""
+    """All that is said of a bundle; the signature covers its exact bytes.
+
+    policies : by the controller that they are for; the key is absent where there are none, as in every
+        bundle that was made before there were any
+    """
 
     name: str
     version: str
@@ -63,11 +69,14 @@ class Manifest:
     software: Mapping[str, str]  # package -> version it was made with
     minimum_software: str  # of this project, to run it
     units: Mapping[str, str]
+    policies: Mapping[str, ModelEntry] = field(default_factory=dict)
 
 
 def write_manifest(manifest: Manifest) -> bytes:
     """The file's bytes: those that are signed."""
     document = {"format": FORMAT, **asdict(manifest)}
+    if not manifest.policies:
+        del document["policies"]
     return (json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
@@ -79,6 +88,7 @@ def parse_manifest(content: bytes) -> Manifest:
         raise _wrong("", str(error)) from None
     if document.get("format") != FORMAT:
         raise _wrong("format", f"{document.get('format')!r} is not {FORMAT}, the one known here")
+    document.setdefault("policies", {})
     keys = set(Manifest.__dataclass_fields__) | {"format"}
     if odd := sorted(keys ^ set(document)):
         raise _wrong(odd[0], "missing" if odd[0] in keys else "unknown key")
@@ -90,6 +100,9 @@ def parse_manifest(content: bytes) -> Manifest:
         sample_s=_sample_s(document),
         files=files,
         models={name: _model(name, entry, files) for name, entry in _mapping(document, "models").items()},
+        policies={
+            name: _policy(name, entry, files) for name, entry in _mapping(document, "policies").items()
+        },
         twin_sha256=_text(document, "twin_sha256", _SHA256),
         data_sha256=_text(document, "data_sha256", _SHA256),
         software={key: str(value) for key, value in _mapping(document, "software").items()},
@@ -175,10 +188,21 @@ def _model(name: str, entry: Any, files: Mapping[str, FileEntry]) -> ModelEntry:
     place = f"models.{name}"
     if name not in MODELS:
         raise _wrong(place, f"unknown model; known: {', '.join(MODELS)}")
+    return _entry(place, entry, files, MODELS[name])
+
+
+def _policy(name: str, entry: Any, files: Mapping[str, FileEntry]) -> ModelEntry:
+    place = f"policies.{name}"
+    if name not in RL:
+        raise _wrong(place, f"no controller runs a policy of this name; known: {', '.join(RL)}")
+    return _entry(place, entry, files, POLICY)
+
+
+def _entry(place: str, entry: Any, files: Mapping[str, FileEntry], kind: str) -> ModelEntry:
     if not isinstance(entry, dict) or set(entry) != {"file", "kind"}:
         raise _wrong(place, "must hold file and kind")
     if entry["file"] not in files:
         raise _wrong(f"{place}.file", f"{entry['file']!r} is not among the files")
-    if entry["kind"] != MODELS[name]:
-        raise _wrong(f"{place}.kind", f"{entry['kind']!r} is not {MODELS[name]!r}")
+    if entry["kind"] != kind:
+        raise _wrong(f"{place}.kind", f"{entry['kind']!r} is not {kind!r}")
     return ModelEntry(entry["file"], entry["kind"])

@@ -19,6 +19,7 @@ from edge.bundle.archive import pack
 from edge.bundle.manifest import (
     MANIFEST,
     MODELS,
+    POLICY,
     SIGNATURE,
     TWIN,
     UNITS,
@@ -28,6 +29,7 @@ from edge.bundle.manifest import (
     parse_manifest,
     write_manifest,
 )
+from edge.controller_names import RL
 from edge.errors import DataError
 from edge.models.pbm import read_twin
 
@@ -36,6 +38,7 @@ if TYPE_CHECKING:  # the package is imported when something is signed, not with 
 
 # Model -> its file, the first that is there: a PBM that is another twin than the hybrid's has its own.
 FILES = {"arx": ("arx.json",), "pbm": ("pbm.yaml", TWIN), "lstm": ("lstm.onnx",), "ham": ("ham.onnx",)}
+POLICY_FILES = {name: f"{name.lower()}.onnx" for name in RL}  # RL-Off -> rl-off.onnx
 PUBLIC_SUFFIX = ".pub"
 
 
@@ -96,6 +99,7 @@ def sign_folder(folder: Path, facts: Facts, key: Path) -> Manifest:
         software=facts.software,
         minimum_software=facts.minimum_software,
         units=UNITS,
+        policies={name: ModelEntry(file, POLICY) for name, file in POLICY_FILES.items() if file in names},
     )
     content = write_manifest(manifest)
     parse_manifest(content)  # what the edge would refuse is not signed

@@ -28,6 +28,8 @@ from edge.bundle.roles import Roles, installed, rolled_back
 from edge.errors import DataError, RequestError
 from edge.forecasts.conformal import Intervals, read_intervals
 from edge.models.base import Predictor
+from edge.policy.from_bundle import load_policies
+from edge.policy.onnx_policy import OnnxPolicy
 
 PACKAGED_FOLDER = Path(__file__).parent.parent / "models" / "default_bundle"
 INTERVALS = "intervals.json"
@@ -45,6 +47,7 @@ class Loaded:
     manifest: Manifest
     predictors: Mapping[str, Predictor]
     intervals: Intervals = field(default_factory=Intervals)  # of their forecasts, where the bundle has them
+    policies: Mapping[str, OnnxPolicy] = field(default_factory=dict)  # by controller
 
 
 class Store:
@@ -134,7 +137,8 @@ class Store:
         manifest = check_folder(folder, self._keys)
         calibrated = INTERVALS in manifest.files
         intervals = read_intervals(folder / INTERVALS) if calibrated else Intervals()
-        return Loaded(name or manifest.version, manifest, self._load(folder, manifest), intervals)
+        predictors, policies = self._load(folder, manifest), load_policies(folder, manifest)
+        return Loaded(name or manifest.version, manifest, predictors, intervals, policies)
 
     def _take_in(self, incoming: Path, version: str) -> None:
         """Give the checked folder its name. A version never changes what it holds."""

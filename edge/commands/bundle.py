@@ -17,7 +17,7 @@ from edge.bundle.archive import open_archive
 from edge.bundle.manifest import PACKAGED
 from edge.bundle.orders import carry_out
 from edge.bundle.roles import Roles
-from edge.bundle.store import Store
+from edge.bundle.store import Loaded, Store
 from edge.control_socket import NobodyListens, request
 from edge.errors import DataError, RequestError
 from edge.models.from_bundle import loader
@@ -89,7 +89,7 @@ def _verify(store: Store, source: Path) -> None:
     manifest = loaded.manifest
     print(
         f"{source} is good: {manifest.name} {manifest.version} of {manifest.created_utc}, "
-        f"{manifest.sample_s:g} s steps, models {', '.join(loaded.predictors)}"
+        f"{manifest.sample_s:g} s steps, models {', '.join(loaded.predictors)}{_policies(loaded)}"
     )
 
 
@@ -134,10 +134,15 @@ def _list(store: Store) -> None:
     for name in [PACKAGED, *store.versions()]:
         words = [word for word, role in _roles_in_words(roles).items() if role == name]
         try:
-            state = f"of {store.load(name).manifest.created_utc}"
+            loaded = store.load(name)
+            state = f"of {loaded.manifest.created_utc}{_policies(loaded)}"
         except (DataError, RequestError) as error:
             state = f"can't be used: {error}"
         print(f"{name:20} {', '.join(words) or 'installed':24} {state}")
+
+
+def _policies(loaded: Loaded) -> str:
+    return f", policies {', '.join(loaded.policies)}" if loaded.policies else ""
 
 
 def _roles_in_words(roles: Roles) -> dict[str, str | None]:

@@ -7,11 +7,13 @@ from edge import controller_names as names
 from edge.config_schema import nearest
 from edge.controllers.base import Controller
 from edge.controllers.mpc import Mpc, MpcSettings
+from edge.controllers.rl import Rl
 from edge.controllers.rules import Rules
 from edge.errors import RequestError
 from edge.llm.language_model import LanguageModel
 from edge.models.arx import Arx
 from edge.models.base import Predictor
+from edge.policy.onnx_policy import OnnxPolicy
 from edge.settings import ControlSettings
 
 
@@ -23,6 +25,7 @@ class Parts:
     linear : the ARX model whose plan a search over another `model` begins with
     predictors : of the active bundle, by name
     llm : None where none is configured
+    policies : of the active bundle, by the controller that they are for
     """
 
     control: ControlSettings
@@ -30,6 +33,7 @@ class Parts:
     linear: Predictor | None = None
     predictors: Mapping[str, Predictor] = field(default_factory=dict)
     llm: LanguageModel | None = None
+    policies: Mapping[str, OnnxPolicy] = field(default_factory=dict)
 
 
 def make(name: str, parts: Parts) -> Controller:
@@ -42,6 +46,8 @@ def make(name: str, parts: Parts) -> Controller:
         return _mpc(name, parts)
     if name in names.LLM:
         return _llm(name, parts)
+    if name in names.RL:
+        return Rl(name, parts.policies.get(name))
     raise RequestError(f"controller: {name} is not built in")
 
 

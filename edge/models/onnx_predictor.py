@@ -14,6 +14,7 @@ import numpy as np
 from edge.errors import DataError
 from edge.models.base import Columns, Floats
 from edge.models.contract import KEY, Contract, parse_contract
+from edge.models.onnx_session import one_line, open_session
 
 # Sequences per call: states and gates of more of the LSTM's leave the cache, and each costs twice as much.
 BATCH = {"lstm": 64, "ham": 1024, "ham_guarded": 1024}
@@ -99,7 +100,7 @@ class OnnxPredictor:
             try:
                 temps = self._run(golden.window, golden.controls, steps)
             except Exception as error:  # onnxruntime's own errors have no other base
-                raise DataError(f"{place}: cannot be run: {_one_line(error)}") from error
+                raise DataError(f"{place}: cannot be run: {one_line(error)}") from error
             if temps.shape != golden.temps.shape:
                 raise DataError(f"{place}.temps: shape {golden.temps.shape}, not {temps.shape}")
             limit = self.contract.step_tolerance_k if horizon == 1 else self.contract.rollout_tolerance_k
@@ -122,7 +123,7 @@ def read_onnx(
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
     try:
-        session = _session(content)
+        session = open_session(content)
         contract = _contract(session)
         _check_use(contract, kinds, step_s, twin_sha256)
         _check_shapes(contract, session)
@@ -131,19 +132,6 @@ def read_onnx(
     except DataError as error:
         raise DataError(f"{path}: {error}") from error.__cause__
     return predictor
-
-
-def _session(content: bytes) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1  # the other cores are not ours
-    options.enable_cpu_mem_arena = False  # it keeps the memory of the largest batch for good
-    options.log_severity_level = 4  # what goes wrong is raised
-    try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # its own errors have no other base
-        raise DataError(f"not an ONNX file that can be run: {_one_line(error)}") from error
 
 
 def _contract(session: Any) -> Contract:
@@ -173,7 +161,3 @@ def _check_shapes(contract: Contract, session: Any) -> None:
         raise DataError(f"inputs: {found} are not {expected}")
     if (given := [item.name for item in session.get_outputs()]) != ["temps"]:
         raise DataError(f"outputs: {given} are not ['temps']")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -1,0 +1,68 @@
+"""The paper's reinforcement-learning controllers: what a trained policy values most of what safety allows."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.controllers.base import Context
+from edge.errors import DataError
+from edge.messages import Decision
+from edge.policy.actions import ACTIONS, allowed, command_of
+from edge.policy.observation import Floats, by_name, observe_tick
+from edge.policy.onnx_policy import OnnxPolicy
+
+BEST_TOLD = 5
+_DIGITS = 6
+
+
+class Rl:
+    """`RL-Off`, `RL-Off-P`, `RL-On-P` and `RL-Tr-P`: one policy each."""
+
+    def __init__(self, name: str, policy: OnnxPolicy | None) -> None:
+        """`policy` is None where the active bundle has none of this name."""
+        self.name = name
+        self._policy = policy
+
+    def reset(self) -> None:
+        """Nothing to forget: a policy looks at the history alone."""
+
+    def decide(self, context: Context) -> Decision:
+        """The allowed action of the highest value, of equal ones the first.
+
+        Raises : DataError without a policy, and where observation or values are not numbers
+        """
+        policy = self._policy
+        if policy is None:
+            raise DataError(f"the active bundle has no policy {self.name}")
+        observation = observe_tick(context)
+        values = policy.values(observation[None])[0]
+        if not np.isfinite(values).all():
+            raise DataError(f"{self.name}: the policy's values are not numbers")
+        free = allowed(context.limits, context.last_sent)
+        order = np.argsort(np.where(free, -values, np.inf), kind="stable")[: free.sum()]
+        why = {
+            "value": _told(values[order[0]]),
+            **_margin(values, order),
+            "best": [_option(int(action), values) for action in order[:BEST_TOLD]],
+            "forbidden": int(ACTIONS - free.sum()),
+            "observation": by_name(observation),
+            "reference_c": float(context.reference[0]),
+            "policy": f"{policy.name} {policy.version}",
+        }
+        return Decision(command_of(int(order[0])), self.name, why=why)
+
+
+def _margin(values: Floats, order: NDArray[np.intp]) -> dict[str, object]:
+    """By how much the choice is worth more than the next best."""
+    if len(order) < 2:
+        return {"runner_up": None, "margin": None}
+    first, second = order[:2]
+    return {"runner_up": _option(int(second), values), "margin": _told(values[first] - values[second])}
+
+
+def _option(action: int, values: Floats) -> dict[str, object]:
+    command = command_of(action)
+    return {"heater_duty": command.heater_duty, "fan_on": command.fan_on, "value": _told(values[action])}
+
+
+def _told(value: float) -> float:
+    return round(float(value), _DIGITS)

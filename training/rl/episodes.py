@@ -1,0 +1,147 @@
+"""What an episode meets: where it begins, which reference it follows, how the room and the sensor behave.
+
+References are drawn anew for every episode; those that controllers are compared on are fixed files, and none
+of them is drawn.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import DataError
+from edge.run_file import Run
+from training.pairs import split_all, stretches
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeSettings:
+    """Ranges that are drawn from, uniformly; times in steps of a minute."""
+
+    steps: int = 240
+    reference_c: tuple[float, float] = (22.0, 35.0)
+    above_room_k: float = 0.5  # a reference below this over the room can't be held by any action
+    hold_steps: tuple[int, int] = (10, 90)
+    ramp_steps: tuple[int, int] = (10, 60)
+    ramp_share: float = 0.4  # of the changes; the others are steps
+    ambient_c: tuple[float, float] = (17.0, 25.0)
+    ambient_wander_k: float = 0.5  # sd of the room about its mean
+    ambient_steps: float = 60.0  # how long it remembers
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What shows of an air temperature that the loop has averaged over samples."""
+
+    noise_sd_k: float = 0.03
+    quantisation_k: float = 0.1
+
+    def shows(self, air: Floats, rng: np.random.Generator) -> Floats:
+        """Measurements of `air` [°C], same shape."""
+        noisy = air + rng.normal(0.0, self.noise_sd_k, air.shape)
+        return np.round(noisy / self.quantisation_k) * self.quantisation_k
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Measured rows [rows] that an episode begins after, the last of them now."""
+
+    temp: Floats
+    ambient: Floats
+    duty: Floats
+    fan: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """reference, ambient : [steps + 1] [°C]; the last ones are only looked at."""
+
+    reference: Floats
+    ambient: Floats
+    start: Start
+
+
+class Episodes(Protocol):
+    """Where episodes come from, all of one length."""
+
+    @property
+    def steps(self) -> int: ...
+    def draw(self, rng: np.random.Generator) -> Episode: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """The same episode every time."""
+
+    episode: Episode
+
+    @property
+    def steps(self) -> int:
+        """Its length."""
+        return len(self.episode.reference) - 1
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """It."""
+        return self.episode
+
+
+class Drawn:
+    """Random references and rooms; starts are windows of the training parts of recorded runs.
+
+    Errors : DataError where no stretch is long enough
+    """
+
+    def __init__(self, runs: Sequence[Run], rows: int, settings: EpisodeSettings | None = None) -> None:
+        """rows : of a start"""
+        self._settings, self._rows = settings or EpisodeSettings(), rows
+        self._stretches = [stretch for stretch in stretches(split_all(runs).train) if len(stretch[0]) >= rows]
+        if not self._stretches:
+            raise DataError(f"no training run has {rows} rows in which nothing is missing")
+
+    @property
+    def steps(self) -> int:
+        """Of an episode."""
+        return self._settings.steps
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """A new one."""
+        ambient = draw_ambient(rng, self._settings)
+        reference = draw_reference(rng, self._settings, float(ambient.mean()))
+        return Episode(np.append(reference, reference[-1]), ambient, self._start(rng, float(ambient[0])))
+
+    def _start(self, rng: np.random.Generator, ambient_c: float) -> Start:
+        """A window whose room is `ambient_c` at its end: air and room are moved by the same."""
+        stretch = self._stretches[rng.integers(len(self._stretches))]
+        first = rng.integers(len(stretch[0]) - self._rows + 1)
+        temp, ambient, duty, fan = (column[first : first + self._rows] for column in stretch)
+        moved = ambient_c - ambient[-1]
+        return Start(temp + moved, ambient + moved, duty, fan)
+
+
+def draw_reference(rng: np.random.Generator, settings: EpisodeSettings, ambient_c: float) -> Floats:
+    """Levels that hold, with steps and ramps between them, [steps] [°C]."""
+    low, high = settings.reference_c
+    low = min(max(low, ambient_c + settings.above_room_k), high)
+    values = [rng.uniform(low, high)]
+    while len(values) < settings.steps:
+        values += [values[-1]] * int(rng.integers(*settings.hold_steps))
+        target = rng.uniform(low, high)
+        if rng.random() < settings.ramp_share:
+            values += list(np.linspace(values[-1], target, int(rng.integers(*settings.ramp_steps))))
+        values.append(target)
+    return np.array(values[: settings.steps])
+
+
+def draw_ambient(rng: np.random.Generator, settings: EpisodeSettings) -> Floats:
+    """The room's temperature: it wanders slowly about a mean, [steps + 1] [°C]."""
+    keep = np.exp(-1.0 / settings.ambient_steps)
+    pushes = rng.normal(0.0, settings.ambient_wander_k * np.sqrt(1.0 - keep**2), settings.steps + 1)
+    wander = np.empty_like(pushes)
+    last = rng.normal(0.0, settings.ambient_wander_k)
+    for k, push in enumerate(pushes):
+        last = wander[k] = keep * last + push
+    return rng.uniform(*settings.ambient_c) + wander

@@ -1,0 +1,66 @@
+"""A trained policy as an ONNX file that carries its contract: `edge/policy/contract.py` says what is in it.
+
+The file is read back as the rig reads it, golden observations and all, before it counts as written.
+"""
+
+import importlib.metadata
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from onnx import ModelProto
+from torch import nn
+
+from edge.errors import DataError
+from edge.policy import contract
+from edge.policy.actions import ACTIONS
+from edge.policy.observation import FEATURES
+from edge.policy.onnx_policy import INPUT, OUTPUT, OnnxPolicy, read_policy
+from training.onnx_graph import Graph, real
+
+GOLDEN = 16  # observations, spread over the given ones
+
+
+def export(
+    network: nn.Sequential,
+    name: str,
+    observations: NDArray[np.float32],
+    facts: Mapping[str, Any],
+    path: Path,
+) -> OnnxPolicy:
+    """Write the Q-network to `path`, prove it, and return what the rig will run.
+
+    network : linear layers with ReLU between, [B, features] -> [B, ACTIONS]
+    observations : recorded ones [n, features]; the golden ones are among them
+    facts : variant, sample_s, model, data_sha256, ... as `edge.policy.contract` has them; JSON values
+    Errors : DataError for another kind of network, and when the graph misses it
+    """
+    model = graph_of(network)
+    chosen = observations[np.linspace(0, len(observations) - 1, GOLDEN).astype(int)]
+    with torch.no_grad():
+        values = network(torch.from_numpy(chosen)).numpy()
+    software = {name: importlib.metadata.version(name) for name in ("stable-baselines3", "torch", "onnx")}
+    document = contract.document_of(chosen, values, {**facts, "software": software})
+    model.metadata_props.add(key=contract.KEY, value=json.dumps(document, allow_nan=False))
+    path.write_bytes(model.SerializeToString(deterministic=True))
+    return read_policy(path, name, facts["sample_s"])
+
+
+def graph_of(network: nn.Sequential) -> ModelProto:
+    """The graph of the network alone. Errors: DataError for layers it can't hold"""
+    graph, value = Graph(), INPUT
+    for layer in network:
+        match layer:
+            case nn.Linear():
+                weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
+                value = graph.op("Gemm", value, graph.constant(weight), graph.constant(bias), transB=1)
+            case nn.ReLU():
+                value = graph.op("Relu", value)
+            case _:
+                raise DataError(f"{type(layer).__name__}: no layer that a policy's graph holds")
+    graph.give(OUTPUT, value)
+    return graph.model("policy", [real(INPUT, ["B", len(FEATURES)])], [real(OUTPUT, ["B", ACTIONS])])

@@ -1,0 +1,64 @@
+"""Does the file that a rig runs choose as the trained network does: `python -m training.rl.parity FOLDER...`.
+
+Action for action, on every observation of the recorded runs. Of equal values both take the first.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from edge.errors import GreenhouseError
+from edge.policy.onnx_policy import OnnxPolicy, read_policy
+from training.datasets import training_runs
+from training.rl.kept import POLICY_FILE, WEIGHTS_FILE
+from training.rl.observations import recorded_observations
+from training.rl.read_model import REGIME
+from training.rl.train import greedy
+from training.rl.weights import load_q_network
+
+
+@dataclass(frozen=True, slots=True)
+class Parity:
+    """How two ways to run one policy compare."""
+
+    observations: int
+    different: int  # of them, where the actions differ
+    missed: float  # largest difference of two values
+
+
+def parity(network: nn.Sequential, policy: OnnxPolicy, observations: NDArray[np.float32]) -> Parity:
+    """The network in torch and its ONNX file, on each of the observations [n, features]."""
+    values = policy.values(observations.astype(np.float64))
+    with torch.no_grad():
+        expected = network(torch.from_numpy(observations)).numpy()
+    different = values.argmax(axis=1) != greedy(network)(observations)
+    return Parity(len(observations), int(different.sum()), float(np.abs(values - expected).max()))
+
+
+def main(folders: Sequence[str]) -> int:
+    """0; 1 where an action differs, 2 for a folder that holds no policy."""
+    observations = recorded_observations(training_runs(REGIME))
+    failed = 0
+    for folder in map(Path, folders):
+        try:
+            policy = read_policy(folder / POLICY_FILE, folder.name)
+            found = parity(load_q_network(folder / WEIGHTS_FILE), policy, observations)
+        except GreenhouseError as error:
+            print(f"python -m training.rl.parity: {error}", file=sys.stderr)
+            return 2
+        failed |= found.different > 0
+        print(
+            f"{folder}: {found.different} of {found.observations} actions differ, "
+            f"values by up to {found.missed:.1e}"
+        )
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

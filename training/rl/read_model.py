@@ -1,0 +1,68 @@
+"""The models of `greenhouse-train rl --model`: kept trainings by name, or a twin by its file."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from edge.errors import DataError
+from edge.twin.model import Twin
+from edge.twin.twin_file import TwinFile, read_twin_file
+from edge.twin.value import Value
+from training.ham_guarded import GuardedHamNet
+from training.lstm import LstmNet
+from training.models import NETWORK_FILE, TWIN_FILE
+from training.rl.models import HamModel, LstmModel, StepModel, TwinModel
+from training.study import Regime
+from training.summary import best_seed, records
+from training.weights import load_network
+
+TRAINED = Path("training/results/trained")
+REGIME: Regime = "interpolation"
+KEPT = {"ham": "ham_guarded", "lstm": "lstm", "pbm": "twin"}  # name here -> whose kept training it is
+
+
+def read_model(name: str, variants: int = 1, seed: int = 0, trained: Path = TRAINED) -> StepModel:
+    """The model `name`, a key of KEPT or a twin file; of kept trainings the one with the best validation.
+
+    variants : beside the twin as fitted, how many with parameters drawn within their confidence intervals
+    Errors : DataError for a file that is none, and for variants of a model that has no twin
+    """
+    if name not in KEPT:
+        return TwinModel(drawn(read_twin_file(Path(name)), variants, seed), Path(name).stem)
+    kept = KEPT[name]
+    folder = trained / kept / REGIME / f"seed_{best_seed(records(trained), kept, REGIME)}"
+    if name == "pbm":
+        return TwinModel(drawn(read_twin_file(folder / TWIN_FILE), variants, seed), name)
+    path = folder / NETWORK_FILE
+    network, _ = load_network(path)
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    if isinstance(network, LstmNet):
+        if variants > 1:
+            raise DataError(f"{name}: has no physical parameters to draw at random")
+        return LstmModel(network, sha256)
+    if not isinstance(network, GuardedHamNet):
+        raise DataError(f"{path}: {type(network).__name__} is no guarded hybrid")
+    return HamModel(network, drawn(read_twin_file(folder / TWIN_FILE), variants, seed), sha256)
+
+
+def drawn(file: TwinFile, variants: int, seed: int) -> list[Twin]:
+    """The twin of a file, then others whose fitted values are uniform between their `low` and `high`.
+
+    Errors : DataError where a value is still to be fitted, or there is nothing to draw
+    """
+    if waiting := file.to_fit():
+        raise DataError(f"{'.'.join(waiting[0])}: is still to be fitted")
+    bounds = {
+        place: (value.low, value.high)
+        for place, value in file.values().items()
+        if value.low is not None and value.high is not None
+    }
+    if variants > 1 and not bounds:
+        raise DataError("no value of the twin has a confidence interval")
+    rng = np.random.default_rng(seed)
+    twins = [file.twin()]
+    while len(twins) < variants:
+        values = {place: Value(float(rng.uniform(low, high))) for place, (low, high) in bounds.items()}
+        twins.append(file.with_values(values).twin())
+    return twins

@@ -1,0 +1,52 @@
+"""Settings of the DQN, in one place."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class DqnSettings:
+    """Tuned on validation episodes in the training model alone. The paper says only the steps."""
+
+    steps: int = 100_000
+    boxes: int = 16  # environments that step in one call
+    hidden: tuple[int, ...] = (128, 128)
+    gamma: float = 0.95
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 1e-4  # reached in a straight line
+    buffer: int = 100_000  # transitions
+    batch: int = 256
+    learning_starts: int = 2_000  # environment steps before the first update
+    updates: int = 2  # per step of all boxes
+    target_every: int = 400  # environment steps between copies into the target network
+    explore_share: float = 0.4  # of the steps, over which the share of random actions falls
+    explore_from: float = 1.0
+    explore_to: float = 0.05
+    reward_scale: float = 0.1  # the values of a discounted sum come to order 1
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineSettings:
+    """On the rig a step is a minute, so there is time for many updates in each."""
+
+    steps: int = 1_440
+    hidden: tuple[int, ...] = (128, 128)
+    gamma: float = 0.95
+    learning_rate: float = 1e-3
+    batch: int = 128
+    learning_starts: int = 60
+    updates: int = 8
+    target_every: int = 20
+    explore_share: float = 0.5
+    explore_from: float = 1.0
+    explore_to: float = 0.05
+    reward_scale: float = 0.1
+    checkpoint_every: int = 20  # steps that a kill may cost
+
+
+ONLINE = {
+    "RL-On-P": OnlineSettings(),
+    # It knows already what to do: small steps, little that is tried out.
+    "RL-Tr-P": OnlineSettings(
+        learning_rate=1e-4, learning_starts=240, updates=4, explore_from=0.1, explore_to=0.02
+    ),
+}

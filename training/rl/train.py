@@ -1,0 +1,55 @@
+"""Deep Q-learning by stable-baselines3 on boxes that step together; the same seed gives the same policy."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import DQN
+from torch import nn
+
+from training.rl.boxes import World
+from training.rl.play import Act
+from training.rl.settings import DqnSettings
+from training.rl.vec_env import BoxesVecEnv
+
+
+def train(world: World, seed: int, settings: DqnSettings) -> DQN:
+    """A policy after `settings.steps` steps in the world's model."""
+    torch.set_num_threads(1)  # the same sums in the same order, on every machine of a kind
+    env = BoxesVecEnv(world, settings.boxes, seed, settings.reward_scale)
+    agent = make_agent(env, seed, settings)
+    agent.learn(settings.steps)
+    return agent
+
+
+def make_agent(env: BoxesVecEnv, seed: int, settings: DqnSettings) -> DQN:
+    """Untrained. stable-baselines3 counts `target_update_interval` in environment steps."""
+    first, last = settings.learning_rate, settings.final_learning_rate
+    return DQN(
+        "MlpPolicy",
+        env,
+        learning_rate=lambda left: last + (first - last) * left,
+        buffer_size=settings.buffer,
+        learning_starts=settings.learning_starts,
+        batch_size=settings.batch,
+        gamma=settings.gamma,
+        train_freq=1,
+        gradient_steps=settings.updates,
+        target_update_interval=settings.target_every,
+        exploration_fraction=settings.explore_share,
+        exploration_initial_eps=settings.explore_from,
+        exploration_final_eps=settings.explore_to,
+        policy_kwargs={"net_arch": list(settings.hidden), "optimizer_kwargs": {"fused": True}},
+        seed=seed,
+        device="cpu",
+    )
+
+
+def greedy(network: nn.Module) -> Act:
+    """The action of the highest value, of equal ones the first."""
+
+    @torch.no_grad()
+    def act(observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        values = network(torch.from_numpy(observations))
+        return values.argmax(dim=1).numpy()
+
+    return act
