@@ -78,7 +78,7 @@ def _settings(folder: Path, controller: str, url: str, yaml: str, llm: dict[str,
     return replace(
         settings,
         control=replace(settings.control, controller=controller),
-        llm=replace(settings.llm, url=url, model="stand-in", **{"backoff_s": 0.0, "retries": 0, **llm}),
+        llm=replace(settings.llm, url=url, **{"model": "stand-in", "backoff_s": 0.0, "retries": 0, **llm}),
     )
 
 
