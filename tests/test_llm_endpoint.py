@@ -109,7 +109,10 @@ def test_no_pause_reaches_beyond_the_deadline(tmp_path: Path) -> None:
 @pytest.mark.parametrize("deadline_s", [0.0, -1.0, float("nan")])
 def test_without_time_nothing_is_sent(tmp_path: Path, deadline_s: float) -> None:
     line = Line(says("hi"))
-    assert failure(tmp_path, line, deadline_s=deadline_s).kind == "timeout"
+    with endpoint(tmp_path, line) as made:
+        with pytest.raises(LlmFailure, match="timeout"):
+            made.chat(HELLO, deadline_s=deadline_s)
+        assert made.budget.spent.tokens == 0
     assert line.bodies == []
 
 

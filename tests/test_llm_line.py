@@ -1,8 +1,10 @@
 """edge/llm/line.py: on real sockets, a server that drips, hangs, never ends or hangs up."""
 
+import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 
@@ -73,3 +75,24 @@ def test_an_interrupt_that_was_fired_before_ends_it_at_once(stand_in: StandIn) -
     stop = Interrupt()
     stop.fire()
     assert kind_of(stand_in, "hanging", stop=stop) == "interrupted"
+
+
+def test_a_handshake_that_never_ends_ends_at_the_deadline() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        drip = threading.Thread(target=_drip, args=(silent,))
+        drip.start()
+        begun = time.monotonic()
+        with pytest.raises(LlmFailure, match="timeout"):
+            post(f"https://127.0.0.1:{silent.getsockname()[1]}/v1", BODY, {}, 0.3, Interrupt())
+        assert time.monotonic() - begun < 10.0
+        drip.join(20.0)
+        assert not drip.is_alive()  # its client has hung up
+
+
+def _drip(server: socket.socket) -> None:
+    """Accept, and send the record of a handshake byte by byte: each one would restart a socket's timeout."""
+    connection, _ = server.accept()
+    with connection, suppress(OSError):
+        for byte in b"\x16\x03\x03\x40\x00" + bytes(1000):
+            connection.sendall(bytes([byte]))
+            time.sleep(0.05)

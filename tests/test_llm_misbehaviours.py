@@ -11,10 +11,10 @@ from itertools import cycle
 import numpy as np
 import pytest
 
+from bench.llm_closed_loop import REFERENCE_C, YAML, Ended, run
 from bench.llm_stand_in.server import StandIn
 from edge.daemon import Daemon
 from edge.messages import TickRecord
-from tests.llm_rig import REFERENCE_C, YAML, Ended, run
 
 TICKS = 2  # per misbehaviour
 WARM_UP = 12  # ticks of honest answers before the first

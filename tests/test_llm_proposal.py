@@ -46,6 +46,7 @@ def test_the_simple_architecture_is_one_exchange(tmp_path: Path) -> None:
         "architecture": "simple",
         "language_model": "m",
         "exchanges": 1,
+        "waited_ms": 0.0,
         "tool_calls": [],
         "tokens": 120,
         "tokens_estimated": False,

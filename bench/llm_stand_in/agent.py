@@ -28,7 +28,7 @@ Turn = dict[str, Any]  # an assistant's message
 def reply(body: Mapping[str, Any], seed: int) -> Turn:
     """The next message of the conversation in `body`.
 
-    seed : of the jitter at temperature 1, together with the conversation itself
+    seed : of the jitter at temperature 1, together with the prompt
     """
     messages = body["messages"]
     asked = read_prompt(messages)
@@ -146,5 +146,5 @@ def _jitter(body: Mapping[str, Any], seed: int) -> int:
     """Levels of heat beside the choice, as temperature would have it: none at 0."""
     if not body.get("temperature"):
         return 0
-    text = json.dumps(body["messages"], sort_keys=True)
+    text = json.dumps(body["messages"][:2], sort_keys=True)
     return random.Random(zlib.crc32(text.encode()) + seed).choice((-1, 0, 0, 1))

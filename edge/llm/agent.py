@@ -34,6 +34,7 @@ class Conversation:
     schema: Schema | None = None
     ledger: Ledger = field(default_factory=Ledger)
     exchanges: int = 0
+    waited_s: float = 0.0  # for the endpoint, its retries among it
     usage: Usage = field(default_factory=Usage)
     _mistakes: set[str] = field(default_factory=set)  # kinds that the model was told of once
 
@@ -60,7 +61,9 @@ class Conversation:
         # At the last one nothing is offered any more: what it knows by now must do.
         last = self.exchanges == self.endpoint.settings.exchanges
         specs = [] if last else [tool.spec for tool in self.tools]
+        begun_s = self.endpoint.now()
         reply = self.endpoint.chat(self.messages, specs, self.temperature, self.schema, deadline_s, stop)
+        self.waited_s += self.endpoint.now() - begun_s
         self.usage += reply.usage
         return reply
 

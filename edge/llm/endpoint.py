@@ -98,16 +98,16 @@ class Endpoint:
 
     def _send(self, chat: Chat, dialect: Dialect, end_s: float, stop: Interrupt) -> tuple[Response, Usage]:
         """One request on the line, paid for whatever comes of it."""
+        left_s = end_s - self.now()
+        if not left_s > 0.0:  # NaN lands here too
+            raise LlmFailure("timeout", "the time for this answer is over")
         body = to_bytes(chat.body(dialect))
         most = Usage(estimated_tokens(body), chat.answer_tokens, estimated=True)
         self.budget.charge(most)
         used = Usage(estimated=True)
         try:
-            left_s = end_s - self.now()
-            if not left_s > 0.0:  # NaN lands here too
-                raise LlmFailure("timeout", "the time for this answer is over")
-            left_s = min(self.settings.timeout_s, left_s)
-            response = self.line(self._url, body, self._headers(), left_s, stop)
+            deadline_s = min(self.settings.timeout_s, left_s)
+            response = self.line(self._url, body, self._headers(), deadline_s, stop)
             used = _usage(response, most)
             return response, used
         except LlmFailure as failure:

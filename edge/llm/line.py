@@ -31,7 +31,7 @@ def post(url: str, body: bytes, headers: Mapping[str, str], deadline_s: float, s
     A timeout of the socket would start anew at every byte, so a timer shuts the connection down.
     Errors : LlmFailure: unreachable, timeout, interrupted, malformed (too long)
     """
-    import requests  # late: with its friends it is 10 MB, and most rigs have no language model
+    import requests  # late: with its friends it is 5 MB, and most rigs have no language model
     import urllib3
 
     own = Interrupt()

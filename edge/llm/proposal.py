@@ -93,6 +93,7 @@ class Architecture:
             "architecture": _ARCHITECTURES.get(self.variant.assistance, "prediction"),
             "language_model": model.settings.model,
             "exchanges": conversation.exchanges,
+            "waited_ms": round(1e3 * conversation.waited_s, 3),
             "tool_calls": _in_short(conversation.ledger),
             "tokens": usage.sent + usage.received,
             "tokens_estimated": usage.estimated,

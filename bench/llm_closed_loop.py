@@ -3,6 +3,7 @@
 import json
 import sqlite3
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
 
 REFERENCE_C = 26.0
+WRITTEN_S = 10.0
 YAML = f"""
 timezone: UTC
 reference: {{kind: constant, reference_c: {REFERENCE_C}}}
@@ -73,12 +75,26 @@ def run(
                 clock.close()
 
 
+def wait_recorded(history: Path, seq: int) -> None:
+    """Until the tick `seq` is in the history, at most WRITTEN_S.
+
+    On a rig a minute lies between a tick and the next question. In lock-step it is some milliseconds, and
+    what a model reads would depend on how fast the disk is: two runs with one seed would differ.
+    """
+    give_up = time.monotonic() + WRITTEN_S
+    with closing(sqlite3.connect(history)) as reader:
+        while not reader.execute("SELECT 1 FROM ticks WHERE seq = ?", (seq,)).fetchone():
+            if time.monotonic() > give_up:
+                return
+            time.sleep(0.001)
+
+
 def _settings(folder: Path, controller: str, url: str, yaml: str, llm: dict[str, Any]) -> Settings:
     settings = settings_in(folder, config.parse(yaml))
     return replace(
         settings,
         control=replace(settings.control, controller=controller),
-        llm=replace(settings.llm, url=url, model="stand-in", **{"backoff_s": 0.0, "retries": 0, **llm}),
+        llm=replace(settings.llm, url=url, **{"model": "stand-in", "backoff_s": 0.0, "retries": 0, **llm}),
     )
 
 
@@ -91,6 +107,7 @@ def _ended(
     def after_tick(record: TickRecord) -> None:
         records.append(record)
         true_air.append(clock.truth()["chamber"]["temp_air_c"])
+        wait_recorded(Path(settings.history.path), record.seq)
         during(record, daemon)
 
     daemon = Daemon(settings, clock, after_tick=after_tick, stop_at_s=clock.now() + 60.0 * minutes)
