@@ -16,6 +16,7 @@ from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
 
 Floats = NDArray[np.float64]
+ROOM_C = 22.0  # about the virtual board's; references are drawn for it
 
 
 @dataclass(frozen=True, slots=True)

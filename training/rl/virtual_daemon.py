@@ -24,11 +24,11 @@ from edge.settings import ExternalSettings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import die_with_parent, settings_in, virtual_rig
 from training.rl.episodes import EpisodeSettings, draw_reference
+from training.rl.rig import ROOM_C
 
 SOCKET = "external.sock"
 CLIENT_WAIT_S = 120.0  # a learner imports torch first
 START_PATIENCE_S = 60.0
-ROOM_C = 22.0  # about the virtual board's
 HOURS = 48
 
 
