@@ -2,7 +2,7 @@
 
 The paper's way: one box, each step solved twice by SciPy's RK45 (once without the hybrid's correction, once
 with it) with torch's inference between, and an update of 64 after every step. Ours: 16 boxes in one call with
-the exact step, two updates of 256 a call. Same equations, network, reward, episodes and stable-baselines3,
+the exact step, one update of 512 a call. Same equations, network, reward, episodes and stable-baselines3,
 in one process on one thread; the paper's way is timed over a share of its steps and scaled.
 """
 
@@ -144,10 +144,8 @@ def main(words: Sequence[str] | None = None) -> None:
         print(f"{name:14s}{speed:20.0f}{cpu_s:10.1f}{wall_s:10.1f}", flush=True)
     ratio = costs["paper's way"] / costs["ours"]
     print(f"ours costs 1/{ratio:.1f} of the CPU time of the paper's way")
-    print("# Cost of a step in 64 validation episodes (0.5 e^2 + |e|, e in K), by seed: of trainings")
-    print(
-        "# of ours that are kept, and of the paper's way with the exact step: the same equations to RK45's tolerance."
-    )
+    print("# Cost of a step in 64 validation episodes (0.5 e^2 + |e|, e in K), by seed: of the trainings of")
+    print("# ours that are kept, and of the paper's way with the exact step, the same to RK45's tolerance.")
     _tell("ours", kept(arguments.seeds))
     _tell("paper's way", (judged(PAPER, seed, arguments.steps) for seed in range(arguments.seeds)))
 
