@@ -42,7 +42,7 @@ from training.rl.vec_env import BoxesVecEnv
 VARIANT = "RL-Off"
 STEPS = 100_000
 OURS = DqnSettings(steps=STEPS)
-PAPER = replace(OURS, boxes=1, updates=1, batch=64)
+PAPER = replace(OURS, boxes=1, updates=1, batch=64, learning_rate=5e-4)  # small batches, small steps
 ENV_S = 3.0  # of CPU, for the environments' steps alone
 PACKAGES = ("stable-baselines3", "torch", "numpy", "scipy")
 BARE = 100  # steps before the first update while a share of a training is timed
