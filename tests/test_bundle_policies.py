@@ -6,12 +6,21 @@ from pathlib import Path
 
 import pytest
 
+from edge import config
+from edge.__main__ import main
+from edge.active_models import ActiveModels
 from edge.bundle.check import check_folder
+from edge.bundle.keeper import BundleKeeper
 from edge.bundle.manifest import MANIFEST, parse_manifest
 from edge.bundle.sign import sign_folder
 from edge.bundle.store import Store
+from edge.clock import RealClock
 from edge.errors import DataError
+from edge.forecasts.skill import SkillState
+from edge.models.from_bundle import loader
+from edge.policy.actions import command_of
 from tests.bundles import FACTS, Workshop, load_nothing
+from tests.contexts import context
 from tests.policy_files import policy_file
 
 
@@ -75,3 +84,22 @@ def test_a_changed_policy_breaks_the_signature(workshop: Workshop) -> None:
     shutil.copyfile(folder / "rl-off.onnx", folder / "rl-tr-p.onnx")
     with pytest.raises(DataError, match=r"rl-tr-p\.onnx"):
         check_folder(folder, workshop.trusted)
+
+
+def test_the_command_names_the_policies(workshop: Workshop, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = with_policies(workshop)
+    assert main(["bundle", "verify", str(folder), "--keys", str(workshop.trusted)]) == 0
+    assert "models arx, pbm, policies RL-Off, RL-Tr-P" in capsys.readouterr().out
+
+
+def test_controllers_have_the_policies_of_the_active_bundle(workshop: Workshop) -> None:
+    place = Store(workshop.folder / "store", workshop.trusted, loader(60.0), with_policies(workshop))
+    keeper = BundleKeeper(place, RealClock(), automatic=False, trial_ticks=10)
+    try:
+        controllers = ActiveModels(config.default(), keeper, SkillState()).controllers()
+    finally:
+        keeper.close()
+    assert controllers["RL-Off"].decide(context(24.0, 26.0)).command == command_of(3)
+    assert controllers["RL-Tr-P"].decide(context(24.0, 26.0)).command == command_of(5)
+    with pytest.raises(DataError, match="no policy RL-On-P"):
+        controllers["RL-On-P"].decide(context(24.0, 26.0))

@@ -13,9 +13,11 @@ from edge.models.arx_file import DEFAULT_PATH
 from edge.models.from_bundle import load_predictors, loader
 from training import datasets
 from training.datasets import data_sha256, training_runs
+from training.rl.kept import FOLDERS, best_folder, read_record
 from training.rollout import errors, free_run
 
 NO_KEYS = Path("/nonexistent")  # only the packaged key is trusted
+POLICIES = Path(__file__).parent.parent / "training" / "results" / "policies"
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +28,18 @@ def packaged():
 def test_it_is_signed_and_holds_all_four_models(packaged):
     assert list(packaged.predictors) == ["arx", "pbm", "lstm", "ham"]
     assert packaged.manifest.data_sha256 == data_sha256(training_runs("interpolation"))
+
+
+def test_it_has_a_policy_for_each_of_the_papers_controllers(packaged):
+    assert list(packaged.policies) == ["RL-Off", "RL-Off-P", "RL-On-P", "RL-Tr-P"]
+    for name, policy in packaged.policies.items():
+        assert policy.contract.facts["variant"] == name
+
+
+def test_its_policies_are_the_best_that_are_kept(packaged):
+    for name, place in FOLDERS.items():
+        best = read_record(best_folder(sorted((POLICIES / place).glob("seed_*"))))
+        assert packaged.policies[name].version == best["policy"]
 
 
 def test_its_arx_is_the_packaged_one():

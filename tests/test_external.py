@@ -110,9 +110,22 @@ def test_a_duty_between_two_levels_goes_to_the_nearer(proposals, path):
         assert External(proposals, DEADLINE_S).decide(context()).command.heater_duty == 0.35
 
 
-def test_a_reason_that_is_too_long_is_left_out(proposals, path):
-    with answering(path, proposing(why="x" * 3000)):
-        assert External(proposals, DEADLINE_S).decide(context()).why["client"] == "too long to keep"
+@pytest.mark.parametrize(
+    ("reason", "kept"),
+    [
+        ("0.25", 0.25),
+        ('"%s"' % ("x" * 3000), "too long to keep"),
+        ("1e999", "not fit to be kept"),
+        ('{"a": [-1e999]}', "not fit to be kept"),
+        ('"\\ud800"', "not fit to be kept"),
+        ("[" * 400 + "]" * 400, None),
+    ],
+)
+def test_only_reasons_that_the_history_can_take_are_kept(reason, kept):
+    told = Told(json.loads(f'{{"heater_duty": 0.1, "fan_on": false, "why": {reason}}}'))
+    why = External(told, DEADLINE_S).decide(context()).why
+    json.dumps(why, allow_nan=False, ensure_ascii=False).encode()
+    assert kept is None or why["client"] == kept
 
 
 def test_after_a_switch_nothing_counts_as_proposed(proposals, path):

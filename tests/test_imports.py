@@ -51,6 +51,7 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
         "edge.control_socket",
     ),
     "edge/models": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.controllers", "edge.clock"),
+    "edge/policy": ("edge.board", "edge.storage", "edge.mqtt", "edge.loop", "edge.commands", "edge.clock"),
     "edge/twin": (
         "edge.board",
         "edge.storage",
@@ -63,7 +64,8 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "firmware_protocol/virtual_board/chamber.py": ("edge",),
 }
 PURE = ("safety", "safety_rules", "safety_state", "thermal_supervision", "operation", "reference", "lighting",
-        "watering", "estimator", "tick_json", "messages", "names")  # fmt: skip
+        "watering", "estimator", "tick_json", "messages", "names", "policy/observation", "policy/actions",
+        "controllers/rl", "controllers/external")  # fmt: skip
 WORLD = ("serial", "socket", "sqlite3", "sqlite_utils", "paho", "requests", "time", "threading", "subprocess")
 HEAVY = ("scipy", "sqlite_utils", "matplotlib", "rich", "onnxruntime", "requests", "pandas", "cryptography")
 

@@ -154,6 +154,16 @@ def test_an_agent_goes_on_from_its_checkpoint_as_if_nothing_had_been(tmp_path):
     assert np.array_equal(*drawn)
 
 
+def test_an_agent_that_explores_nothing_does_what_its_policy_says_from_the_first_step(tmp_path):
+    still = replace(SETTINGS, explore_from=0.0, explore_to=0.0, learning_starts=STEPS)
+    agent = make_online_agent(CountingEnv(), replace(JOB, settings=still))
+    agent.learn(20)
+    with torch.no_grad():
+        seen = torch.from_numpy(agent.replay_buffer.observations[:20, 0])
+        expected = agent.policy.q_net(seen).argmax(dim=1).numpy()
+    assert np.array_equal(agent.replay_buffer.actions[:20, 0, 0], expected)
+
+
 @pytest.mark.parametrize("content", [b"", b"nonsense"])
 def test_what_is_no_checkpoint_is_refused(tmp_path, content):
     (tmp_path / "c.pt").write_bytes(content)

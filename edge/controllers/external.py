@@ -1,5 +1,6 @@
 """The controller `external`: another process proposes, `edge/external_proposals.py` asks it."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Protocol
@@ -11,7 +12,7 @@ from edge.messages import Command, Decision
 from edge.names import HEATER_LEVELS
 from edge.policy.observation import by_name, observe_tick
 
-WHY_MAX = 2000  # of a client's own reasons, as JSON-like text; longer ones are left out of the history
+WHY_MAX = 2000  # of a client's own reasons; longer ones are left out of the history [bytes of JSON]
 
 
 class Proposals(Protocol):
@@ -45,7 +46,7 @@ class External:
         self._proposed = {"heater_duty": command.heater_duty, "fan_on": command.fan_on}
         why = {"tick": self._tick, "reference_c": question["reference_c"]}
         said = answer.get("why")
-        return Decision(command, self.name, why=why if said is None else {**why, "client": _short(said)})
+        return Decision(command, self.name, why=why if said is None else {**why, "client": _kept(said)})
 
     def _question(self, context: Context) -> dict[str, Any]:
         observation, sent = observe_tick(context), context.last_sent
@@ -73,5 +74,10 @@ def _command(answer: Mapping[str, Any]) -> Command:
     return Command(heater_duty=round(duty * HEATER_LEVELS) / HEATER_LEVELS, fan_on=fan_on)
 
 
-def _short(said: Any) -> Any:
-    return said if len(repr(said)) <= WHY_MAX else "too long to keep"
+def _kept(said: Any) -> Any:
+    """A client's reason as the history can take it: 1e999 is infinite, and "\\ud800" is no text."""
+    try:
+        size = len(json.dumps(said, allow_nan=False, ensure_ascii=False).encode())
+    except (ValueError, RecursionError):
+        return "not fit to be kept"
+    return said if size <= WHY_MAX else "too long to keep"

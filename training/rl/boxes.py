@@ -76,7 +76,7 @@ class Boxes:
         return observe(Recent(self._air, self._duty, self._fan, self._ambient[now], self._reference[now]))
 
     def step(self, actions: NDArray[np.int64]) -> Stepped:
-        """One action each. Boxes whose episode has ended stand still until they are reset."""
+        """One action each; a box whose episode has ended is to be reset before its next."""
         world, now = self.world, (np.arange(self.count), self._step)
         duty, fan = duties_and_fans(actions)
         self._state, air = world.model.advance(self._state, self._ambient[now], duty, fan, self._variant)

@@ -18,12 +18,11 @@ from training.rl.episodes import Episode, EpisodeSettings, Given, Start, draw_re
 from training.rl.models import StepModel
 from training.rl.play import Act, play
 from training.rl.reward import WEIGHTS, reward
-from training.rl.rig import Ticks, run_on_rig
+from training.rl.rig import ROOM_C, Ticks, run_on_rig
 
 LEAD_STEPS = 40  # the rig begins cold; it is judged from here on
 STEPS = 240
 RIG_SEEDS = (301, 302, 303)  # of boards that nothing is trained, chosen or compared on
-ROOM_C = 22.0  # about the virtual board's
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +51,12 @@ def _gap(policy: OnnxPolicy, model: StepModel, seed: int) -> Gap:
     judged = ticks.since(LEAD_STEPS)
     weights = WEIGHTS[policy.name]
     earned = reward(judged.error_k, judged.duty[:-1], judged.fan[:-1], weights)
-    world = World(model, Given(_episode(ticks)), weights)
+    world = World(model, Given(episode_of(ticks)), weights)
     played = play(_act(policy), world, count=1, seed=seed)
     return Gap(played.mae_k, float(np.abs(judged.error_k).mean()), played.reward, float(earned.mean()))
 
 
-def _episode(ticks: Ticks) -> Episode:
+def episode_of(ticks: Ticks) -> Episode:
     """What the rig has met since LEAD_STEPS."""
     judged, before = ticks.since(LEAD_STEPS), slice(LEAD_STEPS + 1 - START_ROWS, LEAD_STEPS + 1)
     start = Start(ticks.temp[before], ticks.ambient[before], ticks.duty[before], ticks.fan[before])

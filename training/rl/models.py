@@ -91,9 +91,9 @@ class TwinModel:
 class HamModel:
     """The guarded hybrid: its network corrects whichever twin a box is, as it was trained to correct one."""
 
-    def __init__(self, network: GuardedHamNet, twins: Sequence[Twin], sha256: str) -> None:
-        self.name, self.sha256, self.variants = "ham", sha256, len(twins)
-        self._network, self._physics = network.eval(), TwinModel(twins)
+    def __init__(self, network: GuardedHamNet, physics: TwinModel, sha256: str) -> None:
+        self.name, self.sha256, self.variants = "ham", sha256, physics.variants
+        self._network, self._physics = network.eval(), physics
 
     def start(self, window: Window, variant: Indices) -> Floats:
         """As `StepModel.start`."""

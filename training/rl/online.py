@@ -9,9 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import ActionNoise
 
 from edge.run_file import data_sha256
 from training.datasets import training_runs
@@ -82,7 +84,7 @@ def learn_online(job: OnlineJob, socket: Path, folder: Path) -> dict[str, Any]:
 def make_online_agent(env: SocketEnv, job: OnlineJob) -> DQN:
     """At its first step, with the weights that it begins with."""
     settings = job.settings
-    agent = DQN(
+    agent = OnlineDqn(
         "MlpPolicy",
         env,
         learning_rate=settings.learning_rate,
@@ -106,6 +108,18 @@ def make_online_agent(env: SocketEnv, job: OnlineJob) -> DQN:
         for network in (agent.policy.q_net, agent.policy.q_net_target):
             network.q_net.load_state_dict(weights)
     return agent
+
+
+class OnlineDqn(DQN):
+    """Acts by its policy from the first step on: what it has learnt offline counts before it learns more.
+
+    stable-baselines3 takes random actions until `learning_starts`; here that is left to the exploration.
+    """
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return super()._sample_action(0, action_noise, n_envs)
 
 
 class _Keeper(BaseCallback):

@@ -30,20 +30,38 @@ def read_model(name: str, variants: int = 1, seed: int = 0, trained: Path = TRAI
     """
     if name not in KEPT:
         return TwinModel(drawn(read_twin_file(Path(name)), variants, seed), Path(name).stem)
+    folder = kept_folder(name, trained)
+    if name == "lstm" and variants > 1:
+        raise DataError(f"{name}: has no physical parameters to draw at random")
+    if name == "lstm":
+        return _lstm(folder / NETWORK_FILE)
+    physics = TwinModel(drawn(read_twin_file(folder / TWIN_FILE), variants, seed), name)
+    return physics if name == "pbm" else ham_over(physics, folder / NETWORK_FILE)
+
+
+def kept_folder(name: str, trained: Path = TRAINED) -> Path:
+    """The kept training of a key of KEPT with the best validation. Errors: DataError"""
     kept = KEPT[name]
-    folder = trained / kept / REGIME / f"seed_{best_seed(records(trained), kept, REGIME)}"
-    if name == "pbm":
-        return TwinModel(drawn(read_twin_file(folder / TWIN_FILE), variants, seed), name)
-    path = folder / NETWORK_FILE
+    return trained / kept / REGIME / f"seed_{best_seed(records(trained), kept, REGIME)}"
+
+
+def ham_over(physics: TwinModel, path: Path) -> HamModel:
+    """The hybrid whose network is in `path`, over that physics. Errors: DataError for another network"""
     network, _ = load_network(path)
-    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    if isinstance(network, LstmNet):
-        if variants > 1:
-            raise DataError(f"{name}: has no physical parameters to draw at random")
-        return LstmModel(network, sha256)
     if not isinstance(network, GuardedHamNet):
         raise DataError(f"{path}: {type(network).__name__} is no guarded hybrid")
-    return HamModel(network, drawn(read_twin_file(folder / TWIN_FILE), variants, seed), sha256)
+    return HamModel(network, physics, _sha256(path))
+
+
+def _lstm(path: Path) -> LstmModel:
+    network, _ = load_network(path)
+    if not isinstance(network, LstmNet):
+        raise DataError(f"{path}: {type(network).__name__} is no LSTM")
+    return LstmModel(network, _sha256(path))
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def drawn(file: TwinFile, variants: int, seed: int) -> list[Twin]:

@@ -11,12 +11,12 @@ class DqnSettings:
     boxes: int = 16  # environments that step in one call
     hidden: tuple[int, ...] = (128, 128)
     gamma: float = 0.95
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     final_learning_rate: float = 1e-4  # reached in a straight line
     buffer: int = 100_000  # transitions
-    batch: int = 256
+    batch: int = 512  # one large update costs less than two small ones, and teaches as much
     learning_starts: int = 2_000  # environment steps before the first update
-    updates: int = 2  # per step of all boxes
+    updates: int = 1  # per step of all boxes
     target_every: int = 400  # environment steps between copies into the target network
     explore_share: float = 0.4  # of the steps, over which the share of random actions falls
     explore_from: float = 1.0

@@ -24,11 +24,11 @@ from edge.settings import ExternalSettings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import die_with_parent, settings_in, virtual_rig
 from training.rl.episodes import EpisodeSettings, draw_reference
+from training.rl.rig import ROOM_C, without_forecasts
 
 SOCKET = "external.sock"
 CLIENT_WAIT_S = 120.0  # a learner imports torch first
 START_PATIENCE_S = 60.0
-ROOM_C = 22.0  # about the virtual board's
 HOURS = 48
 
 
@@ -41,7 +41,7 @@ def drawn_reference(seed: int, hours: float = HOURS) -> Reference:
 
 def serve(folder: Path, seed: int, speed: float | None) -> None:
     """Run until stopped. speed : simulated seconds per second, None: as fast as it goes"""
-    settings = settings_in(folder, config.default())
+    settings = without_forecasts(settings_in(folder, config.default()))
     settings = replace(
         settings,
         control=replace(settings.control, controller=EXTERNAL),
