@@ -38,6 +38,7 @@ from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
+from edge.serial_port import OpenPort, SerialPort
 from edge.settings import Settings
 from edge.skill_state import read_skill, skill_keeping
 from edge.state_file import StateFileBroken, StateWriter
@@ -98,6 +99,7 @@ class Daemon:
     stop_at_s: float = float("inf")
     experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
     more_controllers: Sequence[Controller] = ()  # than those of edge/controller_names.py
+    open_port: OpenPort = SerialPort  # else a board in this process
     config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
@@ -166,7 +168,7 @@ class Daemon:
             telemetry = Telemetry(settings, self._ask(inbox, bundles), lambda: _outbox(settings))
             stack.callback(telemetry.close)
             sinks.append(telemetry)
-        board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32))
+        board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port)
         stack.callback(board.close)
         stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
         rig = Rig(
