@@ -45,10 +45,13 @@ def entries() -> dict[str, Entry]:
     """All that can be compared so far, by name."""
     listed = [
         Entry("rules", "rules"),
+        Entry("PID", "PID"),
         Entry("MPC-BFGS", "MPC-BFGS"),
         Entry("MPC-BFGS-P", "MPC-BFGS-P"),
         Entry("MPC", "MPC"),
         Entry("MPC-P", "MPC-P"),
+        Entry("MPC-Twin", "MPC-Twin", "twin"),
+        Entry("MPC-Twin-P", "MPC-Twin-P", "twin"),
         Entry("MPC/HAM", "MPC", "packaged", {"predictor": "ham"}),
         Entry("MPC-P/HAM", "MPC-P", "packaged", {"predictor": "ham"}),
         Entry("MPC/twin", "MPC", "twin", {"predictor": "pbm"}),
