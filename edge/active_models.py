@@ -67,7 +67,9 @@ class ActiveModels:
         self._serving = None if keeper is None else keeper.serving
         self.model, self.linear = self._chosen()
         if control.controller in MPC_TWIN and self.twin is None:
-            raise ConfigError(f"control.controller: {control.controller} plans with a bundle's twin, there is none")
+            raise ConfigError(
+                f"control.controller: {control.controller} plans with a bundle's twin, there is none"
+            )
         active, intervals, rivals = self._forecasting_parts()
         self.forecasting = Forecasting(control.step_s, active, intervals, rivals, state)
 

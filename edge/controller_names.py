@@ -38,5 +38,9 @@ LLM = {
 
 CONTROLLERS = (RULES, PID, *MPC, *MPC_TWIN)  # grows by RL, LLM, EXTERNAL as they are built
 # A model of the air temperature for the rig's step; a policy and a language model bring what they know.
-NEED_A_MODEL = (*MPC, *MPC_TWIN, *(name for name, variant in LLM.items() if variant.assistance not in ("", "sql")))
+NEED_A_MODEL = (
+    *MPC,
+    *MPC_TWIN,
+    *(name for name, variant in LLM.items() if variant.assistance not in ("", "sql")),
+)
 NEED_NO_MODEL = tuple(name for name in CONTROLLERS if name not in NEED_A_MODEL)

@@ -168,7 +168,9 @@ class Daemon:
             telemetry = Telemetry(settings, self._ask(inbox, bundles), lambda: _outbox(settings))
             stack.callback(telemetry.close)
             sinks.append(telemetry)
-        board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port)
+        board = Board(
+            settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port
+        )
         stack.callback(board.close)
         stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
         rig = Rig(

@@ -77,7 +77,9 @@ class MpcTwin:
             if not len(known):
                 raise DataError("history: no air temperature is known")
             last = int(known[0])
-            belief = begin(self._twin, times[last], float(measured[last]), float(history["temp_ambient"][last]))
+            belief = begin(
+                self._twin, times[last], float(measured[last]), float(history["temp_ambient"][last])
+            )
         step = self._linear(belief, context)
         for row in range(last, rows - 1):
             belief = moved(belief, self._twin, step, _inputs(context, row), float(times[row + 1]))

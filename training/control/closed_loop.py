@@ -1,7 +1,7 @@
 """The whole daemon in lock-step with a virtual board: what was measured, what was so, what was driven."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,20 +43,24 @@ def closed_loop(
     truth: Truth,
     length_s: float,
     open_port: OpenPort = SerialPort,
-    more_controllers: Sequence[Controller] = (),
+    instead: Controller | None = None,
 ) -> Log:
-    """Run `settings.control.controller` for `length_s` from now on. A signal ends it: KeyboardInterrupt."""
+    """Run `settings.control.controller`, or another one, for `length_s` from now on.
+
+    Errors : KeyboardInterrupt where a signal has ended it
+    """
+    name = settings.control.controller if instead is None else instead.name
     rows: list[dict[str, float]] = []
     changes: Counter[str] = Counter()
-    instead: Counter[str] = Counter()
+    others: Counter[str] = Counter()
     counts: Counter[str] = Counter()
 
     def after_tick(record: TickRecord) -> None:
         rows.append(_row(record, truth()))
         changes.update({change.rule: 1 for change in record.changes})
         why = record.decision.why
-        if record.decision.controller != settings.control.controller:
-            instead[str(why.get("failure", "order"))] += 1
+        if record.decision.controller != name:
+            others[str(why.get("failure", "order"))] += 1
         counts["time_boxes"] += bool(why.get("time_box_fired", False))
         counts["tokens"] += int(why.get("tokens", 0) or 0)
 
@@ -66,14 +70,15 @@ def closed_loop(
         clock,
         after_tick=after_tick,
         stop_at_s=end_s,
-        more_controllers=more_controllers,
+        more_controllers=() if instead is None else (instead,),
+        experiment="" if instead is None else instead.name,
         open_port=open_port,
     ) as daemon:
         daemon.run()
     if clock.now() < end_s:
         raise KeyboardInterrupt  # the daemon took the signal for itself
     columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    return Log(columns, changes, instead, counts["time_boxes"], counts["tokens"])
+    return Log(columns, changes, others, counts["time_boxes"], counts["tokens"])
 
 
 def _row(record: TickRecord, truth: Mapping[str, float]) -> dict[str, float]:

@@ -12,15 +12,24 @@ from typing import Any
 
 import numpy as np
 
-from edge import __version__
+from edge.controllers.base import Controller
+from edge.controllers.input_profile import InputProfile
 from edge.errors import DataError
+from edge.names import HEATER_LEVELS
 from edge.profile_file import read_profile
+from edge.reference import reference_from_profile
+from edge.settings import ControlSettings
+from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.board_in_process import InProcessBoard, make_device
+from training.control.chamber_rows import ChamberRows
+from training.control.clairvoyant import Course, best_plan
 from training.control.closed_loop import Log, closed_loop
 from training.control.draw_references import FOLDER
 from training.control.rig import TWIN, Entry, entries, install_twin, settings_for
 
 RUNS = Path("out/control")
+SECTIONS = ("control", "estimator", "sensor_health", "safety")  # that a run depends on
+FIRST_TICK_S = 1.0  # when the board has greeted and sent its first report
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +47,13 @@ class Job:
 
     def sha256(self) -> str:
         """Of all that was decided beforehand: a run with the same is not repeated."""
-        somewhere = Path("/")
-        settings = settings_for(self.entry, Path(self.profile.name), somewhere)
+        settings = settings_for(self.entry, Path(self.profile.name), Path("/"))
         facts = {
-            "entry": asdict(self.entry),
-            "settings": asdict(settings),
+            "entry": [self.entry.name, self.entry.controller, self.entry.models, self.entry.clairvoyant],
+            "settings": [asdict(getattr(settings, section)) for section in SECTIONS],
             "reference": self.profile.read_text(encoding="utf-8"),
             "twin": TWIN.read_text(encoding="utf-8") if self.entry.models == "twin" else "",
             "seed": self.seed,
-            "software": __version__,
         }
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -73,7 +80,25 @@ def run(job: Job) -> Log:
         def truth() -> Mapping[str, float]:
             return board.device.plant.truth(board.device.now_ms)
 
-        return closed_loop(settings, board, truth, read_profile(job.profile).end_s, board.open)
+        end_s = read_profile(job.profile).end_s
+        return closed_loop(settings, board, truth, end_s, board.open, _clairvoyant(job, folder))
+
+
+def _clairvoyant(job: Job, folder: Path) -> Controller | None:
+    """The best plan as an input profile; None for an entry that decides as it goes."""
+    target = job.entry.clairvoyant
+    if target is None:
+        return None
+    step_s = ControlSettings().step_s
+    times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1)
+    reference = reference_from_profile(job.profile).at(times, times)
+    course = Course(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
+    plan = best_plan(lambda: ChamberRows(*load(), job.seed), course)
+    rows = zip(times, plan.levels / HEATER_LEVELS, plan.fan, strict=True)
+    lines = [f"{time_s:g},{duty:g},{fan}" for time_s, duty, fan in rows]
+    path = folder / "plan.csv"
+    path.write_text("\n".join(["time_s,heater_duty,fan_on", *lines, f"{times[-1] + step_s:g},0,0"]) + "\n")
+    return InputProfile(read_profile(path))
 
 
 def keep(job: Job, log: Log, root: Path) -> None:
@@ -98,7 +123,9 @@ def keep(job: Job, log: Log, root: Path) -> None:
 def read(job: Job, root: Path) -> Log:
     """A kept run. Errors: DataError where it is not there, or another one is."""
     if not is_kept(job, root):
-        raise DataError(f"{job.folder(root)}: no such run with these settings: run `greenhouse-train compare`")
+        raise DataError(
+            f"{job.folder(root)}: no such run with these settings: run `greenhouse-train compare`"
+        )
     folder = job.folder(root)
     facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     with np.load(folder / "columns.npz") as columns:

@@ -156,9 +156,7 @@ class _Stage:
         self._via = self._hu * self._rad_w_k / self._dh
         p_w, p_b, p_u = g.pw / self._dp, g.pb / self._dp, self._to_plant * self._via / self._dp
         s_w, s_b, s_u = g.sw / self._ds, g.sb / self._ds, self._to_soil * self._via / self._ds
-        self._ww = (
-            w + g.wu + g.wb + g.wo + g.pw + g.sw - g.wo * g.wo / self._do - g.pw * p_w - g.sw * s_w
-        )
+        self._ww = w + g.wu + g.wb + g.wo + g.pw + g.sw - g.wo * g.wo / self._do - g.pw * p_w - g.sw * s_w
         self._w_u = g.wu + self._to_cover * self._via + g.pw * p_u + g.sw * s_u
         self._w_b = g.wb + g.pw * p_b + g.sw * s_b
         flow = g.ub + loads.ventilation_w_k

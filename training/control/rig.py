@@ -21,9 +21,13 @@ from edge.settings import (
 )
 from edge.virtual_rig import settings_in
 
-Models = Literal["arx", "packaged", "twin"]  # the packaged ARX alone; the packaged bundle; ARX and diagnosed twin
+Models = Literal[
+    "arx", "packaged", "twin"
+]  # the packaged ARX alone; the packaged bundle; ARX and diagnosed twin
 TWIN = Path(__file__).parents[1] / "results" / "paper_case" / "interpolation" / "twin.yaml"
-TIME_BOX_MS = 60_000.0  # so long that only nodes and rollouts are counted: the same run gives the same figures
+TIME_BOX_MS = (
+    60_000.0  # so long that only nodes and rollouts are counted: the same run gives the same figures
+)
 CREATED = "2026-01-01T00:00:00Z"
 
 
@@ -33,17 +37,25 @@ class Entry:
 
     name : in the table; controller : of the daemon
     models : what the rig has; control : settings that differ from the usual ones
+    remark : for the table
+    clairvoyant : instead of the controller the best plan for the air's mean, or for what its sensor shows
     """
 
     name: str
     controller: str
     models: Models = "arx"
     control: Mapping[str, Any] = field(default_factory=dict)
+    clairvoyant: Literal["true", "sensor"] | None = None
+    remark: str = ""
 
 
 def entries() -> dict[str, Entry]:
     """All that can be compared so far, by name."""
     listed = [
+        Entry("clairvoyant", "rules", clairvoyant="true"),
+        Entry("clairvoyant-P", "rules", clairvoyant="true"),
+        Entry("clairvoyant/sensor", "rules", clairvoyant="sensor"),
+        Entry("clairvoyant/sensor-P", "rules", clairvoyant="sensor"),
         Entry("rules", "rules"),
         Entry("PID", "PID"),
         Entry("MPC-BFGS", "MPC-BFGS"),

@@ -125,7 +125,9 @@ def _kept(children: _Children, width: int) -> Ints:
     cheapest_last = np.argsort(-children.cost, axis=None, kind="stable")
     cheapest_last = cheapest_last[np.isfinite(children.cost.ravel()[cheapest_last])]
     best = np.full(2 * (int(kinds.max()) + 1), -1)
-    best[(2 * kinds + fans).ravel()[cheapest_last]] = cheapest_last  # of one kind the last, the cheapest, stays
+    best[(2 * kinds + fans).ravel()[cheapest_last]] = (
+        cheapest_last  # of one kind the last, the cheapest, stays
+    )
     best = best[best >= 0]
     if len(best) > width:
         cost = children.cost.ravel()[best]
@@ -138,9 +140,7 @@ def _next(step: LinearStep, children: _Children, kept: Ints) -> _Level:
     parent, fan, level = np.unravel_index(kept, children.cost.shape)
     mode = children.mode[parent, fan]
     state = children.base[parent, fan] + step.now[mode] * step.share[level][:, None]
-    return _Level(
-        state, children.cost.ravel()[kept], fan, level, children.hold[parent, fan], parent
-    )
+    return _Level(state, children.cost.ravel()[kept], fan, level, children.hold[parent, fan], parent)
 
 
 def _tail_cost(step: LinearStep, goal: Problem, drift: Floats, level: _Level) -> Floats:
