@@ -1,5 +1,7 @@
 """PID: the textbook's controller, the heater by its output, the fan by a rule when that is not enough."""
 
+import math
+
 from simple_pid import PID
 
 from edge.controllers.base import Context
@@ -7,8 +9,8 @@ from edge.controllers.heater import levels_allowed
 from edge.messages import Command, Decision
 from edge.names import HEATER_LEVELS
 
-# Chosen on the tuning references and seeds by `python -m training.control.tune_pid`: of those within 5 % of the
-# best the ones with the least derivative, as a real sensor has noise and that grid's has none.
+# Chosen on the tuning references by `python -m training.control.tune_pid`: of the gains within 5 % of the
+# best those with the least derivative, as a real sensor has noise.
 KP = 0.6  # [1/K]
 KI = 0.0004  # [1/(K s)]
 KD = 60.0  # [s/K]
@@ -38,10 +40,10 @@ class Pid:
         limits = context.limits
         top = levels_allowed(limits.heater_max_duty)
         excess = temp - reference
-        duty = self._output(context, temp, reference) if abs(excess) < float("inf") else 0.0
+        duty = self._output(context, temp, reference) if math.isfinite(excess) else 0.0
         level = min(round(duty * HEATER_LEVELS), top) if temp < limits.temp_air_max_c else 0
         last_on = context.last_sent.fan_on
-        cool = level == 0 and excess > (FAN_OFF_K if last_on else FAN_ON_K)
+        cool = level == 0 and math.isfinite(excess) and excess > (FAN_OFF_K if last_on else FAN_ON_K)
         if limits.fan_hold_steps > 0:
             cool = last_on
         proportional, integral, derivative = self._pid.components

@@ -1,6 +1,6 @@
-"""The virtual board in the daemon's own process: the same device, the same bytes, no operating system between.
+"""The virtual board in the daemon's own process: same device, same bytes, nothing between.
 
-A run over a pseudo-terminal gives the same columns (tests/test_control_runs.py) and takes three times as long.
+A run over a pseudo-terminal gives the same columns (tests/test_control_runs.py) and takes longer.
 """
 
 import math

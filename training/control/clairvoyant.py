@@ -1,7 +1,7 @@
 """The best that is possible: a beam search on the chamber itself, its future and the reference's known.
 
 Every node is a whole chamber. Its 42 commands are stood for by six, three duties with the fan off and on:
-between them the state a minute later is a parabola in the duty to 0.002 K (tests/test_control_clairvoyant.py).
+between them the state a minute later is a parabola in the duty (tests/test_control_clairvoyant.py).
 Steps of 5 s are taken in the search; the plan's cost is then worked out in the chamber's own, and run.
 """
 

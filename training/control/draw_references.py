@@ -1,4 +1,4 @@
-"""The references of the comparison, drawn from lists of segments: `python -m training.control.draw_references`.
+"""The references of the comparison, from lists of segments: `python -m training.control.draw_references`.
 
 1 and 2 are what controllers are compared on; `tuning_1` and `tuning_2` what gains and weights are chosen on.
 All lie between 23 and 34 degC: the room is up to 22, the fan can't cool below it, 100 W reach about 38.

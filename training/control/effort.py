@@ -46,7 +46,8 @@ FAMILIES = (
         "feedback as taught everywhere; gains by a grid, windup and the fan's hand-over have to be known of",
     ),
     Family(
-        "MPC", "MPC", (f"{EDGE}/mpc.py", f"{EDGE}/mixed_integer", "edge/models/arx.py", "edge/models/fit_arx.py"),
+        "MPC", "MPC",
+        (f"{EDGE}/mpc.py", f"{EDGE}/mixed_integer", "edge/models/arx.py", "edge/models/fit_arx.py"),
         ("horizon", "tail", "node_budget"), 4,
         "system identification and integer programming, none of the box's physics",
         (ARX_RECORD,),
@@ -110,6 +111,5 @@ def training_s(family: Family, root: Path = ROOT) -> float:
 
 if __name__ == "__main__":
     for each in FAMILIES:
-        print(
-            f"{each.name:10s} {lines(each.files):5d} lines, {len(each.tuned):2d} settings, {each.knowledge} of 5"
-        )
+        counted = f"{lines(each.files):5d} lines, {len(each.tuned):2d} settings"
+        print(f"{each.name:10s} {counted}, knowledge {each.knowledge} of 5")

@@ -94,9 +94,9 @@ def effort_cost(columns: Mapping[str, Floats]) -> float:
 
 
 def overshoot_k(reference: Floats, air: Floats) -> float:
-    """How far the air goes beyond a new reference, in the direction of its step; mean of the steps [K].
+    """How far the air goes beyond a new reference; mean of the steps [K].
 
-    reference, air : [N]; watched for `STEP_WATCHED` rows or until the reference changes again; 0 without steps
+    reference, air : [N]; watched for `STEP_WATCHED` rows or until it changes again; 0 without steps
     """
     changes = np.flatnonzero(np.diff(reference) != 0.0) + 1
     found = []

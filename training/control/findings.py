@@ -73,8 +73,8 @@ def _mpc_is_best(results: Results, reference: str) -> Finding | None:
         "The MPC has the lowest MAE of the three, RL a little higher, the LLMs range widely.",
         _verdict(len(beaten), len(known) - 1),
         ", ".join(f"{name} {mean:.2f} K" for name, mean in known.items())
-        + ". The paper's MPC rounds a continuous optimum and knows no relay; solved as the integer problem it "
-        f"is, MPC has {_text(results, 'MPC', reference, 'mae_true')} K.",
+        + ". The paper's MPC rounds a continuous optimum and knows no relay; solved as the integer problem "
+        f"it is, MPC has {_text(results, 'MPC', reference, 'mae_true')} K.",
     )
 
 
@@ -102,8 +102,8 @@ def _mpc_toggles(results: Results, reference: str) -> Finding | None:
         _verdict(
             int(free > 2.0 * spared) + int((_mean(results, PAPERS[0], reference, "mae_true") or 9) < 0.5), 2
         ),
-        f"{free:.0f} switches of the fan's relay without and {spared:.0f} with penalty, at a true MAE of "
-        f"{_text(results, PAPERS[0], reference, 'mae_true')} K: the toggling is its rounding, and costs accuracy.",
+        f"{free:.0f} switches of the fan's relay without, {spared:.0f} with penalty; true MAE "
+        f"{_text(results, PAPERS[0], reference, 'mae_true')} K: the toggling is its rounding.",
     )
 
 
@@ -139,10 +139,10 @@ def _penalty_spares(results: Results, reference: str) -> Finding | None:
 def _mpc_same_with_penalty(results: Results, reference: str) -> Finding | None:
     return _with_penalty(
         results, reference, PAPERS[0],
-        "With penalty the MPC tracks as well with less actuation (text); it struggles, the heater being too "
-        "dear (caption of the figure).",
-        "; solved exactly, MPC {0} and MPC-P {1} K: the penalty itself costs next to nothing, the rounding of "
-        "duties below 0.025 to 0 does",
+        "With penalty the MPC tracks as well with less actuation (text); it struggles, as the heater is "
+        "penalised (caption).",
+        "; solved exactly, MPC {0} and MPC-P {1} K: it is not the penalty that costs, but the rounding of small "
+        "duties to 0",
     )  # fmt: skip
 
 

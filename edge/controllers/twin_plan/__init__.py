@@ -1,1 +1,1 @@
-"""Planning with a twin: its step as matrices, its state followed from tick to tick, a beam over its future."""
+"""Planning with a twin: its step as matrices, its state followed from tick to tick, a beam."""

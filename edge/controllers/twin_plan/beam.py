@@ -118,7 +118,6 @@ def _children(
 
 def _kept(children: _Children, width: int) -> Ints:
     """Places of the cheapest child of each kind, the `width` cheapest of them."""
-    count = children.cost.shape[-1]
     kinds = np.rint(children.stored / KIND_K).astype(np.int64)
     kinds -= kinds.min()
     fans = np.broadcast_to(np.array([[[0], [1]]]), kinds.shape)
@@ -132,7 +131,6 @@ def _kept(children: _Children, width: int) -> Ints:
     if len(best) > width:
         cost = children.cost.ravel()[best]
         best = best[np.argsort(cost, kind="stable")[:width]]
-    assert count == HEATER_LEVELS + 1
     return np.asarray(best)
 
 
