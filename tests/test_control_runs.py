@@ -1,4 +1,4 @@
-"""Runs of the comparison: the board in this process is the board behind a line, and a kept run is not repeated."""
+"""Runs of the comparison: a board in this process is one behind a line, and a kept run is not repeated."""
 
 from dataclasses import replace
 

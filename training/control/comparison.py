@@ -71,11 +71,11 @@ COLUMNS = {  # heading -> figure, digits
     "fallback": ("fallbacks", 1), "tokens": ("tokens", 0),
 }  # fmt: skip
 NOTE = (
-    "Means of the seeds, +- half of their 95 % interval. MAE: by the sensor; true, RMSE, near (share "
-    "within 0.5 K) and overshoot after steps by the mean of the air in the box [K]; travel: sum of "
-    "|change of duty|; safety: commands changed; fallback: ticks decided by another controller. x best: cost, of weight "
-    "1 for -P and 0 else, by the clairvoyant optimum's; x sensor: the same where both are judged by the air "
-    "at the sensor, its 0.4 K of bias with it, which is all that a controller can know."
+    "Means of the seeds, +- half of their 95 % interval. MAE: by the sensor; true, RMSE, near (share within "
+    "0.5 K) and overshoot after steps: by the mean of the air in the box [K]; travel: sum of |change of "
+    "duty|; safety: commands changed; fallback: ticks decided by another controller. x best: cost, of "
+    "weight 1 for -P and 0 else, by the clairvoyant optimum's; x sensor: the same where both are judged by "
+    "the air at the sensor, its 0.4 K of bias with it, which is all that a controller can know."
 )
 
 

@@ -141,7 +141,7 @@ def _mpc_same_with_penalty(results: Results, reference: str) -> Finding | None:
         results, reference, PAPERS[0],
         "With penalty the MPC tracks as well with less actuation (text); it struggles, as the heater is "
         "penalised (caption).",
-        "; solved exactly, MPC {0} and MPC-P {1} K: it is not the penalty that costs, but the rounding of small "
+        "; solved exactly, MPC {0} and MPC-P {1} K: not the penalty costs, but the rounding of small "
         "duties to 0",
     )  # fmt: skip
 
