@@ -9,7 +9,7 @@ import platform
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 from bench.closed_loop_picture import draw
 from edge import __version__, config
 from edge.controller_names import MPC, RULES
-from edge.daemon import Daemon
-from edge.messages import Quality, TickRecord
 from edge.models.arx_file import read_arx
 from edge.names import HEATER_MAX_W
 from edge.settings import Settings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
+from training.control.closed_loop import closed_loop
 
 Floats = NDArray[np.float64]
 RESULT = Path(__file__).parent / "results" / "closed_loop_day.txt"
@@ -61,7 +60,7 @@ class Day:
 
     controller: str
     seed: int
-    columns: dict[str, Floats]
+    columns: Mapping[str, Floats]
     changes: Counter[str]  # safety rule -> commands it changed
     time_boxes: int  # decisions that the wall clock cut short
     heater_off_at_end: bool
@@ -98,38 +97,9 @@ def run_day(controller: str, seed: int, hours: float, yaml: str = DAY_YAML) -> D
 
 
 def _run(settings: Settings, clock: SimClock, seed: int, length_s: float) -> Day:
-    rows: list[dict[str, float]] = []
-    changes: Counter[str] = Counter()
-    boxes = 0
-
-    def after_tick(record: TickRecord) -> None:
-        nonlocal boxes
-        rows.append(_row(record, clock.truth()["chamber"]))
-        changes.update({change.rule: 1 for change in record.changes})
-        boxes += bool(record.decision.why.get("time_box_fired", False))
-
-    end_s = clock.now() + length_s
-    with Daemon(settings, clock, after_tick=after_tick, stop_at_s=end_s) as daemon:
-        daemon.run()
-    if clock.now() < end_s:
-        raise KeyboardInterrupt  # the daemon took the signal for itself
+    log = closed_loop(settings, clock, lambda: clock.truth()["chamber"], length_s)
     heater_off = not clock.truth()["pins"]["heater_relay"]
-    columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    return Day(settings.control.controller, seed, columns, changes, boxes, heater_off)
-
-
-def _row(record: TickRecord, truth: dict[str, float]) -> dict[str, float]:
-    air = record.readings["temp_air"]
-    return {
-        "time_s": record.time_s,
-        "temp_air_c": air.value if air.quality is Quality.GOOD and air.value is not None else np.nan,
-        "true_air_c": truth["temp_air_c"],
-        "temp_ambient_c": record.estimate.temp_ambient,
-        "reference_c": record.reference_c,
-        "heater_duty": record.echo.heater_duty if record.echo is not None else 0.0,
-        "fan_on": float(record.echo.fan_on) if record.echo is not None else 0.0,
-        "solve_ms": float(record.decision.why.get("solve_ms", record.decide_ms)),
-    }
+    return Day(settings.control.controller, seed, log.columns, log.changes, log.time_boxes, heater_off)
 
 
 TITLES = {  # column -> width; the safety changes stand after the last one

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.serving import Serving
-from edge.controller_names import EXTERNAL, NEED_A_MODEL
+from edge.controller_names import EXTERNAL, MPC_TWIN, NEED_A_MODEL
 from edge.controllers import registry
 from edge.controllers.base import Controller
 from edge.errors import ConfigError
@@ -74,6 +74,10 @@ class ActiveModels:
         self._configured = configured_model(control) if keeper is None or control.model else None
         self._serving = None if keeper is None else keeper.serving
         self.model, self.linear = self._chosen()
+        if control.controller in MPC_TWIN and self.twin is None:
+            raise ConfigError(
+                f"control.controller: {control.controller} plans with a bundle's twin, there is none"
+            )
         active, intervals, rivals = self._forecasting_parts()
         self.forecasting = Forecasting(control.step_s, active, intervals, rivals, state)
 
@@ -91,6 +95,8 @@ class ActiveModels:
             self._control, self.model, self.linear, _active(serving), policies=policies, llm=self._llm
         )
         without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
+        if self.twin is None:
+            without = (*without, *MPC_TWIN)
         return {name: registry.make(name, parts) for name in self._names if name not in without}
 
     def versions(self) -> dict[str, str]:

@@ -11,7 +11,7 @@ from edge.clock import Clock
 from edge.hard_limits import LEASE_S
 from edge.messages import Command, Echo, Event, Quality, Reading, Severity
 from edge.names import HEATER_LEVELS, SIGNALS
-from edge.serial_port import PortGone, SerialPort
+from edge.serial_port import OpenPort, PortGone, SerialPort, WirePort
 from firmware_protocol import link as wire
 from firmware_protocol import messages as wire_messages
 from firmware_protocol.messages import Capability
@@ -44,12 +44,15 @@ class Driven:
 class Board:
     """An open port (or none), its link, and what the board said last."""
 
-    def __init__(self, path: str, baudrate: int, clock: Clock, session: int) -> None:
+    def __init__(
+        self, path: str, baudrate: int, clock: Clock, session: int, open_port: OpenPort = SerialPort
+    ) -> None:
         self._path = path
         self._baudrate = baudrate
+        self._open_port = open_port
         self._clock = clock
         self._link = wire.Link(session=session, now=clock.now())
-        self._port: SerialPort | None = None
+        self._port: WirePort | None = None
         self._open_at_s = clock.now()
         self._open_failed = False
         self._driven: Driven | None = None
@@ -142,7 +145,7 @@ class Board:
         if self._port is not None or now < self._open_at_s:
             return
         try:
-            self._port = SerialPort(self._path, self._baudrate)
+            self._port = self._open_port(self._path, self._baudrate)
         except PortGone as error:
             self._open_at_s = now + REOPEN_S
             if not self._open_failed:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 RULES, PID, EXTERNAL = "rules", "PID", "external"
 MPC = ("MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P")
+MPC_TWIN = ("MPC-Twin", "MPC-Twin-P")  # plan with the twin of a bundle
 RL = ("RL-Off", "RL-Off-P", "RL-On-P", "RL-Tr-P")
 
 
@@ -35,7 +36,11 @@ LLM = {
     "LLM-HAM-Te0-P": LlmVariant("ham", 0.0, True),
 }
 
-CONTROLLERS = (RULES, *MPC, *RL, *LLM, EXTERNAL)
+CONTROLLERS = (RULES, PID, *MPC, *MPC_TWIN, *RL, *LLM, EXTERNAL)
 # A model of the air temperature for the rig's step; a policy and a language model bring what they know.
-NEED_A_MODEL = (*MPC, *(name for name, variant in LLM.items() if variant.assistance not in ("", "sql")))
+NEED_A_MODEL = (
+    *MPC,
+    *MPC_TWIN,
+    *(name for name, variant in LLM.items() if variant.assistance not in ("", "sql")),
+)
 NEED_NO_MODEL = tuple(name for name in CONTROLLERS if name not in NEED_A_MODEL)

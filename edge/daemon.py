@@ -41,6 +41,7 @@ from edge.reference import Reference, make_reference, zone_of
 from edge.request_routes import Routes, outbox_of
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.sensor_health import SensorHealth
+from edge.serial_port import OpenPort, SerialPort
 from edge.settings import Settings
 from edge.skill_state import read_skill, skill_keeping
 from edge.state_file import StateFileBroken, StateWriter
@@ -106,6 +107,7 @@ class Daemon:
     experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
     more_controllers: Sequence[Controller] = ()  # than those of edge/controller_names.py
     client_wait_s: float = 0.0  # how long to wait for a client at `external.socket` before the first tick
+    open_port: OpenPort = SerialPort  # else a board in this process
     config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
@@ -181,7 +183,9 @@ class Daemon:
             stack.callback(telemetry.close)
             desk.listeners.append(telemetry.show_proposal)
             sinks.append(telemetry)
-        board = Board(settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32))
+        board = Board(
+            settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port
+        )
         stack.callback(board.close)
         stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
         rig = Rig(

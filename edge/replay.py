@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.active_models import NoForecasts
-from edge.controller_names import MPC, RULES
+from edge.controller_names import MPC, PID, RULES
 from edge.controllers import registry
 from edge.controllers.base import Context, Controller
 from edge.controllers.mpc import Mpc
@@ -34,7 +34,7 @@ from edge.tick_json import tick_json
 
 Floats = NDArray[np.float64]
 TIME_BOX_MAX_MS = 60_000.0
-REPLAYED = (RULES, *MPC)  # those that ask nothing but their own model
+REPLAYED = (RULES, PID, *MPC)  # those that ask nothing but their own model
 OTHERS = tuple(name for name in SIGNALS if name not in ("temp_air", "temp_ambient"))
 
 

@@ -1,10 +1,28 @@
 """An open serial port that counts its bytes, so that a simulated board can run in lock-step with it."""
 
+from collections.abc import Callable
+from typing import Protocol
+
 import serial
 
 
 class PortGone(Exception):
     """The port was unplugged, or never there; the text says what the system said."""
+
+
+class WirePort(Protocol):
+    """An open port; `edge.clock.Port` is what a clock needs of it."""
+
+    bytes_in: int
+    bytes_out: int
+
+    def fileno(self) -> int: ...
+    def read(self) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+OpenPort = Callable[[str, int], WirePort]  # path, baudrate; raises PortGone
 
 
 class SerialPort:

@@ -203,7 +203,7 @@ def test_a_time_of_day_must_be_one(value):
         ("watering: {pulse_s: 5.1}", "watering.pulse_s: is more than safety.valve_pulse_max_s, 5"),
         ("calibration: {temp_air: {offset: -5.1}}", "temp_air.offset: -5.1 is beyond the hard limit"),
         ("calibration: {temp_air: {gain: 1.2}}", "calibration.temp_air.gain: 1.2 is beyond the hard limit"),
-        ("control: {controller: mpc}", "control.controller: 'mpc' is none of rules, MPC"),
+        ("control: {controller: mpc}", "control.controller: 'mpc' is none of rules, PID, MPC"),
         ("board: {baudrate: 12345}", "board.baudrate: 12345 is none of"),
         ("timezone: Mars/Base", "timezone: 'Mars/Base' is neither"),
         ("timezone: ../etc", "timezone: '../etc' is neither"),

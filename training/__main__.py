@@ -83,6 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
     bundle.set_defaults(run=_bundle)
     _add_evaluate(commands.add_parser("evaluate", help=_evaluate.__doc__, description=_evaluate.__doc__))
+    _add_compare(commands.add_parser("compare", help=_compare.__doc__, description=_compare.__doc__))
     _add_paper_case(
         commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
     )
@@ -101,6 +102,20 @@ def _add_evaluate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--check", action="store_true", help="compare with what is there and change nothing")
     sub.add_argument("--tolerance", type=float, default=0.0, help="of --check, on other machines (usual: 0)")
     sub.set_defaults(run=_evaluate)
+
+
+def _add_compare(sub: argparse.ArgumentParser) -> None:
+    runs, results = OUT.parent / "control", RESULTS / "control"
+    sub.add_argument("--controllers", nargs="+", metavar="NAME", help="only these (usual: all)")
+    sub.add_argument("--references", nargs="+", default=["reference_1", "reference_2"], metavar="NAME")
+    sub.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5], help="of the virtual board")
+    sub.add_argument("--runs", type=Path, default=runs, help=f"runs done before and now (usual: {runs})")
+    sub.add_argument("--results", type=Path, default=results, help=f"figures (usual: {results})")
+    sub.add_argument("--images", type=Path, default=IMAGES, help=f"pictures (usual: {IMAGES})")
+    sub.add_argument("--workers", type=int, default=2, help="runs at a time (usual: 2)")
+    sub.add_argument("--kept", action="store_true", help="run nothing, take what is kept")
+    sub.add_argument("--check", action="store_true", help="compare with the kept figures, change nothing")
+    sub.set_defaults(run=_compare)
 
 
 def _add_paper_case(sub: argparse.ArgumentParser) -> None:
@@ -136,6 +151,13 @@ def _heated_box(arguments: argparse.Namespace) -> int:
     from training.heated_box import run
 
     return run(arguments.data, arguments.results)
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    """the comparison of all controllers in closed loop on the virtual rig"""
+    from training.control.compare import run
+
+    return run(arguments)
 
 
 def _evaluate(arguments: argparse.Namespace) -> int:

@@ -102,7 +102,7 @@ def _write(
     cost = costs(trainings)
     cost_text = "\n".join([COMMAND, "", *as_text(costs_table(cost))])
     print(cost_text)
-    files = _files(figures, found, cost)
+    files = _files(figures, found, cost, _controllers(arguments.results))
     files["cost.json"] = (json.dumps([asdict(one) for one in cost], indent=1) + "\n").encode()
     files["cost.txt"] = (cost_text + "\n").encode()
     arguments.images.mkdir(parents=True, exist_ok=True)
@@ -112,13 +112,21 @@ def _write(
         (folder / name).write_bytes(content)
 
 
-def _files(figures: Evaluation, found: Sequence[Scored], cost: Sequence[Cost]) -> dict[str, bytes]:
+def _controllers(results: Path) -> str:
+    """Their part of the report, as `greenhouse-train compare` has left it."""
+    path = results / "control" / "section.html"
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def _files(
+    figures: Evaluation, found: Sequence[Scored], cost: Sequence[Cost], controllers: str
+) -> dict[str, bytes]:
     """All that follows from the figures, and from costs that were measured."""
     pictures = pictures_of(found, cost)
     return {
         "evaluation.json": json_of(figures).encode(),
         "evaluation.txt": text_of(figures).encode(),
-        "report.html": report(figures, cost, pictures).encode(),
+        "report.html": report(figures, cost, pictures, controllers).encode(),
         **{f"{name}.png": content for name, content in pictures.items()},
     }
 
@@ -133,7 +141,9 @@ def _check(figures: Evaluation, found: Sequence[Scored], arguments: argparse.Nam
     difference = first_difference(kept, json.loads(json_of(figures)), arguments.tolerance)
     if not difference and not arguments.tolerance:
         cost = [Cost(**row) for row in json.loads((results / "cost.json").read_text(encoding="utf-8"))]
-        difference = _first_file(_files(figures, found, cost), results, arguments.images)
+        difference = _first_file(
+            _files(figures, found, cost, _controllers(results)), results, arguments.images
+        )
     print(difference or "the same as what is kept")
     return 1 if difference else 0
 

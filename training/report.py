@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
+from pathlib import Path
 
 from training.report_beyond import beyond
 from training.report_findings import Finding, findings
@@ -19,12 +20,26 @@ th:first-child, td:first-child, .words td, .words th { text-align: left }
 .note { color: #555; font-size: 13px } img { max-width: 100% }
 .holds { color: #176117 } .part { color: #8a5a00 } .not { color: #a11 }
 """
+_BEGIN, _END = "<!-- controllers -->", "</body></html>"
 _CLASSES = {"holds": "holds", "holds in part": "part", "does not hold": "not"}
 
 
-def report(found: Evaluation, costs: Sequence[Cost], pictures: Mapping[str, bytes]) -> str:
-    """The page. pictures : PNG by file name without its ending, in order."""
-    return "\n".join(_lines(found, costs, pictures)) + "\n"
+def report(
+    found: Evaluation, costs: Sequence[Cost], pictures: Mapping[str, bytes], controllers: str = ""
+) -> str:
+    """The page. pictures : PNG by file name without its ending, in order; controllers : their part, HTML"""
+    return "\n".join([*_lines(found, costs, pictures), *_part(controllers), _END]) + "\n"
+
+
+def put_section(page: Path, controllers: str) -> None:
+    """Write the controllers' part into a page that `report` made, in the place of the one before."""
+    if page.exists():
+        models = page.read_text(encoding="utf-8").split(_BEGIN)[0].removesuffix(f"{_END}\n")
+        page.write_text("\n".join([models.rstrip("\n"), *_part(controllers), _END]) + "\n", encoding="utf-8")
+
+
+def _part(controllers: str) -> list[str]:
+    return [_BEGIN, controllers.rstrip("\n")] if controllers else []
 
 
 def _lines(found: Evaluation, costs: Sequence[Cost], pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -44,7 +59,6 @@ def _lines(found: Evaluation, costs: Sequence[Cost], pictures: Mapping[str, byte
     for name, content in pictures.items():
         data = base64.b64encode(content).decode("ascii")
         yield f'<p><img alt="{escape(name)}" src="data:image/png;base64,{data}"></p>'
-    yield "</body></html>"
 
 
 def _findings(found: Sequence[Finding]) -> Iterator[str]:

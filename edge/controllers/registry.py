@@ -13,6 +13,7 @@ from edge.errors import RequestError
 from edge.llm.language_model import LanguageModel
 from edge.models.arx import Arx
 from edge.models.base import Predictor
+from edge.models.pbm import Pbm
 from edge.policy.onnx_policy import OnnxPolicy
 from edge.settings import ControlSettings
 
@@ -48,7 +49,30 @@ def make(name: str, parts: Parts) -> Controller:
         return _llm(name, parts)
     if name in names.RL:
         return Rl(name, parts.policies.get(name))
+    if name == names.PID:
+        return _pid()
+    if name in names.MPC_TWIN:
+        return _mpc_twin(name, parts)
     raise RequestError(f"controller: {name} is not built in")
+
+
+def _pid() -> Controller:
+    from edge.controllers.pid import Pid  # late: simple-pid is for those who choose it
+
+    return Pid()
+
+
+def _mpc_twin(name: str, parts: Parts) -> Controller:
+    from edge.controllers.mpc_twin import MpcTwin  # late: only a rig with a twin has it
+
+    model = parts.predictors.get("pbm")
+    if not isinstance(model, Pbm):
+        raise RequestError(f"{name}: plans with the twin of the active bundle, there is none")
+    return MpcTwin(name, model, _weight(name))
+
+
+def _weight(name: str) -> float:
+    return 1.0 if name.endswith("-P") else 0.0
 
 
 def _mpc(name: str, parts: Parts) -> Controller:
@@ -56,7 +80,7 @@ def _mpc(name: str, parts: Parts) -> Controller:
     arx = model if parts.linear is None else parts.linear
     if not isinstance(arx, Arx):
         raise RequestError(f"{name}: plans with an ARX model, not with {arx.name} {arx.version}")
-    weight = 1.0 if name.endswith("-P") else 0.0
+    weight = _weight(name)
     if name.startswith("MPC-BFGS"):
         from edge.controllers.mpc_bfgs import MpcBfgs  # late: the daemon rarely needs it
 

@@ -45,13 +45,13 @@ class Moisture:
 
     def __init__(self, parameters: ChamberParameters, effects: Effects, density_kg_m3: float) -> None:
         self._volume_m3 = parameters.box.volume_m3
-        self._plant_w_kpa = effects.evapotranspiration * parameters.plant.transpiration_w_kpa
-        self._soil_w_kpa = effects.evapotranspiration * parameters.soil.evaporation_w_kpa
-        self._dark_share = parameters.plant.dark_share
+        self.plant_w_kpa = effects.evapotranspiration * parameters.plant.transpiration_w_kpa
+        self.soil_w_kpa = effects.evapotranspiration * parameters.soil.evaporation_w_kpa
+        self.dark_share = parameters.plant.dark_share
         # Lewis relation: mass film = heat film / (rho c)
         air = parameters.air
         film_m_s = parameters.cover.inner_film_w_m2_k / (air.density_kg_m3 * air.heat_capacity_j_kg_k)
-        self._film_m3_s = effects.condensation * film_m_s * parameters.box.cover_m2
+        self.film_m3_s = effects.condensation * film_m_s * parameters.box.cover_m2
         self.vapour_kg_m3 = density_kg_m3
         self.film_kg = 0.0
 
@@ -73,12 +73,12 @@ class Moisture:
         exchange_m3_s: air exchanged with the room, whose vapour is outside_kg_m3
         """
         pressure = vapour_pressure(self.vapour_kg_m3, air_c)
-        stomata = self._dark_share + (1.0 - self._dark_share) * light
+        stomata = self.dark_share + (1.0 - self.dark_share) * light
         latent = LatentHeat(
-            plant_w=self._plant_w_kpa * stomata * wetness * max(saturation_pressure(plant_c) - pressure, 0.0),
-            soil_w=self._soil_w_kpa * wetness * max(saturation_pressure(soil_c) - pressure, 0.0),
+            plant_w=self.plant_w_kpa * stomata * wetness * max(saturation_pressure(plant_c) - pressure, 0.0),
+            soil_w=self.soil_w_kpa * wetness * max(saturation_pressure(soil_c) - pressure, 0.0),
         )
-        condensed = self._film_m3_s * (
+        condensed = self.film_m3_s * (
             self.vapour_kg_m3 - vapour_density(saturation_pressure(cover_c), cover_c)
         )
         condensed = max(condensed, -self.film_kg / dt_s)  # no more can dry than there is [kg/s]

@@ -1,0 +1,136 @@
+"""Offset-free model predictive control over the bundle's twin, with preview of the reference."""
+
+import time
+
+import numpy as np
+
+from edge.controllers.base import Context, Floats
+from edge.controllers.heater import levels_allowed
+from edge.controllers.mixed_integer.problem import Problem
+from edge.controllers.mpc import LIMIT_WEIGHT
+from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
+from edge.controllers.twin_plan.beam import Found, Start, relay, search
+from edge.controllers.twin_plan.belief import Belief, Inputs, begin, corrected, moved
+from edge.controllers.twin_plan.linear_step import LinearStep, linear_step
+from edge.errors import DataError
+from edge.messages import Decision
+from edge.models.pbm import Pbm
+from edge.names import HEATER_LEVELS
+from edge.twin.signals import Conditions
+from edge.twin.warm_start import held
+
+HORIZON = 20  # steps; the heater's element answers for five minutes, a step down needs the fan for three
+TAIL = 10
+WIDTH = 300  # of the beam: so many kinds of nodes there are, dear ones too, that pay off at a step
+LEAST_WEIGHT = 1e-3  # on the effort of `MPC-Twin`: of two plans that track alike the one that spends less
+
+
+class MpcTwin:
+    """`MPC-Twin` and `MPC-Twin-P`. It follows the twin's state itself, so it remembers from tick to tick."""
+
+    def __init__(self, name: str, model: Pbm, weight: float) -> None:
+        self.name = name
+        self._model = model
+        self._twin = model.twin
+        self._weight = max(weight, LEAST_WEIGHT)
+        self._belief: Belief | None = None
+        self._step: LinearStep | None = None
+
+    def reset(self) -> None:
+        """Forget the state: the next decision finds it from the whole history."""
+        self._belief = None
+
+    def decide(self, context: Context) -> Decision:
+        """The first step of the cheapest plan found. Errors: DataError as the twin and `Problem` have them"""
+        begun = time.perf_counter()
+        belief, step = self._follow(context)
+        goal = _goal(context, self._weight)
+        last = context.last_sent
+        level = round(last.heater_duty * HEATER_LEVELS)
+        start = Start(
+            belief.state, belief.disturbance, context.estimate.temp_ambient, level, int(last.fan_on)
+        )
+        found = search(step, goal, start, WIDTH)
+        plan = found.plan
+        why = {
+            **cost_split(goal, plan.levels / HEATER_LEVELS, plan.fan, _padded_air(found, goal)),
+            "nodes": found.nodes,
+            "binding": binding(goal, plan, found.air),
+            "runner_up": runner_up(plan, found.runner_up),
+            "reference_c": goal.reference[: goal.horizon].tolist(),
+            "disturbance_k": belief.disturbance,
+            "model": f"{self._model.name} {self._model.version}",
+            "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
+        }
+        return Decision(first_command(plan), self.name, tuple(found.shown.tolist()), why, planned(plan))
+
+    def _follow(self, context: Context) -> tuple[Belief, LinearStep]:
+        """The state now, from the last tick's or from all that is known."""
+        history = context.history
+        rows = len(history["temp_air"])
+        measured = history.get("temp_air_measured", history["temp_air"])
+        times = context.now_s - context.step_s * np.arange(rows - 1, -1, -1)
+        belief = self._belief
+        last = -1 if belief is None else int(np.argmin(np.abs(times - belief.time_s)))
+        if belief is None or not abs(times[last] - belief.time_s) < 0.5 * context.step_s:
+            known = np.flatnonzero(np.isfinite(measured))
+            if not len(known):
+                raise DataError("history: no air temperature is known")
+            last = int(known[0])
+            belief = begin(
+                self._twin, times[last], float(measured[last]), float(history["temp_ambient"][last])
+            )
+        step = self._linear(belief, context)
+        for row in range(last, rows - 1):
+            belief = moved(belief, self._twin, step, _inputs(context, row), float(times[row + 1]))
+            belief = corrected(belief, float(measured[row + 1]), step.shown)
+        self._belief = belief
+        return belief, step
+
+    def _linear(self, belief: Belief, context: Context) -> LinearStep:
+        """The twin's step as it is now; where nothing bends it, always the same."""
+        if self._step is None or self._twin.signals.bends or self._twin.needs:
+            now: Conditions = {name: held(context.history[name])[-1:] for name in self._twin.needs}
+            self._step = linear_step(self._twin, belief.state, context.estimate.temp_ambient, now)
+        return self._step
+
+
+def _inputs(context: Context, row: int) -> Inputs:
+    """Of the step that begins at a row of the history, what is not known being off."""
+    history, before = context.history, max(row - 1, 0)
+    duty, fan = np.nan_to_num(history["heater_duty"]), np.nan_to_num(history["fan_on"])
+    ambient = float(history["temp_ambient"][row])
+    return Inputs(float(duty[row]), int(fan[row]), float(duty[before]), int(fan[before]), ambient)
+
+
+def _goal(context: Context, weight: float) -> Problem:
+    """What a plan shall reach and keep; how the box answers is the twin's to say."""
+    limits, steps = context.limits, HORIZON + TAIL
+    reference = context.reference[:steps]
+    if len(reference) < steps:
+        raise DataError(f"reference: {len(reference)} steps, horizon and tail have {steps}")
+    nothing: Floats = np.zeros(steps)
+    return Problem(
+        free=nothing,
+        heater=nothing,
+        fan=nothing,
+        reference=reference,
+        tail=TAIL,
+        heater_weight=weight,
+        fan_weight=weight,
+        heater_levels=levels_allowed(limits.heater_max_duty),
+        fan_rules=relay(
+            context.last_sent.fan_on,
+            limits.fan_hold_steps,
+            limits.fan_min_on_steps,
+            limits.fan_min_off_steps,
+            HORIZON,
+        ),
+        temp_max=limits.temp_air_max_c,
+        limit_weight=LIMIT_WEIGHT,
+    )
+
+
+def _padded_air(found: Found, goal: Problem) -> Floats:
+    """Air over horizon and tail; over the tail as if the reference were met, so that it costs nothing."""
+    return np.concatenate([found.air, goal.reference[goal.horizon :]])

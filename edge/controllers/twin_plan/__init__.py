@@ -1,0 +1,1 @@
+"""Planning with a twin: its step as matrices, its state followed from tick to tick, a beam."""

@@ -1,0 +1,192 @@
+"""A beam over a twin's future: all 42 commands from every kept node, then the cheapest of each kind of node.
+
+Two nodes are of one kind when the fan stands alike and the air would come to nearly the same temperature by
+itself: what a node has stored is what its future depends on. So a node that heats early for a step that is
+still to come is kept beside a cheaper one that does not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, Problem
+from edge.controllers.twin_plan.linear_step import LinearStep
+from edge.names import HEATER_LEVELS
+
+Floats = NDArray[np.float64]
+STORED_STEPS = 4  # so long after a node the air tells what is stored in it
+KIND_K = 0.05  # nodes whose air would then be closer than this are of one kind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where a plan begins. state [n]; disturbance [K/step]; ambient [°C]; what was sent before: level, fan"""
+
+    state: Floats
+    disturbance: float
+    ambient: float
+    level: int
+    fan: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The best plan, its air as the sensor would show it [N], the best that begins otherwise, nodes made."""
+
+    plan: Plan
+    air: Floats
+    shown: Floats
+    runner_up: Plan | None
+    nodes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """M nodes after the same number of steps. state [M, n]; the others [M]."""
+
+    state: Floats
+    cost: Floats
+    fan: Ints
+    level: Ints
+    hold: Ints
+    parent: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Children:
+    """Of M nodes, fans and levels: cost, how warm the air would be later [M, 2, 21]; state at level 0."""
+
+    cost: Floats
+    stored: Floats
+    base: Floats
+    mode: Ints
+    hold: Ints
+
+
+def search(step: LinearStep, goal: Problem, start: Start, width: int) -> Found:
+    """The cheapest plan that a beam of `width` nodes finds; the same arguments give the same plan.
+
+    goal : weights, reference, limits and relay rules, its tail too; its own forecast does not count
+    """
+    drift = step.constant + step.room * start.ambient + step.heat * start.disturbance
+    one = np.zeros(1, dtype=np.int64)
+    level = _Level(
+        start.state[None],
+        np.zeros(1),
+        one + start.fan,
+        one + start.level,
+        one + goal.fan_rules.hold,
+        one,
+    )
+    trace, nodes, weights = [level], 0, _stored_weights(step)
+    for k in range(goal.horizon):
+        children = _children(step, goal, drift, level, weights, k)
+        kept = _kept(children, width)
+        nodes += children.cost.size
+        level = _next(step, children, kept)
+        trace.append(level)
+    total = level.cost + _tail_cost(step, goal, drift, level)
+    return _found(step, trace, total, nodes)
+
+
+def _stored_weights(step: LinearStep) -> Floats:
+    """[n], by which a state says what its air will be with everything off."""
+    weights = np.zeros(step.matrix.shape[-1])
+    weights[step.air] = 1.0
+    for _ in range(STORED_STEPS):
+        weights = weights @ step.matrix[0]
+    return weights
+
+
+def _children(
+    step: LinearStep, goal: Problem, drift: Floats, level: _Level, weights: Floats, k: int
+) -> _Children:
+    fans = np.array([[0, 1]])
+    mode = step.mode(level.fan[:, None], fans)
+    base = np.einsum("mfij,mj->mfi", step.matrix[mode], level.state) + drift[mode]
+    base += step.late[mode] * step.share[level.level][:, None, None]
+    air = base[..., step.air, None] + step.now[mode, step.air][..., None] * step.share
+    levels = np.arange(HEATER_LEVELS + 1)
+    cost = level.cost[:, None, None] + goal.tracking(air, k) + goal.effort(levels, fans[0][:, None])
+    hold, allowed = goal.fan_rules.next_hold(level.fan[:, None], level.hold[:, None], fans)
+    cost[~allowed] = np.inf
+    cost[:, :, goal.heater_levels + 1 :] = np.inf
+    stored = (base @ weights)[..., None] + (step.now[mode] @ weights)[..., None] * step.share
+    return _Children(cost, stored, base, mode, hold)
+
+
+def _kept(children: _Children, width: int) -> Ints:
+    """Places of the cheapest child of each kind, the `width` cheapest of them."""
+    kinds = np.rint(children.stored / KIND_K).astype(np.int64)
+    kinds -= kinds.min()
+    fans = np.broadcast_to(np.array([[[0], [1]]]), kinds.shape)
+    cheapest_last = np.argsort(-children.cost, axis=None, kind="stable")
+    cheapest_last = cheapest_last[np.isfinite(children.cost.ravel()[cheapest_last])]
+    best = np.full(2 * (int(kinds.max()) + 1), -1)
+    best[(2 * kinds + fans).ravel()[cheapest_last]] = (
+        cheapest_last  # of one kind the last, the cheapest, stays
+    )
+    best = best[best >= 0]
+    if len(best) > width:
+        cost = children.cost.ravel()[best]
+        best = best[np.argsort(cost, kind="stable")[:width]]
+    return np.asarray(best)
+
+
+def _next(step: LinearStep, children: _Children, kept: Ints) -> _Level:
+    parent, fan, level = np.unravel_index(kept, children.cost.shape)
+    mode = children.mode[parent, fan]
+    state = children.base[parent, fan] + step.now[mode] * step.share[level][:, None]
+    return _Level(state, children.cost.ravel()[kept], fan, level, children.hold[parent, fan], parent)
+
+
+def _tail_cost(step: LinearStep, goal: Problem, drift: Floats, level: _Level) -> Floats:
+    """Tracking over the tail, fan still, at the constant heat that serves each node best, [M]."""
+    if goal.tail == 0:
+        return np.zeros(len(level.cost))
+    off, by_heat = level.state, np.zeros_like(level.state)
+    mode = step.mode(level.fan, np.zeros_like(level.fan))
+    late = step.late[mode] * step.share[level.level][:, None]
+    free, response = [], []
+    for k in range(goal.tail):
+        matrix = step.matrix[mode]
+        off = np.einsum("mij,mj->mi", matrix, off) + drift[mode] + (late if k == 0 else 0.0)
+        by_heat = np.einsum("mij,mj->mi", matrix, by_heat) + step.now[mode] + (step.late[mode] if k else 0.0)
+        mode = np.zeros_like(mode)
+        free.append(off[:, step.air])
+        response.append(by_heat[:, step.air])
+    without, gain = np.stack(free, axis=1), np.stack(response, axis=1)
+    missing = goal.reference[goal.horizon :] - without
+    share = (missing * gain).sum(axis=1) / np.maximum((gain**2).sum(axis=1), 1e-12)
+    share = np.clip(share, 0.0, step.share[goal.heater_levels])
+    temps = without + share[:, None] * gain
+    return np.asarray(goal.tracking(temps, slice(goal.horizon, None)).sum(axis=1))
+
+
+def _found(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) -> Found:
+    first = np.arange(len(trace[1].cost))
+    for level in trace[2:]:
+        first = first[level.parent]
+    best = int(np.argmin(total))
+    begins = 2 * trace[1].level + trace[1].fan
+    other = np.where(begins[first] == begins[first[best]], np.inf, total)
+    second = int(np.argmin(other))
+    plan, states = _traced(trace, best, float(total[best]))
+    runner_up = _traced(trace, second, float(total[second]))[0] if np.isfinite(other[second]) else None
+    return Found(plan, states[:, step.air], states[:, step.shown], runner_up, nodes)
+
+
+def _traced(trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:
+    levels, fans, states = [], [], []
+    for level in reversed(trace[1:]):
+        levels.append(level.level[node])
+        fans.append(level.fan[node])
+        states.append(level.state[node])
+        node = int(level.parent[node])
+    return Plan(np.array(levels[::-1]), np.array(fans[::-1]), cost), np.array(states[::-1])
+
+
+def relay(on: bool, hold: int, min_on: int, min_off: int, horizon: int) -> FanRules:
+    """The relay's rules as a plan of `horizon` steps needs them."""
+    return FanRules(on, min(max(hold, 0), horizon), max(min_on, 1), max(min_off, 1))

@@ -1,0 +1,67 @@
+"""The best that is possible: its model of a minute, its search, and its plan on the real board."""
+
+import numpy as np
+import pytest
+
+from firmware_protocol.virtual_board.chamber_parameters import load
+from training.control.chamber_rows import ChamberRows
+from training.control.clairvoyant import Course, best_plan, lagrange, plan_cost, relay_share
+from training.control.figures import figures
+from training.control.job import Job, run
+from training.control.rig import entries
+
+SEED = 102
+
+
+def fresh() -> ChamberRows:
+    return ChamberRows(*load(), SEED)
+
+
+def course(weight: float = 1.0, target: str = "sensor", minutes: int = 40) -> Course:
+    reference = np.where(np.arange(minutes) < minutes // 2, 24.0, 27.0)
+    return Course(reference, 1.0, 60.0, weight, target)
+
+
+def test_a_minute_later_the_state_is_a_parabola_in_the_duty():
+    chamber, levels = fresh(), np.arange(21)
+    boxes = chamber.start(21)
+    for second in range(60):
+        heat = relay_share(second, 1.0, levels)
+        boxes = chamber.step(boxes, float(second), 1.0, heat, np.zeros(21))
+    weights = lagrange(levels / 20.0)
+    for values in (boxes.temps[0], chamber.air(boxes)):
+        assert np.abs(weights @ values[[0, 10, 20]] - values).max() < 0.05
+
+
+def test_the_relay_is_closed_for_its_duty():
+    share = sum(relay_share(slot, 1.0, np.array([0, 7, 20])) for slot in range(20)) / 20.0
+    np.testing.assert_allclose(share, [0.0, 0.35, 1.0])
+
+
+def test_twice_the_beam_changes_next_to_nothing():
+    usual = best_plan(fresh, course())
+    wider = best_plan(fresh, course(), width=600, kind_k=0.5)
+    assert abs(wider.cost / usual.cost - 1.0) < 0.005
+
+
+def test_no_constant_plan_is_better():
+    best = best_plan(fresh, course()).cost
+    for level in (0, 3, 8):
+        plan = np.full(40, level), np.zeros(40, dtype=int)
+        assert best < plan_cost(fresh(), course(), *plan)
+
+
+def test_a_penalty_saves_effort():
+    free, spared = (best_plan(fresh, course(weight, minutes=30)) for weight in (0.0, 5.0))
+    assert (spared.levels**2).sum() / 400.0 + spared.fan.sum() < (
+        free.levels**2
+    ).sum() / 400.0 + free.fan.sum()
+
+
+def test_the_plan_costs_the_same_on_the_board(tmp_path, monkeypatch):
+    monkeypatch.setattr("training.control.job.FOLDER", tmp_path)
+    (tmp_path / "short.csv").write_text("time_s,reference_c\n0,24\n1200,27\n2400,27\n")
+    log = run(Job(entries()["clairvoyant/sensor-P"], "short", SEED))
+    planned = best_plan(fresh, Course(np.repeat([24.0, 27.0], 20)[:-1], 1.0, 60.0, 1.0, "sensor")).cost
+    assert figures(log).sensor_cost_1 == pytest.approx(planned, rel=0.02)
+    assert log.changes == {}

@@ -1,0 +1,74 @@
+"""Figures of a run, by numbers that were worked out by hand."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from training.control.closed_loop import Log
+from training.control.figures import figures, overshoot_k
+
+
+def log(**columns: list[float]) -> Log:
+    """Four ticks, a minute apart: the air is 1 K below, 0.5 K above, right."""
+    rows = {
+        "time_s": [0.0, 60.0, 120.0, 180.0],
+        "reference_c": [25.0, 25.0, 25.0, 25.0],
+        "true_air_c": [21.0, 24.0, 25.5, 25.0],
+        "temp_air_c": [21.4, 24.4, np.nan, 25.4],
+        "sensor_air_c": [21.0, 24.0, 25.0, 24.6],
+        "heater_duty": [1.0, 0.5, 0.0, 1.0],
+        "fan_on": [0.0, 1.0, 0.0, 0.0],
+        "solve_ms": [1.0, 2.0, 3.0, 4.0],
+    } | columns
+    counted = Counter({"fan.min_on": 2}), Counter({"controller.late": 1})
+    return Log({key: np.array(values) for key, values in rows.items()}, *counted, 0, 7)
+
+
+def test_errors_are_of_the_end_of_each_step():
+    found = figures(log())
+    assert found.mae_true == pytest.approx((1.0 + 0.5 + 0.0) / 3)
+    assert found.rmse_true == pytest.approx(np.sqrt((1.0 + 0.25) / 3))
+    assert found.mae_measured == pytest.approx((0.6 + 0.4) / 2)  # a missing reading is no error
+    assert found.near_pct == pytest.approx(100.0 * 2 / 3)  # half a kelvin is still near
+
+
+def test_a_command_counts_until_the_next_one():
+    found = figures(log())
+    assert found.energy_wh == pytest.approx(1.5 * 100.0 / 60.0)  # the last row's never acted
+    assert found.fan_min == pytest.approx(1.0)
+    assert found.switches == 2.0
+    assert found.travel == pytest.approx(0.5 + 0.5 + 1.0)
+
+
+def test_the_cost_is_the_papers():
+    found = figures(log())
+    assert found.cost_0 == pytest.approx(10.0 * (1.0 + 0.25))
+    assert found.cost_1 == pytest.approx(found.cost_0 + 1.0 + 0.25 + 1.0)  # duty² and the fan
+    assert found.sensor_cost_0 == pytest.approx(10.0 * (0.6**2 + 0.4**2))  # 0.4 K of bias is the sensor's
+
+
+def test_what_was_counted_comes_through():
+    found = figures(log())
+    assert (found.interventions, found.fallbacks, found.tokens) == (2.0, 1.0, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("air", "beyond"),
+    [
+        ([20.0, 20.0, 23.0, 22.5], 1.0),  # 22 asked for from row 1 on
+        ([20.0, 20.0, 21.0, 21.9], 0.0),
+        ([20.0, 23.0, 22.0, 22.0], 0.0),  # what was before the step is not its overshoot
+    ],
+)
+def test_overshoot_is_what_lies_beyond_the_new_reference(air, beyond):
+    assert overshoot_k(np.array([20.0, 22.0, 22.0, 22.0]), np.array(air)) == pytest.approx(beyond)
+
+
+def test_overshoot_after_a_step_down_lies_below():
+    reference, air = np.array([24.0, 22.0, 22.0]), np.array([24.0, 24.0, 20.5])
+    assert overshoot_k(reference, air) == pytest.approx(1.5)
+
+
+def test_a_ramp_is_no_step():
+    assert overshoot_k(np.array([20.0, 20.5, 21.0]), np.array([20.0, 25.0, 25.0])) == 0.0

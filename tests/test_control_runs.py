@@ -1,0 +1,88 @@
+"""Runs of the comparison: a board in this process is one behind a line, and a kept run is not repeated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from edge import config
+from edge.errors import DataError
+from edge.sim_clock import SimClock
+from edge.virtual_rig import settings_in, virtual_rig
+from training.control import runner
+from training.control.board_in_process import InProcessBoard, make_device
+from training.control.closed_loop import closed_loop
+from training.control.job import Job, is_kept, keep, read, run
+from training.control.rig import entries
+
+LENGTH_S = 900.0
+SETTINGS = (
+    "{timezone: UTC, control: {controller: rules}, drift: {enabled: false}, reference: {reference_c: 25}}"
+)
+
+
+@pytest.fixture(scope="module")
+def near(tmp_path_factory):
+    settings = settings_in(tmp_path_factory.mktemp("near"), config.parse(SETTINGS, "test"))
+    board = InProcessBoard(make_device(3))
+    return closed_loop(
+        settings, board, lambda: board.device.plant.truth(board.device.now_ms), LENGTH_S, board.open
+    )
+
+
+def test_the_board_in_this_process_is_the_one_behind_a_line(near, tmp_path):
+    settings = settings_in(tmp_path, config.parse(SETTINGS, "test"))
+    with virtual_rig(tmp_path, 3) as rig:
+        clock = SimClock(rig.control)
+        try:
+            far = closed_loop(settings, clock, lambda: clock.truth()["chamber"], LENGTH_S)
+        finally:
+            clock.close()
+    for name in near.columns.keys() - {"solve_ms"}:
+        np.testing.assert_array_equal(near.columns[name], far.columns[name], err_msg=name)
+    assert near.changes == far.changes
+
+
+def test_a_run_has_a_row_for_every_minute(near):
+    assert len(near.columns["time_s"]) == LENGTH_S / 60.0
+    assert near.columns["heater_duty"].max() == 1.0
+    assert near.instead == {}
+
+
+def test_a_kept_run_comes_back(near, tmp_path):
+    job = Job(entries()["rules"], "tuning_1", 101)
+    keep(job, near, tmp_path)
+    back = read(job, tmp_path)
+    np.testing.assert_array_equal(back.columns["true_air_c"], near.columns["true_air_c"])
+    assert (back.changes, back.instead, back.tokens) == (near.changes, near.instead, near.tokens)
+
+
+def test_a_kept_run_with_other_settings_is_another_run(near, tmp_path):
+    job = Job(entries()["MPC"], "tuning_1", 101)
+    keep(job, near, tmp_path)
+    other = replace(job, entry=replace(job.entry, control={"horizon": 5}))
+    assert is_kept(job, tmp_path)
+    assert not is_kept(other, tmp_path)
+    with pytest.raises(DataError, match="tuning_1"):
+        read(other, tmp_path)
+
+
+def test_what_is_kept_is_not_run_again(near, tmp_path, monkeypatch):
+    job = Job(entries()["rules"], "tuning_1", 101)
+    keep(job, near, tmp_path)
+    monkeypatch.setattr(runner.subprocess, "Popen", lambda *words, **more: pytest.fail("it was run"))
+    runner.run_all([job], tmp_path, workers=1)
+
+
+def test_a_run_that_fails_says_why(tmp_path):
+    with pytest.raises(Exception, match="no_such_reference"):
+        runner.run_all([Job(entries()["rules"], "no_such_reference", 1)], tmp_path, workers=1)
+
+
+def test_the_twins_controller_runs_with_the_diagnosed_twin(tmp_path, monkeypatch):
+    """A quarter of an hour of the whole daemon with a signed bundle of its own."""
+    monkeypatch.setattr("training.control.job.FOLDER", tmp_path)
+    (tmp_path / "short.csv").write_text("time_s,reference_c\n0,24\n900,24\n")
+    log = run(Job(entries()["MPC-Twin-P"], "short", 101))
+    assert log.instead == {}
+    assert abs(log.columns["sensor_air_c"][-1] + 0.4 - 24.0) < 0.7

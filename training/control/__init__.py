@@ -1,0 +1,1 @@
+"""Controllers in closed loop on the virtual rig: references, runs, the best that is possible, comparison."""

@@ -1,0 +1,125 @@
+"""The comparison's figures, from kept runs: by controller, reference and seed; and the tables of them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from training.control.closed_loop import Log
+from training.control.figures import DecisionTime, Figures, figures
+from training.control.job import Job
+from training.control.spread import Mean, difference, mean_of, ratio, told_apart
+from training.report_table import Table
+
+LIMITS = {"": "clairvoyant", "-P": "clairvoyant-P"}
+SENSOR_LIMITS = {"": "clairvoyant/sensor", "-P": "clairvoyant/sensor-P"}
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One run in figures."""
+
+    entry: str
+    reference: str
+    seed: int
+    figures: Figures
+
+
+Results = Sequence[Result]
+
+
+def result(job: Job, log: Log) -> Result:
+    """Of one kept run."""
+    return Result(job.entry.name, job.reference, job.seed, figures(log))
+
+
+def column(results: Results, entry: str, reference: str, name: str) -> list[float]:
+    """A figure by seed, in the seeds' order; empty where there is no run."""
+    mine = sorted((one for one in results if (one.entry, one.reference) == (entry, reference)), key=_seed)
+    return [float(getattr(one.figures, name)) for one in mine]
+
+
+def paired(
+    results: Results, entry: str, other: str, reference: str, names: tuple[str, str]
+) -> tuple[list[float], list[float]]:
+    """Figures of two controllers on the seeds that both have run."""
+    both = _seeds(results, entry, reference) & _seeds(results, other, reference)
+    rows = [one for one in results if one.reference == reference and one.seed in both]
+    return column(rows, entry, reference, names[0]), column(rows, other, reference, names[1])
+
+
+def regret(results: Results, entry: str, reference: str, by_sensor: bool) -> Mean | None:
+    """Cost by the clairvoyant optimum's of the same weight; None where one of the two has not run."""
+    ending = "-P" if entry.endswith("-P") else ""
+    limit = (SENSOR_LIMITS if by_sensor else LIMITS)[ending]
+    cost = ("sensor_cost_" if by_sensor else "cost_") + ("1" if ending else "0")
+    mine, best = paired(results, entry, limit, reference, (cost, cost))
+    return ratio(mine, best) if mine else None
+
+
+def mae_against(results: Results, entry: str, other: str, reference: str) -> tuple[Mean, str] | None:
+    """Difference of the true MAE, and what it is worth by the sensor's class."""
+    mine, theirs = paired(results, entry, other, reference, ("mae_true", "mae_true"))
+    if not mine:
+        return None
+    found = difference(mine, theirs)
+    return found, told_apart(found)
+
+
+COLUMNS = {  # heading -> figure, digits
+    "MAE": ("mae_measured", 3), "true": ("mae_true", 3), "RMSE": ("rmse_true", 3), "near %": ("near_pct", 1),
+    "overshoot": ("overshoot_k", 2), "Wh": ("energy_wh", 0), "fan min": ("fan_min", 0),
+    "switches": ("switches", 0), "travel": ("travel", 1), "safety": ("interventions", 1),
+    "fallback": ("fallbacks", 1), "tokens": ("tokens", 0),
+}  # fmt: skip
+NOTE = (
+    "Means of the seeds, +- half of their 95 % interval. MAE: by the sensor; true, RMSE, near (share within "
+    "0.5 K) and overshoot after steps: by the mean of the air in the box [K]; travel: sum of |change of "
+    "duty|; safety: commands changed; fallback: ticks decided by another controller. x best: cost, of "
+    "weight 1 for -P and 0 else, by the clairvoyant optimum's; x sensor: the same where both are judged by "
+    "the air at the sensor, its 0.4 K of bias with it, which is all that a controller can know."
+)
+
+
+def table(results: Results, names: Sequence[str], reference: str, remarks: Mapping[str, str]) -> Table:
+    """One line per controller that has run."""
+    present = [name for name in names if column(results, name, reference, "mae_true")]
+    heads = ("controller", "seeds", *COLUMNS, "x best", "x sensor", "remark")
+    rows = tuple((*_cells(results, name, reference), remarks.get(name, "")) for name in present)
+    return Table(f"{reference}", heads, rows, NOTE)
+
+
+def _cells(results: Results, name: str, reference: str) -> Iterator[str]:
+    yield name
+    yield str(len(column(results, name, reference, "mae_true")))
+    for figure, digits in COLUMNS.values():
+        yield spread_text(mean_of(column(results, name, reference, figure)), digits)
+    for by_sensor in (False, True):
+        found = regret(results, name, reference, by_sensor)
+        yield "-" if found is None else spread_text(found, 2)
+
+
+def spread_text(mean: Mean, digits: int) -> str:
+    """A mean with its interval where there is one."""
+    value = f"{mean.value:.{digits}f}"
+    return value if mean.n == 1 or mean.half == 0.0 else f"{value}+-{mean.half:.{digits}f}"
+
+
+def times_table(times: Mapping[str, Sequence[DecisionTime]]) -> Table:
+    """Decision times by controller: medians over the runs, and the worst p99."""
+    rows = tuple(
+        (
+            name,
+            f"{sorted(one.median_ms for one in found)[len(found) // 2]:.1f}",
+            f"{max(one.p99_ms for one in found):.1f}",
+        )
+        for name, found in times.items()
+    )
+    note = "Wall clock on a shared machine; a language model's without the network."
+    return Table("Decision time [ms]", ("controller", "median", "p99, worst run"), rows, note)
+
+
+def _seed(one: Result) -> int:
+    return one.seed
+
+
+def _seeds(results: Results, entry: str, reference: str) -> set[int]:
+    return {one.seed for one in results if (one.entry, one.reference) == (entry, reference)}

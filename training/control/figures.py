@@ -1,0 +1,125 @@
+"""One run in figures: pure functions of its columns.
+
+Row k's command holds from its time to the next, so the air at row k + 1 is judged by the reference of row k.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
+from edge.names import HEATER_MAX_W
+from training.control.closed_loop import Log
+
+Floats = NDArray[np.float64]
+NEAR_K = 0.5
+STEP_K = 1.0  # a change of the reference by so much at once is a step; a ramp's are smaller
+STEP_WATCHED = 30  # ticks after a step in which it may be overshot
+SENSOR_BIAS_K = 0.4  # of the virtual rig's air sensor: `chamber.yaml`, air_bias_k
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What a run comes to. Temperatures' errors [K], costs as the paper has them, by step.
+
+    mae_measured : by the sensor, noise and all; mae_true, rmse_true : by the mean of the air in the box
+    near_pct : steps whose true air is within 0.5 K; overshoot_k : beyond the new reference, mean of the steps
+    cost_0, cost_1 : sum of the stage cost by the true air, weight 0 and 1
+    sensor_cost_0, sensor_cost_1 : the same by the air where the sensor hangs, its bias with it: what a
+        controller can know at best
+    """
+
+    mae_measured: float
+    mae_true: float
+    rmse_true: float
+    near_pct: float
+    overshoot_k: float
+    energy_wh: float
+    fan_min: float
+    switches: float
+    travel: float
+    interventions: float
+    fallbacks: float
+    tokens: float
+    cost_0: float
+    cost_1: float
+    sensor_cost_0: float
+    sensor_cost_1: float
+
+
+def figures(log: Log) -> Figures:
+    """Of one run."""
+    columns = log.columns
+    true, measured = error(columns, "true_air_c"), error(columns, "temp_air_c")
+    sensor = error(columns, "sensor_air_c") + SENSOR_BIAS_K
+    duty, fan = columns["heater_duty"], columns["fan_on"]
+    step_h = float(np.median(np.diff(columns["time_s"]))) / 3600.0
+    effort = effort_cost(columns)
+    return Figures(
+        mae_measured=float(np.nanmean(np.abs(measured))),
+        mae_true=float(np.mean(np.abs(true))),
+        rmse_true=float(np.sqrt(np.mean(true**2))),
+        near_pct=100.0 * float(np.mean(np.abs(true) <= NEAR_K)),
+        overshoot_k=overshoot_k(columns["reference_c"], columns["true_air_c"]),
+        energy_wh=float(duty[:-1].sum()) * HEATER_MAX_W * step_h,
+        fan_min=float(fan[:-1].sum()) * step_h * 60.0,
+        switches=float(np.abs(np.diff(fan)).sum()),
+        travel=float(np.abs(np.diff(duty)).sum()),
+        interventions=float(sum(log.changes.values())),
+        fallbacks=float(sum(log.instead.values())),
+        tokens=float(log.tokens),
+        cost_0=tracking_cost(true),
+        cost_1=tracking_cost(true) + effort,
+        sensor_cost_0=tracking_cost(sensor),
+        sensor_cost_1=tracking_cost(sensor) + effort,
+    )
+
+
+def error(columns: Mapping[str, Floats], air: str) -> Floats:
+    """Air at the end of each step less the step's reference [N - 1] [K]."""
+    return np.asarray(columns[air][1:] - columns["reference_c"][:-1])
+
+
+def tracking_cost(errors: Floats) -> float:
+    """The paper's, without effort."""
+    return float(TRACKING_WEIGHT * (errors**2).sum())
+
+
+def effort_cost(columns: Mapping[str, Floats]) -> float:
+    """The paper's cost of heater and fan with weight 1."""
+    duty, fan = columns["heater_duty"][:-1], columns["fan_on"][:-1]
+    return float((duty**2).sum() + fan.sum())
+
+
+def overshoot_k(reference: Floats, air: Floats) -> float:
+    """How far the air goes beyond a new reference; mean of the steps [K].
+
+    reference, air : [N]; watched for `STEP_WATCHED` rows or until it changes again; 0 without steps
+    """
+    changes = np.flatnonzero(np.diff(reference) != 0.0) + 1
+    found = []
+    for row in changes:
+        step = reference[row] - reference[row - 1]
+        if abs(step) < STEP_K:
+            continue
+        later = changes[changes > row]
+        end = min(row + STEP_WATCHED, int(later[0]) if len(later) else len(reference))
+        beyond = np.sign(step) * (air[row + 1 : end + 1] - reference[row])
+        found.append(max(float(beyond.max(initial=0.0)), 0.0))
+    return float(np.mean(found)) if found else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionTime:
+    """Of one run, by the machine's clock: not the same twice [ms]."""
+
+    median_ms: float
+    p99_ms: float
+
+
+def decision_time(log: Log) -> DecisionTime:
+    """How long decisions took."""
+    times = log.columns["solve_ms"]
+    return DecisionTime(float(np.median(times)), float(np.percentile(times, 99.0)))

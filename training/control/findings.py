@@ -1,0 +1,220 @@
+"""The paper's findings about its controllers, and beside each what the virtual rig shows, in figures.
+
+A finding about a controller that has not run is left out.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge.profile_file import read_profile
+from training.control.comparison import Results, column, mae_against, regret, spread_text
+from training.control.draw_references import FOLDER
+from training.control.effort import FAMILIES, lines, training_s
+from training.control.spread import SENSOR_K, mean_of
+from training.report_findings import Finding, Verdict
+
+PAPERS = ("MPC-BFGS", "RL-Off", "LLM-Te0")  # the paper's three; its MPC is the one by BFGS
+OURS = "MPC-Twin"
+SAME_K = 0.1  # a mean MAE that differs by less is called similar
+
+
+def findings(results: Results, reference: str) -> list[Finding]:
+    """In the paper's order, on the reference that its figures show. Verdicts come from the figures."""
+    made = (
+        _mpc_is_best(results, reference),
+        _undecided(results, reference),
+        _mpc_toggles(results, reference),
+        _rl_fan_always_on(results, reference),
+        _penalty_spares(results, reference),
+        _mpc_same_with_penalty(results, reference),
+        _rl_worse_with_penalty(results, reference),
+        _llm_same_with_penalty(results, reference),
+        _rl_trains_longest(results, reference),
+    )
+    return [finding for finding in made if finding is not None]
+
+
+def beyond(results: Results, references: Sequence[str]) -> list[str]:
+    """What our own controller does beside the paper's, a paragraph for each reference and weight."""
+    return [
+        text
+        for reference in references
+        for ending in ("", "-P")
+        if (text := _ours(results, reference, ending)) is not None
+    ]
+
+
+def _ours(results: Results, reference: str, ending: str) -> str | None:
+    ours, papers = OURS + ending, PAPERS[0] + ending
+    against = mae_against(results, ours, papers, reference)
+    if against is None:
+        return None
+    found, worth = against
+    mine, theirs = (regret(results, name, reference, by_sensor=True) for name in (ours, papers))
+    wh = [mean_of(column(results, name, reference, "energy_wh")) for name in (ours, papers)]
+    text = (
+        f"{reference.replace('_', ' ')}: {ours} has a true MAE {spread_text(found, 3)} K from {papers}'s "
+        f"({worth} by the sensor's class) with {spread_text(wh[0], 0)} Wh against {spread_text(wh[1], 0)}"
+    )
+    if mine is not None and theirs is not None:
+        text += f"; by the air at the sensor it costs {spread_text(mine, 3)} of the best possible, "
+        text += f"{papers} {spread_text(theirs, 1)}"
+    return text + "."
+
+
+def _mpc_is_best(results: Results, reference: str) -> Finding | None:
+    means = {name: _mean(results, name, reference, "mae_true") for name in PAPERS}
+    known = {name: mean for name, mean in means.items() if mean is not None}
+    if len(known) < 2 or PAPERS[0] not in known:
+        return None
+    beaten = [name for name in known if name != PAPERS[0] and known[PAPERS[0]] < known[name]]
+    return Finding(
+        "The MPC has the lowest MAE of the three, RL a little higher, the LLMs range widely.",
+        _verdict(len(beaten), len(known) - 1),
+        ", ".join(f"{name} {mean:.2f} K" for name, mean in known.items())
+        + ". The paper's MPC rounds a continuous optimum and knows no relay; solved as the integer problem "
+        f"it is, MPC has {_text(results, 'MPC', reference, 'mae_true')} K.",
+    )
+
+
+def _undecided(results: Results, reference: str) -> Finding | None:
+    names = sorted({one.entry for one in results if not one.entry.startswith(("clairvoyant", "rules"))})
+    means = [mean for name in names if (mean := _mean(results, name, reference, "mae_true")) is not None]
+    if len(means) < 2:
+        return None
+    apart = [abs(a - b) > SENSOR_K for i, a in enumerate(means) for b in means[i + 1 :]]
+    return Finding(
+        "Within the sensor's ±0.5 °C it is difficult to claim any controller superior.",
+        _verdict(len(apart) - sum(apart), len(apart)),
+        f"{len(apart) - sum(apart)} of {len(apart)} pairs of controllers are closer than {SENSOR_K:g} K in "
+        "MAE. In the simulated box the true air is known, so they can be told apart all the same.",
+    )
+
+
+def _mpc_toggles(results: Results, reference: str) -> Finding | None:
+    switches = {name: _mean(results, name, reference, "switches") for name in (PAPERS[0], f"{PAPERS[0]}-P")}
+    if None in switches.values():
+        return None
+    free, spared = (float(value or 0.0) for value in switches.values())
+    return Finding(
+        "Without penalty the MPC toggles heater and fan frequently and tracks the reference very closely.",
+        _verdict(
+            int(free > 2.0 * spared) + int((_mean(results, PAPERS[0], reference, "mae_true") or 9) < 0.5), 2
+        ),
+        f"{free:.0f} switches of the fan's relay without, {spared:.0f} with penalty; true MAE "
+        f"{_text(results, PAPERS[0], reference, 'mae_true')} K: the toggling is its rounding.",
+    )
+
+
+def _rl_fan_always_on(results: Results, reference: str) -> Finding | None:
+    fan = _mean(results, "RL-Off", reference, "fan_min")
+    if fan is None:
+        return None
+    spared = _text(results, "RL-Off-P", reference, "fan_min")
+    return Finding(
+        "Without penalty the RL keeps the fan ON most of the time, and the heater with it.",
+        _verdict(int(fan > 0.5 * _length_min(results, reference)), 1),
+        f"{fan:.0f} minutes of fan on {reference}; with penalty {spared}.",
+    )
+
+
+def _penalty_spares(results: Results, reference: str) -> Finding | None:
+    efforts = {}
+    for name in ("MPC-BFGS", "MPC", "RL-Off", "LLM-Te0"):
+        pair = [_effort(results, each, reference) for each in (name, f"{name}-P")]
+        if None not in pair:
+            efforts[name] = pair
+    if not efforts:
+        return None
+    less = [name for name, (free, spared) in efforts.items() if (spared or 0.0) < (free or 0.0)]
+    listed = ", ".join(f"{name} {free:.0f} to {spared:.0f}" for name, (free, spared) in efforts.items())
+    return Finding(
+        "A penalty makes actuation sparser, in all controllers.",
+        _verdict(len(less), len(efforts)),
+        f"Effort (sum of duty² and fan) without and with it: {listed}.",
+    )
+
+
+def _mpc_same_with_penalty(results: Results, reference: str) -> Finding | None:
+    return _with_penalty(
+        results, reference, PAPERS[0],
+        "With penalty the MPC tracks as well with less actuation (text); it struggles, as the heater is "
+        "penalised (caption).",
+        "; solved exactly, MPC {0} and MPC-P {1} K: not the penalty costs, but the rounding of small "
+        "duties to 0",
+    )  # fmt: skip
+
+
+def _rl_worse_with_penalty(results: Results, reference: str) -> Finding | None:
+    pair = [_mean(results, name, reference, "mae_true") for name in ("RL-Off", "RL-Off-P")]
+    if None in pair:
+        return None
+    free, spared = (float(value or 0.0) for value in pair)
+    return Finding(
+        "With penalty the RL tracks noticeably worse.",
+        _verdict(int(spared > free + SAME_K), 1),
+        f"True MAE {free:.2f} K without, {spared:.2f} K with it.",
+    )
+
+
+def _llm_same_with_penalty(results: Results, reference: str) -> Finding | None:
+    return _with_penalty(
+        results, reference, "LLM-Te0",
+        "With penalty the LLM uses the actuators less without tracking worse.",
+        " (a scripted stand-in, not a language model)",
+    )  # fmt: skip
+
+
+def _with_penalty(results: Results, reference: str, name: str, paper: str, more: str) -> Finding | None:
+    pair = [_mean(results, each, reference, "mae_true") for each in (name, f"{name}-P")]
+    if None in pair:
+        return None
+    free, spared = (float(value or 0.0) for value in pair)
+    exact = [_text(results, each, reference, "mae_true") for each in ("MPC", "MPC-P")]
+    return Finding(
+        paper,
+        _verdict(int(spared < free + SAME_K), 1),
+        f"True MAE {free:.2f} K without, {spared:.2f} K with it{more.format(*exact)}.",
+    )
+
+
+def _rl_trains_longest(results: Results, reference: str) -> Finding | None:
+    if _mean(results, "RL-Off", reference, "mae_true") is None:
+        return None
+    known = {f.name: (training_s(f), lines(f.files)) for f in FAMILIES if f.name in ("MPC", "RL", "LLM")}
+    longest = max(known, key=lambda name: known[name][0])
+    most = max(known, key=lambda name: known[name][1])
+    listed = ", ".join(
+        f"{name} {seconds:.0f} s and {count} lines" for name, (seconds, count) in known.items()
+    )
+    return Finding(
+        "RL needs the most training and effort, MPC expertise and no training, the LLM neither.",
+        _verdict(int(longest == "RL") + int(most == "RL"), 2),
+        f"{listed}.",
+    )
+
+
+def _mean(results: Results, name: str, reference: str, figure: str) -> float | None:
+    values = column(results, name, reference, figure)
+    return float(np.mean(values)) if values else None
+
+
+def _effort(results: Results, name: str, reference: str) -> float | None:
+    costs = [_mean(results, name, reference, figure) for figure in ("cost_1", "cost_0")]
+    return None if costs[0] is None or costs[1] is None else costs[0] - costs[1]
+
+
+def _text(results: Results, name: str, reference: str, figure: str) -> str:
+    value = _mean(results, name, reference, figure)
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _length_min(results: Results, reference: str) -> float:
+    return read_profile(FOLDER / f"{reference}.csv").end_s / 60.0
+
+
+def _verdict(count: int, of: int) -> Verdict:
+    if count == 0:
+        return "does not hold"
+    return "holds" if count == of else "holds in part"

@@ -1,0 +1,154 @@
+"""One run of the comparison, and where it is kept: `python -m training.control.job ENTRY REFERENCE SEED`."""
+
+import argparse
+import hashlib
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.controllers.base import Controller
+from edge.controllers.input_profile import InputProfile
+from edge.errors import DataError
+from edge.names import HEATER_LEVELS
+from edge.profile_file import read_profile
+from edge.reference import reference_from_profile
+from edge.settings import ControlSettings
+from firmware_protocol.virtual_board.chamber_parameters import load
+from training.control.board_in_process import InProcessBoard, make_device
+from training.control.chamber_rows import ChamberRows
+from training.control.clairvoyant import Course, best_plan
+from training.control.closed_loop import Log, closed_loop
+from training.control.draw_references import FOLDER
+from training.control.rig import TWIN, Entry, entries, install_twin, settings_for
+
+RUNS = Path("out/control")
+SECTIONS = ("control", "estimator", "sensor_health", "safety")  # that a run depends on
+FIRST_TICK_S = 1.0  # when the board has greeted and sent its first report
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """An entry of the table on a reference and a seed of the virtual board."""
+
+    entry: Entry
+    reference: str
+    seed: int
+
+    @property
+    def profile(self) -> Path:
+        """The reference's file."""
+        return FOLDER / f"{self.reference}.csv"
+
+    def sha256(self) -> str:
+        """Of all that was decided beforehand: a run with the same is not repeated."""
+        settings = settings_for(self.entry, Path(self.profile.name), Path("/"))
+        facts = {
+            "entry": [self.entry.name, self.entry.controller, self.entry.models, self.entry.clairvoyant],
+            "settings": [asdict(getattr(settings, section)) for section in SECTIONS],
+            "reference": self.profile.read_text(encoding="utf-8"),
+            "twin": TWIN.read_text(encoding="utf-8") if self.entry.models == "twin" else "",
+            "seed": self.seed,
+        }
+        return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
+
+    def folder(self, root: Path) -> Path:
+        """Where the run is kept."""
+        return root / self.reference / self.entry.name.replace("/", "_over_") / f"seed_{self.seed}"
+
+
+def is_kept(job: Job, root: Path) -> bool:
+    """Whether the very same run is there."""
+    facts = job.folder(root) / "run.json"
+    return facts.exists() and json.loads(facts.read_text(encoding="utf-8"))["sha256"] == job.sha256()
+
+
+def run(job: Job) -> Log:
+    """Do it: the daemon and the board in this process, from a cold box at the room's temperature."""
+    board = InProcessBoard(make_device(job.seed))
+    with tempfile.TemporaryDirectory(prefix="control-") as temporary:
+        folder = Path(temporary)
+        settings = settings_for(job.entry, job.profile, folder)
+        if job.entry.models == "twin":
+            install_twin(settings.bundle, settings.control.step_s)
+
+        def truth() -> Mapping[str, float]:
+            return board.device.plant.truth(board.device.now_ms)
+
+        end_s = read_profile(job.profile).end_s
+        return closed_loop(settings, board, truth, end_s, board.open, _clairvoyant(job, folder))
+
+
+def _clairvoyant(job: Job, folder: Path) -> Controller | None:
+    """The best plan as an input profile; None for an entry that decides as it goes."""
+    target = job.entry.clairvoyant
+    if target is None:
+        return None
+    step_s = ControlSettings().step_s
+    times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1)
+    reference = reference_from_profile(job.profile).at(times, times)
+    course = Course(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
+    plan = best_plan(lambda: ChamberRows(*load(), job.seed), course)
+    rows = zip(times, plan.levels / HEATER_LEVELS, plan.fan, strict=True)
+    lines = [f"{time_s:g},{duty:g},{fan}" for time_s, duty, fan in rows]
+    path = folder / "plan.csv"
+    path.write_text("\n".join(["time_s,heater_duty,fan_on", *lines, f"{times[-1] + step_s:g},0,0"]) + "\n")
+    return InputProfile(read_profile(path))
+
+
+def keep(job: Job, log: Log, root: Path) -> None:
+    """Columns as columns.npz, what was counted as run.json; the latter last, so that a kill leaves no run."""
+    folder = job.folder(root)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "run.json").unlink(missing_ok=True)
+    np.savez_compressed(folder / "columns.npz", **{key: np.asarray(v) for key, v in log.columns.items()})
+    facts: dict[str, Any] = {
+        "sha256": job.sha256(),
+        "entry": job.entry.name,
+        "reference": job.reference,
+        "seed": job.seed,
+        "changes": dict(log.changes),
+        "instead": dict(log.instead),
+        "time_boxes": log.time_boxes,
+        "tokens": log.tokens,
+    }
+    (folder / "run.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+
+
+def read(job: Job, root: Path) -> Log:
+    """A kept run. Errors: DataError where it is not there, or another one is."""
+    if not is_kept(job, root):
+        raise DataError(
+            f"{job.folder(root)}: no such run with these settings: run `greenhouse-train compare`"
+        )
+    folder = job.folder(root)
+    facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    with np.load(folder / "columns.npz") as columns:
+        return Log(
+            {key: columns[key] for key in columns.files},
+            Counter(facts["changes"]),
+            Counter(facts["instead"]),
+            facts["time_boxes"],
+            facts["tokens"],
+        )
+
+
+def main() -> None:
+    """One run in a process of its own."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("entry", choices=entries())
+    parser.add_argument("reference")
+    parser.add_argument("seed", type=int)
+    parser.add_argument("--runs", type=Path, default=RUNS, help=f"where it is kept (usual: {RUNS})")
+    arguments = parser.parse_args()
+    job = Job(entries()[arguments.entry], arguments.reference, arguments.seed)
+    keep(job, run(job), arguments.runs)
+
+
+if __name__ == "__main__":
+    main()

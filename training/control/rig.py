@@ -1,0 +1,103 @@
+"""The rig that all controllers are compared on: its settings, its models, the entries of the table."""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from edge.bundle.archive import open_archive
+from edge.bundle.roles import activated
+from edge.bundle.sign import Facts, build_bundle, generate_key
+from edge.bundle.store import Store
+from edge.models.arx_file import DEFAULT_PATH
+from edge.models.from_bundle import loader
+from edge.settings import (
+    BundleSettings,
+    ControlSettings,
+    DriftSettings,
+    ReferenceSettings,
+    Settings,
+)
+from edge.virtual_rig import settings_in
+
+Models = Literal[
+    "arx", "packaged", "twin"
+]  # the packaged ARX alone; the packaged bundle; ARX and diagnosed twin
+TWIN = Path(__file__).parents[1] / "results" / "paper_case" / "interpolation" / "twin.yaml"
+TIME_BOX_MS = (
+    60_000.0  # so long that only nodes and rollouts are counted: the same run gives the same figures
+)
+CREATED = "2026-01-01T00:00:00Z"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A row of the comparison.
+
+    name : in the table; controller : of the daemon
+    models : what the rig has; control : settings that differ from the usual ones
+    remark : for the table
+    clairvoyant : instead of the controller the best plan for the air's mean, or for what its sensor shows
+    """
+
+    name: str
+    controller: str
+    models: Models = "arx"
+    control: Mapping[str, Any] = field(default_factory=dict)
+    clairvoyant: Literal["true", "sensor"] | None = None
+    remark: str = ""
+
+
+def entries() -> dict[str, Entry]:
+    """All that can be compared so far, by name."""
+    listed = [
+        Entry("clairvoyant", "rules", clairvoyant="true"),
+        Entry("clairvoyant-P", "rules", clairvoyant="true"),
+        Entry("clairvoyant/sensor", "rules", clairvoyant="sensor"),
+        Entry("clairvoyant/sensor-P", "rules", clairvoyant="sensor"),
+        Entry("rules", "rules"),
+        Entry("PID", "PID"),
+        Entry("MPC-BFGS", "MPC-BFGS"),
+        Entry("MPC-BFGS-P", "MPC-BFGS-P"),
+        Entry("MPC", "MPC"),
+        Entry("MPC-P", "MPC-P"),
+        Entry("MPC-Twin", "MPC-Twin", "twin"),
+        Entry("MPC-Twin-P", "MPC-Twin-P", "twin"),
+        Entry("MPC/HAM", "MPC", "packaged", {"predictor": "ham"}),
+        Entry("MPC-P/HAM", "MPC-P", "packaged", {"predictor": "ham"}),
+        Entry("MPC/twin", "MPC", "twin", {"predictor": "pbm"}),
+        Entry("MPC-P/twin", "MPC-P", "twin", {"predictor": "pbm"}),
+    ]
+    return {entry.name: entry for entry in listed}
+
+
+def settings_for(entry: Entry, reference: Path, folder: Path) -> Settings:
+    """The daemon's settings for one run, all files in `folder`."""
+    rig = settings_in(folder, Settings(timezone="UTC"))
+    return replace(
+        rig,
+        control=replace(
+            ControlSettings(), controller=entry.controller, time_box_ms=TIME_BOX_MS, **entry.control
+        ),
+        reference=ReferenceSettings(kind="csv", csv=str(reference)),
+        bundle=replace(rig.bundle, path="") if entry.models == "arx" else rig.bundle,
+        drift=DriftSettings(enabled=False),
+    )
+
+
+def install_twin(bundle: BundleSettings, step_s: float, twin: Path = TWIN) -> None:
+    """Make the bundle active that has the packaged ARX and `twin`, signed by a key of this folder alone."""
+    keys, models = Path(bundle.trusted_keys), Path(bundle.path).with_name("models")
+    for folder in (keys, models):
+        folder.mkdir(parents=True)
+    shutil.copyfile(DEFAULT_PATH, models / "arx.json")
+    shutil.copyfile(twin, models / "twin.yaml")
+    private = models.with_name("signing.pem")
+    shutil.move(generate_key(private), keys)
+    archive = models.with_name("twin.zip")
+    build_bundle(models, archive, Facts("1.0", CREATED, "0" * 64, step_s), private)
+    store = Store(Path(bundle.path), keys, loader(step_s))
+    with open_archive(archive) as file:
+        store.install(file)
+    store.change(lambda roles: activated(roles, None))
