@@ -75,7 +75,11 @@ class Decider:
 
     def _ask(self, name: str, context: Context, deadline_s: float) -> tuple[Decision | None, str, float]:
         """One controller's decision, or the row of the failure table that holds; and the wall time [ms]."""
-        controller = self._controllers[name]
+        controller = self._controllers.get(name)
+        if controller is None:  # its model went with a bundle
+            text = f"{name}: this rig has no such controller now"
+            self._events.append(Event("controller.error", Severity.WARNING, text, context.now_s, context.utc))
+            return None, "controller.raised", 0.0
         if name not in self._asked_before:
             controller.reset()
         self._asked.add(name)

@@ -120,6 +120,15 @@ def test_a_controller_that_raises_leaves_the_step_to_the_fallback(rig: LoopRig) 
     assert back.decision.controller == "MPC"
 
 
+def test_a_controller_that_is_no_more_leaves_the_step_to_the_fallback(rig: LoopRig) -> None:
+    rig.tick()
+    del rig.rig.controllers["MPC"]
+    record = rig.tick()
+    assert begins(record, "controller.raised")
+    assert record.decision.controller == "rules"
+    assert "MPC: this rig has no such controller now" in [event.text for event in record.events]
+
+
 @pytest.mark.parametrize("duty", [math.nan, math.inf, -math.inf])
 def test_a_controller_without_a_number_leaves_the_step_to_the_fallback(rig: LoopRig, duty: float) -> None:
     rig.chosen.command = Command(heater_duty=duty)

@@ -1,13 +1,14 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from contexts import context
 
 from edge.controller_names import MPC, RULES
-from edge.controllers.base import Limits
+from edge.controllers.base import Limits, Penalty
 from edge.controllers.mpc import Mpc, MpcSettings
 from edge.controllers.registry import Parts, make
 from edge.errors import DataError, RequestError
@@ -179,3 +180,14 @@ def test_an_mpc_decides_without_scipy():
         "assert not [name for name in sys.modules if name.startswith('scipy')]\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_an_operators_penalty_takes_the_place_of_the_names():
+    dear = replace(context(30.0, 26.0), penalty=Penalty(fan=1e6))
+    for name in ("MPC", "MPC-P"):
+        controller = make(name, Parts(ControlSettings(), MODEL))
+        assert controller.decide(context(30.0, 26.0)).command.fan_on
+        assert not controller.decide(dear).command.fan_on
+    free = replace(context(30.0, 26.0), penalty=Penalty(heater=0.0, fan=0.0))
+    by_name = make("MPC", Parts(ControlSettings(), MODEL)).decide(context(30.0, 26.0))
+    assert make("MPC-P", Parts(ControlSettings(), MODEL)).decide(free).command == by_name.command

@@ -105,7 +105,7 @@ def _inputs(context: Context, row: int) -> Inputs:
 
 def _goal(context: Context, weight: float) -> Problem:
     """What a plan shall reach and keep; how the box answers is the twin's to say."""
-    limits, steps = context.limits, HORIZON + TAIL
+    limits, asked, steps = context.limits, context.penalty, HORIZON + TAIL
     reference = context.reference[:steps]
     if len(reference) < steps:
         raise DataError(f"reference: {len(reference)} steps, horizon and tail have {steps}")
@@ -116,8 +116,8 @@ def _goal(context: Context, weight: float) -> Problem:
         fan=nothing,
         reference=reference,
         tail=TAIL,
-        heater_weight=weight,
-        fan_weight=weight,
+        heater_weight=weight if asked.heater is None else max(asked.heater, LEAST_WEIGHT),
+        fan_weight=weight if asked.fan is None else max(asked.fan, LEAST_WEIGHT),
         heater_levels=levels_allowed(limits.heater_max_duty),
         fan_rules=relay(
             context.last_sent.fan_on,
