@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from contexts import context
 
+from edge.active_models import ActiveModels
 from edge.controllers.base import Limits
 from edge.controllers.mpc_twin import HORIZON, MpcTwin
 from edge.controllers.registry import Parts, make
-from edge.errors import DataError, RequestError
+from edge.errors import ConfigError, DataError, RequestError
+from edge.forecasts.skill import SkillState
 from edge.models.arx_file import read_arx
 from edge.models.pbm import Pbm, read_twin
-from edge.settings import ControlSettings
+from edge.settings import BundleSettings, ControlSettings, Settings
 from edge.twin.model import Twin
 
 TWINS = {
@@ -99,3 +101,13 @@ def test_the_registry_makes_it_of_the_bundles_twin():
     assert make("MPC-Twin-P", parts).name == "MPC-Twin-P"
     with pytest.raises(RequestError, match="twin of the active bundle"):
         make("MPC-Twin", Parts(ControlSettings(), read_arx()))
+
+
+def test_a_rig_without_a_twin_says_so_at_its_start_and_does_without_else():
+    bare = Settings(bundle=BundleSettings(path=""))
+    chosen = replace(bare, control=replace(bare.control, controller="MPC-Twin"))
+    with pytest.raises(ConfigError, match="MPC-Twin plans with a bundle's twin"):
+        ActiveModels(chosen, None, SkillState())
+    others = ActiveModels(bare, None, SkillState()).controllers()
+    assert "MPC-Twin" not in others
+    assert {"rules", "PID", "MPC"} <= others.keys()

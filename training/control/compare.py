@@ -12,7 +12,9 @@ from dataclasses import asdict
 from html import escape
 from pathlib import Path
 
+from edge.controller_names import LLM
 from edge.errors import DataError
+from edge.settings import LlmSettings
 from training.control.comparison import Result, column, result, table, times_table
 from training.control.effort import FAMILIES, lines, training_s
 from training.control.figures import DecisionTime, Figures, decision_time
@@ -28,6 +30,7 @@ from training.report_findings import Finding
 from training.report_table import Table, as_html, as_text
 
 COMMAND = "greenhouse-train compare"
+KEPT_URL = "http://kept"  # nobody is asked
 DRAWN = {  # picture -> controllers side by side, those that have run
     "": ("MPC-BFGS", "RL-Off", "LLM-HAM-Te0", "MPC", "MPC-Twin", "clairvoyant"),
     "_penalty": ("MPC-BFGS-P", "RL-Off-P", "LLM-HAM-Te0-P", "MPC-P", "MPC-Twin-P", "clairvoyant-P"),
@@ -38,15 +41,18 @@ def run(arguments: argparse.Namespace) -> int:
     """The exit code. Errors: GreenhouseError
 
     arguments : controllers (empty: all), references, seeds, runs, results, images (folders), workers, kept,
-        check
+        llm_url, llm_model, check
     """
     known = entries()
     unknown = set(arguments.controllers or ()) - known.keys()
     if unknown:
         raise DataError(f"--controllers: there is no {sorted(unknown)}; known: {sorted(known)}")
-    names = arguments.controllers or list(known)
+    url = arguments.llm_url or (KEPT_URL if arguments.kept else "")
+    llm = LlmSettings(url=url, model=arguments.llm_model)
+    able = [name for name, entry in known.items() if llm.url or entry.controller not in LLM]
+    names = arguments.controllers or able
     jobs = [
-        Job(known[name], reference, seed)
+        Job(known[name], reference, seed, llm)
         for reference in arguments.references
         for seed in arguments.seeds
         for name in names
@@ -130,8 +136,7 @@ def _row(finding: Finding) -> str:
 
 
 def _tables(results: Sequence[Result], names: Sequence[str]) -> list[Table]:
-    remarks = {name: entry.remark for name, entry in entries().items()}
-    return [table(results, names, reference, remarks) for reference in _references(results)]
+    return [table(results, names, reference) for reference in _references(results)]
 
 
 def _effort_table() -> Table:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from edge.controller_names import LLM
 from training.control.closed_loop import Log
 from training.control.figures import DecisionTime, Figures, figures
 from training.control.job import Job
@@ -10,6 +11,7 @@ from training.control.spread import Mean, difference, mean_of, ratio, told_apart
 from training.report_table import Table
 
 LIMITS = {"": "clairvoyant", "-P": "clairvoyant-P"}
+STAND_IN_MODEL, STAND_IN = "stand-in", "scripted stand-in, not a language model"
 SENSOR_LIMITS = {"": "clairvoyant/sensor", "-P": "clairvoyant/sensor-P"}
 
 
@@ -21,6 +23,7 @@ class Result:
     reference: str
     seed: int
     figures: Figures
+    remark: str = ""
 
 
 Results = Sequence[Result]
@@ -28,7 +31,9 @@ Results = Sequence[Result]
 
 def result(job: Job, log: Log) -> Result:
     """Of one kept run."""
-    return Result(job.entry.name, job.reference, job.seed, figures(log))
+    remark = job.llm.model if job.entry.controller in LLM else ""
+    remark = STAND_IN if remark == STAND_IN_MODEL else remark
+    return Result(job.entry.name, job.reference, job.seed, figures(log), remark)
 
 
 def column(results: Results, entry: str, reference: str, name: str) -> list[float]:
@@ -79,11 +84,12 @@ NOTE = (
 )
 
 
-def table(results: Results, names: Sequence[str], reference: str, remarks: Mapping[str, str]) -> Table:
+def table(results: Results, names: Sequence[str], reference: str) -> Table:
     """One line per controller that has run."""
     present = [name for name in names if column(results, name, reference, "mae_true")]
     heads = ("controller", "seeds", *COLUMNS, "x best", "x sensor", "remark")
-    rows = tuple((*_cells(results, name, reference), remarks.get(name, "")) for name in present)
+    remarks = {one.entry: one.remark for one in results}
+    rows = tuple((*_cells(results, name, reference), remarks[name]) for name in present)
     return Table(f"{reference}", heads, rows, NOTE)
 
 

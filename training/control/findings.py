@@ -141,8 +141,8 @@ def _mpc_same_with_penalty(results: Results, reference: str) -> Finding | None:
         results, reference, PAPERS[0],
         "With penalty the MPC tracks as well with less actuation (text); it struggles, as the heater is "
         "penalised (caption).",
-        "; solved exactly, MPC {0} and MPC-P {1} K: not the penalty costs, but the rounding of small "
-        "duties to 0",
+        "; solved as the integer problem it is, MPC {0} and MPC-P {1} K: not the penalty costs, but the "
+        "clipping of an optimum that knew no bounds",
     )  # fmt: skip
 
 

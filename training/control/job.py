@@ -18,14 +18,14 @@ from edge.errors import DataError
 from edge.names import HEATER_LEVELS
 from edge.profile_file import read_profile
 from edge.reference import reference_from_profile
-from edge.settings import ControlSettings
+from edge.settings import ControlSettings, LlmSettings
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.board_in_process import InProcessBoard, make_device
 from training.control.chamber_rows import ChamberRows
 from training.control.clairvoyant import Course, best_plan
 from training.control.closed_loop import Log, closed_loop
 from training.control.draw_references import FOLDER
-from training.control.rig import TWIN, Entry, entries, install_twin, settings_for
+from training.control.rig import NO_LLM, TWIN, Entry, entries, install_twin, settings_for
 
 RUNS = Path("out/control")
 SECTIONS = ("control", "estimator", "sensor_health", "safety")  # that a run depends on
@@ -34,11 +34,12 @@ FIRST_TICK_S = 1.0  # when the board has greeted and sent its first report
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """An entry of the table on a reference and a seed of the virtual board."""
+    """An entry of the table on a reference and a seed of the virtual board; llm : where a model answers"""
 
     entry: Entry
     reference: str
     seed: int
+    llm: LlmSettings = NO_LLM
 
     @property
     def profile(self) -> Path:
@@ -47,14 +48,16 @@ class Job:
 
     def sha256(self) -> str:
         """Of all that was decided beforehand: a run with the same is not repeated."""
-        settings = settings_for(self.entry, Path(self.profile.name), Path("/"))
-        facts = {
+        settings = settings_for(self.entry, Path(self.profile.name), Path("/"), self.llm)
+        facts: dict[str, Any] = {
             "entry": [self.entry.name, self.entry.controller, self.entry.models, self.entry.clairvoyant],
             "settings": [asdict(getattr(settings, section)) for section in SECTIONS],
             "reference": self.profile.read_text(encoding="utf-8"),
             "twin": TWIN.read_text(encoding="utf-8") if self.entry.models == "twin" else "",
             "seed": self.seed,
         }
+        if settings.llm.model:
+            facts["llm"] = settings.llm.model  # wherever it runs
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
     def folder(self, root: Path) -> Path:
@@ -73,7 +76,7 @@ def run(job: Job) -> Log:
     board = InProcessBoard(make_device(job.seed))
     with tempfile.TemporaryDirectory(prefix="control-") as temporary:
         folder = Path(temporary)
-        settings = settings_for(job.entry, job.profile, folder)
+        settings = settings_for(job.entry, job.profile, folder, job.llm)
         if job.entry.models == "twin":
             install_twin(settings.bundle, settings.control.step_s)
 
@@ -145,8 +148,11 @@ def main() -> None:
     parser.add_argument("reference")
     parser.add_argument("seed", type=int)
     parser.add_argument("--runs", type=Path, default=RUNS, help=f"where it is kept (usual: {RUNS})")
+    parser.add_argument("--llm-url", default="", help="base URL of an OpenAI-compatible endpoint")
+    parser.add_argument("--llm-model", default="", help="the model's name there")
     arguments = parser.parse_args()
-    job = Job(entries()[arguments.entry], arguments.reference, arguments.seed)
+    llm = LlmSettings(url=arguments.llm_url, model=arguments.llm_model)
+    job = Job(entries()[arguments.entry], arguments.reference, arguments.seed, llm)
     keep(job, run(job), arguments.runs)
 
 

@@ -10,12 +10,14 @@ from edge.bundle.archive import open_archive
 from edge.bundle.roles import activated
 from edge.bundle.sign import Facts, build_bundle, generate_key
 from edge.bundle.store import Store
+from edge.controller_names import CONTROLLERS, LLM, RL
 from edge.models.arx_file import DEFAULT_PATH
 from edge.models.from_bundle import loader
 from edge.settings import (
     BundleSettings,
     ControlSettings,
     DriftSettings,
+    LlmSettings,
     ReferenceSettings,
     Settings,
 )
@@ -28,6 +30,7 @@ TWIN = Path(__file__).parents[1] / "results" / "paper_case" / "interpolation" / 
 TIME_BOX_MS = (
     60_000.0  # so long that only nodes and rollouts are counted: the same run gives the same figures
 )
+NO_LLM = LlmSettings()
 CREATED = "2026-01-01T00:00:00Z"
 
 
@@ -37,7 +40,6 @@ class Entry:
 
     name : in the table; controller : of the daemon
     models : what the rig has; control : settings that differ from the usual ones
-    remark : for the table
     clairvoyant : instead of the controller the best plan for the air's mean, or for what its sensor shows
     """
 
@@ -46,7 +48,6 @@ class Entry:
     models: Models = "arx"
     control: Mapping[str, Any] = field(default_factory=dict)
     clairvoyant: Literal["true", "sensor"] | None = None
-    remark: str = ""
 
 
 def entries() -> dict[str, Entry]:
@@ -69,17 +70,22 @@ def entries() -> dict[str, Entry]:
         Entry("MPC/twin", "MPC", "twin", {"predictor": "pbm"}),
         Entry("MPC-P/twin", "MPC-P", "twin", {"predictor": "pbm"}),
     ]
+    listed += [Entry(name, name, "packaged") for name in (*RL, *LLM) if name in CONTROLLERS]
     return {entry.name: entry for entry in listed}
 
 
-def settings_for(entry: Entry, reference: Path, folder: Path) -> Settings:
-    """The daemon's settings for one run, all files in `folder`."""
+def settings_for(entry: Entry, reference: Path, folder: Path, llm: LlmSettings = NO_LLM) -> Settings:
+    """The daemon's settings for one run, all files in `folder`.
+
+    Errors : SettingError for a language model's entry without an endpoint
+    """
     rig = settings_in(folder, Settings(timezone="UTC"))
     return replace(
         rig,
         control=replace(
             ControlSettings(), controller=entry.controller, time_box_ms=TIME_BOX_MS, **entry.control
         ),
+        llm=llm if entry.controller in LLM else NO_LLM,
         reference=ReferenceSettings(kind="csv", csv=str(reference)),
         bundle=replace(rig.bundle, path="") if entry.models == "arx" else rig.bundle,
         drift=DriftSettings(enabled=False),

@@ -34,6 +34,7 @@ def run_all(jobs: Sequence[Job], root: Path, workers: int) -> None:
 
 def _start(job: Job, root: Path) -> "subprocess.Popen[str]":
     words = [job.entry.name, job.reference, str(job.seed), "--runs", str(root)]
+    words += ["--llm-url", job.llm.url, "--llm-model", job.llm.model]
     return subprocess.Popen(
         [sys.executable, "-m", "training.control.job", *words],
         stdout=subprocess.DEVNULL,

@@ -1,0 +1,90 @@
+"""Tables and findings of a comparison, from a handful of made-up results."""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from edge.errors import DataError
+from training.control.compare import json_of, results_of, run, text_of
+from training.control.comparison import STAND_IN, Result, mae_against, regret, table
+from training.control.figures import Figures
+from training.control.findings import findings
+from training.report import put_section
+
+ZERO = Figures(*[0.0] * 16)
+
+
+def made(entry: str, seed: int, remark: str = "", **figures: float) -> Result:
+    return Result(entry, "reference_1", seed, replace(ZERO, **figures), remark)
+
+
+RESULTS = [
+    made("clairvoyant/sensor", 1, sensor_cost_0=100.0),
+    made("clairvoyant/sensor", 2, sensor_cost_0=200.0),
+    made("MPC-Twin", 1, sensor_cost_0=110.0, mae_true=0.2),
+    made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.2),
+    made("MPC-BFGS", 1, sensor_cost_0=900.0, mae_true=1.2),
+    made("MPC-BFGS", 2, sensor_cost_0=800.0, mae_true=1.2),
+    made("MPC-BFGS", 3, sensor_cost_0=700.0, mae_true=1.2),
+    made("LLM-Te0", 1, STAND_IN, mae_true=1.4),
+    made("LLM-Te0", 2, STAND_IN, mae_true=1.4),
+]
+
+
+def test_a_regret_is_the_cost_by_the_limits_on_the_same_seeds():
+    assert regret(RESULTS, "MPC-Twin", "reference_1", by_sensor=True).value == pytest.approx(1.1)
+    assert regret(RESULTS, "MPC-BFGS", "reference_1", by_sensor=True).n == 2
+    assert regret(RESULTS, "MPC-Twin", "reference_2", by_sensor=True) is None
+
+
+def test_two_controllers_are_compared_on_the_seeds_of_both():
+    found, worth = mae_against(RESULTS, "MPC-Twin", "MPC-BFGS", "reference_1")
+    assert (found.value, found.n, worth) == (pytest.approx(-1.0), 2, "better")
+
+
+def test_a_stand_in_is_called_one_in_the_table():
+    rows = {row[0]: row for row in table(RESULTS, ["MPC-Twin", "LLM-Te0"], "reference_1").rows}
+    assert rows["LLM-Te0"][-1] == STAND_IN
+    assert rows["MPC-Twin"][-1] == ""
+
+
+def test_findings_about_controllers_that_have_not_run_are_left_out():
+    papers = [finding.paper for finding in findings(RESULTS, "reference_1")]
+    assert any("lowest MAE" in paper for paper in papers)
+    assert not any(paper.startswith("Without penalty the RL") for paper in papers)
+
+
+def test_a_verdict_follows_the_figures():
+    first = findings(RESULTS, "reference_1")[0]
+    assert first.verdict == "holds"
+    worse = [*RESULTS, *(made("RL-Off", seed, mae_true=0.5) for seed in (1, 2))]
+    assert findings(worse, "reference_1")[0].verdict == "holds in part"
+
+
+def test_figures_come_back_with_all_their_digits():
+    assert results_of(json_of(RESULTS)) == RESULTS
+    assert "MPC-Twin" in text_of(RESULTS, ["MPC-Twin"])
+
+
+def test_an_unknown_controller_is_refused_by_name(tmp_path):
+    arguments = argparse.Namespace(
+        controllers=["MPC-Twn"], references=["reference_1"], seeds=[1], runs=tmp_path, kept=True,
+        llm_url="", llm_model="stand-in",
+    )  # fmt: skip
+    with pytest.raises(DataError, match="MPC-Twn"):
+        run(arguments)
+
+
+def test_the_controllers_part_takes_its_own_place_in_the_report(tmp_path: Path):
+    page = tmp_path / "report.html"
+    page.write_text("<p>models</p>\n</body></html>\n")
+    for part in ("<p>one</p>\n", "<p>two</p>\n"):
+        put_section(page, part)
+    assert page.read_text() == "<p>models</p>\n<!-- controllers -->\n<p>two</p>\n</body></html>\n"
+
+
+def test_json_is_json():
+    assert len(json.loads(json_of(RESULTS))) == len(RESULTS)
