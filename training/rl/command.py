@@ -14,6 +14,8 @@ OFFLINE = ("RL-Off", "RL-Off-P")
 ONLINE = ("RL-On-P", "RL-Tr-P")
 MODELS = ("ham", "lstm", "pbm")
 VARIANTS = 32  # of a model whose parameters are drawn
+RIG_PATIENCE_S = 3600.0  # without a tick: another controller may decide for a while
+VIRTUAL_PATIENCE_S = 60.0  # a daemon in lock-step asks at once, or it has gone
 
 
 def add_commands(commands: "Commands") -> None:
@@ -99,6 +101,7 @@ def _online(arguments: argparse.Namespace) -> int:
         settings=settings,
         begin_with=None if begin_with is None else begin_with / WEIGHTS_FILE,
         where="virtual board" if arguments.virtual else "rig",
+        patience_s=VIRTUAL_PATIENCE_S if arguments.virtual else RIG_PATIENCE_S,
     )
     if arguments.virtual:
         with (
