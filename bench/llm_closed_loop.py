@@ -3,7 +3,6 @@
 import json
 import sqlite3
 import tempfile
-import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -18,9 +17,9 @@ from edge.messages import TickRecord
 from edge.settings import Settings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
+from training.control.recorded import wait_recorded
 
 REFERENCE_C = 26.0
-WRITTEN_S = 10.0
 YAML = f"""
 timezone: UTC
 reference: {{kind: constant, reference_c: {REFERENCE_C}}}
@@ -73,20 +72,6 @@ def run(
                 return _ended(settings, clock, minutes, during)
             finally:
                 clock.close()
-
-
-def wait_recorded(history: Path, seq: int) -> None:
-    """Until the tick `seq` is in the history, at most WRITTEN_S.
-
-    On a rig a minute lies between a tick and the next question. In lock-step it is some milliseconds, and
-    what a model reads would depend on how fast the disk is: two runs with one seed would differ.
-    """
-    give_up = time.monotonic() + WRITTEN_S
-    with closing(sqlite3.connect(history)) as reader:
-        while not reader.execute("SELECT 1 FROM ticks WHERE seq = ?", (seq,)).fetchone():
-            if time.monotonic() > give_up:
-                return
-            time.sleep(0.001)
 
 
 def _settings(folder: Path, controller: str, url: str, yaml: str, llm: dict[str, Any]) -> Settings:

@@ -3,16 +3,19 @@
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.clock import Clock
+from edge.controller_names import LLM
 from edge.controllers.base import Controller
 from edge.daemon import Daemon
 from edge.messages import Quality, TickRecord
 from edge.serial_port import OpenPort, SerialPort
 from edge.settings import Settings
+from training.control.recorded import wait_recorded
 
 Floats = NDArray[np.float64]
 Truth = Callable[[], Mapping[str, float]]  # of the chamber, now
@@ -55,7 +58,11 @@ def closed_loop(
     others: Counter[str] = Counter()
     counts: Counter[str] = Counter()
 
+    reads_history = name in LLM and LLM[name].assistance == "sql"
+
     def after_tick(record: TickRecord) -> None:
+        if reads_history:
+            wait_recorded(Path(settings.history.path), record.seq)
         rows.append(_row(record, truth()))
         changes.update({change.rule: 1 for change in record.changes})
         why = record.decision.why
