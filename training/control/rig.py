@@ -67,8 +67,6 @@ def entries() -> dict[str, Entry]:
         Entry("MPC-Twin-P", "MPC-Twin-P", "twin"),
         Entry("MPC/HAM", "MPC", "packaged", {"predictor": "ham"}),
         Entry("MPC-P/HAM", "MPC-P", "packaged", {"predictor": "ham"}),
-        Entry("MPC/twin", "MPC", "twin", {"predictor": "pbm"}),
-        Entry("MPC-P/twin", "MPC-P", "twin", {"predictor": "pbm"}),
     ]
     listed += [Entry(name, name, "packaged") for name in (*RL, *LLM) if name in CONTROLLERS]
     return {entry.name: entry for entry in listed}
