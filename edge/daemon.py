@@ -3,7 +3,7 @@
 import secrets
 import signal
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,8 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Self
 
-from edge import __version__, state_file
-from edge import operation_json as orders
+from edge import __version__
 from edge.active_models import ActiveModels
 from edge.board import Board
 from edge.bundle.keeper import BundleKeeper
@@ -20,7 +19,6 @@ from edge.bundle.store import Store
 from edge.clock import Clock, RealClock, boot_id
 from edge.config import config_hash
 from edge.control_socket import ControlSocket
-from edge.controller_names import CONTROLLERS
 from edge.controllers.base import Controller
 from edge.controllers.external import External
 from edge.decider import decision_deadline_s
@@ -39,60 +37,18 @@ from edge.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.request_routes import Routes, outbox_of
-from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
+from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.serial_port import OpenPort, SerialPort
 from edge.settings import Settings
 from edge.skill_state import read_skill, skill_keeping
-from edge.state_file import StateFileBroken, StateWriter
+from edge.standing import StateSink, read_standing
+from edge.state_file import StateWriter
 from edge.steering.desk import Surroundings, WishDesk
 from edge.steering.language import settings_from
 from edge.storage import Session, Storage
 
 ANSWER_SHARE = 0.9  # of the decision's deadline that a client of `external` may take
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """What outlives the process."""
-
-    operation: Operation
-    memory: SafetyMemory
-    broken: str = ""  # why the state file could not be understood
-
-
-def read_standing(path: Path, settings: Settings) -> Standing:
-    """Standing orders and latched trips; an unreadable file means emergency stop, not a fresh start."""
-    fresh = Operation(controller=settings.control.controller)
-    try:
-        values = state_file.read(path)
-        if values is None:
-            return Standing(fresh, SafetyMemory())
-        operation = orders.from_dict(values["operation"])
-        if operation.controller not in CONTROLLERS:
-            raise StateFileBroken(f"{path}: unknown controller {operation.controller!r}")
-        return Standing(operation, memory_from_dict(values["safety"]))
-    except (StateFileBroken, KeyError, TypeError, ValueError) as error:
-        stopped = Operation(controller=settings.control.controller, emergency_stop=True)
-        return Standing(stopped, SafetyMemory(), str(error) or repr(error))
-
-
-@dataclass(slots=True)
-class StateSink:
-    """Saves standing orders in their own thread; tells the loop when the disk does not take them."""
-
-    writer: StateWriter
-
-    def save(self, operation: Operation, memory: SafetyMemory) -> None:
-        """Never waits."""
-        self.writer.save({"operation": orders.to_dict(operation), "safety": memory_to_dict(memory)})
-
-    def write(self, record: TickRecord) -> None:
-        """Ticks are none of its business."""
-
-    def faults(self) -> Mapping[str, str]:
-        """The last failed write, until one succeeds."""
-        return {"state.unwritten": self.writer.last_error} if self.writer.last_error else {}
 
 
 @dataclass(slots=True)

@@ -10,13 +10,14 @@ import numpy as np
 from edge import __version__
 from edge.clock import Clock
 from edge.controllers.input_profile import InputProfile
-from edge.daemon import Daemon, read_standing
+from edge.daemon import Daemon
 from edge.errors import DataError, GreenhouseError
 from edge.messages import Quality, TickRecord
 from edge.profile_file import Profile
 from edge.reference import Reference
 from edge.run_file import Run
 from edge.settings import Settings
+from edge.standing import read_standing
 from edge.storage.runs import export_run, name_run
 
 ROLES = ("train", "validate", "test")

@@ -7,9 +7,9 @@ import pytest
 
 from edge import config
 from edge.clock import RealClock
-from edge.daemon import read_standing
 from edge.request_routes import resend
 from edge.settings import HistorySettings, Settings
+from edge.standing import read_standing
 from edge.storage import Storage
 from tests.history_records import tick
 

@@ -16,7 +16,6 @@ import pytest
 from edge import config, state_file
 from edge.__main__ import main
 from edge.controllers.input_profile import InputProfile
-from edge.daemon import Standing, read_standing
 from edge.errors import DataError, GreenhouseError
 from edge.experiment import Experiment, run_experiment
 from edge.operation import Operation
@@ -26,6 +25,7 @@ from edge.run_file import Run, read_run
 from edge.safety import SafetyMemory, memory_to_dict
 from edge.settings import Settings
 from edge.sim_clock import SimClock
+from edge.standing import Standing, read_standing
 from edge.storage.runs import export_run
 from edge.virtual_rig import settings_in, virtual_rig
 from tests.contexts import context

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from loop_rig import LoopRig, is_safe
 
-from edge.daemon import read_standing
 from edge.failures import FAILURES
 from edge.messages import Command, Quality, TickRecord
+from edge.standing import read_standing
 
 
 @pytest.fixture

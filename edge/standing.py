@@ -1,0 +1,57 @@
+"""What outlives the process: standing orders and latched trips, in one file."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge import operation_json as orders
+from edge import state_file
+from edge.controller_names import CONTROLLERS
+from edge.messages import TickRecord
+from edge.operation import Operation
+from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
+from edge.settings import Settings
+from edge.state_file import StateFileBroken, StateWriter
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What outlives the process."""
+
+    operation: Operation
+    memory: SafetyMemory
+    broken: str = ""  # why the state file could not be understood
+
+
+def read_standing(path: Path, settings: Settings) -> Standing:
+    """Standing orders and latched trips; an unreadable file means emergency stop, not a fresh start."""
+    fresh = Operation(controller=settings.control.controller)
+    try:
+        values = state_file.read(path)
+        if values is None:
+            return Standing(fresh, SafetyMemory())
+        operation = orders.from_dict(values["operation"])
+        if operation.controller not in CONTROLLERS:
+            raise StateFileBroken(f"{path}: unknown controller {operation.controller!r}")
+        return Standing(operation, memory_from_dict(values["safety"]))
+    except (StateFileBroken, KeyError, TypeError, ValueError) as error:
+        stopped = Operation(controller=settings.control.controller, emergency_stop=True)
+        return Standing(stopped, SafetyMemory(), str(error) or repr(error))
+
+
+@dataclass(slots=True)
+class StateSink:
+    """Saves standing orders in their own thread; tells the loop when the disk does not take them."""
+
+    writer: StateWriter
+
+    def save(self, operation: Operation, memory: SafetyMemory) -> None:
+        """Never waits."""
+        self.writer.save({"operation": orders.to_dict(operation), "safety": memory_to_dict(memory)})
+
+    def write(self, record: TickRecord) -> None:
+        """Ticks are none of its business."""
+
+    def faults(self) -> Mapping[str, str]:
+        """The last failed write, until one succeeds."""
+        return {"state.unwritten": self.writer.last_error} if self.writer.last_error else {}
