@@ -47,6 +47,11 @@ ONLINE = {
     "RL-On-P": OnlineSettings(),
     # It knows already what to do: small steps, little that is tried out.
     "RL-Tr-P": OnlineSettings(
-        learning_rate=1e-4, learning_starts=240, updates=4, explore_from=0.1, explore_to=0.02
+        learning_rate=2e-5,
+        learning_starts=240,
+        updates=2,
+        target_every=100,
+        explore_from=0.05,
+        explore_to=0.02,
     ),
 }
