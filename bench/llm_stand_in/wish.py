@@ -19,8 +19,8 @@ _MOST = re.compile(r"at most (\d+)\s*%", re.IGNORECASE)
 
 def wish(messages: Sequence[Mapping[str, Any]]) -> str | None:
     """The answer to an operator's wish; None where the conversation holds none."""
-    wanted = _WANTS.search(str(messages[-1].get("content")))
-    clock = _DAY.search(str(messages[0].get("content")))
+    said = [str(message.get("content")) for message in messages] or [""]
+    wanted, clock = _WANTS.search(said[-1]), _DAY.search(said[0])
     return None if wanted is None or clock is None else json.dumps(_settings(wanted[1], *clock.groups()))
 
 
