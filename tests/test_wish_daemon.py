@@ -51,6 +51,11 @@ def standing(daemon: DaemonProcess) -> dict[str, Any]:
     return dict(daemon.ask("status")["operation"])
 
 
+def saved(daemon: DaemonProcess) -> dict[str, Any]:
+    """Standing orders on disk, where they are a moment later."""
+    return dict(json.loads(daemon.state_file.read_text())["operation"])
+
+
 def said_to(*words: str) -> int:
     return main(list(words))
 
@@ -71,7 +76,7 @@ def test_a_wish_is_shown_with_its_effect_and_applied_only_when_confirmed(
         assert said_to("confirm", id, *socket) == 0
         assert standing(daemon)["steering"]["words"] == WISH
         assert said_to("confirm", id, *socket) == 1  # once is enough
-        assert json.loads(daemon.state_file.read_text())["operation"]["steering"]["id"] == id
+        wait_for(lambda: saved(daemon)["steering"] and saved(daemon)["steering"]["id"] == id)
 
         assert said_to("undo", *socket) == 0
         assert standing(daemon)["steering"] is None

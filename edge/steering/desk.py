@@ -123,9 +123,7 @@ class WishDesk:
 
     def _confirm(self, proposal: Proposal) -> Json:
         if proposal.state != "ready" or proposal.steering is None:
-            raise RequestError(
-                f"confirm: proposal {proposal.id} is not ready to be confirmed: {proposal.state}"
-            )
+            raise RequestError(f"confirm: proposal {proposal.id} cannot be confirmed: {proposal.state}")
         with self._lock:  # once: a second confirmation is told so
             if self._proposals[proposal.id].state != "ready":
                 raise RequestError(f"confirm: proposal {proposal.id} has been taken up already")
