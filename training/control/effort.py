@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-EDGE, TRAINING = "edge/controllers", "training"
-ARX_RECORD = "training/results/trained/linear/interpolation/seed_0/result.json"
+EDGE, RESULTS = "edge/controllers", "training/results"
+ARX_RECORD = f"{RESULTS}/trained/linear/interpolation/seed_0/result.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Family:
     files : its own, folders with all their Python; what every controller uses is not among them
     tuned : settings that were chosen by trying, by name
     knowledge : 1 (none of the box, none of the method) to 5, and why
-    records : JSON files whose `wall_s` add up to its time of training
+    records : JSON files and the key of each that add up to its time of training [s]
     """
 
     name: str
@@ -32,7 +32,7 @@ class Family:
     tuned: tuple[str, ...]
     knowledge: int
     why: str
-    records: tuple[str, ...] = ()
+    records: tuple[tuple[str, str], ...] = ()
 
 
 FAMILIES = (
@@ -50,23 +50,23 @@ FAMILIES = (
         (f"{EDGE}/mpc.py", f"{EDGE}/mixed_integer", "edge/models/arx.py", "edge/models/fit_arx.py"),
         ("horizon", "tail", "node_budget"), 4,
         "system identification and integer programming, none of the box's physics",
-        (ARX_RECORD,),
+        ((ARX_RECORD, "wall_s"),),
     ),
     Family(
         "MPC-Twin", "MPC-Twin", (f"{EDGE}/mpc_twin.py", f"{EDGE}/twin_plan"),
         ("HORIZON", "TAIL", "WIDTH", "KIND_K", "MEASUREMENT_SD_K", "BODY_SD_K", "DISTURBANCE_SD_K"), 5,
         "heat transfer of the box (the twin), state estimation and search",
-        ("training/results/paper_case/interpolation/wall.json",),
+        ((f"{RESULTS}/paper_case/interpolation/diagnosis.json", "seconds"),),
     ),
     Family(
-        "RL", "RL-Off", (f"{EDGE}/dqn.py", f"{EDGE}/rl", f"{TRAINING}/rl"),
+        "RL", "RL-Off", (f"{EDGE}/rl.py", "edge/policy", "training/rl"),
         ("learning rate", "batch", "buffer", "exploration", "target update", "network", "lambda_1",
          "lambda_2", "lambda_0h", "lambda_0f"), 4,
         "reward design and the learner's many settings; of the box only a model to practise on",
-        ("training/results/rl/RL-Off/result.json",),
+        ((f"{RESULTS}/policies/rl-off/ham/seed_4/record.json", "wall_s"),),  # the one in the bundle
     ),
     Family(
-        "LLM", "LLM-Te0", (f"{EDGE}/llm.py", "edge/llm"), ("prompt", "temperature"), 1,
+        "LLM", "LLM-Te0", ("edge/llm",), ("prompt", "temperature"), 1,
         "the task in plain words; the model brings the rest",
     ),
 )  # fmt: skip
@@ -101,11 +101,11 @@ def _code_lines(text: str) -> int:
 def training_s(family: Family, root: Path = ROOT) -> float:
     """Time to train, 0 where nothing is trained; infinite where it is not recorded."""
     total = 0.0
-    for name in family.records:
+    for name, key in family.records:
         path = root / name
         if not path.is_file():
             return float("inf")
-        total += float(json.loads(path.read_text(encoding="utf-8"))["wall_s"])
+        total += float(json.loads(path.read_text(encoding="utf-8"))[key])
     return total
 
 
