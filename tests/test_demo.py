@@ -7,6 +7,8 @@ import sys
 import time
 from pathlib import Path
 
+from bench.llm_stand_in.server import StandIn
+
 DEMO = [sys.executable, "-m", "edge", "demo"]
 
 
@@ -49,3 +51,13 @@ def test_an_unknown_controller_is_one_clear_line() -> None:
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "MPD" in done.stderr
+
+
+def test_a_policy_of_the_packaged_bundle_and_a_language_model_can_be_tried() -> None:
+    with StandIn() as server:
+        llm = ["--llm-url", server.url, "--llm-model", "stand-in"]
+        for name, more in (("RL-Off", []), ("LLM-HAM-Te0", llm)):
+            command = [*DEMO, "--controller", name, *more, "--speed", "0", "--minutes", "4"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+            ticks = [line for line in done.stdout.splitlines() if " tick " in line]
+            assert name in ticks[-1], done.stderr

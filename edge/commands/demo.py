@@ -14,6 +14,7 @@ from edge.virtual_rig import settings_in, virtual_rig
 
 DEMO_YAML = """
 control: {{controller: {controller}}}
+llm: {{url: "{llm_url}", model: "{llm_model}"}}
 reference:
   kind: steps
   steps:
@@ -32,6 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--minutes", type=float, default=None, help="simulated minutes, then it ends by itself"
     )
     parser.add_argument("--controller", default="MPC-P")
+    parser.add_argument("--llm-url", default="", help="OpenAI-compatible endpoint, for the controllers LLM-*")
+    parser.add_argument("--llm-model", default="", help="the model's name there")
     parser.add_argument("--seed", type=int, default=1, help="of the virtual board")
     parser.add_argument(
         "--out", type=Path, default=None, help="folder that keeps the history; else none is kept"
@@ -43,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="greenhouse-demo-") as temporary:
         folder = arguments.out or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        settings = config.parse(DEMO_YAML.format(controller=arguments.controller), "demo")
+        settings = config.parse(DEMO_YAML.format_map(vars(arguments)), "demo")
         with virtual_rig(folder, arguments.seed) as rig:
             _run(arguments, settings_in(folder, settings), rig.control)
     return 0
