@@ -15,7 +15,7 @@ run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
 
 test: $(VENV)/dev.installed tools
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(VENV)/dev.installed
 	$(BIN)/ruff check .
