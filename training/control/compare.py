@@ -95,10 +95,12 @@ def pictures_of(
 ) -> dict[str, bytes]:
     """PNG by file name without its ending; runs of the first seed that there is."""
     references = _references(results)
+    labels = {one.entry: f"{one.entry}\n{one.remark}".strip() for one in results}
     pictures = {}
     for reference in references:
         for ending, drawn in DRAWN.items():
-            shown = _columns(jobs, reference, drawn, runs)
+            found = _columns(jobs, reference, drawn, runs)
+            shown = {labels[name]: columns for name, columns in found.items()}
             if shown:
                 title = f"{reference.replace('_', ' ')}, {'with' if ending else 'without'} penalty"
                 pictures[f"control_{reference}{ending}"] = runs_picture(title, shown)
@@ -157,7 +159,9 @@ def _radar(
         found = [mean_of(v).value for r in references if (v := column(results, family.entry, r, "mae_true"))]
         if found:
             mae = sum(found) / len(found)
-            rows[family.name] = (mae, training_s(family), float(lines(family.files)), float(family.knowledge))
+            remark = next((one.remark for one in results if one.entry == family.entry), "")
+            name = f"{family.name} ({remark})" if remark else family.name
+            rows[name] = (mae, training_s(family), float(lines(family.files)), float(family.knowledge))
     return rows
 
 

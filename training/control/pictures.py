@@ -71,7 +71,9 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
     axes.set_xticks(range(len(present)), present, rotation=60, ha="right", fontsize="small")
     axes.set_ylabel("MAE, true air [K]")
     axes.axhspan(0.0, 0.5, color="black", alpha=0.06, lw=0)
-    axes.set_title("-P: with penalty. Grey: within the sensor's ±0.5 K", fontsize="medium")
+    remarks = sorted({f"LLM: {one.remark}. " for one in results if one.remark})
+    title = "-P: with penalty. " + "".join(remarks) + "Grey: within the sensor's ±0.5 K"
+    axes.set_title(title, fontsize="medium")
     axes.legend(fontsize="small")
     return _png(figure)
 
@@ -94,7 +96,7 @@ def radar_picture(rows: Mapping[str, tuple[float, float, float, float]]) -> byte
         axes.plot(np.append(angles, angles[0]), np.append(row, row[0]), "o-", label=name, markersize=4)
     units = ("K", "s", "lines", "of 5")
     limits = [
-        f"{axis}\n{column.min():.3g} to {column.max():.3g} {unit}"
+        f"{axis}\n{column.min():.4g} to {column.max():.4g} {unit}"
         for axis, unit, column in zip(RADAR_AXES, units, (c[np.isfinite(c)] for c in table.T), strict=True)
     ]
     axes.set_xticks(angles, limits)
@@ -102,7 +104,7 @@ def radar_picture(rows: Mapping[str, tuple[float, float, float, float]]) -> byte
     axes.set_yticks([0.15, 1.0], ["", ""])
     axes.set_ylim(0.0, 1.05)
     axes.set_title("Inside is better; each axis logarithmic", fontsize="medium")
-    figure.legend(loc="outside lower center", ncols=len(rows), fontsize="small")
+    figure.legend(loc="outside lower center", ncols=3, fontsize="small")
     return _png(figure)
 
 
