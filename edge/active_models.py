@@ -5,6 +5,7 @@ from typing import Protocol
 
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.serving import Serving
+from edge.bundle.store import Loaded
 from edge.controller_names import EXTERNAL, MPC_TWIN, NEED_A_MODEL
 from edge.controllers import registry
 from edge.controllers.base import Controller
@@ -89,10 +90,11 @@ class ActiveModels:
 
     def controllers(self) -> dict[str, Controller]:
         """All that can decide with these models, by name."""
-        serving = self._serving
-        policies = serving.active.policies if serving is not None and serving.active is not None else {}
+        bundle = _bundle(self._serving)
+        policies = {} if bundle is None else bundle.policies
+        predictors = _active(self._serving)
         parts = registry.Parts(
-            self._control, self.model, self.linear, _active(serving), policies=policies, llm=self._llm
+            self._control, self.model, self.linear, predictors, policies=policies, llm=self._llm
         )
         without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
         if self.twin is None:
@@ -107,8 +109,8 @@ class ActiveModels:
         """Take what the keeper serves now, between two ticks, without a bump; what was done, in words."""
         if self._keeper is None or self._keeper.serving is self._serving:
             return ""
+        active_before, before = _bundle(self._serving), self.model
         self._serving = self._keeper.serving
-        before = self.model
         kept = ""
         try:
             self.model, self.linear = self._chosen()
@@ -117,7 +119,8 @@ class ActiveModels:
         self.forecasting.serve(*self._forecasting_parts())
         if self.model != before:
             estimator.set_model(self.model)
-        controllers.update(self.controllers())
+        if _bundle(self._serving) is not active_before:  # a new shadow is none of the controllers' business
+            controllers.update(self.controllers())
         return f"{self.model.name} {self.model.version} estimates and plans{kept}"
 
     def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
@@ -159,4 +162,10 @@ class ActiveModels:
 
 
 def _active(serving: Serving | None) -> Mapping[str, Predictor]:
-    return {} if serving is None or serving.active is None else serving.active.predictors
+    bundle = _bundle(serving)
+    return {} if bundle is None else bundle.predictors
+
+
+def _bundle(serving: Serving | None) -> Loaded | None:
+    """The active one."""
+    return None if serving is None else serving.active

@@ -118,9 +118,9 @@ class Daemon:
             standing = replace(standing, operation=chosen)
         inbox = Inbox()
         stack.callback(inbox.close)
-        # First of all that is shared: where a daemon runs already nothing else is touched.
         desk = self._desk(inbox, models, llm)
         routes = Routes(settings, inbox, bundles, desk)
+        # First of all that is shared: where a daemon runs already nothing else is touched.
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask)
         stack.callback(socket.close)
         # Only the machine's clock goes on from process to process.

@@ -2,14 +2,11 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from edge.controllers.base import Columns, Context, Floats, Limits, Penalty
+from edge.controllers.base import Columns, Context, Limits, Penalty
 from edge.messages import Command, Estimate
 from edge.operation import Operation
 from edge.reference import Reference
-from edge.steering.standing import limited, penalty_of, reference_of
-from edge.steering.steering import Steering
+from edge.steering.standing import in_force, limited, penalty_of
 
 REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
 
@@ -37,6 +34,7 @@ def context_of(
     """The context of this tick. limits : what safety will let through"""
     steering = operation.steering_at(moment.utc)
     penalty = Penalty()
+    reference = in_force(operation.reference_c, steering, configured)
     if steering is not None:
         limits = limited(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_on)
         penalty = penalty_of(steering)
@@ -46,20 +44,10 @@ def context_of(
         step_s=moment.step_s,
         history=history,
         estimate=estimate,
-        reference=_reference(moment, operation, configured, steering),
+        reference=reference.ahead(
+            moment.since_start_s, moment.since_midnight_s, moment.step_s, REFERENCE_STEPS
+        ),
         last_sent=last_sent,
         limits=limits,
         penalty=penalty,
-    )
-
-
-def _reference(
-    moment: Moment, operation: Operation, configured: Reference, steering: Steering | None
-) -> Floats:
-    """A temperature set by hand, else what was asked for in words, else as configured; [REFERENCE_STEPS]."""
-    if operation.reference_c is not None:
-        return np.full(REFERENCE_STEPS, operation.reference_c)
-    asked = None if steering is None else reference_of(steering)
-    return (asked or configured).ahead(
-        moment.since_start_s, moment.since_midnight_s, moment.step_s, REFERENCE_STEPS
     )

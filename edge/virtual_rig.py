@@ -60,12 +60,17 @@ def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterato
         _wait_until_ready(process, rig, log)
         yield rig
     finally:
-        process.terminate()
-        try:
-            process.wait(timeout=5.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end_process(process, patience_s=5.0)
+
+
+def end_process(process: "subprocess.Popen[bytes]", patience_s: float) -> None:
+    """Ask it to end, and kill it when it does not."""
+    process.terminate()
+    try:
+        process.wait(timeout=patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def die_with_parent() -> None:

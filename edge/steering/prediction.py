@@ -4,13 +4,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from edge.errors import DataError
 from edge.reference import Reference, make_reference, seconds_of_day, zone_of
 from edge.settings import Settings
 from edge.steering.effect import Now, Wanted, coming_day
-from edge.steering.standing import reference_of
+from edge.steering.standing import in_force, reference_of
 from edge.steering.steering import Steering
 from edge.steering.steering import from_dict as steering_from_dict
 from edge.twin.model import Twin
@@ -29,11 +27,9 @@ def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, 
     midnight_s = seconds_of_day(tick["utc"], zone_of(settings.timezone))
     here = Now(temp, ambient, since_start_s=0.0, since_midnight_s=midnight_s)
     standing = operation["steering"] and steering_from_dict(operation["steering"])
-    before = _wanted(
-        _as_it_stands(operation, standing, settings), standing, operation["controller"], settings
-    )
-    reference = reference_of(steering) or before.reference
-    after = _wanted(reference, steering, operation["controller"], settings)
+    configured = in_force(operation["reference_c"], standing, make_reference(settings.reference))
+    before = _wanted(configured, standing, operation["controller"], settings)
+    after = _wanted(reference_of(steering) or configured, steering, operation["controller"], settings)
     try:
         return {
             "now": coming_day(twin, here, before).figures(),
@@ -41,13 +37,6 @@ def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, 
         }
     except DataError as error:
         return {"reason": str(error)}
-
-
-def _as_it_stands(operation: Mapping[str, Any], standing: Steering | None, settings: Settings) -> Reference:
-    if operation["reference_c"] is not None:
-        return Reference(np.zeros(1), np.array([float(operation["reference_c"])]))
-    asked = None if standing is None else reference_of(standing)
-    return asked or make_reference(settings.reference)
 
 
 def _wanted(reference: Reference, steering: Steering | None, controller: str, settings: Settings) -> Wanted:

@@ -20,6 +20,14 @@ def reference_of(steering: Steering) -> Reference | None:
     return Reference(times, np.array([target.reference_c for target in steering.daily]), daily=True)
 
 
+def in_force(by_hand_c: float | None, steering: Steering | None, configured: Reference) -> Reference:
+    """A temperature set by hand, else what was asked for in words, else as configured."""
+    if by_hand_c is not None:
+        return Reference(np.zeros(1), np.array([by_hand_c]))
+    asked = None if steering is None else reference_of(steering)
+    return asked or configured
+
+
 def limited(
     limits: Limits, steering: Steering, since_midnight_s: float, step_s: float, fan_on: bool
 ) -> Limits:

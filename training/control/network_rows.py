@@ -20,6 +20,7 @@ from firmware_protocol.virtual_board.network import (
     STEFAN_BOLTZMANN,
     WELL_MIXED_W_K,
     ThermalNetwork,
+    longwave_conductance,
 )
 
 Floats = NDArray[np.float64]
@@ -84,11 +85,12 @@ class NetworkRows:
             wb=lower_m2 * (inner * self._growth(b - w, cover.film_reference_k) + forced),
             wo=box.cover_m2 * cover.gap_w_m2_k * loads.ageing,
             oa=box.cover_m2 * outer * loads.draught * loads.ageing * effects.wall_loss
-            + effects.longwave_radiation * _longwave(box.cover_m2 * cover.emissivity, o, loads.room_c),
+            + effects.longwave_radiation
+            * longwave_conductance(box.cover_m2 * cover.emissivity, o, loads.room_c),
             pb=2.0 * plant.leaf_m2 * plant.film_w_m2_k,
-            pw=interior * _longwave(plant.leaf_m2, p, w),
+            pw=interior * longwave_conductance(plant.leaf_m2, p, w),
             sb=soil.air_w_k,
-            sw=interior * _longwave(soil.longwave_m2, s, w),
+            sw=interior * longwave_conductance(soil.longwave_m2, s, w),
             sa=soil.floor_w_k * loads.ageing * effects.wall_loss,
             ub=np.minimum(exchange / effects.imperfect_mixing, WELL_MIXED_W_K),
         )
@@ -199,8 +201,3 @@ class _Stage:
         p = (p_in + self._to_plant * self._via * u + g.pb * b + g.pw * w) / self._dp
         s = (s_in + self._to_soil * self._via * u + g.sb * b + g.sw * w) / self._ds
         return np.stack([h, p, s, (o_in + g.wo * w) / self._do, w, u, b])
-
-
-def _longwave(area_m2: float, one_c: Floats, other_c: Floats | float) -> Floats:
-    one, other = one_c + KELVIN, other_c + KELVIN
-    return np.asarray(area_m2 * STEFAN_BOLTZMANN * (one * one + other * other) * (one + other))

@@ -22,7 +22,7 @@ from training.rl.driven_buffer import DrivenReplayBuffer
 from training.rl.kept import RECORD_FILE
 from training.rl.read_model import REGIME
 from training.rl.reward import WEIGHTS
-from training.rl.settings import OnlineSettings
+from training.rl.settings import OnlineSettings, learner_arguments
 from training.rl.socket_env import SocketEnv
 from training.rl.study import SAMPLE_S, keep, software, validated
 from training.rl.weights import load_weights
@@ -90,18 +90,8 @@ def make_online_agent(env: SocketEnv, job: OnlineJob) -> DQN:
         learning_rate=settings.learning_rate,
         buffer_size=settings.steps,
         replay_buffer_class=DrivenReplayBuffer,
-        learning_starts=settings.learning_starts,
-        batch_size=settings.batch,
-        gamma=settings.gamma,
-        train_freq=1,
-        gradient_steps=settings.updates,
-        target_update_interval=settings.target_every,
-        exploration_fraction=settings.explore_share,
-        exploration_initial_eps=settings.explore_from,
-        exploration_final_eps=settings.explore_to,
         policy_kwargs={"net_arch": list(settings.hidden)},
-        seed=job.seed,
-        device="cpu",
+        **learner_arguments(settings, job.seed),
     )
     if job.begin_with is not None:
         weights = load_weights(job.begin_with)

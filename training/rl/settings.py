@@ -1,6 +1,7 @@
 """Settings of the DQN, in one place."""
 
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,3 +56,20 @@ ONLINE = {
         explore_to=0.02,
     ),
 }
+
+
+def learner_arguments(settings: DqnSettings | OnlineSettings, seed: int) -> dict[str, Any]:
+    """What stable-baselines3's DQN is made with, offline and online alike."""
+    return {
+        "learning_starts": settings.learning_starts,
+        "batch_size": settings.batch,
+        "gamma": settings.gamma,
+        "train_freq": 1,
+        "gradient_steps": settings.updates,
+        "target_update_interval": settings.target_every,
+        "exploration_fraction": settings.explore_share,
+        "exploration_initial_eps": settings.explore_from,
+        "exploration_final_eps": settings.explore_to,
+        "seed": seed,
+        "device": "cpu",
+    }

@@ -8,7 +8,7 @@ from torch import nn
 
 from training.rl.boxes import World
 from training.rl.play import Act
-from training.rl.settings import DqnSettings
+from training.rl.settings import DqnSettings, learner_arguments
 from training.rl.vec_env import BoxesVecEnv
 
 
@@ -29,18 +29,8 @@ def make_agent(env: BoxesVecEnv, seed: int, settings: DqnSettings) -> DQN:
         env,
         learning_rate=lambda left: last + (first - last) * left,
         buffer_size=settings.buffer,
-        learning_starts=settings.learning_starts,
-        batch_size=settings.batch,
-        gamma=settings.gamma,
-        train_freq=1,
-        gradient_steps=settings.updates,
-        target_update_interval=settings.target_every,
-        exploration_fraction=settings.explore_share,
-        exploration_initial_eps=settings.explore_from,
-        exploration_final_eps=settings.explore_to,
         policy_kwargs={"net_arch": list(settings.hidden), "optimizer_kwargs": {"fused": True}},
-        seed=seed,
-        device="cpu",
+        **learner_arguments(settings, seed),
     )
 
 

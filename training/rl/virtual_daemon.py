@@ -22,7 +22,7 @@ from edge.errors import GreenhouseError
 from edge.reference import Reference
 from edge.settings import ExternalSettings
 from edge.sim_clock import SimClock
-from edge.virtual_rig import die_with_parent, settings_in, virtual_rig
+from edge.virtual_rig import die_with_parent, end_process, settings_in, virtual_rig
 from training.rl.episodes import EpisodeSettings, draw_reference
 from training.rl.rig import ROOM_C, without_forecasts
 
@@ -73,12 +73,7 @@ def virtual_daemon(folder: Path, seed: int, speed: float | None = None) -> Itera
             time.sleep(0.05)
         yield where
     finally:
-        process.terminate()
-        try:
-            process.wait(timeout=30.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end_process(process, patience_s=30.0)
 
 
 def main(words: Sequence[str] | None = None) -> None:
