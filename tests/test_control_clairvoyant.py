@@ -38,9 +38,15 @@ def test_the_relay_is_closed_for_its_duty():
     np.testing.assert_allclose(share, [0.0, 0.35, 1.0])
 
 
+def test_more_heat_has_to_wait_for_the_next_slot():
+    new, before = np.array([7, 7, 0, 0]), np.array([0, 7, 7, 0])
+    np.testing.assert_allclose(relay_share(1.0, 1.0, new, before), [0.0, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(relay_share(1.0, 5.0, new, before), [0.8, 1.0, 0.0, 0.0])
+
+
 def test_twice_the_beam_changes_next_to_nothing():
     usual = best_plan(fresh, course())
-    wider = best_plan(fresh, course(), width=600, kind_k=0.5)
+    wider = best_plan(fresh, course(), width=1200, kind_k=0.25)
     assert abs(wider.cost / usual.cost - 1.0) < 0.005
 
 

@@ -22,8 +22,8 @@ Ints = NDArray[np.int64]
 Target = Literal["true", "sensor"]  # the air's mean; what the air's sensor would show without noise and steps
 FINE_S, COARSE_S = 1.0, 5.0  # the chamber's own step; the search's
 PROBED = (0, HEATER_LEVELS // 2, HEATER_LEVELS)  # levels
-WIDTH = 300  # nodes kept
-KIND_K = 1.0  # nodes whose elements are closer than this are of one kind: half a level held for a minute
+WIDTH = 600  # nodes kept
+KIND_K = 0.5  # nodes whose elements are closer than this are of one kind: a level held for a quarter minute
 LEAST_WEIGHT = 1e-6  # of two plans that track alike the one that spends less
 _SHARES = np.arange(HEATER_LEVELS + 1) / HEATER_LEVELS
 
@@ -54,10 +54,10 @@ def best_plan(
     """The cheapest plan found. fresh : the chamber anew, as its future can be asked but once"""
     chamber = fresh()
     boxes = _idle(chamber, course)
-    cost, trace = np.zeros(1), []
+    cost, level, trace = np.zeros(1), np.zeros(1, dtype=np.int64), []
     for k, reference in enumerate(course.reference):
         begin_s = course.begin_s + k * course.step_s
-        probes = _probed(chamber, boxes, begin_s, course.step_s)
+        probes = _probed(chamber, boxes, level, begin_s, course.step_s)
         target = _interpolated(_target(chamber, probes, course).reshape(-1, 2, len(PROBED)))
         element = _interpolated(probes.temps[0].reshape(-1, 2, len(PROBED)))
         effort = _SHARES**2 + np.array([[0.0], [1.0]])
@@ -74,10 +74,12 @@ def best_plan(
 def plan_cost(chamber: ChamberRows, course: Course, levels: Ints, fan: Ints) -> float:
     """The paper's cost of a plan by the chamber's own steps."""
     boxes, cost = _idle(chamber, course), 0.0
+    before = np.append(0, levels[:-1])
     for k, reference in enumerate(course.reference):
         begin_s = course.begin_s + k * course.step_s
         for second in range(round(course.step_s / FINE_S)):
-            on = relay_share(begin_s + second * FINE_S, FINE_S, levels[k : k + 1])
+            asked_before = before[k : k + 1] if second == 0 else None
+            on = relay_share(begin_s + second * FINE_S, FINE_S, levels[k : k + 1], asked_before)
             boxes = chamber.step(boxes, begin_s + second * FINE_S, FINE_S, on, fan[k : k + 1].astype(float))
         error = float(_target(chamber, boxes, course)[0]) - reference
         cost += TRACKING_WEIGHT * error**2
@@ -85,10 +87,17 @@ def plan_cost(chamber: ChamberRows, course: Course, levels: Ints, fan: Ints) -> 
     return cost
 
 
-def relay_share(time_s: float, length_s: float, levels: Ints) -> Floats:
-    """Share of a stretch in which the heater's relay is closed, at each level: the board's slow PWM."""
+def relay_share(time_s: float, length_s: float, levels: Ints, before: Ints | None = None) -> Floats:
+    """Share of a stretch in which the heater's relay is closed, at each level: the board's slow PWM.
+
+    before : levels until then, where the stretch begins with a new command; it comes when a slot has just
+        begun, and the board takes less heat at once but more with the next slot only
+    """
     slots = int(time_s) + np.arange(max(1, round(length_s)))
-    return np.asarray(((slots % PWM_SLOTS)[:, None] < levels).mean(axis=0))
+    closed = (slots % PWM_SLOTS)[:, None] < levels
+    if before is not None:
+        closed[0] &= slots[0] % PWM_SLOTS < before
+    return np.asarray(closed.mean(axis=0))
 
 
 def _idle(chamber: ChamberRows, course: Course) -> Boxes:
@@ -99,15 +108,16 @@ def _idle(chamber: ChamberRows, course: Course) -> Boxes:
     return boxes
 
 
-def _probed(chamber: ChamberRows, boxes: Boxes, begin_s: float, step_s: float) -> Boxes:
-    """[M * 2 * 3]: each box a step later, by fan and probed level."""
+def _probed(chamber: ChamberRows, boxes: Boxes, before: Ints, begin_s: float, step_s: float) -> Boxes:
+    """[M * 2 * 3]: each box a step later, by fan and probed level. before : levels that led to the boxes [M]"""
     count = len(boxes.fan)
     boxes = boxes.of(np.repeat(np.arange(count), 2 * len(PROBED)))
     fan = np.tile(np.repeat([0.0, 1.0], len(PROBED)), count)
-    levels = np.tile(PROBED, 2 * count)
+    levels, before = np.tile(PROBED, 2 * count), np.repeat(before, 2 * len(PROBED))
     for part in range(round(step_s / COARSE_S)):
         time_s = begin_s + part * COARSE_S
-        boxes = chamber.step(boxes, time_s, COARSE_S, relay_share(time_s, COARSE_S, levels), fan)
+        on = relay_share(time_s, COARSE_S, levels, before if part == 0 else None)
+        boxes = chamber.step(boxes, time_s, COARSE_S, on, fan)
     return boxes
 
 
