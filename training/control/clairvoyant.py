@@ -109,7 +109,7 @@ def _idle(chamber: ChamberRows, course: Course) -> Boxes:
 
 
 def _probed(chamber: ChamberRows, boxes: Boxes, before: Ints, begin_s: float, step_s: float) -> Boxes:
-    """[M * 2 * 3]: each box a step later, by fan and probed level. before : levels that led to the boxes [M]"""
+    """[M * 2 * 3]: each box a step later, by fan and probed level. before : levels that led to the boxes"""
     count = len(boxes.fan)
     boxes = boxes.of(np.repeat(np.arange(count), 2 * len(PROBED)))
     fan = np.tile(np.repeat([0.0, 1.0], len(PROBED)), count)
