@@ -21,8 +21,10 @@ from edge.twin.warm_start import held
 
 HORIZON = 20  # steps; the heater's element answers for five minutes, a step down needs the fan for three
 TAIL = 10
-WIDTH = 300  # of the beam: so many kinds of nodes there are, dear ones too, that pay off at a step
-LEAST_WEIGHT = 1e-3  # on the effort of `MPC-Twin`: of two plans that track alike the one that spends less
+WIDTH = 800  # of the beam: so many kinds of nodes there are, dear ones too, that pay off at a step
+# On the effort of `MPC-Twin`: of two plans that track alike the one that spends less. Alike is what noise
+# hides: full effort for a step costs as much as an error of 0.05 K.
+LEAST_WEIGHT = 0.03
 
 
 class MpcTwin:

@@ -16,7 +16,7 @@ from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 STORED_STEPS = 4  # so long after a node the air tells what is stored in it
-KIND_K = 0.05  # nodes whose air would then be closer than this are of one kind
+KIND_K = 0.02  # nodes whose air would then be closer than this are of one kind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
