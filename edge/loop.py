@@ -337,6 +337,7 @@ class Loop:
         """Standing orders, the last tick, what the board drives now, the line's counters; as JSON values."""
         return {
             "operation": to_dict(self._operation),
+            "since_start_s": self._rig.clock.now() - self._start_s,
             "trips": list(self._memory.trips),
             "tick": None if self.last_record is None else tick_json(self.last_record),
             "skill": {} if self.last_record is None else skill_json(self.last_record.skill),

@@ -248,6 +248,7 @@ def test_a_dear_fan_runs_less() -> None:
 def status(**operation: Any) -> dict[str, Any]:
     return {
         "tick": {"utc": 0.0, "reference_c": 24.0, "estimate": {"temp_air_c": 22.0, "temp_ambient_c": 21.0}},
+        "since_start_s": 0.0,
         "operation": {"reference_c": None, "steering": None, "controller": "MPC", **operation},
     }
 
@@ -261,6 +262,17 @@ def test_the_prediction_sets_what_stands_beside_what_is_asked_for() -> None:
         effect["then"]["heat_wh"], rel=0.05
     )
     assert len(effect_table(effect)) == 7
+
+
+def test_steps_are_predicted_from_where_they_stand() -> None:
+    steps = "{kind: steps, steps: [{at_s: 0, reference_c: 24}, {at_s: 3600, reference_c: 30}]}"
+    settings = config.parse(f"timezone: UTC\nreference: {steps}")
+    asked = replace(NIGHT, daily=(), heater_max_duty=None)
+    fresh, later = (
+        predicted(TWIN, status() | {"since_start_s": since_s}, asked, settings) for since_s in (0.0, 3600.0)
+    )
+    assert fresh["now"]["temp_air_low_c"] < 24.5
+    assert later["now"]["heat_wh"] > fresh["now"]["heat_wh"] + 20.0  # an hour more at 30 degrees
 
 
 def test_without_a_twin_or_a_temperature_there_is_a_reason() -> None:

@@ -25,7 +25,7 @@ def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, 
     if temp is None or ambient is None or not math.isfinite(temp + ambient):
         return {"reason": "the air temperature is not known now"}
     midnight_s = seconds_of_day(tick["utc"], zone_of(settings.timezone))
-    here = Now(temp, ambient, since_start_s=0.0, since_midnight_s=midnight_s)
+    here = Now(temp, ambient, status["since_start_s"], midnight_s)
     standing = operation["steering"] and steering_from_dict(operation["steering"])
     configured = in_force(operation["reference_c"], standing, make_reference(settings.reference))
     before = _wanted(configured, standing, operation["controller"], settings)

@@ -171,11 +171,13 @@ def _with_penalty(results: Results, reference: str, name: str, paper: str, more:
     if None in pair:
         return None
     free, spared = (float(value or 0.0) for value in pair)
+    efforts = [_effort(results, each, reference) or 0.0 for each in (name, f"{name}-P")]
     exact = [_text(results, each, reference, "mae_true") for each in ("MPC", "MPC-P")]
     return Finding(
         paper,
-        _verdict(int(spared < free + SAME_K), 1),
-        f"True MAE {free:.2f} K without, {spared:.2f} K with it{more.format(*exact)}.",
+        _verdict(int(spared < free + SAME_K) + int(efforts[1] < efforts[0]), 2),
+        f"True MAE {free:.2f} K without, {spared:.2f} K with it, effort {efforts[0]:.1f} and {efforts[1]:.1f}"
+        f"{more.format(*exact)}.",
     )
 
 
