@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import ActionNoise
 
 from edge.run_file import data_sha256
@@ -93,6 +94,7 @@ def make_online_agent(env: SocketEnv, job: OnlineJob) -> DQN:
         policy_kwargs={"net_arch": list(settings.hidden)},
         **learner_arguments(settings, job.seed),
     )
+    agent.set_logger(Logger(None, []))  # without one each run leaves a folder in /tmp
     if job.begin_with is not None:
         weights = load_weights(job.begin_with)
         for network in (agent.policy.q_net, agent.policy.q_net_target):

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import DQN
+from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from training.rl.boxes import World
@@ -24,7 +25,7 @@ def train(world: World, seed: int, settings: DqnSettings) -> DQN:
 def make_agent(env: BoxesVecEnv, seed: int, settings: DqnSettings) -> DQN:
     """Untrained. stable-baselines3 counts `target_update_interval` in environment steps."""
     first, last = settings.learning_rate, settings.final_learning_rate
-    return DQN(
+    agent = DQN(
         "MlpPolicy",
         env,
         learning_rate=lambda left: last + (first - last) * left,
@@ -32,6 +33,8 @@ def make_agent(env: BoxesVecEnv, seed: int, settings: DqnSettings) -> DQN:
         policy_kwargs={"net_arch": list(settings.hidden), "optimizer_kwargs": {"fused": True}},
         **learner_arguments(settings, seed),
     )
+    agent.set_logger(Logger(None, []))  # without one each run leaves a folder in /tmp
+    return agent
 
 
 def greedy(network: nn.Module) -> Act:
