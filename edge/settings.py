@@ -87,6 +87,13 @@ class ControlSettings(Section):
     tail: int = whole(
         10, "steps after the horizon that MPC and MPC-P count too, fan still, heater as it would hold", 0, 60
     )
+    penalty_weight: float = number(
+        1.0,
+        "of effort (duty squared and fan) against 10 times the error squared, in an MPC named -P",
+        "1",
+        0.0,
+        1e6,
+    )
     node_budget: int = whole(
         20_000, "nodes an MPC may search; the same log gives the same decisions", 1, 10_000_000
     )

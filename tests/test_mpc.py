@@ -14,7 +14,9 @@ from edge.controllers.registry import Parts, make
 from edge.errors import DataError, RequestError
 from edge.messages import Command
 from edge.models.arx_file import read_arx
+from edge.models.pbm import Pbm
 from edge.settings import ControlSettings
+from edge.twin.model import Twin
 
 MODEL = read_arx()
 
@@ -191,3 +193,16 @@ def test_an_operators_penalty_takes_the_place_of_the_names():
     free = replace(context(30.0, 26.0), penalty=Penalty(heater=0.0, fan=0.0))
     by_name = make("MPC", Parts(ControlSettings(), MODEL)).decide(context(30.0, 26.0))
     assert make("MPC-P", Parts(ControlSettings(), MODEL)).decide(free).command == by_name.command
+
+
+@pytest.mark.parametrize("name", ["MPC-P", "MPC-BFGS-P", "MPC-Twin-P"])
+def test_the_configured_weight_is_that_of_the_names_with_penalty_alone(name):
+    cold = replace(context(22.0, 24.0), reference=np.full(40, 24.0))
+    parts = [
+        Parts(ControlSettings(penalty_weight=weight), MODEL, predictors={"pbm": Pbm(Twin())})
+        for weight in (0.0, 1e6)
+    ]
+    free, dear = (make(name, one).decide(cold).command for one in parts)
+    assert free.heater_duty > 0.0
+    assert dear.heater_duty == 0.0
+    assert make(name.removesuffix("-P"), parts[1]).decide(cold).command.heater_duty > 0.0

@@ -68,11 +68,12 @@ def _mpc_twin(name: str, parts: Parts) -> Controller:
     model = parts.predictors.get("pbm")
     if not isinstance(model, Pbm):
         raise RequestError(f"{name}: plans with the twin of the active bundle, there is none")
-    return MpcTwin(name, model, _weight(name))
+    return MpcTwin(name, model, effort_weight(name, parts.control))
 
 
-def _weight(name: str) -> float:
-    return 1.0 if name.endswith("-P") else 0.0
+def effort_weight(name: str, control: ControlSettings) -> float:
+    """Of a controller that plans: what effort costs it beside the tracking."""
+    return control.penalty_weight if name.endswith("-P") else 0.0
 
 
 def _mpc(name: str, parts: Parts) -> Controller:
@@ -80,7 +81,7 @@ def _mpc(name: str, parts: Parts) -> Controller:
     arx = model if parts.linear is None else parts.linear
     if not isinstance(arx, Arx):
         raise RequestError(f"{name}: plans with an ARX model, not with {arx.name} {arx.version}")
-    weight = _weight(name)
+    weight = effort_weight(name, settings)
     if name.startswith("MPC-BFGS"):
         from edge.controllers.mpc_bfgs import MpcBfgs  # late: the daemon rarely needs it
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from edge.controllers.registry import effort_weight
 from edge.errors import DataError
 from edge.reference import Reference, make_reference, seconds_of_day, zone_of
 from edge.settings import Settings
@@ -40,7 +41,7 @@ def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, 
 
 
 def _wanted(reference: Reference, steering: Steering | None, controller: str, settings: Settings) -> Wanted:
-    weight = 1.0 if controller.endswith("-P") else 0.0
+    weight = effort_weight(controller, settings.control)
     heater = fan = None
     if steering is not None:
         heater, fan = steering.heater_penalty, steering.fan_penalty

@@ -17,11 +17,12 @@ from edge.errors import DataError
 from edge.settings import LlmSettings
 from training.control.comparison import Result, column, result, table, times_table
 from training.control.effort import FAMILIES, lines, training_s
+from training.control.energy import energy_picture, energy_table
 from training.control.figures import DecisionTime, Figures, decision_time
 from training.control.findings import beyond, findings
 from training.control.job import Job, is_kept, read
 from training.control.pictures import bars_picture, radar_picture, runs_picture
-from training.control.rig import entries
+from training.control.rig import SPARING, entries
 from training.control.runner import run_all
 from training.control.spread import mean_of
 from training.evaluate import first_difference
@@ -85,8 +86,8 @@ def text_of(results: Sequence[Result], names: Sequence[str]) -> str:
     references = _references(results)
     told = [COMMAND, ""]
     told += [line for each in _tables(results, names) for line in as_text(each)]
-    for finding in findings(results, references[-1]):
-        told += [f"{finding.paper}", f"    {finding.verdict}. {finding.here}"]
+    for paper, found in _by_paper(results, references).items():
+        told += [paper, *(f"    {reference}: {one.verdict}. {one.here}" for reference, one in found.items())]
     return "\n".join([*told, *beyond(results, references)]) + "\n"
 
 
@@ -104,7 +105,8 @@ def pictures_of(
             if shown:
                 title = f"{reference.replace('_', ' ')}, {'with' if ending else 'without'} penalty"
                 pictures[f"control_{reference}{ending}"] = runs_picture(title, shown)
-    pictures["control_mae"] = bars_picture(results, names, references)
+    pictures["control_mae"] = bars_picture(results, [n for n in names if n not in SPARING], references)
+    pictures["control_energy"] = energy_picture(results, names, references)
     pictures["control_radar"] = radar_picture(_radar(results, references))
     return pictures
 
@@ -119,9 +121,11 @@ def _section(results: Sequence[Result], names: Sequence[str], pictures: Mapping[
     yield "<h1>Controllers on the virtual rig, compared</h1>"
     yield f"<p>Made by <code>{COMMAND}</code>: the whole daemon with each controller, the same rooms.</p>"
     yield "<h2>The paper's findings and ours</h2><table class=words>"
-    yield "<tr><th>the paper</th><th>on the virtual rig</th></tr>"
-    for finding in findings(results, references[-1]):
-        yield _row(finding)
+    heads = "".join(f"<th>{reference.replace('_', ' ')}</th>" for reference in references)
+    yield f"<tr><th>the paper</th>{heads}</tr>"
+    for paper, found in _by_paper(results, references).items():
+        cells = "".join(_cell(found.get(reference)) for reference in references)
+        yield f"<tr><td>{escape(paper)}</td>{cells}</tr>"
     yield "</table><h2>Beyond the paper</h2>"
     yield from (f"<p>{escape(text)}</p>" for text in beyond(results, references))
     for each in (*_tables(results, names), _effort_table()):
@@ -131,14 +135,23 @@ def _section(results: Sequence[Result], names: Sequence[str], pictures: Mapping[
         yield f'<p><img alt="{escape(name)}" src="data:image/png;base64,{data}"></p>'
 
 
-def _row(finding: Finding) -> str:
-    return (
-        f"<tr><td>{escape(finding.paper)}</td><td><b>{finding.verdict}</b>. {escape(finding.here)}</td></tr>"
-    )
+def _by_paper(results: Sequence[Result], references: Sequence[str]) -> dict[str, dict[str, Finding]]:
+    """What the paper says -> reference -> what is so on it."""
+    told: dict[str, dict[str, Finding]] = {}
+    for reference in references:
+        for finding in findings(results, reference):
+            told.setdefault(finding.paper, {})[reference] = finding
+    return told
+
+
+def _cell(finding: Finding | None) -> str:
+    return "<td></td>" if finding is None else f"<td><b>{finding.verdict}</b>. {escape(finding.here)}</td>"
 
 
 def _tables(results: Sequence[Result], names: Sequence[str]) -> list[Table]:
-    return [table(results, names, reference) for reference in _references(results)]
+    references = _references(results)
+    tables = [table(results, names, reference) for reference in references]
+    return tables + [one for each in references if (one := energy_table(results, names, each)) is not None]
 
 
 def _effort_table() -> Table:

@@ -46,14 +46,14 @@ def paired(
     results: Results, entry: str, other: str, reference: str, names: tuple[str, str]
 ) -> tuple[list[float], list[float]]:
     """Figures of two controllers on the seeds that both have run."""
-    both = _seeds(results, entry, reference) & _seeds(results, other, reference)
+    both = seeds_of(results, entry, reference) & seeds_of(results, other, reference)
     rows = [one for one in results if one.reference == reference and one.seed in both]
     return column(rows, entry, reference, names[0]), column(rows, other, reference, names[1])
 
 
 def regret(results: Results, entry: str, reference: str, by_sensor: bool) -> Mean | None:
     """Cost by the clairvoyant optimum's of the same weight; None where one of the two has not run."""
-    ending = "-P" if entry.endswith("-P") else ""
+    ending = "-P" if "-P" in entry else ""
     limit = (SENSOR_LIMITS if by_sensor else LIMITS)[ending]
     cost = ("sensor_cost_" if by_sensor else "cost_") + ("1" if ending else "0")
     mine, best = paired(results, entry, limit, reference, (cost, cost))
@@ -127,5 +127,6 @@ def _seed(one: Result) -> int:
     return one.seed
 
 
-def _seeds(results: Results, entry: str, reference: str) -> set[int]:
+def seeds_of(results: Results, entry: str, reference: str) -> set[int]:
+    """That have run."""
     return {one.seed for one in results if (one.entry, one.reference) == (entry, reference)}

@@ -30,7 +30,7 @@ def runs_picture(title: str, runs: Mapping[str, Mapping[str, Floats]]) -> bytes:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     figure.suptitle(title, fontsize="medium")
-    return _png(figure)
+    return png(figure)
 
 
 def _draw_run(axes: Sequence[Axes], name: str, columns: Mapping[str, Floats]) -> None:
@@ -75,7 +75,7 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
     title = "-P: with penalty. " + "".join(remarks) + "Grey: within the sensor's ±0.5 K"
     axes.set_title(title, fontsize="medium")
     axes.legend(fontsize="small")
-    return _png(figure)
+    return png(figure)
 
 
 def radar_picture(rows: Mapping[str, tuple[float, float, float, float]]) -> bytes:
@@ -105,10 +105,11 @@ def radar_picture(rows: Mapping[str, tuple[float, float, float, float]]) -> byte
     axes.set_ylim(0.0, 1.05)
     axes.set_title("Inside is better; each axis logarithmic", fontsize="medium")
     figure.legend(loc="outside lower center", ncols=3, fontsize="small")
-    return _png(figure)
+    return png(figure)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """As all pictures of the comparison are drawn."""
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=DPI, pil_kwargs={"optimize": True})
     return out.getvalue()

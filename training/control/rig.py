@@ -31,6 +31,9 @@ TIME_BOX_MS = (
     60_000.0  # so long that only nodes and rollouts are counted: the same run gives the same figures
 )
 NO_LLM = LlmSettings()
+SPARING = {  # ours with more weight on effort, to be set beside others that spend less
+    "MPC-Twin-P/100": 100.0, "MPC-Twin-P/1000": 1000.0, "MPC-Twin-P/6000": 6000.0,
+}  # fmt: skip
 CREATED = "2026-01-01T00:00:00Z"
 
 
@@ -65,6 +68,7 @@ def entries() -> dict[str, Entry]:
         Entry("MPC-P", "MPC-P"),
         Entry("MPC-Twin", "MPC-Twin", "twin"),
         Entry("MPC-Twin-P", "MPC-Twin-P", "twin"),
+        *(Entry(name, "MPC-Twin-P", "twin", {"penalty_weight": weight}) for name, weight in SPARING.items()),
         Entry("MPC/HAM", "MPC", "packaged", {"predictor": "ham"}),
         Entry("MPC-P/HAM", "MPC-P", "packaged", {"predictor": "ham"}),
     ]
