@@ -1,6 +1,6 @@
 """The references of the comparison, from lists of segments: `python -m training.control.draw_references`.
 
-1 and 2 are what controllers are compared on; `tuning_1` and `tuning_2` what gains and weights are chosen on.
+1 and 2 are what controllers are compared on; `tuning_1` to `tuning_3` what gains and weights are chosen on.
 All lie between 23 and 34 degC: the room is up to 22, the fan can't cool below it, 100 W reach about 38.
 """
 
@@ -46,6 +46,10 @@ SEGMENTS: dict[str, tuple[Hold | Ramp, ...]] = {
     "tuning_2": (
         Hold(60, 25.0), Hold(60, 29.5), Ramp(60, 26.0), Hold(45, 26.0), Ramp(90, 31.5), Hold(45, 33.0),
         Hold(60, 28.0), Hold(40, 30.0), Ramp(60, 24.5), Hold(60, 24.5),
+    ),
+    "tuning_3": (  # down again and again: what the fan is for
+        Hold(25, 26.0), Hold(30, 30.0), Hold(25, 26.5), Ramp(25, 29.5), Hold(20, 29.5), Hold(30, 25.5),
+        Hold(25, 29.0), Hold(20, 25.0),
     ),
 }  # fmt: skip
 
