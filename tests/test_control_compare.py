@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import requests
 
 from edge.errors import DataError
-from training.control.compare import json_of, results_of, run, text_of
+from training.control.compare import _endpoint, json_of, results_of, run, text_of
 from training.control.comparison import STAND_IN, Result, mae_against, regret, table
 from training.control.figures import Figures
 from training.control.findings import findings
@@ -76,6 +77,23 @@ def test_an_unknown_controller_is_refused_by_name(tmp_path):
     )  # fmt: skip
     with pytest.raises(DataError, match="MPC-Twn"):
         run(arguments)
+
+
+def endpoint(**given: object) -> argparse.Namespace:
+    return argparse.Namespace(**{"kept": False, "llm_url": "", "llm_model": "stand-in", **given})
+
+
+def test_language_models_ask_a_stand_in_where_no_server_is_given():
+    with _endpoint(endpoint()) as llm:
+        assert requests.get(f"{llm.url}/models", timeout=5.0).status_code == 200
+    assert llm.model == "stand-in"
+    with _endpoint(endpoint(llm_url="http://there/v1", llm_model="small")) as llm:
+        assert (llm.url, llm.model) == ("http://there/v1", "small")
+
+
+def test_a_model_without_its_server_is_refused():
+    with pytest.raises(DataError, match="small needs --llm-url"), _endpoint(endpoint(llm_model="small")):
+        pass
 
 
 def test_the_controllers_part_takes_its_own_place_in_the_report(tmp_path: Path):

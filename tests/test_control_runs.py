@@ -1,6 +1,10 @@
 """Runs of the comparison: a board in this process is one behind a line, and a kept run is not repeated."""
 
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,6 +81,23 @@ def test_what_is_kept_is_not_run_again(near, tmp_path, monkeypatch):
 def test_a_run_that_fails_says_why(tmp_path):
     with pytest.raises(Exception, match="no_such_reference"):
         runner.run_all([Job(entries()["rules"], "no_such_reference", 1)], tmp_path, workers=1)
+
+
+def test_a_comparison_that_is_ended_leaves_no_run_behind(tmp_path):
+    words = ["compare", "--controllers", "rules", "--references", "tuning_2", "--seeds", "101"]
+    folders = [word for name in ("runs", "results", "images") for word in (f"--{name}", str(tmp_path / name))]
+    with subprocess.Popen([sys.executable, "-m", "training", *words, *folders]) as comparison:
+        give_up_s = time.monotonic() + 60.0
+        while not (started := _children(comparison.pid)) and time.monotonic() < give_up_s:
+            time.sleep(0.05)
+        comparison.terminate()
+        assert comparison.wait(20.0) == 130
+    assert len(started) == 1
+    assert not Path(f"/proc/{started[0]}").exists()
+
+
+def _children(pid: int) -> list[int]:
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 def test_the_twins_controller_runs_with_the_diagnosed_twin(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from bench.llm_stand_in.server import StandIn
+from training.llm_stand_in.server import StandIn
 
 DEMO = [sys.executable, "-m", "edge", "demo"]
 

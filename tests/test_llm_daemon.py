@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from bench.llm_closed_loop import REFERENCE_C, YAML, run
-from bench.llm_stand_in.server import StandIn
 from edge.control_socket import request
 from edge.controller_names import LLM
 from edge.daemon import Daemon
@@ -14,6 +13,7 @@ from edge.errors import ConfigError
 from edge.llm.language_model import open_language_model
 from edge.messages import TickRecord
 from tests.llm_parts import KEY, UTC, settings
+from training.llm_stand_in.server import StandIn
 
 PATIENT = YAML.replace("decision_deadline_s: 1.0", "decision_deadline_s: 4.0")
 

@@ -8,10 +8,10 @@ from contextlib import suppress
 
 import pytest
 
-from bench.llm_stand_in.server import StandIn
 from edge.llm.failure import LlmFailure
 from edge.llm.interrupt import Interrupt
 from edge.llm.line import post
+from training.llm_stand_in.server import StandIn
 
 BODY = b'{"messages": []}'
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from bench.llm_closed_loop import REFERENCE_C, YAML, Ended, run
-from bench.llm_stand_in.server import StandIn
 from edge.daemon import Daemon
 from edge.messages import TickRecord
+from training.llm_stand_in.server import StandIn
 
 TICKS = 2  # per misbehaviour
 WARM_UP = 12  # ticks of honest answers before the first

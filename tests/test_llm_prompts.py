@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from bench.llm_stand_in.prompt import read_prompt
 from edge.controller_names import LLM
 from edge.controllers.base import Limits
 from edge.llm.prompts import EXACTLY, SPARE, question, system_prompt
 from edge.messages import Command
 from tests.contexts import context
+from training.llm_stand_in.prompt import read_prompt
 
 HERE = context(temp=24.04, reference=26.0, last_sent=Command(0.45, True), limits=Limits(0.62, 3))
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from bench.llm_stand_in.server import StandIn
 from edge.__main__ import main
 from tests.broker import Broker, Listener, needs_mosquitto, wait_for
 from tests.daemon_process import RIG, DaemonProcess
 from tests.rig import VirtualBoard, virtual_board
+from training.llm_stand_in.server import StandIn
 
 WISH = "keep 26 by day and 20 at night, go easy on the fan"
 RULES = {"model": "", "controller": "rules"}

@@ -114,7 +114,7 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--images", type=Path, default=IMAGES, help=f"pictures (usual: {IMAGES})")
     sub.add_argument("--workers", type=int, default=2, help="runs at a time (usual: 2)")
     sub.add_argument(
-        "--llm-url", default="", help="endpoint of the LLM controllers; without: they do not run"
+        "--llm-url", default="", help="endpoint of the LLM controllers (usual: the scripted stand-in)"
     )
     sub.add_argument("--llm-model", default="stand-in", help="its model (usual: the scripted stand-in)")
     sub.add_argument("--kept", action="store_true", help="run nothing, take what is kept")

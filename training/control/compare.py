@@ -8,14 +8,14 @@ import argparse
 import base64
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from html import escape
 from pathlib import Path
 
-from edge.controller_names import LLM
 from edge.errors import DataError
 from edge.settings import LlmSettings
-from training.control.comparison import Result, column, result, table, times_table
+from training.control.comparison import STAND_IN_MODEL, Result, column, result, table, times_table
 from training.control.effort import FAMILIES, lines, training_s
 from training.control.energy import energy_picture, energy_table
 from training.control.figures import DecisionTime, Figures, decision_time
@@ -26,6 +26,7 @@ from training.control.rig import SPARING, entries
 from training.control.runner import run_all
 from training.control.spread import mean_of
 from training.evaluate import first_difference
+from training.llm_stand_in.server import StandIn
 from training.report import put_section
 from training.report_findings import Finding
 from training.report_table import Table, as_html, as_text
@@ -48,18 +49,16 @@ def run(arguments: argparse.Namespace) -> int:
     unknown = set(arguments.controllers or ()) - known.keys()
     if unknown:
         raise DataError(f"--controllers: there is no {sorted(unknown)}; known: {sorted(known)}")
-    url = arguments.llm_url or (KEPT_URL if arguments.kept else "")
-    llm = LlmSettings(url=url, model=arguments.llm_model)
-    able = [name for name, entry in known.items() if llm.url or entry.controller not in LLM]
-    names = arguments.controllers or able
-    jobs = [
-        Job(known[name], reference, seed, llm)
-        for reference in arguments.references
-        for seed in arguments.seeds
-        for name in names
-    ]
-    if not arguments.kept:
-        run_all(jobs, arguments.runs, arguments.workers)
+    names = arguments.controllers or list(known)
+    with _endpoint(arguments) as llm:
+        jobs = [
+            Job(known[name], reference, seed, llm)
+            for reference in arguments.references
+            for seed in arguments.seeds
+            for name in names
+        ]
+        if not arguments.kept:
+            run_all(jobs, arguments.runs, arguments.workers)
     done = [job for job in jobs if is_kept(job, arguments.runs)]
     if not done:
         raise DataError(f"{arguments.runs}: no run is kept there")
@@ -69,6 +68,18 @@ def run(arguments: argparse.Namespace) -> int:
         return _check(results, arguments.results)
     _write(results, done, names, arguments)
     return 0
+
+
+@contextmanager
+def _endpoint(arguments: argparse.Namespace) -> Iterator[LlmSettings]:
+    """Where the LLM rows ask: a given server, nobody for kept runs, else a stand-in of our own."""
+    if arguments.kept or arguments.llm_url:
+        yield LlmSettings(url=arguments.llm_url or KEPT_URL, model=arguments.llm_model)
+        return
+    if arguments.llm_model != STAND_IN_MODEL:
+        raise DataError(f"--llm-model: {arguments.llm_model} needs --llm-url, the server that has it")
+    with StandIn() as stand_in:
+        yield LlmSettings(url=stand_in.url, model=STAND_IN_MODEL)
 
 
 def json_of(results: Sequence[Result]) -> str:

@@ -19,7 +19,11 @@ from training.report_table import Table
 
 Floats = NDArray[np.float64]
 OURS = ("MPC-Twin", "MPC-Twin-P", *SPARING)
-LABELLED = ("rules", "PID", "MPC", "RL", "LLM-Te0", "LLM-HAM")
+FAMILIES = {  # beginning of a name -> marker, colour
+    "clairvoyant": ("*", "black"), "rules": ("P", "tab:gray"), "PID": ("D", "tab:brown"),
+    "MPC-BFGS": ("X", "tab:orange"), "MPC": ("s", "tab:purple"), "RL": ("^", "tab:green"),
+    "LLM": (".", "tab:blue"),
+}  # fmt: skip
 HEADS = ("controller", "Wh", "MAE", "ours at its Wh", "less MAE by", "ours at its MAE [Wh]", "less Wh by")
 NOTE = (
     f"True MAE [K]. Ours: {', '.join(OURS)}, seed by seed, a line between neighbours. Beside one that spends "
@@ -94,18 +98,20 @@ def _draw(axes: Axes, results: Results, names: Sequence[str], reference: str) ->
     if len(ours):
         energy, mae = ours[np.argsort(ours[:, 0])].T
         axes.plot(energy, mae, "o-", color="tab:red", label="MPC-Twin, by weight of effort")
-        axes.legend(fontsize="small")
+    seen: set[str] = set()
     for name in names:
         points = _points(results, name, reference)
         if name in OURS or not len(points):
             continue
-        limit = name.startswith("clairvoyant")
-        energy, mae = points.mean(axis=0)
-        axes.plot(energy, mae, "*" if limit else ".", color="black" if limit else "tab:blue")
-        if name.startswith(LABELLED):
-            axes.annotate(name, (energy, mae), (4, 3), textcoords="offset points", fontsize=7)
+        family = next(family for family in FAMILIES if name.startswith(family))
+        marker, colour = FAMILIES[family]
+        remark = next((f": {one.remark}" for one in results if one.entry == name and one.remark), "")
+        label = "" if family in seen else family + remark
+        seen.add(family)
+        axes.plot(*points.mean(axis=0), marker, color=colour, label=label, markersize=6, alpha=0.8)
     axes.set_xlabel("energy of the heater [Wh]")
     axes.set_ylabel("MAE, true air [K]")
-    axes.set_yscale("log")
+    axes.set_ylim(bottom=0.0)
     axes.set_title(reference.replace("_", " "))
-    axes.grid(alpha=0.3, which="both")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")

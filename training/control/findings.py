@@ -11,6 +11,7 @@ from edge.profile_file import read_profile
 from training.control.comparison import Results, column, mae_against, regret, spread_text
 from training.control.draw_references import FOLDER
 from training.control.effort import FAMILIES, lines, training_s
+from training.control.rig import SPARING
 from training.control.spread import SENSOR_K, mean_of
 from training.report_findings import Finding, Verdict
 
@@ -79,7 +80,8 @@ def _mpc_is_best(results: Results, reference: str) -> Finding | None:
 
 
 def _undecided(results: Results, reference: str) -> Finding | None:
-    names = sorted({one.entry for one in results if not one.entry.startswith(("clairvoyant", "rules"))})
+    left_out = ("clairvoyant", "rules", *SPARING)
+    names = sorted({one.entry for one in results if not one.entry.startswith(left_out)})
     means = [mean for name in names if (mean := _mean(results, name, reference, "mae_true")) is not None]
     if len(means) < 2:
         return None

@@ -1,5 +1,6 @@
 """All runs of a comparison, each in a process of its own; those that are kept already are not repeated."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -17,6 +18,7 @@ def run_all(jobs: Sequence[Job], root: Path, workers: int) -> None:
     """Do those that are missing, `workers` at a time. Errors: GreenhouseError with what a failed run said"""
     waiting = [job for job in jobs if not is_kept(job, root)]
     running: list[tuple[Job, subprocess.Popen[str]]] = []
+    before = signal.signal(signal.SIGTERM, _interrupt)  # so that no run is left behind without its parent
     try:
         while waiting or running:
             while waiting and len(running) < workers:
@@ -30,6 +32,11 @@ def run_all(jobs: Sequence[Job], root: Path, workers: int) -> None:
         for _, process in running:
             process.terminate()
             process.wait()
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _start(job: Job, root: Path) -> "subprocess.Popen[str]":

@@ -7,9 +7,9 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Self
 
-from bench.llm_stand_in import MODEL
-from bench.llm_stand_in.behaviours import BEHAVIOURS, Sending
 from edge.strict_json import parse_object
+from training.llm_stand_in import MODEL
+from training.llm_stand_in.behaviours import BEHAVIOURS, Sending
 
 KEPT = 2000  # requests that are kept for whoever wants to see what was asked
 

@@ -9,10 +9,10 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.llm_stand_in.gains import COMMON_SENSE, Gains, estimate
-from bench.llm_stand_in.prompt import Asked, read_prompt, results
-from bench.llm_stand_in.wish import wish
 from edge.names import HEATER_LEVELS
+from training.llm_stand_in.gains import COMMON_SENSE, Gains, estimate
+from training.llm_stand_in.prompt import Asked, read_prompt, results
+from training.llm_stand_in.wish import wish
 
 SIMULATIONS = 6  # sets of controls that are tried
 NEAR_K = 0.02  # a set this good needs no better one

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from bench.llm_stand_in import MODEL
-from bench.llm_stand_in.agent import Turn, answers, calls, reply, says
-from bench.llm_stand_in.prompt import results
+from training.llm_stand_in import MODEL
+from training.llm_stand_in.agent import Turn, answers, calls, reply, says
+from training.llm_stand_in.prompt import results
 
 Body = Mapping[str, Any]
 SLOW_S = 1.5  # answers come so late

@@ -1,11 +1,11 @@
-"""`python -m bench.llm_stand_in --port 0 --behave honest`: serve until Ctrl-C, print the base URL."""
+"""`python -m training.llm_stand_in --port 0 --behave honest`: serve until Ctrl-C, print the base URL."""
 
 import argparse
 import time
 from contextlib import suppress
 
-from bench.llm_stand_in.behaviours import BEHAVIOURS
-from bench.llm_stand_in.server import StandIn
+from training.llm_stand_in.behaviours import BEHAVIOURS
+from training.llm_stand_in.server import StandIn
 
 
 def main() -> None:
