@@ -47,8 +47,10 @@ def write(path: Path, values: dict[str, Any]) -> None:
 class StateWriter:
     """Writes the newest values in a thread of its own; older ones that wait are dropped."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, pause_s: float = 0.0) -> None:
+        """pause_s : between two writes, to spare a card; so much a power cut may cost"""
         self.path = path
+        self._pause_s = pause_s
         self._condition = threading.Condition()
         self._next: dict[str, Any] | None = None
         self._closing = False
@@ -84,3 +86,5 @@ class StateWriter:
                 self.last_error = str(error)
             else:
                 self.last_error = ""
+            with self._condition:
+                self._condition.wait_for(lambda: self._closing, self._pause_s)

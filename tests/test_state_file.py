@@ -1,5 +1,6 @@
 """edge/state_file.py: standing orders survive, whole or not at all."""
 
+import time
 from pathlib import Path
 
 import pytest
@@ -43,3 +44,16 @@ def test_a_write_that_fails_is_counted_and_the_next_one_tried(tmp_path: Path) ->
     writer.close()
     assert writer.failures == 1
     assert "missing" in writer.last_error
+
+
+def test_a_card_is_spared_and_the_newest_is_written_at_the_end(tmp_path, monkeypatch):
+    written: list[int] = []
+    monkeypatch.setattr("edge.state_file.write", lambda path, values: written.append(values["n"]))
+    writer = StateWriter(tmp_path / "state.json", pause_s=60.0)
+    for n in range(50):
+        writer.save({"n": n})
+        time.sleep(0.002)
+    assert len(written) == 1
+    writer.close()
+    assert len(written) == 2
+    assert written[-1] == 49

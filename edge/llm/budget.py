@@ -14,6 +14,8 @@ from edge.llm.wire import Usage
 from edge.settings import LlmSettings
 from edge.state_file import StateFileBroken, StateWriter
 
+KEPT_EVERY_S = 60.0  # five exchanges a step would be five writes to the card; a kill forgets so much at most
+
 
 @dataclass(frozen=True, slots=True)
 class Spent:
@@ -46,7 +48,7 @@ class Budget:
         self._utc = utc
         self._lock = threading.Lock()
         self._spent = read_spent(path, self._today())
-        self._writer = StateWriter(path)
+        self._writer = StateWriter(path, KEPT_EVERY_S)
 
     def charge(self, most: Usage) -> None:
         """Before an exchange: what it may cost at most. Errors: LlmFailure, over_budget
