@@ -117,6 +117,7 @@ class LlmSettings(Section):
     url: str = text("", "base URL, e.g. http://localhost:11434/v1; empty: there is none", pattern=URL)
     model: str = text("", "its name there")
     key_file: str = text("", "file that holds the API key; a bare name is a systemd credential; empty: none")
+    ca: str = text("", "authority of an https server's certificate, PEM; empty: those that are widely known")
     timeout_s: float = number(20.0, "for one exchange", "s", 0.1, 600.0)
     retries: int = whole(2, "of an exchange that failed by 429, 5xx or the line", 0, 10)
     backoff_s: float = number(1.0, "pause before the first retry, doubled for each more", "s", 0.0, 60.0)

@@ -1,16 +1,22 @@
 """edge/llm/line.py: on real sockets, a server that drips, hangs, never ends or hangs up."""
 
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
+from edge.errors import ConfigError
 from edge.llm.failure import LlmFailure
 from edge.llm.interrupt import Interrupt
+from edge.llm.language_model import open_line
 from edge.llm.line import post
+from edge.settings import LlmSettings
+from tests.certificates import make_certificates
 from training.llm_stand_in.server import StandIn
 
 BODY = b'{"messages": []}'
@@ -50,6 +56,34 @@ def test_a_reply_without_an_end_is_cut_off(stand_in: StandIn) -> None:
 
 def test_a_server_that_hangs_up_is_unreachable(stand_in: StandIn) -> None:
     assert kind_of(stand_in, "cut") == "unreachable"
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_certificates(tmp_path_factory.mktemp("certificates"))
+
+
+def test_a_server_with_a_certificate_of_its_own_is_known_by_its_authority(certificates: Path) -> None:
+    tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    tls.load_cert_chain(certificates / "broker.crt", certificates / "broker.key")
+    with StandIn("429", tls=tls) as server:
+        for ca, trusted in (("ca.crt", True), ("stranger.crt", False)):
+            line = open_line(LlmSettings(url=server.url, model="m", ca=str(certificates / ca)))
+            if trusted:
+                assert line(f"{server.url}/chat/completions", BODY, {}, 20.0, Interrupt()).status == 429
+            else:
+                with pytest.raises(LlmFailure, match="unreachable: the line failed: SSLError"):
+                    line(f"{server.url}/chat/completions", BODY, {}, 20.0, Interrupt())
+        with pytest.raises(LlmFailure, match="SSLError"):
+            post(f"{server.url}/chat/completions", BODY, {}, 20.0, Interrupt())
+
+
+@pytest.mark.parametrize("content", [None, "no certificate"])
+def test_an_authority_that_cannot_be_read_is_named(tmp_path: Path, content: str | None) -> None:
+    if content is not None:
+        (tmp_path / "ca.crt").write_text(content)
+    with pytest.raises(ConfigError, match=r"llm\.ca: .*ca\.crt"):
+        open_line(LlmSettings(url="https://there/v1", model="m", ca=str(tmp_path / "ca.crt")))
 
 
 def test_nobody_at_the_address_is_unreachable() -> None:

@@ -1,14 +1,18 @@
 """The language model of a rig: what all who ask it share. The daemon makes it and closes it."""
 
 import queue
+import ssl
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from edge.errors import ConfigError
 from edge.llm.asking import Question
 from edge.llm.budget import Budget
 from edge.llm.endpoint import Endpoint
+from edge.llm.line import Post, post
 from edge.messages import Event
 from edge.secrets import read_secret
 from edge.settings import LlmSettings
@@ -49,7 +53,18 @@ class LanguageModel:
 def open_language_model(
     settings: LlmSettings, history: Path, budget_file: Path, utc: Callable[[], float]
 ) -> LanguageModel:
-    """Errors: ConfigError when the key can't be read."""
+    """Errors: ConfigError when the key or the authority's certificate can't be read."""
     key = read_secret(settings.key_file, "llm.key_file") if settings.key_file else None
     budget = Budget(settings, budget_file, utc)
-    return LanguageModel(settings, Endpoint(settings, budget, key), budget, history, utc)
+    return LanguageModel(settings, Endpoint(settings, budget, key, open_line(settings)), budget, history, utc)
+
+
+def open_line(settings: LlmSettings) -> Post:
+    """How its server is asked. Errors: ConfigError when the authority's certificate can't be read."""
+    if not settings.ca:
+        return post
+    try:
+        ssl.create_default_context(cafile=settings.ca)
+    except OSError as error:
+        raise ConfigError(f"llm.ca: {settings.ca}: {error.strerror or error}") from None
+    return partial(post, ca=settings.ca)

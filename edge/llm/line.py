@@ -25,8 +25,12 @@ class Response:
 Post = Callable[[str, bytes, Mapping[str, str], float, Interrupt], Response]
 
 
-def post(url: str, body: bytes, headers: Mapping[str, str], deadline_s: float, stop: Interrupt) -> Response:
+def post(
+    url: str, body: bytes, headers: Mapping[str, str], deadline_s: float, stop: Interrupt, ca: str = ""
+) -> Response:
     """Send, and read all of the reply within `deadline_s`, however slowly its bytes drip.
+
+    ca : file of the authority that signs an https server's certificate; empty: those of certifi
 
     A timeout of the socket would start anew at every byte, so a timer shuts the connection down.
     Errors : LlmFailure: unreachable, timeout, interrupted, malformed (too long)
@@ -39,7 +43,7 @@ def post(url: str, body: bytes, headers: Mapping[str, str], deadline_s: float, s
     timer.daemon = True
     timer.start()
     try:
-        with _session((own, stop)) as session:
+        with _session((own, stop), ca) as session:
             with session.post(
                 url,
                 data=body,
@@ -80,7 +84,7 @@ def _read(raw: Any) -> bytes:
     return b"".join(pieces)
 
 
-def _session(interrupts: tuple[Interrupt, ...]) -> Any:
+def _session(interrupts: tuple[Interrupt, ...], ca: str) -> Any:
     """A session whose connections the interrupts hold; proxies and .netrc of the environment are not used."""
     import requests
     from requests.adapters import HTTPAdapter
@@ -108,6 +112,7 @@ def _session(interrupts: tuple[Interrupt, ...]) -> Any:
 
     session = requests.Session()
     session.trust_env = False
+    session.verify = ca or True
     for scheme, pool in (("http", PlainPool), ("https", TlsPool)):
         adapter = HTTPAdapter(pool_maxsize=1, max_retries=0)
         adapter.poolmanager.pool_classes_by_scheme = {scheme: pool}

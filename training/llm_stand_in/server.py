@@ -2,6 +2,7 @@
 
 import json
 import math
+import ssl
 import threading
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -17,16 +18,21 @@ KEPT = 2000  # requests that are kept for whoever wants to see what was asked
 class StandIn:
     """`with StandIn("429") as stand_in:`; its `requests` are the bodies that it was sent.
 
-    behave : a key of BEHAVIOURS; may be changed while it serves
+    behave : a key of BEHAVIOURS; may be changed while it serves; tls : its certificate, None for plain HTTP
     """
 
-    def __init__(self, behave: str = "honest", seed: int = 0, port: int = 0) -> None:
+    def __init__(
+        self, behave: str = "honest", seed: int = 0, port: int = 0, tls: ssl.SSLContext | None = None
+    ) -> None:
         self.behave = behave
         self.seed = seed
         self.requests: list[dict[str, Any]] = []
         self.headers: list[dict[str, str]] = []
         self.closing = threading.Event()
         self._server = _Server(("127.0.0.1", port), self)
+        self._scheme = "http" if tls is None else "https"
+        if tls is not None:
+            self._server.socket = tls.wrap_socket(self._server.socket, server_side=True)
         self._thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.05}, name="stand-in", daemon=True
         )
@@ -34,7 +40,7 @@ class StandIn:
     @property
     def url(self) -> str:
         """The base URL, as `llm.url` has it."""
-        return f"http://127.0.0.1:{self._server.server_address[1]}/v1"
+        return f"{self._scheme}://127.0.0.1:{self._server.server_address[1]}/v1"
 
     def __enter__(self) -> Self:
         self._thread.start()
