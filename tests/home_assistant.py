@@ -2,7 +2,7 @@
 
 Sources, Home Assistant core, `homeassistant/components/mqtt/`: `schemas.py` (device, origin, availability,
 keys common to all entities), `config.py` (keys of read-only and read-write platforms), `climate.py`,
-`sensor.py`, `binary_sensor.py`, `button.py`, `switch.py`, `number.py`; device classes and units:
+`sensor.py`, `binary_sensor.py`, `button.py`, `switch.py`, `number.py`, `text.py`; device classes and units:
 `components/sensor/const.py`, `components/binary_sensor/__init__.py`. Home Assistant drops keys it does not
 know without a word, so here an unknown key is an error.
 """
@@ -131,6 +131,7 @@ PLATFORMS: dict[str, set[str]] = {
         "payload_reset",
         "unit_of_measurement",
     },
+    "text": READ_WRITE | {"command_template", "max", "min", "mode", "pattern"},
 }
 REQUIRED = {
     "climate": set(),
@@ -139,6 +140,7 @@ REQUIRED = {
     "button": {"command_topic"},
     "switch": {"command_topic"},
     "number": {"command_topic"},
+    "text": {"command_topic"},
 }
 HVAC_MODES = {"off", "heat", "cool", "heat_cool", "auto", "dry", "fan_only"}
 UNITS = {

@@ -9,6 +9,8 @@ from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.topics import Topics
 from edge.settings import ControlSettings, LlmSettings, ReferenceSettings, Settings
+from edge.steering.desk import Proposal
+from edge.steering.proposal_id import new_id
 from tests.home_assistant import check_device, check_topic
 from tests.mqtt_rig import ROOT, ControlLoop, settings
 
@@ -107,6 +109,28 @@ def test_every_button_switch_and_number_ends_in_a_command():
                 for value in (component["min"], component["max"]):
                     text = component["command_template"].replace("{{ value / 100 }}", str(value / 100))
                     assert parse_topic(topic, text)
+
+
+def test_wishes_are_switched_off_where_there_is_no_language_model():
+    def enabled(rig: Settings) -> set[bool]:
+        components = discovery.device(rig)["components"]
+        return {components[key]["enabled_by_default"] for key in ("ask", "proposal", "confirm", "undo")}
+
+    assert enabled(CONFIGURED) == {False}
+    assert enabled(replace(CONFIGURED, llm=LlmSettings(url="http://localhost/v1", model="m"))) == {True}
+
+
+def test_a_proposals_id_can_be_typed_and_nothing_else():
+    confirm = COMPONENTS["confirm"]
+    assert re.fullmatch(confirm["pattern"], new_id())
+    assert not re.fullmatch(confirm["pattern"], "yes")
+    assert parse_topic(confirm["command_topic"], "c0ffee") == {"do": "confirm", "id": "c0ffee"}
+    assert parse_topic(COMPONENTS["ask"]["command_topic"], "keep 26")["words"] == "keep 26"
+
+
+def test_what_the_proposal_shows_is_in_a_proposal():
+    assert COMPONENTS["proposal"]["value_template"] == "{{ value_json.state }}"
+    assert Proposal("c0ffee", "keep 26", 0.0).as_json()["state"] == "thinking"
 
 
 def test_sensors_expire_after_three_steps():

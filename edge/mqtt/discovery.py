@@ -17,6 +17,7 @@ from edge.mqtt.topics import Topics
 from edge.names import HEATER_LEVELS
 from edge.operation import FanMode
 from edge.settings import Settings
+from edge.steering.proposal_id import PROPOSAL_ID
 
 Json = dict[str, Any]
 
@@ -24,6 +25,7 @@ CLIMATE_MODES = ("off", "heat", "fan_only", "auto")
 MAINTENANCE_MIN = 30  # what the switch asks for; it ends by itself
 EXPIRE_STEPS = 3  # values this many control steps old are shown as unavailable
 EXPIRE_MIN_S = 30
+ENTITY_TEXT_MAX = 255  # a state holds no more
 
 
 def device(settings: Settings) -> Json:
@@ -58,6 +60,7 @@ def _components(settings: Settings, topics: Topics) -> Json:
         {**_binary_sensors(), "twin_disagrees": _drift_sensor(topics)},
         _buttons(topics),
         _inputs(topics),
+        _wishes(settings, topics),
     )
     rig = settings.mqtt.rig
     slug = re.findall("[a-z0-9]+", rig.lower())
@@ -169,7 +172,7 @@ def _event_sensor(topics: Topics) -> Json:
         "platform": "sensor",
         "name": "Last event",
         "state_topic": topics.event,
-        "value_template": "{{ value_json.text[:255] }}",  # a state holds no more
+        "value_template": f"{{{{ value_json.text[:{ENTITY_TEXT_MAX}] }}}}",
         "json_attributes_topic": topics.event,
         "entity_category": "diagnostic",
     }
@@ -257,6 +260,42 @@ def _inputs(topics: Topics) -> dict[str, Json]:
             "entity_category": "config",
         },
     }
+
+
+def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
+    """What the rig can be asked for in words; without a language model they are there and switched off.
+
+    A proposal is confirmed by its id, typed, so that nobody confirms another one than he has read.
+    """
+    wishes: dict[str, Json] = {
+        "ask": {
+            "platform": "text",
+            "name": "Ask",
+            "command_topic": topics.command("ask"),
+            "max": ENTITY_TEXT_MAX,
+        },
+        "proposal": {
+            "platform": "sensor",
+            "name": "Proposal",
+            "state_topic": topics.proposal,
+            "value_template": _value("state"),
+            "json_attributes_topic": topics.proposal,
+        },
+        "confirm": {
+            "platform": "text",
+            "name": "Confirm proposal",
+            "command_topic": topics.command("confirm"),
+            "pattern": f"^{PROPOSAL_ID}$",
+            "max": ENTITY_TEXT_MAX,
+        },
+        "undo": {
+            "platform": "button",
+            "name": "Undo what was confirmed",
+            "command_topic": topics.command("undo"),
+            "payload_press": PRESS,
+        },
+    }
+    return {key: {**wish, "enabled_by_default": bool(settings.llm.url)} for key, wish in wishes.items()}
 
 
 def _value(key: str) -> str:

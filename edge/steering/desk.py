@@ -5,7 +5,6 @@ MQTT waits for a language model. Nothing is applied without `confirm`, and a pro
 forgotten.
 """
 
-import secrets
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from edge.steering import steering as steerings
 from edge.steering.answer import understood
 from edge.steering.prediction import predicted
 from edge.steering.prompt import WORDS_MAX, messages
+from edge.steering.proposal_id import new_id
 from edge.steering.steering import Steering
 from edge.steering.words import describe
 from edge.twin.model import Twin
@@ -115,7 +115,7 @@ class WishDesk:
         with self._lock:
             if any(proposal.state == "thinking" for proposal in self._proposals.values()):
                 raise RequestError("ask: the wish before is still being worked on")
-            proposal = Proposal(secrets.token_hex(3), " ".join(words.split()), self._around.utc())
+            proposal = Proposal(new_id(), " ".join(words.split()), self._around.utc())
             self._keep(proposal)
             self._thread = threading.Thread(target=self._work, args=(proposal,), name="wish", daemon=True)
             self._thread.start()
