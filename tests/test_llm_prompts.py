@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from edge.controller_names import LLM
-from edge.controllers.base import Limits
+from edge.controllers.base import Limits, Penalty
 from edge.llm.prompts import EXACTLY, SPARE, question, system_prompt
 from edge.messages import Command
 from tests.contexts import context
@@ -31,6 +31,14 @@ def test_limits_and_form_are_told(name: str) -> None:
     assert ('"simulation"' in told) is simulates
     assert ("tool simulate" in told) is simulates
     assert ("tool sql" in told) is (LLM[name].assistance == "sql")
+
+
+def test_an_operators_weights_are_told() -> None:
+    free = question(LLM["LLM-Te0"], HERE)
+    dear = question(LLM["LLM-Te0"], replace(HERE, penalty=Penalty(heater=0.0, fan=5.0)))
+    assert "operator" not in free
+    assert "plus 0 times heater_duty squared plus 5 times 1 while the fan is on" in dear
+    assert "squared plus" not in question(LLM["LLM-Te0"], replace(HERE, penalty=Penalty(fan=5.0)))
 
 
 def test_a_free_relay_is_not_spoken_of() -> None:

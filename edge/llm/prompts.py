@@ -1,7 +1,8 @@
 """What a controlling model is told: the paper's prompt, the rig it is for, the form of the answer."""
 
 from edge.controller_names import LlmVariant
-from edge.controllers.base import Context
+from edge.controllers.base import Context, Penalty
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.llm import simulate_tool, sql_tool
 from edge.llm.data_block import RULE
 from edge.names import HEATER_LEVELS, HEATER_MAX_W
@@ -48,7 +49,21 @@ def question(variant: LlmVariant, context: Context) -> str:
         f"The board now drives heater_duty {last.heater_duty:.2f} and the fan is "
         f"{'on' if last.fan_on else 'off'}."
     )
-    return "\n".join([asked, SPARE if variant.penalty else EXACTLY, driven])
+    aim = SPARE if variant.penalty else EXACTLY
+    return "\n".join(line for line in (asked, aim, _operators_weights(context.penalty), driven) if line)
+
+
+def _operators_weights(penalty: Penalty) -> str:
+    """What an operator asked for in words, by the cost that the planning controllers have; "" for nothing."""
+    asked = [
+        f"{weight:g} times {use}"
+        for weight, use in ((penalty.heater, "heater_duty squared"), (penalty.fan, "1 while the fan is on"))
+        if weight is not None
+    ]
+    if not asked:
+        return ""
+    tracking = f"{TRACKING_WEIGHT:g} times the squared error"
+    return f"The operator asks that a step costs {tracking} plus {' plus '.join(asked)}: make that small."
 
 
 def _rig(context: Context) -> str:

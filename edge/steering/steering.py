@@ -41,7 +41,7 @@ class Steering:
     """Standing until `until_utc`; what is None or empty stays as it is configured.
 
     words : the operator's own
-    heater_penalty, fan_penalty : weights in the cost of controllers that plan (MPC-P has 1)
+    heater_penalty, fan_penalty : weights in the cost of controllers that plan (MPC-P has 1), told to an LLM
     """
 
     id: str
