@@ -27,7 +27,7 @@ def _lines(steering: Steering, zone: tzinfo | None) -> Iterator[str]:
         yield f"reference every day: {', '.join(targets)}"
     for what, penalty in (("heater", steering.heater_penalty), ("fan", steering.fan_penalty)):
         if penalty is not None:
-            yield f"penalty of the {what}: {penalty:g}, for planning controllers and LLM-* (MPC-P has 1, MPC 0)"
+            yield f"penalty of the {what}: {penalty:g}, for MPC-* and LLM-* (MPC-P has 1, MPC 0)"
     if steering.heater_max_duty is not None:
         yield f"heater duty at most {steering.heater_max_duty:g}"
     for rest in steering.fan_rest:
