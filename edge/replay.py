@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.active_models import NoForecasts
-from edge.controller_names import MPC, PID, RULES
+from edge.controller_names import MPC, MPC_TWIN, PID, RULES
 from edge.controllers import registry
 from edge.controllers.base import Context, Controller
 from edge.controllers.mpc import Mpc
 from edge.controllers.mpc_rollout import MpcRollout
+from edge.errors import DataError
 from edge.estimator import Estimator
 from edge.forecasts.rollout import ahead_of
 from edge.inbox import Inbox
 from edge.loop import Loop, Rig
 from edge.messages import Decision, Quality, TickRecord
 from edge.models.base import Predictor
+from edge.models.pbm import Pbm
 from edge.names import SIGNALS
 from edge.operation import Operation
 from edge.recorded_board import RecordedBoard, ReplayClock
@@ -34,7 +36,7 @@ from edge.tick_json import tick_json
 
 Floats = NDArray[np.float64]
 TIME_BOX_MAX_MS = 60_000.0
-REPLAYED = (RULES, PID, *MPC)  # those that ask nothing but their own model
+REPLAYED = (RULES, PID, *MPC, *MPC_TWIN)  # those that ask nothing but their own model
 OTHERS = tuple(name for name in SIGNALS if name not in ("temp_air", "temp_ambient"))
 
 
@@ -79,11 +81,15 @@ def replay(
     model: Predictor,
     fan_always_on: bool,
     node_limits: Sequence[int | None] = (),
+    twin: Pbm | None = None,
 ) -> list[TickRecord]:
     """One tick per step of the run. Decisions have no effect: the recorded inputs stand.
 
     node_limits : see `Replayed`; `fired_limits` reads them from the ticks of an earlier replay
+    twin : what MPC-Twin and MPC-Twin-P plan with; None: they are not there
     """
+    if twin is not None and twin.step_s != settings.control.step_s:
+        raise DataError(f"twin: sample_s: {twin.step_s:g}, but a step has {settings.control.step_s:g} s")
     start_s = float(run.columns["time_s"][0])
     clock = ReplayClock(start_s, run.start_utc or 0.0)
     step_s = settings.control.step_s
@@ -96,7 +102,11 @@ def replay(
         estimator=Estimator(settings.estimator, model, step_s, settings.control.ambient_default_c),
         reference=make_reference(settings.reference),
         zone=zone_of(settings.timezone),
-        controllers={name: _controller(name, settings, model, node_limits) for name in REPLAYED},
+        controllers={
+            name: _controller(name, settings, model, node_limits, twin)
+            for name in REPLAYED
+            if twin is not None or name not in MPC_TWIN
+        },
         models=NoForecasts(),
         sinks=[tape],
         more_events=list,
@@ -112,11 +122,12 @@ def replay(
 
 
 def _controller(
-    name: str, settings: Settings, model: Predictor, node_limits: Sequence[int | None]
+    name: str, settings: Settings, model: Predictor, node_limits: Sequence[int | None], twin: Pbm | None
 ) -> Controller:
     # Nobody waits for a replay: only nodes bound its searches, unless they were cut short when recorded.
     unhurried = replace(settings.control, time_box_ms=TIME_BOX_MAX_MS)
-    controller = registry.make(name, registry.Parts(unhurried, model))
+    predictors = {} if twin is None else {"pbm": twin}
+    controller = registry.make(name, registry.Parts(unhurried, model, predictors=predictors))
     return Replayed(controller, node_limits) if isinstance(controller, Mpc | MpcRollout) else controller
 
 

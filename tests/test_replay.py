@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from edge.commands.replay import settings_for, skill_table
+from edge.errors import DataError
 from edge.messages import Quality, TickRecord
 from edge.models.arx import Arx
 from edge.models.base import Columns, Floats
+from edge.models.pbm import Pbm
 from edge.replay import decisions_digest, fired_limits, replay, score
 from edge.run_file import Run, read_run
 from edge.tick_json import tick_json
+from edge.twin.model import Twin
 
 STEP_S = 10.0
 LOGS = Path(__file__).parent.parent.parent / "shared" / "data" / "heated_box"
@@ -162,6 +165,19 @@ def test_a_measured_log_replays_the_same_twice() -> None:
     first, second = (replay(run, settings, model, fan_always_on=True) for _ in range(2))
     assert decisions_digest(first) == decisions_digest(second)
     assert all(record.readings["temp_ambient"].quality is Quality.ABSENT for record in first)
+
+
+def test_a_twins_controller_is_replayed_bit_for_bit() -> None:
+    run, settings = recording(), settings_for(STEP_S, "MPC-Twin-P", 24.0)
+    twin = Pbm(Twin(step_s=STEP_S))
+    first, second = (replay(run, settings, TRUE_BOX, False, twin=twin) for _ in range(2))
+    assert {record.decision.controller for record in first} == {"MPC-Twin-P"}
+    assert decisions_digest(first) == decisions_digest(second)
+
+
+def test_a_twin_of_another_step_is_refused() -> None:
+    with pytest.raises(DataError, match="sample_s"):
+        replay(recording(), settings_for(STEP_S, "MPC", 24.0), TRUE_BOX, False, twin=Pbm(Twin(step_s=7.0)))
 
 
 def test_a_decision_that_the_clock_cut_short_is_replayed_to_the_same_node() -> None:

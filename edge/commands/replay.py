@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from edge import config
+from edge.controller_names import MPC_TWIN
 from edge.errors import DataError
 from edge.messages import TickRecord
 from edge.models.arx_file import DEFAULT_PATH, read_arx
+from edge.models.pbm import read_twin
 from edge.replay import REPLAYED, Skill, decisions_digest, fired_limits, replay, score
 from edge.run_file import read_run
 from edge.settings import Settings
@@ -26,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv")
     parser.add_argument("--model", type=Path, default=DEFAULT_PATH, help="ARX file; its step is the replay's")
     parser.add_argument("--controller", choices=REPLAYED, default="MPC")
+    parser.add_argument("--twin", type=Path, help="twin file that MPC-Twin and MPC-Twin-P plan with")
     parser.add_argument("--reference", type=float, default=24.0, metavar="DEGC", help="what it should hold")
     parser.add_argument("--horizons", type=_horizons, default=HORIZONS_S, metavar="S,S,...")
     parser.add_argument("--fan-always-on", action="store_true", help="for runs without a fan_on column")
@@ -40,13 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the skill table and the digest of every run's decisions."""
     model = read_arx(arguments.model)
+    twin = None if arguments.twin is None else read_twin(arguments.twin)
+    if twin is None and arguments.controller in MPC_TWIN:
+        raise DataError(f"--controller {arguments.controller} needs --twin, the file that it plans with")
     settings = settings_for(model.step_s, arguments.controller, arguments.reference)
     skills = []
     for path in arguments.runs:
         limits = (
             [] if arguments.again is None else fired_limits(_read(arguments.again / f"{path.stem}.jsonl"))
         )
-        records = replay(read_run(path), settings, model, arguments.fan_always_on, limits)
+        records = replay(read_run(path), settings, model, arguments.fan_always_on, limits, twin)
         skills.append(score(records, model, arguments.horizons))
         print(f"{path.name}: {len(records)} ticks, decisions {decisions_digest(records)[:16]}")
         if arguments.out is not None:
