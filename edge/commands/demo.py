@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--minutes", type=float, default=None, help="simulated minutes, then it ends by itself"
     )
-    parser.add_argument("--controller", default="MPC-P")
+    parser.add_argument("--controller", default="MPC-Twin-P", help="usual: MPC-Twin-P")
     parser.add_argument("--llm-url", default="", help="OpenAI-compatible endpoint, for the controllers LLM-*")
     parser.add_argument("--llm-model", default="", help="the model's name there")
     parser.add_argument("--seed", type=int, default=1, help="of the virtual board")
