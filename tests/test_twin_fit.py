@@ -79,6 +79,14 @@ def test_without_noise_hidden_states_and_all_their_parameters_are_found():
         assert estimate.value == pytest.approx(WITH_WALL[place[1]][place[2]], rel=0.02), place
 
 
+def test_a_fan_that_spins_up_is_found_though_its_speed_is_rounded():
+    effects = {"wall_loss": {"UA": 4.2}, "extra_capacity": {"kC": 4.0}, "fan_spinup": {"tau_f": 30.0}}
+    fit = fit_twin(to_fit(effects, 0.6), [made_run(effects, seed) for seed in (1, 2)])
+    found = fit.estimates["effects", "fan_spinup", "tau_f"]
+    assert found.low < 30.0 < found.high
+    assert found.high - found.low < 5.0
+
+
 def test_missing_temperatures_change_little(runs):
     holes = [Run({**run.columns, "temp_air_c": run.columns["temp_air_c"].copy()}, run.facts) for run in runs]
     for run in holes:
