@@ -10,9 +10,10 @@ import requests
 
 from edge.errors import DataError
 from training.control.compare import _endpoint, json_of, results_of, run, text_of
-from training.control.comparison import STAND_IN, Result, mae_against, regret, table
+from training.control.comparison import Result, mae_against, regret, table
 from training.control.figures import Figures
 from training.control.findings import findings
+from training.llm_stand_in import MODEL as STAND_IN
 from training.report import put_section
 
 ZERO = Figures(*[0.0] * 16)

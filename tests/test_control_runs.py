@@ -1,10 +1,13 @@
 """Runs of the comparison: a board in this process is one behind a line, and a kept run is not repeated."""
 
+import os
+import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -94,6 +97,24 @@ def test_a_comparison_that_is_ended_leaves_no_run_behind(tmp_path):
         assert comparison.wait(20.0) == 130
     assert len(started) == 1
     assert not Path(f"/proc/{started[0]}").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_the_middle_of_a_start_leaves_no_run_behind(number, tmp_path, monkeypatch):
+    started = []
+
+    def popen(words, **more):
+        started.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], **more))
+        os.kill(os.getpid(), number)
+        return started[0]
+
+    monkeypatch.setattr(runner, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3, PIPE=-1))
+    handler = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt):
+        runner.run_all([Job(entries()["rules"], "tuning_1", 101)], tmp_path, workers=1)
+    assert started[0].returncode == -signal.SIGTERM
+    assert signal.getsignal(number) is handler
+    assert started[0].stderr.closed
 
 
 def _children(pid: int) -> list[int]:

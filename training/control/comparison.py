@@ -8,10 +8,11 @@ from training.control.closed_loop import Log
 from training.control.figures import DecisionTime, Figures, figures
 from training.control.job import Job
 from training.control.spread import Mean, difference, mean_of, ratio, told_apart
+from training.llm_stand_in import MODEL as STAND_IN
 from training.report_table import Table
 
 LIMITS = {"": "clairvoyant", "-P": "clairvoyant-P"}
-STAND_IN_MODEL, STAND_IN = "stand-in", "scripted stand-in, not a language model"
+STAND_IN_MODEL = "stand-in"  # its name as `llm.model`
 SENSOR_LIMITS = {"": "clairvoyant/sensor", "-P": "clairvoyant/sensor-P"}
 
 

@@ -4,13 +4,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from edge.errors import GreenhouseError
 from training.control.job import Job, is_kept
 
 POLL_S = 0.5
+ENDING = (signal.SIGINT, signal.SIGTERM)
 TAIL_CHARS = 2000  # of what a run that failed has said
 
 
@@ -18,25 +20,34 @@ def run_all(jobs: Sequence[Job], root: Path, workers: int) -> None:
     """Do those that are missing, `workers` at a time. Errors: GreenhouseError with what a failed run said"""
     waiting = [job for job in jobs if not is_kept(job, root)]
     running: list[tuple[Job, subprocess.Popen[str]]] = []
-    before = signal.signal(signal.SIGTERM, _interrupt)  # so that no run is left behind without its parent
+    with _signals_kept() as ended_by:
+        try:
+            while waiting or running:
+                while waiting and len(running) < workers:
+                    job = waiting.pop(0)
+                    running.append((job, _start(job, root)))
+                time.sleep(POLL_S)
+                if ended_by:
+                    raise KeyboardInterrupt
+                for one in [one for one in running if one[1].poll() is not None]:
+                    running.remove(one)
+                    _told(*one, left=len(waiting) + len(running))
+        finally:
+            for _, process in running:
+                process.terminate()
+                process.communicate()
+
+
+@contextmanager
+def _signals_kept() -> Iterator[list[int]]:
+    """Ctrl-C and SIGTERM wait in this list: amid a start they would leave a run that nobody ends."""
+    kept: list[int] = []
+    before = {each: signal.signal(each, lambda number, _: kept.append(number)) for each in ENDING}
     try:
-        while waiting or running:
-            while waiting and len(running) < workers:
-                job = waiting.pop(0)
-                running.append((job, _start(job, root)))
-            time.sleep(POLL_S)
-            for one in [one for one in running if one[1].poll() is not None]:
-                running.remove(one)
-                _told(*one, left=len(waiting) + len(running))
+        yield kept
     finally:
-        for _, process in running:
-            process.terminate()
-            process.wait()
-        signal.signal(signal.SIGTERM, before)
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 def _start(job: Job, root: Path) -> "subprocess.Popen[str]":
