@@ -29,7 +29,7 @@ from edge.estimator import Estimator
 from edge.external_proposals import ExternalProposals
 from edge.inbox import Inbox
 from edge.llm.language_model import LanguageModel, open_language_model
-from edge.loop import Loop, Rig, Sink
+from edge.loop import Loop
 from edge.messages import TickRecord
 from edge.models.from_bundle import loader
 from edge.mqtt.telemetry import Telemetry
@@ -37,6 +37,7 @@ from edge.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.request_routes import Routes, outbox_of
+from edge.rig import Rig, Sink
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.serial_port import OpenPort, SerialPort

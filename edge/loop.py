@@ -7,26 +7,22 @@
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import tzinfo
-from typing import Any, Protocol
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
-from edge.active_models import Models
-from edge.clock import Clock
 from edge.conditions import Conditions
-from edge.controllers.base import Context, Controller
+from edge.controllers.base import Context
 from edge.decider import Decider
-from edge.drift.monitor import DriftMonitor
 from edge.errors import RequestError
-from edge.estimator import Estimator
 from edge.hard_limits import LEASE_S
-from edge.inbox import Inbox, Reply, Request
+from edge.inbox import Reply, Request
 from edge.lighting import led_level
 from edge.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
 from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate
 from edge.operation_json import to_dict
-from edge.reference import Reference, seconds_of_day
+from edge.reference import seconds_of_day
+from edge.rig import Rig
 from edge.safety import (
     SafetyMemory,
     SafetyView,
@@ -36,8 +32,6 @@ from edge.safety import (
     planning_limits,
     supervise,
 )
-from edge.sensor_health import SensorHealth
-from edge.settings import Settings
 from edge.tick_context import Moment, context_of
 from edge.tick_json import drift_json, echo_json, skill_json, tick_json
 from edge.watering import Watering
@@ -49,55 +43,6 @@ SINK_FAULTS = (
     "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused"
 )  # fmt: skip
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
-
-
-class BoardLine(Protocol):
-    """What a tick needs of a board, real or recorded."""
-
-    echo: Echo | None
-
-    @property
-    def link_up(self) -> bool: ...
-    @property
-    def has_samples(self) -> bool: ...
-    @property
-    def statistics(self) -> Mapping[str, int]: ...  # counters of the line
-    def take_samples(self) -> list[Mapping[str, Reading]]: ...
-    def take_events(self) -> list[Event]: ...
-    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None: ...
-    def serve(self, until_s: float, wake: int | None = None) -> None: ...
-    def serve_until_echo(self, timeout_s: float) -> Echo | None: ...
-    def emergency_stop(self) -> None: ...
-    def clear_trip(self) -> None: ...
-
-
-class Sink(Protocol):
-    """Where records go. Never waits, never raises; its own faults come back as conditions."""
-
-    def write(self, record: TickRecord) -> None: ...
-    def faults(self) -> Mapping[str, str]: ...  # key of the failure table -> detail, for each that holds now
-
-
-@dataclass(frozen=True, slots=True)
-class Rig:
-    """All that a loop is wired to."""
-
-    settings: Settings
-    clock: Clock
-    board: BoardLine
-    sensors: SensorHealth
-    estimator: Estimator
-    reference: Reference
-    zone: tzinfo | None
-    controllers: dict[str, Controller]
-    models: Models
-    sinks: Sequence[Sink]
-    more_events: Callable[[], list[Event]]  # of parts that are not asked each tick: the history's own
-    inbox: Inbox
-    save_state: Callable[[Operation, SafetyMemory], None]
-    after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
-    stop_at_s: float = math.inf  # end of an experiment
-    drift: DriftMonitor | None = None  # watches the running twin
 
 
 class Loop:

@@ -20,7 +20,7 @@ from edge.errors import DataError
 from edge.estimator import Estimator
 from edge.forecasts.rollout import ahead_of
 from edge.inbox import Inbox
-from edge.loop import Loop, Rig
+from edge.loop import Loop
 from edge.messages import Decision, Quality, TickRecord
 from edge.models.base import Predictor
 from edge.models.pbm import Pbm
@@ -28,6 +28,7 @@ from edge.names import SIGNALS
 from edge.operation import Operation
 from edge.recorded_board import RecordedBoard, ReplayClock
 from edge.reference import make_reference, zone_of
+from edge.rig import Rig
 from edge.run_file import Run
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth

@@ -10,11 +10,12 @@ from edge.active_models import NoForecasts
 from edge.controllers.base import Context
 from edge.estimator import Estimator
 from edge.inbox import Inbox
-from edge.loop import Loop, Rig
+from edge.loop import Loop
 from edge.messages import Command, Decision, Echo, Event, Quality, Reading, TickRecord
 from edge.models.arx_file import read_arx
 from edge.operation import Operation
 from edge.reference import make_reference
+from edge.rig import Rig
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings

@@ -1,0 +1,69 @@
+"""What a loop is wired to: a board's line, sensors, models, controllers, and where records go."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import tzinfo
+from typing import Protocol
+
+from edge.active_models import Models
+from edge.clock import Clock
+from edge.controllers.base import Controller
+from edge.drift.monitor import DriftMonitor
+from edge.estimator import Estimator
+from edge.inbox import Inbox
+from edge.messages import Command, Echo, Event, Reading, TickRecord
+from edge.operation import Operation
+from edge.reference import Reference
+from edge.safety import SafetyMemory
+from edge.sensor_health import SensorHealth
+from edge.settings import Settings
+
+
+class BoardLine(Protocol):
+    """What a tick needs of a board, real or recorded."""
+
+    echo: Echo | None
+
+    @property
+    def link_up(self) -> bool: ...
+    @property
+    def has_samples(self) -> bool: ...
+    @property
+    def statistics(self) -> Mapping[str, int]: ...  # counters of the line
+    def take_samples(self) -> list[Mapping[str, Reading]]: ...
+    def take_events(self) -> list[Event]: ...
+    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None: ...
+    def serve(self, until_s: float, wake: int | None = None) -> None: ...
+    def serve_until_echo(self, timeout_s: float) -> Echo | None: ...
+    def emergency_stop(self) -> None: ...
+    def clear_trip(self) -> None: ...
+
+
+class Sink(Protocol):
+    """Where records go. Never waits, never raises; its own faults come back as conditions."""
+
+    def write(self, record: TickRecord) -> None: ...
+    def faults(self) -> Mapping[str, str]: ...  # key of the failure table -> detail, for each that holds now
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """All that a loop is wired to."""
+
+    settings: Settings
+    clock: Clock
+    board: BoardLine
+    sensors: SensorHealth
+    estimator: Estimator
+    reference: Reference
+    zone: tzinfo | None
+    controllers: dict[str, Controller]
+    models: Models
+    sinks: Sequence[Sink]
+    more_events: Callable[[], list[Event]]  # of parts that are not asked each tick: the history's own
+    inbox: Inbox
+    save_state: Callable[[Operation, SafetyMemory], None]
+    after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
+    stop_at_s: float = math.inf  # end of an experiment
+    drift: DriftMonitor | None = None  # watches the running twin
