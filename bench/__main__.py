@@ -37,6 +37,7 @@ BENCHES = {
     "example_diagnosis": Bench(
         ("--out", "out/bench/example_diagnosis.txt", "--images", "out/bench"), keeps_its_table=True
     ),
+    "clairvoyant": Bench(("--references", "tuning_1", "--minutes", "10")),
     "decision_time": Bench(("--controllers", "rules")),
     "dqn": Bench(("--share", "0.002", "--seeds", "1", "--steps", "2000")),
     "drift_alarms": Bench(("--paths", "5", "--days", "6", "--boxes", "1")),

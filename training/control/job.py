@@ -87,20 +87,33 @@ def run(job: Job) -> Log:
         return closed_loop(settings, board, truth, end_s, board.open, _clairvoyant(job, folder))
 
 
-def _clairvoyant(job: Job, folder: Path) -> Controller | None:
-    """The best plan as an input profile; None for an entry that decides as it goes."""
+def course_of(job: Job) -> Course | None:
+    """What a clairvoyant entry is to follow from the first tick on; None for one that decides as it goes."""
     target = job.entry.clairvoyant
     if target is None:
         return None
     step_s = ControlSettings().step_s
     times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1)
     reference = reference_from_profile(job.profile).at(times, times)
-    course = Course(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
-    plan = best_plan(lambda: ChamberRows(*load(), job.seed), course)
-    rows = zip(times, plan.levels / HEATER_LEVELS, plan.fan, strict=True)
+    return Course(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
+
+
+def fresh_chamber(job: Job) -> ChamberRows:
+    """The chamber behind the job's board, its future not yet asked."""
+    return ChamberRows(*load(), job.seed)
+
+
+def _clairvoyant(job: Job, folder: Path) -> Controller | None:
+    """The best plan as an input profile."""
+    course = course_of(job)
+    if course is None:
+        return None
+    plan = best_plan(lambda: fresh_chamber(job), course)
+    times = course.step_s * np.arange(len(course.reference) + 1)
+    rows = zip(times, plan.levels / HEATER_LEVELS, plan.fan, strict=False)
     lines = [f"{time_s:g},{duty:g},{fan}" for time_s, duty, fan in rows]
     path = folder / "plan.csv"
-    path.write_text("\n".join(["time_s,heater_duty,fan_on", *lines, f"{times[-1] + step_s:g},0,0"]) + "\n")
+    path.write_text("\n".join(["time_s,heater_duty,fan_on", *lines, f"{times[-1]:g},0,0"]) + "\n")
     return InputProfile(read_profile(path))
 
 
