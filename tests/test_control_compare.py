@@ -9,7 +9,7 @@ import pytest
 import requests
 
 from edge.errors import DataError
-from training.control.compare import _endpoint, json_of, results_of, run, text_of
+from training.control.compare import _endpoint, json_of, pictures_of, results_of, run, text_of
 from training.control.comparison import Result, mae_against, regret, table
 from training.control.figures import Figures
 from training.control.findings import findings
@@ -103,6 +103,11 @@ def test_the_controllers_part_takes_its_own_place_in_the_report(tmp_path: Path):
     for part in ("<p>one</p>\n", "<p>two</p>\n"):
         put_section(page, part)
     assert page.read_text() == "<p>models</p>\n<!-- controllers -->\n<p>two</p>\n</body></html>\n"
+
+
+def test_a_few_controllers_have_pictures_without_a_radar(tmp_path: Path):
+    few = [made("MPC/HAM", 1, mae_true=0.3)]
+    assert set(pictures_of(few, [], tmp_path, ["MPC/HAM"])) == {"control_mae", "control_energy"}
 
 
 def test_json_is_json():

@@ -118,7 +118,8 @@ def pictures_of(
                 pictures[f"control_{reference}{ending}"] = runs_picture(title, shown)
     pictures["control_mae"] = bars_picture(results, [n for n in names if n not in SPARING], references)
     pictures["control_energy"] = energy_picture(results, names, references)
-    pictures["control_radar"] = radar_picture(_radar(results, references))
+    if families := _radar(results, references):
+        pictures["control_radar"] = radar_picture(families)
     return pictures
 
 
