@@ -113,11 +113,12 @@ def _rl_fan_always_on(results: Results, reference: str) -> Finding | None:
     fan = _mean(results, "RL-Off", reference, "fan_min")
     if fan is None:
         return None
-    spared = _text(results, "RL-Off-P", reference, "fan_min")
+    spared = _mean(results, "RL-Off-P", reference, "fan_min")
+    beside = "" if spared is None else f"; with penalty {spared:.0f}"
     return Finding(
         "Without penalty the RL keeps the fan ON most of the time, and the heater with it.",
         _verdict(int(fan > 0.5 * _length_min(results, reference)), 1),
-        f"{fan:.0f} minutes of fan on {reference}; with penalty {spared}.",
+        f"{fan:.0f} minutes of fan on {reference}{beside}.",
     )
 
 

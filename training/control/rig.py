@@ -32,7 +32,7 @@ TIME_BOX_MS = (
 )
 NO_LLM = LlmSettings()
 SPARING = {  # ours with more weight on effort, to be set beside others that spend less
-    "MPC-Twin-P/100": 100.0, "MPC-Twin-P/1000": 1000.0, "MPC-Twin-P/6000": 6000.0,
+    "MPC-Twin-P/100": 100.0, "MPC-Twin-P/1000": 1000.0, "MPC-Twin-P/4000": 4000.0, "MPC-Twin-P/6000": 6000.0,
 }  # fmt: skip
 CREATED = "2026-01-01T00:00:00Z"
 
