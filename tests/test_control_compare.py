@@ -9,10 +9,24 @@ import pytest
 import requests
 
 from edge.errors import DataError
-from training.control.compare import _endpoint, json_of, pictures_of, results_of, run, text_of
-from training.control.comparison import Result, mae_against, regret, table
-from training.control.figures import Figures
+from training.control.all_pictures import pictures_of
+from training.control.compare import _endpoint, run
+from training.control.comparison import Result, column, mae_against, regret, table
+from training.control.figures import DecisionTime, Figures
 from training.control.findings import findings
+from training.control.kept_figures import (
+    FIGURES_FILE,
+    TIMES_FILE,
+    beside,
+    changed,
+    json_of,
+    read_results,
+    read_times,
+    results_of,
+    times_beside,
+    times_json,
+)
+from training.control.section import text_of
 from training.llm_stand_in import MODEL as STAND_IN
 from training.report import put_section
 
@@ -108,6 +122,65 @@ def test_the_controllers_part_takes_its_own_place_in_the_report(tmp_path: Path):
 def test_a_few_controllers_have_pictures_without_a_radar(tmp_path: Path):
     few = [made("MPC/HAM", 1, mae_true=0.3)]
     assert set(pictures_of(few, [], tmp_path, ["MPC/HAM"])) == {"control_mae", "control_energy"}
+
+
+def kept_in(folder: Path, results: list[Result], times: dict[str, list[DecisionTime]]) -> Path:
+    (folder / FIGURES_FILE).write_text(json_of(results))
+    (folder / TIMES_FILE).write_text(times_json(times))
+    return folder
+
+
+def test_a_controller_done_anew_leaves_the_others_as_they_are_kept():
+    now = [made("MPC-Twin", 2, mae_true=0.1), made("LLM-Te0", 3, STAND_IN, mae_true=1.0)]
+    names = ["clairvoyant/sensor", "MPC-BFGS", "MPC-Twin", "LLM-Te0"]
+    both = beside(RESULTS, now, names)
+    assert len(both) == len(RESULTS) + 1
+    assert column(both, "MPC-Twin", "reference_1", "mae_true") == [0.2, 0.1]
+    assert column(both, "LLM-Te0", "reference_1", "mae_true") == [1.4, 1.4, 1.0]
+    assert [one.entry for one in both[:4]] == names  # seed by seed, as they would be done
+
+
+def test_what_has_left_the_table_is_not_kept_beside():
+    assert {one.entry for one in beside(RESULTS, [], ["MPC-Twin"])} == {"MPC-Twin"}
+
+
+def test_decision_times_are_of_all_runs_or_as_they_are_kept():
+    kept = {"MPC": [DecisionTime(1.0, 2.0)] * 2, "PID": [DecisionTime(3.0, 4.0)]}
+    now = {
+        "MPC": [DecisionTime(9.0, 9.0)],
+        "PID": [DecisionTime(5.0, 6.0)],
+        "rules": [DecisionTime(0.1, 0.2)],
+    }
+    both = times_beside(kept, now, ["rules", "PID", "MPC"])
+    assert both == {"rules": now["rules"], "PID": now["PID"], "MPC": kept["MPC"]}
+    assert list(both) == ["rules", "PID", "MPC"]
+
+
+def test_decision_times_come_back(tmp_path):
+    times = {"MPC": [DecisionTime(1.25, 2.5)]}
+    assert read_times(kept_in(tmp_path, RESULTS, times)) == times
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"MPC": [{"median": 1}]}', '{"MPC": 3}'])
+def test_broken_decision_times_are_refused_by_file(tmp_path, text):
+    (tmp_path / TIMES_FILE).write_text(text)
+    with pytest.raises(DataError, match=TIMES_FILE):
+        read_times(tmp_path)
+
+
+@pytest.mark.parametrize("text", [None, "", "[", "[1]", '[{"entry": "MPC"}]', '{"a": 1}'])
+def test_broken_figures_are_refused_by_file(tmp_path, text):
+    if text is not None:
+        (tmp_path / FIGURES_FILE).write_text(text)
+    with pytest.raises(DataError, match=FIGURES_FILE):
+        read_results(tmp_path)
+
+
+def test_a_few_runs_are_checked_against_theirs_alone():
+    assert changed(RESULTS, RESULTS[3:5]) == ""
+    other = [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.2000001)]
+    assert changed(RESULTS, other).startswith("MPC-Twin, reference_1, seed 2.figures.mae_true: 0.2 is kept")
+    assert "seed 7: no such run is kept" in changed(RESULTS, [made("MPC-Twin", 7)])
 
 
 def test_json_is_json():

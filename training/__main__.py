@@ -118,6 +118,11 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument("--llm-model", default="stand-in", help="its model (usual: the scripted stand-in)")
     sub.add_argument("--kept", action="store_true", help="run nothing, take what is kept")
+    sub.add_argument(
+        "--beside-kept",
+        action="store_true",
+        help="beside the other runs' figures as they are kept (and do again what the pictures show)",
+    )
     sub.add_argument("--check", action="store_true", help="compare with the kept figures, change nothing")
     sub.set_defaults(run=_compare)
 

@@ -131,3 +131,8 @@ def _seed(one: Result) -> int:
 def seeds_of(results: Results, entry: str, reference: str) -> set[int]:
     """That have run."""
     return {one.seed for one in results if (one.entry, one.reference) == (entry, reference)}
+
+
+def references_of(results: Results) -> list[str]:
+    """That have run."""
+    return sorted({one.reference for one in results})

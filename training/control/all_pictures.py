@@ -1,0 +1,69 @@
+"""Which pictures a comparison has, and which runs they show minute by minute."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from edge.settings import LlmSettings
+from training.control.comparison import Result, column, references_of
+from training.control.effort import FAMILIES, lines, training_s
+from training.control.energy import energy_picture
+from training.control.job import Job, read
+from training.control.pictures import bars_picture, radar_picture, runs_picture
+from training.control.rig import SPARING, entries
+from training.control.spread import mean_of
+
+DRAWN = {  # picture -> controllers side by side, those that have run
+    "": ("MPC-BFGS", "RL-Off", "LLM-HAM-Te0", "MPC", "MPC-Twin", "clairvoyant"),
+    "_penalty": ("MPC-BFGS-P", "RL-Off-P", "LLM-HAM-Te0-P", "MPC-P", "MPC-Twin-P", "clairvoyant-P"),
+}
+
+
+def drawn_jobs(references: Sequence[str], seed: int, llm: LlmSettings) -> list[Job]:
+    """What the pictures show minute by minute, which figures alone do not tell."""
+    known = entries()
+    names = [name for side in DRAWN.values() for name in side]
+    return [Job(known[name], reference, seed, llm) for reference in references for name in names]
+
+
+def pictures_of(
+    results: Sequence[Result], jobs: Sequence[Job], runs: Path, names: Sequence[str]
+) -> dict[str, bytes]:
+    """PNG by file name without its ending; runs of the first seed that there is."""
+    references = references_of(results)
+    labels = {one.entry: f"{one.entry}\n{one.remark}".strip() for one in results}
+    pictures = {}
+    for reference in references:
+        for ending, drawn in DRAWN.items():
+            found = _columns(jobs, reference, drawn, runs)
+            shown = {labels[name]: columns for name, columns in found.items()}
+            if shown:
+                title = f"{reference.replace('_', ' ')}, {'with' if ending else 'without'} penalty"
+                pictures[f"control_{reference}{ending}"] = runs_picture(title, shown)
+    pictures["control_mae"] = bars_picture(results, [n for n in names if n not in SPARING], references)
+    pictures["control_energy"] = energy_picture(results, names, references)
+    if families := _radar(results, references):
+        pictures["control_radar"] = radar_picture(families)
+    return pictures
+
+
+def _radar(
+    results: Sequence[Result], references: Sequence[str]
+) -> dict[str, tuple[float, float, float, float]]:
+    rows = {}
+    for family in FAMILIES:
+        found = [mean_of(v).value for r in references if (v := column(results, family.entry, r, "mae_true"))]
+        if found:
+            mae = sum(found) / len(found)
+            remark = next((one.remark for one in results if one.entry == family.entry), "")
+            name = f"{family.name} ({remark})" if remark else family.name
+            rows[name] = (mae, training_s(family), float(lines(family.files)), float(family.knowledge))
+    return rows
+
+
+def _columns(jobs: Sequence[Job], reference: str, drawn: Sequence[str], runs: Path) -> dict[str, Mapping]:  # type: ignore[type-arg]
+    shown = {}
+    for name in drawn:
+        mine = [job for job in jobs if (job.entry.name, job.reference) == (name, reference)]
+        if mine:
+            shown[name] = read(min(mine, key=lambda job: job.seed), runs).columns
+    return shown
