@@ -16,6 +16,7 @@ from edge import config
 from edge.errors import DataError
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
+from training.control import job as control_job
 from training.control import runner
 from training.control.board_in_process import InProcessBoard, make_device
 from training.control.closed_loop import closed_loop
@@ -72,6 +73,16 @@ def test_a_kept_run_with_other_settings_is_another_run(near, tmp_path):
     assert not is_kept(other, tmp_path)
     with pytest.raises(DataError, match="tuning_1"):
         read(other, tmp_path)
+
+
+def test_a_run_of_another_policy_is_another_run(tmp_path, monkeypatch):
+    for name in ("rl-off", "rl-off-p"):
+        (tmp_path / f"{name}.onnx").write_bytes(b"first")
+    monkeypatch.setattr(control_job, "PACKAGED_FOLDER", tmp_path)
+    job, other = (Job(entries()[name], "tuning_1", 101) for name in ("RL-Off", "RL-Off-P"))
+    before = job.sha256(), other.sha256()
+    (tmp_path / "rl-off.onnx").write_bytes(b"second")
+    assert (job.sha256() != before[0], other.sha256() == before[1]) == (True, True)
 
 
 def test_what_is_kept_is_not_run_again(near, tmp_path, monkeypatch):
