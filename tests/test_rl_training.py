@@ -17,11 +17,12 @@ from training.datasets import training_runs
 from training.rl.export import export, graph_of
 from training.rl.kept import POLICY_FILE, WEIGHTS_FILE, best_folder
 from training.rl.observations import recorded_observations
+from training.rl.parity import main as tell_parity
 from training.rl.parity import parity
 from training.rl.settings import DqnSettings
 from training.rl.study import Job, study, world_of
 from training.rl.train import greedy, train
-from training.rl.weights import load_q_network
+from training.rl.weights import load_q_network, save_q_network
 
 POLICIES = Path(__file__).parent.parent / "training" / "results" / "policies"
 SMALL = DqnSettings(steps=480, hidden=(16,), batch=16, learning_starts=64, target_every=64)
@@ -105,6 +106,25 @@ def test_parity_finds_a_policy_that_differs(tmp_path, observations):
     with torch.no_grad():
         network[0].bias[5] += 10.0
     assert parity(network, policy, observations).different > 0
+
+
+def test_parity_without_folders_is_of_all_that_are_kept(tmp_path, observations, capsys):
+    torch.manual_seed(3)
+    network = nn.Sequential(nn.Linear(len(FEATURES), ACTIONS))
+    kept = [tmp_path / "rl-off" / "ham" / f"seed_{seed}" for seed in range(2)]
+    for folder in kept:
+        folder.mkdir(parents=True)
+        export(network, "RL-Off", observations, FACTS, folder / POLICY_FILE)
+        save_q_network(network, folder / WEIGHTS_FILE)
+    assert tell_parity([], tmp_path) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in told] == [str(folder) for folder in kept]
+    assert all(f"0 of {len(observations)} actions differ" in line for line in told)
+
+
+def test_parity_where_no_policy_is_kept_is_not_taken_for_success(tmp_path, capsys):
+    assert tell_parity([], tmp_path) == 2
+    assert str(tmp_path) in capsys.readouterr().err
 
 
 def test_layers_that_a_graph_does_not_hold_are_refused():

@@ -1,6 +1,7 @@
-"""Does the file that a rig runs choose as the trained network does: `python -m training.rl.parity FOLDER...`.
+"""Does a rig's file choose as the trained network does: `python -m training.rl.parity [FOLDER...]`.
 
-Action for action, on every observation of the recorded runs. Of equal values both take the first.
+Without folders: every policy that is kept. Action for action, on every observation of the recorded runs. Of
+equal values both take the first.
 """
 
 import sys
@@ -16,6 +17,7 @@ from torch import nn
 from edge.errors import GreenhouseError
 from edge.policy.onnx_policy import OnnxPolicy, read_policy
 from training.datasets import training_runs
+from training.rl.command import POLICIES
 from training.rl.kept import POLICY_FILE, WEIGHTS_FILE
 from training.rl.observations import recorded_observations
 from training.rl.read_model import REGIME
@@ -41,11 +43,15 @@ def parity(network: nn.Sequential, policy: OnnxPolicy, observations: NDArray[np.
     return Parity(len(observations), int(different.sum()), float(np.abs(values - expected).max()))
 
 
-def main(folders: Sequence[str]) -> int:
-    """0; 1 where an action differs, 2 for a folder that holds no policy."""
+def main(folders: Sequence[str], kept: Path = POLICIES) -> int:
+    """0; 1 where an action differs, 2 for a folder that holds no policy, or where none is kept."""
+    chosen = [Path(folder) for folder in folders] or sorted(kept.glob("*/*/seed_*"))
+    if not chosen:
+        print(f"python -m training.rl.parity: {kept}: no policy is kept there", file=sys.stderr)
+        return 2
     observations = recorded_observations(training_runs(REGIME))
     failed = 0
-    for folder in map(Path, folders):
+    for folder in chosen:
         try:
             policy = read_policy(folder / POLICY_FILE, folder.name)
             found = parity(load_q_network(folder / WEIGHTS_FILE), policy, observations)
