@@ -10,7 +10,7 @@ from training.control.energy import OURS, at_most, energy_picture, energy_table
 from training.control.figures import Figures
 
 ZERO = Figures(*[0.0] * 16)
-CURVE = np.array([110.0, 100.0, 80.0, 60.0, 40.0]), np.array([0.3, 0.2, 1.0, 2.0, 3.0])  # of OURS, Wh and K
+CURVE = np.array([110.0, 100.0, 80.0, 60.0, 50.0, 40.0]), np.array([0.3, 0.2, 1.0, 2.0, 2.5, 3.0])  # Wh, K
 
 
 def made(entry: str, seed: int, energy: float, mae: float) -> Result:
