@@ -1,4 +1,4 @@
-"""Stores and publishes ticks as fast as it can, until it is killed: publisher.py PORT DATABASE."""
+"""Stores and publishes ticks, some hundred a second, until it is killed: publisher.py PORT DATABASE."""
 
 import sys
 import time
@@ -16,4 +16,4 @@ telemetry = Telemetry(settings(port), ControlLoop().ask, lambda: Outbox(database
 while True:
     storage.write(record(seq, utc=1.7e9 + seq))
     seq += 1
-    time.sleep(0.001)
+    time.sleep(0.003)
