@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from training.control.comparison import Result
-from training.control.energy import OURS, at_most, energy_picture, energy_table
+from training.control.energy import OURS, at_most, energy_picture, energy_table, energy_tables
 from training.control.figures import Figures
 
 ZERO = Figures(*[0.0] * 16)
@@ -44,6 +44,17 @@ def test_a_controller_stands_beside_ours_seed_by_seed():
     results = [*ours(1), *ours(2), *(made("RL-Off", seed, 90.0, 1.5) for seed in (1, 2, 3))]
     table = energy_table(results, ["RL-Off", "clairvoyant"], "reference_1")
     assert table.rows == (("RL-Off", "90", "1.500", "0.600", "0.900", "70", "20"),)
+
+
+def test_a_mae_is_by_the_true_air_and_by_the_sensor():
+    def by_sensor(one):
+        return replace(one, figures=replace(one.figures, mae_measured=one.figures.mae_true / 2.0))
+
+    results = [by_sensor(one) for one in (*ours(1), made("RL-Off", 1, 90.0, 1.5))]
+    true, sensor = energy_tables(results, ["RL-Off"], "reference_1")
+    assert true.rows == (("RL-Off", "90", "1.500", "0.600", "0.900", "70", "20"),)
+    assert sensor.rows == (("RL-Off", "90", "0.750", "0.300", "0.450", "70", "20"),)
+    assert (true.title != sensor.title, energy_tables([], ["RL-Off"], "reference_1")) == (True, [])
 
 
 def test_less_than_ours_can_is_a_dash():

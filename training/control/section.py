@@ -6,7 +6,7 @@ from html import escape
 
 from training.control.comparison import Result, references_of, table
 from training.control.effort import FAMILIES, lines
-from training.control.energy import energy_table
+from training.control.energy import energy_tables
 from training.control.findings import beyond, findings
 from training.report_findings import Finding
 from training.report_table import Table, as_html, as_text
@@ -64,7 +64,7 @@ def _cell(finding: Finding | None) -> str:
 def _tables(results: Sequence[Result], names: Sequence[str]) -> list[Table]:
     references = references_of(results)
     tables = [table(results, names, reference) for reference in references]
-    return tables + [one for each in references if (one := energy_table(results, names, each)) is not None]
+    return tables + [one for each in references for one in energy_tables(results, names, each)]
 
 
 def _effort_table() -> Table:
