@@ -30,7 +30,7 @@ model: $(VENV)/edge.installed
 
 train: $(VENV)/dev.installed
 	$(BIN)/greenhouse-train all --out training/results/trained $(ARGS)
-	$(BIN)/greenhouse-train evaluate && $(BIN)/greenhouse-train bundle 1.1 --out training/results/trained --default
+	$(BIN)/greenhouse-train evaluate && $(BIN)/greenhouse-train bundle 1.2 --out training/results/trained --default
 
 $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)

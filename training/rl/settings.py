@@ -19,7 +19,7 @@ class DqnSettings:
     learning_starts: int = 2_000  # environment steps before the first update
     updates: int = 1  # per step of all boxes
     target_every: int = 400  # environment steps between copies into the target network
-    explore_share: float = 0.4  # of the steps, over which the share of random actions falls
+    explore_share: float = 0.1  # of the steps, over which the share of random actions falls
     explore_from: float = 1.0
     explore_to: float = 0.05
     reward_scale: float = 0.1  # the values of a discounted sum come to order 1
