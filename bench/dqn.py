@@ -128,9 +128,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=len(SEEDS), help="trainings of the paper's way")
     parser.add_argument("--steps", type=int, default=STEPS, help="of those of the paper's way")
     arguments = parser.parse_args(words)
-    versions = ", ".join(
-        f"{name} {version(name)}" for name in ("stable-baselines3", "torch", "numpy", "scipy")
-    )
+    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
     print(f"# python -m bench.dqn {' '.join(sys.argv[1:] if words is None else words)}".rstrip())
     print(f"# Python {platform.python_version()}, {versions}; one thread; times of a shared machine")
     print(

@@ -58,5 +58,4 @@ ACTUATORS: dict[str, Actuator] = {actuator.name: actuator for actuator in _ACTUA
 
 HEATER_LEVELS = 20  # the heater duty moves in steps of 1/20 (paper, Modeling)
 HEATER_MAX_W = 100.0  # paper, Experimental setup
-FAN_MAX_M3_S = 68.0 / 3600.0  # 68 m³/h, paper, Experimental setup
 VOLUME_M3 = 0.5 * 0.5 * 0.6  # paper, Experimental setup

@@ -165,11 +165,6 @@ class Skill:
         """Mean absolute error of the predictor."""
         return float(self.model.mean()) if len(self.model) else math.nan
 
-    @property
-    def persistence_mae_k(self) -> float:
-        """Mean absolute error of "as it is now"."""
-        return float(self.persistence.mean()) if len(self.persistence) else math.nan
-
 
 @dataclass(frozen=True, slots=True)
 class Series:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from edge.twin.diagnosis.locate.residuals import residuals_of
+from edge.twin.diagnosis.locate.whiteness import whiteness
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import at_rest
@@ -35,3 +36,8 @@ def names(runs):
 def located(runs, effects=BASE, noise_k=NOISE_K):
     """Residuals of a twin with these effects alone."""
     return residuals_of(Twin(effects=effects), runs, names(runs), noise_k)
+
+
+def whiteness_of(run):
+    """Of a run's one-step residuals."""
+    return whiteness(run.one_step_k / run.innovation_sd, run.step_s)

@@ -11,7 +11,6 @@ from edge.run_file import Run
 from edge.twin.diagnosis.formulas import Shape, formulas
 from edge.twin.diagnosis.given import given
 from edge.twin.diagnosis.innovations import NoiseLevels
-from edge.twin.diagnosis.progress import silent
 from edge.twin.diagnosis.runs import DiagnosisRuns, diagnosis_runs
 from edge.twin.diagnosis.search import Search
 from edge.twin.diagnosis.side_by_side import SideBySide
@@ -27,6 +26,10 @@ STEP_S = 60.0
 BOX: Effects = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 10.0}}
 NOISE = NoiseLevels(sensor_k=0.1, room_k=0.03, heat_w=0.5, heat_tau_s=600.0, power_share=0.01)
 QUIET = NoiseLevels(sensor_k=1e-6, room_k=0.0, heat_w=0.0, heat_tau_s=600.0, power_share=0.0)
+
+
+def silent(text: str) -> None:
+    """Progress that nobody wants to see."""
 
 
 def known(effects: Effects = BOX) -> dict[str, dict[str, Value]]:

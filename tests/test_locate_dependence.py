@@ -6,10 +6,9 @@ import pytest
 from edge.twin.diagnosis.locate.dependence import depends_on, explained
 from edge.twin.diagnosis.locate.regimes import regimes
 from edge.twin.diagnosis.locate.subsets import Regression
-from edge.twin.diagnosis.locate.whiteness import whiteness_of
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
-from tests.locate_runs import BASE, NOISE_K, located, made
+from tests.locate_runs import BASE, NOISE_K, located, made, whiteness_of
 
 DAY_S = 86400.0
 

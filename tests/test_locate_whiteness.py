@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from edge.twin.diagnosis.locate.whiteness import together, whiteness, whiteness_of
-from tests.locate_runs import BASE, located, made
+from edge.twin.diagnosis.locate.whiteness import together, whiteness
+from tests.locate_runs import BASE, located, made, whiteness_of
 
 
 def holes(values, rng):

@@ -86,7 +86,7 @@ def test_a_predictor_that_is_the_truth_is_scored_as_such() -> None:
     records = replayed(recording())
     for skill in score(records, TRUE_BOX, (10.0, 60.0, 300.0)):
         assert skill.model_mae_k < 0.02
-        assert skill.model_mae_k < 0.5 * skill.persistence_mae_k
+        assert skill.model_mae_k < 0.5 * skill.persistence.mean()
 
 
 @dataclass(frozen=True)

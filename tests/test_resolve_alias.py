@@ -11,10 +11,10 @@ from bench.resolve_alias import CASES, Case, Columns, twin_of
 from edge.twin.diagnosis.diagnose import Diagnosis, diagnose
 from edge.twin.diagnosis.experiment.design import next_experiment
 from edge.twin.diagnosis.experiment.limits import ExperimentLimits
-from edge.twin.diagnosis.progress import silent
 from edge.twin.diagnosis.runs import diagnosis_runs
 from edge.twin.twin_file import TwinFile
 from tests.designed import as_inputs
+from tests.simulated_runs import silent
 
 SENSING = Sensing(noise_k=0.06, step_k=0.1)
 

@@ -18,7 +18,6 @@ from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
 from firmware_protocol.virtual_board.effects import Effects
 
 Settings = dict[str, float]  # "air.leak_flow_m3_s" or "effects.infiltration"
-FILM_W_K = 0.21  # of the element at its reference difference: C / FILM_W_K is its lag
 BASE: Settings = {
     "cover.inner_film_fan_w_m2_k": 0.0, "soil.floor_w_k": 0.0, "air.fan_mixing_flow_m3_s": 0.0,
     "heater.duty_window_s": 0.0, "heater.emissivity": 0.05, "led.light_share": 0.0, "led.power_w": 20.0,

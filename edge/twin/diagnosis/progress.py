@@ -9,10 +9,6 @@ from typing import Self, TextIO
 Progress = Callable[[str], None]  # a short text, what is done now; called often
 
 
-def silent(text: str) -> None:
-    """Progress that nobody wants to see."""
-
-
 class TerminalProgress:
     """Progress on a terminal as one line that is rewritten, anywhere else as lines.
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.locate.residuals import Residuals
-
 Floats = NDArray[np.float64]
 MOST_LAGS = 20
 FEWEST_ROWS = 20  # below, nothing is said
@@ -55,11 +53,6 @@ def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
     period_s, false_alarm = _strongest(at_s, off[seen])
     chance = _chance(statistic, lags - fitted)
     return Whiteness(rows, lags, statistic, chance, float(correlation[0]), period_s, false_alarm)
-
-
-def whiteness_of(run: Residuals) -> Whiteness:
-    """Of a run's one-step residuals."""
-    return whiteness(run.one_step_k / run.innovation_sd, run.step_s)
 
 
 def together(parts: Sequence[Whiteness]) -> Whiteness:
