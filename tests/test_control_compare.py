@@ -9,6 +9,7 @@ import pytest
 import requests
 
 from edge.errors import DataError
+from training.control import compare
 from training.control.all_pictures import pictures_of
 from training.control.compare import _endpoint, run
 from training.control.comparison import Result, column, mae_against, regret, table
@@ -91,6 +92,18 @@ def test_an_unknown_controller_is_refused_by_name(tmp_path):
         llm_url="", llm_model="stand-in",
     )  # fmt: skip
     with pytest.raises(DataError, match="MPC-Twn"):
+        run(arguments)
+
+
+@pytest.mark.parametrize("wants", ["check", "beside_kept"])
+def test_figures_that_are_not_there_are_told_before_anything_is_run(tmp_path, monkeypatch, wants):
+    monkeypatch.setattr(compare, "run_all", lambda *words: pytest.fail("it was run"))
+    flags = {"check": False, "beside_kept": False, "kept": False} | {wants: True}
+    arguments = argparse.Namespace(
+        controllers=["rules"], references=["reference_1"], seeds=[1], runs=tmp_path, results=tmp_path,
+        workers=1, llm_url="", llm_model="stand-in", **flags,
+    )  # fmt: skip
+    with pytest.raises(DataError, match=FIGURES_FILE):
         run(arguments)
 
 

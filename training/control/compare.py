@@ -50,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     if unknown:
         raise DataError(f"--controllers: there is no {sorted(unknown)}; known: {sorted(known)}")
     names = arguments.controllers or list(known)
+    # Before anything is run: a folder without figures is told now, not after hours.
+    kept = read_results(arguments.results) if arguments.check or arguments.beside_kept else []
     with _endpoint(arguments) as llm:
         asked = [
             Job(known[name], reference, seed, llm)
@@ -57,20 +59,20 @@ def run(arguments: argparse.Namespace) -> int:
             for seed in arguments.seeds
             for name in names
         ]
-        drawn = drawn_jobs(arguments.references, min(arguments.seeds), llm) if arguments.beside_kept else []
+        is_beside = arguments.beside_kept and not arguments.check
+        drawn = drawn_jobs(arguments.references, min(arguments.seeds), llm) if is_beside else []
         if not arguments.kept:
             run_all([*asked, *(job for job in drawn if job not in asked)], arguments.runs, arguments.workers)
     done = [job for job in asked if is_kept(job, arguments.runs)]
     if not done:
         raise DataError(f"{arguments.runs}: no run is kept there")
-    results = [result(job, read(job, arguments.runs)) for job in done]
+    results, times = _figures(done, arguments.runs)
     if arguments.check:
         print(text_of(results, names), end="")
-        return _check(results, arguments.results)
-    times = _times(done, arguments.runs)
-    if arguments.beside_kept:
+        return _check(results, kept)
+    if is_beside:
         names = list(known)
-        results = beside(read_results(arguments.results), results, names)
+        results = beside(kept, results, names)
         times = times_beside(read_times(arguments.results), times, names)
     print(text_of(results, names), end="")
     _write(results, times, pictures_of(results, [*done, *drawn], arguments.runs, names), names, arguments)
@@ -89,11 +91,14 @@ def _endpoint(arguments: argparse.Namespace) -> Iterator[LlmSettings]:
         yield LlmSettings(url=stand_in.url, model=STAND_IN_MODEL)
 
 
-def _times(jobs: Sequence[Job], runs: Path) -> Times:
+def _figures(jobs: Sequence[Job], runs: Path) -> tuple[list[Result], Times]:
+    results: list[Result] = []
     times: dict[str, list[DecisionTime]] = {}
     for job in jobs:
-        times.setdefault(job.entry.name, []).append(decision_time(read(job, runs)))
-    return times
+        log = read(job, runs)
+        results.append(result(job, log))
+        times.setdefault(job.entry.name, []).append(decision_time(log))
+    return results, times
 
 
 def _write(
@@ -118,7 +123,7 @@ def _write(
         (arguments.images / f"{name}.png").write_bytes(content)
 
 
-def _check(results: Sequence[Result], folder: Path) -> int:
-    difference = changed(read_results(folder), results)
-    print(difference or f"{len(results)} runs: the same as what is kept")
+def _check(results: Sequence[Result], kept: Sequence[Result]) -> int:
+    difference = changed(kept, results)
+    print(difference or f"{len(results)} of the {len(kept)} runs: the same as what is kept")
     return 1 if difference else 0

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from edge.bundle.sign import POLICY_FILES
 from edge.bundle.store import PACKAGED_FOLDER
-from edge.controller_names import RL
 from edge.controllers.base import Controller
 from edge.controllers.input_profile import InputProfile
 from edge.errors import DataError
@@ -58,9 +58,8 @@ class Job:
             "twin": TWIN.read_text(encoding="utf-8") if self.entry.models == "twin" else "",
             "seed": self.seed,
         }
-        if self.entry.controller in RL:
-            policy = PACKAGED_FOLDER / f"{self.entry.controller.lower()}.onnx"
-            facts["policy"] = hashlib.sha256(policy.read_bytes()).hexdigest()
+        if (policy := POLICY_FILES.get(self.entry.controller)) is not None:
+            facts["policy"] = hashlib.sha256((PACKAGED_FOLDER / policy).read_bytes()).hexdigest()
         if settings.llm.model:
             facts["llm"] = settings.llm.model  # wherever it runs
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()

@@ -36,9 +36,8 @@ def read_results(folder: Path) -> list[Result]:
 
 def times_json(times: Times) -> str:
     """By controller."""
-    return (
-        json.dumps({name: [asdict(one) for one in found] for name, found in times.items()}, indent=1) + "\n"
-    )
+    rows = {name: [asdict(one) for one in found] for name, found in times.items()}
+    return json.dumps(rows, indent=1) + "\n"
 
 
 def read_times(folder: Path) -> Times:
