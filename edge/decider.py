@@ -1,7 +1,7 @@
 """Who decides this step: the chosen controller, else a fallback, else nobody and nothing is on."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from edge.conditions import Conditions
@@ -22,13 +22,18 @@ class Decider:
     """Asks, and notes in the conditions which row of the failure table holds."""
 
     def __init__(
-        self, controllers: Mapping[str, Controller], settings: ControlSettings, conditions: Conditions
+        self,
+        controllers: Mapping[str, Controller],
+        settings: ControlSettings,
+        conditions: Conditions,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
+        """meanwhile : called again and again while a controller is waited for"""
         self._controllers = controllers
         self._fallbacks = (settings.fallback, RULES)
         self._deadline_s = decision_deadline_s(settings)
         self._conditions = conditions
-        self._thread = DecisionThread()
+        self._thread = DecisionThread(meanwhile)
         self._asked: set[str] = set()  # controllers that were asked at this tick
         self._asked_before: set[str] = set()  # and at the one before
         self._events: list[Event] = []

@@ -3,10 +3,13 @@
 import queue
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from edge.controllers.base import Context, Controller
 from edge.messages import Decision
+
+SLICE_S = 0.1  # the longest that an emergency stop waits for a controller that thinks
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +24,8 @@ class Answer:
 class DecisionThread:
     """Asks controllers one question at a time. One that hangs costs this thread; a new one is begun."""
 
-    def __init__(self) -> None:
+    def __init__(self, meanwhile: Callable[[], None] = lambda: None) -> None:
+        self._meanwhile = meanwhile
         self._start()
 
     def ask(self, controller: Controller, context: Context, deadline_s: float) -> Answer:
@@ -29,13 +33,18 @@ class DecisionThread:
         begun = time.perf_counter()
         questions, answers = self._questions, self._answers
         questions.put((controller, context))
-        try:
-            decision, failure = answers.get(timeout=deadline_s)
-        except queue.Empty:
-            questions.put(None)  # ends the old thread if its controller ever comes back
-            self._start()
-            decision, failure = None, "late"
-        return Answer(decision, failure, 1e3 * (time.perf_counter() - begun))
+        left_s = deadline_s
+        while left_s > 0.0:
+            left_s = begun + deadline_s - time.perf_counter()
+            try:
+                decision, failure = answers.get(timeout=max(0.0, min(SLICE_S, left_s)))
+            except queue.Empty:
+                self._meanwhile()
+                continue
+            return Answer(decision, failure, 1e3 * (time.perf_counter() - begun))
+        questions.put(None)  # ends the old thread if its controller ever comes back
+        self._start()
+        return Answer(None, "late", 1e3 * (time.perf_counter() - begun))
 
     def close(self) -> None:
         """End the thread; one that hangs is a daemon thread and dies with the process."""

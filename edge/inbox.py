@@ -1,16 +1,45 @@
-"""Requests from other threads (control socket, MQTT) to the control thread, and its answers."""
+"""Requests from other threads (control socket, MQTT) to the control thread, and its answers.
+
+Three lanes: emergency stop before maintenance before everything else. Within a lane requests are served in
+their order. A stop, maintenance or status that repeats the newest waiting request shares its answer.
+"""
 
 import os
 import queue
 import threading
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 Request = Mapping[str, Any]
 Reply = dict[str, Any]
 
+STOP, MAINTENANCE, ORDINARY = range(3)
+LANES = {"emergency_stop": STOP, "maintenance": MAINTENANCE}
+WAITING_MAX = 32  # requests in a lane; a stop always finds room: each door keeps only a few under way
+_SHARED = (*LANES, "status")  # two of these in a row do the same as one
+
 _STOPPING: Reply = {"ok": False, "error": "the daemon is stopping"}
+_BUSY: Reply = {"ok": False, "error": f"busy: {WAITING_MAX} requests wait already"}
+_OVERTAKEN: Reply = {"ok": False, "error": "an emergency stop was given after this release"}
+
+
+class Answered(Protocol):
+    """The place an answer goes to; never waits."""
+
+    def put(self, reply: Reply, /) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Answers:
+    """The places of all who sent one request."""
+
+    places: list[Callable[[Reply], None]]
+
+    def put(self, reply: Reply, /) -> None:
+        for place in self.places:
+            place(dict(reply))
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,15 +47,15 @@ class Letter:
     """One request on its way, with the place its answer goes to."""
 
     request: Request
-    answer: "queue.SimpleQueue[Reply]" = field(default_factory=queue.SimpleQueue)
+    answer: Answered = field(default_factory=lambda: _Answers([]))
 
 
 class Inbox:
-    """A queue with a descriptor that wakes the control thread from its wait on the line."""
+    """Lanes with a descriptor that wakes the control thread from its wait on the line."""
 
     def __init__(self) -> None:
-        self._letters: queue.SimpleQueue[Letter] = queue.SimpleQueue()
-        self._posting = threading.Lock()  # no letter comes in while it closes
+        self._lanes: tuple[deque[tuple[Request, _Answers]], ...] = (deque(), deque(), deque())
+        self._posting = threading.Lock()
         self._closed = False
         self.wake, self._ring = os.pipe()
         os.set_blocking(self.wake, False)
@@ -34,16 +63,29 @@ class Inbox:
 
     def ask(self, request: Request, timeout_s: float = 10.0) -> Reply:
         """Hand over a request and wait for its answer. Called from any thread but the control thread."""
-        letter = Letter(request)
-        with self._posting:
-            if self._closed:
-                return dict(_STOPPING)
-            self._letters.put(letter)
-            self.ring()
+        answer: queue.SimpleQueue[Reply] = queue.SimpleQueue()
+        self.post(request, answer.put)
         try:
-            return letter.answer.get(timeout=timeout_s)
+            return answer.get(timeout=timeout_s)
         except queue.Empty:
             return {"ok": False, "error": f"the control loop did not answer within {timeout_s:g} s"}
+
+    def post(self, request: Request, answered: Callable[[Reply], None]) -> None:
+        """Hand over a request without waiting; `answered` is called once, from any thread."""
+        refused: list[_Answers] = []
+        with self._posting:
+            if self._closed:
+                reply = _STOPPING
+                refused.append(_Answers([answered]))
+            elif not self._take_in(request, answered):
+                reply = _BUSY
+                refused.append(_Answers([answered]))
+            else:
+                reply = _OVERTAKEN
+                refused += self._overtaken_by(request)
+                self.ring()
+        for answers in refused:
+            answers.put(reply)
 
     def ring(self) -> None:
         """Wake the control thread; safe in a signal handler."""
@@ -52,19 +94,14 @@ class Inbox:
         except BlockingIOError:
             return  # the pipe is full: it is awake already
 
-    def take(self) -> list[Letter]:
-        """All letters that wait; clears the wake-up."""
-        try:
-            while os.read(self.wake, 512):
-                pass
-        except BlockingIOError:
-            pass
-        letters = []
-        while True:
-            try:
-                letters.append(self._letters.get_nowait())
-            except queue.Empty:
-                return letters
+    def take(self, lanes: int = ORDINARY + 1) -> Letter | None:
+        """The letter that is next in the first `lanes` lanes; clears the wake-up when none is left."""
+        with self._posting:
+            lane = next((lane for lane in self._lanes[:lanes] if lane), None)
+            letter = None if lane is None else Letter(*lane.popleft())
+            if not any(self._lanes) and not self._closed:
+                self._hush()
+            return letter
 
     def close(self) -> None:
         """Nobody will answer any more: say so to all who wait and to all who come. Can be called twice."""
@@ -72,7 +109,43 @@ class Inbox:
             if self._closed:
                 return
             self._closed = True
-            for letter in self.take():
-                letter.answer.put(dict(_STOPPING))
+            waiting = [answers for lane in self._lanes for _, answers in lane]
+            for lane in self._lanes:
+                lane.clear()
             os.close(self.wake)
             os.close(self._ring)
+        for answers in waiting:
+            answers.put(_STOPPING)
+
+    def _take_in(self, request: Request, answered: Callable[[Reply], None]) -> bool:
+        number = _lane(request)
+        lane = self._lanes[number]
+        if lane and lane[-1][0] == request and request.get("do") in _SHARED:
+            lane[-1][1].places.append(answered)
+            return True
+        if number != STOP and len(lane) >= WAITING_MAX:
+            return False
+        lane.append((request, _Answers([answered])))
+        return True
+
+    def _overtaken_by(self, request: Request) -> list[_Answers]:
+        """A stop goes ahead of a release that came before it, which must not end the stop afterwards."""
+        if _lane(request) != STOP:
+            return []
+        lane = self._lanes[ORDINARY]
+        releases = [letter for letter in lane if letter[0].get("do") == "release_emergency_stop"]
+        for letter in releases:
+            lane.remove(letter)
+        return [answers for _, answers in releases]
+
+    def _hush(self) -> None:
+        try:
+            while os.read(self.wake, 512):
+                pass
+        except BlockingIOError:
+            pass
+
+
+def _lane(request: Request) -> int:
+    what = request.get("do")
+    return LANES.get(what, ORDINARY) if isinstance(what, str) else ORDINARY

@@ -16,7 +16,7 @@ from edge.controllers.base import Context
 from edge.decider import Decider
 from edge.errors import RequestError
 from edge.hard_limits import LEASE_S
-from edge.inbox import Reply, Request
+from edge.inbox import ORDINARY, Reply, Request
 from edge.lighting import led_level
 from edge.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
 from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate
@@ -59,7 +59,7 @@ class Loop:
         self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
         self._conditions = Conditions()
         self._events: list[Event] = []
-        self._decider = Decider(rig.controllers, rig.settings.control, self._conditions)
+        self._decider = Decider(rig.controllers, rig.settings.control, self._conditions, self._answer_urgent)
         self._watering = Watering(rig.settings.watering)
         self._stopping = False
         self.last_record: TickRecord | None = None
@@ -261,7 +261,13 @@ class Loop:
 
     def _serve_and_answer(self, until_s: float) -> None:
         self._rig.board.serve(until_s, self._rig.inbox.wake)
-        for letter in self._rig.inbox.take():
+        # One at a time: the line is served, and a stop overtakes, between two of a flood.
+        if (letter := self._rig.inbox.take()) is not None:
+            letter.answer.put(self._answer(letter.request))
+
+    def _answer_urgent(self) -> None:
+        """Obey stop and maintenance while a controller thinks; the tick ends under the new orders."""
+        while (letter := self._rig.inbox.take(ORDINARY)) is not None:
             letter.answer.put(self._answer(letter.request))
 
     def _answer(self, request: Request) -> Reply:

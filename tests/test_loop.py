@@ -4,6 +4,7 @@ import json
 import math
 import select
 import threading
+import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -378,3 +379,39 @@ def test_a_new_controller_takes_over_without_a_bump(rig: LoopRig) -> None:
     record = rig.tick()
     assert record.decision.controller == "rules"
     assert record.sent == rig.sink.records[0].sent
+
+
+def test_a_stop_is_obeyed_while_a_controller_thinks_and_the_tick_ends_under_it(rig: LoopRig) -> None:
+    rig.tick()
+    rig.chosen.hang_s = 2.0
+    rig.loop._decider._deadline_s = 4.0
+    obeyed_s: list[float] = []
+    asked_s = time.monotonic() + 0.3
+
+    def stop() -> None:
+        rig.inbox.post({"do": "emergency_stop"}, lambda reply: obeyed_s.append(time.monotonic() - asked_s))
+
+    timer = threading.Timer(0.3, stop)
+    timer.start()
+    record = rig.tick()
+    timer.join()
+    assert rig.board.stops == 1
+    assert obeyed_s[0] < 1.0
+    assert record.decision.controller == "MPC"  # the decision was waited for
+    assert record.sent.heater_duty == 0.0
+
+
+def test_between_two_requests_of_a_flood_the_line_is_served(rig: LoopRig) -> None:
+    served: list[float] = []
+    serve = rig.board.serve
+
+    def counted(until_s: float, wake: int | None = None) -> None:
+        served.append(until_s)
+        serve(until_s, wake)
+
+    rig.board.serve = counted  # type: ignore[method-assign]
+    for number in range(10):
+        rig.inbox.post({"do": "set_reference", "reference_c": 20.0 + number}, lambda reply: None)
+    while rig.loop._operation.reference_c != 29.0:
+        rig.loop._serve_and_answer(rig.clock.now_s)
+    assert len(served) == 10
