@@ -3,6 +3,7 @@
 onnxruntime is imported when a file is read and not before: a rig without such a model never pays for it.
 """
 
+import os
 from typing import Any
 
 from edge.errors import DataError
@@ -10,6 +11,7 @@ from edge.errors import DataError
 
 def open_session(content: bytes) -> Any:
     """A session on the bytes of an ONNX file. Errors: DataError where they are none that can be run."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # newer than the pinned version, it would call its maker
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
