@@ -19,7 +19,7 @@ from edge.hard_limits import LEASE_S
 from edge.inbox import ORDINARY, Reply, Request
 from edge.lighting import led_level
 from edge.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
-from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate
+from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate, refuse_unknown_keys
 from edge.operation_json import to_dict
 from edge.reference import seconds_of_day
 from edge.rig import Rig
@@ -275,8 +275,9 @@ class Loop:
         try:
             match request.get("do"):
                 case "status":
-                    pass
+                    refuse_unknown_keys(request, ())
                 case "clear_trip":
+                    refuse_unknown_keys(request, ())
                     self._clear_trip()
                 case _:
                     self._order(request)

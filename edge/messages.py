@@ -5,6 +5,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from edge.plain_text import plain
+
+EVENT_TEXT_MAX = 1000  # characters: a rationale's claims, and an exception of any library
+
 
 class Quality(Enum):
     """How far a number can be trusted. Only GOOD ones reach a controller or allow heating."""
@@ -59,13 +63,16 @@ class Severity(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened, once. `key` is stable, `text` is for people."""
+    """Something that happened, once. `key` is stable, `text` is one line for people."""
 
     key: str  # e.g. "board.link_lost"
     severity: Severity
     text: str
     time_s: float
     utc: float  # [s since 1970]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", plain(self.text, EVENT_TEXT_MAX))
 
 
 @dataclass(frozen=True, slots=True)

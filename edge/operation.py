@@ -14,6 +14,7 @@ from edge.errors import RequestError
 from edge.hard_limits import MAINTENANCE_MAX_MIN
 from edge.messages import Change, Command
 from edge.names import HEATER_LEVELS
+from edge.plain_text import plain, shown
 from edge.steering.standing import steered
 from edge.steering.steering import Steering, problem
 from edge.steering.steering import from_dict as steering_from_dict
@@ -134,26 +135,40 @@ def operate(operation: Operation, request: Request, desk: Desk) -> Operation:
     kind = request.get("do")
     order = ORDERS.get(kind) if isinstance(kind, str) else None
     if order is None:
-        near = get_close_matches(str(kind), ORDERS, n=1)
+        near = get_close_matches(plain(str(kind)), ORDERS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(ORDERS)}"
-        raise RequestError(f"unknown request {kind!r}{hint}")
-    return order(operation, request, desk)
+        raise RequestError(f"unknown request {shown(kind)}{hint}")
+    refuse_unknown_keys(request, order.keys)
+    return order.carry_out(operation, request, desk)
 
 
-Order = Callable[[Operation, Request, Desk], Operation]
+def refuse_unknown_keys(request: Request, known: tuple[str, ...]) -> None:
+    """Errors: RequestError that names the first key that a request of this kind does not have."""
+    for key in request:
+        if key != "do" and key not in known:
+            takes = f"known keys: {', '.join(known)}" if known else "it takes none"
+            raise RequestError(f"{plain(str(request.get('do')), 40)}: unknown key {shown(key)}; {takes}")
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What a request does to the standing orders, and the keys that it may have."""
+
+    carry_out: Callable[[Operation, Request, Desk], Operation]
+    keys: tuple[str, ...] = ()
 
 
 def _number(request: Request, key: str, low: float, high: float) -> float:
     value = request.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise RequestError(f"{key}: {value!r} is not a number from {low:g} to {high:g}")
+        raise RequestError(f"{key}: {shown(value)} is not a number from {low:g} to {high:g}")
     return float(value)
 
 
 def _choice(request: Request, key: str, known: tuple[str, ...]) -> str:
     value = request.get(key)
     if value not in known:
-        raise RequestError(f"{key}: {value!r} is not one of {', '.join(known)}")
+        raise RequestError(f"{key}: {shown(value)} is not one of {', '.join(known)}")
     return str(value)
 
 
@@ -207,7 +222,7 @@ def _steer(operation: Operation, request: Request, desk: Desk) -> Operation:
     try:
         steering = steering_from_dict(request["steering"])
     except (KeyError, TypeError, ValueError) as error:
-        raise RequestError(f"steering: {error}") from None
+        raise RequestError(f"steering: {plain(str(error))}") from None
     if wrong := problem(steering, desk.utc, desk.reference_min_c, desk.reference_max_c):
         raise RequestError(f"steering: {wrong}")
     before = Before(operation.reference_c, operation.steering_at(desk.utc))
@@ -223,14 +238,14 @@ def _undo(operation: Operation, request: Request, desk: Desk) -> Operation:
 
 
 ORDERS: dict[str, Order] = {
-    "set_mode": _set_mode,
-    "set_fan_mode": _set_fan_mode,
-    "set_reference": _set_reference,
-    "set_controller": _set_controller,
-    "set_manual": _set_manual,
-    "emergency_stop": _emergency_stop,
-    "release_emergency_stop": _release,
-    "maintenance": _maintenance,
-    "steer": _steer,
-    "undo": _undo,
+    "set_mode": Order(_set_mode, ("mode",)),
+    "set_fan_mode": Order(_set_fan_mode, ("fan_mode",)),
+    "set_reference": Order(_set_reference, ("reference_c",)),
+    "set_controller": Order(_set_controller, ("name",)),
+    "set_manual": Order(_set_manual, ("heater_duty", "fan_on", "led")),
+    "emergency_stop": Order(_emergency_stop),
+    "release_emergency_stop": Order(_release),
+    "maintenance": Order(_maintenance, ("minutes",)),
+    "steer": Order(_steer, ("steering",)),
+    "undo": Order(_undo),
 }

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 from edge.bundle.keeper import BundleKeeper
-from edge.errors import GreenhouseError
+from edge.errors import GreenhouseError, RequestError
 from edge.inbox import Inbox, Reply, Request
 from edge.mqtt.commands import SEQ_MAX
 from edge.mqtt.topics import Topics
+from edge.operation import refuse_unknown_keys
+from edge.plain_text import shown
 from edge.reference import zone_of
 from edge.settings import Settings
 from edge.steering.desk import WishDesk
@@ -17,6 +19,15 @@ from edge.storage import Outbox
 from edge.why.ask_history import why
 
 ASKED_OF_THE_DESK = ("ask", "proposal", "confirm")
+KEYS = {  # of the requests that are answered here
+    "resend": ("first_seq", "last_seq"),
+    "why": ("at_utc",),
+    "bundle": ("action", "version", "job"),
+    "ask": ("words",),
+    "proposal": ("id",),
+    "confirm": ("id",),
+}
+UTC_MAX = 253_402_300_799.0  # the last second of the year 9999, the calendar's end [s since 1970]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +41,26 @@ class Routes:
 
     def ask(self, request: Request) -> Reply:
         """The answer; never raises."""
-        match request.get("do"):
+        what = request.get("do")
+        if isinstance(what, str) and what in KEYS:
+            try:
+                refuse_unknown_keys(request, KEYS[what])
+            except RequestError as error:
+                return {"ok": False, "error": str(error)}
+        match what:
             case "resend":
                 return resend(self.settings, request)
             case "why":
                 return self._why(request.get("at_utc"))
             case "bundle":
                 return self.bundles.answer(request) if self.bundles else _no_bundles()
-            case what if what in ASKED_OF_THE_DESK:
+            case _ if what in ASKED_OF_THE_DESK:
                 return self.desk.answer(request)
         return self.inbox.ask(request)
 
     def _why(self, at_utc: object) -> Reply:
-        if at_utc is not None and (isinstance(at_utc, bool) or not isinstance(at_utc, int | float)):
-            return {"ok": False, "error": f"at_utc: {at_utc!r} is no time in seconds since 1970"}
+        if at_utc is not None and not _is_utc(at_utc):
+            return {"ok": False, "error": f"at_utc: {shown(at_utc)} is no time in seconds since 1970"}
         try:
             return {"ok": True, **why(self.settings.history.path, at_utc, zone_of(self.settings.timezone))}
         except GreenhouseError as error:
@@ -56,7 +73,7 @@ def resend(settings: Settings, request: Mapping[str, Any]) -> Reply:
     if not _is_seq(first) or not _is_seq(last) or not first <= last:
         return {
             "ok": False,
-            "error": f"first_seq {first!r}, last_seq {last!r}: not a span of sequence numbers",
+            "error": f"first_seq {shown(first)}, last_seq {shown(last)}: not a span of sequence numbers",
         }
     outbox = outbox_of(settings)
     try:
@@ -74,6 +91,10 @@ def outbox_of(settings: Settings) -> Outbox:
 
 def _no_bundles() -> Reply:
     return {"ok": False, "error": "bundle.path is empty: this rig uses no bundles"}
+
+
+def _is_utc(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= UTC_MAX
 
 
 def _is_seq(value: object) -> TypeGuard[int]:

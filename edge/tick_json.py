@@ -6,6 +6,7 @@ from typing import Any
 
 from edge.messages import Command, Drift, Echo, Event, Forecast, ForecastSkill, TickRecord
 from edge.names import SIGNALS
+from edge.plain_text import storable
 
 TEMP_DIGITS, WIDTH_DIGITS = 2, 3  # of forecasts: a tenth of the sensor's resolution, a hundredth
 
@@ -18,14 +19,16 @@ def number(value: float | None, digits: int = 4) -> float | None:
 
 
 def json_value(value: Any) -> Any:
-    """`value` as JSON can carry it: NaN and infinity become None, numpy's types Python's own."""
+    """`value` as JSON can carry it: no NaN, no infinity, storable texts, no types of numpy's."""
     if isinstance(value, Mapping):
-        return {str(key): json_value(item) for key, item in value.items()}
+        return {storable(str(key)): json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_value(item) for item in value]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int):
+    if isinstance(value, str):
+        return storable(value)
+    if value is None or isinstance(value, int):
         return value
     return json_value(value.tolist()) if hasattr(value, "tolist") else str(value)
 

@@ -21,9 +21,11 @@ from edge.bundle.trial import HorizonScore, Judgement, Scores, Verdict, judge
 from edge.clock import Clock
 from edge.errors import DataError, RequestError
 from edge.messages import Event, Severity, TickRecord
+from edge.plain_text import plain, shown
 
 JOBS_REMEMBERED = 32
 JOBS_WAITING = 8
+ERROR_MAX = 400  # characters of what is said of a job that failed
 _FOLLOWS = {
     Verdict.PROMOTE: "activate",
     Verdict.REJECT: "reject",
@@ -67,9 +69,9 @@ class BundleKeeper:
         if action == "status":
             return {"ok": True, **self._status(request.get("job"))}
         if not isinstance(action, str) or action not in ACTIONS:
-            return _refused(f"action: {action!r} is none of status, {', '.join(ACTIONS)}")
+            return _refused(f"action: {shown(action)} is none of status, {', '.join(ACTIONS)}")
         if version is not None and not isinstance(version, str):
-            return _refused(f"version: {version!r} is no version of a bundle")
+            return _refused(f"version: {shown(version)} is no version of a bundle")
         job = self._post(action, version, "asked for")
         return _refused("too many requests wait") if job is None else {"ok": True, "job": job}
 
@@ -127,6 +129,7 @@ class BundleKeeper:
                 error = self._do(job)
             except Exception as bug:  # told and gone on: the thread must be there for the next job
                 error = f"internal error: {bug!r}"
+            error = plain(error, ERROR_MAX)
             if error:
                 self._told.append((Severity.WARNING, "bundle.failed", f"{job.action} ({job.why}): {error}"))
             with self._posting:

@@ -10,6 +10,7 @@ from edge.controllers.base import Context
 from edge.errors import RequestError
 from edge.messages import Command, Decision
 from edge.names import HEATER_LEVELS
+from edge.plain_text import shown
 from edge.policy.observation import by_name, observe_tick
 
 WHY_MAX = 2000  # of a client's own reasons; longer ones are left out of the history [bytes of JSON]
@@ -68,9 +69,9 @@ def _command(answer: Mapping[str, Any]) -> Command:
     """Errors: RequestError for what is no duty or no state of a relay"""
     duty, fan_on = answer.get("heater_duty"), answer.get("fan_on")
     if isinstance(duty, bool) or not isinstance(duty, int | float) or not 0.0 <= duty <= 1.0:
-        raise RequestError(f"heater_duty: {duty!r} is not a number from 0 to 1")
+        raise RequestError(f"heater_duty: {shown(duty)} is not a number from 0 to 1")
     if not isinstance(fan_on, bool):
-        raise RequestError(f"fan_on: {fan_on!r} is neither true nor false")
+        raise RequestError(f"fan_on: {shown(fan_on)} is neither true nor false")
     return Command(heater_duty=round(duty * HEATER_LEVELS) / HEATER_LEVELS, fan_on=fan_on)
 
 

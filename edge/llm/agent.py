@@ -15,9 +15,9 @@ from edge.llm.wire import (
     ToolCall,
     Usage,
     assistant_message,
-    shortened,
     tool_message,
 )
+from edge.plain_text import plain
 from edge.strict_json import parse_object
 
 CALLS_MAX = 8  # in one reply
@@ -71,7 +71,7 @@ class Conversation:
         """What the model is told of its call."""
         tool = next((tool for tool in self.tools if tool.spec.name == call.name), None)
         if tool is None:
-            self._mistake("unknown_tool", f"{shortened(call.name, 40)!r}")
+            self._mistake("unknown_tool", f"{plain(call.name, 40)!r}")
             known = ", ".join(tool.spec.name for tool in self.tools) or "none"
             return _error(f"there is no tool of this name; there are: {known}")
         try:

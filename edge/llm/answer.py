@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from edge.llm.failure import LlmFailure
-from edge.llm.wire import Schema, shortened
+from edge.llm.wire import Schema
 from edge.messages import Command
 from edge.names import HEATER_LEVELS
+from edge.plain_text import plain
 from edge.strict_json import parse_object
 
 RATIONALE_MAX = 1200  # characters that are kept
@@ -54,7 +55,7 @@ def read_answer(content: str | None, with_simulation: bool) -> Answer:
     values = read_object(content)
     known = ["heater_duty", "fan_on", "rationale", *(["simulation"] if with_simulation else [])]
     if unknown := sorted(values.keys() - set(known)):
-        raise LlmFailure("wrong_schema", f"unknown key {shortened(str(unknown[0]), 40)!r}")
+        raise LlmFailure("wrong_schema", f"unknown key {plain(str(unknown[0]), 40)!r}")
     if missing := [key for key in known if key not in values and key != "simulation"]:
         raise LlmFailure("wrong_schema", f"{missing[0]} is missing")
     said = _number(values, "heater_duty")
@@ -65,8 +66,8 @@ def read_answer(content: str | None, with_simulation: bool) -> Answer:
         raise LlmFailure("wrong_schema", "fan_on must be true or false")
     return Answer(
         command=Command(heater_duty=duty, fan_on=values["fan_on"]),
-        rationale=shortened(_text(values, "rationale"), RATIONALE_MAX),
-        simulation=shortened(_text(values, "simulation"), 40) if "simulation" in values else "",
+        rationale=plain(_text(values, "rationale"), RATIONALE_MAX),
+        simulation=plain(_text(values, "simulation"), 40) if "simulation" in values else "",
         rounded_from=None if abs(said - duty) <= SNAP else said,
     )
 

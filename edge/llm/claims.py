@@ -12,8 +12,8 @@ from typing import Any
 from edge.controllers.base import Context
 from edge.llm.ledger import Ledger
 from edge.llm.said_numbers import degrees, energies, fits, shares
-from edge.llm.wire import shortened
 from edge.messages import Command
+from edge.plain_text import plain
 
 CLAIMS_MAX = 12  # of one text
 _SENTENCE = re.compile(r"(?<=[.!?;])\s+(?=\S)|\n+")
@@ -180,4 +180,4 @@ def _in_words(driven: Command) -> str:
 
 
 def _claim(text: str, kind: str, holds: bool, against: str) -> Claim:
-    return Claim(shortened(text.strip(), 160), kind, holds, against)
+    return Claim(plain(text.strip(), 160), kind, holds, against)

@@ -21,9 +21,9 @@ from edge.llm.wire import (
     read_document,
     read_reply,
     read_usage,
-    shortened,
     to_bytes,
 )
+from edge.plain_text import plain
 from edge.secrets import Secret
 from edge.settings import LlmSettings
 
@@ -137,7 +137,7 @@ class Endpoint:
         text = raw.decode(errors="replace")
         if self.key is not None:
             text = text.replace(self.key.value, "***")
-        return shortened(text)
+        return plain(text)
 
     @property
     def _url(self) -> str:

@@ -19,6 +19,7 @@ from edge.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
 from edge.llm.sql_tool import SqlTool
 from edge.messages import Command
 from edge.models.base import Predictor
+from edge.plain_text import plain
 
 QUERY_MAX = 300  # characters of a query that are kept
 _ARCHITECTURES = {"": "simple", "sql": "sql"}
@@ -120,5 +121,5 @@ def _simulation(entry: Entry) -> dict[str, Any]:
 
 
 def _query(entry: Entry) -> dict[str, Any]:
-    query = str(entry.arguments["query"])[:QUERY_MAX]
+    query = plain(str(entry.arguments["query"]), QUERY_MAX)
     return {"id": entry.id, "query": query, "rows": entry.result["coverage"]["rows"]}

@@ -4,12 +4,12 @@ Servers differ: `content` may be null, `arguments` is a string that may be no JS
 """
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeGuard
 
 from edge.llm.failure import LlmFailure
+from edge.plain_text import plain
 from edge.strict_json import parse_object
 
 Message = Mapping[str, Any]
@@ -149,7 +149,7 @@ def read_reply(document: Mapping[str, Any], usage: Usage) -> Reply:
     if not isinstance(message, Mapping):
         raise LlmFailure("malformed", "choices[0].message is no object")
     if refusal := message.get("refusal"):
-        raise LlmFailure("refusal", f"the model refuses: {shortened(str(refusal))}")
+        raise LlmFailure("refusal", f"the model refuses: {plain(str(refusal))}")
     if finish == "content_filter":
         raise LlmFailure("refusal", "a content filter ended the answer")
     if finish == "length":
@@ -192,12 +192,6 @@ def assistant_message(reply: Reply) -> dict[str, Any]:
 def tool_message(call: ToolCall, content: str) -> dict[str, Any]:
     """The answer to one call."""
     return {"role": "tool", "tool_call_id": call.id, "content": content}
-
-
-def shortened(text: str, longest: int = 200) -> str:
-    """One line of printable characters: what others wrote, fit for a log."""
-    plain = re.sub(r"[^\x20-\x7e\u00a0-\uffff]+", " ", text)
-    return plain if len(plain) <= longest else plain[: longest - 3] + "..."
 
 
 def to_bytes(body: Mapping[str, Any]) -> bytes:

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 from edge.errors import RequestError
+from edge.plain_text import plain, shown
 from edge.settings import ReferenceSettings
 from edge.steering.steering import HOURS_MAX, PENALTY_MAX, DailyTarget, FanRest, Steering
 
@@ -64,7 +65,7 @@ def understood(
     """
     keys = SCHEMA["required"]
     if odd := sorted(set(keys) ^ set(document)):
-        raise RequestError(f"{odd[0]}: {'missing' if odd[0] in keys else 'unknown key'}")
+        raise RequestError(f"{plain(odd[0], 40)}: {'missing' if odd[0] in keys else 'unknown key'}")
     steering = Steering(
         id=id,
         words=words,
@@ -119,7 +120,7 @@ def _clock(item: Mapping[str, Any], key: str, place: str) -> float:
     value = item[key]
     found = _CLOCK.fullmatch(value) if isinstance(value, str) else None
     if found is None:
-        raise RequestError(f"{place}{key}: {value!r} is no local time like 06:00")
+        raise RequestError(f"{place}{key}: {shown(value)} is no local time like 06:00")
     return 3600.0 * int(found[1]) + 60.0 * int(found[2])
 
 
@@ -127,7 +128,7 @@ def _number(item: Mapping[str, Any], key: str, low: float, high: float, place: s
     value = item[key]
     number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     if not number or not low <= value <= high:
-        raise RequestError(f"{place}{key}: {value!r} is not a number from {low:g} to {high:g}")
+        raise RequestError(f"{place}{key}: {shown(value)} is not a number from {low:g} to {high:g}")
     return float(value)
 
 
@@ -138,5 +139,5 @@ def _number_or_none(item: Mapping[str, Any], key: str, high: float) -> float | N
 def _text(document: Mapping[str, Any], key: str) -> str:
     value = document[key]
     if not isinstance(value, str):
-        raise RequestError(f"{key}: {value!r} is no text")
-    return " ".join(value.split())[:TEXT_MAX]
+        raise RequestError(f"{key}: {shown(value)} is no text")
+    return plain(value, TEXT_MAX)

@@ -11,14 +11,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from edge.errors import GreenhouseError, RequestError
+from edge.plain_text import plain, shown
 from edge.reference import seconds_of_day, zone_of
 from edge.settings import Settings
 from edge.steering import steering as steerings
 from edge.steering.answer import understood
 from edge.steering.prediction import predicted
-from edge.steering.prompt import WORDS_MAX, messages
+from edge.steering.prompt import messages
 from edge.steering.proposal_id import new_id
-from edge.steering.steering import Steering
+from edge.steering.steering import WORDS_MAX, Steering
 from edge.steering.words import describe
 from edge.twin.model import Twin
 
@@ -115,7 +116,7 @@ class WishDesk:
         with self._lock:
             if any(proposal.state == "thinking" for proposal in self._proposals.values()):
                 raise RequestError("ask: the wish before is still being worked on")
-            proposal = Proposal(new_id(), " ".join(words.split()), self._around.utc())
+            proposal = Proposal(new_id(), plain(words, WORDS_MAX), self._around.utc())
             self._keep(proposal)
             self._thread = threading.Thread(target=self._work, args=(proposal,), name="wish", daemon=True)
             self._thread.start()
@@ -138,7 +139,7 @@ class WishDesk:
         with self._lock:
             proposal = self._proposals.get(str(id))
             if proposal is None:
-                raise RequestError(f"proposal: there is no {id!r}: it was never made or is forgotten")
+                raise RequestError(f"proposal: there is no {shown(id)}: it was never made or is forgotten")
             gone_s = self._around.utc() - proposal.asked_utc
             if proposal.state == "ready" and not 0.0 <= gone_s < PROPOSAL_AGE_MAX_S:
                 proposal = replace(proposal, state="expired")

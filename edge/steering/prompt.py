@@ -7,8 +7,6 @@ from typing import Any
 from edge.settings import LightingSettings, Settings
 from edge.steering.steering import HOURS_MAX
 
-WORDS_MAX = 500  # of an operator [characters]
-
 _SYSTEM = """\
 You turn what the operator of a small greenhouse wants into settings. You cannot act: the operator reads the
 settings and confirms them, or not. Answer with one JSON object and nothing else, with these keys:

@@ -9,9 +9,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from edge.plain_text import plain
+
 DAY_S = 86400.0
 HOURS_MAX = 168.0  # a wish that holds for longer than a week belongs into edge.yaml
 PENALTY_MAX = 100.0
+WORDS_MAX = 500  # of an operator [characters]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +86,8 @@ def to_dict(steering: Steering) -> dict[str, Any]:
 def from_dict(values: Mapping[str, Any]) -> Steering:
     """Inverse of `to_dict`. Errors: KeyError, TypeError, ValueError on values it never wrote."""
     steering = Steering(
-        id=str(values["id"]),
-        words=str(values["words"]),
+        id=plain(str(values["id"]), 40),
+        words=plain(str(values["words"]), WORDS_MAX),
         until_utc=_finite(values["until_utc"]),
         daily=tuple(DailyTarget(**target) for target in values["daily"]),
         heater_penalty=_or_none(values["heater_penalty"]),

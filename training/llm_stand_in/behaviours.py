@@ -13,6 +13,7 @@ from training.llm_stand_in.prompt import results
 
 Body = Mapping[str, Any]
 SLOW_S = 1.5  # answers come so late
+SURROGATE = "\ud800"  # JSON carries it, UTF-8 does not
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +131,10 @@ BEHAVIOURS: dict[str, Behaviour] = {
     "out_of_range": _turn(lambda body: answers(40.0, False, "More is better.")),
     "truncated": _turn(lambda body: says('{"heater_duty": 0.5, "fan_'), "length"),
     "refusal": _turn(lambda body: {**says(None), "refusal": "I can't help with heating."}),
+    "surrogate_refusal": _turn(lambda body: {**says(None), "refusal": f"I can't {SURROGATE} help."}),
+    "surrogate_rationale": _turn(lambda body: answers(0.3, False, f"Because\x1b[2J {SURROGATE} I say so.")),
+    "surrogate_key": _turn(lambda body: says(json.dumps({SURROGATE: 0.5}))),
+    "surrogate_claim": _turn(lambda body: answers(0.3, False, f"I have turned the fan on {SURROGATE}.")),
     "filtered": _turn(lambda body: says(""), "content_filter"),
     "unknown_tool": _turn(lambda body: calls("turn_heater_on", {"duty": 1.0}, len(body["messages"]))),
     "bad_arguments": _turn(lambda body: calls("simulate", '{"heater_duty": [0.5', len(body["messages"]))),
