@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.errors import DataError
-from edge.run_file import Run, cut, read_run, resample, write_run
+from edge.run_file import OPTION_WITHOUT, Run, absence_facts, cut, read_run, resample, write_run
 from edge.twin.effects import EFFECTS
 from edge.twin.fit import Fit, fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
@@ -92,7 +92,9 @@ def read_logs(data: Path, log_set: LogSet, rule: Rule) -> Logs:
     Errors : DataError where there are none
     """
     paths = sorted((data / log_set.folder).glob("*.csv"))
-    runs = [(path.stem, read_run(path)) for path in paths if path.stem not in log_set.left_out]
+    runs = [
+        (path.stem, read_run(path, OPTION_WITHOUT)) for path in paths if path.stem not in log_set.left_out
+    ]
     if not runs:
         raise DataError(f"{data / log_set.folder}: no run files; see README.md, where they are from")
     return rule([(name, resample(run, log_set.step_s)) for name, run in runs])
@@ -123,7 +125,7 @@ def _written(folder: Path, parts: Sequence[Part], role: str) -> list[Path]:
         facts = {"role": role}
         if part.judged_from_s is not None:
             facts["validate_from_s"] = f"{part.judged_from_s:g}"
-        write_run(replace(part.run, columns=columns, facts=facts), folder / part.name)
+        write_run(absence_facts(replace(part.run, columns=columns, facts=facts)), folder / part.name)
         paths.append(folder / part.name)
     return paths
 

@@ -18,7 +18,7 @@ from edge.messages import TickRecord
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx
 from edge.replay import Series, decisions_digest, replay, score
-from edge.run_file import Run, read_run
+from edge.run_file import OPTION_WITHOUT, Run, read_run
 
 STEP_S = 10.0
 HORIZONS_S = (10.0, 30.0, 60.0, 120.0, 300.0)
@@ -29,7 +29,7 @@ SOURCE = "ESPerimentino PID, repository grobx/unimi-embedded-project, CC BY 4.0"
 
 def split(paths: Sequence[Path]) -> tuple[list[Run], list[Run], list[Run]]:
     """Training, validation and test runs, by date: what comes later is not known when a model is fitted."""
-    runs = [read_run(path) for path in sorted(paths)]
+    runs = [read_run(path, OPTION_WITHOUT) for path in sorted(paths)]
     end = TRAINING + VALIDATION
     return runs[:TRAINING], runs[TRAINING:end], runs[end:]
 

@@ -1,7 +1,8 @@
 """Run files: recorded measurements and inputs as CSV, read strictly and brought to one period."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,9 +15,24 @@ from edge.names import SIGNALS
 from edge.number_table import NumberTable, read_table, write_table
 
 Floats = NDArray[np.float64]
-REQUIRED = ("time_s", "temp_air_c", "heater_duty")
+REQUIRED = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
+OPTION_WITHOUT = {"fan_on": "--no-fan", "temp_ambient_c": "--no-ambient"}  # REQUIRED that a run may lack
+ABSENT = "none"  # the fact `# fan_on: none` says that the recording has no such column
 SHARES = ("heater_duty", "fan_on", "light", "soil_moisture", "tank_level")  # 0..1
 INPUTS = ("heater_duty", "fan_on", "led", "light", "reference_c")  # hold from their row to the next
+KNOWN = tuple(
+    dict.fromkeys(
+        (
+            *REQUIRED,
+            *(signal.key for signal in SIGNALS.values()),
+            *SHARES,
+            *INPUTS,
+            "ambient_rel_humidity_pct",
+            "door_open",
+        )
+    )
+)
+SYNONYMS = {"ambient": ("room", "outside", "out"), "temp": ("t",), "duty": ("power",), "time": ("t",)}
 PERIOD_TOLERANCE = 0.01  # share of a period that a row may be off its place
 PERCENT_FROM = 5.0  # a share that is so large was meant in percent
 HOLE_PERIODS = 2.5  # a reading is not interpolated over a longer distance between rows
@@ -49,21 +65,29 @@ class Run:
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def read_run(path: str | Path) -> Run:
-    """Read a run file, its rows as they are (see `resample`). Errors: DataError, naming line and column."""
-    return run_of(read_table(Path(path)))
+def read_run(path: str | Path, without: Collection[str] = ()) -> Run:
+    """Read a run file, its rows as they are (see `resample`).
+
+    without : keys of OPTION_WITHOUT that the file may lack, in addition to those that its facts call ABSENT
+    Errors : DataError, naming line and column
+    """
+    return run_of(read_table(Path(path)), without)
 
 
-def run_of(table: NumberTable) -> Run:
+def run_of(table: NumberTable, without: Collection[str] = ()) -> Run:
     """The table as a run. Errors: DataError, as `read_run`."""
-    for name in REQUIRED:
-        if name not in table.columns:
-            raise DataError(f"{table.path}: {name} is not among the columns {list(table.columns)}")
+    _check_names(table, without)
     for name in set(SHARES) & set(table.columns):
         _check_share(table, name)
     run = Run(table.columns, table.facts, table.path)
     _ = run.start_utc  # a wrong one is refused now, not when it is needed
     return run
+
+
+def absence_facts(run: Run) -> Run:
+    """The run with a fact `NAME: none` for every column of OPTION_WITHOUT that it lacks."""
+    absent = {name: ABSENT for name in OPTION_WITHOUT if name not in run.columns}
+    return replace(run, facts={**run.facts, **absent})
 
 
 def write_run(run: Run, path: str | Path) -> None:
@@ -149,6 +173,77 @@ def resample(run: Run, step_s: float) -> Run:
         if name != "time_s"
     }
     return replace(run, columns={"time_s": grid, **columns})
+
+
+def _check_names(table: NumberTable, without: Collection[str]) -> None:
+    """Refuse a missing column that nobody declared absent, and a name that is nearly a known one."""
+    for name in table.columns:
+        if name not in KNOWN and (near := [known for known in _near(name) if known not in table.columns]):
+            raise DataError(
+                f"{table.path}: unknown column {name!r}: is it {' or '.join(near)}? "
+                "Rename it, or give it a name unlike those"
+            )
+    for name in OPTION_WITHOUT:
+        if table.facts.get(name, ABSENT) != ABSENT:
+            raise DataError(f"{table.path}: {name}: {table.facts[name]!r}: this fact can only be {ABSENT!r}")
+        if name in table.facts and name in table.columns:
+            raise DataError(f"{table.path}: {name}: the fact says {ABSENT!r}, but the column is there")
+    for name in REQUIRED:
+        if name in table.columns or name in without or name in table.facts:
+            continue
+        hint = ""
+        if name in OPTION_WITHOUT:
+            hint = (
+                f"; where it was not recorded, say so: {OPTION_WITHOUT[name]}, "
+                f"or the line '# {name}: {ABSENT}' above the header"
+            )
+        raise DataError(f"{table.path}: {name} is not among the columns {list(table.columns)}{hint}")
+
+
+def _near(name: str) -> list[str]:
+    """Known columns that `name` may mean: each of its words is, or begins, one of theirs, or is a slip of it.
+
+    `fan`, `FanOn`, `temp_amb_c`, `heater_dtuy` are near a known name; `fan_rpm` and `heater_2_duty` are not.
+    """
+    words = _words(name)
+    if not any(len(word) > 2 for word in words):
+        return []
+    return [known for known in KNOWN if _covers(known, words)]
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+[0-9]*|[0-9]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
+
+
+def _covers(known: str, words: Sequence[str]) -> bool:
+    if "".join(words) == known.replace("_", ""):
+        return True
+    left = known.split("_")
+    for word in words:
+        match = next((other for other in left if _alike(word, other)), None)
+        if match is None:
+            return False
+        left.remove(match)
+    return True
+
+
+def _alike(word: str, other: str) -> bool:
+    if word == other or word in SYNONYMS.get(other, ()):
+        return True
+    if not (word.isalpha() and other.isalpha()):
+        return False
+    if len(word) > 2 and (other.startswith(word) or (word.startswith(other) and len(other) > 2)):
+        return True
+    return min(len(word), len(other)) > 3 and _one_slip(word, other)
+
+
+def _one_slip(a: str, b: str) -> bool:
+    """One letter too many, too few, wrong, or two in the wrong order."""
+    begin = 0
+    while begin < min(len(a), len(b)) and a[begin] == b[begin]:
+        begin += 1
+    a, b = a[begin:], b[begin:]
+    return a[1:] == b[1:] or a[1:] == b or a == b[1:] or (a[:2] == b[1::-1] and a[2:] == b[2:])
 
 
 def _check_share(table: NumberTable, name: str) -> None:

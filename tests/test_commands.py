@@ -130,8 +130,11 @@ def test_what_cannot_be_exported_is_told_in_one_line(tmp_path, monkeypatch, caps
     [
         (None, "No such file"),
         ("", "no header"),
-        ("time_s,temp_air_c\n0,20\n", "heater_duty is not among the columns"),
-        ("time_s,temp_air_c,heater_duty\n0,20,1.5\n", "line 2: heater_duty: 1.5 is not in 0..1"),
+        ("time_s,temp_air_c,temp_ambient_c,fan_on\n0,20,20,0\n", "heater_duty is not among the columns"),
+        (
+            "# fan_on: none\n# temp_ambient_c: none\ntime_s,temp_air_c,heater_duty\n0,20,1.5\n",
+            "line 4: heater_duty: 1.5 is not in 0..1",
+        ),
         ("time_s,temp_air_c,heater_duty\n0,warm,0\n", "line 2: temp_air_c: 'warm' is no number"),
     ],
 )
@@ -146,6 +149,30 @@ def test_a_wrong_run_file_is_told_with_its_place(tmp_path, capsys, text, reason)
     ):
         line = refusal(capsys, *words)
         assert str(path) in line and reason in line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "import RUN --history h.db",
+        "import RUN --history h.db --no-fan",
+        "plot RUN --out p.png",
+        "fit-arx --train RUN --validate RUN --out m.json --fan none",
+        "replay RUN --fan-always-on",
+        "twin simulate RUN --twin TWIN",
+        "twin diagnose RUN --twin TWIN --out report",
+        "twin diagnose RUN --twin TWIN --out report --no-fan",
+    ],
+)
+def test_a_column_fan_is_not_taken_for_a_fan_that_never_runs(tmp_path, monkeypatch, capsys, words):
+    # `fan` for `fan_on` once made a diagnosis name a wrong effect and propose to adopt it.
+    monkeypatch.chdir(tmp_path)
+    run = Path("run.csv")
+    run.write_text(run_file(tmp_path).read_text().replace("fan_on", "fan"))
+    twin = Path(__file__).parents[1] / "docs" / "examples" / "diagnosis" / "twin.yaml"
+    line = refusal(capsys, *(str({"RUN": run, "TWIN": twin}.get(word, word)) for word in words.split()))
+    assert "run.csv: unknown column 'fan': is it fan_on?" in line
+    assert list(tmp_path.glob("*")) == [tmp_path / "run.csv"]
 
 
 # plot

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edge.errors import DataError
-from edge.run_file import Run, read_run, write_run
+from edge.run_file import Run, absence_facts, read_run, write_run
 from training import datasets
 
 
@@ -72,8 +72,8 @@ def test_a_test_run_among_the_training_runs_and_a_training_run_as_scenario_are_r
     monkeypatch.setattr(datasets, "RUNS", tmp_path)
     with pytest.raises(DataError, match="no run files"):
         datasets.training_runs("interpolation")
-    write_run(run_of(role="test"), tmp_path / "run_01.csv")
-    write_run(run_of(), tmp_path / "scenario_1.csv")
+    write_run(absence_facts(run_of(role="test")), tmp_path / "run_01.csv")
+    write_run(absence_facts(run_of()), tmp_path / "scenario_1.csv")
     with pytest.raises(DataError, match=r"run_01\.csv: role"):
         datasets.training_runs("interpolation")
     with pytest.raises(DataError, match=r"scenario_1\.csv: role"):
@@ -135,7 +135,7 @@ def test_a_run_that_says_nothing_is_cut_at_eighty_per_cent_and_one_that_validate
 
 def test_the_hash_is_of_the_numbers_wherever_they_lie(tmp_path):
     run = changed(run_of(), "temp_air_c", 3, np.nan)
-    write_run(run, tmp_path / "elsewhere.csv")
+    write_run(absence_facts(run), tmp_path / "elsewhere.csv")
     again = replace(read_run(tmp_path / "elsewhere.csv"), facts={"notes": "another fact"})
     assert datasets.data_sha256([run]) == datasets.data_sha256([again])
     assert len(datasets.data_sha256([run])) == 64

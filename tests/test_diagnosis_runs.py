@@ -11,7 +11,7 @@ from training_runs import box_run
 
 from edge.errors import DataError
 from edge.messages import Command, Echo, Quality, Reading
-from edge.run_file import Run, data_sha256, write_run
+from edge.run_file import Run, absence_facts, data_sha256, write_run
 from edge.storage import Storage
 from edge.storage.runs import name_run
 from edge.storage.stretches import export_stretches
@@ -31,7 +31,7 @@ def recorded(path: Path, run: Run | None = None, **columns: object) -> Path:
     replaced = {**run.columns, **{name: np.asarray(values, float) for name, values in columns.items()}}
     facts = {key: value for key, value in run.facts.items() if key != "validate_from_s"}
     kept = {name: values for name, values in replaced.items() if columns.get(name, 0) is not None}
-    write_run(Run(kept, facts), path)
+    write_run(absence_facts(Run(kept, facts)), path)
     return path
 
 

@@ -1,6 +1,7 @@
 """Run files and runs in the history."""
 
 import math
+import re
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from edge.errors import DataError
 from edge.messages import Quality, Reading, TickRecord
-from edge.run_file import Run, period, read_run, resample, write_run
+from edge.run_file import OPTION_WITHOUT, Run, absence_facts, period, read_run, resample, write_run
 from edge.storage import Outbox, Storage
 from edge.storage.runs import events_between, export_run, import_run, name_run
 
@@ -59,8 +60,14 @@ def test_columns_facts_and_missing_cells_are_read(path: Path) -> None:
     assert len(run) == 2
 
 
-def test_ambient_and_fan_may_be_absent_and_unknown_columns_are_kept(path: Path) -> None:
-    run = read(path, "time_s,temp_air_c,heater_duty,fan_rpm\n0,20,0,2750\n")
+def test_ambient_and_fan_may_be_absent_where_that_is_said_and_unknown_columns_are_kept(path: Path) -> None:
+    text = "time_s,temp_air_c,heater_duty,fan_rpm,heater_2_duty,temp_2_c\n0,20,0,2750,1,30\n"
+    path.write_text(text)
+    run = read_run(path, OPTION_WITHOUT)
+    assert list(run.columns) == text.splitlines()[0].split(",")
+    run = read(
+        path, "# fan_on: none\n# temp_ambient_c: none\ntime_s,temp_air_c,heater_duty,fan_rpm\n0,20,0,2750\n"
+    )
     assert list(run.columns) == ["time_s", "temp_air_c", "heater_duty", "fan_rpm"]
     assert run.start_utc is None
 
@@ -88,7 +95,14 @@ def test_a_mark_of_unicode_and_carriage_returns_are_no_matter(path: Path) -> Non
         ("# no colon\n" + HEADER + "0,20,20,0,0\n", "line 1: '# no colon' is no `# key: value`"),
         ("temp_air_c,heater_duty\n20,0\n", "line 1: time_s is not among the columns"),
         ("time_s,heater_duty\n0,0\n", "temp_air_c is not among the columns"),
-        ("time_s,temp_air_c\n0,20\n", "heater_duty is not among the columns"),
+        ("time_s,temp_air_c,temp_ambient_c\n0,20,20\n", "heater_duty is not among the columns"),
+        (
+            HEADER.replace(",temp_ambient_c", "") + "0,20,0,0\n",
+            "say so: --no-ambient, or the line '# temp_am",
+        ),
+        (HEADER.replace(",fan_on", "") + "0,20,20,0\n", "say so: --no-fan, or the line '# fan_on: none'"),
+        ("# fan_on: none\n" + HEADER + "0,20,20,0,0\n", "the fact says 'none', but the column is there"),
+        ("# fan_on: off\n" + HEADER + "0,20,20,0,0\n", "'off': this fact can only be 'none'"),
         ("time_s;temp_air_c;heater_duty\n0;20;0\n", "time_s is not among the columns"),
         ("time_s,temp_air_c,temp_air_c,heater_duty\n0,1,1,0\n", "'temp_air_c' is no name for one column"),
         ("time_s,temp_air_c,,heater_duty\n0,1,1,0\n", "'' is no name for one column"),
@@ -116,6 +130,48 @@ def test_a_wrong_file_is_refused_with_its_place(path: Path, text: str, message: 
         read(path, text)
     assert str(error.value).startswith(str(path))
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("fan", "fan_on"),
+        ("FanOn", "fan_on"),
+        ("fan on", "fan_on"),
+        ("temp_ambient", "temp_ambient_c"),
+        ("temp_room_c", "temp_ambient_c"),
+        ("temp_ambeint_c", "temp_ambient_c"),
+        ("temp", "temp_air_c or temp_ambient_c"),
+        ("heater", "heater_duty"),
+        ("heater_dtuy", "heater_duty"),
+        ("lihgt", "light"),
+        ("rel_humidty_pct", "rel_humidity_pct or ambient_rel_humidity_pct"),
+        ("co2", "co2_ppm"),
+    ],
+)
+def test_a_name_near_a_known_one_is_refused_with_that_name(path: Path, name: str, meant: str) -> None:
+    path.write_text(f"time_s,{name}\n0,0\n")
+    with pytest.raises(DataError, match=f"unknown column '{name}': is it {re.escape(meant)}\\?"):
+        read_run(path, OPTION_WITHOUT)  # no option makes a slip of the pen another column
+
+
+@pytest.mark.parametrize(
+    "name", ["fan_rpm", "fan_2_on", "heater_2_duty", "temp_2_c", "temp_plate_c", "predicted_c", "window", "t"]
+)
+def test_a_name_unlike_the_known_ones_is_kept(path: Path, name: str) -> None:
+    run = read(path, HEADER.replace("\n", f",{name}\n") + "0,20,20,0,0,7\n")
+    assert list(run.columns[name]) == [7.0]
+
+
+def test_a_name_near_one_that_is_there_is_another_column(path: Path) -> None:
+    assert list(read(path, HEADER.replace("\n", ",fan\n") + "0,20,20,0,1,0\n").columns["fan_on"]) == [1.0]
+
+
+def test_a_written_run_says_which_columns_it_lacks(path: Path) -> None:
+    lacking = run_of(time_s=[0, 1], temp_air_c=[20, 21])
+    write_run(absence_facts(lacking), path)
+    assert read_run(path).facts == {"fan_on": "none", "temp_ambient_c": "none"}
+    assert absence_facts(read(path, HEADER + "0,20,20,0,0\n")).facts == {}
 
 
 def test_a_file_that_is_not_there_is_a_data_error(path: Path) -> None:
@@ -165,7 +221,7 @@ def runs(draw: st.DrawFn) -> Run:
 @given(run=runs())
 def test_what_is_written_reads_back_the_same(path: Path, run: Run) -> None:
     write_run(run, path)
-    assert same(read_run(path), run)
+    assert same(read_run(path, OPTION_WITHOUT), run)
 
 
 @pytest.mark.parametrize("facts", [{"a:b": "c"}, {"": "c"}, {"a": "b\nc"}, {" a": "c"}, {"a": "c "}])
@@ -285,7 +341,7 @@ def test_resampling_keeps_every_value_within_its_old_range(run: Run, step_s: flo
 
 @pytest.mark.parametrize("measured", LOGS, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_measured_logs_are_read_and_brought_to_one_period(measured: Path) -> None:
-    run = read_run(measured)
+    run = read_run(measured, OPTION_WITHOUT)
     new = resample(run, 10.0)
     assert period(new) == 10.0
     assert list(new.columns) == list(run.columns)

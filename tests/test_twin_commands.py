@@ -168,9 +168,13 @@ def test_what_a_run_does_not_say_is_asked_for_and_can_be_said(
     bare = {name: run.columns[name] for name in ("time_s", "temp_air_c", "heater_duty")}
     path = run_file(tmp_path / "bare.csv", Run(bare))
     words = ["simulate", "--twin", twin, path]
-    assert refusal(capsys, *words) == f"{path}: temp_ambient_c: not known; say what it was with --ambient-c"
+    assert "fan_on is not among the columns" in refusal(capsys, *words)
+    assert (
+        refusal(capsys, *words, "--no-fan")
+        == f"{path}: temp_ambient_c: not known; say what it was with --ambient-c"
+    )
     out = tmp_path / "out.csv"
-    for options, fan in (([], 0.0), (["--fan-always-on"], 1.0)):
+    for options, fan in ((["--no-fan"], 0.0), (["--fan-always-on"], 1.0)):
         said = [*words, "--ambient-c", "21.5", "--out", out, *options]
         assert main(["twin", *map(str, said)]) == 0
         columns = read_run(out).columns

@@ -15,7 +15,7 @@ from simulated_runs import BOX, Effects, changed, simulated, twin_file
 
 from edge.__main__ import main
 from edge.models.pbm import read_twin
-from edge.run_file import Run, data_sha256, write_run
+from edge.run_file import Run, absence_facts, data_sha256, write_run
 from edge.twin.diagnosis import candidates
 from edge.twin.diagnosis.diagnosis_document import check_diagnosis
 from edge.twin.diagnosis.diagnosis_schema import schema
@@ -76,7 +76,7 @@ Command = Callable[..., Told]
 def written(runs: Sequence[Run], folder: Path, name: str) -> list[str]:
     paths = [folder / f"{name}_{i:02d}.csv" for i in range(1, len(runs) + 1)]
     for run, path in zip(runs, paths, strict=True):
-        write_run(run, path)
+        write_run(absence_facts(run), path)
     return [str(path) for path in paths]
 
 

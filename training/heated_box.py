@@ -18,7 +18,7 @@ from edge.models.arx import Arx
 from edge.models.base import Floats, Predictor
 from edge.models.fit_arx import fit_arx
 from edge.models.pbm import Pbm
-from edge.run_file import Run, inside_names, read_run, resample
+from edge.run_file import OPTION_WITHOUT, Run, inside_names, read_run, resample
 from edge.twin.effects import EFFECTS
 from edge.twin.fit import Fit, fit_twin
 from edge.twin.twin_file import TwinFile
@@ -81,7 +81,7 @@ def read_data(folder: Path) -> Data:
     paths = sorted(folder.glob("*.csv"))
     if len(paths) != RUNS:
         raise DataError(f"{folder}: {len(paths)} run files of {RUNS}; {SOURCE}")
-    runs = [_at_step(read_run(path)) for path in paths]
+    runs = [_at_step(read_run(path, OPTION_WITHOUT)) for path in paths]
     end = TRAINING + VALIDATION
     return Data(Split(runs[:TRAINING], runs[TRAINING:end]), [_as(one, "test") for one in runs[end:]])
 

@@ -15,7 +15,7 @@ from edge.controllers.input_profile import InputProfile
 from edge.errors import DataError
 from edge.experiment import ROLES, Experiment, describe_changes, run_experiment
 from edge.profile_file import Profile, read_profile
-from edge.run_file import Run, write_run
+from edge.run_file import Run, absence_facts, write_run
 from edge.settings import Settings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         kept = {key: value for key, value in recorded.facts.items() if key not in HISTORY_FACTS}
         recorded = replace(recorded, facts=kept)
     with writing(arguments.out):
-        write_run(recorded, arguments.out)
+        write_run(absence_facts(recorded), arguments.out)
     print(f"{arguments.out}: {len(recorded)} rows, {_range(recorded)}; {describe_changes(course.changes)}")
     if course.passed_s < experiment.end_s - 0.5 * settings.control.step_s:
         print(f"stopped after {course.passed_s / 60:.0f} of {experiment.end_s / 60:.0f} min")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from edge.commands.output import writing
 from edge.commands.stretch import add_bounds, moment
-from edge.run_file import write_run
+from edge.run_file import absence_facts, write_run
 from edge.storage.runs import export_run
 
 
@@ -29,6 +29,6 @@ def run(arguments: argparse.Namespace) -> int:
         moment(arguments.until),
     )
     with writing(arguments.out):
-        write_run(recorded, arguments.out)
+        write_run(absence_facts(recorded), arguments.out)
     print(f"{arguments.out}: {len(recorded)} rows")
     return 0

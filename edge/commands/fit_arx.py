@@ -26,13 +26,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how the fan enters: by the excess of the air over the room (as long as there is a room "
         "temperature), as on or off (the paper's), or not at all, e.g. where it never switched",
     )
+    parser.add_argument(
+        "--no-fan", action="store_const", const="none", dest="fan", help="the same as --fan none"
+    )
     parser.add_argument("--no-ambient", action="store_true", help="leave the room temperature out")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """0, and the scores of all orders on standard output."""
-    training = [read_run(path) for path in arguments.train]
-    validation = [read_run(path) for path in arguments.validate]
+    without = ["fan_on"] * (arguments.fan == "none") + ["temp_ambient_c"] * arguments.no_ambient
+    training = [read_run(path, without) for path in arguments.train]
+    validation = [read_run(path, without) for path in arguments.validate]
     fan: FanInput | Literal["none"] = arguments.fan or ("on" if arguments.no_ambient else "excess")
     fit = fit_arx(
         training,

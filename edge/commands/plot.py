@@ -7,7 +7,7 @@ from edge.commands.output import writing
 from edge.commands.stretch import add_bounds, moment
 from edge.errors import RequestError
 from edge.plot import plot_history, plot_run
-from edge.run_file import read_run
+from edge.run_file import OPTION_WITHOUT, read_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise RequestError("--since and --until are for the history; a run file is drawn whole")
     with writing(arguments.out):
         if arguments.run_file is not None:
-            plot_run(read_run(arguments.run_file), arguments.out)
+            plot_run(read_run(arguments.run_file, OPTION_WITHOUT), arguments.out)
         else:
             plot_history(arguments.history, since, until, arguments.out)
     print(arguments.out)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from edge import config
+from edge.commands.absent_columns import add_absent_columns
 from edge.controller_names import MPC_TWIN
 from edge.errors import DataError
 from edge.messages import TickRecord
@@ -31,7 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--twin", type=Path, help="twin file that MPC-Twin and MPC-Twin-P plan with")
     parser.add_argument("--reference", type=float, default=24.0, metavar="DEGC", help="what it should hold")
     parser.add_argument("--horizons", type=_horizons, default=HORIZONS_S, metavar="S,S,...")
-    parser.add_argument("--fan-always-on", action="store_true", help="for runs without a fan_on column")
+    add_absent_columns(parser, "fan_on", "temp_ambient_c")
+    parser.add_argument(
+        "--fan-always-on", action="store_true", help="for runs without the column fan_on: the fan was on"
+    )
     parser.add_argument("--out", type=Path, help="folder for the ticks, one JSON line each")
     parser.add_argument(
         "--again",
@@ -47,12 +51,14 @@ def run(arguments: argparse.Namespace) -> int:
     if twin is None and arguments.controller in MPC_TWIN:
         raise DataError(f"--controller {arguments.controller} needs --twin, the file that it plans with")
     settings = settings_for(model.step_s, arguments.controller, arguments.reference)
+    without = [*arguments.without, *(["fan_on"] if arguments.fan_always_on else [])]
     skills = []
     for path in arguments.runs:
         limits = (
             [] if arguments.again is None else fired_limits(_read(arguments.again / f"{path.stem}.jsonl"))
         )
-        records = replay(read_run(path), settings, model, arguments.fan_always_on, limits, twin)
+        run = read_run(path, without)
+        records = replay(run, settings, model, arguments.fan_always_on, limits, twin)
         skills.append(score(records, model, arguments.horizons))
         print(f"{path.name}: {len(records)} ticks, decisions {decisions_digest(records)[:16]}")
         if arguments.out is not None:

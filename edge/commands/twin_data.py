@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from edge.commands.absent_columns import add_absent_columns
 from edge.commands.stretch import add_times, moment
 from edge.errors import RequestError
 from edge.settings import HistorySettings
@@ -25,6 +26,7 @@ def add_data_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--history", type=Path, help=f"instead of run files: this database (usual: {HistorySettings().path})"
     )
+    add_absent_columns(parser, "fan_on", "temp_ambient_c")
     add_times(parser)
     parser.add_argument(
         "--test-share",
@@ -41,7 +43,7 @@ def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> Diagnosi
             raise RequestError(
                 "nothing to diagnose: give run files, or a time of the history like --since 14d"
             )
-        return read_runs(arguments.train, arguments.test, twin)
+        return read_runs(arguments.train, arguments.test, twin, arguments.without)
     if arguments.train or arguments.test:
         raise RequestError("run files and the history don't go together: export what you need of the history")
     from edge.storage.stretches import export_stretches

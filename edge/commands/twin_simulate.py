@@ -5,7 +5,7 @@ From the first rows of a run on its air temperature is not used any more; inputs
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
@@ -13,11 +13,12 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.commands.absent_columns import add_absent_columns
 from edge.commands.output import writing
 from edge.errors import DataError, RequestError
 from edge.models.pbm import Pbm, read_twin
 from edge.number_table import print_table, read_table
-from edge.run_file import Run, inside_names, resample, write_run
+from edge.run_file import OPTION_WITHOUT, Run, inside_names, resample, write_run
 from edge.twin.diagnosis.plausible import plausible_run
 from edge.twin.warm_start import held
 
@@ -56,7 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ambient-c", type=float, metavar="DEGC", help="room temperature of runs that have none"
     )
-    parser.add_argument("--fan-always-on", action="store_true", help="in runs that have no fan_on")
+    add_absent_columns(parser, "fan_on")
+    parser.add_argument(
+        "--fan-always-on", action="store_true", help="for runs without the column fan_on: the fan was on"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -68,9 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
     pbm = read_twin(arguments.twin)
     outs = _outs(arguments.runs, arguments.out)
     figures: TextIO = sys.stderr if arguments.out is None else sys.stdout
+    without = ["temp_ambient_c", *arguments.without, *(["fan_on"] if arguments.fan_always_on else [])]
     results = {}
     for path, out in zip(arguments.runs, outs, strict=True):
-        recorded = _recorded(path, pbm.step_s, arguments.ambient_c, arguments.fan_always_on)
+        recorded = _recorded(path, pbm.step_s, arguments.ambient_c, arguments.fan_always_on, without)
         simulated = simulate(pbm, recorded, arguments.start_rows)
         results[path.name if out is None else str(out)] = errors(simulated)
         _write(replace(simulated, facts={**simulated.facts, **_facts(arguments.twin, pbm)}), out)
@@ -122,9 +127,11 @@ def errors(simulated: Run) -> Errors:
     return Errors(float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).mean()), len(missed))
 
 
-def _recorded(path: Path, step_s: float, ambient_c: float | None, fan_always_on: bool) -> Run:
+def _recorded(
+    path: Path, step_s: float, ambient_c: float | None, fan_always_on: bool, without: Collection[str]
+) -> Run:
     """The run at the twin's step with all that a free run needs."""
-    run, told = plausible_run(read_table(path))
+    run, told = plausible_run(read_table(path), without)
     for note in told:
         print(note, file=sys.stderr)
     run = resample(run, step_s)
@@ -134,7 +141,8 @@ def _recorded(path: Path, step_s: float, ambient_c: float | None, fan_always_on:
             raise DataError(f"{path}: temp_ambient_c: not known; say what it was with --ambient-c")
         ambient = np.full(len(run), ambient_c)
     fan = run.columns.get("fan_on", np.full(len(run), float(fan_always_on)))
-    return replace(run, columns={**run.columns, "temp_ambient_c": ambient, "fan_on": fan})
+    facts = {name: value for name, value in run.facts.items() if name not in OPTION_WITHOUT}
+    return replace(run, columns={**run.columns, "temp_ambient_c": ambient, "fan_on": fan}, facts=facts)
 
 
 def _outs(runs: Sequence[Path], out: Path | None) -> list[Path | None]:

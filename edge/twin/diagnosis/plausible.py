@@ -3,6 +3,7 @@
 Shares (duty, fan, light) are checked where a run file is read, see `edge/run_file.py`.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -22,12 +23,13 @@ _HUMIDITY = "rel_humidity_pct"
 Floats = NDArray[np.float64]
 
 
-def plausible_run(table: NumberTable) -> tuple[Run, list[str]]:
+def plausible_run(table: NumberTable, without: Collection[str] = ()) -> tuple[Run, list[str]]:
     """The table as a run in which every number can be what its column says; and in words what was left out.
 
+    without : columns that the table may lack, as in `read_run`
     Errors : DataError naming file, line and column, and the unit that it looks like
     """
-    run = run_of(table)
+    run = run_of(table, without)
     _check_time(run)
     _check_humidity(table)
     columns, told = dict(run.columns), []

@@ -1,6 +1,6 @@
 """What a diagnosis is made on: recordings read, checked, cut into pieces and brought to the twin's step."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -62,8 +62,10 @@ class DiagnosisRuns:
     data_sha256: str
 
 
-def read_runs(train: Sequence[Path], test: Sequence[Path], twin: TwinFile) -> DiagnosisRuns:
-    """Run files as a diagnosis needs them.
+def read_runs(
+    train: Sequence[Path], test: Sequence[Path], twin: TwinFile, without: Collection[str] = ()
+) -> DiagnosisRuns:
+    """Run files as a diagnosis needs them; `without` as in `read_run`.
 
     A training run ends where its fact `validate_from_s` says, and is cut where rows are missing for long and
     after 12 h. A test run stays whole: it may have temperatures in its first rows only. One with that fact
@@ -75,7 +77,7 @@ def read_runs(train: Sequence[Path], test: Sequence[Path], twin: TwinFile) -> Di
     if not train:
         raise DataError("diagnosis: needs at least one training run")
     paths = [*train, *test]
-    read = [plausible_run(read_table(Path(path))) for path in paths]
+    read = [plausible_run(read_table(Path(path)), without) for path in paths]
     recordings = [run for run, _ in read]
     for run in recordings[: len(train)]:
         refuse_test(run)
