@@ -13,7 +13,7 @@ _REGULARISATION = 1e-6  # daqp needs a positive definite Hessian
 
 
 def scipy_bfgs(problem: Problem) -> Answer:
-    """The paper's way: BFGS, clipped and rounded."""
+    """Return the paper's plan: L-BFGS-B within the bounds, rounded."""
     levels, fan, _ = rounded_bfgs(problem)
     return levels, fan, False
 

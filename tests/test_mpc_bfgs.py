@@ -12,15 +12,23 @@ from edge.models.arx_file import read_arx
 MODEL = read_arx()
 
 
-def test_where_nothing_saturates_the_first_step_is_the_continuous_optimum_rounded():
+def test_the_first_step_is_the_optimum_within_the_bounds_rounded():
     problem = planning_problem(context(22.0, 24.0), MODEL, 1.0, 1, False)
-    heater, fan = problem.heater[0], problem.fan[0]
-    curvature = 20.0 * np.outer([heater, fan], [heater, fan]) + 2.0 * np.eye(2)
-    duty, _ = np.linalg.solve(curvature, 20.0 * (24.0 - problem.free[0]) * np.array([heater, fan]))
+    duty, fan = np.meshgrid(np.linspace(0.0, 1.0, 2001), np.linspace(0.0, 1.0, 101))
+    temps = problem.free[0] + problem.heater[0] * duty + problem.fan[0] * fan
+    cost = 10.0 * (temps - 24.0) ** 2 + duty**2 + fan**2
+    best = np.unravel_index(np.argmin(cost), cost.shape)
     levels, fan_plan, _ = rounded_bfgs(problem)
-    assert 0.0 < duty < 1.0
-    assert levels[0] == round(20.0 * duty)
-    assert fan_plan[0] in (0, 1)
+    assert 0.0 < duty[best] < 1.0
+    assert levels[0] == round(20.0 * duty[best])
+    assert fan_plan[0] == fan[best] == 0.0
+
+
+def test_within_the_bounds_no_heat_is_hoped_for_from_a_fan_below_0():
+    problem = planning_problem(context(26.0, 27.0), MODEL, 1.0, 10, False)
+    (bounded, fan, _), (clipped, _, _) = (rounded_bfgs(problem, bounds) for bounds in (True, False))
+    assert bounded[0] > 2 * clipped[0]
+    assert problem.cost(bounded, fan) < problem.cost(clipped, fan)
 
 
 @pytest.mark.parametrize("temp", [15.0, 21.0, 24.0, 30.0, 45.0])
@@ -43,3 +51,10 @@ def test_the_same_context_gives_the_same_decision():
     controller = MpcBfgs("MPC-BFGS-P", MODEL, 1.0, 5)
     one, two = controller.decide(context()), controller.decide(context())
     assert (one.command, one.forecast) == (two.command, two.forecast)
+
+
+def test_without_a_penalty_no_fan_works_against_the_heater():
+    problem = planning_problem(context(24.0, 28.0), MODEL, 0.0, 10, False)
+    levels, fan, _ = rounded_bfgs(problem)
+    assert levels[0] > 0
+    assert not fan.any()

@@ -1,4 +1,4 @@
-"""The paper's own MPC, for comparison: continuous BFGS, then clipped and rounded; no constraint but 0..1."""
+"""The paper's own MPC, for comparison: continuous inputs within 0..1 by L-BFGS-B, then rounded."""
 
 import time
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from edge.controllers.base import Context, Floats
-from edge.controllers.mixed_integer.problem import Ints, Problem
+from edge.controllers.mixed_integer.problem import Ints, Problem, lower_toeplitz
 from edge.controllers.mpc import planning_problem
 from edge.controllers.plan_why import cost_split
 from edge.messages import Command, Decision
@@ -17,25 +17,26 @@ _ITERATIONS = 200
 
 
 class MpcBfgs:
-    """`MPC-BFGS` and `MPC-BFGS-P`. The plan knows no limits; its first step is made to keep them."""
+    """`MPC-BFGS` and `MPC-BFGS-P`: the paper's cost with the bounds of its problem.
 
-    def __init__(self, name: str, model: Arx, weight: float, horizon: int) -> None:
+    bounded : False drops the bounds and clips afterwards, as a plain BFGS does; for a comparison alone
+    """
+
+    def __init__(self, name: str, model: Arx, weight: float, horizon: int, bounded: bool = True) -> None:
         self.name = name
         self._model = model
         self._weight = weight
         self._horizon = horizon
+        self._bounded = bounded
 
     def reset(self) -> None:
-        """Nothing to forget: every search starts from half heat and half fan."""
+        """Nothing to forget: every search starts from no heat and no fan."""
 
     def decide(self, context: Context) -> Decision:
-        """The first step of the rounded plan. Raises DataError as `Mpc.decide`."""
+        """Return the first step of the rounded plan. Raises DataError as `Mpc.decide`."""
         begun = time.perf_counter()
         problem = planning_problem(context, self._model, self._weight, self._horizon, preview=False)
-        levels, fan, iterations = rounded_bfgs(problem)
-        levels[0] = min(levels[0], problem.heater_levels)
-        if problem.fan_rules.hold:
-            fan[0] = problem.fan_rules.on
+        levels, fan, iterations = rounded_bfgs(problem, self._bounded)
         temps = problem.temperatures(levels, fan)
         why: dict[str, Any] = {
             **cost_split(problem, levels / HEATER_LEVELS, fan, temps),
@@ -50,19 +51,32 @@ class MpcBfgs:
         return Decision(command, self.name, tuple(temps.tolist()), why)
 
 
-def rounded_bfgs(problem: Problem) -> tuple[Ints, Ints, int]:
-    """Heater levels and fan [N] of the unconstrained optimum clipped to 0..1 and rounded; BFGS iterations."""
+def rounded_bfgs(problem: Problem, bounded: bool = True) -> tuple[Ints, Ints, int]:
+    """Return heater levels and fan [N] of the continuous optimum, rounded, and the iterations it took.
+
+    bounded : search within the bounds (L-BFGS-B), else without any (BFGS); the answer is clipped to them
+    """
     from scipy.optimize import minimize  # late: it doubles the daemon's memory
 
-    n = problem.horizon
+    n, rules = problem.horizon, problem.fan_rules
+    response = np.hstack([lower_toeplitz(problem.heater, n), lower_toeplitz(problem.fan, n)])
+    weights = np.repeat([problem.heater_weight, problem.fan_weight], n)
+    lowest, highest = np.zeros(2 * n), np.repeat([problem.heater_levels / HEATER_LEVELS, 1.0], n)
+    lowest[n : n + rules.hold] = highest[n : n + rules.hold] = float(rules.on)
 
-    def cost(inputs: Floats) -> float:
-        duty, fan = inputs[:n], inputs[n:]
-        temps = problem.temperatures(duty * HEATER_LEVELS, fan)  # type: ignore[arg-type]  # continuous here
-        effort = problem.heater_weight * duty @ duty + problem.fan_weight * fan @ fan
-        return float(problem.tracking(temps).sum() + effort)
+    def cost(inputs: Floats) -> tuple[float, Floats]:
+        temps = problem.free + response @ inputs
+        slope = response.T @ problem.tracking_slope(temps) + 2.0 * weights * inputs
+        return float(problem.tracking(temps).sum() + weights @ inputs**2), slope
 
-    found = minimize(cost, np.full(2 * n, 0.5), method="BFGS", options={"maxiter": _ITERATIONS})
-    inputs = np.clip(found.x, 0.0, 1.0)
+    found = minimize(
+        cost,
+        lowest,  # among equal plans the search ends near its start: without a penalty that spares the fan
+        jac=True,
+        method="L-BFGS-B" if bounded else "BFGS",
+        bounds=np.column_stack([lowest, highest]) if bounded else None,
+        options={"maxiter": _ITERATIONS},
+    )
+    inputs = np.clip(found.x, lowest, highest)
     levels = np.rint(inputs[:n] * HEATER_LEVELS).astype(np.int64)
     return levels, np.rint(inputs[n:]).astype(np.int64), int(found.nit)
