@@ -1,5 +1,6 @@
 """What the safety supervisor sees, remembers and answers. All frozen; see edge/safety.py."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -123,4 +124,6 @@ def memory_from_dict(values: Mapping[str, Any]) -> SafetyMemory:
     if not isinstance(trips, list) or not all(isinstance(trip, str) for trip in trips):
         raise ValueError(f"trips: {trips!r}")
     doses = tuple(Dose(None, float(utc), float(length_s)) for utc, length_s in values["doses"])
+    if not all(math.isfinite(dose.utc) and 0.0 <= dose.length_s < math.inf for dose in doses):
+        raise ValueError("doses: not times and lengths of 0 or more")
     return SafetyMemory(trips=tuple(trips), doses=doses)

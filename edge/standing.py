@@ -34,9 +34,10 @@ def read_standing(path: Path, settings: Settings) -> Standing:
         if operation.controller not in CONTROLLERS:
             raise StateFileBroken(f"{path}: unknown controller {operation.controller!r}")
         return Standing(operation, memory_from_dict(values["safety"]))
-    except (StateFileBroken, KeyError, TypeError, ValueError) as error:
+    except Exception as error:  # whatever it is: a rig that does not know its orders stands still
         stopped = Operation(controller=settings.control.controller, emergency_stop=True)
-        return Standing(stopped, SafetyMemory(), str(error) or repr(error))
+        reason = str(error) if isinstance(error, StateFileBroken) else f"{path}: {error!r}"
+        return Standing(stopped, SafetyMemory(), reason)
 
 
 @dataclass(slots=True)

@@ -11,6 +11,9 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from edge.input_file import read_file
+from edge.strict_json import parse_object
+
 
 class StateFileBroken(Exception):
     """The file is there and can't be understood; the text names it."""
@@ -19,14 +22,13 @@ class StateFileBroken(Exception):
 def read(path: Path) -> dict[str, Any] | None:
     """What was last written, or None when nothing ever was. Errors: StateFileBroken."""
     try:
-        values = json.loads(path.read_text())
+        return parse_object(read_file(path))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise StateFileBroken(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
         raise StateFileBroken(f"{path}: {error}") from error
-    if not isinstance(values, dict):
-        raise StateFileBroken(f"{path}: not a JSON object")
-    return values
 
 
 def write(path: Path, values: dict[str, Any]) -> None:
