@@ -98,7 +98,8 @@ class ControlSettings(Section):
         20_000, "nodes an MPC may search; the same log gives the same decisions", 1, 10_000_000
     )
     time_box_ms: float = number(250.0, "wall clock that guards the search", "ms", 1.0, 60_000.0)
-    preview: bool = flag(False, "MPC and MPC-P know the coming reference")
+    preview: bool = flag(False, "MPC, MPC-P, MPC-BFGS, MPC-BFGS-P and LLM-* know the coming reference")
+    twin_preview: bool = flag(True, "MPC-Twin and MPC-Twin-P know the coming reference")
     decision_deadline_s: float = number(
         4.0, "a later decision is replaced by the fallback's; never more than half a step", "s", 0.05, 4.0
     )

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.errors import DataError
 from edge.messages import Command, Decision, Estimate
 
 Floats = NDArray[np.float64]
@@ -41,7 +42,7 @@ class Context:
         `heater_duty`, `fan_on` as sent, NaN in the last row (not decided yet); `utc` [s]; other signals of
         `edge.names` where the board has them.
     reference : target for the air temperature after each of the next steps, shape [K], K >= any horizon [°C];
-        with `reference_known` False a controller may use only reference[0] (the paper's MPC).
+        what a controller may use of it is its preview's to say: see `goal_ahead`.
     """
 
     now_s: float
@@ -53,6 +54,19 @@ class Context:
     last_sent: Command
     limits: Limits
     penalty: Penalty = field(default_factory=Penalty)
+
+
+def goal_ahead(context: Context, steps: int, preview: bool) -> Floats:
+    """Return the reference [steps] that a controller plans for [°C].
+
+    preview : the coming reference; False holds the present one, which is all that the paper's MPC knows
+    Raises : DataError where less of the coming reference is known
+    """
+    if not preview:
+        return np.full(steps, context.reference[0])
+    if len(context.reference) < steps:
+        raise DataError(f"reference: {len(context.reference)} steps, horizon and tail have {steps}")
+    return context.reference[:steps]
 
 
 class Controller(Protocol):

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from edge.controllers.base import Columns, Context
+from edge.controllers.base import Columns, Context, goal_ahead
 from edge.controllers.heater import levels_allowed
 from edge.controllers.mixed_integer.problem import FanRules, Ints, Problem
 from edge.controllers.mixed_integer.solver import Solution, solve
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
-from edge.errors import DataError
 from edge.messages import Decision
 from edge.models.arx import Arx
 from edge.names import HEATER_LEVELS
@@ -102,9 +101,7 @@ def planning_problem(
     is taken as if its oldest row had lasted.
     """
     steps, estimate, limits = horizon + tail, context.estimate, context.limits
-    reference = context.reference[:steps] if preview else np.full(steps, context.reference[0])
-    if len(reference) < steps:
-        raise DataError(f"reference: {len(reference)} steps, horizon and tail have {steps}")
+    reference = goal_ahead(context, steps, preview)
     controls = np.zeros((1, steps, 2))
     held = model.duty_to_hold(float(reference[-1]), estimate.temp_ambient, estimate.offset)
     controls[:, horizon:, 0] = min(held, limits.heater_max_duty)

@@ -19,14 +19,24 @@ _ITERATIONS = 200
 class MpcBfgs:
     """`MPC-BFGS` and `MPC-BFGS-P`: the paper's cost with the bounds of its problem.
 
+    preview : as of `MpcSettings`; the paper's knows the present reference alone
     bounded : False drops the bounds and clips afterwards, as a plain BFGS does; for a comparison alone
     """
 
-    def __init__(self, name: str, model: Arx, weight: float, horizon: int, bounded: bool = True) -> None:
+    def __init__(
+        self,
+        name: str,
+        model: Arx,
+        weight: float,
+        horizon: int,
+        preview: bool = False,
+        bounded: bool = True,
+    ) -> None:
         self.name = name
         self._model = model
         self._weight = weight
         self._horizon = horizon
+        self._preview = preview
         self._bounded = bounded
 
     def reset(self) -> None:
@@ -35,7 +45,7 @@ class MpcBfgs:
     def decide(self, context: Context) -> Decision:
         """Return the first step of the rounded plan. Raises DataError as `Mpc.decide`."""
         begun = time.perf_counter()
-        problem = planning_problem(context, self._model, self._weight, self._horizon, preview=False)
+        problem = planning_problem(context, self._model, self._weight, self._horizon, self._preview)
         levels, fan, iterations = rounded_bfgs(problem, self._bounded)
         temps = problem.temperatures(levels, fan)
         why: dict[str, Any] = {
@@ -43,7 +53,7 @@ class MpcBfgs:
             "iterations": iterations,
             "binding": [],
             "runner_up": None,
-            "reference_c": float(problem.reference[0]),
+            "reference_c": problem.reference.tolist() if self._preview else float(problem.reference[0]),
             "model": f"{self._model.name} {self._model.version}",
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }

@@ -1,10 +1,10 @@
-"""Offset-free model predictive control over the bundle's twin, with preview of the reference."""
+"""Offset-free model predictive control over the bundle's twin."""
 
 import time
 
 import numpy as np
 
-from edge.controllers.base import Context, Floats
+from edge.controllers.base import Context, Floats, goal_ahead
 from edge.controllers.heater import levels_allowed
 from edge.controllers.mixed_integer.problem import Problem
 from edge.controllers.mpc import LIMIT_WEIGHT
@@ -28,13 +28,17 @@ LEAST_WEIGHT = 0.03
 
 
 class MpcTwin:
-    """`MPC-Twin` and `MPC-Twin-P`. It follows the twin's state itself, so it remembers from tick to tick."""
+    """`MPC-Twin` and `MPC-Twin-P`. The controller follows the twin's state from tick to tick.
 
-    def __init__(self, name: str, model: Pbm, weight: float) -> None:
+    preview : plan for the coming reference, else for the present one
+    """
+
+    def __init__(self, name: str, model: Pbm, weight: float, preview: bool = True) -> None:
         self.name = name
         self._model = model
         self._twin = model.twin
         self._weight = max(weight, LEAST_WEIGHT)
+        self._preview = preview
         self._belief: Belief | None = None
         self._step: LinearStep | None = None
 
@@ -46,7 +50,7 @@ class MpcTwin:
         """The first step of the cheapest plan found. Errors: DataError as the twin and `Problem` have them"""
         begun = time.perf_counter()
         belief, step = self._follow(context)
-        goal = _goal(context, self._weight)
+        goal = _goal(context, self._weight, self._preview)
         last = context.last_sent
         level = round(last.heater_duty * HEATER_LEVELS)
         start = Start(
@@ -105,18 +109,15 @@ def _inputs(context: Context, row: int) -> Inputs:
     return Inputs(float(duty[row]), int(fan[row]), float(duty[before]), int(fan[before]), ambient)
 
 
-def _goal(context: Context, weight: float) -> Problem:
+def _goal(context: Context, weight: float, preview: bool) -> Problem:
     """What a plan shall reach and keep; how the box answers is the twin's to say."""
     limits, asked, steps = context.limits, context.penalty, HORIZON + TAIL
-    reference = context.reference[:steps]
-    if len(reference) < steps:
-        raise DataError(f"reference: {len(reference)} steps, horizon and tail have {steps}")
     nothing: Floats = np.zeros(steps)
     return Problem(
         free=nothing,
         heater=nothing,
         fan=nothing,
-        reference=reference,
+        reference=goal_ahead(context, steps, preview),
         tail=TAIL,
         heater_weight=weight if asked.heater is None else max(asked.heater, LEAST_WEIGHT),
         fan_weight=weight if asked.fan is None else max(asked.fan, LEAST_WEIGHT),

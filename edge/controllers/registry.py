@@ -68,7 +68,7 @@ def _mpc_twin(name: str, parts: Parts) -> Controller:
     model = parts.predictors.get("pbm")
     if not isinstance(model, Pbm):
         raise RequestError(f"{name}: plans with the twin of the active bundle, there is none")
-    return MpcTwin(name, model, effort_weight(name, parts.control))
+    return MpcTwin(name, model, effort_weight(name, parts.control), parts.control.twin_preview)
 
 
 def effort_weight(name: str, control: ControlSettings) -> float:
@@ -85,7 +85,7 @@ def _mpc(name: str, parts: Parts) -> Controller:
     if name.startswith("MPC-BFGS"):
         from edge.controllers.mpc_bfgs import MpcBfgs  # late: the daemon rarely needs it
 
-        return MpcBfgs(name, arx, weight, settings.horizon)
+        return MpcBfgs(name, arx, weight, settings.horizon, settings.preview)
     mpc = MpcSettings(
         weight=weight,
         horizon=settings.horizon,

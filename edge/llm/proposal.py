@@ -4,10 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from edge.controller_names import LlmVariant
-from edge.controllers.base import Context, Floats
+from edge.controllers.base import Context, Floats, goal_ahead
 from edge.llm.agent import Conversation
 from edge.llm.answer import Answer, answer_schema, read_answer
 from edge.llm.claims import Claim, Known, check_claims
@@ -83,9 +81,7 @@ class Architecture:
         return [SqlTool(model.history, model.utc)] if self.variant.assistance == "sql" else []
 
     def _targets(self, context: Context) -> Floats:
-        if self.preview:
-            return context.reference[: self.horizon]
-        return np.full(self.horizon, context.reference[0])
+        return goal_ahead(context, self.horizon, self.preview)
 
     def _why(self, answer: Answer, conversation: Conversation, model: LanguageModel) -> dict[str, Any]:
         usage = conversation.usage

@@ -16,7 +16,9 @@ from edge.bundle.sign import POLICY_FILES
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.controllers.base import Controller
 from edge.controllers.input_profile import InputProfile
+from edge.controllers.mpc_bfgs import MpcBfgs
 from edge.errors import DataError
+from edge.models.arx_file import read_arx
 from edge.names import HEATER_LEVELS
 from edge.profile_file import read_profile
 from edge.reference import reference_from_profile
@@ -53,6 +55,7 @@ class Job:
         settings = settings_for(self.entry, Path(self.profile.name), Path("/"), self.llm)
         facts: dict[str, Any] = {
             "entry": [self.entry.name, self.entry.controller, self.entry.models, self.entry.clairvoyant],
+            "unbounded": self.entry.unbounded,
             "settings": [asdict(getattr(settings, section)) for section in SECTIONS],
             "reference": self.profile.read_text(encoding="utf-8"),
             "twin": TWIN.read_text(encoding="utf-8") if self.entry.models == "twin" else "",
@@ -66,7 +69,7 @@ class Job:
 
     def folder(self, root: Path) -> Path:
         """Where the run is kept."""
-        return root / self.reference / self.entry.name.replace("/", "_over_") / f"seed_{self.seed}"
+        return root / self.reference / self.entry.name.replace("/", "_") / f"seed_{self.seed}"
 
 
 def is_kept(job: Job, root: Path) -> bool:
@@ -88,7 +91,7 @@ def run(job: Job) -> Log:
             return board.device.plant.truth(board.device.now_ms)
 
         end_s = read_profile(job.profile).end_s
-        return closed_loop(settings, board, truth, end_s, board.open, _clairvoyant(job, folder))
+        return closed_loop(settings, board, truth, end_s, board.open, _instead(job, folder))
 
 
 def course_of(job: Job) -> Course | None:
@@ -105,6 +108,14 @@ def course_of(job: Job) -> Course | None:
 def fresh_chamber(job: Job) -> ChamberRows:
     """The chamber behind the job's board, its future not yet asked."""
     return ChamberRows(*load(), job.seed)
+
+
+def _instead(job: Job, folder: Path) -> Controller | None:
+    """The controller that the daemon does not have: None for one that the daemon has."""
+    if job.entry.unbounded:
+        weight = float(job.entry.controller.endswith("-P"))
+        return MpcBfgs("unbounded", read_arx(), weight, ControlSettings().horizon, bounded=False)
+    return _clairvoyant(job, folder)
 
 
 def _clairvoyant(job: Job, folder: Path) -> Controller | None:

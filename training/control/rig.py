@@ -10,7 +10,7 @@ from edge.bundle.archive import open_archive
 from edge.bundle.roles import activated
 from edge.bundle.sign import Facts, build_bundle, generate_key
 from edge.bundle.store import Store
-from edge.controller_names import CONTROLLERS, LLM, RL
+from edge.controller_names import CONTROLLERS, LLM, MPC, MPC_TWIN, RL
 from edge.models.arx_file import DEFAULT_PATH
 from edge.models.from_bundle import loader
 from edge.settings import (
@@ -34,6 +34,9 @@ NO_LLM = LlmSettings()
 SPARING = {  # ours with more weight on effort, to be set beside others that spend less
     "MPC-Twin-P/100": 100.0, "MPC-Twin-P/1000": 1000.0, "MPC-Twin-P/4000": 4000.0, "MPC-Twin-P/6000": 6000.0,
 }  # fmt: skip
+PLANNING = (*MPC, *MPC_TWIN)  # that have a use for the coming reference
+HYBRID = {"predictor": "ham"}
+KNOWS, HELD = {"preview": True}, {"twin_preview": False}
 CREATED = "2026-01-01T00:00:00Z"
 
 
@@ -44,6 +47,7 @@ class Entry:
     name : in the table; controller : of the daemon
     models : what the rig has; control : settings that differ from the usual ones
     clairvoyant : instead of the controller the best plan for the air's mean, or for what its sensor shows
+    unbounded : BFGS without the bounds of the paper's problem, clipped afterwards
     """
 
     name: str
@@ -51,6 +55,14 @@ class Entry:
     models: Models = "arx"
     control: Mapping[str, Any] = field(default_factory=dict)
     clairvoyant: Literal["true", "sensor"] | None = None
+    unbounded: bool = False
+
+    @property
+    def preview(self) -> bool:
+        """Whether the controller knows the coming reference."""
+        control = replace(ControlSettings(), **self.control)
+        known = control.twin_preview if self.controller in MPC_TWIN else control.preview
+        return self.clairvoyant is not None or (self.controller in PLANNING and known)
 
 
 def entries() -> dict[str, Entry]:
@@ -62,15 +74,15 @@ def entries() -> dict[str, Entry]:
         Entry("clairvoyant/sensor-P", "rules", clairvoyant="sensor"),
         Entry("rules", "rules"),
         Entry("PID", "PID"),
-        Entry("MPC-BFGS", "MPC-BFGS"),
-        Entry("MPC-BFGS-P", "MPC-BFGS-P"),
-        Entry("MPC", "MPC"),
-        Entry("MPC-P", "MPC-P"),
+        *(Entry(name, name) for name in MPC),
+        *(Entry(f"{name}/preview", name, control=KNOWS) for name in MPC),
+        *(Entry(f"{name}/unbounded", name, unbounded=True) for name in ("MPC-BFGS", "MPC-BFGS-P")),
         Entry("MPC-Twin", "MPC-Twin", "twin"),
         Entry("MPC-Twin-P", "MPC-Twin-P", "twin"),
+        *(Entry(f"{name}/present", name, "twin", HELD) for name in MPC_TWIN),
         *(Entry(name, "MPC-Twin-P", "twin", {"penalty_weight": weight}) for name, weight in SPARING.items()),
-        Entry("MPC/HAM", "MPC", "packaged", {"predictor": "ham"}),
-        Entry("MPC-P/HAM", "MPC-P", "packaged", {"predictor": "ham"}),
+        *(Entry(f"{name}/HAM", name, "packaged", HYBRID) for name in ("MPC", "MPC-P")),
+        *(Entry(f"{name}/HAM/preview", name, "packaged", HYBRID | KNOWS) for name in ("MPC", "MPC-P")),
     ]
     listed += [Entry(name, name, "packaged") for name in (*RL, *LLM) if name in CONTROLLERS]
     return {entry.name: entry for entry in listed}
