@@ -122,7 +122,7 @@ class Daemon:
         desk = self._desk(inbox, models, llm)
         routes = Routes(settings, inbox, bundles, desk)
         # First of all that is shared: where a daemon runs already nothing else is touched.
-        socket = ControlSocket(Path(settings.control_socket.path), routes.ask)
+        socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post)
         stack.callback(socket.close)
         # Only the machine's clock goes on from process to process.
         boot = boot_id() if isinstance(self.clock, RealClock) else ""

@@ -146,6 +146,11 @@ class Inbox:
             pass
 
 
+def is_urgent(request: Request) -> bool:
+    """Emergency stop and maintenance, which do not wait behind other requests."""
+    return _lane(request) != ORDINARY
+
+
 def _lane(request: Request) -> int:
     what = request.get("do")
     return LANES.get(what, ORDINARY) if isinstance(what, str) else ORDINARY

@@ -36,7 +36,7 @@ def daemon(workshop: Workshop) -> Iterator[BundleKeeper]:
     """The part of a running daemon that answers."""
     place = Store(workshop.folder / "rig" / "bundles", workshop.trusted, loader(60.0))
     keeper = BundleKeeper(place, RealClock(), automatic=False, trial_ticks=10)
-    socket = ControlSocket(workshop.folder / "control.sock", keeper.answer)
+    socket = ControlSocket(workshop.folder / "control.sock", keeper.answer, lambda *_: None)
     yield keeper
     socket.close()
     keeper.close()

@@ -1,3 +1,4 @@
+import contextlib
 import errno
 import json
 import os
@@ -23,6 +24,10 @@ def echo(message):
     return {"ok": True, "heard": dict(message)}
 
 
+def post(message, answered):
+    answered({"ok": True, "posted": dict(message)})
+
+
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "control.sock"
@@ -30,7 +35,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def server(path):
-    own = ControlSocket(path, echo)
+    own = ControlSocket(path, echo, post)
     yield own
     own.close()
 
@@ -118,7 +123,7 @@ def test_silent_and_half_finished_clients_block_nobody(server, path):
 
 
 def test_a_bug_behind_one_request_does_not_take_the_others_away(path):
-    own = ControlSocket(path, lambda message: {"ok": 1 / message["divisor"]})
+    own = ControlSocket(path, lambda message: {"ok": 1 / message["divisor"]}, post)
     try:
         answer = request(path, {"divisor": 0})
         assert answer == {"ok": False, "error": "internal error: ZeroDivisionError('division by zero')"}
@@ -129,7 +134,9 @@ def test_a_bug_behind_one_request_does_not_take_the_others_away(path):
 
 def test_a_client_that_does_not_read_holds_up_itself_alone(path):
     asked = []
-    own = ControlSocket(path, lambda message: asked.append(message) or {"ok": True, "text": "x" * 60000})
+    own = ControlSocket(
+        path, lambda message: asked.append(message) or {"ok": True, "text": "x" * 60000}, post
+    )
     try:
         with connect(path) as deaf:
             deaf.settimeout(0.05)
@@ -147,7 +154,7 @@ def test_a_client_that_does_not_read_holds_up_itself_alone(path):
 
 def test_clients_take_turns(path):
     order = []
-    own = ControlSocket(path, lambda message: order.append(message["who"]) or {"ok": True})
+    own = ControlSocket(path, lambda message: order.append(message["who"]) or {"ok": True}, post)
     try:
         with connect(path) as greedy:
             greedy.sendall(b'{"who": "greedy"}\n' * 3000)
@@ -168,17 +175,138 @@ def test_a_client_that_goes_away_before_its_answer_is_forgotten(server, path):
     assert request(path, {"do": "status"})["ok"] is True
 
 
-def test_one_client_too_many_is_told_so_and_room_comes_back(server, path):
+def test_a_new_client_always_gets_in_and_the_longest_idle_one_gives_up_its_place(server, path):
     guests = [connect(path) for _ in range(CLIENTS_MAX)]
-    for guest in guests:  # each is surely accepted once it has its answer
+    for guest in guests[1:]:  # the first one stays silent
         guest.sendall(b"{}\n")
         guest.recv(1000)
-    assert answers(connect(path)) == [{"ok": False, "error": "too many clients"}]
-    for guest in guests:
+    assert request(path, {"do": "status"})["ok"] is True
+    assert answers(guests[0]) == [{"ok": False, "error": "another client needs the place"}]
+    guests[1].sendall(b"{}\n")  # and only that one
+    assert b"heard" in guests[1].recv(1000)
+    for guest in guests[1:]:
         guest.close()
-    deadline = time.monotonic() + 20
-    while "heard" not in request(path, {"do": "status"}):
-        assert time.monotonic() < deadline
+
+
+def test_thousands_of_connections_do_not_lock_out_a_stop(server, path):
+    program = (
+        "import socket, sys\n"
+        "guests = []\n"
+        "for number in range(1500):\n"
+        "    guest = socket.socket(socket.AF_UNIX); guest.connect(sys.argv[1])\n"
+        "    if number % 2: guest.send(b'{\"do\": ')\n"
+        "    guests = [guest, *guests[:500]]\n"
+    )
+    flood = [subprocess.Popen([sys.executable, "-c", program, str(path)]) for _ in range(2)]
+    waits = []
+    while any(each.poll() is None for each in flood):
+        begun = time.monotonic()
+        assert request(path, {"do": "emergency_stop"})["ok"] is True
+        waits.append(time.monotonic() - begun)
+    assert [each.returncode for each in flood] == [0, 0]
+    assert len(waits) > 5
+    assert max(waits) < 1.0
+
+
+def test_a_stop_is_answered_while_another_request_takes_its_time(path):
+    asked, release = threading.Event(), threading.Event()
+
+    def hang(message):
+        asked.set()
+        release.wait(20)
+        return {"ok": True}
+
+    own = ControlSocket(path, hang, post)
+    try:
+        guests = [connect(path) for _ in range(CLIENTS_MAX - 1)]
+        for guest in guests:
+            guest.sendall(b'{"do": "why"}\n' * 100)
+        assert asked.wait(20)
+        for what in ("emergency_stop", "maintenance"):
+            assert request(path, {"do": what}, timeout_s=1.0) == {"ok": True, "posted": {"do": what}}
+        release.set()
+        for guest in guests:
+            guest.close()
+    finally:
+        release.set()
+        own.close()
+
+
+def test_a_place_is_found_even_where_every_client_waits_for_its_answer(path):
+    release = threading.Event()
+    own = ControlSocket(path, lambda message: release.wait(20) and {"ok": True}, post)
+    try:
+        guests = [connect(path) for _ in range(CLIENTS_MAX)]
+        for guest in guests:
+            guest.sendall(b"{}\n")
+        assert request(path, {"do": "emergency_stop"}, timeout_s=1.0)["ok"] is True
+        release.set()
+        for guest in guests:
+            guest.close()
+    finally:
+        release.set()
+        own.close()
+
+
+def test_clients_that_flood_with_stops_do_not_lock_out_others(server, path):
+    ended = threading.Event()
+
+    def flood():
+        while not ended.is_set():
+            with contextlib.suppress(OSError), connect(path) as guest:
+                guest.sendall(b'{"do": "emergency_stop"}\n' * 50)
+                guest.recv(10)
+
+    threads = [threading.Thread(target=flood) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    try:
+        for what in ("status", "emergency_stop", "maintenance") * 3:
+            assert request(path, {"do": what}, timeout_s=5.0)["ok"] is True
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+
+
+def test_an_idle_client_is_told_and_closed(path, monkeypatch):
+    monkeypatch.setattr("edge.control_socket.IDLE_MAX_S", 0.2)
+    monkeypatch.setattr("edge.control_socket.SWEEP_S", 0.05)
+    own = ControlSocket(path, echo, post)
+    try:
+        guest = connect(path)
+        ended = time.monotonic() + 20
+        with contextlib.suppress(OSError):  # a byte now and then is no request
+            while time.monotonic() < ended:
+                guest.sendall(b" ")
+                time.sleep(0.02)
+        assert time.monotonic() < ended
+        assert answers(guest) == [{"ok": False, "error": "idle for 0.2 s"}]
+    finally:
+        own.close()
+
+
+def test_a_client_is_told_that_no_answer_came_and_the_request_is_not_asked_later(path, monkeypatch):
+    monkeypatch.setattr("edge.control_socket.ANSWER_MAX_S", 0.2)
+    monkeypatch.setattr("edge.control_socket.SWEEP_S", 0.05)
+    release, asked = threading.Event(), []
+
+    def slow(message):
+        asked.append(message["n"])
+        release.wait(20)
+        return {"ok": True}
+
+    own = ControlSocket(path, slow, lambda message, answered: None)
+    try:
+        for number, what in enumerate(("why", "set_mode", "emergency_stop")):
+            answer = request(path, {"do": what, "n": number})
+            assert answer == {"ok": False, "error": "no answer within 0.2 s"}
+        release.set()
+        assert request(path, {"do": "status", "n": 3})["ok"] is True
+        assert asked == [0, 3]
+    finally:
+        release.set()
+        own.close()
 
 
 def test_only_owner_and_group_may_connect(server, path):
@@ -192,7 +320,7 @@ def test_another_user_is_kept_out():
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)
         path = Path(folder) / "control.sock"
-        own = ControlSocket(path, echo)
+        own = ControlSocket(path, echo, post)
         child = os.fork()
         if child == 0:
             os.setgroups([])
@@ -209,7 +337,7 @@ def test_a_stale_file_is_replaced(path):
     )
     subprocess.run([sys.executable, "-c", program, str(path)], check=True)
     assert path.exists()
-    own = ControlSocket(path, echo)
+    own = ControlSocket(path, echo, post)
     try:
         assert request(path, {"do": "status"})["ok"] is True
     finally:
@@ -218,26 +346,26 @@ def test_a_stale_file_is_replaced(path):
 
 def test_a_live_daemon_is_not_pushed_aside(server, path):
     with pytest.raises(ConfigError, match="another daemon listens there"):
-        ControlSocket(path, echo)
+        ControlSocket(path, echo, post)
     assert request(path, {"do": "status"})["ok"] is True
 
 
 def test_a_file_that_is_no_socket_is_left_alone(path):
     path.write_text("precious")
     with pytest.raises(ConfigError, match="is not a socket"):
-        ControlSocket(path, echo)
+        ControlSocket(path, echo, post)
     assert path.read_text() == "precious"
 
 
 @pytest.mark.parametrize("place", ["missing/control.sock", "x" * 200])
 def test_a_place_that_can_hold_no_socket_is_named(tmp_path, place):
     with pytest.raises(ConfigError, match=r"control_socket\.path: .*" + place):
-        ControlSocket(tmp_path / place, echo)
+        ControlSocket(tmp_path / place, echo, post)
 
 
 def test_closing_takes_the_file_away_and_ends_the_thread(path):
     before = threading.active_count()
-    own = ControlSocket(path, echo)
+    own = ControlSocket(path, echo, post)
     guest = connect(path)
     own.close()
     assert not path.exists()
@@ -246,9 +374,9 @@ def test_closing_takes_the_file_away_and_ends_the_thread(path):
 
 
 def test_closing_leaves_the_file_of_a_successor(path):
-    first = ControlSocket(path, echo)
+    first = ControlSocket(path, echo, post)
     path.unlink()
-    second = ControlSocket(path, echo)
+    second = ControlSocket(path, echo, post)
     first.close()
     assert request(path, {"do": "status"})["ok"] is True
     second.close()
@@ -263,7 +391,7 @@ def test_closing_does_not_wait_for_a_loop_that_never_answers(path):
         release.wait(20)
         return {"ok": False}
 
-    own = ControlSocket(path, hang)
+    own = ControlSocket(path, hang, post)
     guest = connect(path)
     guest.sendall(b"{}\n")
     assert asked.wait(20)

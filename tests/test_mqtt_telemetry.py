@@ -291,6 +291,6 @@ def test_the_command_takes_a_rig_off_the_broker(broker, tmp_path, capsys):
 def test_the_command_refuses_while_the_daemon_runs(tmp_path, capsys):
     config, socket = tmp_path / "edge.yaml", tmp_path / "control.sock"
     config.write_text(f"control_socket: {{path: {socket}}}\n")
-    with closing(ControlSocket(socket, lambda request: {"ok": True})):
+    with closing(ControlSocket(socket, lambda request: {"ok": True}, lambda *_: None)):
         assert main(["forget-discovery", "--config", str(config)]) == 2
     assert "stop it first" in capsys.readouterr().err

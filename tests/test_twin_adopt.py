@@ -229,7 +229,7 @@ def test_a_running_daemon_has_it_when_the_command_ends(rig: Rig) -> None:
 def daemon(rig: Rig) -> Iterator[BundleKeeper]:
     """The part of a running daemon that answers."""
     keeper = BundleKeeper(rig.store, RealClock(), automatic=False, trial_ticks=10)
-    socket = ControlSocket(rig.folder / "control.sock", keeper.answer)
+    socket = ControlSocket(rig.folder / "control.sock", keeper.answer, lambda *_: None)
     try:
         yield keeper
     finally:
