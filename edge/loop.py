@@ -21,6 +21,7 @@ from edge.lighting import led_level
 from edge.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
 from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate, refuse_unknown_keys
 from edge.operation_json import to_dict
+from edge.order_words import in_words
 from edge.reference import seconds_of_day
 from edge.rig import Rig
 from edge.safety import (
@@ -307,7 +308,7 @@ class Loop:
         if before.emergency_stop and not self._operation.emergency_stop:
             self._rig.board.clear_trip()
         self._rig.save_state(self._operation, self._memory)
-        self._tell("operator.order", Severity.INFO, _in_words(request), clock.now())
+        self._tell("operator.order", Severity.INFO, in_words(request), clock.now())
         if acts_at_once(before, self._operation):
             self._act_now()
 
@@ -315,7 +316,14 @@ class Loop:
         settings = self._rig.settings
         limits = settings.reference
         names = tuple(self._rig.controllers)
-        return Desk(self._rig.clock.utc(), names, limits.min_c, limits.max_c, settings.unready)
+        return Desk(
+            self._rig.clock.utc(),
+            names,
+            limits.min_c,
+            limits.max_c,
+            settings.control.controller,
+            settings.unready,
+        )
 
     def _clear_trip(self) -> None:
         clock = self._rig.clock
@@ -356,11 +364,3 @@ class Loop:
 
 def _driven(echo: Echo) -> Command:
     return Command(heater_duty=echo.heater_duty, fan_on=echo.fan_on, led=echo.led)
-
-
-def _in_words(request: Request) -> str:
-    if request.get("do") == "steer":
-        return f"confirmed: {request['steering']['words']}"
-    return ", ".join(f"{key} {value}" for key, value in request.items() if key != "do") or str(
-        request.get("do")
-    )

@@ -87,6 +87,7 @@ class Desk:
     controllers: tuple[str, ...]
     reference_min_c: float
     reference_max_c: float
+    configured_controller: str = ""
     unready: Callable[[str], str] = lambda name: ""  # why a controller cannot be chosen on this rig
 
 
@@ -191,9 +192,11 @@ def _set_reference(operation: Operation, request: Request, desk: Desk) -> Operat
 
 
 def _set_controller(operation: Operation, request: Request, desk: Desk) -> Operation:
-    if reason := desk.unready(str(request.get("name"))):
+    """A name of None asks for the configured controller."""
+    named = {"name": desk.configured_controller} if request.get("name", "") is None else request
+    if reason := desk.unready(str(named.get("name"))):
         raise RequestError(f"name: {reason}")
-    return replace(operation, controller=_choice(request, "name", desk.controllers))
+    return replace(operation, controller=_choice(named, "name", desk.controllers))
 
 
 def _set_manual(operation: Operation, request: Request, desk: Desk) -> Operation:

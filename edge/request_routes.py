@@ -18,7 +18,7 @@ from edge.steering.desk import WishDesk
 from edge.storage import Outbox
 from edge.why.ask_history import why
 
-ASKED_OF_THE_DESK = ("ask", "proposal", "confirm")
+ASKED_OF_THE_DESK = ("ask", "proposal", "confirm", "undo")
 KEYS = {  # of the requests that are answered here
     "resend": ("first_seq", "last_seq"),
     "why": ("at_utc",),
@@ -26,6 +26,7 @@ KEYS = {  # of the requests that are answered here
     "ask": ("words",),
     "proposal": ("id",),
     "confirm": ("id",),
+    "undo": (),
 }
 UTC_MAX = 253_402_300_799.0  # the last second of the year 9999, the calendar's end [s since 1970]
 

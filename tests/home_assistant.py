@@ -184,6 +184,9 @@ def _check_component(key: str, component: dict[str, Any], shared: dict[str, Any]
     _known(key, component, ENTITY | PLATFORMS[platform])
     # The topics of the root are handed down to a component that does not give its own.
     assert REQUIRED[platform] <= component.keys() | shared.keys(), f"{key}: misses {REQUIRED[platform]}"
+    # Without a template a text on a JSON topic shows nothing, and each message is logged as too long.
+    if platform == "text" and "state_topic" in component.keys() | shared.keys():
+        assert "value_template" in component, f"{key}: a text without a template for its state"
     assert ID.fullmatch(component["unique_id"])
     assert ENTITY_ID.fullmatch(component["default_entity_id"]), component["default_entity_id"]
     assert component["default_entity_id"].startswith(f"{platform}.")

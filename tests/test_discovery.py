@@ -44,6 +44,7 @@ def test_it_stays_so_for_every_name_a_rig_can_have(rig):
         lambda payload: payload["components"]["temp_air"].update(unit_of_measurement="degC"),
         lambda payload: payload["components"]["fan"].update(unique_id="rig-1_climate"),
         lambda payload: payload["components"]["clear_trip"].pop("command_topic"),
+        lambda payload: payload.update(state_topic="greenhouse/rig-1/state"),  # the texts would inherit it
     ],
 )
 def test_the_checker_can_fail(spoil):
@@ -76,7 +77,7 @@ def test_all_shown_on_the_state_topic_is_in_the_state():
         key
         for component in COMPONENTS.values()
         for name, template in component.items()
-        if name.endswith("_template") and ROOT + "/state" in (component.get("state_topic", ROOT + "/state"),)
+        if name.endswith("_template") and component.get("state_topic", ROOT + "/state") == ROOT + "/state"
         for key in re.findall(r"value_json\.(\w+)", template)
     }
     assert keys
@@ -94,6 +95,12 @@ def test_every_value_a_climate_can_be_sent_is_a_command():
     ]
     for topic, payload in offered:
         assert parse_topic(topic, payload)
+
+
+def test_a_cleared_preset_asks_for_the_configured_controller():
+    # Home Assistant offers "none" beside the presets and sends it to clear one.
+    topic = COMPONENTS["climate"]["preset_mode_command_topic"]
+    assert parse_topic(topic, "none") == {"do": "set_controller", "name": None}
 
 
 def test_every_button_switch_and_number_ends_in_a_command():

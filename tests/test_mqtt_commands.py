@@ -23,6 +23,7 @@ REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
         ("temperature", b"38.0", {"do": "set_reference", "reference_c": 38.0}),
         ("fan_mode", b"on", {"do": "set_fan_mode", "fan_mode": "on"}),
         ("controller", b"MPC-P", {"do": "set_controller", "name": "MPC-P"}),
+        ("controller", b"none", {"do": "set_controller", "name": None}),
         ("maintenance", b"30", {"do": "maintenance", "minutes": 30.0}),
         ("maintenance", b"0", {"do": "maintenance", "minutes": 0.0}),
         (
@@ -83,7 +84,7 @@ def test_a_well_formed_command_becomes_a_request(what, payload, request_):
         ("mode", b"emergency_stop"),
         ("fan_mode", b"high"),
         ("controller", b"mpc"),
-        ("controller", b"none"),
+        ("controller", b"None"),
         ("maintenance", b"-1"),
         ("maintenance", b"1e9"),
         ("emergency_stop", b""),

@@ -158,3 +158,11 @@ def test_every_order_has_a_test_of_its_effect() -> None:
     assert operate(stopped, {"do": "release_emergency_stop"}, DESK) == AUTO
     assert operate(ask(do="steer", steering=steerings.to_dict(NIGHT)), {"do": "undo"}, DESK) == AUTO
     assert set(ORDERS) == {*changed, "release_emergency_stop", "undo"}
+
+
+def test_the_controller_none_is_the_configured_one():
+    desk = Desk(0.0, ("MPC", "PID"), 10.0, 35.0, configured_controller="MPC")
+    changed = operate(Operation(controller="PID"), {"do": "set_controller", "name": None}, desk)
+    assert changed.controller == "MPC"
+    with pytest.raises(RequestError):
+        operate(changed, {"do": "set_controller"}, desk)

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from edge.order_words import in_words
 from tests.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
 from tests.daemon_process import RIG, ROOT, DaemonProcess, run_command
 from tests.rig import VirtualBoard, virtual_board
@@ -291,7 +292,7 @@ def test_orders_over_socket_and_broker_act_at_once_and_end_in_the_same_handler(
         wait_for(
             lambda: (
                 [text for (text,) in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'")]
-                == ["emergency_stop", "release_emergency_stop"] * 2
+                == [in_words({"do": do}) for do in ("emergency_stop", "release_emergency_stop")] * 2
             )
         )
 

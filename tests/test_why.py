@@ -144,7 +144,7 @@ def test_the_command_that_held_then_is_found(history: Path, after_s: float, seq:
 
 def test_a_time_without_ticks_is_told(history: Path) -> None:
     lines = why(history, START_UTC + 180.0 + 900.0, UTC)["lines"]
-    assert lines[0] == "Nothing is recorded at that time; the last tick before it was 15 min earlier."
+    assert lines[0] == "Nothing is recorded at that time; the last tick before it was 15 minutes earlier."
     assert why(history, START_UTC + 180.0 + 119.0, UTC)["lines"][0].startswith("Tick 3")
 
 

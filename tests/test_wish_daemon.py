@@ -158,7 +158,9 @@ def test_wish_confirmation_undo_and_why_over_the_broker(
         assert not answered("confirm", "000000")["ok"]
         assert answered("confirm", proposal["id"])["ok"]
         assert standing(daemon)["steering"]["id"] == proposal["id"]
+        wait_for(lambda: listener.objects(f"{RIG}/proposal")[-1]["state"] == "confirmed")
         assert answered("undo", "PRESS")["ok"]
+        wait_for(lambda: listener.objects(f"{RIG}/proposal")[-1]["state"] == "undone")
         assert standing(daemon)["steering"] is None
         wait_for(lambda: daemon.ask("status")["tick"]["controller"] == "rules")
         daemon.wait_ticks(1)

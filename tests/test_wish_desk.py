@@ -12,6 +12,7 @@ from edge import config
 from edge.errors import DataError
 from edge.steering.desk import PROPOSAL_AGE_MAX_S, Surroundings, WishDesk
 from edge.twin.model import Twin
+from tests.broker import wait_for
 
 SETTINGS = config.parse("timezone: UTC")
 
@@ -25,6 +26,7 @@ class Office:
     orders: list[dict[str, Any]] = field(default_factory=list)
     told: list[dict[str, Any]] = field(default_factory=list)
     refuses: str = ""
+    standing: dict[str, Any] | None = None
     twin: Twin | None = None
 
     def __post_init__(self) -> None:
@@ -43,9 +45,12 @@ class Office:
 
     def _loop(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if request["do"] == "status":
-            return {"ok": True, **status()}
+            return {"ok": True, **status(steering=self.standing)}
+        if self.refuses:
+            return {"ok": False, "error": self.refuses}
         self.orders.append(dict(request))
-        return {"ok": False, "error": self.refuses} if self.refuses else {"ok": True}
+        self.standing = request.get("steering")
+        return {"ok": True}
 
     def _told(self, proposal: dict[str, Any]) -> None:
         self.told.append(proposal)
@@ -90,6 +95,43 @@ def test_a_proposal_that_nobody_confirmed_expires() -> None:
     office.now_utc += PROPOSAL_AGE_MAX_S
     assert "expired" in office.confirm(proposal["id"])["error"]
     assert not office.orders
+
+
+def test_every_new_state_of_a_proposal_is_published() -> None:
+    office = Office()
+    proposal = office.ask()
+    office.confirm(proposal["id"])
+    assert office.desk.answer({"do": "undo"})["ok"]
+    assert [told["state"] for told in office.told] == ["ready", "confirmed", "undone"]
+    other = office.ask()
+    office.now_utc += PROPOSAL_AGE_MAX_S
+    office.confirm(other["id"])
+    assert [told["state"] for told in office.told[3:]] == ["ready", "expired"]
+    assert {told["id"] for told in office.told[3:]} == {other["id"]}
+
+
+def test_an_expired_proposal_is_published_without_being_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("edge.steering.desk.PROPOSAL_AGE_MAX_S", -0.99)  # the timer adds a second
+    office = Office()
+    office.desk.answer({"do": "ask", "words": "20 at night"})
+    wait_for(lambda: [told["state"] for told in office.told] == ["ready", "expired"])
+
+
+def test_an_undo_that_the_loop_refuses_changes_no_proposal() -> None:
+    office = Office()
+    proposal = office.ask()
+    office.confirm(proposal["id"])
+    office.refuses = "undo: nothing that was asked for in words is standing"
+    assert not office.desk.answer({"do": "undo"})["ok"]
+    assert office.told[-1]["state"] == "confirmed"
+
+
+def test_an_undo_after_a_restart_names_what_the_loop_carried_out() -> None:
+    before = Office()
+    steering = before.ask()["steering"]
+    office = Office(standing=steering)
+    assert office.desk.answer({"do": "undo"})["ok"]
+    assert [(told["id"], told["state"]) for told in office.told] == [(steering["id"], "undone")]
 
 
 def test_a_clock_that_was_set_back_expires_it_too() -> None:

@@ -15,6 +15,7 @@ Request = dict[str, Any]
 
 PAYLOAD_MAX = 1024  # [bytes]
 SEQ_MAX = 2**63 - 1  # SQLite's largest integer
+NO_PRESET = "none"
 PRESS = "PRESS"  # what a Home Assistant button sends
 _NUMBER = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")  # no "nan", no "1_0", no digits of other scripts
 
@@ -50,7 +51,9 @@ def _temperature(text: str, reference: ReferenceSettings) -> Request:
 
 
 def _controller(text: str, reference: ReferenceSettings) -> Request:
-    return {"do": "set_controller", "name": _choice(text, CONTROLLERS)}
+    """`none`, which Home Assistant sends to clear a preset, asks for the configured controller."""
+    name = None if text == NO_PRESET else _choice(text, CONTROLLERS)
+    return {"do": "set_controller", "name": name}
 
 
 def _maintenance(text: str, reference: ReferenceSettings) -> Request:

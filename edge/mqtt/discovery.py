@@ -43,7 +43,6 @@ def device(settings: Settings) -> Json:
         "availability_topic": topics.availability,
         "payload_available": "online",
         "payload_not_available": "offline",
-        "state_topic": topics.state,
         "components": _components(settings, topics),
     }
 
@@ -54,10 +53,10 @@ def _components(settings: Settings, topics: Topics) -> Json:
         {"climate": _climate(settings, topics)},
         {
             key: {"expire_after": expire_s, **sensor}
-            for key, sensor in {**_sensors(), **skill_sensors(topics)}.items()
+            for key, sensor in {**_sensors(topics), **skill_sensors(topics)}.items()
         },
         {"controller": _controller_sensor(topics), "last_event": _event_sensor(topics)},
-        {**_binary_sensors(), "twin_disagrees": _drift_sensor(topics)},
+        {**_binary_sensors(topics), "twin_disagrees": _drift_sensor(topics)},
         _buttons(topics),
         _inputs(topics),
         _wishes(settings, topics),
@@ -110,8 +109,8 @@ def _climate(settings: Settings, topics: Topics) -> Json:
     }
 
 
-def _sensors() -> dict[str, Json]:
-    return {
+def _sensors(topics: Topics) -> dict[str, Json]:
+    sensors = {
         "temp_air": _sensor("Air temperature", _value("temp_air_c"), "°C", "temperature", 1),
         "temp_ambient": _sensor("Room temperature", _value("temp_ambient_c"), "°C", "temperature", 1),
         "estimate": _sensor("Estimated air temperature", _value("estimate_c"), "°C", "temperature", 2),
@@ -130,6 +129,7 @@ def _sensors() -> dict[str, Json]:
         "outbox_depth": _diagnostic("Messages waiting", "outbox_depth", None, None, 0),
         **{f"line_{key}": _counter(name, f"line_{key}") for key, name in LINE_COUNTERS.items()},
     }
+    return {key: {**sensor, "state_topic": topics.state} for key, sensor in sensors.items()}
 
 
 def _sensor(name: str, template: str, unit: str | None, device_class: str | None, digits: int) -> Json:
@@ -194,8 +194,8 @@ def _drift_sensor(topics: Topics) -> Json:
     }
 
 
-def _binary_sensors() -> dict[str, Json]:
-    return {
+def _binary_sensors(topics: Topics) -> dict[str, Json]:
+    sensors = {
         "fan": _binary("Fan", "fan_on", "running"),
         "valve": _binary("Water valve", "valve_open", "opening"),
         "tripped": _binary("Tripped", "tripped", "problem"),
@@ -203,6 +203,7 @@ def _binary_sensors() -> dict[str, Json]:
         "link": {**_binary("Board link", "link_up", "connectivity"), "entity_category": "diagnostic"},
         "emergency": _binary("Emergency stop", "emergency_stop", "safety"),
     }
+    return {key: {**sensor, "state_topic": topics.state} for key, sensor in sensors.items()}
 
 
 def _binary(name: str, key: str, device_class: str) -> Json:
@@ -243,6 +244,7 @@ def _inputs(topics: Topics) -> dict[str, Json]:
             "command_topic": topics.command("maintenance"),
             "payload_on": str(min(MAINTENANCE_MIN, int(MAINTENANCE_MAX_MIN))),
             "payload_off": "0",
+            "state_topic": topics.state,
             "value_template": _value("maintenance"),
             "state_on": "1",
             "state_off": "0",
@@ -252,6 +254,7 @@ def _inputs(topics: Topics) -> dict[str, Json]:
             "name": "Manual heater duty",
             "command_topic": topics.command("manual"),
             "command_template": '{"heater_duty": {{ value / 100 }}}',
+            "state_topic": topics.state,
             "value_template": _percent("manual_heater_duty"),
             "min": 0,
             "max": 100,
@@ -263,9 +266,10 @@ def _inputs(topics: Topics) -> dict[str, Json]:
 
 
 def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
-    """What the rig can be asked for in words; without a language model they are there and switched off.
+    """Entities for requests in words; without a language model they exist and are disabled.
 
-    A proposal is confirmed by its id, typed, so that nobody confirms another one than he has read.
+    A proposal is confirmed by typing its id, so that nobody confirms a proposal other than the one they read.
+    The texts have no `state_topic`: Home Assistant then shows what was typed last.
     """
     wishes: dict[str, Json] = {
         "ask": {

@@ -34,7 +34,7 @@ LanguageModel = Callable[[list[dict[str, str]]], Mapping[str, Any]]
 class Proposal:
     """One wish and what came of it.
 
-    state : thinking, ready, question (the model asks back), failed, confirmed or expired
+    state : thinking, ready, question (the model asks back), failed, confirmed, undone or expired
     said : by the language model: what it understood, or its question
     changes : what would be different, told by the values
     """
@@ -80,15 +80,16 @@ class Surroundings:
 
 
 class WishDesk:
-    """Takes `ask`, `proposal` and `confirm`; each is answered at once."""
+    """Takes `ask`, `proposal`, `confirm` and `undo`; each is answered at once."""
 
     def __init__(self, around: Surroundings) -> None:
-        self.listeners: list[Callable[[Json], None]] = []  # told what came of a wish; they never wait
+        self.listeners: list[Callable[[Json], None]] = []  # get each new state; they never wait
         self._around = around
         self._zone = zone_of(around.settings.timezone)
         self._lock = threading.Lock()
         self._proposals: dict[str, Proposal] = {}
         self._thread: threading.Thread | None = None
+        self._expiry: threading.Timer | None = None
 
     def answer(self, request: Mapping[str, Any]) -> Json:
         """The answer to one request; never raises."""
@@ -98,6 +99,8 @@ class WishDesk:
                     return self._ask(request.get("words"))
                 case "proposal":
                     return {"ok": True, "proposal": self._known(request.get("id")).as_json()}
+                case "undo":
+                    return self._undo()
                 case _:
                     return self._confirm(self._known(request.get("id")))
         except RequestError as error:
@@ -107,6 +110,8 @@ class WishDesk:
         """Wait for what is under way; a language model that hangs is left behind."""
         if self._thread is not None:
             self._thread.join(timeout_s)
+        if self._expiry is not None:
+            self._expiry.cancel()
 
     def _ask(self, words: object) -> Json:
         if self._around.model is None:
@@ -130,9 +135,25 @@ class WishDesk:
                 raise RequestError(f"confirm: proposal {proposal.id} has been taken up already")
             self._keep(replace(proposal, state="confirmed"))
         answer = self._around.loop({"do": "steer", "steering": steerings.to_dict(proposal.steering)})
-        if not answer.get("ok"):
+        if answer.get("ok"):
+            self._publish(replace(proposal, state="confirmed"))
+        else:
             with self._lock:
                 self._keep(proposal)
+        return answer
+
+    def _undo(self) -> Json:
+        standing = self._around.loop({"do": "status"}).get("operation", {}).get("steering")
+        answer = self._around.loop({"do": "undo"})
+        if answer.get("ok") and standing:
+            with self._lock:
+                # After a restart the desk does not know the proposal that the loop still carried out.
+                proposal = self._proposals.get(standing["id"]) or Proposal(
+                    standing["id"], standing["words"], self._around.utc()
+                )
+                proposal = replace(proposal, state="undone")
+                self._keep(proposal)
+            self._publish(proposal)
         return answer
 
     def _known(self, id: object) -> Proposal:
@@ -141,10 +162,12 @@ class WishDesk:
             if proposal is None:
                 raise RequestError(f"proposal: there is no {shown(id)}: it was never made or is forgotten")
             gone_s = self._around.utc() - proposal.asked_utc
-            if proposal.state == "ready" and not 0.0 <= gone_s < PROPOSAL_AGE_MAX_S:
-                proposal = replace(proposal, state="expired")
-                self._keep(proposal)
-            return proposal
+            if proposal.state != "ready" or 0.0 <= gone_s < PROPOSAL_AGE_MAX_S:
+                return proposal
+            proposal = replace(proposal, state="expired")
+            self._keep(proposal)
+        self._publish(proposal)
+        return proposal
 
     def _keep(self, proposal: Proposal) -> None:
         self._proposals[proposal.id] = proposal
@@ -160,6 +183,19 @@ class WishDesk:
             proposal = replace(proposal, state="failed", error=f"internal error: {error!r}")
         with self._lock:
             self._keep(proposal)
+            if proposal.state == "ready":
+                self._expire_later(proposal.id)
+        self._publish(proposal)
+
+    def _expire_later(self, id: str) -> None:
+        """Publish the expiry at its time, so that no subscriber shows an expired proposal as ready."""
+        if self._expiry is not None:
+            self._expiry.cancel()
+        self._expiry = threading.Timer(PROPOSAL_AGE_MAX_S + 1.0, self.answer, ({"do": "proposal", "id": id},))
+        self._expiry.daemon = True
+        self._expiry.start()
+
+    def _publish(self, proposal: Proposal) -> None:
         for listener in self.listeners:
             listener(proposal.as_json())
 

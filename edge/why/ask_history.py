@@ -44,4 +44,8 @@ def _seq(connection: sqlite3.Connection, at_utc: float | None) -> int | None:
 
 
 def _ago(seconds: float) -> str:
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+    """A length of time in words, in whole units of which there are at least two."""
+    for unit, length_s in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2.0 * length_s:
+            return f"{seconds / length_s:.0f} {unit}"
+    return f"{seconds:.0f} seconds"
