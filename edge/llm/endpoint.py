@@ -3,11 +3,12 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from edge.llm.budget import Budget
 from edge.llm.failure import LlmFailure
 from edge.llm.interrupt import Interrupt
+from edge.llm.key_mask import MASK, key_pattern
 from edge.llm.line import Post, Response, post
 from edge.llm.wire import (
     Chat,
@@ -87,7 +88,7 @@ class Endpoint:
         dialect = self._dialect
         response, used = self._send(chat, dialect, end_s, stop)
         while response.status == 400:
-            simpler = dialect.after_refusal(response.raw.decode(errors="replace"))
+            simpler = dialect.after_refusal(response.raw.decode())
             if simpler is None or chat.body(simpler) == chat.body(dialect):
                 break
             dialect = simpler
@@ -107,7 +108,7 @@ class Endpoint:
         used = Usage(estimated=True)
         try:
             deadline_s = min(self.settings.timeout_s, left_s)
-            response = self.line(self._url, body, self._headers(), deadline_s, stop)
+            response = self._masked(self.line(self._url, body, self._headers(), deadline_s, stop))
             used = _usage(response, most)
             return response, used
         except LlmFailure as failure:
@@ -126,18 +127,18 @@ class Endpoint:
             return
         if status in _REFUSED_KEY:  # what it says may repeat the key
             raise LlmFailure("refused_key", f"status {status}: llm.key_file is missing or wrong")
-        said = f"status {status}: {self._without_key(response.raw)}"
+        said = f"status {status}: {plain(response.raw.decode())}"
         if status == 429:
             raise _TryAgain(LlmFailure("rate_limited", said), retry_after_s(response.retry_after))
         if status >= 500:
             raise _TryAgain(LlmFailure("server_error", said), retry_after_s(response.retry_after))
         raise LlmFailure("bad_request", said)
 
-    def _without_key(self, raw: bytes) -> str:
-        text = raw.decode(errors="replace")
-        if self.key is not None:
-            text = text.replace(self.key.value, "***")
-        return plain(text)
+    def _masked(self, response: Response) -> Response:
+        """The response as UTF-8 from which the key cannot be read: a server may echo it."""
+        text = response.raw.decode(errors="replace")
+        pattern = None if self.key is None else key_pattern(self.key.value)
+        return replace(response, raw=(text if pattern is None else pattern.sub(MASK, text)).encode())
 
     @property
     def _url(self) -> str:
