@@ -3,9 +3,10 @@
 from collections import deque
 from collections.abc import Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import IO, TYPE_CHECKING, Any, cast
 
 from edge.messages import TickRecord
+from edge.outlet import Outlet
 from edge.tick_json import tick_json
 
 if TYPE_CHECKING:
@@ -45,34 +46,49 @@ def _models(forecasts: Mapping[str, Any]) -> str:
 
 
 class LineDisplay:
-    """For logs and pipes."""
+    """A sink of tick records for logs and pipes."""
 
-    def __init__(self, out: TextIO) -> None:
+    def __init__(self, out: Outlet) -> None:
         self._out = out
 
-    def show(self, record: TickRecord) -> None:
-        """Print the tick at once."""
-        print(tick_line(tick_json(record)), file=self._out, flush=True)
+    def write(self, record: TickRecord) -> None:
+        """Print the tick, in the outlet's thread."""
+        self._out.write_later(lambda: tick_line(tick_json(record)) + "\n")
+
+    def faults(self) -> Mapping[str, str]:
+        """The outlet's."""
+        return self._out.faults()
 
     def close(self) -> None:
         """Nothing to give back."""
 
 
 class PageDisplay:
-    """For terminals: chart, facts, events. Draws in rich's own thread, never in the loop's."""
+    """A sink of tick records for terminals: chart, facts, events. Draws in rich's own thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, out: Outlet) -> None:
+        from rich.console import Console
         from rich.live import Live
 
+        self._out = out
         self._records: deque[TickRecord] = deque(maxlen=TICKS_SHOWN)
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
-        self._live = Live(get_renderable=self._page, refresh_per_second=8, screen=False)
+        self._live = Live(
+            console=Console(file=cast("IO[str]", out)),
+            get_renderable=self._page,
+            refresh_per_second=8,
+            screen=False,
+        )
         self._live.start()
 
-    def show(self, record: TickRecord) -> None:
+    def write(self, record: TickRecord) -> None:
         """Take the tick; the next redraw shows it."""
         self._records.append(record)
         self._events.extend(f"{_clock(event.utc)} {event.text}" for event in record.events)
+
+    def faults(self) -> Mapping[str, str]:
+        """The outlet's."""
+        return self._out.faults()
 
     def close(self) -> None:
         """Leave the last page on the screen."""
@@ -178,6 +194,6 @@ def _clock(utc: float) -> str:
     return datetime.fromtimestamp(utc).strftime("%H:%M:%S")
 
 
-def make_display(out: TextIO) -> LineDisplay | PageDisplay:
+def make_display(out: Outlet) -> LineDisplay | PageDisplay:
     """The page on a terminal, lines anywhere else."""
-    return PageDisplay() if out.isatty() else LineDisplay(out)
+    return PageDisplay(out) if out.isatty() else LineDisplay(out)

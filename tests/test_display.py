@@ -9,6 +9,7 @@ from loop_rig import LoopRig
 
 from edge.display import CHART_ROWS, LineDisplay, chart_rows, forecast_facts, make_display, tick_line
 from edge.messages import Command, Decision, Forecast, ForecastSkill, Quality, TickRecord
+from edge.outlet import Outlet
 from edge.tick_json import tick_json
 
 
@@ -43,13 +44,15 @@ def test_what_safety_changed_is_named(rig: LoopRig) -> None:
 
 
 def test_lines_come_out_one_per_tick(rig: LoopRig) -> None:
-    out = io.StringIO()
+    text = io.StringIO()
+    out = Outlet(text)
     display = make_display(out)
     assert isinstance(display, LineDisplay)  # a StringIO is no terminal
-    display.show(rig.tick())
-    display.show(rig.tick())
+    display.write(rig.tick())
+    display.write(rig.tick())
     display.close()
-    assert len(out.getvalue().splitlines()) == 2
+    out.finish()
+    assert len(text.getvalue().splitlines()) == 2
 
 
 def test_the_chart_has_its_rows_whatever_the_numbers(rig: LoopRig) -> None:
