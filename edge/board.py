@@ -14,7 +14,7 @@ from edge.names import HEATER_LEVELS, SIGNALS
 from edge.serial_port import OpenPort, PortGone, SerialPort, WirePort
 from firmware_protocol import link as wire
 from firmware_protocol import messages as wire_messages
-from firmware_protocol.messages import Capability
+from firmware_protocol.messages import PROTOCOL_VERSION, Capability
 
 RENEW_S = 3.0  # so two renewals may be lost before a lease ends
 REOPEN_S = 1.0  # between two tries to open a missing port
@@ -29,7 +29,15 @@ _QUALITY = {
 }
 
 Sample = Mapping[str, Reading]
-TripOrder = wire_messages.EmergencyStop | wire_messages.ClearTrip
+LatchOrder = (
+    wire_messages.EmergencyStop
+    | wire_messages.ReleaseStop
+    | wire_messages.Maintenance
+    | wire_messages.EndMaintenance
+    | wire_messages.ClearTrip
+)
+# Sent anew whenever the link comes up.
+STANDING = (wire_messages.EmergencyStop, wire_messages.Maintenance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +66,8 @@ class Board:
         self._driven: Driven | None = None
         self._renew_at_s = float("inf")
         self._asked: wire_messages.CommandMessage | None = None  # the newest command, until it is confirmed
-        self._trip_order: TripOrder | None = None  # the newest, until it is answered
+        self._orders: dict[str, LatchOrder] = {}  # by latch: the newest; all but stops until answered
+        self._unanswered: set[str] = set()  # latches
         self._samples: list[Sample] = []
         self._events: list[Event] = []
         self.echo: Echo | None = None
@@ -68,6 +77,12 @@ class Board:
     def link_up(self) -> bool:
         """The board answers and speaks our version."""
         return self._port is not None and self._link.state == "up"
+
+    @property
+    def in_maintenance(self) -> bool:
+        """The board holds everything off for maintenance, or is ordered to."""
+        ordered = isinstance(self._orders.get("maintenance"), wire_messages.Maintenance)
+        return ordered or (self.echo is not None and self.echo.trip_cause == "maintenance")
 
     @property
     def has_samples(self) -> bool:
@@ -100,13 +115,26 @@ class Board:
         self._driven = replace(self._driven, command=replace(command, valve_pulse_s=0.0))
 
     def emergency_stop(self) -> None:
-        """Trip the board at once; while the link is down, as soon as it is up."""
+        """Turn everything off at once and latch it on the board; without a link, as soon as it is up."""
         self._driven = None
-        self._order_trip(wire_messages.EmergencyStop())
+        self._order("stop", wire_messages.EmergencyStop())
+
+    def release_stop(self) -> None:
+        """End the board's emergency stop; waits for the link likewise."""
+        self._order("stop", wire_messages.ReleaseStop())
+
+    def maintain(self) -> None:
+        """Do what `emergency_stop` does, under the latch of maintenance."""
+        self._driven = None
+        self._order("maintenance", wire_messages.Maintenance())
+
+    def end_maintenance(self) -> None:
+        """End the board's maintenance; waits for the link likewise."""
+        self._order("maintenance", wire_messages.EndMaintenance())
 
     def clear_trip(self) -> None:
         """Ask the board to forget its trip; it refuses while the cause lasts. Waits for the link likewise."""
-        self._order_trip(wire_messages.ClearTrip())
+        self._order("trip", wire_messages.ClearTrip())
 
     def serve(
         self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
@@ -129,6 +157,12 @@ class Board:
         """Wait for the board's answer to the last command; None when it does not come in time."""
         self.serve(self._clock.now() + timeout_s, done=lambda: self._asked is None)
         return self.echo if self._asked is None and self.link_up else None
+
+    def serve_until_answered(self, timeout_s: float) -> bool:
+        """Wait for the board's answers to stops, releases and clear_trip; False when one is missing."""
+        if self.link_up:
+            self.serve(self._clock.now() + timeout_s, done=lambda: not self._unanswered or not self.link_up)
+        return not self._unanswered
 
     def close(self) -> None:
         """Close the port; what the board drives ends with its lease."""
@@ -191,9 +225,19 @@ class Board:
         self._asked = _message(self._driven, parts, min(LEASE_S, self._driven.until_s - now))
         self._link.request(self._asked, now)
 
-    def _order_trip(self, order: TripOrder) -> None:
-        self._trip_order = order
-        self._link.request(order, self._clock.now())
+    def _order(self, latch: str, order: LatchOrder) -> None:
+        self._orders[latch] = order
+        self._unanswered.add(latch)
+        if self.link_up:  # else LinkUp sends it
+            self._link.request(order, self._clock.now())
+
+    def _settle(self, request: wire_messages.Message | None) -> None:
+        """Note that the board has answered one of the orders."""
+        for latch, order in list(self._orders.items()):
+            if order is request:
+                self._unanswered.discard(latch)
+                if not isinstance(order, STANDING):
+                    del self._orders[latch]
 
     def _renew(self, now: float) -> None:
         if now < self._renew_at_s:
@@ -218,24 +262,25 @@ class Board:
     def _take_echo(
         self, state: wire_messages.StateEcho, request: wire_messages.Message | None, now: float
     ) -> None:
-        was_tripped = self.echo is not None and self.echo.tripped
+        cause_before = "" if self.echo is None else self.echo.trip_cause
         self.echo = _echo(state, now)
         if request is self._asked:  # an older command's echo says nothing of the newest one
             self._asked = None
-        if request is self._trip_order:
-            self._trip_order = None
-        if self.echo.tripped and self._driven is not None:  # it refuses heat; the fan may still be asked for
-            self._driven = replace(self._driven, command=replace(self._driven.command, heater_duty=0.0))
-        if self.echo.tripped and not was_tripped:
-            self._tell("board.tripped", Severity.ALARM, f"the board has tripped: {self.echo.trip_cause}")
+        self._settle(request)
+        if self.echo.tripped and self._driven is not None:  # it refuses heat, and while stopped everything
+            rest = Command() if self.echo.stopped else replace(self._driven.command, heater_duty=0.0)
+            self._driven = replace(self._driven, command=rest)
+        if self.echo.tripped and self.echo.trip_cause != cause_before:
+            severity = Severity.INFO if self.echo.trip_cause == "maintenance" else Severity.ALARM
+            self._tell("board.tripped", severity, f"the board has tripped: {self.echo.trip_cause}")
 
     def _tell_link(self, event: wire.LinkEvent) -> None:
         match event:
             case wire.LinkUp(hello):
                 self.hello = hello
                 self._renew_at_s = self._clock.now()
-                if self._trip_order is not None:  # a link that is down keeps no request
-                    self._link.request(self._trip_order, self._clock.now())
+                for order in self._orders.values():  # before any command
+                    self._link.request(order, self._clock.now())
                 firmware = f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
                 self._tell(
                     "board.link_up", Severity.INFO, f"board {hello.board_id:016x}, firmware {firmware}"
@@ -251,16 +296,16 @@ class Board:
                     "board.reset", Severity.WARNING, f"the board has reset ({cause}), boot {hello.boot_count}"
                 )
             case wire.VersionRefused(low, high):
-                self._tell(
-                    "board.version", Severity.ALARM, f"the board speaks protocol {low} to {high}, not 1"
-                )
+                text = f"the board speaks protocol {low} to {high}, not {PROTOCOL_VERSION}"
+                self._tell("board.version", Severity.ALARM, text)
             case wire.Refused(error, request):
-                if request is self._trip_order:
-                    self._trip_order = None
+                self._settle(request)
                 code = wire_messages.ErrorCode(error.code).name.lower()
                 text = f"the board refused {type(request).__name__}: {code} ({error.detail})"
                 self._tell("board.refused", Severity.WARNING, text)
             case wire.RequestTimedOut(request):
+                if self.link_up and any(order is request for order in self._orders.values()):
+                    self._link.request(request, self._clock.now())  # a stop went ahead of it
                 self._tell("board.no_answer", Severity.WARNING, f"no answer to {type(request).__name__}")
             case wire.Nonsense():
                 pass  # counted in `statistics`

@@ -1,7 +1,7 @@
 """The values that travel down the line of one tick. All frozen; time is always given, never asked for."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -166,6 +166,15 @@ class Echo:
     tripped: bool
     trip_cause: str  # "" when not tripped
     time_s: float  # when it was received
+
+    @property
+    def stopped(self) -> bool:
+        """The board drives nothing until a person ends it: hands may be in the greenhouse."""
+        return self.trip_cause in ("emergency_stop", "maintenance", "storage_damaged")
+
+    def drives_as(self, other: "Echo | None") -> bool:
+        """True when both say the same of the pins and the trip."""
+        return other is not None and replace(self, time_s=other.time_s) == other
 
 
 @dataclass(frozen=True, slots=True)

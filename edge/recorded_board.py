@@ -1,7 +1,7 @@
 """A recorded run in place of the serial board: the same tick, in shadow. What was recorded stands."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -55,6 +55,11 @@ class RecordedBoard:
         return True
 
     @property
+    def in_maintenance(self) -> bool:
+        """No board holds the past."""
+        return False
+
+    @property
     def has_samples(self) -> bool:
         """A recorded row waits to be taken."""
         return bool(self._waiting)
@@ -81,7 +86,9 @@ class RecordedBoard:
         fan = float(np.nanmean(self._fan[rows])) if np.isfinite(self._fan[rows]).any() else 0.0
         self.echo = Echo(duty, fan >= 0.5, 0.0, False, False, "", now)
 
-    def serve(self, until_s: float, wake: int | None = None) -> None:
+    def serve(
+        self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
+    ) -> None:
         """Let the recording run to `until_s`."""
         self._clock.wait(None, wake, until_s)
         self._deliver()
@@ -90,8 +97,21 @@ class RecordedBoard:
         """What was driven; known at once."""
         return self.echo
 
+    def serve_until_answered(self, timeout_s: float) -> bool:
+        """Nothing is asked of the past, so nothing is unanswered."""
+        return True
+
     def emergency_stop(self) -> None:
         """Nothing can stop the past."""
+
+    def release_stop(self) -> None:
+        """Nothing to release."""
+
+    def maintain(self) -> None:
+        """Nothing can stop the past."""
+
+    def end_maintenance(self) -> None:
+        """Nothing to end."""
 
     def clear_trip(self) -> None:
         """Nothing to clear."""

@@ -33,6 +33,7 @@ from edge.run_file import Run
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
+from edge.state_file import Answered
 from edge.tick_json import tick_json
 
 Floats = NDArray[np.float64]
@@ -112,7 +113,7 @@ def replay(
         sinks=[tape],
         more_events=list,
         inbox=inbox,
-        save_state=lambda operation, memory: None,
+        save_state=_forget,
         stop_at_s=float(run.columns["time_s"][-1]),
     )
     try:
@@ -241,3 +242,7 @@ def _good(record: TickRecord, name: str) -> float:
 def _driven(record: TickRecord) -> tuple[float, float]:
     echo = record.echo
     return (echo.heater_duty, float(echo.fan_on)) if echo is not None else (0.0, 0.0)
+
+
+def _forget(operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
+    """Keep nothing: a replay has no next start, and nobody to answer."""

@@ -83,6 +83,11 @@ def board_tripped(s: Situation) -> str:
     return f"the board has tripped: {echo.trip_cause}" if echo is not None and echo.tripped else ""
 
 
+def board_stopped(s: Situation) -> str:
+    echo = s.view.echo
+    return f"stopped on the board: {echo.trip_cause}" if echo is not None and echo.stopped else ""
+
+
 def air_unknown(s: Situation) -> str:
     return "no fresh good air temperature" if s.temp_air is None else ""
 
@@ -177,6 +182,7 @@ HEATER_LIMITS = (
 FAN_FORCED = (
     Forced("fan.emergency_stop", emergency_stop),
     Forced("fan.maintenance", maintenance),
+    Forced("fan.board_stopped", board_stopped),
     Forced("fan.link_down", link_down),
     Forced("fan.tripped", tripped_hot, 1.0),
     Forced("fan.over_temperature", too_hot, 1.0),
@@ -188,6 +194,7 @@ FAN_LIMITS = (Limit("fan.range", lambda s: 1.0, "neither on nor off"),)
 LED_OFF = (
     Forced("led.emergency_stop", emergency_stop),
     Forced("led.maintenance", maintenance),
+    Forced("led.board_stopped", board_stopped),
     Forced("led.link_down", link_down),
     Forced("led.tripped", tripped_hot),
     Forced("led.over_temperature", too_hot),
@@ -196,6 +203,7 @@ LED_LIMITS = (Limit("led.range", lambda s: s.settings.led_max, "largest LED leve
 VALVE_SHUT = (
     Forced("valve.emergency_stop", emergency_stop),
     Forced("valve.maintenance", maintenance),
+    Forced("valve.board_stopped", board_stopped),
     Forced("valve.link_down", link_down),
     Forced("valve.tank", tank_low),
     Forced("valve.soil", soil_wet),

@@ -35,6 +35,7 @@ from firmware_protocol.messages import (
     Header,
     Hello,
     HelloRequest,
+    Maintenance,
     Message,
     SensorReport,
     StateEcho,
@@ -52,6 +53,7 @@ GREET_S = 1.0  # between two greetings
 GREET_REFUSED_S = 10.0  # the same after a board said that it speaks other versions
 RETRY_S = 0.25
 SENDS = 5  # of one request, the first included
+STOPS = (EmergencyStop, Maintenance)  # they wait for nothing but each other
 SILENCE_S = 3.0  # without a whole frame the link is lost; three report periods where that is longer
 
 
@@ -99,8 +101,9 @@ class Link:
     def request(self, message: Message, now: float) -> None:
         """Send a request, or let it wait for the one under way; it replaces one of its kind that waits.
 
-        An emergency stop goes out at once and all others are given up. While the link is not up every request
-        is given up: RequestTimedOut. Raises LocalProtocolError for what is no request or can't be sent.
+        An emergency stop or a maintenance goes out at once; all but these two are given up. While the link is
+        not up every request is given up: RequestTimedOut. Raises LocalProtocolError for what is no request or
+        can't be sent.
         """
         if LAYOUTS[type(message)].from_board or isinstance(message, HelloRequest):
             raise LocalProtocolError(f"{type(message).__name__} is no request")
@@ -108,8 +111,8 @@ class Link:
         if self.state != "up":
             self._untold.append(RequestTimedOut(message))
             return
-        if isinstance(message, EmergencyStop):
-            self._untold += self._give_up_requests()
+        if isinstance(message, STOPS):
+            self._untold += self._give_up_requests(STOPS)
         if self._under_way is None:
             self._send(message, now)
             return
@@ -264,12 +267,14 @@ class Link:
         self._greeting_seq = 0
         self._greet_at = now
 
-    def _give_up_requests(self) -> list[LinkEvent]:
-        given_up = [] if self._under_way is None else [self._under_way.message]
-        given_up += self._waiting
-        self._under_way = None
-        self._waiting = []
-        self._outgoing = b""
+    def _give_up_requests(self, but: tuple[type[Message], ...] = ()) -> list[LinkEvent]:
+        given_up = []
+        if self._under_way is not None and not isinstance(self._under_way.message, but):
+            given_up.append(self._under_way.message)
+            self._under_way = None
+            self._outgoing = b""
+        given_up += [message for message in self._waiting if not isinstance(message, but)]
+        self._waiting = [message for message in self._waiting if isinstance(message, but)]
         self._counts["given_up"] += len(given_up)
         return [RequestTimedOut(message) for message in given_up]
 

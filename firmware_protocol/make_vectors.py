@@ -17,14 +17,17 @@ from firmware_protocol.messages import (
     ClearTrip,
     CommandMessage,
     EmergencyStop,
+    EndMaintenance,
     ErrorCode,
     ErrorMessage,
     HeaterOffCause,
     Hello,
     HelloRequest,
+    Maintenance,
     Message,
     Ping,
     Quality,
+    ReleaseStop,
     ResetCause,
     SensorReport,
     StateEcho,
@@ -51,8 +54,8 @@ def _flip(frame: bytes, at: int, bit: int) -> bytes:
 
 
 _HELLO = Hello(
-    0x12345678, 1, 1, 1, 0, 0, 0x0123456789ABCDEF, ResetCause.POWER_ON, 7, Capability(0xFF),
-    10.0, 45.0, 10.0, 20.0, 1.0, False,
+    0x12345678, PROTOCOL_VERSION, PROTOCOL_VERSION, 1, 0, 0, 0x0123456789ABCDEF, ResetCause.POWER_ON, 7,
+    Capability(0xFF), 10.0, 45.0, 10.0, 20.0, 1.0, False,
 )  # fmt: skip
 _G, _A = Quality.GOOD, Quality.ABSENT
 _REPORT = SensorReport(
@@ -65,6 +68,7 @@ _ECHO = StateEcho(61000, 10, HeaterOffCause.NONE, True, 50, True, False, False, 
 _TRIPPED = StateEcho(
     61000, 0, HeaterOffCause.TRIPPED, True, 0, False, True, True, TripCause.OVER_TEMPERATURE, 0.0, 1500
 )
+_MAINTAINED = replace(_TRIPPED, fan_on=False, trip_cause=TripCause.MAINTENANCE, fan_rpm=0)
 
 # name, message, seq, ack
 _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
@@ -77,15 +81,19 @@ _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
     ("error", ErrorMessage(ErrorCode.TRIPPED, TripCause.OVER_TEMPERATURE), 5, 3),
     ("ping", Ping(), 4, 0),
     ("emergency_stop", EmergencyStop(), 255, 0),
+    ("maintenance", Maintenance(), 5, 0),
+    ("release_stop", ReleaseStop(), 6, 0),
+    ("end_maintenance", EndMaintenance(), 7, 0),
     ("hello unasked after a reset", replace(_HELLO, session=0, boot_count=8), 1, 0),
     ("command of nothing", CommandMessage(0, False, 0, 0.0, False, 0.0), 1, 0),
     ("command of everything", CommandMessage(20, True, 100, 25.5, True, 60.0), 255, 0),
     ("sensor_report without a number", _BLIND, 1, 0),
     ("sensor_report of the lowest numbers", _COLD, 255, 0),
     ("state_echo while tripped", _TRIPPED, 6, 0),
+    ("state_echo in maintenance", _MAINTAINED, 7, 0),
     ("error none", ErrorMessage(ErrorCode.NONE, 255), 7, 1),
 )
-_EXAMPLES = 9  # the first of them stand in PROTOCOL.md
+_EXAMPLES = 12  # the first of them stand in PROTOCOL.md
 
 
 def _header(kind: type[Message]) -> bytes:
@@ -100,11 +108,11 @@ def _command_with(offset: int, byte: int) -> bytes:
 
 # name, payload, code and detail of the error that it deserves
 _REFUSED: tuple[tuple[str, bytes, ErrorCode, int], ...] = (
-    ("version 0", b"\0\4\x09\0" + bytes(7), ErrorCode.VERSION, 1),
-    ("version 2, a kind of its own", b"\2\xc8\x09\0xyz", ErrorCode.VERSION, 1),
-    ("kind 0", b"\1\0\x09\0", ErrorCode.UNKNOWN_KIND, 0),
-    ("kind 10, the longest body", b"\1\x0a\x09\0" + b"\xff" * 48, ErrorCode.UNKNOWN_KIND, 10),
-    ("kind 255", b"\1\xff\x09\0", ErrorCode.UNKNOWN_KIND, 255),
+    ("version 1", b"\1\4\x09\0" + bytes(7), ErrorCode.VERSION, PROTOCOL_VERSION),
+    ("version 3, a kind of its own", b"\3\xc8\x09\0xyz", ErrorCode.VERSION, PROTOCOL_VERSION),
+    ("kind 0", b"\2\0\x09\0", ErrorCode.UNKNOWN_KIND, 0),
+    ("kind 13, the longest body", b"\2\x0d\x09\0" + b"\xff" * 48, ErrorCode.UNKNOWN_KIND, 13),
+    ("kind 255", b"\2\xff\x09\0", ErrorCode.UNKNOWN_KIND, 255),
     ("command without a body", _header(CommandMessage), ErrorCode.LENGTH, 0),
     ("command one byte short", pack(_COMMAND, 9)[:-1], ErrorCode.LENGTH, 6),
     ("command one byte long", pack(_COMMAND, 9) + b"\0", ErrorCode.LENGTH, 8),
@@ -119,11 +127,11 @@ _REFUSED: tuple[tuple[str, bytes, ErrorCode, int], ...] = (
     ("sensor_report at -50.01 degC", pack(_REPORT, 9)[:8] + b"\x77\xec" + pack(_REPORT, 9)[10:],
      ErrorCode.RANGE, 1),
     ("sensor_report with quality 5", pack(_REPORT, 9)[:-1] + b"\5", ErrorCode.RANGE, 14),
-    ("state_echo with trip cause 4", pack(_ECHO, 9)[:15] + b"\4" + pack(_ECHO, 9)[16:], ErrorCode.RANGE, 8),
+    ("state_echo with trip cause 5", pack(_ECHO, 9)[:15] + b"\5" + pack(_ECHO, 9)[16:], ErrorCode.RANGE, 8),
 )  # fmt: skip
 
 _PING = encode(pack(Ping(), 4))
-_LONG = encode(b"\1\x0a\x09\0" + b"\xff" * 48)
+_LONG = encode(b"\2\x0d\x09\0" + b"\xff" * 48)
 # name, bytes on the line, counter that rises, or "" where nothing is dropped
 _BROKEN: tuple[tuple[str, bytes, str], ...] = (
     ("idle line", b"\0\0\0", ""),
@@ -135,8 +143,8 @@ _BROKEN: tuple[tuple[str, bytes, str], ...] = (
     ("code byte 255", b"\xff" + b"\1" * 54 + b"\0", "bad_cobs"),
     ("only a code byte", b"\1\0", "too_short"),
     ("a CRC without a header", cobs_encode(b"\xff\xff") + b"\0", "too_short"),
-    ("header one byte short, good CRC", _framed(b"\1\7\4"), "too_short"),
-    ("body one byte too long, good CRC", _framed(b"\1\x0a\x09\0" + b"\xff" * 49), "too_long"),
+    ("header one byte short, good CRC", _framed(b"\2\7\4"), "too_short"),
+    ("body one byte too long, good CRC", _framed(b"\2\x0d\x09\0" + b"\xff" * 49), "too_long"),
     ("longest run and one more", b"\2" * (MAX_ENCODED + 1) + b"\0", "too_long"),
     ("a very long run", b"\x55" * 1000 + b"\0", "too_long"),
     ("CRC in the wrong order", cobs_encode(pack(Ping(), 4) + _crc(pack(Ping(), 4))[::-1]) + b"\0", "bad_crc"),
@@ -147,7 +155,7 @@ _STREAMS: tuple[tuple[str, bytes, tuple[bytes, ...]], ...] = (
     ("noise, 0x00, a frame", b"\x17\xfe\0" + _PING, (pack(Ping(), 4),)),
     ("noise swallows the frame it touches, not the next", b"\x17\xfe" + _PING * 2, (pack(Ping(), 4),)),
     ("a run too long, then a frame", b"\x55" * 300 + b"\0" + _PING, (pack(Ping(), 4),)),
-    ("the longest payload", _LONG, (b"\1\x0a\x09\0" + b"\xff" * 48,)),
+    ("the longest payload", _LONG, (b"\2\x0d\x09\0" + b"\xff" * 48,)),
 )
 
 

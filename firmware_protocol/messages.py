@@ -7,7 +7,7 @@ from typing import NamedTuple
 from firmware_protocol.errors import DecodeError
 from firmware_protocol.fields import Field, Layout
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 HEADER_LENGTH = 4
 MAX_BODY = 48
 
@@ -34,6 +34,7 @@ class TripCause(IntEnum):
     OVER_TEMPERATURE = 1
     EMERGENCY_STOP = 2
     STORAGE_DAMAGED = 3
+    MAINTENANCE = 4
 
 
 class HeaterOffCause(IntEnum):
@@ -171,6 +172,21 @@ class EmergencyStop:
     """emergency_stop: host -> board, kind 9, 0 bytes."""
 
 
+@dataclass(frozen=True, slots=True)
+class Maintenance:
+    """maintenance: host -> board, kind 10, 0 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseStop:
+    """release_stop: host -> board, kind 11, 0 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class EndMaintenance:
+    """end_maintenance: host -> board, kind 12, 0 bytes."""
+
+
 Message = (
     HelloRequest
     | Hello
@@ -181,6 +197,9 @@ Message = (
     | Ping
     | ErrorMessage
     | EmergencyStop
+    | Maintenance
+    | ReleaseStop
+    | EndMaintenance
 )
 
 LAYOUTS: dict[type[Message], Layout] = {
@@ -256,7 +275,7 @@ LAYOUTS: dict[type[Message], Layout] = {
             Field("valve_open", "B", 0, 1, kind=bool),
             Field("cutoff_open", "B", 0, 1, kind=bool),
             Field("tripped", "B", 0, 1, kind=bool),
-            Field("trip_cause", "B", 0, 3, kind=TripCause),
+            Field("trip_cause", "B", 0, 4, kind=TripCause),
             Field("lease_left_s", "H", 0, 60000, per_unit=1000),
             Field("fan_rpm", "H", 0, 65535, none=65535),
         ),
@@ -281,6 +300,21 @@ LAYOUTS: dict[type[Message], Layout] = {
     ),
     EmergencyStop: Layout(
         9,
+        False,
+        (),
+    ),
+    Maintenance: Layout(
+        10,
+        False,
+        (),
+    ),
+    ReleaseStop: Layout(
+        11,
+        False,
+        (),
+    ),
+    EndMaintenance: Layout(
+        12,
         False,
         (),
     ),

@@ -19,11 +19,14 @@ from firmware_protocol.messages import (
     ClearTrip,
     CommandMessage,
     EmergencyStop,
+    EndMaintenance,
     ErrorMessage,
     Hello,
     HelloRequest,
+    Maintenance,
     Ping,
     Quality,
+    ReleaseStop,
     ResetCause,
     StateEcho,
     TripCause,
@@ -118,7 +121,7 @@ def test_it_greets_and_reports_every_second(avr):
 def test_the_pins_are_safe_before_they_are_outputs_and_before_the_first_byte(avr):
     trace = avr.run(50)
     shown = [(event.kind, event.value) for event in trace if event.kind in "PDT"]
-    assert shown[:2] == [("P", FAN), ("D", HEATER | FAN | VALVE | SUPPLY)]
+    assert shown[:2] == [("D", HEATER | FAN | VALVE | SUPPLY), ("P", FAN)]
     assert all(kind == "T" for kind, _ in shown[2:]) and len(shown) > 40
 
 
@@ -204,15 +207,44 @@ def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_
         assert not state(greeted(cold)).tripped
 
 
-def test_an_emergency_stop_opens_everything_at_once(avr):
+STOPS = [
+    (EmergencyStop(), ReleaseStop(), TripCause.EMERGENCY_STOP),
+    (Maintenance(), EndMaintenance(), TripCause.MAINTENANCE),
+]
+
+
+@pytest.mark.parametrize(("stop", "release", "cause"), STOPS)
+def test_a_stop_opens_everything_at_once_the_fan_too(avr, stop, release, cause):
     rig = heating(avr)
     rig.run(0.1)
     rig.trace.clear()
-    rig.ask(EmergencyStop())
-    assert (rig.port(), rig.led()) == (FAN, 0)
+    rig.ask(stop)
+    assert (rig.port(), rig.led()) == (0, 0)
     assert "".join(event.kind for event in rig.trace if event.kind in "PE") == "PEEE"  # pins first
     rig.ask(HEAT)
-    assert rig.seen(Refused)[-1].error.detail == TripCause.EMERGENCY_STOP
+    assert rig.seen(Refused)[-1].error.detail == cause
+    rig.run(12.0)  # silence: every lease has ended
+    assert (rig.port(), rig.led()) == (0, 0)
+    rig.ask(release)
+    rig.run(0.1)
+    assert rig.port() == FAN  # on its own again: fan_safe_on
+
+
+@pytest.mark.parametrize(("stop", "cause"), [(stop, cause) for stop, _, cause in STOPS])
+def test_no_pin_moves_in_a_reset_or_a_power_failure_while_stopped(host, program, avr, stop, cause):
+    rig = heating(avr)
+    rig.ask(stop)
+    rig.run(0.1)  # the store is written
+    rig.trace.clear()
+    avr.reset()
+    rig.run(1.5)
+    assert rig.seen(BoardReset)
+    assert not any(event.kind == "P" and event.value for event in rig.trace)
+    assert state(rig).trip_cause is cause
+    with SimulatedAvr(host, program, avr.eeprom()) as again:
+        trace = again.run(500)
+        assert any(event.kind == "D" for event in trace)
+        assert not any(event.kind == "P" and event.value for event in trace)
 
 
 @pytest.mark.parametrize("bytes_written", [1, 2, 3])
@@ -241,7 +273,7 @@ def test_a_program_that_hangs_or_whose_clock_stands_is_reset_and_safe(avr, fault
     rig.run(0.5)
     begin = next(k for k, event in enumerate(rig.trace) if event.kind == "R")
     shown = [(event.kind, event.value) for event in rig.trace[begin:] if event.kind in "RPDT"]
-    assert shown[:3] == [("R", 0), ("P", FAN), ("D", HEATER | FAN | VALVE | SUPPLY)]
+    assert shown[:3] == [("R", 0), ("D", HEATER | FAN | VALVE | SUPPLY), ("P", FAN)]
     assert {kind for kind, _ in shown[3:]} == {"T"}
     hello = rig.seen(BoardReset)[-1].hello
     assert (hello.reset_cause, hello.boot_count) == (ResetCause.WATCHDOG, 1)

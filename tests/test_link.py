@@ -31,6 +31,7 @@ from firmware_protocol.messages import (
     HeaterOffCause,
     Hello,
     HelloRequest,
+    Maintenance,
     Message,
     Ping,
     ResetCause,
@@ -48,7 +49,7 @@ COLDER = CommandMessage(5, True, 0, 0.0, False, 10.0)
 STATE = StateEcho(5, 10, HeaterOffCause.NONE, True, 0, False, False, False, TripCause.NONE, 10.0, None)
 
 
-def hello(session: int, boot_count: int = 1, protocol_min: int = 1, protocol_max: int = 1) -> Hello:
+def hello(session: int, boot_count: int = 1, protocol_min: int = 2, protocol_max: int = 2) -> Hello:
     values = BoardConfig().hello(session, ResetCause.POWER_ON, boot_count)
     return Hello(values.session, protocol_min, protocol_max, *list(_values(values))[3:])
 
@@ -126,7 +127,7 @@ def test_a_hello_that_answers_another_request_does_not(link: Link, board: Board,
     assert link.state == "down"
 
 
-@pytest.mark.parametrize("versions", [(2, 2), (2, 9), (0, 0)])
+@pytest.mark.parametrize("versions", [(1, 1), (3, 9), (0, 0)])
 def test_a_board_of_other_versions_is_refused_and_greeted_every_10_s(
     link: Link, board: Board, versions: tuple[int, int]
 ) -> None:
@@ -142,7 +143,7 @@ def test_a_board_of_other_versions_is_refused_and_greeted_every_10_s(
     assert board.says(hello(SESSION), 20.0, ack=1) == [LinkUp(hello(SESSION))]
 
 
-@pytest.mark.parametrize("versions", [(1, 1), (0, 1), (1, 2), (0, 255)])
+@pytest.mark.parametrize("versions", [(2, 2), (0, 2), (1, 3), (0, 255)])
 def test_a_range_with_our_version_is_accepted(link: Link, board: Board, versions: tuple[int, int]) -> None:
     link.poll(0.0)
     board.says(hello(SESSION, 1, *versions), 0.1, ack=1)
@@ -152,19 +153,19 @@ def test_a_range_with_our_version_is_accepted(link: Link, board: Board, versions
 @pytest.mark.parametrize("frame_version", [1, 2, 255])
 def test_a_version_error_refuses_in_whatever_version_it_is_said(link: Link, frame_version: int) -> None:
     link.poll(0.0)
-    error = bytes((frame_version, 8, 1, 1, ErrorCode.VERSION, 2))
-    assert link.receive(encode(error), 0.1) == [VersionRefused(2, 2)]
+    error = bytes((frame_version, 8, 1, 1, ErrorCode.VERSION, 1))
+    assert link.receive(encode(error), 0.1) == [VersionRefused(1, 1)]
     assert link.state == "refused"
 
 
 @pytest.mark.parametrize(
     "payload",
     [
-        pytest.param(bytes((2, 8, 1, 7, ErrorCode.VERSION, 2)), id="to another request"),
-        pytest.param(bytes((2, 8, 1, 1, ErrorCode.VERSION)), id="without its detail"),
-        pytest.param(bytes((2, 7, 1, 1, ErrorCode.VERSION, 2)), id="of another kind"),
-        pytest.param(bytes((2, 8, 1, 1, ErrorCode.LENGTH, 2)), id="another error"),
-        pytest.param(bytes((1, 8, 1, 1, ErrorCode.LENGTH, 2)), id="another error in our version"),
+        pytest.param(bytes((1, 8, 1, 7, ErrorCode.VERSION, 1)), id="to another request"),
+        pytest.param(bytes((1, 8, 1, 1, ErrorCode.VERSION)), id="without its detail"),
+        pytest.param(bytes((1, 7, 1, 1, ErrorCode.VERSION, 1)), id="of another kind"),
+        pytest.param(bytes((1, 8, 1, 1, ErrorCode.LENGTH, 2)), id="another error"),
+        pytest.param(bytes((2, 8, 1, 1, ErrorCode.LENGTH, 2)), id="another error in our version"),
     ],
 )
 def test_nothing_else_refuses(link: Link, payload: bytes) -> None:
@@ -260,6 +261,21 @@ def test_an_emergency_stop_waits_for_nothing(link: Link, up: Board) -> None:
     assert up.says(STATE, 0.3, ack=3) == [Echo(STATE, EmergencyStop())]
 
 
+@pytest.mark.parametrize("stops", [(EmergencyStop(), Maintenance()), (Maintenance(), EmergencyStop())])
+def test_two_stops_never_give_up_each_other_but_all_else(link: Link, up: Board, stops: list[Message]) -> None:
+    first, second = stops
+    link.request(first, 0.0)
+    link.request(COMMAND, 0.0)
+    link.request(second, 0.0)
+    assert [message for _, message in up.heard()] == [first]
+    assert link.poll(0.0) == [RequestTimedOut(COMMAND)]
+    link.request(COLDER, 0.1)  # a command waits behind both
+    assert up.says(STATE, 0.2, ack=2) == [Echo(STATE, first)]
+    assert [message for _, message in up.heard()] == [second]
+    assert up.says(STATE, 0.3, ack=3) == [Echo(STATE, second)]
+    assert [message for _, message in up.heard()] == [COLDER]
+
+
 @pytest.mark.parametrize("ack", [1, 3, 255])
 def test_a_stale_answer_is_ignored_and_counted(link: Link, up: Board, ack: int) -> None:
     link.request(COMMAND, 0.0)
@@ -319,7 +335,7 @@ def test_three_seconds_without_a_frame_lose_the_link(
 
 def test_noise_does_not_count_as_a_sign_of_life(link: Link, up: Board) -> None:
     for tick in range(30):
-        link.receive(b"\x55\xaa\0" + encode(b"\x01\xee\x01\x00"), tick / 10)  # damaged, and whole but unknown
+        link.receive(b"\x55\xaa\0" + encode(b"\x02\xee\x01\x00"), tick / 10)  # damaged, and whole but unknown
     assert [type(event) for event in link.poll(3.0)] == [LinkLost]
 
 
@@ -331,7 +347,7 @@ def test_a_slow_reporter_is_given_three_periods(link: Link, board: Board) -> Non
     assert link.poll(6.0) == [LinkLost(6.0)]
 
 
-@pytest.mark.parametrize("message", [COMMAND, Ping(), ClearTrip(), EmergencyStop()])
+@pytest.mark.parametrize("message", [COMMAND, Ping(), ClearTrip(), EmergencyStop(), Maintenance()])
 def test_nothing_but_the_greeting_is_sent_while_the_link_is_down(link: Link, message: Message) -> None:
     link.request(message, 0.0)
     assert link.next_deadline() == 0.0

@@ -13,6 +13,7 @@ from firmware_protocol.messages import (
     HEADER_LENGTH,
     LAYOUTS,
     MAX_BODY,
+    PROTOCOL_VERSION,
     CommandMessage,
     ErrorCode,
     Message,
@@ -116,8 +117,8 @@ def test_a_scaled_value_is_the_nearest_float_of_its_decimal(value: float) -> Non
 
 def test_the_version_is_looked_at_before_everything_else() -> None:
     with pytest.raises(DecodeError) as raised:
-        unpack(b"\2\xff\1\0" + bytes(50))
-    assert (raised.value.code, raised.value.detail) == (ErrorCode.VERSION, 1)
+        unpack(b"\1\xff\1\0" + bytes(50))
+    assert (raised.value.code, raised.value.detail) == (ErrorCode.VERSION, 2)
 
 
 WRONG_LENGTHS = [
@@ -131,7 +132,7 @@ WRONG_LENGTHS = [
 @pytest.mark.parametrize(("kind", "length"), WRONG_LENGTHS)
 def test_one_byte_more_or_less_is_a_length_error(kind: int, length: int) -> None:
     with pytest.raises(DecodeError) as raised:
-        unpack(bytes((1, kind, 1, 0)) + bytes(length))
+        unpack(bytes((PROTOCOL_VERSION, kind, 1, 0)) + bytes(length))
     assert (raised.value.code, raised.value.detail) == (ErrorCode.LENGTH, length)
 
 

@@ -113,8 +113,8 @@ static void echo_state(gh_board *board, uint32_t now_ms, uint8_t *body)
         .led_pct = pins.led_pct,
         .valve_open = pins.valve,
         .cutoff_open = pins.cutoff_open,
-        .tripped = safety->trip_cause != GH_TRIP_CAUSE_NONE,
-        .trip_cause = safety->trip_cause,
+        .tripped = safety->latches != 0,
+        .trip_cause = gh_safety_trip_cause(safety),
         .lease_left_s = gh_safety_lease_left_ms(safety, now_ms),
         .fan_rpm = fan->quality == GH_QUALITY_GOOD ? u16_or_none(fan) : UINT16_MAX,
     };
@@ -185,7 +185,7 @@ static void serve_command(gh_board *board, uint8_t seq, const gh_command *comman
     if (names_missing_actuator(command, board->config.capabilities, &field)) {
         answer_error(board, seq, GH_ERROR_CODE_NO_ACTUATOR, field);
     } else if (!gh_safety_obey(&board->safety, &demand, now_ms)) {
-        answer_error(board, seq, GH_ERROR_CODE_TRIPPED, board->safety.trip_cause);
+        answer_error(board, seq, GH_ERROR_CODE_TRIPPED, gh_safety_trip_cause(&board->safety));
     } else {
         answer_state(board, seq, now_ms);
     }
@@ -196,7 +196,7 @@ static void serve_clear_trip(gh_board *board, uint8_t seq, uint32_t now_ms)
     if (gh_safety_clear_trip(&board->safety)) {
         answer_state(board, seq, now_ms);
     } else {
-        answer_error(board, seq, GH_ERROR_CODE_TRIPPED, board->safety.trip_cause);
+        answer_error(board, seq, GH_ERROR_CODE_TRIPPED, gh_safety_trip_cause(&board->safety));
     }
 }
 
@@ -211,6 +211,9 @@ static int decode(const request *request, gh_command *command)
     case GH_KIND_CLEAR_TRIP:
     case GH_KIND_PING:
     case GH_KIND_EMERGENCY_STOP:
+    case GH_KIND_MAINTENANCE:
+    case GH_KIND_RELEASE_STOP:
+    case GH_KIND_END_MAINTENANCE:
         return request->length == 0 ? 0 : GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, request->length);
     default:
         return GH_DECODE_ERROR(GH_ERROR_CODE_UNKNOWN_KIND, request->kind);
@@ -232,17 +235,26 @@ static void serve(gh_board *board, const request *request, uint32_t now_ms)
     switch (request->kind) {
     case GH_KIND_COMMAND:
         serve_command(board, request->seq, &command, now_ms);
-        break;
+        return;
     case GH_KIND_CLEAR_TRIP:
         serve_clear_trip(board, request->seq, now_ms);
-        break;
+        return;
     case GH_KIND_EMERGENCY_STOP:
         gh_safety_trip(&board->safety, GH_TRIP_CAUSE_EMERGENCY_STOP);
-        answer_state(board, request->seq, now_ms);
+        break;
+    case GH_KIND_MAINTENANCE:
+        gh_safety_trip(&board->safety, GH_TRIP_CAUSE_MAINTENANCE);
+        break;
+    case GH_KIND_RELEASE_STOP:
+        gh_safety_release(&board->safety, GH_TRIP_CAUSE_EMERGENCY_STOP);
+        break;
+    case GH_KIND_END_MAINTENANCE:
+        gh_safety_release(&board->safety, GH_TRIP_CAUSE_MAINTENANCE);
         break;
     default: /* ping */
-        answer_state(board, request->seq, now_ms);
+        break;
     }
+    answer_state(board, request->seq, now_ms);
 }
 
 static void greet(gh_board *board, const request *request)
@@ -375,7 +387,7 @@ void gh_board_sample(gh_board *board, gh_signal signal, int32_t raw, uint8_t qua
 
 static bool echo_is_due(const gh_board *board)
 {
-    return board->echo_due || board->echoed_trip_cause != board->safety.trip_cause ||
+    return board->echo_due || board->echoed_trip_cause != gh_safety_trip_cause(&board->safety) ||
            board->echoed_off_cause != gh_safety_heater_off_cause(&board->safety);
 }
 

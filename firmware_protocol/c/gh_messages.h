@@ -11,7 +11,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define GH_PROTOCOL_VERSION 1
+#define GH_PROTOCOL_VERSION 2
 #define GH_HEADER_LENGTH 4
 #define GH_MAX_BODY 48
 
@@ -29,6 +29,9 @@ enum {
     GH_KIND_PING = 7,
     GH_KIND_ERROR = 8,
     GH_KIND_EMERGENCY_STOP = 9,
+    GH_KIND_MAINTENANCE = 10,
+    GH_KIND_RELEASE_STOP = 11,
+    GH_KIND_END_MAINTENANCE = 12,
 };
 
 enum {
@@ -53,6 +56,7 @@ enum {
     GH_TRIP_CAUSE_OVER_TEMPERATURE = 1,
     GH_TRIP_CAUSE_EMERGENCY_STOP = 2,
     GH_TRIP_CAUSE_STORAGE_DAMAGED = 3,
+    GH_TRIP_CAUSE_MAINTENANCE = 4,
 };
 
 enum {
@@ -494,7 +498,7 @@ static inline int gh_unpack_command(const uint8_t *body, size_t n, gh_command *m
 #define GH_STATE_ECHO_TRIPPED_MAX (1)
 #define GH_STATE_ECHO_TRIP_CAUSE_FIELD 8
 #define GH_STATE_ECHO_TRIP_CAUSE_MIN (0)
-#define GH_STATE_ECHO_TRIP_CAUSE_MAX (3)
+#define GH_STATE_ECHO_TRIP_CAUSE_MAX (4)
 #define GH_STATE_ECHO_LEASE_LEFT_S_FIELD 9
 #define GH_STATE_ECHO_LEASE_LEFT_S_MIN (0)
 #define GH_STATE_ECHO_LEASE_LEFT_S_MAX (60000u)
@@ -606,5 +610,14 @@ static inline int gh_unpack_error(const uint8_t *body, size_t n, gh_error *messa
 
 /* emergency_stop, host -> board */
 #define GH_EMERGENCY_STOP_LENGTH 0
+
+/* maintenance, host -> board */
+#define GH_MAINTENANCE_LENGTH 0
+
+/* release_stop, host -> board */
+#define GH_RELEASE_STOP_LENGTH 0
+
+/* end_maintenance, host -> board */
+#define GH_END_MAINTENANCE_LENGTH 0
 
 #endif

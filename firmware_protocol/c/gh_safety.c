@@ -6,6 +6,8 @@
 #include "gh_messages.h"
 
 #define PERSISTENT_LAYOUT 1u
+#define ALL_LATCHES 15u
+#define CLEARABLE (GH_LATCH(GH_TRIP_CAUSE_OVER_TEMPERATURE) | GH_LATCH(GH_TRIP_CAUSE_STORAGE_DAMAGED))
 
 static bool lease_runs(const gh_lease *lease)
 {
@@ -36,15 +38,15 @@ static void end_heat_and_fan(gh_safety *safety)
     safety->fan.length_ms = 0;
 }
 
-static uint8_t trip_from(const uint8_t *persistent)
+static uint8_t latches_from(const uint8_t *persistent)
 {
     static const uint8_t blank[GH_PERSISTENT_SIZE] = {0xFF, 0xFF, 0xFF, 0xFF};
     if (memcmp(persistent, blank, sizeof blank) == 0) {
-        return GH_TRIP_CAUSE_NONE;
+        return 0;
     }
-    if (persistent[0] != PERSISTENT_LAYOUT || persistent[1] > GH_TRIP_CAUSE_STORAGE_DAMAGED ||
+    if (persistent[0] != PERSISTENT_LAYOUT || persistent[1] > ALL_LATCHES ||
         gh_crc16(persistent, GH_PERSISTENT_SIZE) != 0) { /* a torn write: nobody knows, so do not heat */
-        return GH_TRIP_CAUSE_STORAGE_DAMAGED;
+        return GH_LATCH(GH_TRIP_CAUSE_STORAGE_DAMAGED);
     }
     return persistent[1];
 }
@@ -53,16 +55,39 @@ void gh_safety_init(gh_safety *safety, const gh_safety_config *config, const uin
 {
     memset(safety, 0, sizeof *safety);
     safety->config = *config;
-    safety->trip_cause = trip_from(persistent);
+    safety->latches = latches_from(persistent);
 }
 
 void gh_safety_persistent(const gh_safety *safety, uint8_t *out)
 {
     out[0] = PERSISTENT_LAYOUT;
-    out[1] = safety->trip_cause;
+    out[1] = safety->latches;
     uint16_t crc = gh_crc16(out, 2);
     out[2] = (uint8_t)(crc >> 8);
     out[3] = (uint8_t)(crc & 0xFFu);
+}
+
+uint8_t gh_safety_trip_cause(const gh_safety *safety)
+{
+    static const uint8_t reported[] = {GH_TRIP_CAUSE_EMERGENCY_STOP, GH_TRIP_CAUSE_MAINTENANCE,
+                                       GH_TRIP_CAUSE_STORAGE_DAMAGED, GH_TRIP_CAUSE_OVER_TEMPERATURE};
+    for (uint8_t i = 0; i < sizeof reported; i++) {
+        if (safety->latches & GH_LATCH(reported[i])) {
+            return reported[i];
+        }
+    }
+    return GH_TRIP_CAUSE_NONE;
+}
+
+static bool is_tripped(const gh_safety *safety)
+{
+    return safety->latches != 0;
+}
+
+/* Hands may be in the greenhouse: nothing is driven, the fan neither. */
+static bool is_stopped(const gh_safety *safety)
+{
+    return (safety->latches & ~GH_LATCH(GH_TRIP_CAUSE_OVER_TEMPERATURE)) != 0;
 }
 
 /* Within a slot only a smaller duty is taken, so that the relay never chatters. */
@@ -136,7 +161,8 @@ void gh_safety_sample_air(gh_safety *safety, int16_t air, bool good, uint32_t no
 bool gh_safety_obey(gh_safety *safety, const gh_demand *demand, uint32_t now_ms)
 {
     const gh_safety_config *config = &safety->config;
-    if (safety->trip_cause != GH_TRIP_CAUSE_NONE && demand->heater_steps > 0) {
+    bool drives = demand->fan_on || demand->led_pct > 0 || demand->valve_pulse_ms > 0;
+    if ((is_tripped(safety) && demand->heater_steps > 0) || (is_stopped(safety) && drives)) {
         return false;
     }
     gh_lease lease = lease_from(now_ms, demand->lease_ms, config->lease_max_ms);
@@ -156,9 +182,7 @@ bool gh_safety_obey(gh_safety *safety, const gh_demand *demand, uint32_t now_ms)
 
 void gh_safety_trip(gh_safety *safety, uint8_t cause)
 {
-    if (safety->trip_cause == GH_TRIP_CAUSE_NONE) {
-        safety->trip_cause = cause;
-    }
+    safety->latches |= (uint8_t)GH_LATCH(cause);
     safety->led.length_ms = 0;
     safety->valve.length_ms = 0;
     safety->valve_pulse.length_ms = 0;
@@ -169,16 +193,21 @@ void gh_safety_trip(gh_safety *safety, uint8_t cause)
 bool gh_safety_clear_trip(gh_safety *safety)
 {
     bool cool = safety->air_good && safety->air <= safety->config.temp_trip - GH_TRIP_HYSTERESIS;
-    if (safety->trip_cause != GH_TRIP_CAUSE_NONE && !cool) {
+    if ((safety->latches & CLEARABLE) != 0 && !cool) {
         return false;
     }
-    safety->trip_cause = GH_TRIP_CAUSE_NONE;
+    safety->latches &= (uint8_t)~CLEARABLE;
     return true;
+}
+
+void gh_safety_release(gh_safety *safety, uint8_t cause)
+{
+    safety->latches &= (uint8_t)~GH_LATCH(cause);
 }
 
 static bool heat_allowed(const gh_safety *safety)
 {
-    return safety->trip_cause == GH_TRIP_CAUSE_NONE && safety->greeted && safety->air_good &&
+    return !is_tripped(safety) && safety->greeted && safety->air_good &&
            lease_runs(&safety->heater);
 }
 
@@ -192,7 +221,7 @@ uint8_t gh_safety_heater_off_cause(const gh_safety *safety)
     if (gh_safety_heater_steps(safety) > 0) {
         return GH_HEATER_OFF_CAUSE_NONE;
     }
-    if (safety->trip_cause != GH_TRIP_CAUSE_NONE) {
+    if (is_tripped(safety)) {
         return GH_HEATER_OFF_CAUSE_TRIPPED;
     }
     if (!safety->greeted) {
@@ -213,10 +242,11 @@ uint16_t gh_safety_lease_left_ms(const gh_safety *safety, uint32_t now_ms)
 gh_pins gh_safety_pins(const gh_safety *safety)
 {
     const gh_demand *demand = &safety->demand;
-    bool tripped = safety->trip_cause != GH_TRIP_CAUSE_NONE;
+    bool tripped = is_tripped(safety);
+    bool fan = tripped || (lease_runs(&safety->fan) ? demand->fan_on : safety->config.fan_safe_on);
     gh_pins pins = {
         .heater_relay = safety->slot < safety->slot_steps,
-        .fan = tripped || (lease_runs(&safety->fan) ? demand->fan_on : safety->config.fan_safe_on),
+        .fan = fan && !is_stopped(safety),
         .led_pct = lease_runs(&safety->led) ? demand->led_pct : 0,
         .valve = lease_runs(&safety->valve) && lease_runs(&safety->valve_pulse),
         .cutoff_open = safety->config.has_cutoff && (tripped || !lease_runs(&safety->heater) || demand->cutoff_open),

@@ -13,6 +13,7 @@
 #define GH_TRIP_HYSTERESIS 300      /* 0.01 K */
 #define GH_TRIP_SAMPLES 2u
 #define GH_PWM_SLOTS 20u
+#define GH_LATCH(cause) (1u << ((cause) - 1u))
 
 typedef struct {
     uint16_t lease_max_ms;
@@ -57,7 +58,7 @@ typedef struct {
     int16_t air;          /* 0.01 degC, when air_good */
     bool air_good;
     uint8_t hot_samples;
-    uint8_t trip_cause;
+    uint8_t latches; /* a bit for each trip cause: GH_LATCH */
     bool greeted;
 } gh_safety;
 
@@ -71,11 +72,18 @@ void gh_safety_advance(gh_safety *safety, uint32_t now_ms);
 void gh_safety_greet(gh_safety *safety);
 /* A new air sample [0.01 degC]; `good` false when there is no number to trust. */
 void gh_safety_sample_air(gh_safety *safety, int16_t air, bool good, uint32_t now_ms);
-/* Takes a command's outputs. Returns false, and takes nothing, when it asks for heat while tripped. */
+/* Takes a command's outputs. Returns false, and takes nothing, for heat while tripped and for anything while
+ * stopped. */
 bool gh_safety_obey(gh_safety *safety, const gh_demand *demand, uint32_t now_ms);
 void gh_safety_trip(gh_safety *safety, uint8_t cause);
-/* Returns false, and stays tripped, while the air is too warm or not known. */
+/* Clears over-temperature and storage damage, never a stop. Returns false, and changes nothing, while the air is too
+ * warm or not known. */
 bool gh_safety_clear_trip(gh_safety *safety);
+/* Ends a stop or a maintenance; every other latch stays. */
+void gh_safety_release(gh_safety *safety, uint8_t cause);
+
+/* The cause to report of all that is latched: a stop hides an over-temperature. */
+uint8_t gh_safety_trip_cause(const gh_safety *safety);
 
 uint8_t gh_safety_heater_steps(const gh_safety *safety);
 uint8_t gh_safety_heater_off_cause(const gh_safety *safety);

@@ -13,16 +13,29 @@ TRIP_SAMPLES = 2
 _PERSISTENT_LAYOUT = 1
 _BLANK = b"\xff" * 4
 _NOTHING = CommandMessage(0, False, 0, 0.0, True, 0.0)
+_ALL_LATCHES = 15  # one bit for each cause
+# The first of these that is latched is reported as the trip cause.
+_REPORTED = (
+    TripCause.EMERGENCY_STOP,
+    TripCause.MAINTENANCE,
+    TripCause.STORAGE_DAMAGED,
+    TripCause.OVER_TEMPERATURE,
+)
 
 
-def trip_from(persistent: bytes) -> TripCause:
-    """The trip that a store holds; a torn write counts as one, since nobody knows."""
+def latches_from(persistent: bytes) -> int:
+    """Return the latches that a store holds; a torn write latches storage_damaged, since nobody knows."""
     if persistent in (b"", _BLANK):
-        return TripCause.NONE
+        return 0
     intact = len(persistent) == 4 and crc16(persistent) == 0 and persistent[0] == _PERSISTENT_LAYOUT
-    if not intact or persistent[1] not in tuple(TripCause):
-        return TripCause.STORAGE_DAMAGED
-    return TripCause(persistent[1])
+    if not intact or persistent[1] > _ALL_LATCHES:
+        return _latch(TripCause.STORAGE_DAMAGED)
+    return persistent[1]
+
+
+def _latch(cause: TripCause) -> int:
+    """Return the bit of a cause, in the store and in memory."""
+    return 1 << (cause - 1)
 
 
 @dataclass(slots=True)
@@ -42,7 +55,7 @@ class Safety:
 
     def __init__(self, config: BoardConfig, persistent: bytes) -> None:
         self.greeted = False
-        self.trip_cause = trip_from(persistent)
+        self._latches = latches_from(persistent)
         self._config = config
         self._command = _NOTHING  # the last one obeyed; each part of it holds while its lease runs
         self._leases = _Leases()
@@ -51,13 +64,23 @@ class Safety:
         self._hot_samples = 0
 
     @property
+    def trip_cause(self) -> TripCause:
+        """Reported cause of all that is latched: a stop hides an over-temperature."""
+        return next((cause for cause in _REPORTED if self._latches & _latch(cause)), TripCause.NONE)
+
+    @property
     def tripped(self) -> bool:
-        """Whether a trip is latched."""
-        return self.trip_cause is not TripCause.NONE
+        """True while anything is latched: no heat."""
+        return self._latches != 0
+
+    @property
+    def stopped(self) -> bool:
+        """True while hands may be in the greenhouse: nothing is driven, the fan neither."""
+        return self._latches & ~_latch(TripCause.OVER_TEMPERATURE) != 0
 
     def persistent(self) -> bytes:
         """What must survive a reset."""
-        body = bytes((_PERSISTENT_LAYOUT, self.trip_cause))
+        body = bytes((_PERSISTENT_LAYOUT, self._latches))
         return body + crc16(body).to_bytes(2, "big")
 
     def advance(self, now_ms: int) -> None:
@@ -84,8 +107,12 @@ class Safety:
         self._pwm.reduce(self.heater_steps)
 
     def obey(self, command: CommandMessage, now_ms: int) -> bool:
-        """Take a command's outputs. False, and nothing is taken, when it asks for heat while tripped."""
-        if self.tripped and command.heater_steps > 0:
+        """Take a command's outputs.
+
+        Return False, and take nothing, for heat while tripped and for anything while stopped.
+        """
+        driven = command.fan_on or command.led_pct > 0 or command.valve_pulse_s > 0
+        if (self.tripped and command.heater_steps > 0) or (self.stopped and driven):
             return False
         self._command = command
         leases = self._leases
@@ -101,21 +128,28 @@ class Safety:
         return True
 
     def trip(self, cause: TripCause) -> None:
-        """Latch a trip; the first cause stays."""
-        if not self.tripped:
-            self.trip_cause = cause
+        """Latch a cause beside those that are latched already."""
+        self._latches |= _latch(cause)
         for lease in self._leases.all():
             lease.end()
         self._pwm.reduce(0)
 
     def clear_trip(self) -> bool:
-        """Forget the trip. False, and it stays, while the air is too warm or not known."""
+        """Clear over-temperature and storage damage, never a stop.
+
+        Return False, and change nothing, while the air is too warm or not known.
+        """
         cool_enough = self._config.temp_trip_raw - TRIP_HYSTERESIS
         cool = self._air.good and self._air.raw is not None and self._air.raw <= cool_enough
-        if self.tripped and not cool:
+        clearable = _latch(TripCause.OVER_TEMPERATURE) | _latch(TripCause.STORAGE_DAMAGED)
+        if self._latches & clearable and not cool:
             return False
-        self.trip_cause = TripCause.NONE
+        self._latches &= ~clearable
         return True
+
+    def release(self, cause: TripCause) -> None:
+        """End a stop or a maintenance; every other latch stays."""
+        self._latches &= ~_latch(cause)
 
     def _end_heat_and_fan(self) -> None:
         self._leases.heater.end()
@@ -153,9 +187,10 @@ class Safety:
         """What the outputs must show now."""
         leases, config = self._leases, self._config
         heater_may_run = leases.heater.runs and not self._command.cutoff_open
+        fan = self.tripped or (self._command.fan_on if leases.fan.runs else config.fan_safe_on)
         return Pins(
             heater_relay=self._pwm.relay,
-            fan=self.tripped or (self._command.fan_on if leases.fan.runs else config.fan_safe_on),
+            fan=fan and not self.stopped,
             led=self.led_pct / 100,
             valve=leases.valve.runs and leases.valve_pulse.runs,
             cutoff_open=config.has(Capability.HEATER_CUTOFF) and (self.tripped or not heater_may_run),

@@ -14,12 +14,15 @@ from firmware_protocol.messages import (
     ClearTrip,
     CommandMessage,
     EmergencyStop,
+    EndMaintenance,
     ErrorCode,
     ErrorMessage,
     Header,
     HeaterOffCause,
     HelloRequest,
+    Maintenance,
     Message,
+    ReleaseStop,
     ResetCause,
     StateEcho,
     TripCause,
@@ -144,6 +147,12 @@ class BoardCore:
                 obeyed = self._safety.clear_trip()
             case EmergencyStop():
                 self._safety.trip(TripCause.EMERGENCY_STOP)
+            case Maintenance():
+                self._safety.trip(TripCause.MAINTENANCE)
+            case ReleaseStop():
+                self._safety.release(TripCause.EMERGENCY_STOP)
+            case EndMaintenance():
+                self._safety.release(TripCause.MAINTENANCE)
         return None if obeyed else ErrorMessage(ErrorCode.TRIPPED, self._safety.trip_cause)
 
     def _state(self, now_ms: int) -> StateEcho:

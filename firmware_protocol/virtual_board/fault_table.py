@@ -58,7 +58,7 @@ KINDS: dict[str, Kind] = {
     ),
     "clock_wrap": Kind(None, {"before_s": Number(0.0, 4e6, 30.0)}),  # board_ms jumps to so long before it
     "clock_drift": Kind(FOREVER, {"factor": Number(0.01, 100.0, 1.01)}),
-    "other_protocol": Kind(FOREVER, {"version": Number(2, 255, 2)}),
+    "other_protocol": Kind(FOREVER, {"version": Number(3, 255, 3)}),
     # What a sensor shows.
     "sensor_none": Kind(FOREVER, {"signal": _SIGNAL}),  # no number, quality fault
     "sensor_nan": Kind(FOREVER, {"signal": _SIGNAL}),  # not a number, and the driver says good

@@ -13,8 +13,11 @@ from firmware_protocol.messages import (
     ClearTrip,
     CommandMessage,
     EmergencyStop,
+    EndMaintenance,
     HelloRequest,
+    Maintenance,
     Ping,
+    ReleaseStop,
     pack,
 )
 from firmware_protocol.virtual_board.board_config import BoardConfig
@@ -45,12 +48,13 @@ commands = st.builds(
     cutoff_open=st.booleans(),
     lease_s=st.sampled_from([0.0, 0.001, 0.1, 2.999, 10.0, 60.0]),
 )
-others = st.sampled_from([Ping(), ClearTrip(), EmergencyStop(), HelloRequest(9)])
+latches = [ClearTrip(), EmergencyStop(), Maintenance(), ReleaseStop(), EndMaintenance()]
+others = st.sampled_from([Ping(), *latches, HelloRequest(9)])
 requests = st.one_of(commands, commands, others)
 frames = st.builds(lambda message, seq: encode(pack(message, seq)), requests, st.integers(0, 4))
 raw_frames = st.builds(
     lambda version, kind, seq, body: encode(bytes((version, kind, seq, 0)) + body),
-    st.sampled_from([1, 1, 1, 0, 2]), st.integers(0, 12), st.integers(0, 4), st.binary(max_size=48),
+    st.sampled_from([2, 2, 2, 0, 1]), st.integers(0, 15), st.integers(0, 4), st.binary(max_size=48),
 )  # fmt: skip
 lines = st.one_of(frames, frames, frames, raw_frames, st.binary(min_size=1, max_size=70))
 EDGES = [math.nan, math.inf, -math.inf, 44.99, 45.0, 42.0, 42.01, -20.0, -20.01, 80.0, 80.01, 1e300]

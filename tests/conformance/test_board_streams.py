@@ -9,13 +9,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.frame import MAX_ENCODED, cobs_encode, crc16, encode
-from firmware_protocol.messages import EmergencyStop, ErrorMessage, HelloRequest, Ping, StateEcho, pack
+from firmware_protocol.messages import (
+    PROTOCOL_VERSION,
+    EmergencyStop,
+    ErrorMessage,
+    HelloRequest,
+    Ping,
+    StateEcho,
+    pack,
+)
 
 COMMAND = encode(pack(HEAT, 1))
 PING = encode(pack(Ping(), 77))
 FRAMES = [COMMAND, PING, encode(pack(HelloRequest(5), 3)), encode(pack(EmergencyStop(), 4))]
 odd_frames = st.builds(
-    lambda kind, body: encode(bytes((1, kind, 9, 0)) + body), st.integers(0, 255), st.binary(max_size=48)
+    lambda kind, body: encode(bytes((PROTOCOL_VERSION, kind, 9, 0)) + body),
+    st.integers(0, 255),
+    st.binary(max_size=48),
 )
 runs = st.sampled_from([b"\0", b"\0\0", b"\xff" * 60, b"\x01" * MAX_ENCODED + b"\0"])
 any_frames = st.binary(min_size=4, max_size=52).map(encode)

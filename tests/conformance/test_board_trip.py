@@ -1,4 +1,4 @@
-"""Over-temperature and emergency stop latch, survive a reset, and are cleared only by a cool clear_trip."""
+"""Trips and stops latch, survive a reset and end by their own request alone; a stop turns the fan off too."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,10 @@ from firmware_protocol.messages import (
     ClearTrip,
     CommandMessage,
     EmergencyStop,
+    EndMaintenance,
     ErrorCode,
+    Maintenance,
+    ReleaseStop,
     StateEcho,
     TripCause,
 )
@@ -29,6 +32,11 @@ def tripped(new_board, **bench) -> Bench:
 
 def assert_safe(pins) -> None:
     assert (pins.heater_relay, pins.fan, pins.cutoff_open) == (False, True, True)
+
+
+def assert_still(pins) -> None:
+    assert (pins.heater_relay, pins.fan, pins.led, pins.valve) == (False, False, 0.0, False)
+    assert pins.cutoff_open
 
 
 @pytest.mark.parametrize(
@@ -132,19 +140,130 @@ def test_a_trip_can_come_back(new_board):
     assert bench.state().tripped
 
 
-def test_an_emergency_stop_latches(new_board):
+STOPS = [
+    (EmergencyStop(), ReleaseStop(), TripCause.EMERGENCY_STOP),
+    (Maintenance(), EndMaintenance(), TripCause.MAINTENANCE),
+]
+stops = pytest.mark.parametrize(("stop", "release", "cause"), STOPS)
+FAN_SAFE = replace(CONFIG, fan_safe_on=True)
+EVERYTHING = replace(HEAT, valve_pulse_s=5.0)
+
+
+@stops
+@pytest.mark.parametrize("config", [CONFIG, FAN_SAFE])
+def test_a_stop_turns_everything_off_at_once_the_fan_too(new_board, config, stop, release, cause):
+    bench = heating(new_board, EVERYTHING, config=config)
+    pins = bench.run(1500)[-1]
+    assert pins.heater_relay and pins.fan and pins.led and pins.valve
+    state = bench.ask(stop)
+    assert (state.trip_cause, state.heater_steps, state.led_pct) == (cause, 0, 0)
+    assert not state.fan_on and not state.valve_open and state.cutoff_open and state.lease_left_s == 0.0
+    assert_still(bench.step())
+
+
+@stops
+@pytest.mark.parametrize("field", ["heater_steps", "fan_on", "led_pct", "valve_pulse_s"])
+def test_while_stopped_a_command_that_drives_anything_is_refused(new_board, stop, release, cause, field):
     bench = heating(new_board)
-    state = bench.ask(EmergencyStop())
-    assert (state.trip_cause, state.heater_steps, state.led_pct) == (TripCause.EMERGENCY_STOP, 0, 0)
+    bench.ask(stop)
+    asked = replace(IDLE, **{field: getattr(EVERYTHING, field)})
+    assert is_error(bench.ask(asked), ErrorCode.TRIPPED, cause)
+    assert_still(bench.step(100))
+    assert bench.ask(IDLE).lease_left_s == 10.0
+    assert_still(bench.step(100))
+
+
+@stops
+def test_silence_and_the_end_of_every_lease_start_nothing_while_stopped(new_board, stop, release, cause):
+    bench = heating(new_board, config=FAN_SAFE)
+    bench.ask(stop)
+    bench.ask(IDLE)
+    for pins in bench.run(60_000, air=25.0) + bench.run(60_000, air=None):
+        assert_still(pins)
+
+
+@stops
+@pytest.mark.parametrize("reset_cause", range(6))
+def test_a_stop_survives_every_reset(new_board, reset_cause, stop, release, cause):
+    bench = heating(new_board)
+    bench.ask(stop)
+    store = bench.board.persistent()
+    again = Bench(new_board, FAN_SAFE, persistent=store, reset_cause=reset_cause)
+    assert_still(again.step())
+    assert_still(again.greet().air(25.0).step(100))
+    assert again.state().trip_cause is cause
+
+
+@stops
+def test_an_over_temperature_during_a_stop_does_not_start_the_fan(new_board, stop, release, cause):
+    bench = heating(new_board, config=FAN_SAFE)
+    bench.ask(stop)
+    state = bench.air(46.0).air(46.0).state()
+    assert state.trip_cause is cause
+    for pins in bench.run(5000, air=46.0):
+        assert_still(pins)
+
+
+@stops
+def test_a_stop_during_an_over_temperature_turns_the_fan_off(new_board, stop, release, cause):
+    bench = tripped(new_board)
     assert_safe(bench.step())
-    assert is_error(bench.ask(HEAT), ErrorCode.TRIPPED, TripCause.EMERGENCY_STOP)
+    assert bench.ask(stop).trip_cause is cause
+    assert_still(bench.step())
 
 
-def test_the_first_cause_stays(new_board):
-    assert tripped(new_board).ask(EmergencyStop()).trip_cause is OVER_TEMPERATURE
+@stops
+def test_the_fan_cools_again_when_a_stop_ends_and_the_trip_stands(new_board, stop, release, cause):
+    bench = tripped(new_board)
+    bench.ask(stop)
+    state = bench.ask(release)
+    assert (state.trip_cause, state.fan_on) == (OVER_TEMPERATURE, True)
+    assert_safe(bench.step())
+    assert is_error(bench.ask(HEAT), ErrorCode.TRIPPED, OVER_TEMPERATURE)
+
+
+@stops
+@pytest.mark.parametrize("air", [25.0, 46.0, None])
+def test_a_release_needs_no_air_and_starts_no_heat(new_board, stop, release, cause, air):
     bench = heating(new_board)
+    bench.ask(stop)
+    state = bench.air(air).ask(release)
+    assert not state.tripped and state.heater_steps == 0 and not state.fan_on
+    assert not any(pins.heater_relay or pins.fan or pins.led for pins in bench.run(2000))
+    assert bench.ask(HEAT).heater_steps == 20
+
+
+def test_each_stop_ends_by_its_own_request_alone(new_board):
+    bench = heating(new_board)
+    for stop, _, _ in STOPS:
+        bench.ask(stop)
+    assert bench.state().trip_cause is TripCause.EMERGENCY_STOP
+    assert bench.ask(ClearTrip()).trip_cause is TripCause.EMERGENCY_STOP
+    assert bench.ask(EndMaintenance()).trip_cause is TripCause.EMERGENCY_STOP
+    bench.ask(Maintenance())
+    assert bench.ask(ReleaseStop()).trip_cause is TripCause.MAINTENANCE
+    assert bench.ask(ReleaseStop()).trip_cause is TripCause.MAINTENANCE
+    assert_still(bench.step())
+    assert not bench.ask(EndMaintenance()).tripped
+
+
+def test_clearing_a_trip_during_a_stop_leaves_the_stop_alone(new_board):
+    bench = tripped(new_board)
     bench.ask(EmergencyStop())
-    assert bench.air(45.0).air(45.0).state().trip_cause is TripCause.EMERGENCY_STOP
+    assert is_error(bench.air(43.0).ask(ClearTrip()), ErrorCode.TRIPPED, TripCause.EMERGENCY_STOP)
+    assert bench.air(40.0).ask(ClearTrip()).trip_cause is TripCause.EMERGENCY_STOP
+    assert not bench.ask(ReleaseStop()).tripped
+
+
+@pytest.mark.parametrize("config", [CONFIG, FAN_SAFE])
+def test_a_damaged_store_may_have_held_a_stop_so_nothing_is_driven(new_board, config):
+    bench = Bench(new_board, config, persistent=b"\x01\x02\x00\x00").greet().air(25.0)
+    assert_still(bench.step())
+    asked = replace(IDLE, fan_on=True)
+    assert is_error(bench.ask(asked), ErrorCode.TRIPPED, TripCause.STORAGE_DAMAGED)
+    assert bench.ask(ReleaseStop()).trip_cause is TripCause.STORAGE_DAMAGED
+    assert not bench.ask(ClearTrip()).tripped
+    assert bench.ask(asked).fan_on
 
 
 # ---- the store
@@ -153,7 +272,11 @@ def test_the_first_cause_stays(new_board):
 def test_the_store_has_the_documented_bytes(new_board):
     bench = Bench(new_board)
     assert bench.board.persistent() == b"\x01\x00" + crc16(b"\x01\x00").to_bytes(2, "big")
-    assert tripped(new_board).board.persistent() == b"\x01\x01" + crc16(b"\x01\x01").to_bytes(2, "big")
+    bench = tripped(new_board)
+    assert bench.board.persistent() == b"\x01\x01" + crc16(b"\x01\x01").to_bytes(2, "big")
+    bench.ask(EmergencyStop())
+    bench.ask(Maintenance())
+    assert bench.board.persistent() == b"\x01\x0b" + crc16(b"\x01\x0b").to_bytes(2, "big")
 
 
 @pytest.mark.parametrize("reset_cause", range(6))
@@ -185,9 +308,9 @@ def test_every_damaged_store_is_a_trip(new_board):
         for bit in range(8)
     ]
     torn = [good[:k] + b"\xff" * (4 - k) for k in range(1, 4)] + [bytes(4), good[:3], good + b"\0"]
-    unknown_cause = b"\x01\x04" + crc16(b"\x01\x04").to_bytes(2, "big")
+    unknown_latch = b"\x01\x10" + crc16(b"\x01\x10").to_bytes(2, "big")
     unknown_layout = b"\x02\x00" + crc16(b"\x02\x00").to_bytes(2, "big")
-    for store in [*flipped, *torn, unknown_cause, unknown_layout]:
+    for store in [*flipped, *torn, unknown_latch, unknown_layout]:
         state = Bench(new_board, persistent=store).greet().state()
         assert state.trip_cause is TripCause.STORAGE_DAMAGED, store.hex()
 

@@ -11,7 +11,7 @@ from board_kinds import SANITIZERS, STRICT
 
 import firmware_protocol
 from firmware_protocol.frame import encode
-from firmware_protocol.messages import Hello, StateEcho
+from firmware_protocol.messages import PROTOCOL_VERSION, Hello, StateEcho
 from firmware_protocol.virtual_board.c_core import compile_board, load_board
 
 VECTORS = json.loads((Path(firmware_protocol.__file__).parent / "vectors.json").read_text(encoding="utf-8"))
@@ -39,7 +39,7 @@ class Decoder(ctypes.Structure):
 def test_the_board_answers_what_the_vector_says(new_board, vector):
     said = Bench(new_board).greet().receive(bytes.fromhex(vector["hex"]))
     payloads = [bytes.fromhex(payload) for payload in vector["payloads"]]
-    asked = [p for p in payloads if p[0] != 1 or (p[1] not in FROM_BOARD and p[2] != 0)]
+    asked = [p for p in payloads if p[0] != PROTOCOL_VERSION or (p[1] not in FROM_BOARD and p[2] != 0)]
     assert [header.ack for header, _ in said] == [payload[2] for payload in asked]
     if not asked:
         return

@@ -104,7 +104,7 @@ static uint8_t reset_cause(void)
 
 static void start_outputs(void)
 {
-    PORTA = CONFIG.fan_safe_on ? FAN_PIN : 0; /* before the pins become outputs */
+    PORTA = 0; /* before the pins become outputs; the fan too, until the store has said that nobody stopped it */
     DDRA = OUTPUT_PINS;
     DDRH |= _BV(PH3);
     TCCR4A = _BV(WGM40); /* fast PWM, 8 bit, 977 Hz */
@@ -182,6 +182,8 @@ int main(void)
     wdt_enable(WDTO_250MS);
     eeprom_read_block(persistent, stored_trip, sizeof persistent);
     gh_board_init(&board, &CONFIG, persistent, reset_cause(), count_boot());
+    gh_pins pins = gh_board_step(&board, 0);
+    drive(&pins);
     start_clock();
     start_uart();
     sei();
@@ -196,7 +198,7 @@ int main(void)
             sampled_ms = now_ms;
             gh_read_sensors(&board, now_ms);
         }
-        gh_pins pins = gh_board_step(&board, now_ms);
+        pins = gh_board_step(&board, now_ms);
         drive(&pins);
         store_trip(&board);
     }
