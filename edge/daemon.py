@@ -37,14 +37,14 @@ from edge.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.operation import Operation
 from edge.reference import Reference, make_reference, zone_of
 from edge.request_routes import Routes, outbox_of
-from edge.rig import Rig, Sink
+from edge.rig import Rig, SaveState, Sink
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.serial_port import OpenPort, SerialPort
 from edge.settings import Settings
 from edge.skill_state import read_skill, skill_keeping
 from edge.standing import StateSink, read_standing
-from edge.state_file import StateWriter
+from edge.state_file import Answered, StateWriter
 from edge.steering.desk import Surroundings, WishDesk
 from edge.steering.language import settings_from
 from edge.storage import Session, Storage
@@ -65,7 +65,6 @@ class Daemon:
     more_controllers: Sequence[Controller] = ()  # than those of edge/controller_names.py
     client_wait_s: float = 0.0  # how long to wait for a client at `external.socket` before the first tick
     open_port: OpenPort = SerialPort  # else a board in this process
-    more_sinks: Sequence[Sink] = ()  # a display
     config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
@@ -133,14 +132,16 @@ class Daemon:
         stack.callback(storage.close)
         state = StateSink(StateWriter(Path(settings.state_file)))
         stack.callback(state.writer.close)
-        sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else []), *self.more_sinks]
+        sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else [])]
         drift = self._drift(sinks)
         nightly = self._nightly(sinks, bundles)
+        show: Callable[[], None] = lambda: None  # noqa: E731
         if settings.mqtt.enabled:
             telemetry = Telemetry(settings, routes.ask, lambda: outbox_of(settings))
             stack.callback(telemetry.close)
             desk.listeners.append(telemetry.show_proposal)
             sinks.append(telemetry)
+            show = telemetry.show
         board = Board(
             settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port
         )
@@ -165,6 +166,7 @@ class Daemon:
             inbox=inbox,
             save_state=self._save(state, standing.operation),
             after_tick=self.after_tick,
+            show=show,
             stop_at_s=self.stop_at_s,
             drift=drift,
         )
@@ -252,14 +254,14 @@ class Daemon:
             maintenance_until_utc=standing.maintenance_until_utc,
         )
 
-    def _save(self, state: StateSink, standing: Operation) -> Callable[[Operation, SafetyMemory], None]:
+    def _save(self, state: StateSink, standing: Operation) -> SaveState:
         """Of orders given in an experiment only stops outlive it."""
         if not self.experiment:
             return state.save
 
-        def save(operation: Operation, memory: SafetyMemory) -> None:
+        def save(operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
             until = operation.maintenance_until_utc
             stop = operation.emergency_stop
-            state.save(replace(standing, emergency_stop=stop, maintenance_until_utc=until), memory)
+            state.save(replace(standing, emergency_stop=stop, maintenance_until_utc=until), memory, answered)
 
         return save

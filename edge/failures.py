@@ -83,19 +83,13 @@ _ROWS = (
         "state.unwritten",
         Severity.WARNING,
         "standing orders could not be saved",
-        "they hold until a restart; the file is tried again at the next change",
+        "who gave them is told; they hold until a restart; the file is tried again every 10 s",
     ),
     Failure(
         "bundle.refused",
         Severity.WARNING,
         "a bundle of models can't be used",
         "the one before it serves, else the packaged one",
-    ),
-    Failure(
-        "output.behind",
-        Severity.WARNING,
-        "standard output takes no lines",
-        "lines are counted and left out, control goes on",
     ),
     Failure(
         "state.broken",

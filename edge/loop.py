@@ -16,7 +16,7 @@ from edge.controllers.base import Context
 from edge.decider import Decider
 from edge.errors import RequestError
 from edge.hard_limits import LEASE_S
-from edge.inbox import ORDINARY, Reply, Request
+from edge.inbox import ORDINARY, Letter, Reply, Request
 from edge.lighting import led_level
 from edge.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
 from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate, refuse_unknown_keys
@@ -38,11 +38,11 @@ from edge.tick_json import drift_json, echo_json, skill_json, tick_json
 from edge.watering import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
+NOT_REACHED = "no link to the board: it obeys as soon as it is back; what it drives now ends with its lease"
 START_WAIT_S = 5.0  # for the board, before the first tick
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 SINK_FAULTS = (
-    "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused",
-    "output.behind",
+    "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused"
 )  # fmt: skip
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
 
@@ -64,12 +64,14 @@ class Loop:
         self._decider = Decider(rig.controllers, rig.settings.control, self._conditions, self._answer_urgent)
         self._watering = Watering(rig.settings.watering)
         self._stopping = False
+        self._shown = self._outputs()  # what was published last
         self.last_record: TickRecord | None = None
 
     def run(self) -> None:
         """Tick on a fixed grid until stopped; then all off, confirmed by a board that still answers."""
         number = skipped = 0  # number: of the grid point that is next
         try:
+            self._stop_board()
             self._wait_for_board()
             while self._serve_until(self._start_s + number * self._step_s):
                 now = self._rig.clock.now()
@@ -103,6 +105,7 @@ class Loop:
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
         estimate = rig.estimator.update(readings, now, utc)
         self._end_steering(now, utc)
+        self._end_maintenance(now, utc)
         context = self._context(estimate, now, utc)
         decision, decide_ms = self._decider.decide(self._operation.controller, context)
         wanted, orders = self._ordered(self._with_light_and_water(decision.command, readings, now, utc), utc)
@@ -157,6 +160,16 @@ class Loop:
         self._operation = replace(self._operation, steering=None, before=None)
         self._rig.save_state(self._operation, self._memory)
         self._tell("steering.ended", Severity.INFO, f"{ended.id} has ended: {ended.words}", now)
+
+    def _end_maintenance(self, now: float, utc: float) -> None:
+        """Release the board when the time is over, also where it ended while no daemon ran."""
+        operation, board = self._operation, self._rig.board
+        if operation.maintenance_until_utc is None or operation.in_maintenance(utc):
+            return
+        if board.in_maintenance:
+            board.end_maintenance()
+            board.serve_until_answered(ECHO_TIMEOUT_S)
+            self._tell("maintenance.ended", Severity.INFO, "maintenance has ended", now)
 
     def _ordered(self, command: Command, utc: float) -> tuple[Command, tuple[Change, ...]]:
         return apply_orders(self._operation, command, utc, seconds_of_day(utc, self._rig.zone))
@@ -243,7 +256,15 @@ class Loop:
         self.last_record = record
         for sink in self._rig.sinks:
             sink.write(record)
+        self._shown = self._outputs()
         self._rig.after_tick(record)
+
+    def _stop_board(self) -> None:
+        """Pass stops of an earlier process on: the link's first requests, before any command."""
+        if self._operation.emergency_stop:
+            self._rig.board.emergency_stop()
+        if self._operation.in_maintenance(self._rig.clock.utc()):
+            self._rig.board.maintain()
 
     def _wait_for_board(self) -> None:
         """A first tick without readings would be a tick of alarms: give the board a moment to greet."""
@@ -262,30 +283,53 @@ class Loop:
         return False
 
     def _serve_and_answer(self, until_s: float) -> None:
-        self._rig.board.serve(until_s, self._rig.inbox.wake)
+        self._rig.board.serve(until_s, self._rig.inbox.wake, self._has_news)
         # One at a time: the line is served, and a stop overtakes, between two of a flood.
         if (letter := self._rig.inbox.take()) is not None:
-            letter.answer.put(self._answer(letter.request))
+            self._answer(letter)
+        if self._has_news():
+            self._show()
+
+    def _outputs(self) -> tuple[bool, Echo | None]:
+        return self._rig.board.link_up, self._rig.board.echo
+
+    def _has_news(self) -> bool:
+        """True when the board drives something else than was published last."""
+        (link_up, echo), (link_shown, shown) = self._outputs(), self._shown
+        return link_up != link_shown or not (echo is shown or (echo is not None and echo.drives_as(shown)))
+
+    def _show(self) -> None:
+        self._shown = self._outputs()
+        self._rig.show()
 
     def _answer_urgent(self) -> None:
         """Obey stop and maintenance while a controller thinks; the tick ends under the new orders."""
         while (letter := self._rig.inbox.take(ORDINARY)) is not None:
-            letter.answer.put(self._answer(letter.request))
+            self._answer(letter)
 
-    def _answer(self, request: Request) -> Reply:
-        """A person's request, carried out or refused with the reason."""
+    def _answer(self, letter: Letter) -> None:
+        """Carry out a request or refuse it with the reason; a change is answered when it is on disk."""
+        request, warning = letter.request, ""
         try:
             match request.get("do"):
                 case "status":
                     refuse_unknown_keys(request, ())
+                    letter.answer.put({"ok": True, **self.status()})
+                    return
                 case "clear_trip":
                     refuse_unknown_keys(request, ())
                     self._clear_trip()
                 case _:
-                    self._order(request)
+                    warning = self._order(request)
         except RequestError as error:
-            return {"ok": False, "error": str(error)}
-        return {"ok": True, **self.status()}
+            letter.answer.put({"ok": False, "error": str(error)})
+            return
+        reply: Reply = {"ok": True, **self.status()} | ({"warning": warning} if warning else {})
+        self._show()
+        # The state writer's thread answers: this one never waits for the disk.
+        self._rig.save_state(
+            self._operation, self._memory, lambda error: letter.answer.put(_as_saved(reply, error))
+        )
 
     def status(self) -> dict[str, Any]:
         """Standing orders, the last tick, what the board drives now, the line's counters; as JSON values."""
@@ -297,21 +341,38 @@ class Loop:
             "skill": {} if self.last_record is None else skill_json(self.last_record.skill),
             "drift": drift_json(self.last_record.drift if self.last_record else None),
             "echo": echo_json(self._rig.board.echo),
+            "link_up": int(self._rig.board.link_up),
             "line": dict(self._rig.board.statistics),
         }
 
-    def _order(self, request: Request) -> None:
+    def _order(self, request: Request) -> str:
+        """Change the standing orders; return what a person has to know of a stop that is not in force yet."""
         clock = self._rig.clock
         before = self._operation
         self._operation = operate(before, request, self._desk())
-        if self._operation.emergency_stop and not before.emergency_stop:
-            self._rig.board.emergency_stop()
-        if before.emergency_stop and not self._operation.emergency_stop:
-            self._rig.board.clear_trip()
-        self._rig.save_state(self._operation, self._memory)
+        warning = self._order_board(request)
         self._tell("operator.order", Severity.INFO, in_words(request), clock.now())
         if acts_at_once(before, self._operation):
             self._act_now()
+        return warning
+
+    def _order_board(self, request: Request) -> str:
+        """Pass a stop or its end on to the board, before anything else; return why it has not confirmed."""
+        board = self._rig.board
+        match request["do"]:
+            case "emergency_stop":
+                board.emergency_stop()
+            case "release_emergency_stop":
+                board.release_stop()
+            case "maintenance" if self._operation.maintenance_until_utc is not None:
+                board.maintain()
+            case "maintenance":
+                board.end_maintenance()
+            case _:
+                return ""
+        if board.serve_until_answered(ECHO_TIMEOUT_S):
+            return ""
+        return "the board has not confirmed it yet" if board.link_up else NOT_REACHED
 
     def _desk(self) -> Desk:
         settings = self._rig.settings
@@ -330,7 +391,6 @@ class Loop:
         clock = self._rig.clock
         self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air())
         self._rig.board.clear_trip()
-        self._rig.save_state(self._operation, self._memory)
         self._tell("operator.clear_trip", Severity.INFO, "trips cleared", clock.now())
 
     def _act_now(self) -> None:
@@ -343,12 +403,14 @@ class Loop:
         command = replace(record.decision.command, led=record.wanted.led)
         wanted, _ = self._ordered(command, utc)
         verdict = self._supervise(wanted, readings, record.estimate, now, utc)
-        self._drive(verdict)
+        echo = self._drive(verdict)
         rig.estimator.record_sent(self._sent)
         self._events.extend(verdict.events)
         rules = ", ".join(dict.fromkeys(change.rule for change in verdict.changes)) or "unchanged by safety"
-        sent = f"heater {verdict.sent.heater_duty:.2f}, fan {'on' if verdict.sent.fan_on else 'off'}"
-        self._tell("operator.sent", Severity.INFO, f"sent at once: {sent}; {rules}", now)
+        driven = verdict.sent if echo is None else echo
+        outputs = f"heater {driven.heater_duty:.2f}, fan {'on' if driven.fan_on else 'off'}"
+        who = "sent at once, not confirmed" if echo is None else "at once, confirmed by the board"
+        self._tell("operator.sent", Severity.INFO, f"{who}: {outputs}; {rules}", now)
 
     def _temp_air(self) -> float | None:
         reading = self.last_record.readings.get("temp_air") if self.last_record else None
@@ -361,6 +423,17 @@ class Loop:
 
     def _tell(self, key: str, severity: Severity, text: str, now: float) -> None:
         self._events.append(Event(key, severity, text, now, self._rig.clock.utc()))
+
+
+def _as_saved(reply: Reply, error: str) -> Reply:
+    """The answer to a change that the disk has taken, or has not."""
+    if not error:
+        return reply
+    return {
+        **reply,
+        "ok": False,
+        "error": f"in force now, but it will not survive a restart: not saved, {error}",
+    }
 
 
 def _driven(echo: Echo) -> Command:

@@ -11,7 +11,7 @@ from edge.messages import TickRecord
 from edge.operation import Operation
 from edge.safety import SafetyMemory, memory_from_dict, memory_to_dict
 from edge.settings import Settings
-from edge.state_file import StateFileBroken, StateWriter
+from edge.state_file import Answered, StateFileBroken, StateWriter
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,10 @@ class StateSink:
 
     writer: StateWriter
 
-    def save(self, operation: Operation, memory: SafetyMemory) -> None:
-        """Never waits."""
-        self.writer.save({"operation": orders.to_dict(operation), "safety": memory_to_dict(memory)})
+    def save(self, operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
+        """Never waits; `answered` as in `StateWriter.save`."""
+        values = {"operation": orders.to_dict(operation), "safety": memory_to_dict(memory)}
+        self.writer.save(values, answered)
 
     def write(self, record: TickRecord) -> None:
         """Ticks are none of its business."""

@@ -8,11 +8,16 @@ old one or the new one and never half of one.
 import json
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from edge.input_file import read_file
 from edge.strict_json import parse_object
+
+RETRY_S = 10.0  # between two tries to write what a full or read-only disk did not take
+
+Answered = Callable[[str], None]  # called with "" when the values are on disk, else with the reason
 
 
 class StateFileBroken(Exception):
@@ -47,7 +52,10 @@ def write(path: Path, values: dict[str, Any]) -> None:
 
 
 class StateWriter:
-    """Writes the newest values in a thread of its own; older ones that wait are dropped."""
+    """Writes the newest values in a thread of its own; older ones that wait are dropped.
+
+    What could not be written is tried again, so that a disk that recovers holds it.
+    """
 
     def __init__(self, path: Path, pause_s: float = 0.0) -> None:
         """pause_s : between two writes, to spare a card; so much a power cut may cost"""
@@ -55,16 +63,24 @@ class StateWriter:
         self._pause_s = pause_s
         self._condition = threading.Condition()
         self._next: dict[str, Any] | None = None
+        self._unwritten: dict[str, Any] | None = None  # by the last try
+        self._answers: list[Answered] = []
         self._closing = False
         self.failures = 0  # writes that did not reach the disk
         self.last_error = ""  # of the newest write, empty when it succeeded
         self._thread = threading.Thread(target=self._run, name="state-file", daemon=True)
         self._thread.start()
 
-    def save(self, values: dict[str, Any]) -> None:
-        """Never waits, never raises."""
+    def save(self, values: dict[str, Any], answered: Answered | None = None) -> None:
+        """Hand over values; never waits, never raises.
+
+        answered : called once, in the writer's thread, when these values or newer ones are on disk (file and
+            folder synchronised), or could not be written
+        """
         with self._condition:
             self._next = values
+            if answered is not None:
+                self._answers.append(answered)
             self._condition.notify()
 
     def close(self) -> None:
@@ -77,16 +93,24 @@ class StateWriter:
     def _run(self) -> None:
         while True:
             with self._condition:
-                self._condition.wait_for(lambda: self._next is not None or self._closing)
-                values, self._next = self._next, None
-            if values is None:
-                return
-            try:
-                write(self.path, values)
-            except OSError as error:
-                self.failures += 1
-                self.last_error = str(error)
-            else:
-                self.last_error = ""
+                timeout_s = None if self._unwritten is None else RETRY_S
+                self._condition.wait_for(lambda: self._next is not None or self._closing, timeout_s)
+                if self._next is None and self._closing:
+                    return
+                values, self._next = self._next or self._unwritten, None
+                answers, self._answers = self._answers, []
+            if values is not None:
+                self._write(values, answers)
             with self._condition:
                 self._condition.wait_for(lambda: self._closing, self._pause_s)
+
+    def _write(self, values: dict[str, Any], answers: list[Answered]) -> None:
+        try:
+            write(self.path, values)
+        except OSError as error:
+            self.failures += 1
+            self.last_error, self._unwritten = str(error), values
+        else:
+            self.last_error, self._unwritten = "", None
+        for answered in answers:
+            answered(self.last_error)

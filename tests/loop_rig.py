@@ -1,15 +1,17 @@
 """A loop wired to a board, a clock and controllers of a few lines each; time moves when a test says so."""
 
 import math
+import queue
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from edge import config
 from edge.active_models import NoForecasts
 from edge.controllers.base import Context
 from edge.estimator import Estimator
-from edge.inbox import Inbox
+from edge.inbox import Inbox, Letter, Reply
 from edge.loop import Loop
 from edge.messages import Command, Decision, Echo, Event, Quality, Reading, TickRecord
 from edge.models.arx_file import read_arx
@@ -19,6 +21,7 @@ from edge.rig import Rig
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
+from edge.state_file import Answered
 
 UTC_0 = 1_750_000_000.0
 
@@ -50,6 +53,9 @@ class FakeBoard:
     tripped: bool = False
     echo: Echo | None = None
     driven: list[tuple[Command, bool, float]] = field(default_factory=list)
+    commanded: Command = field(default_factory=Command)
+    stopped: bool = False
+    maintained: bool = False
     stops: int = 0
     cleared: int = 0
     _sampled_s: float = -1.0
@@ -80,17 +86,45 @@ class FakeBoard:
     def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
         self.driven.append((command, cutoff_open, valid_s))
         if self.link_up and self.confirms:
-            duty = 0.0 if self.tripped else command.heater_duty
-            self.echo = Echo(duty, command.fan_on, command.led, False, self.tripped, "", self.clock.now_s)
+            self.commanded = command
+            self._say()
 
-    def serve(self, until_s: float, wake: int | None = None) -> None:
+    def _say(self) -> None:
+        cause = "emergency_stop" if self.stopped else "maintenance" if self.maintained else ""
+        command = Command() if cause else self.commanded
+        duty = 0.0 if self.tripped else command.heater_duty
+        tripped = self.tripped or bool(cause)
+        self.echo = Echo(duty, command.fan_on, command.led, False, tripped, cause, self.clock.now_s)
+
+    def serve(
+        self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
+    ) -> None:
         self.clock.wait(None, wake, until_s)
 
     def serve_until_echo(self, timeout_s: float) -> Echo | None:
         return self.echo if self.confirms else None
 
+    def serve_until_answered(self, timeout_s: float) -> bool:
+        if self.link_up and self.confirms:
+            self._say()
+        return self.link_up and self.confirms
+
+    @property
+    def in_maintenance(self) -> bool:
+        return self.maintained
+
     def emergency_stop(self) -> None:
         self.stops += 1
+        self.stopped = True
+
+    def release_stop(self) -> None:
+        self.stopped = False
+
+    def maintain(self) -> None:
+        self.maintained = True
+
+    def end_maintenance(self) -> None:
+        self.maintained = False
 
     def clear_trip(self) -> None:
         self.cleared += 1
@@ -140,6 +174,9 @@ class LoopRig:
     sink: FakeSink = field(default_factory=FakeSink)
     inbox: Inbox = field(default_factory=Inbox)
     saved: list[Operation] = field(default_factory=list)
+    save_answers: list[Answered] = field(default_factory=list)  # that wait for a disk
+    disk_works: bool = True
+    shown: list[Echo | None] = field(default_factory=list)
     settings: Settings = field(default_factory=config.default)
 
     def __post_init__(self) -> None:
@@ -164,7 +201,8 @@ class LoopRig:
             sinks=[self.sink],
             more_events=list,
             inbox=self.inbox,
-            save_state=lambda operation, memory: self.saved.append(operation),
+            save_state=self._save,
+            show=lambda: self.shown.append(self.board.echo),
         )
         self.rig = rig
         self.loop = Loop(rig, Operation("MPC"), SafetyMemory(), first_seq=1)
@@ -173,6 +211,19 @@ class LoopRig:
         """Let time pass, then tick."""
         self.clock.now_s += after_s
         return self.loop.tick(self.clock.now_s)
+
+    def ask(self, request: Mapping[str, Any]) -> Reply:
+        """The answer to a request that the disk takes; {} while it waits for the disk."""
+        answers: queue.SimpleQueue[Reply] = queue.SimpleQueue()
+        self.loop._answer(Letter(request, answers))
+        return {} if answers.empty() else answers.get()
+
+    def _save(self, operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
+        self.saved.append(operation)
+        if answered is not None:
+            self.save_answers.append(answered)
+            if self.disk_works:
+                self.save_answers.pop()("")
 
     def events(self) -> list[str]:
         return [event.key for record in self.sink.records for event in record.events]

@@ -75,6 +75,7 @@ class ControlLoop:
             "trips": list(self.trips),
             "tick": tick_json(self.last_record),
             "echo": echo_json(self.last_record.echo),
+            "link_up": int(self.last_record.link_up),
             "skill": skill_json(self.last_record.skill),
             "drift": drift_json(self.last_record.drift),
         }

@@ -2,19 +2,24 @@
 
 import json
 import math
+import queue
 import select
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
-from loop_rig import LoopRig, is_safe
+from loop_rig import UTC_0, LoopRig, is_safe
 
 from edge.failures import FAILURES
+from edge.inbox import Letter
+from edge.loop import Loop
 from edge.messages import Command, Quality, TickRecord
+from edge.operation import Operation
+from edge.safety import SafetyMemory
 from edge.standing import read_standing
 
 
@@ -52,9 +57,9 @@ def test_the_first_controller_is_reset_once_and_again_when_it_comes_back(rig: Lo
     rig.tick()
     rig.tick()
     assert rig.chosen.resets == 1
-    rig.loop._answer({"do": "set_controller", "name": "rules"})
+    rig.ask({"do": "set_controller", "name": "rules"})
     rig.tick()
-    rig.loop._answer({"do": "set_controller", "name": "MPC"})
+    rig.ask({"do": "set_controller", "name": "MPC"})
     rig.tick()
     assert (rig.chosen.resets, rig.fallback.resets) == (2, 1)
 
@@ -272,21 +277,21 @@ def test_an_error_of_our_own_ends_with_the_heater_off(rig: LoopRig) -> None:
 
 def test_an_emergency_stop_acts_at_once_and_stays(rig: LoopRig) -> None:
     rig.tick()
-    reply = rig.loop._answer({"do": "emergency_stop"})
+    reply = rig.ask({"do": "emergency_stop"})
     assert reply["ok"]
     assert rig.board.stops == 1
     assert is_safe(rig.board.driven[-1][0])
     assert rig.saved[-1].emergency_stop
     assert is_safe(rig.tick().sent)
     assert rig.tick().mode == "emergency_stop"
-    rig.loop._answer({"do": "release_emergency_stop"})
-    assert rig.board.cleared == 1
+    rig.ask({"do": "release_emergency_stop"})
+    assert not rig.board.stopped and rig.board.cleared == 0
     assert rig.tick().sent.heater_duty == 0.5
 
 
 def test_an_order_takes_effect_before_the_next_tick(rig: LoopRig) -> None:
     rig.tick()
-    rig.loop._answer({"do": "set_mode", "mode": "off"})
+    rig.ask({"do": "set_mode", "mode": "off"})
     assert rig.board.driven[-1][0].heater_duty == 0.0
     assert "operator.order" in {event.key for event in rig.tick().events}
 
@@ -294,7 +299,7 @@ def test_an_order_takes_effect_before_the_next_tick(rig: LoopRig) -> None:
 def test_an_order_in_the_middle_of_a_step_looks_at_fresh_readings(rig: LoopRig) -> None:
     rig.tick()
     rig.clock.now_s += 30.0  # the tick's own readings are too old to heat on by now
-    rig.loop._answer({"do": "set_mode", "mode": "heat"})
+    rig.ask({"do": "set_mode", "mode": "heat"})
     assert rig.board.driven[-1][0].heater_duty == 0.5
     events = rig.tick(30.0).events
     assert any(event.key == "operator.sent" and "heater 0.50" in event.text for event in events)
@@ -308,14 +313,14 @@ def test_a_new_reference_or_controller_waits_for_the_next_decision(
 ) -> None:
     rig.tick()
     sent = len(rig.board.driven)
-    assert rig.loop._answer(request_)["ok"]
+    assert rig.ask(request_)["ok"]
     assert len(rig.board.driven) == sent
 
 
 def test_a_refused_request_says_why_and_changes_nothing(rig: LoopRig) -> None:
     rig.tick()
     commands = len(rig.board.driven)
-    reply = rig.loop._answer({"do": "set_reference", "reference_c": 200})
+    reply = rig.ask({"do": "set_reference", "reference_c": 200})
     assert reply["ok"] is False
     assert "reference_c" in reply["error"]
     assert len(rig.board.driven) == commands
@@ -323,16 +328,144 @@ def test_a_refused_request_says_why_and_changes_nothing(rig: LoopRig) -> None:
 
 def test_maintenance_turns_everything_off_and_ends_by_itself(rig: LoopRig) -> None:
     rig.tick()
-    rig.loop._answer({"do": "maintenance", "minutes": 2})
+    rig.ask({"do": "maintenance", "minutes": 2})
     assert is_safe(rig.tick().sent)
     assert is_safe(rig.tick(59.0).sent)
     rig.tick()
     assert rig.tick().sent.heater_duty == 0.5
 
 
+STOPS = [{"do": "emergency_stop"}, {"do": "maintenance", "minutes": 5}]
+
+
+@pytest.mark.parametrize("order", STOPS)
+def test_a_stop_is_on_the_board_before_the_disk_and_answered_after_it(
+    rig: LoopRig, order: dict[str, Any]
+) -> None:
+    rig.tick()
+    rig.disk_works = False
+    assert rig.ask(order) == {}  # nobody is answered yet, and the loop has not waited
+    assert rig.board.stopped or rig.board.maintained
+    assert is_safe(rig.tick().sent)
+
+
+@pytest.mark.parametrize(
+    "order", [*STOPS, {"do": "release_emergency_stop"}, {"do": "set_mode", "mode": "off"}]
+)
+def test_an_order_that_the_disk_does_not_take_is_in_force_and_says_that_it_will_not_last(
+    rig: LoopRig, order: dict[str, Any]
+) -> None:
+    rig.tick()
+    rig.disk_works = False
+    answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    rig.loop._answer(Letter(order, answers))
+    rig.save_answers.pop()("No space left on device")
+    answer = answers.get_nowait()
+    assert answer["ok"] is False
+    assert "in force now, but it will not survive a restart" in answer["error"]
+    assert "No space left on device" in answer["error"]
+
+
+@pytest.mark.parametrize("order", STOPS)
+def test_a_stop_without_a_link_says_so_and_reaches_the_board_later(
+    rig: LoopRig, order: dict[str, Any]
+) -> None:
+    rig.tick()
+    rig.board.link_up = False
+    answer = rig.ask(order)
+    assert answer["ok"] and "no link to the board" in answer["warning"]
+
+
+def test_a_stop_given_again_goes_to_the_board_again(rig: LoopRig) -> None:
+    rig.tick()
+    rig.ask({"do": "emergency_stop"})
+    rig.ask({"do": "emergency_stop"})
+    assert rig.board.stops == 2
+
+
+def test_status_right_after_a_stop_shows_the_pins_of_now(rig: LoopRig) -> None:
+    rig.chosen.command = Command(heater_duty=0.75, fan_on=True)
+    assert rig.tick().echo.heater_duty == 0.75
+    rig.ask({"do": "emergency_stop"})
+    echo = rig.ask({"do": "status"})["echo"]
+    assert (echo["heater_duty"], echo["fan_on"], echo["trip_cause"]) == (0.0, 0, "emergency_stop")
+    assert rig.shown[-1].heater_duty == 0.0  # published, not a tick later
+
+
+@pytest.mark.parametrize("order", [{"do": "set_reference", "reference_c": 26}, *STOPS])
+def test_every_order_is_published_at_once(rig: LoopRig, order: dict[str, Any]) -> None:
+    rig.tick()
+    before = len(rig.shown)
+    rig.ask(order)
+    assert len(rig.shown) == before + 1
+
+
+def test_what_the_board_changes_between_two_ticks_is_published_once(rig: LoopRig) -> None:
+    rig.tick()
+    rig.loop._serve_and_answer(rig.clock.now_s)
+    assert rig.shown == []  # the tick itself has published it
+    rig.board.tripped = True
+    rig.board.drive(Command(), False, 1.0)
+    rig.loop._serve_and_answer(rig.clock.now_s)
+    rig.loop._serve_and_answer(rig.clock.now_s)
+    assert [echo.tripped for echo in rig.shown] == [True]
+
+
+def test_the_board_is_released_when_maintenance_ends_by_itself(rig: LoopRig) -> None:
+    rig.tick()
+    rig.ask({"do": "maintenance", "minutes": 2})
+    rig.tick(61.0)
+    assert rig.board.maintained
+    record = rig.tick(60.0)
+    assert not rig.board.maintained
+    assert "maintenance.ended" in {event.key for event in record.events}
+    assert rig.tick().sent.heater_duty == 0.5
+
+
+def test_the_end_of_maintenance_leaves_an_emergency_stop_alone(rig: LoopRig) -> None:
+    rig.tick()
+    rig.ask({"do": "emergency_stop"})
+    rig.ask({"do": "maintenance", "minutes": 1})
+    rig.tick(120.0)
+    assert rig.board.stopped and not rig.board.maintained
+    assert is_safe(rig.tick().sent)
+
+
+@pytest.mark.parametrize("cause", ["stopped", "maintained"])
+def test_a_stop_that_only_the_board_knows_of_holds_everything_off(rig: LoopRig, cause: str) -> None:
+    rig.chosen.command = Command(heater_duty=0.5, fan_on=True, led=0.5)
+    rig.tick()
+    setattr(rig.board, cause, True)
+    rig.board.drive(Command(), False, 1.0)
+    assert rig.tick().sent == Command()
+    rig.ask({"do": "release_emergency_stop"} if cause == "stopped" else {"do": "maintenance", "minutes": 0})
+    assert rig.tick().sent.heater_duty == 0.5
+
+
+@pytest.mark.parametrize("standing", [{"emergency_stop": True}, {"maintenance_until_utc": UTC_0 + 3600.0}])
+def test_a_restarted_loop_stops_the_board_before_the_first_tick(
+    rig: LoopRig, standing: dict[str, Any]
+) -> None:
+    rig.loop.close()
+    rig.loop = Loop(rig.rig, Operation("MPC", **standing), SafetyMemory(), first_seq=1)
+    rig.loop.stop()
+    rig.loop.run()
+    assert rig.board.stopped is ("emergency_stop" in standing)
+    assert rig.board.maintained is ("emergency_stop" not in standing)
+
+
+def test_maintenance_that_ended_while_no_daemon_ran_is_ended_on_the_board(rig: LoopRig) -> None:
+    rig.board.maintained = True
+    rig.board.drive(Command(), False, 1.0)
+    rig.loop.close()
+    rig.loop = Loop(rig.rig, Operation("MPC", maintenance_until_utc=UTC_0 - 1.0), SafetyMemory(), first_seq=1)
+    rig.tick()
+    assert not rig.board.maintained
+
+
 def test_status_is_plain_json(rig: LoopRig) -> None:
     rig.tick()
-    status = rig.loop._answer({"do": "status"})
+    status = rig.ask({"do": "status"})
     assert json.loads(json.dumps(status, allow_nan=False))["tick"]["seq"] == 1
 
 
@@ -354,7 +487,7 @@ def test_a_request_is_answered_before_the_board_is_there(rig: LoopRig) -> None:
     rig.board.link_up = False
     waits: list[float] = []
 
-    def serve(until_s: float, wake: int | None = None) -> None:
+    def serve(until_s: float, wake: int | None = None, done: Callable[[], bool] = bool) -> None:
         waits.append(until_s)
         assert len(waits) < 1000, "a request that nobody takes holds up time for ever"
         if wake is None or not select.select([wake], [], [], 0.0)[0]:
@@ -375,7 +508,7 @@ def test_a_request_is_answered_before_the_board_is_there(rig: LoopRig) -> None:
 def test_a_new_controller_takes_over_without_a_bump(rig: LoopRig) -> None:
     rig.tick()
     rig.fallback.command = rig.chosen.command
-    rig.loop._answer({"do": "set_controller", "name": "rules"})
+    rig.ask({"do": "set_controller", "name": "rules"})
     record = rig.tick()
     assert record.decision.controller == "rules"
     assert record.sent == rig.sink.records[0].sent
@@ -405,9 +538,9 @@ def test_between_two_requests_of_a_flood_the_line_is_served(rig: LoopRig) -> Non
     served: list[float] = []
     serve = rig.board.serve
 
-    def counted(until_s: float, wake: int | None = None) -> None:
+    def counted(until_s: float, wake: int | None = None, done: Callable[[], bool] = bool) -> None:
         served.append(until_s)
-        serve(until_s, wake)
+        serve(until_s, wake, done)
 
     rig.board.serve = counted  # type: ignore[method-assign]
     for number in range(10):

@@ -1,7 +1,10 @@
 """edge/state_file.py: standing orders survive, whole or not at all."""
 
+import queue
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,6 +47,40 @@ def test_a_write_that_fails_is_counted_and_the_next_one_tried(tmp_path: Path) ->
     writer.close()
     assert writer.failures == 1
     assert "missing" in writer.last_error
+
+
+def test_an_answer_comes_when_the_values_are_on_disk_and_not_before(tmp_path, monkeypatch):
+    path, may_write, answers = tmp_path / "state.json", threading.Event(), queue.SimpleQueue()
+
+    def slowly(path: Path, values: dict[str, Any]) -> None:
+        may_write.wait(5.0)
+        write(path, values)
+
+    monkeypatch.setattr("edge.state_file.write", slowly)
+    writer = StateWriter(path)
+    for number in (1, 2, 3):  # one of these is never written; all are answered by a newer one on disk
+        writer.save({"number": number}, lambda error: answers.put((error, read(path)["number"])))
+    time.sleep(0.05)
+    assert answers.empty()
+    may_write.set()
+    found = [answers.get(timeout=5.0) for _ in range(3)]
+    writer.close()
+    assert all(error == "" for error, _ in found)
+    assert all(on_disk >= number for number, (_, on_disk) in zip((1, 2, 3), found, strict=True))
+
+
+def test_a_failed_write_is_answered_with_its_reason_and_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setattr("edge.state_file.RETRY_S", 0.02)
+    path, answers = tmp_path / "missing" / "state.json", queue.SimpleQueue()
+    writer = StateWriter(path)
+    writer.save({"number": 1}, answers.put)
+    assert "missing" in answers.get(timeout=5.0)
+    path.parent.mkdir()
+    deadline = time.monotonic() + 5.0
+    while writer.last_error and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert read(path) == {"number": 1} and answers.empty()
+    writer.close()
 
 
 def test_a_card_is_spared_and_the_newest_is_written_at_the_end(tmp_path, monkeypatch):

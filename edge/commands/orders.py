@@ -71,10 +71,14 @@ ORDERS: dict[str, tuple[str, str, Fill]] = {  # command -> request, help, argume
     "reference": ("set_reference", "target temperature, over the configured one", _reference),
     "controller": ("set_controller", "change the controller while it runs", _controller),
     "manual": ("set_manual", "a fixed command, until the mode changes", _manual),
-    "emergency-stop": ("emergency_stop", "everything off, latched", _nothing),
+    "emergency-stop": ("emergency_stop", "everything off, the fan too, latched on the board", _nothing),
     "release": ("release_emergency_stop", "end an emergency stop", _nothing),
     "clear-trip": ("clear_trip", "forget latched trips whose cause is gone", _nothing),
-    "maintenance": ("maintenance", "hands in the box: everything off for some minutes", _maintenance),
+    "maintenance": (
+        "maintenance",
+        "hands in the greenhouse: everything off for some minutes, the fan too",
+        _maintenance,
+    ),
     "confirm": ("confirm", "apply a proposal of `greenhouse ask`", _proposal),
     "undo": ("undo", "end what was confirmed last, as it was before", _nothing),
     "resend": ("resend", "publish recorded ticks again, to fill a gap", _resend),
@@ -93,7 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
     values = {key: value for key, value in vars(arguments).items() if key not in ("command", "socket", "run")}
     answer = request(arguments.socket, {"do": name, **values})
     if not answer.get("ok", False):
-        print(f"refused: {answer.get('error', answer)}")
+        print(f"{'refused' if 'operation' not in answer else 'warning'}: {answer.get('error', answer)}")
         return 1
     print(json.dumps(answer, indent=1) if name == "status" else "done")
+    if warning := answer.get("warning"):
+        print(f"warning: {warning}")
     return 0

@@ -6,10 +6,10 @@ from pathlib import Path
 from edge import config
 from edge.clock import RealClock
 from edge.daemon import Daemon
-from edge.display import LineDisplay
+from edge.display import tick_line
 from edge.messages import TickRecord
-from edge.outlet import standard_output
 from edge.systemd import Notifier
+from edge.tick_json import tick_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, default=Path("/etc/greenhouse/edge.yaml"))
 
 
-class _Report:
-    """Reports every tick to systemd."""
+class _Told:
+    """Tells systemd and the log of every tick."""
 
     def __init__(self) -> None:
         self.notifier = Notifier.from_environment()
@@ -26,6 +26,7 @@ class _Report:
 
     def tick(self, record: TickRecord) -> None:
         """Called by the loop at the end of a whole tick, and from nowhere else."""
+        print(tick_line(tick_json(record)), flush=True)
         status = f"tick {record.seq}, {record.decision.controller}, mode {record.mode}"
         if not self._ready:
             self.notifier.ready(status, record.step_s)
@@ -36,18 +37,9 @@ class _Report:
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGTERM or Ctrl-C; one line per tick on standard output."""
     settings = config.load(arguments.config)
-    report = _Report()
-    with (
-        standard_output() as out,
-        Daemon(
-            settings,
-            RealClock(),
-            after_tick=report.tick,
-            config_file=arguments.config,
-            more_sinks=(LineDisplay(out),),
-        ) as daemon,
-    ):
+    told = _Told()
+    with Daemon(settings, RealClock(), after_tick=told.tick, config_file=arguments.config) as daemon:
         daemon.run()
-        report.notifier.stopping()
-    report.notifier.close()
+        told.notifier.stopping()
+    told.notifier.close()
     return 0

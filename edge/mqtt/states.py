@@ -42,7 +42,7 @@ def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json
         "fan_on": echo and echo["fan_on"],
         "led": echo and echo["led"],
         "valve_open": echo and echo["valve_open"],
-        "link_up": tick["link_up"],
+        "link_up": status["link_up"],
         "tripped": int(_is_tripped(status)),
         "trips": ", ".join(_trips(status)),
         "problem": int(_has_problem(status)),
@@ -131,7 +131,9 @@ def _line_counters(line: Mapping[str, int] | None) -> Json:
 
 def _trips(status: Mapping[str, Any]) -> list[str]:
     echo = status["echo"]
-    board = [echo["trip_cause"]] if echo and echo["tripped"] else []
+    maintained = _in_maintenance(status["tick"], status["operation"])  # asked for, so it is not a fault
+    shown = echo and echo["tripped"] and not (maintained and echo["trip_cause"] == "maintenance")
+    board = [echo["trip_cause"]] if shown else []
     return [str(trip) for trip in (*status["trips"], *board)]
 
 
@@ -144,4 +146,4 @@ def _has_problem(status: Mapping[str, Any]) -> bool:
     tick = status["tick"]
     air = tick["readings"].get(SIGNALS["temp_air"].key)
     air_is_good = air is not None and air["quality"] == "good"
-    return _is_tripped(status) or not tick["link_up"] or tick["echo"] is None or not air_is_good
+    return _is_tripped(status) or not status["link_up"] or status["echo"] is None or not air_is_good

@@ -48,8 +48,8 @@ class Telemetry:
         self._fault = ""
         self._ticks_late = 0
         self._ticks_skipped = 0
-        self._ticks_written = 0
-        self._ticks_shown = 0
+        self._updates = 0  # ticks, orders and changes of the outputs
+        self._updates_shown = 0
         self._greet = False
         self._events: deque[Event] = deque(maxlen=EVENTS_WAITING_MAX)
         self._proposals: deque[Mapping[str, Any]] = deque(maxlen=COMMANDS_WAITING_MAX)
@@ -72,7 +72,11 @@ class Telemetry:
         self._ticks_late += record.late_s > LATE_SHARE * record.step_s
         self._ticks_skipped += record.ticks_skipped
         self._events.extend(record.events)
-        self._ticks_written += 1
+        self.show()
+
+    def show(self) -> None:
+        """Publish the state as it is now, as soon as there is a broker."""
+        self._updates += 1
         self._wake.set()
 
     def show_proposal(self, proposal: Mapping[str, Any]) -> None:
@@ -184,15 +188,15 @@ class Telemetry:
             self._reply(what, answer if what == "status" else _short(answer))
 
     def _publish_news(self) -> None:
-        greet, written = self._greet, self._ticks_written
+        greet, updates = self._greet, self._updates
         if greet:
             self._publish(self._topics.discovery, discovery.device(self._settings), qos=1, retain=True)
-        if greet or written != self._ticks_shown:
+        if greet or updates != self._updates_shown:
             status = self._ask({"do": "status"})
             if status.get("tick"):
                 self._publish_state(status)
             # What has come up meanwhile stays to be done.
-            self._greet, self._ticks_shown = self._greet and not greet, written
+            self._greet, self._updates_shown = self._greet and not greet, updates
         while self._proposals:
             self._publish(self._topics.proposal, self._proposals.popleft(), qos=1)
         while self._events:
@@ -256,7 +260,9 @@ def remove(settings: Settings, timeout_s: float = 10.0) -> None:
 
 
 def _short(answer: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: answer[key] for key in ("ok", "error", "queued", "proposal", "lines") if key in answer}
+    return {
+        key: answer[key] for key in ("ok", "error", "warning", "queued", "proposal", "lines") if key in answer
+    }
 
 
 def _bad_command(what: str, error: str) -> Event:

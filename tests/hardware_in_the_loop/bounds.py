@@ -11,8 +11,7 @@ from typing import Any
 
 import yaml
 from run import Run, run
-
-from bench.watched_clock import Order
+from watched_clock import Order
 
 SEEDS = (1, 2, 3)
 LOOK_S = 10.0

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-
-from bench.watched_clock import Order
+from watched_clock import Order
 
 FOLDER = Path(__file__).parent / "scenarios"
 
