@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from datetime import time
 from pathlib import Path
 
@@ -81,6 +82,39 @@ def test_a_value_above_a_hard_limit_is_refused_with_its_place():
     assert refusal("safety: {temp_air_max_c: 180}") == (
         "edge.yaml: safety.temp_air_max_c: 180 is above the hard limit 60"
     )
+
+
+HARD_LIMITS = {  # smallest and largest value as plain numbers: who changes a limit changes this table
+    "safety.temp_air_max_c": (None, 60.0),
+    "safety.temp_trip_c": (None, 65.0),
+    "safety.reading_age_max_s": (None, 60.0),
+    "safety.heater_rise_per_s": (None, 1.0),
+    "safety.valve_pulse_max_s": (None, 10.0),
+    "safety.valve_day_max_s": (None, 600.0),
+    "watering.pulse_s": (None, 10.0),
+    "watering.daily_max_s": (None, 600.0),
+    "control.step_s": (1.0, 600.0),
+    "reference.reference_c": (5.0, 45.0),
+    "reference.min_c": (5.0, 45.0),
+    "reference.max_c": (5.0, 45.0),
+    "calibration.temp_air.offset": (-5.0, 5.0),
+    "calibration.temp_air.gain": (0.9, 1.1),
+}
+
+
+OUT_OF_RANGE = re.compile("(above the hard limit|below the smallest allowed,|beyond the hard limits?) ")
+
+
+@pytest.mark.parametrize("key", HARD_LIMITS)
+def test_a_hard_limit_is_in_its_range_and_a_thousandth_beyond_is_not(key):
+    path = tuple(key.split("."))
+    for limit, step in zip(HARD_LIMITS[key], (-1e-3, 1e-3), strict=True):
+        if limit is not None:
+            assert OUT_OF_RANGE.search(refusal(nested(path, repr(limit + step))))
+            try:
+                config.parse(nested(path, repr(limit)))
+            except ConfigError as error:  # another key may forbid the limit
+                assert not OUT_OF_RANGE.search(str(error))
 
 
 @pytest.mark.parametrize(

@@ -159,6 +159,22 @@ def test_without_a_measurement_the_model_goes_on_and_the_doubt_grows(bad):
     assert first.time_s == second.time_s == 0.0
 
 
+@pytest.mark.parametrize("step_s", [10.0, 60.0, 180.0])
+@pytest.mark.parametrize(("process_sd", "wander_sd"), [(0.0001, 0.1), (5.0, 1e-6)])
+def test_the_doubt_after_an_hour_does_not_depend_on_the_step(step_s, process_sd, wander_sd):
+    minutes, start_sd = 60.0, 0.1  # [min], [K/min]
+    settings = EstimatorSettings(measurement_sd_k=0.001, process_sd_k=process_sd, offset_sd_k=wander_sd)
+    keeps_heat = Arx(np.array([1.0]), np.array([0.0]), np.array([0.0]), 0.0, 0.0, step_s)
+    estimator = Estimator(settings, keeps_heat, step_s, ROOM_C)
+    estimate = estimator.update(readings(25.0, 0.0), 0.0, 0.0)
+    for step in range(1, round(minutes * 60.0 / step_s) + 1):
+        estimator.record_sent(Command())
+        estimate = estimator.update(readings(None, step * step_s), step * step_s, 0.0)
+    # A rate that starts unknown and wanders, integrated over the hour, and noise on the temperature itself.
+    variance = (start_sd * minutes) ** 2 + wander_sd**2 * minutes**3 / 3.0 + process_sd**2 * minutes
+    assert estimate.temp_air_sd == pytest.approx(math.sqrt(variance), rel=0.08)
+
+
 def test_after_a_gap_the_errors_still_have_the_size_the_filter_claims():
     errors = []
     for seed in range(80):

@@ -113,6 +113,31 @@ def test_a_tool_that_was_not_asked_shows_nothing() -> None:
     assert verdicts("The history shows 26 degC.", nothing) == [("history", False)]
 
 
+@pytest.mark.parametrize(
+    ("result", "holds"),
+    [
+        ({"temp_air_c": [25.0, 33.0]}, True),
+        ({"temp_air_c": (25.0, 33.0)}, True),
+        ({"end": {"temp_air_c": {"last": 33}}}, True),
+        ({"runs": [{"temp_air_c": [[33.0]]}]}, True),
+        ({"temp_air_c": [25.0], "note": "33"}, False),
+        ({"33": 25.0}, False),
+        ({"temp_air_c": [25.0, None]}, False),
+    ],
+)
+def test_a_number_is_found_wherever_it_stands_in_a_result(result: dict[str, Any], holds: bool) -> None:
+    about = known(simulated=False, read=False)
+    about.ledger.record("simulate", {}, result)
+    assert verdicts("The simulation shows 33 degC.", about) == [("simulation", holds)]
+
+
+@pytest.mark.parametrize(("flag", "said"), [(True, "1.00"), (False, "0.00")])
+def test_a_flag_is_not_a_number(flag: bool, said: str) -> None:
+    about = known(simulated=False, read=False)
+    about.ledger.record("simulate", {}, {"temp_air_c": [25.0], "fan_on": [flag]})
+    assert verdicts(f"The simulation shows {said} degC.", about) == [("simulation", False)]
+
+
 def test_the_echo_decides_what_is_on() -> None:
     running = known(driven=Command(0.0, True))
     assert verdicts("The fan is on.", running) == [("state", True)]

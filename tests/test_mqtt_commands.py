@@ -26,6 +26,7 @@ REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
         ("controller", b"none", {"do": "set_controller", "name": None}),
         ("maintenance", b"30", {"do": "maintenance", "minutes": 30.0}),
         ("maintenance", b"0", {"do": "maintenance", "minutes": 0.0}),
+        ("maintenance", b"1440", {"do": "maintenance", "minutes": 1440.0}),
         (
             "manual",
             b'{"heater_duty": 0.5, "fan_on": 1}',
@@ -86,6 +87,7 @@ def test_a_well_formed_command_becomes_a_request(what, payload, request_):
         ("controller", b"mpc"),
         ("controller", b"None"),
         ("maintenance", b"-1"),
+        ("maintenance", b"1440.1"),
         ("maintenance", b"1e9"),
         ("emergency_stop", b""),
         ("emergency_stop", b"press"),

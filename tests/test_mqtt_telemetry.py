@@ -1,4 +1,5 @@
 import json
+import math
 import os
 import signal
 import sqlite3
@@ -14,6 +15,7 @@ from edge.errors import ConfigError, RequestError
 from edge.messages import Event, Severity
 from edge.mqtt import connection, telemetry
 from edge.mqtt.telemetry import Telemetry
+from edge.mqtt.topics import Topics
 from tests.broker import Broker, Listener, needs_mosquitto, wait_for
 from tests.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings
 
@@ -64,6 +66,30 @@ def test_a_late_subscriber_finds_all_that_is_retained(broker):
             wanted = {AVAILABILITY, STATE, f"{ROOT}/decision", f"{ROOT}/forecast", DISCOVERY}
             wanted |= {f"{ROOT}/forecasts", f"{ROOT}/skill", f"{ROOT}/drift"}
             wait_for(lambda: wanted <= {message.topic for message in listener.heard})
+
+
+def test_replies_events_and_proposals_are_not_retained(broker):
+    moment = Event("test.one", Severity.ALARM, "too hot", 0.0, 1.7e9)
+    with running(broker.port) as own:
+        with Listener(broker.port) as listener:
+            wait_for(lambda: not own.faults())
+            listener.send(f"{ROOT}/set/temperature", "28.5")
+            own.write(record(events=(moment,)))
+            own.show_proposal({"state": "ready"})
+            wait_for(lambda: all(listener.payloads(topic) for topic in (REPLY, EVENT, f"{ROOT}/proposal")))
+        with Listener(broker.port, name="late") as late:
+            allowed = set(Topics.of(settings(broker.port).mqtt).retained)
+            wait_for(lambda: allowed <= {message.topic for message in late.heard})
+            assert {message.topic for message in late.heard} == allowed
+
+
+def test_a_message_with_a_value_that_json_lacks_is_not_published(broker):
+    with Listener(broker.port) as listener, running(broker.port) as own:
+        wait_for(lambda: not own.faults())
+        own.show_proposal({"reference_c": math.nan})
+        own.show_proposal({"reference_c": 24.0})
+        wait_for(lambda: listener.payloads(f"{ROOT}/proposal"))
+        assert listener.payloads(f"{ROOT}/proposal") == [b'{"reference_c":24.0}']
 
 
 def test_closing_says_offline(broker):

@@ -105,7 +105,14 @@ def test_maintenance_does_not_outlive_a_clock_set_far_back() -> None:
     assert not operation.in_maintenance(1000.0 - 10 * 86400.0)
 
 
-@pytest.mark.parametrize("minutes", [-1, 1441, math.nan, "30", None])
+def test_maintenance_may_last_a_whole_day_and_ends_after_it() -> None:
+    operation = ask(do="maintenance", minutes=24 * 60)
+    assert operation.in_maintenance(1000.0)
+    assert operation.in_maintenance(1000.0 + 86399.0)
+    assert not operation.in_maintenance(1000.0 + 86400.0)
+
+
+@pytest.mark.parametrize("minutes", [-1, 1440.1, 1441, math.nan, "30", None])
 def test_maintenance_of_no_sane_length_is_refused(minutes: object) -> None:
     with pytest.raises(RequestError, match="minutes"):
         ask(do="maintenance", minutes=minutes)

@@ -8,6 +8,7 @@ from edge.relay_proof import BUSY_SHARE, EVERY_S, LONGEST_S, PASSED_K, RelayProo
 from edge.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Moment, ThermalMemory, look
 
 STEP_S = 60.0
+THREE_HOURS_S = 10800.0  # as the README promises
 BUSY = RelayProof(since_s=EVERY_S - STEP_S, heated_s=3000.0, fanned_s=3000.0)
 RUNNING = RelayProof(since_s=EVERY_S, running_s=0.0, highest_c=26.0)
 
@@ -21,7 +22,7 @@ def test_a_box_that_heats_and_cools_in_turns_is_proven_after_its_time():
     while not proof.running:
         proof = step(proof, heated=steps % 2 == 0, fan_on=steps % 2 == 1)
         steps += 1
-    assert steps * STEP_S == EVERY_S
+    assert steps * STEP_S == THREE_HOURS_S
 
 
 @pytest.mark.parametrize(("heated", "fan_on"), [(True, False), (False, True), (False, False)])
@@ -73,8 +74,19 @@ def test_it_never_lasts_longer_than_its_bound():
     while proof.running:
         proof = step(proof, 27.0)
         steps += 1
-    assert steps * STEP_S == LONGEST_S
+    assert steps * STEP_S == 25 * 60.0
     assert proof == RelayProof()
+
+
+@pytest.mark.parametrize(("busy_s", "runs"), [(1079.0, False), (1080.0, True)])
+def test_a_tenth_of_three_hours_counts_as_busy(busy_s, runs):
+    busy = RelayProof(since_s=THREE_HOURS_S - STEP_S, heated_s=busy_s, fanned_s=busy_s)
+    assert step(busy).running is runs
+
+
+@pytest.mark.parametrize(("fallen_k", "runs"), [(0.99, True), (1.0, False)])
+def test_air_that_falls_by_one_kelvin_proves_the_relay(fallen_k, runs):
+    assert step(RUNNING, 26.0 - fallen_k).running is runs
 
 
 def test_the_balance_has_judged_before_the_longest_proof_ends():

@@ -224,6 +224,13 @@ def test_a_trip_is_cleared_only_when_its_cause_is_gone(air, clears):
             clear_trip(memory, LIMITS, air)
 
 
+def test_a_high_trip_is_cleared_only_below_the_limit_of_the_air():
+    limits, memory = SafetySettings(temp_trip_c=50.0), SafetyMemory(trips=("over_temperature",))
+    assert clear_trip(memory, limits, 39.99).trips == ()
+    with pytest.raises(RequestError, match="below 40 °C"):
+        clear_trip(memory, limits, 40.0)
+
+
 @pytest.mark.parametrize(("air", "clears"), [(38.49, True), (38.5, False)])
 def test_a_low_trip_is_cleared_3_k_below_it(air, clears):
     limits = SafetySettings(temp_trip_c=41.5)
@@ -346,6 +353,11 @@ def test_heat_is_booked_as_it_was_sent():
 def test_heat_is_booked_no_longer_than_its_lease(last_s, counted_s):
     memory = SafetyMemory(sent=HEAT, time_s=last_s)
     assert heat_wh(book_heat(memory, NOW, 60.0), NOW, 3600.0) == pytest.approx(counted_s / 36.0)
+
+
+def test_time_that_runs_backwards_takes_no_heat_off():
+    memory = SafetyMemory(sent=HEAT, time_s=NOW + 5.0, heat=((NOW - 10.0, 3.0),))
+    assert book_heat(memory, NOW, 60.0).heat == memory.heat
 
 
 def heated(hours: float, **limits: float) -> tuple[list[float], SafetyMemory]:
@@ -620,6 +632,7 @@ def test_with_nothing_in_the_way_a_controller_may_plan_all():
         (60.0, 0.0, 1, 1),
         (60.0, 59.5, 0, 1),
         (60.0, 60.0, 0, 1),
+        (60.0, 3600.0, 0, 1),
         (1.0, 0.0, 60, 60),
         (1.0, 30.0, 30, 60),
         (45.0, 0.0, 2, 2),

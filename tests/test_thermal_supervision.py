@@ -164,6 +164,19 @@ def test_a_fan_that_does_not_cool_is_told_in_five_minutes():
     assert first_trip(fan_on([36.0 - 0.7 * k for k in range(10)])) == (FAN_NO_EFFECT, 60.0 + COOLING_S)
 
 
+@pytest.mark.parametrize(("left_share", "trip"), [(0.69, None), (0.71, FAN_NO_EFFECT)])
+def test_a_fan_must_take_three_tenths_of_the_excess_away(left_share, trip):
+    found = first_trip(fan_on([36.0, *[21.0 + 15.0 * left_share] * 9]))
+    assert (found and found[0]) == trip
+
+
+@pytest.mark.parametrize(("left_k", "trip"), [(17.4, None), (17.6, FAN_NO_EFFECT)])
+def test_cooling_counts_from_the_warmest_air_since_the_fan_was_switched(left_k, trip):
+    # 15 K above the room when the fan starts, 25 K a minute later: 0.7 * 25 K may be left.
+    found = first_trip(fan_on([36.0, 46.0, 44.0, 41.0, *[21.0 + left_k] * 6]))
+    assert (found and found[0]) == trip
+
+
 def test_a_fan_that_cools_is_no_fault():
     assert first_trip(fan_on([36.0, 29.0, 27.0, 26.0, 25.0, 24.0, *[22.8] * 60])) is None
 
