@@ -13,24 +13,7 @@ from dataclasses import dataclass
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
-    ast.Lt: (ast.LtE, ast.GtE),
-    ast.LtE: (ast.Lt, ast.Gt),
-    ast.Gt: (ast.GtE, ast.LtE),
-    ast.GtE: (ast.Gt, ast.Lt),
-    ast.Eq: (ast.NotEq,),
-    ast.NotEq: (ast.Eq,),
-    ast.Is: (ast.IsNot,),
-    ast.IsNot: (ast.Is,),
-    ast.In: (ast.NotIn,),
-    ast.NotIn: (ast.In,),
-}
-ARITHMETIC: dict[type[ast.operator], type[ast.operator]] = {
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-}
+from bench.source_changes import changes
 
 
 @dataclass(frozen=True)
@@ -39,47 +22,6 @@ class Mutant:
 
     name: str
     apply: Callable[[], Callable[[], None]]
-
-
-def changes(node: ast.AST) -> Iterator[ast.AST]:
-    """The node with one operator or value changed, once for each way."""
-    match node:
-        case ast.Compare():
-            for index, operator in enumerate(node.ops):
-                for other in COMPARISONS[type(operator)]:
-                    ops = [other() if k == index else op for k, op in enumerate(node.ops)]
-                    yield _with(node, ops=ops)
-        case ast.BoolOp():
-            yield _with(node, op=ast.Or() if isinstance(node.op, ast.And) else ast.And())
-        case ast.BinOp() if type(node.op) in ARITHMETIC:
-            yield _with(node, op=ARITHMETIC[type(node.op)]())
-        case ast.UnaryOp(op=ast.Not()):
-            yield node.operand
-        case ast.IfExp():
-            yield _with(node, body=node.orelse, orelse=node.body)
-        case ast.Call(func=ast.Name(id="min" | "max" as name)):
-            yield _with(node, func=ast.Name({"min": "max", "max": "min"}[name], ast.Load()))
-        case ast.Constant() | ast.Return():
-            yield from _other_values(node)
-
-
-def _other_values(node: ast.Constant | ast.Return) -> Iterator[ast.AST]:
-    match node:
-        case ast.Constant(value=bool()):
-            yield _with(node, value=not node.value)
-        case ast.Constant(value=int() | float()):
-            yield _with(node, value=node.value + 1)
-        case ast.Return(value=ast.Constant(value="")):
-            yield _with(node, value=ast.Constant("changed"))
-        case ast.Return(value=ast.Constant(value=str()) | ast.JoinedStr()):
-            yield _with(node, value=ast.Constant(""))
-
-
-def _with(node: ast.AST, **changed: Any) -> ast.AST:
-    other = copy.copy(node)
-    for name, value in changed.items():
-        setattr(other, name, value)
-    return other
 
 
 class _Replace(ast.NodeTransformer):
@@ -101,7 +43,7 @@ def function_mutants(module: ModuleType) -> Iterator[Mutant]:
     }
     tree = ast.parse(source)
     for node in list(ast.walk(tree)):
-        for changed in changes(node):
+        for _, changed in changes(node):
             mutated = ast.fix_missing_locations(_Replace(node, changed).visit(copy_with(tree, node)))
             codes = {_place(code): code for code in _codes(compile(mutated, path, "exec"))}
             differing = [p for p, f in functions.items() if p in codes and f.__code__ != codes[p]]
