@@ -65,6 +65,7 @@ class Daemon:
     more_controllers: Sequence[Controller] = ()  # than those of edge/controller_names.py
     client_wait_s: float = 0.0  # how long to wait for a client at `external.socket` before the first tick
     open_port: OpenPort = SerialPort  # else a board in this process
+    more_sinks: Sequence[Sink] = ()  # a display
     config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
@@ -132,7 +133,7 @@ class Daemon:
         stack.callback(storage.close)
         state = StateSink(StateWriter(Path(settings.state_file)))
         stack.callback(state.writer.close)
-        sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else [])]
+        sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else []), *self.more_sinks]
         drift = self._drift(sinks)
         nightly = self._nightly(sinks, bundles)
         show: Callable[[], None] = lambda: None  # noqa: E731

@@ -92,6 +92,12 @@ _ROWS = (
         "the one before it serves, else the packaged one",
     ),
     Failure(
+        "output.behind",
+        Severity.WARNING,
+        "standard output takes no lines",
+        "lines are counted and left out, control goes on",
+    ),
+    Failure(
         "state.broken",
         Severity.ALARM,
         "the state file can't be read at start",

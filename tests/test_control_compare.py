@@ -12,9 +12,17 @@ from edge.errors import DataError
 from training.control import compare
 from training.control.all_pictures import pictures_of
 from training.control.compare import _endpoint, run
-from training.control.comparison import Result, column, mae_against, regret, table
+from training.control.comparison import (
+    Result,
+    column,
+    knowledge,
+    mae_against,
+    ranking,
+    regret,
+    table,
+)
 from training.control.figures import DecisionTime, Figures
-from training.control.findings import findings
+from training.control.findings import beyond, findings
 from training.control.kept_figures import (
     FIGURES_FILE,
     TIMES_FILE,
@@ -46,8 +54,8 @@ RESULTS = [
     made("MPC-BFGS", 1, sensor_cost_0=900.0, mae_true=1.2),
     made("MPC-BFGS", 2, sensor_cost_0=800.0, mae_true=1.2),
     made("MPC-BFGS", 3, sensor_cost_0=700.0, mae_true=1.2),
-    made("LLM-Te0", 1, STAND_IN, mae_true=1.4),
-    made("LLM-Te0", 2, STAND_IN, mae_true=1.4),
+    made("LLM-Te0", 1, STAND_IN, mae_true=1.4, sensor_cost_0=990.0),
+    made("LLM-Te0", 2, STAND_IN, mae_true=1.4, sensor_cost_0=990.0),
 ]
 
 
@@ -55,6 +63,70 @@ def test_a_regret_is_the_cost_by_the_limits_on_the_same_seeds():
     assert regret(RESULTS, "MPC-Twin", "reference_1", by_sensor=True).value == pytest.approx(1.1)
     assert regret(RESULTS, "MPC-BFGS", "reference_1", by_sensor=True).n == 2
     assert regret(RESULTS, "MPC-Twin", "reference_2", by_sensor=True) is None
+
+
+@pytest.mark.parametrize("better", ["clairvoyant/sensor-P", "MPC-Twin-P"])
+def test_no_run_is_better_than_the_limit(better):
+    found = [*RESULTS, made(better, 1, sensor_cost_0=80.0)]
+    assert regret(found, "MPC-Twin", "reference_1", by_sensor=True).value == pytest.approx(
+        (110 / 80 + 1.1) / 2
+    )
+    own = regret(found, "clairvoyant/sensor", "reference_1", by_sensor=True)
+    assert own.value == pytest.approx((100 / 80 + 1.0) / 2)
+
+
+def test_a_controller_is_ranked_among_those_that_know_as_much():
+    costs = {
+        "MPC": 300.0,
+        "MPC/preview": 250.0,
+        "MPC-Twin": 120.0,
+        "MPC-Twin/present": 280.0,
+        "MPC-BFGS": 260.0,
+        "MPC-BFGS/preview": 200.0,
+        "clairvoyant/sensor": 100.0,
+    }
+    found = [made(name, 1, sensor_cost_0=cost) for name, cost in costs.items()]
+    assert ranking(found, list(costs), "reference_1") == [
+        *("clairvoyant/sensor", "MPC-Twin", "MPC-BFGS/preview", "MPC/preview"),
+        *("MPC-BFGS", "MPC-Twin/present", "MPC"),
+    ]
+    assert [knowledge(name) for name in ("clairvoyant", "MPC-Twin", "MPC", "RL-Off")] == [
+        *("everything", "coming reference", "present reference", "present reference"),
+    ]
+
+
+def test_ours_is_set_against_the_papers_that_knows_as_much():
+    found = [
+        made(name, seed, sensor_cost_0=cost + seed)
+        for name, cost in {"MPC-Twin": 100, "MPC-Twin/present": 200, "MPC-BFGS": 250}.items()
+        for seed in (1, 2)
+    ]
+    (text,) = beyond(found, ["reference_1"])
+    assert "MPC-Twin/present" in text
+    assert "MPC-BFGS costs 1.25" in text
+
+
+def spent(name: str, effort: float, mae_true: float = 0.4) -> list[Result]:
+    """Two seeds that differ a little in the effort."""
+    return [made(name, seed, mae_true=mae_true, cost_1=effort + seed, sensor_cost_0=1.0) for seed in (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("with_penalty", "verdict"), [(200.0, "holds in part"), (199.0, "holds in part"), (150.0, "holds")]
+)
+def test_as_much_effort_with_a_penalty_as_without_is_not_less(with_penalty, verdict):
+    found = findings([*spent("LLM-Te0", 200.0), *spent("LLM-Te0-P", with_penalty)], "reference_1")
+    assert {each.paper[:24]: each.verdict for each in found}["With penalty the LLM use"] == verdict
+
+
+def test_a_penalty_that_changes_nothing_makes_nothing_sparser():
+    found = findings([*spent("RL-Off", 200.0), *spent("RL-Off-P", 200.0)], "reference_1")
+    assert {each.paper[:9]: each.verdict for each in found}["A penalty"] == "does not hold"
+
+
+def test_an_mpc_that_is_as_good_as_the_others_is_not_the_best():
+    found = findings([*spent("MPC-BFGS", 1.0), *spent("RL-Off", 1.0)], "reference_1")
+    assert found[0].verdict == "does not hold"
 
 
 def test_two_controllers_are_compared_on_the_seeds_of_both():
@@ -144,7 +216,7 @@ def kept_in(folder: Path, results: list[Result], times: dict[str, list[DecisionT
 
 
 def test_a_controller_done_anew_leaves_the_others_as_they_are_kept():
-    now = [made("MPC-Twin", 2, mae_true=0.1), made("LLM-Te0", 3, STAND_IN, mae_true=1.0)]
+    now = [made("MPC-Twin", 2, mae_true=0.1), made("LLM-Te0", 3, STAND_IN, mae_true=1.0, sensor_cost_0=990.0)]
     names = ["clairvoyant/sensor", "MPC-BFGS", "MPC-Twin", "LLM-Te0"]
     both = beside(RESULTS, now, names)
     assert len(both) == len(RESULTS) + 1

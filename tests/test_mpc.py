@@ -206,3 +206,14 @@ def test_the_configured_weight_is_that_of_the_names_with_penalty_alone(name):
     assert free.heater_duty > 0.0
     assert dear.heater_duty == 0.0
     assert make(name.removesuffix("-P"), parts[1]).decide(cold).command.heater_duty > 0.0
+
+
+@pytest.mark.parametrize("name", ["MPC", "MPC-BFGS", "MPC-BFGS-P"])
+def test_the_setting_preview_reaches_every_mpc_over_the_arx(name):
+    coming = context(24.0, [24.0] * 3 + [32.0] * 57)
+    held, known = (
+        make(name, Parts(ControlSettings(preview=preview), MODEL)).decide(coming) for preview in (False, True)
+    )
+    assert held.why["reference_c"] == 24.0
+    assert known.why["reference_c"][2:4] == [24.0, 32.0]
+    assert held.forecast != known.forecast

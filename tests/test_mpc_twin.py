@@ -111,3 +111,14 @@ def test_a_rig_without_a_twin_says_so_at_its_start_and_does_without_else():
     others = ActiveModels(bare, None, SkillState()).controllers()
     assert "MPC-Twin" not in others
     assert {"rules", "PID", "MPC"} <= others.keys()
+
+
+def test_without_preview_only_the_present_reference_counts(model):
+    now, rising = here(temp=24.0, reference=24.0), np.repeat([24.0, 32.0], [3, 117])
+    coming = replace(now, reference=rising)
+
+    def forecast(what, preview):
+        return MpcTwin("MPC-Twin", model, 0.0, preview).decide(what).forecast
+
+    assert forecast(coming, False) == forecast(now, False) == forecast(now, True)
+    assert forecast(coming, True) != forecast(now, True)

@@ -6,20 +6,25 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
 from history_records import HandClock, History, eventful_tick, tick
+from sqlite_utils import Database
 
 from edge.storage import Outbox, Session, Storage
 from edge.storage import storage as storage_module
-from edge.storage.file import SCHEMA_VERSION, VIEWS, connect
+from edge.storage.file import SCHEMA_VERSION, USABLE_VERSION, VIEWS, connect
+from edge.storage.numbers import NumbersFile, Reserved
+from edge.storage.runs import export_run
 from edge.storage.tick_rows import read_ticks
 from edge.tick_json import tick_json
 
 PATIENCE_S = 20.0
+RESERVED = 50 + storage_module.BATCH_TICKS  # numbers that a session may give out before the next reservation
 
 
 @pytest.fixture
@@ -136,8 +141,15 @@ def killed(path: Path, boot_id: str, ticks: int) -> None:
     storage = Storage(History.at(path), HandClock(time_s=0.0), Session(boot_id=boot_id))
     write(storage, *range(storage.open(), ticks + 1))
     assert storage.close(PATIENCE_S)
+    as_a_kill_leaves_it(path)
+
+
+def as_a_kill_leaves_it(path: Path) -> None:
+    """Take back what the end of the session noted, in the file and alongside it."""
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE sessions SET ended_utc = NULL")
+        (first,) = connection.execute("SELECT max(first_seq) FROM sessions").fetchone()
+    NumbersFile(path).write(Reserved(first, first + RESERVED, is_final=False))
 
 
 @pytest.mark.parametrize(
@@ -158,7 +170,7 @@ def test_after_a_kill_the_time_since_bounds_the_numbers_left_out(
 def test_after_another_boot_the_time_bounds_nothing(path: Path, before: str, now: str) -> None:
     killed(path, before, ticks=3)
     storage = Storage(History.at(path), HandClock(time_s=200.0), Session(boot_id=now))
-    assert storage.open() == 4 + 50 + storage_module.BATCH_TICKS
+    assert storage.open() == 1 + RESERVED
     assert storage.close(PATIENCE_S)
 
 
@@ -166,16 +178,16 @@ def test_a_session_before_version_three_bounds_nothing(path: Path) -> None:
     killed(path, "this boot", ticks=3)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE sessions SET boot_id = NULL, started_time_s = NULL")
+    Path(f"{path}-numbers").unlink()  # as young as the indexes
     storage = Storage(History.at(path), HandClock(time_s=200.0), Session(boot_id="this boot"))
-    assert storage.open() == 4 + 50 + storage_module.BATCH_TICKS
+    assert storage.open() == 4 + RESERVED
     assert storage.close(PATIENCE_S)
 
 
 def test_after_an_unclean_end_numbers_that_may_have_been_given_out_are_left_out(path: Path) -> None:
     with opened(path, queue_ticks=10) as (storage, first):
         write(storage, 1, 2, 3)
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE sessions SET ended_utc = NULL")  # as a kill leaves it
+    as_a_kill_leaves_it(path)
     with opened(path, queue_ticks=10) as (storage, first):
         assert first == 4 + 10 + storage_module.BATCH_TICKS
         (event,) = storage.events_pending()
@@ -188,7 +200,8 @@ def test_a_session_killed_before_its_first_tick_gives_no_number_twice(path: Path
     with opened(path):
         pass
     with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE sessions SET ended_utc = NULL, first_seq = 500")
+        connection.execute("UPDATE sessions SET first_seq = 500")
+    as_a_kill_leaves_it(path)
     with opened(path) as (_, first):
         assert first > 500
 
@@ -272,9 +285,10 @@ def test_a_file_of_newer_software_is_set_aside_unharmed(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     with opened(path) as (storage, first):
-        assert first == 1
+        assert first == 2
         assert "newer" in storage.faults()["history.replaced"]
     assert seqs(asides(path)[0]) == [1]
+    assert rows(path, "SELECT first_seq, last_seq FROM gaps") == [(1, 1)]
 
 
 def test_somebody_elses_database_is_set_aside(path: Path) -> None:
@@ -486,8 +500,6 @@ def test_a_path_that_cannot_be_made_is_told_and_stops_nothing(tmp_path: Path) ->
 
 
 def test_a_history_of_an_older_version_is_brought_up_with_its_ticks(path: Path) -> None:
-    from sqlite_utils import Database
-
     from edge.storage import schema
 
     with opened(path) as (storage, _):
@@ -497,6 +509,8 @@ def test_a_history_of_an_older_version_is_brought_up_with_its_ticks(path: Path) 
             connection.execute(f"DROP VIEW {view}")
         for table in ("forecasts", "skill"):
             connection.execute(f"DROP TABLE {table}")
+        for index in schema.INDEXES:
+            connection.execute(f"DROP INDEX {index}")
         for table, column in (("sessions", "boot_id"), ("sessions", "started_time_s"), ("ticks", "time_s")):
             connection.execute(f"ALTER TABLE {table} DROP COLUMN {column}")
         connection.execute("PRAGMA user_version = 1")  # the application's id stays
@@ -516,6 +530,99 @@ def test_the_version_known_without_sqlite_utils_is_the_schemas() -> None:
     from edge.storage import schema
 
     assert len(schema.MIGRATIONS) == SCHEMA_VERSION
+
+
+def without_indexes(path: Path) -> None:
+    """Turn a history into one of version 4."""
+    from edge.storage import schema
+
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for index in schema.INDEXES:
+            connection.execute(f"DROP INDEX {index}")
+        connection.execute(f"PRAGMA user_version = {USABLE_VERSION}")
+
+
+def version(path: Path) -> int:
+    return rows(path, "PRAGMA user_version")[0][0]  # type: ignore[return-value]
+
+
+@pytest.fixture
+def slow_indexes(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """A history of version 4, whose indexes take as long to build as the event is not set."""
+    from edge.storage import schema
+
+    with opened(path) as (storage, first):
+        write(storage, first)
+    without_indexes(path)
+    go_on = threading.Event()
+
+    def build(db: Database) -> None:
+        db.conn.create_function("go_on", 0, go_on.is_set)
+        # Work of sqlite's own, which an interrupt ends.
+        endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE NOT go_on())"
+        db.conn.execute(f"{endless} SELECT count(*) FROM n").fetchone()
+        schema.add_indexes(db)
+
+    monkeypatch.setattr(schema, "MIGRATIONS", (*schema.MIGRATIONS[:-1], build))
+    yield go_on
+    go_on.set()
+
+
+def test_the_first_tick_does_not_wait_for_indexes_that_are_built(
+    path: Path, slow_indexes: threading.Event
+) -> None:
+    with opened(path) as (storage, first):
+        assert first == 2
+        until(lambda: "indexes are being built" in storage.faults().get("history.behind", ""))
+        write(storage, 2, 3)
+        assert storage.written_seq == 1
+        slow_indexes.set()
+        assert storage.wait_written(3, PATIENCE_S)
+        until(lambda: not storage.faults())
+        assert "history.indexed" in [event.key for event in storage.events_pending()]
+    assert (seqs(path), version(path)) == ([1, 2, 3], SCHEMA_VERSION)
+
+
+def test_a_history_is_read_while_its_indexes_are_built(path: Path, slow_indexes: threading.Event) -> None:
+    with opened(path) as (storage, _):
+        until(lambda: "history.behind" in storage.faults())
+        assert len(export_run(path)) == 1
+
+
+def test_an_end_while_indexes_are_built_loses_no_tick(path: Path, slow_indexes: threading.Event) -> None:
+    storage = Storage(History.at(path), HandClock())
+    storage.open()
+    until(lambda: "history.behind" in storage.faults())
+    write(storage, 2, 3)
+    assert storage.close(PATIENCE_S)
+    assert (seqs(path), version(path)) == ([1, 2, 3], USABLE_VERSION)
+    slow_indexes.set()
+    with opened(path) as (storage, first):
+        assert first == 4
+    assert version(path) == SCHEMA_VERSION
+
+
+def test_a_disk_without_room_for_indexes_still_takes_ticks(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from edge.storage import schema
+
+    def fails(db: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with opened(path):
+        pass
+    without_indexes(path)
+    migrations = schema.MIGRATIONS
+    monkeypatch.setattr(schema, "MIGRATIONS", (*migrations[:-1], fails))
+    monkeypatch.setattr(storage_module, "THIN_EVERY_TICKS", 2)
+    with opened(path) as (storage, first):
+        write(storage, first)
+        assert storage.wait_written(first, PATIENCE_S)
+        until(lambda: "history.not_indexed" in [event.key for event in storage.events_pending()])
+        monkeypatch.setattr(schema, "MIGRATIONS", migrations)  # there is room again
+        write(storage, first + 1, first + 2)
+    assert (seqs(path), version(path)) == ([first, first + 1, first + 2], SCHEMA_VERSION)
 
 
 def test_a_failed_migration_leaves_the_old_version(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

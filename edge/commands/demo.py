@@ -1,13 +1,13 @@
 """`greenhouse demo`: the daemon against a virtual board, live. No broker, no root, no board needed."""
 
 import argparse
-import sys
 import tempfile
 from pathlib import Path
 
 from edge import config
 from edge.daemon import Daemon
 from edge.display import make_display
+from edge.outlet import standard_output
 from edge.settings import Settings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
@@ -55,12 +55,19 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace, settings: Settings, control: Path) -> None:
     stop_at_s = float("inf") if arguments.minutes is None else 60.0 * arguments.minutes
     clock = SimClock(control, speed=arguments.speed or None)
-    display = make_display(sys.stdout)
-    try:
-        with Daemon(settings, clock, after_tick=display.show, stop_at_s=stop_at_s) as daemon:
-            daemon.run()
-        heater = clock.truth()["pins"]["heater_relay"]
-    finally:
-        display.close()
-        clock.close()
-    print(f"stopped; the board's heater pin is {'ON' if heater else 'off'}")
+    with standard_output() as out:
+        display = make_display(out)
+        try:
+            with Daemon(
+                settings,
+                clock,
+                after_tick=lambda record: daemon.stop() if out.reader_left else None,
+                stop_at_s=stop_at_s,
+                more_sinks=(display,),
+            ) as daemon:
+                daemon.run()
+            heater = clock.truth()["pins"]["heater_relay"]
+        finally:
+            display.close()
+            clock.close()
+        print(f"stopped; the board's heater pin is {'ON' if heater else 'off'}")

@@ -6,10 +6,10 @@ from pathlib import Path
 from edge import config
 from edge.clock import RealClock
 from edge.daemon import Daemon
-from edge.display import tick_line
+from edge.display import LineDisplay
 from edge.messages import TickRecord
+from edge.outlet import standard_output
 from edge.systemd import Notifier
-from edge.tick_json import tick_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, default=Path("/etc/greenhouse/edge.yaml"))
 
 
-class _Told:
-    """Tells systemd and the log of every tick."""
+class _Report:
+    """Reports every tick to systemd."""
 
     def __init__(self) -> None:
         self.notifier = Notifier.from_environment()
@@ -26,7 +26,6 @@ class _Told:
 
     def tick(self, record: TickRecord) -> None:
         """Called by the loop at the end of a whole tick, and from nowhere else."""
-        print(tick_line(tick_json(record)), flush=True)
         status = f"tick {record.seq}, {record.decision.controller}, mode {record.mode}"
         if not self._ready:
             self.notifier.ready(status, record.step_s)
@@ -37,9 +36,18 @@ class _Told:
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGTERM or Ctrl-C; one line per tick on standard output."""
     settings = config.load(arguments.config)
-    told = _Told()
-    with Daemon(settings, RealClock(), after_tick=told.tick, config_file=arguments.config) as daemon:
+    report = _Report()
+    with (
+        standard_output() as out,
+        Daemon(
+            settings,
+            RealClock(),
+            after_tick=report.tick,
+            config_file=arguments.config,
+            more_sinks=(LineDisplay(out),),
+        ) as daemon,
+    ):
         daemon.run()
-        told.notifier.stopping()
-    told.notifier.close()
+        report.notifier.stopping()
+    report.notifier.close()
     return 0

@@ -21,10 +21,9 @@ def key_pattern(key: str) -> re.Pattern[str] | None:
     encoded = [base64_inside(raw, padding) for padding in PADDINGS]
     forms = [key, *encoded, *(form.translate(_URLSAFE) for form in encoded)]
     patterns = ["".join(_letter(letter) for letter in form) for form in dict.fromkeys(forms)]
-    digits = f"(?:{_letter(' ')}|{_letter(':')})?".join(
-        "".join(map(_letter, pair)) for pair in raw.hex(" ").split()
-    )
-    return re.compile("|".join([*patterns, f"(?i:{digits})"]))
+    separator = f"(?:{_letter(' ')}|{_letter(':')})?"
+    digits = separator.join("".join(map(_hex_digit, pair)) for pair in raw.hex(" ").split())
+    return re.compile("|".join([*patterns, digits]))
 
 
 def base64_inside(raw: bytes, padding: int) -> str:
@@ -38,3 +37,7 @@ def _letter(letter: str) -> str:
     code = ord(letter)
     url = "".join(f"%(?:25){{0,4}}{byte:02x}" for byte in letter.encode())
     return rf"(?:\\{{0,8}}{re.escape(letter)}|(?i:\\{{1,8}}u{code:04x}|{url}))"
+
+
+def _hex_digit(digit: str) -> str:
+    return f"(?:{_letter(digit)}|{_letter(digit.upper())})"

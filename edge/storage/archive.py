@@ -3,14 +3,15 @@
 import json
 import sqlite3
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge.hard_limits import STEP_MIN_S
 from edge.messages import TickRecord
-from edge.storage.file import Unusable, connect, identity
+from edge.storage.file import SCHEMA_VERSION, Unusable, connect, identity
 from edge.storage.retention import RetentionSettings, thin
+from edge.storage.slice_check import SliceCheck
 from edge.storage.tick_rows import insert_ticks
 
 BUSY_S = 1.0  # how long one statement waits for another process's lock
@@ -56,12 +57,14 @@ class Archive:
         self.path = path
         self.first_seq = 0  # of the ticks in the file, 0 when there is none
         self.last_seq = 0  # largest number ever given out as far as the file knows
+        self.session_first_seq = 0  # first number of the session before this one
         self.ended_cleanly = True  # the session before this one
         self.last_sign: LastSign | None = None  # of the session before this one
         self._session, self._started_s = session, started_s
         self._session_id: int | None = None
         self._connection: sqlite3.Connection | None = None
         self._identity: tuple[int, int] | None = None
+        self._check = SliceCheck(path, BUSY_S)
 
     def open(self) -> None:
         """Open or make the file and learn where its numbers stand."""
@@ -75,20 +78,36 @@ class Archive:
         ).fetchone()
         # Negative numbers are imported runs: they don't count.
         self.last_seq = max(ticks_last, gaps_last, session_first - 1)
-        ended = connection.execute("SELECT ended_utc FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
-        self.ended_cleanly = ended is None or ended[0] is not None
+        newest = connection.execute(
+            "SELECT first_seq, ended_utc IS NOT NULL FROM sessions ORDER BY session DESC LIMIT 1"
+        ).fetchone()
+        self.session_first_seq, self.ended_cleanly = newest or (0, True)
         sign = connection.execute(_LAST_SIGN).fetchone()
         self.last_sign = None if sign is None or None in sign else LastSign(*sign)
 
-    def check(self) -> None:
-        """Read the whole file. Errors: Unusable, when something is wrong with it."""
-        found = self._open_connection().execute("PRAGMA quick_check(1)").fetchone()[0]
-        if found != "ok":
-            raise Unusable(f"it is damaged: {' '.join(found.split())}")
+    def needs_migration(self) -> bool:
+        """Whether the indexes of the newest schema are missing."""
+        version = self.opened().execute("PRAGMA user_version").fetchone()[0]
+        return bool(version < SCHEMA_VERSION)
+
+    def finish_migration(self) -> None:
+        """Add the indexes, in one transaction; a year of history takes seconds, on a slow card minutes."""
+        from edge.storage.schema import migrate
+
+        migrate(self.opened(), SCHEMA_VERSION)
+
+    def interrupt(self) -> None:
+        """End the statement that runs in the archive's own thread; it raises there. From any thread."""
+        with suppress(AttributeError, sqlite3.ProgrammingError):  # closed, or being closed
+            self._connection.interrupt()  # type: ignore[union-attr]
+
+    def check_slice(self) -> bool:
+        """Look for damage in the next slice of the file. Returns whether slices are left."""
+        return self._check.step()
 
     def append(self, records: Sequence[TickRecord], gaps: Sequence[Gap], next_seq: int, utc: float) -> None:
         """Write a batch, all or nothing; with the first one the session begins, at tick `next_seq`."""
-        connection = self._open_connection()
+        connection = self.opened()
         self._look()
         if self._session_id is None and not self.last_seq < next_seq:
             raise Unusable(f"it holds another history's ticks, up to {self.last_seq}")
@@ -111,13 +130,11 @@ class Archive:
 
     def end_session(self, utc: float) -> None:
         """Note that the session ended as it should."""
-        self._open_connection().execute(
-            "UPDATE sessions SET ended_utc = ? WHERE session = ?", (utc, self._session_id)
-        )
+        self.opened().execute("UPDATE sessions SET ended_utc = ? WHERE session = ?", (utc, self._session_id))
 
     def thin(self, settings: RetentionSettings) -> tuple[bool, int]:
         """One chunk of retention, see `retention.thin`."""
-        return thin(self._open_connection(), settings)
+        return thin(self.opened(), settings)
 
     def close(self) -> None:
         """Close the file; its name may be another file's afterwards."""
@@ -129,6 +146,7 @@ class Archive:
         """Close for good: what is opened next is another file with a session of its own."""
         self.close()
         self._session_id = None
+        self._check = SliceCheck(self.path, BUSY_S)
         self.first_seq = self.last_seq = 0
 
     def _look(self) -> None:
@@ -138,7 +156,8 @@ class Archive:
         with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as newcomer:
             newcomer.execute("SELECT max(seq) FROM ticks").fetchone()
 
-    def _open_connection(self) -> sqlite3.Connection:
+    def opened(self) -> sqlite3.Connection:
+        """The connection, opened where it is not."""
         if self._connection is None:
             self.open()
         assert self._connection is not None

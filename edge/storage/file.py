@@ -6,7 +6,8 @@ from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 
-SCHEMA_VERSION = 4  # len(schema.MIGRATIONS), known here without importing sqlite_utils
+SCHEMA_VERSION = 5  # len(schema.MIGRATIONS), known here without importing sqlite_utils
+USABLE_VERSION = 4  # has every table, column and view; what comes later adds indexes, which takes long
 VIEWS = (
     *("v_ticks", "v_changes", "v_decisions", "v_events", "v_ten_minutes", "v_gaps"),
     *("v_forecasts", "v_skill"),
@@ -45,7 +46,10 @@ def fault_of(error: Exception) -> Fault:
 
 
 def connect(path: Path, busy_s: float) -> sqlite3.Connection:
-    """Open an existing or new history at the newest schema, for use by one thread at a time.
+    """Open an existing or new history, for use by one thread at a time.
+
+    An existing one has USABLE_VERSION at least: the indexes that may be missing are the daemon's writer's to
+    add, see `Archive.finish_migration`.
 
     busy_s : how long a statement may wait for another process's lock [s]
     Errors : sqlite3.Error, see `fault_of`; OSError for a directory that can't be made
@@ -71,10 +75,10 @@ def connect(path: Path, busy_s: float) -> sqlite3.Connection:
         if version > SCHEMA_VERSION:
             # After a downgrade: newer software's file is not spoilt.
             raise Unusable(f"its version {version} is newer than {SCHEMA_VERSION}, the newest known here")
-        if version < SCHEMA_VERSION:
+        if version < USABLE_VERSION:
             from edge.storage.schema import migrate
 
-            migrate(connection)
+            migrate(connection, USABLE_VERSION if version else SCHEMA_VERSION)
     except BaseException:
         connection.close()
         raise

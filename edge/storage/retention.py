@@ -77,7 +77,7 @@ def _recorded_utc(connection: sqlite3.Connection) -> float:
 
 def _old_ticks(connection: sqlite3.Connection, before_utc: float) -> list[int]:
     rows = connection.execute(
-        "SELECT seq, utc FROM ticks WHERE NOT EXISTS"
+        "SELECT seq, utc FROM ticks WHERE seq > 0 AND NOT EXISTS"  # imported runs are named, and kept
         " (SELECT 1 FROM runs WHERE seq BETWEEN runs.first_seq AND runs.last_seq) ORDER BY seq LIMIT ?",
         (CHUNK_ROWS,),
     )
@@ -87,11 +87,9 @@ def _old_ticks(connection: sqlite3.Connection, before_utc: float) -> list[int]:
 def _bound_outbox(connection: sqlite3.Connection, seqs: list[int]) -> int:
     """Drop the messages of ticks that go now, and the oldest of too many."""
     gone = connection.execute(f"DELETE FROM outbox WHERE {_AMONG}", {"seqs": json.dumps(seqs)}).rowcount
-    too_many = connection.execute("SELECT count(*) FROM outbox").fetchone()[0] - OUTBOX_MAX
-    if too_many > 0:
-        oldest = "SELECT id FROM outbox ORDER BY id LIMIT ?"
-        gone += connection.execute(f"DELETE FROM outbox WHERE id IN ({oldest})", (too_many,)).rowcount
-    return gone
+    # By their ids, which are never given twice: a count would read all that wait.
+    newest = connection.execute("SELECT coalesce(max(id), 0) FROM outbox").fetchone()[0]
+    return gone + connection.execute("DELETE FROM outbox WHERE id <= ?", (newest - OUTBOX_MAX,)).rowcount
 
 
 def _downsample(connection: sqlite3.Connection, seqs: list[int]) -> None:
@@ -117,7 +115,7 @@ def _delete_old(connection: sqlite3.Connection, before_utc: float) -> int:
     # Those of kept ticks stay with them.
     events = connection.execute(
         "DELETE FROM events WHERE (seq, number) IN (SELECT seq, number FROM events WHERE utc < ?"
-        " AND seq NOT IN (SELECT seq FROM ticks) LIMIT ?)",
+        " AND NOT EXISTS (SELECT 1 FROM ticks WHERE ticks.seq = events.seq) LIMIT ?)",
         (before_utc, CHUNK_ROWS),
     ).rowcount
     gaps = connection.execute("DELETE FROM gaps WHERE utc < ?", (before_utc,)).rowcount

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge.errors import DataError
 from edge.messages import Event, Quality, Severity
 from edge.run_file import Run
-from edge.storage.file import SCHEMA_VERSION, connect
+from edge.storage.file import SCHEMA_VERSION, USABLE_VERSION, connect
 from edge.storage.ticks_as_run import TICK_INPUTS, run_of_ticks, ticks_between
 
 Floats = NDArray[np.float64]
@@ -113,7 +113,7 @@ def reading(path: str | Path) -> Iterator[sqlite3.Connection]:
         uri = f"{Path(path).absolute().as_uri()}?mode=ro"
         with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as connection:
             version = connection.execute("PRAGMA user_version").fetchone()[0]
-            if version != SCHEMA_VERSION:
+            if not USABLE_VERSION <= version <= SCHEMA_VERSION:
                 raise DataError(
                     f"{path}: its version is {version}, not {SCHEMA_VERSION}: let the daemon open it once"
                 )

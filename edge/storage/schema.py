@@ -13,6 +13,11 @@ from edge.forecasts.horizons import HORIZONS_MIN
 from edge.names import SIGNALS
 from edge.storage.file import APPLICATION_ID
 
+INDEXES = {  # name -> table and column
+    "ticks_by_utc": ("ticks", "utc"),
+    "events_by_utc": ("events", "utc"),
+    "outbox_by_seq": ("outbox", "seq"),
+}
 COMMAND_COLUMNS = {"heater_duty": float, "fan_on": int, "led": float, "valve_pulse_s": float}
 
 
@@ -159,24 +164,31 @@ def add_forecasts(db: Database) -> None:
     )
 
 
+def add_indexes(db: Database) -> None:
+    """Version 5: rows by their time, and messages by their tick, in a year of history."""
+    for index, (table, column) in INDEXES.items():
+        db.conn.execute(f"CREATE INDEX {index} ON {table} ({column})")
+
+
 MIGRATIONS: tuple[Callable[[Database], None], ...] = (
     create_tables,
     create_views,
     add_monotonic_times,
     add_forecasts,
+    add_indexes,
 )
 
 
-def migrate(connection: sqlite3.Connection) -> None:
-    """Bring the open file to the newest version, all in one transaction. Errors: sqlite3.Error."""
+def migrate(connection: sqlite3.Connection, target: int) -> None:
+    """Bring the open file to version `target`, all in one transaction. Errors: sqlite3.Error."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         # Read inside the transaction: another process may have come first.
         version = connection.execute("PRAGMA user_version").fetchone()[0]
-        for step in MIGRATIONS[version:]:
+        for step in MIGRATIONS[version:target]:
             step(Database(connection))
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+        connection.execute(f"PRAGMA user_version = {max(version, target)}")
         connection.execute("COMMIT")
     finally:
         if connection.in_transaction:

@@ -4,6 +4,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -11,10 +12,11 @@ from edge.clock import Clock
 from edge.messages import Event, Severity, TickRecord
 from edge.storage.archive import Archive, Gap, Session
 from edge.storage.file import Fault, fault_of, set_aside
+from edge.storage.numbers import NumbersFile, Reserved
 from edge.storage.tick_queue import TickQueue
 
 BATCH_TICKS = 200  # most ticks in one transaction
-THIN_EVERY_TICKS = 60  # how often retention looks for something to do
+THIN_EVERY_TICKS = 60  # how often retention looks for something to do, and a failed migration is tried again
 RETRY_FIRST_S = 0.5  # pause after a failed write, doubled with each further one
 RETRY_MAX_S = 30.0
 CLOSE_S = 5.0  # a history that can't be written may hold up the end of the daemon this long
@@ -46,6 +48,11 @@ class Storage:
         self._written = threading.Condition()
         self._written_seq = 0
         self._next_seq = 0
+        self._last_given = 0  # number of the newest tick that was handed in
+        self._numbers = NumbersFile(Path(settings.path))
+        self._before: Reserved | None = None  # what the session before reserved
+        self._reserved: Reserved | None = None  # None until its first successful write
+        self._has_accounted = False  # for the numbers between the last one in the file and `_next_seq`
         self._gaps: list[Gap] = []  # to be written with the next batch
         self._events: deque[Event] = deque()
         self._behind = ""  # why nothing can be written now
@@ -53,6 +60,9 @@ class Storage:
         self._ended = False
         self._given_up = threading.Event()
         self._ticks_since_thinning = 0
+        self._is_migrated = False
+        self._is_migrating = False
+        self._is_checked = False
         self.lost_ticks = 0  # dropped because the queue was full or their rows could not be stored
 
     def open(self) -> int:
@@ -61,26 +71,30 @@ class Storage:
         No number is ever given twice: after a session that did not end cleanly as many numbers are left out
         as can have been given out without having been written, and the gap is recorded.
         """
+        self._before = before = self._numbers.read()
         try:
             self._open_file()
-            self._next_seq = self._archive.last_seq + 1
-            if not self._archive.ended_cleanly:
-                self._next_seq += self._unwritten_at_most()
-                self._note_unclean_stop(self._archive.last_seq, self._next_seq)
+            self._next_seq = self._first_number(before)
             self._written_seq = self._archive.last_seq
-            # Before any number is given out: a kill from here on is an unclean end.
-            self._append([])
         except Exception as error:
             # Locked, full or unreadable for now: the writer keeps trying.
             self._behind = str(error)
-            if self._next_seq == 0:
-                # Ticks are at least 1 s apart, so no earlier one has this number.
-                self._next_seq = int(self._clock.utc())
+            # Without a reservation: ticks are at least 1 s apart, so no earlier one has this number.
+            self._next_seq = int(self._clock.utc()) if before is None else before.below
+        self._last_given = self._next_seq - 1
+        # Before any number is given out: a kill from here on is an unclean end.
+        self._reserve()
+        if not self._behind:
+            try:
+                self._append([])
+            except Exception as error:
+                self._behind = str(error)
         self._thread.start()
         return self._next_seq
 
     def write(self, record: TickRecord) -> None:
         """Queue one tick. When the queue is full the oldest one is dropped and counted."""
+        self._last_given = record.seq
         self._queue.put(record)
 
     @property
@@ -109,10 +123,24 @@ class Storage:
     def close(self, timeout_s: float = CLOSE_S) -> bool:
         """Write what is queued and end the session. Returns False when that took longer than `timeout_s`."""
         self._queue.close()
+        if self._is_migrating:
+            self._archive.interrupt()
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
         self._given_up.set()
         return self._ended
+
+    def _first_number(self, before: Reserved | None) -> int:
+        """The first number that no tick can have, by the open file and the last reservation."""
+        archive = self._archive
+        following = archive.last_seq + 1
+        if before is not None and (before.is_final or before.first_seq > archive.session_first_seq):
+            # The file may have lost its newest ticks, or never have seen that session at all.
+            return max(following, before.below)
+        if archive.ended_cleanly:
+            return following
+        first = following + self._unwritten_at_most()
+        return first if before is None else min(first, max(following, before.below))
 
     def _unwritten_at_most(self) -> int:
         """How many ticks the session before can have had after the last one in the file.
@@ -123,7 +151,23 @@ class Storage:
         sign = self._archive.last_sign
         if sign is not None and self._session.boot_id and sign.boot_id == self._session.boot_id:
             return math.floor((self._clock.now() - sign.time_s) / sign.step_s) + 2
+        return self._margin
+
+    @property
+    def _margin(self) -> int:
+        """How many ticks can wait to be written."""
         return self._settings.queue_ticks + BATCH_TICKS
+
+    def _reserve(self) -> None:
+        """Let the numbers file be ahead of the numbers given out, also while the history can't be written."""
+        if self._reserved is None or self._last_given + self._margin // 2 >= self._reserved.below:
+            below = self._last_given + 1 + self._margin
+            self._keep_reserved(Reserved(self._next_seq, below, is_final=False))
+
+    def _keep_reserved(self, reserved: Reserved) -> None:
+        with suppress(OSError):  # the same disk as the history's, which tells its fault
+            self._numbers.write(reserved)
+            self._reserved = reserved
 
     def _open_file(self) -> None:
         try:
@@ -139,17 +183,20 @@ class Storage:
         try:
             self._ended = self._write_until_closed() and self._attempt(self._end_session)
             self._archive.close()
+            if self._ended:
+                self._keep_reserved(Reserved(self._next_seq, self._last_given + 1, is_final=True))
         except Exception as error:  # our own mistake: the loop goes on, and shows it
             self._behind = f"the writer has stopped: {error!r}"
 
     def _write_until_closed(self) -> bool:
-        if not (self._attempt(self._archive.check) and self._store([])):
+        if not self._store([]):
             return False
+        self._unless_broken(self._migrate)
         while records := self._queue.take(BATCH_TICKS):
             if not self._store(records):
                 return False
-            self._thin(len(records))
-        return True
+            self._maintain(len(records))
+        return not self._gaps or self._store([])
 
     def _store(self, records: Sequence[TickRecord]) -> bool:
         """Write the records; alone those that can't be stored are left out. False when given up."""
@@ -188,6 +235,8 @@ class Storage:
         self._archive.end_session(self._clock.utc())
 
     def _append(self, records: Sequence[TickRecord]) -> None:
+        self._reserve()
+        self._account()
         for first, last in self._queue.take_lost():
             self._note_lost(first, last, "the queue was full")
         next_seq = records[0].seq if records else self._next_seq
@@ -198,18 +247,63 @@ class Storage:
                 self._written_seq = records[-1].seq
                 self._written.notify_all()
 
-    def _thin(self, ticks: int) -> None:
-        """Retention, every THIN_EVERY_TICKS, a chunk at a time and only while no tick waits."""
+    def _account(self) -> None:
+        """Note the numbers between the last one in the file and this session's first as a gap, once."""
+        if self._has_accounted:
+            return
+        self._archive.opened()
+        replaced = [gap.last_seq for gap in self._gaps if gap.last_seq < self._next_seq]
+        last_seq = max(self._archive.last_seq, *replaced, 0)
+        if last_seq + 1 < self._next_seq:
+            self._note_left_out(last_seq)
+        self._has_accounted = True
+
+    def _maintain(self, ticks: int) -> None:
+        """Retention and the check for damage, which are not urgent: only while no tick waits."""
         self._ticks_since_thinning += ticks
-        more = self._ticks_since_thinning >= THIN_EVERY_TICKS
-        while more and not len(self._queue):
+        if self._ticks_since_thinning >= THIN_EVERY_TICKS:
             self._ticks_since_thinning = 0
-            try:
-                more, dropped = self._archive.thin(self._settings)
-            except Exception as error:
-                if fault_of(error) is Fault.REPLACE:
-                    self._replace(error)
-                return  # locked or full: the next round does it
+            self._unless_broken(self._migrate)
+            self._unless_broken(self._thin)
+        self._unless_broken(self._check)
+
+    def _unless_broken(self, action: Callable[[], None]) -> None:
+        """Leave it to the next round where the disk is locked or full; replace a broken file."""
+        try:
+            action()
+        except Exception as error:
+            if fault_of(error) is Fault.REPLACE:
+                self._replace(error)
+
+    def _migrate(self) -> None:
+        """Add the indexes to a history of an earlier version; ticks wait in the queue meanwhile.
+
+        Without indexes every query still works, so a disk that has no room for them stops nothing.
+        """
+        if self._is_migrated:
+            return
+        try:
+            if self._archive.needs_migration():
+                self._behind, self._is_migrating = "its indexes are being built, once", True
+                self._archive.finish_migration()
+                self._tell("history.indexed", Severity.INFO, "indexes by time were added")
+            self._is_migrated = True
+        except Exception as error:
+            self._tell("history.not_indexed", Severity.WARNING, f"no indexes, so searches are slow: {error}")
+            raise
+        finally:
+            self._behind, self._is_migrating = "", False
+
+    def _check(self) -> None:
+        """One slice; not without the indexes, whose absence makes slices slow."""
+        if self._is_migrated and not self._is_checked and not len(self._queue):
+            self._is_checked = not self._archive.check_slice()
+
+    def _thin(self) -> None:
+        """Retention, a chunk at a time."""
+        more = True
+        while more and not len(self._queue):
+            more, dropped = self._archive.thin(self._settings)
             if dropped:
                 self._tell(
                     "outbox.dropped",
@@ -222,6 +316,7 @@ class Storage:
         archive, utc = self._archive, self._clock.utc()
         first, last = archive.first_seq, archive.last_seq
         archive.forget()
+        self._is_checked = False
         try:
             aside = set_aside(archive.path, utc)
         except OSError:
@@ -236,11 +331,18 @@ class Storage:
             self._gaps.append(Gap(first, last, text))
         return True
 
-    def _note_unclean_stop(self, last_seq: int, next_seq: int) -> None:
-        reason = "the session before did not end cleanly"
-        self._gaps.append(Gap(last_seq + 1, next_seq - 1, reason))
-        text = f"{reason}: tick {last_seq} is the last one written; the numbers go on at {next_seq}"
-        self._tell("history.unclean_stop", Severity.WARNING, text)
+    def _note_left_out(self, last_seq: int) -> None:
+        is_final = self._before is None or self._before.is_final
+        if self._archive.ended_cleanly and is_final:
+            key, reason = (
+                "history.numbers_left_out",
+                "the history was unreadable at the start, or has lost ticks",
+            )
+        else:
+            key, reason = "history.unclean_stop", "the session before did not end cleanly"
+        self._gaps.append(Gap(last_seq + 1, self._next_seq - 1, reason))
+        text = f"{reason}: tick {last_seq} is the last one written; the numbers go on at {self._next_seq}"
+        self._tell(key, Severity.WARNING, text)
 
     def _note_lost(self, first: int, last: int, reason: str) -> None:
         self._gaps.append(Gap(first, last, reason))

@@ -11,7 +11,8 @@ from typing import Any
 
 import yaml
 from run import Run, run
-from watched_clock import Order
+
+from bench.watched_clock import Order
 
 SEEDS = (1, 2, 3)
 LOOK_S = 10.0

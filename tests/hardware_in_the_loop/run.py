@@ -9,8 +9,8 @@ from typing import Any
 
 import yaml
 from rig import virtual_board
-from watched_clock import Look, Order, WatchedClock
 
+from bench.watched_clock import Look, Order, WatchedClock
 from edge import config
 from edge.daemon import Daemon
 from edge.messages import TickRecord

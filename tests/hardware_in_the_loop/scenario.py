@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from watched_clock import Order
+
+from bench.watched_clock import Order
 
 FOLDER = Path(__file__).parent / "scenarios"
 

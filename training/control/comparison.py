@@ -7,12 +7,14 @@ from edge.controller_names import LLM
 from training.control.closed_loop import Log
 from training.control.figures import DecisionTime, Figures, figures
 from training.control.job import Job
+from training.control.rig import entries
 from training.control.spread import Mean, difference, mean_of, ratio, told_apart
 from training.llm_stand_in import MODEL as STAND_IN
 from training.report_table import Table
 
 LIMITS = {"": "clairvoyant", "-P": "clairvoyant-P"}
 STAND_IN_MODEL = "stand-in"  # its name as `llm.model`
+KNOWLEDGE = ("everything", "coming reference", "present reference")
 SENSOR_LIMITS = {"": "clairvoyant/sensor", "-P": "clairvoyant/sensor-P"}
 
 
@@ -53,12 +55,18 @@ def paired(
 
 
 def regret(results: Results, entry: str, reference: str, by_sensor: bool) -> Mean | None:
-    """Cost by the clairvoyant optimum's of the same weight; None where one of the two has not run."""
+    """Return the cost by the limit's of the same weight, None without a run of either.
+
+    The limit of a seed is the cheapest of all its runs by that cost: the clairvoyant's own plan, that of its
+    sibling for the other weight, or a controller's. A beam search prunes and may miss the best plan.
+    """
     ending = "-P" if "-P" in entry else ""
     limit = (SENSOR_LIMITS if by_sensor else LIMITS)[ending]
     cost = ("sensor_cost_" if by_sensor else "cost_") + ("1" if ending else "0")
-    mine, best = paired(results, entry, limit, reference, (cost, cost))
-    return ratio(mine, best) if mine else None
+    both = seeds_of(results, entry, reference) & seeds_of(results, limit, reference)
+    rows = [one for one in results if one.reference == reference and one.seed in both]
+    best = [min(getattr(one.figures, cost) for one in rows if one.seed == seed) for seed in sorted(both)]
+    return ratio(column(rows, entry, reference, cost), best) if both else None
 
 
 def mae_against(results: Results, entry: str, other: str, reference: str) -> tuple[Mean, str] | None:
@@ -80,22 +88,43 @@ NOTE = (
     "Means of the seeds, +- half of their 95 % interval. MAE: by the sensor; true, RMSE, near (share within "
     "0.5 K) and overshoot after steps: by the mean of the air in the box [K]; travel: sum of |change of "
     "duty|; safety: commands changed; fallback: ticks decided by another controller. x best: cost, of "
-    "weight 1 for -P and 0 else, by the clairvoyant optimum's; x sensor: the same where both are judged by "
-    "the air at the sensor, its 0.4 K of bias with it, which is all that a controller can know."
+    "weight 1 for -P and 0 else, by that of the cheapest plan known, seed by seed; x sensor: the same where "
+    "both are judged by the air at the sensor, its 0.4 K of bias with it, which is all that a controller can "
+    "know. Ranked by x sensor among those that know as much: everything to come, the coming reference, or "
+    "the present reference alone."
 )
 
 
 def table(results: Results, names: Sequence[str], reference: str) -> Table:
-    """One line per controller that has run."""
-    present = [name for name in names if column(results, name, reference, "mae_true")]
-    heads = ("controller", "seeds", *COLUMNS, "x best", "x sensor", "remark")
+    """Return one line per controller that has run, ranked within equal knowledge."""
+    heads = ("controller", "knows", "seeds", *COLUMNS, "x best", "x sensor", "remark")
     remarks = {one.entry: one.remark for one in results}
-    rows = tuple((*_cells(results, name, reference), remarks[name]) for name in present)
+    ranked = ranking(results, names, reference)
+    rows = tuple((*_cells(results, name, reference), remarks[name]) for name in ranked)
     return Table(f"{reference}", heads, rows, NOTE)
+
+
+def ranking(results: Results, names: Sequence[str], reference: str) -> list[str]:
+    """Return the names that have run, by knowledge and then by their cost at the sensor."""
+
+    def place(name: str) -> tuple[int, float]:
+        found = regret(results, name, reference, by_sensor=True)
+        return KNOWLEDGE.index(knowledge(name)), float("inf") if found is None else found.value
+
+    return sorted((name for name in names if column(results, name, reference, "mae_true")), key=place)
+
+
+def knowledge(name: str) -> str:
+    """Return how much an entry of the table knows of what is to come: one of KNOWLEDGE."""
+    entry = entries()[name]
+    if entry.clairvoyant is not None:
+        return KNOWLEDGE[0]
+    return KNOWLEDGE[1] if entry.preview else KNOWLEDGE[2]
 
 
 def _cells(results: Results, name: str, reference: str) -> Iterator[str]:
     yield name
+    yield knowledge(name)
     yield str(len(column(results, name, reference, "mae_true")))
     for figure, digits in COLUMNS.values():
         yield spread_text(mean_of(column(results, name, reference, figure)), digits)

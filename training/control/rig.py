@@ -59,10 +59,10 @@ class Entry:
 
     @property
     def preview(self) -> bool:
-        """Whether the controller knows the coming reference."""
+        """True where the controller plans for the coming reference."""
         control = replace(ControlSettings(), **self.control)
         known = control.twin_preview if self.controller in MPC_TWIN else control.preview
-        return self.clairvoyant is not None or (self.controller in PLANNING and known)
+        return self.controller in PLANNING and known
 
 
 def entries() -> dict[str, Entry]:

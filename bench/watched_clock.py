@@ -2,7 +2,7 @@
 
 import select
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from edge.clock import Port
 from edge.control_socket import request
 from edge.sim_clock import SimClock
 
+ACTUATORS = ("heater_relay", "fan", "led", "valve")
 ARRIVAL_S = 10.0  # real time an order may take to reach the daemon
 
 
@@ -26,6 +27,7 @@ class Look:
     fan: bool
     cutoff_open: bool
     tank_level: float
+    pins_on: tuple[str, ...] = ()  # of heater_relay, fan, led, valve
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +41,17 @@ class Order:
 class WatchedClock:
     """A `Clock`: that of the board, with looks every `period_s`; hands the orders over at their time."""
 
-    def __init__(self, board: SimClock, socket: Path, orders: Sequence[Order], period_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        board: SimClock,
+        socket: Path,
+        orders: Sequence[Order],
+        period_s: float = 1.0,
+        on_look: Callable[[Look], None] = lambda look: None,
+        on_reply: Callable[[Order, Mapping[str, Any]], None] = lambda order, reply: None,
+    ) -> None:
         self.looks: list[Look] = []
+        self._on_look, self._on_reply = on_look, on_reply
         self.replies: list[Mapping[str, Any]] = []
         self._board = board
         self._socket = socket
@@ -62,21 +73,24 @@ class WatchedClock:
         self._board.wait(port, wake, min(until_s, self._look_s, next_order_s))
         if self.now() >= self._look_s:
             self._look_s = self.now() + self._period_s
-            self.looks.append(_look(self._board.truth()))
+            self.looks.append(look_at(self._board.truth()))
+            self._on_look(self.looks[-1])
         if wake is not None and self._orders and self.now() >= self._orders[0].at_s:
             self._give(self._orders.pop(0), wake)
 
     def _give(self, order: Order, wake: int) -> None:
         """Simulated time stands still until the order is in the daemon's inbox."""
-        threading.Thread(target=self._ask, args=(order.request,)).start()
+        threading.Thread(target=self._ask, args=(order,)).start()
         arrived, _, _ = select.select([wake], [], [], ARRIVAL_S)
         assert arrived, f"{order} did not reach the daemon"
 
-    def _ask(self, order: Mapping[str, Any]) -> None:
-        self.replies.append(request(self._socket, order))
+    def _ask(self, order: Order) -> None:
+        self.replies.append(request(self._socket, order.request))
+        self._on_reply(order, self.replies[-1])
 
 
-def _look(truth: Mapping[str, Any]) -> Look:
+def look_at(truth: Mapping[str, Any]) -> Look:
+    """The answer to a request for the truth as a Look."""
     return Look(
         time_s=truth["time_s"],
         temp_air_c=truth["chamber"]["temp_air_c"],
@@ -86,4 +100,5 @@ def _look(truth: Mapping[str, Any]) -> Look:
         fan=truth["fan_on"],
         cutoff_open=truth["pins"]["cutoff_open"],
         tank_level=truth["chamber"]["tank_level"],
+        pins_on=tuple(name for name in ACTUATORS if truth["pins"][name]),
     )

@@ -1,0 +1,153 @@
+"""Evil answers of a language model's server: python -m bench.attack.answers --seed S --count N.
+
+The whole daemon asks a server on the loopback that answers each request with something else that is wrong,
+and that repeats the API key. The rig stays inside its limits, every tick is stored, the key is found nowhere.
+"""
+
+import base64
+import json
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.attack import nasty
+from bench.attack.part import Found, main_of
+from edge import config
+from edge.daemon import Daemon
+from edge.messages import TickRecord
+from edge.sim_clock import SimClock
+from edge.virtual_rig import settings_in, virtual_rig
+from training.control.recorded import wait_recorded
+from training.llm_stand_in.behaviours import BEHAVIOURS, Sending
+from training.llm_stand_in.server import StandIn
+
+KEY = "sk-attack-0123456789abcdefghijklmnopqrstuvwxyz"
+KEYS = (KEY, base64.b64encode(KEY.encode()).decode().rstrip("="), KEY.encode().hex())
+CONTROLLERS = ("LLM-Te0", "LLM-SQL-Te0", "LLM-Linear-Te0")
+YAML = """
+timezone: UTC
+reference: {kind: constant, reference_c: 28}
+control: {decision_deadline_s: 0.5}
+drift: {enabled: false}
+"""
+MARGIN_K = 8.0  # the fallback holds the reference; hotter than this above it, something let heat through
+
+
+class EvilServer(StandIn):
+    """Answers each request with what its generator draws."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        super().__init__()
+        self._rng = rng
+
+    def sending(self, body: dict[str, Any]) -> Sending:
+        """One evil answer."""
+        rng = self._rng
+        kind = int(rng.integers(5))
+        if kind == 0:
+            return BEHAVIOURS[str(rng.choice(sorted(BEHAVIOURS.keys() - {"hanging", "dripping", "slow"})))](
+                body, 0
+            )
+        answer = {"heater_duty": 0.5, "fan_on": False, "rationale": f"Because. {KEY}"}
+        message = {
+            "role": "assistant",
+            "content": nasty.document(rng, answer).decode(errors="surrogateescape"),
+        }
+        if kind == 1:
+            message = {
+                "role": "assistant",
+                "content": None,
+                "refusal": f"{nasty.text(rng)} {rng.choice(KEYS)}",
+            }
+        elif kind == 2:
+            arguments = nasty.document(
+                rng, {"query": "SELECT 1", "heater_duty": [1] * 10, "fan_on": [0] * 10}
+            )
+            call = {"name": str(rng.choice(["query", "simulate", "sql", nasty.text(rng)[:50]])),
+                    "arguments": arguments.decode(errors="surrogateescape")}  # fmt: skip
+            message |= {"tool_calls": [{"id": nasty.text(rng)[:60], "type": "function", "function": call}]}
+        elif kind == 3:
+            message["content"] = json.dumps(answer | {"rationale": nasty.text(rng) + str(rng.choice(KEYS))})
+        reply = {
+            "choices": [{"index": 0, "message": message, "finish_reason": "stop"}],
+            "usage": {"prompt_tokens": nasty.value(rng, 3), "completion_tokens": 1},
+        }
+        raw = nasty.document(rng, reply) if kind == 4 else json.dumps(reply).encode()
+        headers = {"Retry-After": str(rng.choice(["1e9", "nan", "-1", KEY]))} if rng.random() < 0.2 else {}
+        return Sending(raw, int(rng.choice([200, 200, 200, 200, 500, 429, 302, 204])), headers)
+
+
+def run(seed: int, count: int) -> Iterator[Found]:
+    """One run of each architecture, `count` answers in all."""
+    for number, controller in enumerate(CONTROLLERS):
+        ticks = -(-count // len(CONTROLLERS))
+        yield Found(
+            f"{controller}, seed {seed + number}", ticks, _violations(controller, seed + number, ticks)
+        )
+
+
+def _violations(controller: str, seed: int, ticks: int) -> list[str]:
+    with tempfile.TemporaryDirectory(prefix="gh-evil-") as name:
+        folder = Path(name)
+        key_file = folder / "key"
+        key_file.write_text(KEY)
+        key_file.chmod(0o600)
+        with EvilServer(np.random.default_rng(seed)) as server, virtual_rig(folder, seed=1) as rig:
+            settings = settings_in(folder, config.parse(YAML))
+            llm = replace(
+                settings.llm, url=server.url, model="evil", key_file=str(key_file), retries=0, backoff_s=0.0,
+                timeout_s=0.4,
+            )  # fmt: skip
+            control = replace(settings.control, controller=controller)
+            with closing(SimClock(rig.control)) as clock:
+                records = _live(replace(settings, llm=llm, control=control), clock, ticks)
+                hottest = clock.truth()["hottest_air_c"]
+        found = [f"{len(records)} of {ticks} ticks"] if len(records) != ticks else []
+        if hottest > 28.0 + MARGIN_K:
+            found.append(f"air at {hottest:.1f} °C")
+        return found + _in_history(folder / "history.db", records) + _keys_in(folder)
+
+
+def _live(settings: Any, clock: SimClock, ticks: int) -> list[TickRecord]:
+    records: list[TickRecord] = []
+
+    def after_tick(record: TickRecord) -> None:
+        records.append(record)
+        wait_recorded(Path(settings.history.path), record.seq)
+        if len(records) == ticks:
+            daemon.stop()
+
+    with Daemon(settings, clock, after_tick=after_tick) as daemon:
+        daemon.run()
+    return records
+
+
+def _in_history(path: Path, records: list[TickRecord]) -> list[str]:
+    """What the history holds of the ticks that were run, and whether all of its text can be read."""
+    with closing(sqlite3.connect(path)) as connection:
+        seqs = [seq for (seq,) in connection.execute("SELECT seq FROM ticks ORDER BY seq")]
+        connection.execute("SELECT group_concat(text) FROM events").fetchone()[0].encode()
+        lost = connection.execute("SELECT count(*) FROM events WHERE key = 'history.ticks_lost'").fetchone()[
+            0
+        ]
+    missing = set(record.seq for record in records) - set(seqs)
+    found = [f"ticks that are not stored: {sorted(missing)}"] if missing else []
+    return [*found, f"{lost} times ticks were lost"] if lost else found
+
+
+def _keys_in(folder: Path) -> list[str]:
+    return [
+        f"the API key is in {path.name}"
+        for path in folder.iterdir()
+        if path.is_file() and path.name != "key" and any(key.encode() in path.read_bytes() for key in KEYS)
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main_of(run, 1, 100, "answers", __doc__))
