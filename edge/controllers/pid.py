@@ -9,8 +9,8 @@ from edge.controllers.heater import levels_allowed
 from edge.messages import Command, Decision
 from edge.names import HEATER_LEVELS
 
-# Chosen on the tuning references by `python -m training.control.tune_pid`: of the gains within 5 % of the
-# best those with the least derivative, as a real sensor has noise.
+# Chosen on the tuning references by `python -m training.control.tune PID`: of the settings within 5 % of the
+# best those with the least derivative, as a real sensor has noise, and the fan that cools soonest.
 KP = 0.6  # [1/K]
 KI = 0.0004  # [1/(K s)]
 KD = 60.0  # [s/K]
@@ -24,9 +24,10 @@ class Pid:
 
     name = "PID"
 
-    def __init__(self, kp: float = KP, ki: float = KI, kd: float = KD) -> None:
+    def __init__(self, kp: float = KP, ki: float = KI, kd: float = KD, fan_on_k: float = FAN_ON_K) -> None:
         """Gains as of a heater duty by kelvins; the integral is limited to the duties there are."""
         self._gains = kp, ki, kd
+        self._fan_on_k = fan_on_k
         self.reset()
 
     def reset(self) -> None:
@@ -43,7 +44,7 @@ class Pid:
         duty = self._output(context, temp, reference) if math.isfinite(excess) else 0.0
         level = min(round(duty * HEATER_LEVELS), top) if temp < limits.temp_air_max_c else 0
         last_on = context.last_sent.fan_on
-        cool = level == 0 and math.isfinite(excess) and excess > (FAN_OFF_K if last_on else FAN_ON_K)
+        cool = level == 0 and math.isfinite(excess) and excess > (FAN_OFF_K if last_on else self._fan_on_k)
         if limits.fan_hold_steps > 0:
             cool = last_on
         proportional, integral, derivative = self._pid.components

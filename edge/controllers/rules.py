@@ -1,6 +1,7 @@
 """Hysteresis thermostat: the fallback that needs no model."""
 
 import math
+from dataclasses import dataclass
 
 from edge.controllers.base import Context
 from edge.controllers.heater import levels_allowed
@@ -11,10 +12,23 @@ DEADBAND_K = 0.5  # half-width: the box cools and heats by less than this in a f
 COOLING_DEADBAND_K = 1.5  # the fan starts later than the heater stops, so that they never fight
 
 
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """Distances from the reference [K]: of heat below it, of cooling above it."""
+
+    heat_below_k: float = DEADBAND_K
+    heat_until_k: float = -DEADBAND_K
+    cool_above_k: float = COOLING_DEADBAND_K
+    cool_until_k: float = 0.0
+
+
 class Rules:
     """Full heat below the band, none above it; the fan runs from further above until the reference."""
 
-    name = "rules"
+    def __init__(self, thresholds: Thresholds | None = None, name: str = "rules") -> None:
+        """Set the thresholds; None: those of the fallback."""
+        self.name = name
+        self._thresholds = thresholds or Thresholds()
 
     def reset(self) -> None:
         """Nothing to forget: its memory is the command last sent."""
@@ -24,14 +38,15 @@ class Rules:
         temp, reference = context.estimate.temp_air, float(context.reference[0])
         limits, last = context.limits, context.last_sent
         error = temp - reference
-        heat = _hysteresis(-error, last.heater_duty > 0.0, DEADBAND_K, -DEADBAND_K)
+        at = self._thresholds
+        heat = _hysteresis(-error, last.heater_duty > 0.0, at.heat_below_k, at.heat_until_k)
         heat = heat and temp < limits.temp_air_max_c
-        cool = _hysteresis(error, last.fan_on, COOLING_DEADBAND_K, 0.0)
+        cool = _hysteresis(error, last.fan_on, at.cool_above_k, at.cool_until_k)
         if limits.fan_hold_steps > 0:
             cool = last.fan_on
         duty = levels_allowed(limits.heater_max_duty) / HEATER_LEVELS if heat else 0.0
         rule = _words(math.isfinite(error), heat, cool)
-        why = {"rule": rule, "reference_c": reference, "deadband_k": DEADBAND_K}
+        why = {"rule": rule, "reference_c": reference, "deadband_k": at.heat_below_k}
         return Decision(Command(heater_duty=duty, fan_on=cool), self.name, why=why)
 
 

@@ -41,7 +41,7 @@ FAMILIES = (
         "two thresholds that anyone can read off a curve",
     ),
     Family(
-        "PID", "PID", (f"{EDGE}/pid.py", "training/control/tune_pid.py"),
+        "PID", "PID", (f"{EDGE}/pid.py", "training/control/tune.py"),
         ("KP", "KI", "KD", "FAN_ON_K", "FAN_OFF_K"), 2,
         "feedback as taught everywhere; gains by a grid, windup and the fan's hand-over have to be known of",
     ),

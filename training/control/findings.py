@@ -22,7 +22,12 @@ EQUAL_KNOWLEDGE = (
 )  # ours, paper's
 SAME_K = 0.1  # a mean MAE that differs by less is called similar
 LESS_EFFORT = 0.05  # share of the effort: "less" asks for at least that much
-VARIANTS = ("/preview", "/present", "/unbounded")  # of a controller that stands in the table already
+VARIANTS = (
+    "/preview",
+    "/present",
+    "/unbounded",
+    "/tuned",
+)  # of a controller that stands in the table already
 
 
 def findings(results: Results, reference: str) -> list[Finding]:

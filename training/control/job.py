@@ -17,6 +17,7 @@ from edge.bundle.store import PACKAGED_FOLDER
 from edge.controllers.base import Controller
 from edge.controllers.input_profile import InputProfile
 from edge.controllers.mpc_bfgs import MpcBfgs
+from edge.controllers.rules import Rules
 from edge.errors import DataError
 from edge.models.arx_file import read_arx
 from edge.names import HEATER_LEVELS
@@ -63,6 +64,8 @@ class Job:
         }
         if (policy := POLICY_FILES.get(self.entry.controller)) is not None:
             facts["policy"] = hashlib.sha256((PACKAGED_FOLDER / policy).read_bytes()).hexdigest()
+        if self.entry.thresholds is not None:
+            facts["thresholds"] = asdict(self.entry.thresholds)
         if settings.llm.model:
             facts["llm"] = settings.llm.model  # wherever it runs
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
@@ -115,6 +118,8 @@ def _instead(job: Job, folder: Path) -> Controller | None:
     if job.entry.unbounded:
         weight = float(job.entry.controller.endswith("-P"))
         return MpcBfgs("unbounded", read_arx(), weight, ControlSettings().horizon, bounded=False)
+    if job.entry.thresholds is not None:
+        return Rules(job.entry.thresholds, name="tuned")
     return _clairvoyant(job, folder)
 
 

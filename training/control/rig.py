@@ -11,6 +11,7 @@ from edge.bundle.roles import activated
 from edge.bundle.sign import Facts, build_bundle, generate_key
 from edge.bundle.store import Store
 from edge.controller_names import CONTROLLERS, LLM, MPC, MPC_TWIN, RL
+from edge.controllers.rules import Thresholds
 from edge.models.arx_file import DEFAULT_PATH
 from edge.models.from_bundle import loader
 from edge.settings import (
@@ -35,6 +36,7 @@ SPARING = {  # ours with more weight on effort, to be set beside others that spe
     "MPC-Twin-P/100": 100.0, "MPC-Twin-P/1000": 1000.0, "MPC-Twin-P/4000": 4000.0, "MPC-Twin-P/6000": 6000.0,
 }  # fmt: skip
 PLANNING = (*MPC, *MPC_TWIN)  # that have a use for the coming reference
+TUNED = Thresholds(0.2, 0.2, 2.5, 1.0)  # the cheapest of `python -m training.control.tune rules`
 HYBRID = {"predictor": "ham"}
 KNOWS, HELD = {"preview": True}, {"twin_preview": False}
 CREATED = "2026-01-01T00:00:00Z"
@@ -48,6 +50,7 @@ class Entry:
     models : what the rig has; control : settings that differ from the usual ones
     clairvoyant : instead of the controller the best plan for the air's mean, or for what its sensor shows
     unbounded : BFGS without the bounds of the paper's problem, clipped afterwards
+    thresholds : of a thermostat other than the daemon's
     """
 
     name: str
@@ -56,6 +59,7 @@ class Entry:
     control: Mapping[str, Any] = field(default_factory=dict)
     clairvoyant: Literal["true", "sensor"] | None = None
     unbounded: bool = False
+    thresholds: Thresholds | None = None
 
     @property
     def preview(self) -> bool:
@@ -73,6 +77,7 @@ def entries() -> dict[str, Entry]:
         Entry("clairvoyant/sensor", "rules", clairvoyant="sensor"),
         Entry("clairvoyant/sensor-P", "rules", clairvoyant="sensor"),
         Entry("rules", "rules"),
+        Entry("rules/tuned", "rules", thresholds=TUNED),
         Entry("PID", "PID"),
         *(Entry(name, name) for name in MPC),
         *(Entry(f"{name}/preview", name, control=KNOWS) for name in MPC),
