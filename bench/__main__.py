@@ -28,6 +28,7 @@ BENCHES = {
     "mutants": Bench(("edge.relay_proof", "--count", "2")),
     "mpc_rollout": Bench(("--hours", "1", "--every", "30")),
     "daemon": Bench(("--seconds", "15", "--starts", "2", "--hours", "1")),
+    "kills": Bench(("--kills", "5")),
     "outbox": Bench(("--ticks", "1000", "--kills", "2")),
     "closed_loop_day": Bench(
         ("--seeds", "1", "--hours", "1", "--controllers", "rules", "MPC",

@@ -277,7 +277,7 @@ def test_the_chamber_gets_every_millisecond_with_what_flowed_in_it():
     plant.sense(1000)
     assert plant.chamber.steps == [(0.1, 0.0, False), (0.25, 1.0, False), (0.65, 0.0, False)]
     assert plant.heat_on_ms == 250
-    assert plant.heater_pin_on_at_ms == 100 and plant.heater_pin_last_on_ms == 1000
+    assert plant.heater_pin_on_at_ms == 100 and plant.last_on_ms["heater_relay"] == 1000
 
 
 # The whole board

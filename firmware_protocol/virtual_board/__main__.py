@@ -49,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--faults", type=Path, help="YAML list of faults")
     parser.add_argument("--chamber", type=Path, help="YAML that changes parameters or effects of the box")
     parser.add_argument("--state", type=Path, help="file that keeps trip and boot count")
+    parser.add_argument("--fan-safe-on", action="store_true", help="the fan runs without a host")
     names = [part.name.lower() for part in Capability if part.name]
     for option, what in (("--with", "it has this part, e.g. heater_cutoff"), ("--without", "it has not")):
         parser.add_argument(option, dest=option, choices=names, action="append", default=[], help=what)
@@ -58,8 +59,9 @@ def _parser() -> argparse.ArgumentParser:
 def _device(options: argparse.Namespace) -> Device:
     parts = (RIG_PARTS | _parts(options, "--with")) & ~_parts(options, "--without")
     plant = Plant(Chamber(*load(options.chamber), options.seed), parts)
+    config = BoardConfig(capabilities=parts, fan_safe_on=options.fan_safe_on)
     faults = [] if options.faults is None else read_script(options.faults, options.seed)
-    return Device(_boot(options.core, BoardConfig(capabilities=parts)), plant, Store(options.state), faults)
+    return Device(_boot(options.core, config), plant, Store(options.state), faults)
 
 
 def _parts(options: argparse.Namespace, option: str) -> Capability:

@@ -7,6 +7,7 @@ from typing import Protocol
 from firmware_protocol.messages import Capability
 from firmware_protocol.virtual_board.core import Pins
 
+ACTUATOR_PINS = ("heater_relay", "fan", "led", "valve")
 FAN_RPM = 2800.0  # of a fan that turns
 
 _SENSORS = {
@@ -40,7 +41,7 @@ class Plant:
         self.pins = self.reset_pins
         self.heat = self.fan = False  # what flows
         self.heater_pin_on_at_ms: int | None = None  # on since then
-        self.heater_pin_last_on_ms: int | None = None
+        self.last_on_ms: dict[str, int | None] = dict.fromkeys(ACTUATOR_PINS)  # until then at least
         self.heat_on_ms = 0
         self.hottest_c = -math.inf
         self._faults: Set[str] = frozenset()
@@ -96,5 +97,6 @@ class Plant:
         self.chamber.step(dt_ms / 1000, float(self.heat), self.fan, self.pins.led, self.pins.valve)
         if self.heat:
             self.heat_on_ms += dt_ms
-        if self.pins.heater_relay:
-            self.heater_pin_last_on_ms = now_ms
+        for pin in ACTUATOR_PINS:
+            if getattr(self.pins, pin):
+                self.last_on_ms[pin] = now_ms
