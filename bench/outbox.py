@@ -94,7 +94,9 @@ def publisher(port: int, database: str) -> subprocess.Popen[bytes]:
 @contextmanager
 def draining(port: int, database: str) -> Iterator[Outbox]:
     """Telemetry at work, and a look at its outbox."""
-    telemetry = Telemetry(settings(port), ControlLoop().ask, lambda: Outbox(database, ROOT))
+    telemetry = Telemetry(
+        settings(port), ControlLoop().ask, ControlLoop().post, lambda: Outbox(database, ROOT)
+    )
     try:
         with closing(Outbox(database, ROOT)) as outbox:
             yield outbox

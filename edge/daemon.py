@@ -138,7 +138,7 @@ class Daemon:
         nightly = self._nightly(sinks, bundles)
         show: Callable[[], None] = lambda: None  # noqa: E731
         if settings.mqtt.enabled:
-            telemetry = Telemetry(settings, routes.ask, lambda: outbox_of(settings))
+            telemetry = Telemetry(settings, routes.ask, inbox.post, lambda: outbox_of(settings))
             stack.callback(telemetry.close)
             desk.listeners.append(telemetry.show_proposal)
             sinks.append(telemetry)

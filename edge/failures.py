@@ -80,6 +80,12 @@ _ROWS = (
         "messages wait in the outbox on disk and are sent in order when it is back",
     ),
     Failure(
+        "telemetry.flooded",
+        Severity.WARNING,
+        "more commands come over MQTT than are carried out",
+        "stop and maintenance have connections of their own, others are refused and counted",
+    ),
+    Failure(
         "state.unwritten",
         Severity.WARNING,
         "standing orders could not be saved",

@@ -43,7 +43,7 @@ START_WAIT_S = 5.0  # for the board, before the first tick
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 SINK_FAULTS = (
     "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused",
-    "output.behind",
+    "output.behind", "telemetry.flooded",
 )  # fmt: skip
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
 

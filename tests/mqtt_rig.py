@@ -69,6 +69,9 @@ class ControlLoop:
                 return {"ok": False, "error": str(error)}
         return {"ok": True, **self.status()}
 
+    def post(self, request: Mapping[str, Any], answered: Callable[[dict[str, Any]], None]) -> None:
+        answered(self.ask(request))
+
     def status(self) -> dict[str, Any]:
         return {
             "operation": to_dict(self.operation),

@@ -12,7 +12,7 @@ from tests.mqtt_rig import ROOT, ControlLoop, record, settings
 port, database = int(sys.argv[1]), sys.argv[2]
 storage = Storage(HistorySettings(path=database), RealClock())
 seq = storage.open()
-telemetry = Telemetry(settings(port), ControlLoop().ask, lambda: Outbox(database, ROOT))
+telemetry = Telemetry(settings(port), ControlLoop().ask, ControlLoop().post, lambda: Outbox(database, ROOT))
 while True:
     storage.write(record(seq, utc=1.7e9 + seq))
     seq += 1

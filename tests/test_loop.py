@@ -195,7 +195,15 @@ def test_a_jump_of_the_wall_clock_is_told_and_changes_no_command(rig: LoopRig) -
 
 @pytest.mark.parametrize(
     "key",
-    ["history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused"],
+    [
+        "history.behind",
+        "history.replaced",
+        "telemetry.offline",
+        "state.unwritten",
+        "bundle.refused",
+        "output.behind",
+        "telemetry.flooded",
+    ],
 )
 def test_what_ails_a_sink_is_told_and_control_goes_on(rig: LoopRig, key: str) -> None:
     before = rig.tick()

@@ -56,7 +56,7 @@ def test_the_rig_home_assistant_and_an_archive_can_do_their_work_and_no_more(bro
         Listener(broker.port, user="homeassistant", password="homeassistant", context=context) as home,
         Listener(broker.port, user="archive", password="archive", context=context, name="archive") as archive,
     ):
-        own = Telemetry(configured, loop.ask, lambda: outbox)
+        own = Telemetry(configured, loop.ask, loop.post, lambda: outbox)
         try:
             own.write(record())
             wait_for(lambda: home.objects(f"{ROOT}/state") and home.objects(f"{ROOT}/decision"))

@@ -172,7 +172,7 @@ def without_repeats(numbers):
 def test_what_gathered_while_the_broker_was_away_arrives_in_order(tmp_path, quick_reconnect):
     outbox = MemoryOutbox(2000)
     broker = Broker(tmp_path)
-    own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: outbox)
+    own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
     try:
         wait_for(own.faults)
         with broker, Listener(broker.port, HISTORY) as listener:
@@ -190,7 +190,7 @@ def test_a_restart_of_the_broker_loses_nothing(tmp_path, quick_reconnect, monkey
     monkeypatch.setattr(drain, "BATCH_ROWS", 50)
     outbox = MemoryOutbox(3000)
     with Broker(tmp_path, KEEPS_SESSIONS) as broker, Listener(broker.port, HISTORY) as listener:
-        own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: outbox)
+        own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
         try:
             for part in (500, 1500):
                 wait_for(lambda part=part: len(outbox.acknowledged) >= part)
@@ -208,7 +208,7 @@ def test_what_a_killed_broker_lost_is_a_gap_that_a_resend_fills(tmp_path, quick_
     monkeypatch.setattr(drain, "BATCH_ROWS", 50)
     outbox = MemoryOutbox(3000)
     with Broker(tmp_path) as broker, Listener(broker.port, HISTORY) as listener:
-        own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: outbox)
+        own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
         try:
             for part in (500, 1500):
                 wait_for(lambda part=part: len(outbox.acknowledged) >= part)
@@ -233,7 +233,7 @@ def test_rows_a_broker_may_not_take_stay(tmp_path, quick_reconnect):
     access.write_text("topic readwrite other/#\ntopic write greenhouse/rig-1/availability\n")
     outbox = MemoryOutbox(5)
     with Broker(tmp_path, f"allow_anonymous true\nacl_file {access}") as broker:
-        own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: outbox)
+        own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
         try:
             wait_for(lambda: "the broker refuses: Not authorized" in str(own.faults()))
             assert outbox.depth() == 5

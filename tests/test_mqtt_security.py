@@ -36,7 +36,7 @@ def tls_broker(folder, certificates, extra=""):
 
 
 def start(port, **mqtt):
-    return Telemetry(settings(port, **mqtt), ControlLoop().ask, MemoryOutbox)
+    return Telemetry(settings(port, **mqtt), ControlLoop().ask, ControlLoop().post, MemoryOutbox)
 
 
 def fault(own):
@@ -136,7 +136,7 @@ def test_the_access_list_lets_home_assistant_ask_only_what_it_may(password_broke
     configured = settings(
         password_broker.port, username="rig", password_file=password_file(tmp_path, PASSWORD)
     )
-    own = Telemetry(configured, loop.ask, MemoryOutbox)
+    own = Telemetry(configured, loop.ask, loop.post, MemoryOutbox)
     try:
         with Listener(password_broker.port, user="home", password="home") as home:
             wait_for(lambda: not fault(own))

@@ -40,7 +40,8 @@ def broker(tmp_path):
 @contextmanager
 def running(port, loop=None, outbox=None, **mqtt):
     outbox = outbox or MemoryOutbox()
-    own = Telemetry(settings(port, **mqtt), (loop or ControlLoop()).ask, lambda: outbox)
+    loop = loop or ControlLoop()
+    own = Telemetry(settings(port, **mqtt), loop.ask, loop.post, lambda: outbox)
     try:
         yield own
     finally:
@@ -102,7 +103,8 @@ def test_closing_says_offline(broker):
 def test_the_last_will_speaks_for_a_killed_process(broker):
     program = (
         "from tests.mqtt_rig import *; from edge.mqtt.telemetry import Telemetry; import time;"
-        f"t = Telemetry(settings({broker.port}), ControlLoop().ask, MemoryOutbox); time.sleep(60)"
+        "loop = ControlLoop();"
+        f"t = Telemetry(settings({broker.port}), loop.ask, loop.post, MemoryOutbox); time.sleep(60)"
     )
     with Listener(broker.port) as listener:
         process = subprocess.Popen([sys.executable, "-c", program])

@@ -52,7 +52,9 @@ def test_ticks_of_an_outage_arrive_in_order_once_the_broker_is_back(tmp_path):
     first = storage.open()
     with Broker(tmp_path, KEEPS_SESSIONS) as broker, Listener(broker.port, TICKS) as listener:
         heard = Heard(listener)
-        own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: Outbox(database, ROOT))
+        own = Telemetry(
+            settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: Outbox(database, ROOT)
+        )
         try:
             wait_for(lambda: not own.faults())
             broker.stop()
@@ -88,7 +90,9 @@ def test_killing_the_daemon_at_any_moment_loses_nothing_that_was_stored(tmp_path
             finally:
                 process.kill()
                 process.wait()
-        own = Telemetry(settings(broker.port), ControlLoop().ask, lambda: Outbox(database, ROOT))
+        own = Telemetry(
+            settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: Outbox(database, ROOT)
+        )
         try:
             expected = set(stored(database))
             wait_for(lambda: {seq for _, seq in heard()} >= expected)

@@ -12,21 +12,26 @@ from edge.settings import MqttSettings
 
 RECONNECT_MIN_S = 1
 RECONNECT_MAX_S = 60
+LANE_MAX_S = 10  # between two tries, and between two signs of life, of a connection for stops
 CONNECT_TIMEOUT_S = 5.0
 
 
-def make_client(settings: MqttSettings) -> Client:
-    """A client that is not connected yet. Errors: ConfigError for what no waiting can mend."""
+def make_client(settings: MqttSettings, lane: str = "") -> Client:
+    """A client that is not connected yet. Errors: ConfigError for what no waiting can mend.
+
+    lane : name of a connection beside the main one, which alone speaks for the rig by its last will
+    """
     topics = Topics.of(settings)
     # MQTT 5 because only there a broker says that it refused a message; 3.1.1 acknowledges and drops it.
     # A clean session, so that no command given while this rig was away is waiting for it.
     client = Client(
         CallbackAPIVersion.VERSION2,
-        client_id=f"{settings.topic_prefix}-{settings.rig}",
+        client_id=f"{settings.topic_prefix}-{settings.rig}{lane and f'/{lane}'}",
         protocol=MQTTProtocolVersion.MQTTv5,
     )
-    client.will_set(topics.availability, "offline", qos=1, retain=True)
-    client.reconnect_delay_set(RECONNECT_MIN_S, RECONNECT_MAX_S)
+    if not lane:
+        client.will_set(topics.availability, "offline", qos=1, retain=True)
+    client.reconnect_delay_set(RECONNECT_MIN_S, LANE_MAX_S if lane else RECONNECT_MAX_S)
     client.connect_timeout = CONNECT_TIMEOUT_S
     client.max_inflight_messages_set(0)  # the drain keeps its own window
     _set_credentials(client, settings)
@@ -34,7 +39,8 @@ def make_client(settings: MqttSettings) -> Client:
         client.tls_set_context(_tls(settings))
     try:
         settings.host.encode("idna")
-        client.connect_async(settings.host, settings.port, settings.keepalive_s, clean_start=True)
+        keepalive_s = min(settings.keepalive_s, LANE_MAX_S) if lane else settings.keepalive_s
+        client.connect_async(settings.host, settings.port, keepalive_s, clean_start=True)
     except ValueError as error:  # UnicodeError is one
         raise ConfigError(f"mqtt.host: {settings.host!r} is no host name: {error}") from None
     return client

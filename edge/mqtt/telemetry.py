@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from paho.mqtt.client import Client, ConnectFlags, MQTTMessage
@@ -17,17 +18,28 @@ from paho.mqtt.reasoncodes import ReasonCode
 from edge.errors import RequestError
 from edge.messages import Event, Severity, TickRecord
 from edge.mqtt import discovery, states
+from edge.mqtt.allowance import Allowance
 from edge.mqtt.commands import parse
 from edge.mqtt.connection import make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, Outbox
+from edge.mqtt.lane import Lane, end
 from edge.mqtt.topics import Topics
+from edge.plain_text import plain
 from edge.settings import Settings
 from edge.tick_json import event_json
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
+Post = Callable[[Mapping[str, Any], Callable[[dict[str, Any]], None]], None]
 
 POLL_S = 1.0  # how often the outbox is looked into when nothing else happens
-COMMANDS_WAITING_MAX = 16
+COMMANDS_WAITING_MAX = 32
+COMMANDS_PER_S = 8.0  # at length; a person's automation sends far fewer
+REFUSAL_PAUSE_S = 0.001  # so a flood of 1000/s costs a tenth of a core, and the broker holds the rest
+FLOOD_OVER_S = 10.0  # after the last refusal
+STOP_REPEATED_S = 10.0  # a stop that the main connection hears so long after its lane is the same one
+STOP_APART_S = 0.3  # between the arrivals of one stop by both connections
+STOP = "emergency_stop"
+LANES = ((STOP, "release_emergency_stop"), ("maintenance",))  # a release in the order in which it was given
 EVENTS_WAITING_MAX = 200  # live events while the broker is away; all of them are in the outbox too
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step counts as late
 WINDOW_RESERVE = 4  # room in the broker's receive window for messages that are not the outbox's
@@ -36,13 +48,14 @@ WINDOW_RESERVE = 4  # room in the broker's receive window for messages that are 
 class Telemetry:
     """A sink of tick records, and a source of requests.
 
-    ask : gives a request to the control thread and waits for the answer, with a time limit of its own
+    ask : answers a request, with a time limit of its own
+    post : gives a request to the control thread without waiting, and a place for its answer
     open_outbox : called once, in the thread that will use it
     Errors : ConfigError for a wrong file or host; a broker that is away is none
     """
 
-    def __init__(self, settings: Settings, ask: Ask, open_outbox: Callable[[], Outbox]) -> None:
-        self._settings, self._ask, self._open_outbox = settings, ask, open_outbox
+    def __init__(self, settings: Settings, ask: Ask, post: Post, open_outbox: Callable[[], Outbox]) -> None:
+        self._settings, self._ask, self._post, self._open_outbox = settings, ask, post, open_outbox
         self._topics = Topics.of(settings.mqtt)
         self._offline = f"not connected to {settings.mqtt.host}:{settings.mqtt.port} yet"
         self._fault = ""
@@ -54,6 +67,12 @@ class Telemetry:
         self._events: deque[Event] = deque(maxlen=EVENTS_WAITING_MAX)
         self._proposals: deque[Mapping[str, Any]] = deque(maxlen=COMMANDS_WAITING_MAX)
         self._commands: queue.Queue[tuple[str, bytes]] = queue.Queue(COMMANDS_WAITING_MAX)
+        self._answers: deque[tuple[str, dict[str, Any]]] = deque(maxlen=COMMANDS_WAITING_MAX)
+        self._allowance = Allowance(COMMANDS_WAITING_MAX, COMMANDS_PER_S, time.monotonic)
+        self._refusals_told = 0
+        self._refusals_told_s = float("-inf")
+        self._stop_heard_s = float("-inf")  # by its lane
+        self._stop_heard = threading.Event()
         self._closing = False
         self._wake = threading.Event()
         self._outbox: Outbox | None = None
@@ -61,6 +80,8 @@ class Telemetry:
         self._receive_maximum = BATCH_ROWS
         self._client = make_client(settings.mqtt)
         self._set_callbacks(self._client)
+        self._lanes = [Lane(settings, commands, self._hear_lane) for commands in LANES]
+        self._lane_of = {what: lane for lane in self._lanes for what in lane.commands}
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
         self._thread.start()
         self._client.loop_start()
@@ -88,7 +109,10 @@ class Telemetry:
         """What is wrong now, by key of the failure table."""
         refusal = self._drain.refusal if self._drain else ""
         detail = self._offline or self._fault or (refusal and f"the broker refuses: {refusal}")
-        return {"telemetry.offline": detail} if detail else {}
+        faults = {"telemetry.offline": detail} if detail else {}
+        if time.monotonic() - self._allowance.refused_s < FLOOD_OVER_S:
+            faults["telemetry.flooded"] = f"{self._allowance.refused} refused so far"
+        return faults
 
     def close(self) -> None:
         """Say `offline`, as the last will would, and end; takes a few seconds at most."""
@@ -99,11 +123,9 @@ class Telemetry:
             last = self._client.publish(self._topics.availability, "offline", qos=1, retain=True)
             with contextlib.suppress(RuntimeError, ValueError):  # the connection broke at this moment
                 last.wait_for_publish(1.0)
-        self._client.disconnect()
-        # The network thread may stand in a name look-up, which nothing can cut short.
-        stopping = threading.Thread(target=self._client.loop_stop, daemon=True)
-        stopping.start()
-        stopping.join(2.0)
+        end(self._client)
+        for lane in self._lanes:
+            lane.close()
 
     # called by the network thread: notes what happened and wakes the worker
 
@@ -148,11 +170,53 @@ class Telemetry:
         if message.topic == self._topics.home_assistant_status:
             self._greet = self._greet or message.payload == b"online"
         else:
-            what = message.topic.rpartition("/")[2]
+            self._hear(message.topic.rpartition("/")[2], bytes(message.payload))
+            return
+        self._wake.set()
+
+    def _hear(self, what: str, payload: bytes) -> None:
+        """A command on the main connection: a flood ends here, before anything is parsed or answered."""
+        lane = self._lane_of.get(what)
+        if lane is not None:
+            if not lane.is_open or (what == STOP and not self._is_heard_by_lane()):
+                self._carry_out(what, payload)
+        elif self._allowance.take():
             try:
-                self._commands.put_nowait((what, bytes(message.payload)))
+                self._commands.put_nowait((what, payload))
             except queue.Full:
-                self._reply(what, {"ok": False, "error": "too many commands are waiting"})
+                self._allowance.refuse()
+            self._wake.set()
+        else:
+            time.sleep(REFUSAL_PAUSE_S)
+
+    def _is_heard_by_lane(self) -> bool:
+        """False where a stop does not come in by its own connection too: that one may have died unnoticed."""
+        since_s = time.monotonic() - STOP_REPEATED_S
+        if self._stop_heard_s < since_s:
+            self._stop_heard.clear()
+            self._stop_heard.wait(STOP_APART_S)
+        return self._stop_heard_s >= since_s
+
+    def _hear_lane(self, what: str, payload: bytes) -> None:
+        """A command on a connection of its own, whose thread calls this."""
+        if what == STOP:
+            self._stop_heard_s = time.monotonic()
+            self._stop_heard.set()
+        self._carry_out(what, payload)
+
+    def _carry_out(self, what: str, payload: bytes) -> None:
+        try:
+            request = parse(what, payload, self._settings.reference)
+        except RequestError as error:
+            if self._allowance.take():
+                self._events.append(_bad_command(what, str(error)))
+                self._answered(what, {"ok": False, "error": str(error)})
+        else:
+            self._post(request, partial(self._answered, what))
+
+    def _answered(self, what: str, answer: dict[str, Any]) -> None:
+        """Keep an answer for the worker; in a flood of stops only the newest answers are sent."""
+        self._answers.append((what, answer))
         self._wake.set()
 
     # the worker
@@ -176,6 +240,12 @@ class Telemetry:
             self._publish_news()
 
     def _answer_commands(self) -> None:
+        answers = [self._answers.popleft() for _ in range(len(self._answers))]
+        for what, answer in answers:
+            self._reply(what, _short(answer))
+        if answers and answers[-1][1].get("tick"):
+            self._publish_state(answers[-1][1])
+        self._tell_refusals()
         while not self._commands.empty():
             what, payload = self._commands.get_nowait()
             try:
@@ -186,6 +256,14 @@ class Telemetry:
             if answer.get("tick"):
                 self._publish_state(answer)
             self._reply(what, answer if what == "status" else _short(answer))
+
+    def _tell_refusals(self) -> None:
+        """One answer a second for all that was refused since."""
+        refused, now = self._allowance.refused, time.monotonic()
+        if refused != self._refusals_told and now - self._refusals_told_s >= 1.0:
+            error = f"busy: {refused - self._refusals_told} commands were refused, {refused} so far"
+            self._refusals_told, self._refusals_told_s = refused, now
+            self._reply("", {"ok": False, "error": error})
 
     def _publish_news(self) -> None:
         greet, updates = self._greet, self._updates
@@ -229,7 +307,7 @@ class Telemetry:
             return None  # shown as unknown; the drain meets the same error and reports it
 
     def _reply(self, what: str, answer: Mapping[str, Any]) -> None:
-        self._publish(self._topics.reply, {"command": what, **answer}, qos=1)
+        self._publish(self._topics.reply, {"command": plain(what, 40), **answer}, qos=1)
 
     def _publish(self, topic: str, message: Mapping[str, Any], qos: int = 0, retain: bool = False) -> None:
         payload = json.dumps(message, separators=(",", ":"), allow_nan=False)
