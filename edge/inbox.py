@@ -25,6 +25,11 @@ _BUSY: Reply = {"ok": False, "error": f"busy: {WAITING_MAX} requests wait alread
 _OVERTAKEN: Reply = {"ok": False, "error": "an emergency stop was given after this release"}
 
 
+def is_in_force(reply: Reply) -> bool:
+    """True for an order that was carried out, even where the disk has not taken it."""
+    return "operation" in reply or reply.get("ok") is True
+
+
 class Answered(Protocol):
     """The place an answer goes to; never waits."""
 

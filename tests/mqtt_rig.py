@@ -54,6 +54,7 @@ class ControlLoop:
         self.operation = Operation("MPC")
         self.trips: tuple[str, ...] = ()
         self.last_record = record()
+        self.echo: Echo | None = None  # newer than the last tick's
         self.requests: list[Mapping[str, Any]] = []
         self.resend: Callable[[int, int], int] = lambda first, last: 0
 
@@ -77,7 +78,7 @@ class ControlLoop:
             "operation": to_dict(self.operation),
             "trips": list(self.trips),
             "tick": tick_json(self.last_record),
-            "echo": echo_json(self.last_record.echo),
+            "echo": echo_json(self.echo or self.last_record.echo),
             "link_up": int(self.last_record.link_up),
             "skill": skill_json(self.last_record.skill),
             "drift": drift_json(self.last_record.drift),

@@ -6,13 +6,14 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing, contextmanager
+from dataclasses import replace
 
 import pytest
 
 from edge.__main__ import main
 from edge.control_socket import ControlSocket
 from edge.errors import ConfigError, RequestError
-from edge.messages import Event, Severity
+from edge.messages import Echo, Event, Severity
 from edge.mqtt import connection, telemetry
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
@@ -161,6 +162,30 @@ def test_a_command_reaches_the_loop_and_is_answered_and_shown_at_once(broker):
         wait_for(lambda: listener.objects(REPLY) == [{"command": "temperature", "ok": True}])
         assert loop.requests == [{"do": "set_reference", "reference_c": 28.5}]
         wait_for(lambda: listener.objects(STATE)[-1]["reference_c"] == 28.5)
+
+
+def test_an_order_of_another_door_and_a_change_of_the_pins_are_shown_between_two_ticks(broker):
+    loop = ControlLoop()
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        own.write(record())
+        wait_for(lambda: listener.objects(STATE) and listener.objects(STATE)[-1]["heater_duty"] == 0.35)
+        loop.operation = replace(loop.operation, emergency_stop=True)
+        loop.echo = Echo(0.0, False, 0.0, False, True, "emergency_stop", 101.0)
+        own.show()
+        wait_for(lambda: listener.objects(STATE)[-1]["emergency_stop"] == 1)
+        shown = listener.objects(STATE)[-1]
+        assert (shown["heater_duty"], shown["fan_on"], shown["action"]) == (0.0, 0, "off")
+
+
+def test_what_a_stop_that_is_not_on_disk_or_not_on_the_board_answers_reaches_the_sender(broker):
+    loop = ControlLoop()
+    hints = {"ok": False, "error": "in force now, but it will not survive a restart", "warning": "no link"}
+    ask = loop.ask
+    loop.ask = lambda request: ask(request) | (hints if request["do"] == "emergency_stop" else {})
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        wait_for(lambda: not own.faults())
+        listener.send(f"{ROOT}/set/emergency_stop", "PRESS")
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "emergency_stop", **hints}])
 
 
 def test_a_malformed_command_is_answered_with_its_error_and_an_event(broker):

@@ -26,6 +26,7 @@ class Office:
     orders: list[dict[str, Any]] = field(default_factory=list)
     told: list[dict[str, Any]] = field(default_factory=list)
     refuses: str = ""
+    unsaved: str = ""
     standing: dict[str, Any] | None = None
     twin: Twin | None = None
 
@@ -50,6 +51,8 @@ class Office:
             return {"ok": False, "error": self.refuses}
         self.orders.append(dict(request))
         self.standing = request.get("steering")
+        if self.unsaved:
+            return {"ok": False, "error": self.unsaved, **status(steering=self.standing)}
         return {"ok": True}
 
     def _told(self, proposal: dict[str, Any]) -> None:
@@ -146,6 +149,15 @@ def test_just_before_that_it_can_be_confirmed() -> None:
     proposal = office.ask()
     office.now_utc += PROPOSAL_AGE_MAX_S - 0.1
     assert office.confirm(proposal["id"])["ok"]
+
+
+def test_an_order_that_is_in_force_but_not_on_disk_counts_as_confirmed() -> None:
+    office = Office()
+    proposal = office.ask()
+    office.unsaved = "in force now, but it will not survive a restart"
+    answer = office.confirm(proposal["id"])
+    assert not answer["ok"] and answer["error"] == office.unsaved
+    assert office.told[-1]["state"] == "confirmed"
 
 
 def test_an_order_that_the_loop_refuses_can_be_confirmed_again() -> None:

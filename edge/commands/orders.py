@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.control_socket import request
+from edge.inbox import is_in_force
 from edge.operation import FanMode, Mode
 from edge.settings import ControlSocketSettings
 
@@ -97,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     values = {key: value for key, value in vars(arguments).items() if key not in ("command", "socket", "run")}
     answer = request(arguments.socket, {"do": name, **values})
     if not answer.get("ok", False):
-        print(f"{'refused' if 'operation' not in answer else 'warning'}: {answer.get('error', answer)}")
+        print(f"{'warning' if is_in_force(answer) else 'refused'}: {answer.get('error', answer)}")
         return 1
     print(json.dumps(answer, indent=1) if name == "status" else "done")
     if warning := answer.get("warning"):

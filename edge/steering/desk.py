@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from edge.errors import GreenhouseError, RequestError
+from edge.inbox import is_in_force
 from edge.plain_text import plain, shown
 from edge.reference import seconds_of_day, zone_of
 from edge.settings import Settings
@@ -135,7 +136,7 @@ class WishDesk:
                 raise RequestError(f"confirm: proposal {proposal.id} has been taken up already")
             self._keep(replace(proposal, state="confirmed"))
         answer = self._around.loop({"do": "steer", "steering": steerings.to_dict(proposal.steering)})
-        if answer.get("ok"):
+        if is_in_force(answer):
             self._publish(replace(proposal, state="confirmed"))
         else:
             with self._lock:
@@ -145,7 +146,7 @@ class WishDesk:
     def _undo(self) -> Json:
         standing = self._around.loop({"do": "status"}).get("operation", {}).get("steering")
         answer = self._around.loop({"do": "undo"})
-        if answer.get("ok") and standing:
+        if is_in_force(answer) and standing:
             with self._lock:
                 # After a restart the desk does not know the proposal that the loop still carried out.
                 proposal = self._proposals.get(standing["id"]) or Proposal(
