@@ -278,6 +278,15 @@ def test_stop_and_maintenance_open_the_cutoff(change, opens):
     assert judge(FULL, view(**change)).open_cutoff is opens
 
 
+@pytest.mark.parametrize("cause", ["emergency_stop", "maintenance", "storage_damaged"])
+def test_a_board_that_was_stopped_is_sent_nothing(cause):
+    verdict = judge(replace(FULL, fan_on=True), view(air=41.0, echo=echo(cause=cause)))
+    assert verdict.sent == Command()
+    for actuator, name in (("fan_on", "fan"), ("led", "led"), ("valve_pulse", "valve")):
+        change = only_change(verdict, actuator)
+        assert (change.rule, change.reason) == (f"{name}.board_stopped", f"stopped on the board: {cause}")
+
+
 def test_a_tripped_board_gets_no_heat():
     verdict = judge(FULL, view(echo=echo(cause="over_temperature")))
     assert verdict.sent == replace(FULL, heater_duty=0.0)
@@ -673,10 +682,17 @@ def test_trips_and_water_outlive_the_process():
     assert again == SafetyMemory(trips=memory.trips, doses=(Dose(None, UTC, 2.0),))
 
 
+@pytest.mark.parametrize("length_s", [0.0, 0.1, 1.0])
+def test_a_dose_of_any_length_is_read_again(length_s):
+    assert memory_from_dict({"trips": [], "doses": [[UTC, length_s]]}).doses == (Dose(None, UTC, length_s),)
+
+
 @pytest.mark.parametrize(
     "values",
     [{}, {"trips": []}, {"trips": "x", "doses": []}, {"trips": [1], "doses": []}, {"trips": [], "doses": [1]},
-     {"trips": [], "doses": [["x", 1]]}, {"trips": [], "doses": [[1, 2, 3]]}, {"trips": None, "doses": []}],
+     {"trips": [], "doses": [["x", 1]]}, {"trips": [], "doses": [[1, 2, 3]]}, {"trips": None, "doses": []},
+     *({"trips": [], "doses": [dose]} for dose in
+       ([math.nan, 2.0], [math.inf, 2.0], [UTC, math.nan], [UTC, math.inf], [UTC, -0.1]))],
 )  # fmt: skip
 def test_a_memory_nobody_wrote_is_refused(values):
     with pytest.raises((KeyError, TypeError, ValueError)):
