@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from edge.clock import Clock
+from edge.event_log import EventLog
 from edge.hard_limits import LEASE_S
 from edge.messages import Command, Echo, Event, Quality, Reading, Severity
 from edge.names import HEATER_LEVELS, SIGNALS
@@ -69,7 +70,7 @@ class Board:
         self._orders: dict[str, LatchOrder] = {}  # by latch: the newest; all but stops until answered
         self._unanswered: set[str] = set()  # latches
         self._samples: list[Sample] = []
-        self._events: list[Event] = []
+        self._events = EventLog()
         self.echo: Echo | None = None
         self.hello: wire_messages.Hello | None = None
 
@@ -100,9 +101,8 @@ class Board:
         return samples
 
     def take_events(self) -> list[Event]:
-        """What happened on the line since the last call."""
-        events, self._events = self._events, []
-        return events
+        """What happened on the line since the last call; bounded, however often the link comes and goes."""
+        return self._events.take()
 
     def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
         """Send a decision; its lease is renewed for `valid_s` from now, and never longer."""
@@ -311,7 +311,7 @@ class Board:
                 pass  # counted in `statistics`
 
     def _tell(self, key: str, severity: Severity, text: str) -> None:
-        self._events.append(Event(key, severity, text, self._clock.now(), self._clock.utc()))
+        self._events.add(Event(key, severity, text, self._clock.now(), self._clock.utc()))
 
 
 def _readable(descriptor: int) -> bool:

@@ -15,6 +15,7 @@ from edge.conditions import Conditions
 from edge.controllers.base import Context
 from edge.decider import Decider
 from edge.errors import RequestError
+from edge.event_log import EventLog
 from edge.hard_limits import LEASE_S
 from edge.inbox import ORDINARY, Letter, Reply, Request
 from edge.lighting import led_level
@@ -40,6 +41,7 @@ from edge.watering import Watering
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
 NOT_REACHED = "no link to the board: it obeys as soon as it is back; what it drives now ends with its lease"
 START_WAIT_S = 5.0  # for the board, before the first tick
+ORDERS_TOLD = 20  # between two ticks, each with its words; more than a person gives in a minute
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 SINK_FAULTS = (
     "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused",
@@ -61,7 +63,7 @@ class Loop:
         self._sent = Command()
         self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
         self._conditions = Conditions()
-        self._events: list[Event] = []
+        self._events = EventLog(ORDERS_TOLD)
         self._decider = Decider(rig.controllers, rig.settings.control, self._conditions, self._answer_urgent)
         self._watering = Watering(rig.settings.watering)
         self._stopping = False
@@ -240,10 +242,9 @@ class Loop:
             note(key, key in faults, now, utc, faults.get(key, ""))
 
     def _take_events(self, verdict: Verdict) -> tuple[Event, ...]:
-        own, self._events = self._events, []
         rig = self._rig
         return (
-            *own,
+            *self._events.take(),
             *rig.board.take_events(),
             *self._decider.take_events(),
             *verdict.events,
@@ -406,7 +407,7 @@ class Loop:
         verdict = self._supervise(wanted, readings, record.estimate, now, utc)
         echo = self._drive(verdict)
         rig.estimator.record_sent(self._sent)
-        self._events.extend(verdict.events)
+        self._events.add(*verdict.events)
         rules = ", ".join(dict.fromkeys(change.rule for change in verdict.changes)) or "unchanged by safety"
         driven = verdict.sent if echo is None else echo
         outputs = f"heater {driven.heater_duty:.2f}, fan {'on' if driven.fan_on else 'off'}"
@@ -423,7 +424,7 @@ class Loop:
             self._rig.board.serve_until_echo(ECHO_TIMEOUT_S)
 
     def _tell(self, key: str, severity: Severity, text: str, now: float) -> None:
-        self._events.append(Event(key, severity, text, now, self._rig.clock.utc()))
+        self._events.add(Event(key, severity, text, now, self._rig.clock.utc()))
 
 
 def _as_saved(reply: Reply, error: str) -> Reply:
