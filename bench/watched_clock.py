@@ -48,7 +48,7 @@ class WatchedClock:
         orders: Sequence[Order],
         period_s: float = 1.0,
         on_look: Callable[[Look], None] = lambda look: None,
-        on_reply: Callable[[Order, Mapping[str, Any]], None] = lambda order, reply: None,
+        on_reply: Callable[[float, Order, Mapping[str, Any]], None] = lambda given_s, order, reply: None,
     ) -> None:
         self.looks: list[Look] = []
         self._on_look, self._on_reply = on_look, on_reply
@@ -80,13 +80,13 @@ class WatchedClock:
 
     def _give(self, order: Order, wake: int) -> None:
         """Simulated time stands still until the order is in the daemon's inbox."""
-        threading.Thread(target=self._ask, args=(order,)).start()
+        threading.Thread(target=self._ask, args=(self.now(), order)).start()
         arrived, _, _ = select.select([wake], [], [], ARRIVAL_S)
         assert arrived, f"{order} did not reach the daemon"
 
-    def _ask(self, order: Order) -> None:
+    def _ask(self, given_s: float, order: Order) -> None:
         self.replies.append(request(self._socket, order.request))
-        self._on_reply(order, self.replies[-1])
+        self._on_reply(given_s, order, self.replies[-1])
 
 
 def look_at(truth: Mapping[str, Any]) -> Look:

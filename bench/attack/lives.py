@@ -33,7 +33,7 @@ GIVE_UP_S = 300.0  # real time for one life: beyond, the daemon hangs
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """An order that was answered."""
+    """An order that was answered, and when it was given."""
 
     time_s: float
     request: Mapping[str, Any]
@@ -150,10 +150,8 @@ class _Notes:
         # A life that is killed ends a little before its time, at any moment of the real time there.
         share = self._rng.uniform(0.02, 0.98)
         self._kill_s = begin_s + share * life.length_s if life.killed else float("inf")
-        self._now_s = begin_s
 
     def look(self, look: Look) -> None:
-        self._now_s = look.time_s
         self._write(
             "look",
             [
@@ -172,9 +170,9 @@ class _Notes:
                 float(self._rng.uniform(0.0, 0.01)), os.kill, (os.getpid(), signal.SIGKILL)
             ).start()
 
-    def reply(self, order: Order, reply: Mapping[str, Any]) -> None:
+    def reply(self, given_s: float, order: Order, reply: Mapping[str, Any]) -> None:
         kept = {key: reply[key] for key in ("ok", "error", "warning") if key in reply}
-        self._write("given", [self._now_s, order.request, kept])
+        self._write("given", [given_s, order.request, kept])
 
     def tick(self, record: TickRecord) -> None:
         self._write("tick", [record.seq])
