@@ -5,43 +5,73 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from edge import __version__
 from edge.commands import orders
 from edge.errors import GreenhouseError
 
 COMMANDS = {  # command -> help; the module is edge.commands.<name with underscores>
-    "run": "the daemon: sense, decide, guard, actuate, record, publish",
-    "demo": "the daemon against a virtual board, at accelerated time",
-    "check-config": "check a configuration file",
-    "experiment": "apply a profile through the same loop and record a run",
+    "demo": "run a simulated greenhouse: no board, broker or root needed",
+    "run": "run the daemon on a rig, as the systemd service does",
+    "check-config": "check a configuration file before the daemon starts with it",
+    "watch": "print each tick of the running daemon",
+    "why": "explain a command from the recorded decisions",
+    "plot": "draw a stretch of the history, or a run file",
+    "ask": "say it in words: a language model proposes, you confirm",
+    "experiment": "apply a profile and record a run",
+    "export": "write a stretch of the history to a run file",
+    "import": "read run files into the history",
+    "replay": "put recorded runs through the same tick; score forecasts",
     "fit-arx": "fit an ARX model to recorded runs",
-    "replay": "recorded runs through the same tick, in shadow, and how good the forecasts were",
-    "export": "a stretch of the history as a run file",
-    "import": "a run file into the history",
-    "plot": "a picture of a stretch of history or of a run file",
-    "forget-discovery": "take a rig that is no more out of Home Assistant and off the broker",
-    "watch": "what the running daemon does, live",
-    "ask": "say what you want in words: a language model makes a proposal, you confirm it",
-    "why": "why a command was sent, from the recorded decisions",
-    "twin": "the physics model: simulate it, find what it lacks, adopt what was found",
-    "bundle": "signed bundles of models: verify, install, activate, roll back, list",
+    "twin": "the physics model: simulate, find what it lacks, adopt",
+    "bundle": "install, activate or roll back signed bundles of models",
+    "forget-discovery": "remove a rig from Home Assistant and the broker",
 }
+GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
+    "Start here": ("demo", "check-config", "run"),
+    "See what it does": ("status", "watch", "why", "plot"),
+    "Tell it what to do": ("reference", "mode", "fan", "controller", "manual", "ask", "confirm", "undo"),
+    "Stop it": ("emergency-stop", "release", "maintenance", "clear-trip"),
+    "Record and model your own greenhouse": ("experiment", "export", "import", "replay", "fit-arx", "twin"),
+    "Look after a rig": ("bundle", "resend", "forget-discovery"),
+}
+FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.
+With one: `greenhouse check-config /etc/greenhouse/edge.yaml`, then start it.
+`greenhouse COMMAND --help` explains a command."""
 
 
 def parser_for(command: str | None) -> argparse.ArgumentParser:
     """The parser with every command's name, and the arguments of the one that was called."""
-    parser = argparse.ArgumentParser(prog="greenhouse", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    parser = argparse.ArgumentParser(
+        prog="greenhouse",
+        description="Run and observe a miniature greenhouse and its digital twin.",
+        epilog=_overview(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"greenhouse {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", help="see below")
     for name, help_text in COMMANDS.items():
-        sub = commands.add_parser(name, help=help_text, description=help_text)
+        sub = commands.add_parser(name, description=_sentence(help_text))
         if name == command:
             module = importlib.import_module(f"edge.commands.{_module(name)}")
             module.add_arguments(sub)
             sub.set_defaults(run=module.run)
     for name, (_, help_text, _) in orders.ORDERS.items():
-        sub = commands.add_parser(name, help=help_text, description=help_text)
+        sub = commands.add_parser(name, description=_sentence(help_text))
         orders.add_arguments(name, sub)
         sub.set_defaults(run=orders.run)
     return parser
+
+
+def _overview() -> str:
+    helps = COMMANDS | {name: help_text for name, (_, help_text, _) in orders.ORDERS.items()}
+    lines = [FIRST_STEPS]
+    for heading, names in GROUPS.items():
+        lines += ["", f"{heading}:", *(f"  {name:<18}{helps[name]}" for name in names)]
+    return "\n".join(lines)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -4,9 +4,14 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
+from tests.broker import Broker, Listener, needs_mosquitto
 from training.llm_stand_in.server import StandIn
 
 DEMO = [sys.executable, "-m", "edge", "demo"]
@@ -61,3 +66,48 @@ def test_a_policy_of_the_packaged_bundle_and_a_language_model_can_be_tried() -> 
             done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
             ticks = [line for line in done.stdout.splitlines() if " tick " in line]
             assert name in ticks[-1], done.stderr
+
+
+@needs_mosquitto
+def test_a_demo_publishes_at_the_broker_that_is_named(tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker, Listener(broker.port, "greenhouse/demo/#") as listener:
+        command = [*DEMO, "--mqtt", f"localhost:{broker.port}", "--speed", "60", "--minutes", "6"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 0, done.stderr
+        assert listener.objects("greenhouse/demo/state")[-1]["temp_air_c"] > 15.0
+
+
+@pytest.fixture
+def short_path() -> Iterator[Path]:
+    """A folder whose sockets have names that are short enough."""
+    with tempfile.TemporaryDirectory(prefix="gh") as folder:
+        yield Path(folder)
+
+
+def test_other_commands_speak_to_a_running_demo_by_themselves(short_path: Path) -> None:
+    environment = {**os.environ, "TMPDIR": str(short_path)}  # no other demo of this user
+    greenhouse = DEMO[:-1]
+
+    def said(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [*greenhouse, *words]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=60, check=False, env=environment
+        )
+
+    demo = subprocess.Popen(
+        [*DEMO, "--speed", "600"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    )
+    assert demo.stdout is not None and demo.stderr is not None
+    assert "in another terminal: greenhouse status" in demo.stderr.readline()
+    demo.stdout.readline()
+    try:
+        assert said("reference", "26").stdout == "done\n"
+        status = said("status")
+        assert "reference" in status.stdout and "set by hand to 26.0 °C" in status.stdout
+        assert "not a real rig" in status.stderr
+    finally:
+        demo.send_signal(signal.SIGINT)
+        demo.communicate(timeout=30)
+    picture = said("plot", "--out", str(short_path / "p.png"))
+    assert picture.returncode == 0, picture.stderr
+    assert (short_path / "p.png").stat().st_size > 1000

@@ -48,7 +48,10 @@ def test_what_was_seen_is_told() -> None:
 
 def test_a_plan_is_told_with_its_costs_and_what_bound_it() -> None:
     text = told(decided(PLAN))
-    assert "MPC-P wanted heater 1.00, fan off and expected 25.10 °C after the step, 25.20 °C after 2." in text
+    assert (
+        "MPC-P wanted heater 1.00, fan off and expected 25.10 °C after the step, 25.20 °C after 2 steps."
+        in text
+    )
     assert "costs 12.5 by arx 884880b1: tracking 11, heater 1, fan 0.5" in text
     assert "What bound it: heater at its upper limit." in text
     assert "The next best began with heater 0.95, fan off, and costs 0.031 more." in text

@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from edge.commands.which_rig import add_socket, socket_of
 from edge.control_socket import request
 from edge.errors import RequestError
-from edge.settings import ControlSocketSettings
 from edge.steering.words import effect_table
 
 PATIENCE_S = 300.0  # a language model on a small machine is slow
@@ -19,13 +19,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("words", nargs="+", help="what you want, in your own words")
     parser.add_argument("--yes", action="store_true", help="apply the proposal without asking back")
-    parser.add_argument("--socket", type=Path, default=Path(ControlSocketSettings().path))
+    add_socket(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """0 when the proposal was applied or left to be confirmed, 1 when there is none."""
-    answer = _asked(arguments.socket, {"do": "ask", "words": " ".join(arguments.words)})
-    proposal = _thought_out(arguments.socket, answer["proposal"])
+    socket = socket_of(arguments)
+    answer = _asked(socket, {"do": "ask", "words": " ".join(arguments.words)})
+    proposal = _thought_out(socket, answer["proposal"])
     if proposal["state"] != "ready":
         print(f"{proposal['said']}" if proposal["state"] == "question" else f"failed: {proposal['error']}")
         return 1
@@ -33,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not (arguments.yes or _agreed()):
         print(f"\nnothing is applied; within 15 min: greenhouse confirm {proposal['id']}")
         return 0
-    _asked(arguments.socket, {"do": "confirm", "id": proposal["id"]})
+    _asked(socket, {"do": "confirm", "id": proposal["id"]})
     print("applied; `greenhouse undo` takes it back")
     return 0
 

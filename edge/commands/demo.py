@@ -1,17 +1,21 @@
 """`greenhouse demo`: the daemon against a virtual board, live. No broker, no root, no board needed."""
 
 import argparse
-import tempfile
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 from edge import config
+from edge.commands.numbers import SEED_MAX, number, whole
 from edge.daemon import Daemon
+from edge.demo_folders import make_demo_folder
 from edge.display import make_display
 from edge.outlet import standard_output
-from edge.settings import Settings
+from edge.settings import MqttSettings, Settings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
 
+RIG = "demo"  # its name over MQTT
 DEMO_YAML = """
 control: {{controller: {controller}}}
 llm: {{url: "{llm_url}", model: "{llm_model}"}}
@@ -28,35 +32,55 @@ reference:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--speed", type=float, default=120.0, help="simulated seconds a second, 0: no brake")
     parser.add_argument(
-        "--minutes", type=float, default=None, help="simulated minutes, then it ends by itself"
+        "--speed",
+        type=number(0.0),
+        default=120.0,
+        help="simulated seconds per second; 0: unlimited; default: 120",
     )
-    parser.add_argument("--controller", default="MPC-Twin-P", help="usual: MPC-Twin-P")
+    parser.add_argument("--minutes", type=number(0.0, above=True), help="end after so many simulated minutes")
+    parser.add_argument("--controller", default="MPC-Twin-P", help="who decides; default: %(default)s")
     parser.add_argument("--llm-url", default="", help="OpenAI-compatible endpoint, for the controllers LLM-*")
     parser.add_argument("--llm-model", default="", help="the model's name there")
-    parser.add_argument("--seed", type=int, default=1, help="of the virtual board")
     parser.add_argument(
-        "--out", type=Path, default=None, help="folder that keeps the history; else none is kept"
+        "--seed", type=whole(0, SEED_MAX), default=1, help="of the virtual board's noise; default: 1"
+    )
+    parser.add_argument(
+        "--out", type=Path, help="folder for the history; default: one that the next demo removes"
+    )
+    parser.add_argument(
+        "--mqtt", type=_broker, metavar="HOST[:PORT]", help=f"publish as the rig {RIG!r} there"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Until Ctrl-C, or the end of --minutes."""
-    with tempfile.TemporaryDirectory(prefix="greenhouse-demo-") as temporary:
-        folder = arguments.out or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
-        settings = config.parse(DEMO_YAML.format_map(vars(arguments)), "demo")
-        with virtual_rig(folder, arguments.seed) as rig:
-            _run(arguments, settings_in(folder, settings), rig.control)
+    settings = config.parse(DEMO_YAML.format_map(vars(arguments)), "demo")
+    folder = make_demo_folder(arguments.out)
+    settings = settings_in(folder, settings)
+    if arguments.mqtt is not None:
+        host, port = arguments.mqtt
+        settings = replace(settings, mqtt=replace(settings.mqtt, enabled=True, host=host, port=port, rig=RIG))
+    with virtual_rig(folder, arguments.seed) as rig:
+        _run(arguments, settings, rig.control)
     return 0
+
+
+def _broker(text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":") if text.count(":") == 1 else (text, "", "")
+    if not host or text.count(":") > 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not HOST or HOST:PORT")
+    return host, whole(1, 65535)(port) if colon else MqttSettings().port
 
 
 def _run(arguments: argparse.Namespace, settings: Settings, control: Path) -> None:
     stop_at_s = float("inf") if arguments.minutes is None else 60.0 * arguments.minutes
     clock = SimClock(control, speed=arguments.speed or None)
     with standard_output() as out:
-        display = make_display(out)
+        hint = f"in another terminal: greenhouse status (or --socket {settings.control_socket.path})"
+        if not out.isatty():
+            print(hint, file=sys.stderr)
+        display = make_display(out, hint)
         try:
             with Daemon(
                 settings,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from edge import config
 from edge.clock import Clock, RealClock
+from edge.commands.numbers import SEED_MAX, number, whole
 from edge.commands.output import writing
 from edge.controller_names import CONTROLLERS
 from edge.controllers.input_profile import InputProfile
@@ -41,10 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--controller", choices=CONTROLLERS, help="that follows a reference profile, else MPC"
     )
-    parser.add_argument("--minutes", type=float, help="end sooner than the profile")
+    parser.add_argument("--minutes", type=number(0.0, above=True), help="end sooner than the profile")
     virtual = parser.add_argument_group("with a virtual board, as fast as it goes")
     virtual.add_argument("--virtual", action="store_true", help="start one, instead of the rig's board")
-    virtual.add_argument("--seed", type=int, default=1, help="of the virtual board")
+    virtual.add_argument("--seed", type=whole(0, SEED_MAX), default=1, help="of the virtual board")
     virtual.add_argument("--chamber", type=Path, help="YAML that changes the simulated box")
     virtual.add_argument("--history", type=Path, help="database that keeps the ticks; else none is kept")
 

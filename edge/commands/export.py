@@ -3,8 +3,10 @@
 import argparse
 from pathlib import Path
 
+from edge.commands.numbers import whole
 from edge.commands.output import writing
 from edge.commands.stretch import add_bounds, moment
+from edge.commands.which_rig import history_of
 from edge.run_file import absence_facts, write_run
 from edge.storage.runs import export_run
 
@@ -13,15 +15,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_bounds(parser)
     parser.add_argument("--run", dest="name", help="a run that the history knows by name, instead of bounds")
-    parser.add_argument("--first-seq", type=int, help="first tick")
-    parser.add_argument("--last-seq", type=int, help="last tick")
+    parser.add_argument("--first-seq", type=whole(1), help="first tick")
+    parser.add_argument("--last-seq", type=whole(1), help="last tick")
     parser.add_argument("--out", type=Path, required=True, help="run file to write")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """0 when the run file is written."""
     recorded = export_run(
-        arguments.history,
+        history_of(arguments.history),
         arguments.name,
         arguments.first_seq,
         arguments.last_seq,

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from edge.commands.numbers import number
 from edge.commands.output import writing
+from edge.hard_limits import STEP_MAX_S
 from edge.models.arx import FanInput
 from edge.models.arx_file import write_arx
 from edge.models.fit_arx import Fit, fit_arx, provenance
@@ -19,7 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--validate", type=Path, nargs="+", required=True, metavar="RUN", help="runs to choose the orders on"
     )
     parser.add_argument("--out", type=Path, required=True, help="model file, for control.model")
-    parser.add_argument("--step-s", type=float, default=60.0, help="control step the model is made for")
+    parser.add_argument(
+        "--step-s",
+        type=number(0.0, STEP_MAX_S, above=True),
+        default=60.0,
+        help="control step the model is made for",
+    )
     parser.add_argument(
         "--fan",
         choices=("excess", "on", "none"),

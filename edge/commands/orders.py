@@ -2,14 +2,17 @@
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
+from edge.commands.numbers import number, whole
+from edge.commands.status_text import status_lines
+from edge.commands.which_rig import add_socket, socket_of
 from edge.control_socket import request
-from edge.inbox import is_in_force
+from edge.hard_limits import MAINTENANCE_MAX_MIN
+from edge.inbox import is_in_force, is_urgent
 from edge.operation import FanMode, Mode
-from edge.settings import ControlSocketSettings
 
 Request = dict[str, Any]
 Fill = Callable[[argparse.ArgumentParser], None]
@@ -22,6 +25,10 @@ def _target(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a temperature nor none") from None
+
+
+def _name(text: str) -> str | None:
+    return None if text == "none" else text
 
 
 def _mode(parser: argparse.ArgumentParser) -> None:
@@ -39,26 +46,33 @@ def _reference(parser: argparse.ArgumentParser) -> None:
 
 
 def _controller(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name")
+    parser.add_argument("name", type=_name, help="as in `greenhouse demo --controller`; none: as configured")
 
 
 def _manual(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--heater-duty", type=float, default=0.0, help="0..1")
-    parser.add_argument("--fan-on", type=int, choices=(0, 1), default=0)
-    parser.add_argument("--led", type=float, default=0.0, help="0..1")
+    share = number(0.0, 1.0)
+    parser.add_argument("--heater-duty", type=share, default=0.0, help="share of full power; default: 0")
+    parser.add_argument("--fan-on", type=int, choices=(0, 1), default=0, help="default: 0")
+    parser.add_argument("--led", type=share, default=0.0, help="share of full light; default: 0")
 
 
 def _maintenance(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("minutes", type=float, help="ends by itself after so long; 0 ends it now")
+    parser.add_argument(
+        "minutes", type=number(0.0, MAINTENANCE_MAX_MIN), help="ends by itself after so long; 0 ends it now"
+    )
 
 
 def _resend(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("first_seq", type=int)
-    parser.add_argument("last_seq", type=int)
+    parser.add_argument("first_seq", type=whole(1), help="number of the first tick")
+    parser.add_argument("last_seq", type=whole(1), help="number of the last tick")
 
 
 def _proposal(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("id", help="as `greenhouse ask` has printed it")
+
+
+def _status(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="everything, for programs")
 
 
 def _nothing(parser: argparse.ArgumentParser) -> None:
@@ -66,41 +80,48 @@ def _nothing(parser: argparse.ArgumentParser) -> None:
 
 
 ORDERS: dict[str, tuple[str, str, Fill]] = {  # command -> request, help, arguments
-    "status": ("status", "standing orders and the last tick, as JSON", _nothing),
-    "mode": ("set_mode", "who decides: auto, heat, fan_only, off, manual", _mode),
-    "fan": ("set_fan_mode", "fan: auto, on, off", _fan),
-    "reference": ("set_reference", "target temperature, over the configured one", _reference),
+    "status": ("status", "what the rig measures, drives and was told to do", _status),
+    "mode": ("set_mode", "what may run: auto, heat, fan_only, off, manual", _mode),
+    "fan": ("set_fan_mode", "let the controller decide on the fan (auto), or on, off", _fan),
+    "reference": ("set_reference", "set the temperature to hold, or none: as configured", _reference),
     "controller": ("set_controller", "change the controller while it runs", _controller),
-    "manual": ("set_manual", "a fixed command, until the mode changes", _manual),
-    "emergency-stop": ("emergency_stop", "everything off, the fan too, latched on the board", _nothing),
+    "manual": ("set_manual", "fix heater, fan and light until the mode changes", _manual),
+    "emergency-stop": ("emergency_stop", "turn everything off, the fan too, until `release`", _nothing),
     "release": ("release_emergency_stop", "end an emergency stop", _nothing),
-    "clear-trip": ("clear_trip", "forget latched trips whose cause is gone", _nothing),
+    "clear-trip": ("clear_trip", "end a trip whose cause is gone", _nothing),
     "maintenance": (
         "maintenance",
-        "hands in the greenhouse: everything off for some minutes, the fan too",
+        "turn everything off, the fan too: hands are inside",
         _maintenance,
     ),
     "confirm": ("confirm", "apply a proposal of `greenhouse ask`", _proposal),
-    "undo": ("undo", "end what was confirmed last, as it was before", _nothing),
-    "resend": ("resend", "publish recorded ticks again, to fill a gap", _resend),
+    "undo": ("undo", "take back what was confirmed last", _nothing),
+    "resend": ("resend", "publish recorded ticks over MQTT again", _resend),
 }
 
 
 def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     """Arguments of one of ORDERS."""
     ORDERS[name][2](parser)
-    parser.add_argument("--socket", type=Path, default=Path(ControlSocketSettings().path))
+    add_socket(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Ask, print the answer; 1 when the daemon refuses."""
     name = ORDERS[arguments.command][0]
-    values = {key: value for key, value in vars(arguments).items() if key not in ("command", "socket", "run")}
-    answer = request(arguments.socket, {"do": name, **values})
+    not_asked = ("command", "socket", "run", "json")
+    values = {key: value for key, value in vars(arguments).items() if key not in not_asked}
+    message = {"do": name, **values}
+    answer = request(socket_of(arguments, urgent=is_urgent(message)), message)
     if not answer.get("ok", False):
         print(f"{'warning' if is_in_force(answer) else 'refused'}: {answer.get('error', answer)}")
         return 1
-    print(json.dumps(answer, indent=1) if name == "status" else "done")
+    if name != "status":
+        print("done")
+    elif arguments.json:
+        print(json.dumps(answer, indent=1))
+    else:
+        print("\n".join(status_lines(answer)))
     if warning := answer.get("warning"):
-        print(f"warning: {warning}")
+        print(f"warning: {warning}", file=sys.stderr)
     return 0

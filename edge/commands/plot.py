@@ -5,6 +5,7 @@ from pathlib import Path
 
 from edge.commands.output import writing
 from edge.commands.stretch import add_bounds, moment
+from edge.commands.which_rig import history_of
 from edge.errors import RequestError
 from edge.plot import plot_history, plot_run
 from edge.run_file import OPTION_WITHOUT, read_run
@@ -26,6 +27,6 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.run_file is not None:
             plot_run(read_run(arguments.run_file, OPTION_WITHOUT), arguments.out)
         else:
-            plot_history(arguments.history, since, until, arguments.out)
+            plot_history(history_of(arguments.history), since, until, arguments.out)
     print(arguments.out)
     return 0

@@ -11,8 +11,10 @@ import numpy as np
 
 from edge import config
 from edge.commands.absent_columns import add_absent_columns
+from edge.commands.numbers import number
 from edge.controller_names import MPC_TWIN
 from edge.errors import DataError
+from edge.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.messages import TickRecord
 from edge.models.arx_file import DEFAULT_PATH, read_arx
 from edge.models.pbm import read_twin
@@ -30,7 +32,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, default=DEFAULT_PATH, help="ARX file; its step is the replay's")
     parser.add_argument("--controller", choices=REPLAYED, default="MPC")
     parser.add_argument("--twin", type=Path, help="twin file that MPC-Twin and MPC-Twin-P plan with")
-    parser.add_argument("--reference", type=float, default=24.0, metavar="DEGC", help="what it should hold")
+    parser.add_argument(
+        "--reference",
+        type=number(REFERENCE_MIN_C, REFERENCE_MAX_C),
+        default=24.0,
+        metavar="DEGC",
+        help="what it should hold",
+    )
     parser.add_argument("--horizons", type=_horizons, default=HORIZONS_S, metavar="S,S,...")
     add_absent_columns(parser, "fan_on", "temp_ambient_c")
     parser.add_argument(

@@ -15,7 +15,9 @@ _AGE = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(d|h|min)", re.ASCII)
 
 def add_bounds(parser: argparse.ArgumentParser) -> None:
     """--history, --since, --until."""
-    parser.add_argument("--history", type=Path, default=Path(HistorySettings().path), help="database")
+    parser.add_argument(
+        "--history", type=Path, help=f"database; default: {HistorySettings().path}, else the last demo's"
+    )
     add_times(parser)
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from edge.commands.numbers import whole
 from edge.errors import RequestError
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -26,9 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--split", choices=("dev", "scored"), default="scored", help="cases used while tuning, or only scored"
     )
     parser.add_argument("--kinds", help="of case, comma between; default: all")
-    parser.add_argument("--per-kind", type=int, metavar="N", help="cases of each kind; default: all")
+    parser.add_argument("--per-kind", type=whole(1), metavar="N", help="cases of each kind; default: all")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_CASES} cases of each kind")
-    parser.add_argument("--workers", type=int, default=2, help="cases at a time; default: %(default)s")
+    parser.add_argument("--workers", type=whole(1), default=2, help="cases at a time; default: %(default)s")
     parser.add_argument("--out", type=Path, default=Path("out/twin_benchmark"), help="cases and answers")
 
 

@@ -4,7 +4,9 @@ import argparse
 from pathlib import Path
 
 from edge.commands.absent_columns import add_absent_columns
+from edge.commands.numbers import number
 from edge.commands.stretch import add_times, moment
+from edge.commands.which_rig import history_of
 from edge.errors import RequestError
 from edge.settings import HistorySettings
 from edge.twin.diagnosis.history_runs import TEST_SHARE, history_runs
@@ -30,7 +32,7 @@ def add_data_arguments(parser: argparse.ArgumentParser) -> None:
     add_times(parser)
     parser.add_argument(
         "--test-share",
-        type=float,
+        type=number(0.0, 1.0),
         help=f"newest share of the rows that becomes test runs (usual: {TEST_SHARE:g})",
     )
 
@@ -48,7 +50,7 @@ def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> Diagnosi
         raise RequestError("run files and the history don't go together: export what you need of the history")
     from edge.storage.stretches import export_stretches
 
-    path = arguments.history or Path(HistorySettings().path)
+    path = history_of(arguments.history)
     stretches = export_stretches(path, moment(arguments.since), moment(arguments.until))
     share = TEST_SHARE if arguments.test_share is None else arguments.test_share
     return history_runs(stretches, twin, share, str(path))

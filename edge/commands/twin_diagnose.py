@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge import config
+from edge.commands.numbers import whole
 from edge.commands.output import writing
 from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
 from edge.processors import processors
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--jobs",
-        type=int,
+        type=whole(1),
         default=processors(),
         help="processes: they change the time, not the answer; default: one for each processor",
     )

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.commands.absent_columns import add_absent_columns
+from edge.commands.numbers import number, whole
 from edge.commands.output import writing
 from edge.errors import DataError, RequestError
 from edge.models.pbm import Pbm, read_twin
@@ -50,12 +51,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--start-rows",
-        type=int,
+        type=whole(1),
         default=START_ROWS,
         help=f"rows whose temperatures tell the start, as far as they have one (usual: {START_ROWS})",
     )
     parser.add_argument(
-        "--ambient-c", type=float, metavar="DEGC", help="room temperature of runs that have none"
+        "--ambient-c",
+        type=number(-50.0, 80.0),
+        metavar="DEGC",
+        help="room temperature of runs that have none",
     )
     add_absent_columns(parser, "fan_on")
     parser.add_argument(
@@ -65,8 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """0 when every run is simulated; its errors go to standard error where the CSV is on standard output."""
-    if arguments.start_rows < 1:
-        raise RequestError(f"--start-rows: {arguments.start_rows} is not 1 or more")
     if arguments.out is None and len(arguments.runs) > 1:
         raise RequestError("--out: several runs need a folder to write into")
     pbm = read_twin(arguments.twin)

@@ -2,25 +2,24 @@
 
 import argparse
 import time
-from pathlib import Path
 
+from edge.commands.which_rig import add_socket, socket_of
 from edge.control_socket import request
 from edge.display import tick_line
-from edge.settings import ControlSocketSettings
 
 POLL_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--socket", type=Path, default=Path(ControlSocketSettings().path))
+    add_socket(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Until Ctrl-C."""
-    seen = None
+    socket, seen = socket_of(arguments), None
     while True:
-        tick = request(arguments.socket, {"do": "status"}).get("tick")
+        tick = request(socket, {"do": "status"}).get("tick")
         if tick is not None and tick["seq"] != seen:
             seen = tick["seq"]
             print(tick_line(tick), flush=True)

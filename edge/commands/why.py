@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 
 from edge.commands.stretch import moment
+from edge.commands.which_rig import add_socket, socket_of
 from edge.control_socket import request
 from edge.errors import RequestError
-from edge.settings import ControlSocketSettings
 from edge.why.ask_history import why
 
 
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "usual: the newest",
     )
     parser.add_argument("--history", type=Path, help="read this database instead of asking the daemon")
-    parser.add_argument("--socket", type=Path, default=Path(ControlSocketSettings().path))
+    add_socket(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.history is not None:
         answer = why(arguments.history, at_utc, zone=None)
     else:
-        answer = request(arguments.socket, {"do": "why", "at_utc": at_utc})
+        answer = request(socket_of(arguments), {"do": "why", "at_utc": at_utc})
         if not answer.get("ok", False):
             raise RequestError(str(answer.get("error", answer)))
     print("\n".join(answer["lines"]))

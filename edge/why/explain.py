@@ -57,7 +57,7 @@ def _expecting(forecast: Sequence[float]) -> str:
     if not forecast:
         return ""
     first, last = _degrees(forecast[0], 2), _degrees(forecast[-1], 2)
-    return f" and expected {first} after the step, {last} after {len(forecast)}"
+    return f" and expected {first} after the step, {last} after {len(forecast)} steps"
 
 
 def _who(rule: str) -> str:

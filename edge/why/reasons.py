@@ -64,4 +64,6 @@ def _claims(why: Mapping[str, Any]) -> Iterator[str]:
 
 def _number(value: Any) -> str:
     """What was no number when it was recorded is null in the history."""
-    return f"{value:.3g}" if isinstance(value, int | float) else "not known"
+    if not isinstance(value, int | float):
+        return "not known"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -1,0 +1,104 @@
+"""edge/__main__.py: help, version, and numbers that no command accepts."""
+
+import json
+from typing import Any
+
+import pytest
+from loop_rig import LoopRig
+
+from edge import __version__
+from edge.__main__ import COMMANDS, GROUPS, main, parser_for
+from edge.commands.orders import ORDERS
+from edge.commands.status_text import status_lines
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out + err
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(capsys, "--version") == (0, f"greenhouse {__version__}\n")
+
+
+def test_every_command_stands_once_in_the_help_and_fits_80_columns() -> None:
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert sorted(grouped) == sorted([*COMMANDS, *ORDERS])
+    text = parser_for(None).format_help()
+    assert all(len(line) <= 80 for line in text.splitlines())
+    assert text.index("greenhouse demo") < text.index("check-config /etc") < text.index("emergency-stop")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "demo --speed X",
+        "demo --minutes X",
+        "demo --seed X",
+        "demo --mqtt host:X",
+        "experiment p.csv --out o.csv --minutes X",
+        "experiment p.csv --out o.csv --seed X",
+        "fit-arx --train a --validate b --out c --step-s X",
+        "replay a.csv --reference X",
+        "export --out o --first-seq X",
+        "export --out o --last-seq X",
+        "manual --heater-duty X",
+        "manual --led X",
+        "manual --fan-on X",
+        "maintenance X",
+        "resend X 3",
+        "resend 3 X",
+        "twin simulate a.csv --twin t --start-rows X",
+        "twin simulate a.csv --twin t --ambient-c X",
+        "twin diagnose a.csv --twin t --out o --jobs X",
+        "twin diagnose --twin t --out o --since 1d --test-share X",
+        "twin benchmark --per-kind X",
+        "twin benchmark --workers X",
+    ],
+)
+def test_a_number_that_makes_no_sense_is_refused_by_its_option(
+    capsys: pytest.CaptureFixture[str], words: str
+) -> None:
+    place = next(i for i, word in enumerate(words.split()) if word.endswith("X"))
+    option = words.split()[place - 1]
+    named = option if option.startswith("--") else {"maintenance": "minutes"}.get(option, "_seq")
+    for value in ("-99", "nan", "inf", "1e999", "x"):
+        code, text = said(capsys, *(word.replace("X", value) for word in words.split()))
+        assert code == 2
+        assert named in text.splitlines()[-1]
+
+
+# status
+
+
+@pytest.fixture
+def status() -> dict[str, Any]:
+    rig = LoopRig()
+    rig.tick()
+    found: dict[str, Any] = json.loads(json.dumps(rig.loop.status()))
+    rig.close()
+    return found
+
+
+def test_the_status_reads_as_a_page(status: dict[str, Any]) -> None:
+    lines = status_lines(status)
+    assert "air        22.0 °C (good)" in lines
+    assert "reference  24.0 °C, as configured" in lines
+    assert "mode       auto, fan auto" in lines
+    assert any(line.startswith("last tick  1 at ") for line in lines)
+
+
+def test_the_status_begins_with_what_is_wrong(status: dict[str, Any]) -> None:
+    operation = {**status["operation"], "emergency_stop": True, "maintenance_until_utc": 9e9}
+    tick = {**status["tick"], "link_up": False}
+    lines = status_lines(
+        {**status, "operation": operation, "tick": tick, "trips": ["overheat"], "echo": None}
+    )
+    assert [line.split()[0] for line in lines[:4]] == ["EMERGENCY", "MAINTENANCE", "TRIPPED:", "THE"]
+    assert "heater     not known: the board does not say" in lines
+
+
+def test_before_the_first_tick_the_status_says_so(status: dict[str, Any]) -> None:
+    assert status_lines({**status, "tick": None}) == ["no tick has been made yet"]
