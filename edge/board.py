@@ -6,6 +6,7 @@ Everything here is a value or an event: an unplugged port, a lost link or a refu
 import select
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 from edge.clock import Clock
 from edge.event_log import EventLog
@@ -28,6 +29,9 @@ _QUALITY = {
     wire_messages.Quality.FAULT: Quality.FAULT,
     wire_messages.Quality.ABSENT: Quality.ABSENT,
 }
+
+_VALUES = attrgetter(*(signal.key for signal in SIGNALS.values()))
+_QUALITIES = attrgetter(*(f"{name}_quality" for name in SIGNALS))
 
 Sample = Mapping[str, Reading]
 LatchOrder = (
@@ -332,14 +336,10 @@ def _message(driven: Driven, parts: Capability, lease_s: float) -> wire_messages
 
 
 def _readings(report: wire_messages.SensorReport, now: float) -> Sample:
+    values, qualities = _VALUES(report), _QUALITIES(report)
     return {
-        name: Reading(
-            name,
-            getattr(report, signal.key),
-            now,
-            _QUALITY[wire_messages.Quality(getattr(report, f"{name}_quality"))],
-        )
-        for name, signal in SIGNALS.items()
+        name: Reading(name, value, now, _QUALITY[quality])
+        for name, value, quality in zip(SIGNALS, values, qualities, strict=True)
     }
 
 

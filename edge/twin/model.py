@@ -135,6 +135,11 @@ class Twin:
         driven += np.einsum("...ij,...j->...i", transition.state[index], state)
         return driven
 
+    def steps(self, ambient: Floats, duty: Floats, fan: Floats) -> tuple[Floats, Floats]:
+        """Matrices [N, n, n], and what the inputs [N] add [N, n], of N steps of a twin that is `plain`."""
+        transition, index = self.transitions(fan)
+        return transition.state[index], _driven(transition, index, ambient, duty, 0.0)
+
     def rollout(
         self,
         start: Floats,

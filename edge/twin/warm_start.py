@@ -82,18 +82,19 @@ def state_now(twin: Twin, past: Past) -> Floats:
     first = int(np.isfinite(temps).argmax())
     state = at_rest(twin, float(temps[first]), float(ambient[first]))
     covariance = np.diag(spread(twin) ** 2)
-    moved = drift(twin)
+    off, on = drift(twin)
+    unknown = off + np.nan_to_num(past.fan)[:, None] * (on - off)
+    unknown_variance = unknown[:, :, None] * unknown[:, None, :]
+    is_known, sensor_variance = np.isfinite(temps).tolist(), twin.noise.sensor_k**2
     advance = _advances(twin, past, ambient)
     for k in range(first, len(temps) - 1):
-        fan = np.nan_to_num(past.fan[k])
         state, matrix = advance(k, state)
-        unknown = moved[0] + fan * (moved[1] - moved[0])
-        covariance = _predicted(covariance, matrix, unknown)
-        if np.isfinite(temps[k + 1]):
-            variance = covariance[0, 0] + twin.noise.sensor_k**2
+        covariance = matrix @ covariance @ matrix.T + unknown_variance[k]
+        if is_known[k + 1]:
+            variance = covariance[0, 0] + sensor_variance
             gain = covariance[:, 0] / (variance or np.inf)  # no noise at all: nothing is left to learn
             state = state + gain * (temps[k + 1] - state[0])
-            covariance = covariance - np.outer(gain, covariance[0])
+            covariance = covariance - gain[:, None] * covariance[0]
     if np.isfinite(temps[-1]):
         state[0] = temps[-1]  # other predictors start there too
     return state
@@ -103,19 +104,15 @@ def _advances(twin: Twin, past: Past, ambient: Floats) -> Callable[[int, Floats]
     """What makes step k: the state after it, and what it makes of a small difference."""
     duty, fan = past.commands
     if twin.signals.plain:
+        matrices, driven = twin.steps(ambient[:-1], duty, fan)
 
         def plain(k: int, state: Floats) -> tuple[Floats, Floats]:
-            matrix, which = twin.transitions(fan[k : k + 1])
-            return twin.advance(state, ambient[k], duty[k], fan[k]), matrix.state[which[0]]
+            return driven[k] + np.einsum("ij,j->i", matrices[k], state), matrices[k]
 
         return plain
     columns = {name: held(column)[:-1] for name, column in (past.conditions or {}).items()}
     march = twin.march(Commands(duty[None], fan[None]), ambient[:-1], conditions=columns)
     return lambda k, state: (march.step(k, state[None])[0], march.matrix(k)[0])
-
-
-def _predicted(covariance: Floats, matrix: Floats, unknown: Floats) -> Floats:
-    return matrix @ covariance @ matrix.T + np.outer(unknown, unknown)
 
 
 def held(values: Floats) -> Floats:

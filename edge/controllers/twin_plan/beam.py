@@ -118,19 +118,20 @@ def _children(
 
 def _kept(children: _Children, width: int) -> Ints:
     """Places of the cheapest child of each kind, the `width` cheapest of them."""
+    cost = children.cost.ravel()
     kinds = np.rint(children.stored / KIND_K).astype(np.int64)
     kinds -= kinds.min()
-    fans = np.broadcast_to(np.array([[[0], [1]]]), kinds.shape)
-    cheapest_last = np.argsort(-children.cost, axis=None, kind="stable")
-    cheapest_last = cheapest_last[np.isfinite(children.cost.ravel()[cheapest_last])]
-    best = np.full(2 * (int(kinds.max()) + 1), -1)
-    best[(2 * kinds + fans).ravel()[cheapest_last]] = (
-        cheapest_last  # of one kind the last, the cheapest, stays
-    )
+    kinds *= 2
+    kinds[:, 1] += 1  # the fan's two states are of different kinds
+    places = kinds.ravel()
+    least = np.full(int(places.max()) + 2, np.inf)
+    np.minimum.at(least, places, cost)
+    cheapest = np.flatnonzero((cost == least[places]) & np.isfinite(cost))
+    best = np.full(len(least), -1)
+    best[places[cheapest]] = cheapest  # of equal costs the last stays
     best = best[best >= 0]
     if len(best) > width:
-        cost = children.cost.ravel()[best]
-        best = best[np.argsort(cost, kind="stable")[:width]]
+        best = best[np.argsort(cost[best], kind="stable")[:width]]
     return np.asarray(best)
 
 
