@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.header import MEASURED, header, report
+
 RESULTS = Path("bench/results")
 QUICK_RESULTS = Path("out/bench")
 
@@ -60,7 +62,8 @@ def run(name: str, is_quick: bool) -> int:
     print(f"\n### {name}", flush=True)
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        lines = []
+        lines = [f"{line}\n" for line in header()] if name in MEASURED else []
+        print("".join(lines), end="", flush=True)
         for line in process.stdout:
             print(line, end="", flush=True)
             lines.append(line)
@@ -77,7 +80,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHES)}; none: all")
     parser.add_argument("--quick", action="store_true", help="some minutes instead of an hour or more")
+    parser.add_argument(
+        "--stale", action="store_true", help="which timing tables are older than the code that they measured"
+    )
     arguments = parser.parse_args(words)
+    if arguments.stale:
+        print("\n".join(report()))
+        return 0
     if unknown := [name for name in arguments.names if name not in BENCHES]:
         parser.error(f"there is no {unknown[0]!r}; there are {', '.join(BENCHES)}")
     failed = [name for name in arguments.names or BENCHES if run(name, arguments.quick) != 0]

@@ -1,0 +1,76 @@
+"""Where a timing table was measured, and whether the code that it measured has changed since.
+
+`python -m bench NAME` begins a timing table with `header`. `python -m bench --stale` compares the commit of
+each kept table with the newest commits of the paths that its bench measures.
+"""
+
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "bench" / "results"
+MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its timings are of
+    "daemon": ("edge", "firmware_protocol", "bench/daemon.py", "bench/default_daemon.py"),
+    "decision_time": ("edge/controllers", "edge/models", "edge/twin", "edge/llm", "edge/decider.py"),
+    "mpc": ("edge/controllers", "edge/models/arx.py", "bench/mpc.py", "bench/instances.py"),
+    "mpc_rollout": ("edge/controllers", "edge/models", "edge/twin", "bench/mpc_rollout.py"),
+    "outbox": ("edge/mqtt", "edge/storage", "edge/tick_json.py", "bench/outbox.py"),
+    "rollout": ("edge/models", "edge/twin", "bench/rollout.py"),
+    "twin": ("edge/twin", "bench/twin.py"),
+}
+_COMMIT = re.compile(r"^commit ([0-9a-f]{7,40})", re.MULTILINE)
+
+
+def header() -> Iterator[str]:
+    """Lines that begin a table: commit, machine and load average."""
+    changed = " with uncommitted changes" if _git("status", "--porcelain", "--untracked-files=no") else ""
+    yield f"commit {_git('rev-parse', '--short=12', 'HEAD') or 'unknown'}{changed}"
+    load = " ".join(f"{value:.1f}" for value in os.getloadavg())
+    yield f"{processor()}, {platform.machine()}, {os.cpu_count()} cores; load average {load} at the start"
+
+
+def processor() -> str:
+    """The processor's name as the kernel has it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or "processor unknown")
+
+
+def staleness(name: str, table: str) -> str:
+    """Say whether the code that a table measured has changed since its commit.
+
+    name : of the bench, a key of MEASURED; table : the text of its table
+    """
+    found = _COMMIT.search(table)
+    if found is None:
+        return "names no commit: measure anew"
+    if not _git("rev-parse", "--verify", f"{found[1]}^{{commit}}"):
+        return f"commit {found[1]} is not in this repository"
+    later = _git("log", "--format=%h", f"{found[1]}..HEAD", "--", *MEASURED[name]).split()
+    if not later:
+        return f"current, commit {found[1]}"
+    return f"the code measured has changed since {found[1]}, in {len(later)} commits, {later[0]} the newest"
+
+
+def report() -> Iterator[str]:
+    """One line for each committed timing table."""
+    for name in MEASURED:
+        path = RESULTS / f"{name}.txt"
+        text = staleness(name, path.read_text(encoding="utf-8")) if path.exists() else "not measured"
+        yield f"{name:14} {text}"
+
+
+def _git(*words: str) -> str:
+    """What git answers, "" where it can't."""
+    try:
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
