@@ -1,11 +1,11 @@
-"""python -m bench.daemon: what the daemon costs: memory, start, CPU per tick, jitter, bytes of history.
+"""python -m bench.daemon: memory, CPU per tick, start, jitter and bytes of history of the daemon.
 
-The whole daemon as a process on a virtual board in real time at 1 s steps, MQTT and history on. Beside it in
-the same run: what python and its packages alone take, and a bare loop of time.sleep for the jitter.
+Memory, CPU and history at the default settings (60 s steps, the packaged bundle) in simulated time, MQTT on;
+start and jitter in real time at 1 s steps. In the same run: memory of python and its packages alone, and a
+bare loop of time.sleep for the jitter.
 """
 
 import argparse
-import os
 import platform
 import sqlite3
 import statistics
@@ -16,10 +16,12 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from bench.default_daemon import SETTINGS, Memory, cost, memory_of
 from edge import config
 from edge.daemon import Daemon
 from edge.messages import TickRecord
@@ -32,6 +34,7 @@ from tests.rig import virtual_board
 
 WARM_UP_TICKS = 10
 DAY_TICKS = 1440  # at 60 s steps
+CONTROLLERS = ("rules", "MPC-P", "MPC-Twin-P")
 PACKAGES = {
     "python": "",
     "python, numpy": "import numpy",
@@ -45,32 +48,11 @@ PACKAGES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
-    """Of one process [MB]: resident, its share of what is shared, its own alone."""
+class Lateness:
+    """Delays of a daemon's ticks, and of the wake-ups of a bare loop in the same time [ms]."""
 
-    rss: float
-    pss: float
-    uss: float
-
-    def __str__(self) -> str:
-        return f"{self.rss:6.1f} {self.pss:6.1f} {self.uss:6.1f}"
-
-
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """What a daemon took while it ran."""
-
-    memory: Memory
-    cpu_ms_per_tick: float
-    late_ms: Sequence[float]
-    peer_late_ms: Sequence[float]  # of the bare loop beside it
-
-
-def memory_of(pid: int) -> Memory:
-    """From the kernel's sums over all mappings."""
-    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
-    kb = {line.split(":")[0]: int(line.split()[1]) for line in lines}
-    return Memory(kb["Rss"] / 1024, kb["Pss"] / 1024, (kb["Private_Clean"] + kb["Private_Dirty"]) / 1024)
+    daemon_ms: Sequence[float]
+    peer_ms: Sequence[float]
 
 
 def memory_with(imports: str) -> Memory:
@@ -81,15 +63,9 @@ def memory_with(imports: str) -> Memory:
     ) as peer:
         assert peer.stdout is not None
         peer.stdout.readline()
-        memory = memory_of(peer.pid)
+        memory = memory_of(str(peer.pid))
         peer.communicate(b"\n")
     return memory
-
-
-def cpu_s(pid: int) -> float:
-    """CPU time of all threads that live [s]."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / 1e9
 
 
 def start_s(daemon: DaemonProcess) -> float:
@@ -121,26 +97,17 @@ def start_times(count: int) -> tuple[float, list[float]]:
         return first, [start_s(daemon) for _ in range(count)]
 
 
-def run_for(seconds: float, controller: str, is_first_start: bool = False) -> Stretch:
-    """A daemon at work for so long, after some ticks to settle."""
-    with rig() as (folder, broker), daemon_on(folder, broker, controller) as daemon:
-        if not is_first_start:
-            daemon.stop()
-            daemon.start()
-        first = daemon.wait_ticks(WARM_UP_TICKS)
-        assert daemon.process is not None
-        pid, before = daemon.process.pid, cpu_s(daemon.process.pid)
-        peer = bare_loop(seconds)
-        last = daemon.seq()
-        memory, used = memory_of(pid), cpu_s(pid) - before
-        wait_for(lambda: daemon.seqs()[-1] >= last)
-        late = daemon.rows(f"SELECT late_s FROM ticks WHERE seq BETWEEN {first + 1} AND {last}")
-    return Stretch(memory, 1e3 * used / len(late), [1e3 * late_s for (late_s,) in late], peer)
-
-
-def daemon_on(folder: Path, broker: Broker, controller: str) -> DaemonProcess:
-    """Started with `with`."""
-    return DaemonProcess(folder, broker.port, control={"controller": controller})
+def lateness(seconds: float, controller: str) -> Lateness:
+    """Run a daemon for so long, after some ticks to settle."""
+    with rig() as (folder, broker):
+        settings = {"controller": controller}
+        with DaemonProcess(folder, broker.port, control=settings) as daemon:
+            first = daemon.wait_ticks(WARM_UP_TICKS)
+            peer = bare_loop(seconds)
+            last = daemon.seq()
+            wait_for(lambda: daemon.seqs()[-1] >= last)
+            late = daemon.rows(f"SELECT late_s FROM ticks WHERE seq BETWEEN {first + 1} AND {last}")
+    return Lateness([1e3 * late_s for (late_s,) in late], peer)
 
 
 def bare_loop(seconds: float) -> list[float]:
@@ -157,7 +124,8 @@ def history_bytes_per_day(hours: float) -> float:
     pages: list[int] = []
     with tempfile.TemporaryDirectory(prefix="gh-") as name, Broker(Path(name)) as broker:
         folder = Path(name)
-        settings = config.parse(DAY_YAML.format(folder=folder, port=broker.port), "bench")
+        text = SETTINGS.format(folder=folder, port=broker.port, controller="MPC-P")
+        settings = config.parse(text, "bench")
         ticks = round(60 * hours)
 
         def look(record: TickRecord) -> None:
@@ -172,15 +140,6 @@ def history_bytes_per_day(hours: float) -> float:
         ):
             daemon.run()
     return (pages[1] - pages[0]) / (ticks - ticks // 2) * DAY_TICKS
-
-
-DAY_YAML = """
-state_file: {folder}/state.json
-control_socket: {{path: {folder}/daemon.sock}}
-history: {{path: {folder}/history.db}}
-board: {{port: {folder}/board}}
-mqtt: {{enabled: true, host: 127.0.0.1, port: {port}, rig: rig-1}}
-"""
 
 
 def waiting(path: Path) -> int:
@@ -205,20 +164,24 @@ def percentiles(values: Sequence[float]) -> str:
     return f"{p50:7.2f} {p99:7.2f} {most:7.2f}"
 
 
+def default_costs(ticks: int) -> Iterator[str]:
+    """The table of memory and CPU at the default settings."""
+    runs = [(name, False) for name in CONTROLLERS] + [(CONTROLLERS[-1], True)]
+    yield f"{f'{ticks} ticks of 60 s; [MB], [ms]':40}    RSS    PSS    USS   peak  CPU per tick  threads"
+    with tempfile.TemporaryDirectory(prefix="gh-") as name, Broker(Path(name)) as broker:
+        for controller, is_first_start in runs:
+            found = cost(controller, broker.port, ticks, is_first_start)
+            text = f"{controller}, with a history just made" if is_first_start else controller
+            yield f"{text:40} {found.memory} {found.cpu_ms:13.1f} {found.threads:8}"
+
+
 def report(seconds: float, starts: int, hours: float) -> Iterator[str]:
     """The tables, line by line as they come."""
-    load = os.getloadavg()[0]
-    yield f"python {platform.python_version()}, numpy {np.__version__}; {platform.machine()}, " + (
-        f"{os.cpu_count()} cores, load {load:.1f} before the run"
-    )
-    yield "virtual board in real time, 1 s steps, MPC with N = 10, history and MQTT to a local mosquitto on"
+    yield f"python {platform.python_version()}, numpy {np.__version__}, onnxruntime {version('onnxruntime')}"
     yield ""
-    rules = run_for(min(seconds, 60.0), "rules")
-    fresh = run_for(min(seconds, 20.0), "MPC", is_first_start=True)
-    mpc = run_for(seconds, "MPC")
-    yield "memory [MB]                                 RSS    PSS    USS"
-    yield f"{'daemon, MPC':40} {mpc.memory}"
-    yield f"{'daemon, MPC, with a history just made':40} {fresh.memory}"
+    yield from default_costs(round(60 * hours))
+    yield ""
+    yield "memory of what it imports [MB]              RSS    PSS    USS   peak"
     for name, imports in PACKAGES.items():
         yield f"{name:40} {memory_with(imports)}"
     yield ""
@@ -227,13 +190,10 @@ def report(seconds: float, starts: int, hours: float) -> Iterator[str]:
     yield f"{f'{starts} starts':40} {statistics.median(later):8.2f} {max(later):6.2f}"
     yield f"{'the first, which makes the history':40} {first:8.2f} {first:6.2f}"
     yield ""
-    yield "CPU per tick at 1 s steps, the line, history and MQTT included [ms]"
-    yield f"{'rules, no solver':40} {rules.cpu_ms_per_tick:8.2f}"
-    yield f"{'MPC':40} {mpc.cpu_ms_per_tick:8.2f}"
-    yield ""
-    yield f"{f'lateness of ticks over {seconds:g} s [ms]':40}     p50     p99     max"
-    yield f"{'daemon, MPC':40} {percentiles(mpc.late_ms)}"
-    yield f"{'bare loop of time.sleep beside it':40} {percentiles(mpc.peer_late_ms)}"
+    late = lateness(seconds, "MPC")
+    yield f"{f'lateness of ticks of 1 s over {seconds:g} s [ms]':40}     p50     p99     max"
+    yield f"{'daemon, MPC':40} {percentiles(late.daemon_ms)}"
+    yield f"{'bare loop of time.sleep beside it':40} {percentiles(late.peer_ms)}"
     yield ""
     daily = history_bytes_per_day(hours)
     size = f"{daily / 1e6:.2f} MB a day, {daily / DAY_TICKS:.0f} bytes a tick"
