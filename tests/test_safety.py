@@ -270,6 +270,33 @@ def test_all_is_off(change, rule):
         assert rules(verdict, actuator) == [f"{name}.{rule}"]
 
 
+STOPPED = [{"emergency_stop": True}, {"maintenance": True}] + [
+    {"echo": echo(cause=cause)} for cause in ("emergency_stop", "maintenance", "storage_damaged")
+]
+FAN_HELD = [
+    {"memory": SafetyMemory(trips=("over_temperature",))},
+    {"memory": SafetyMemory(trips=("heater_stuck_on",))},
+    {"air": 44.0},
+    {"air": 60.0},
+    {"memory": SafetyMemory(sent=Command(fan_on=True), fan_since_s=NOW - 1.0, time_s=NOW - 1.0)},
+]
+
+
+@pytest.mark.parametrize("change", STOPPED)
+@pytest.mark.parametrize("held", FAN_HELD)
+def test_no_rule_starts_or_holds_the_fan_while_hands_may_be_in_the_greenhouse(change, held):
+    wanted = replace(FULL, fan_on=True)
+    seen = view(air=held.get("air", 25.0))
+    assert judge(wanted, seen, held.get("memory")).sent.fan_on  # without the stop these all do
+    assert judge(wanted, replace(seen, **change), held.get("memory")).sent == Command()
+
+
+def test_the_fan_cools_again_after_a_stop_while_the_trip_stands():
+    stopped = judge(FULL, view(emergency_stop=True), SafetyMemory(trips=("over_temperature",)))
+    after = judge(FULL, view(echo=echo(cause="over_temperature"), now_s=NOW + 1.0), stopped.memory)
+    assert not stopped.sent.fan_on and after.sent.fan_on
+
+
 @pytest.mark.parametrize(
     ("change", "opens"),
     [({"emergency_stop": True}, True), ({"maintenance": True}, True), ({"link_up": False}, False)],
@@ -731,7 +758,7 @@ views = st.builds(
     *(st.booleans(),) * 4,
     duties,
     st.booleans(),
-    st.sampled_from(["", "", "over_temperature"]),
+    st.sampled_from(["", "", "over_temperature", "emergency_stop", "maintenance"]),
     st.floats(0.01, 600.0),
 )
 commands = st.builds(Command, numbers, st.one_of(st.booleans(), numbers), numbers, numbers)
@@ -762,7 +789,8 @@ def test_whatever_comes_in_a_legal_command_comes_out(wanted, seen, memory):
     fresh = fresh and -0.5 <= seen.now_s - air.time_s <= LIMITS.reading_age_max_s
     if not fresh or not air.value < LIMITS.temp_air_max_c:
         assert sent.heater_duty == 0.0
-    if seen.emergency_stop or seen.maintenance or not seen.link_up:
+    stopped = seen.echo is not None and seen.echo.stopped
+    if seen.emergency_stop or seen.maintenance or stopped or not seen.link_up:
         assert sent == Command()
     elif fresh and air.value >= LIMITS.temp_air_max_c:
         assert sent.fan_on
