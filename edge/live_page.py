@@ -60,8 +60,10 @@ def _heading(record: TickRecord) -> list[Line]:
 def _alarms(record: TickRecord) -> Iterator[Line]:
     """Lines for a silent board, a trip, and every command that safety changed."""
     if not record.link_up:
-        yield (ALARM, "ALARM  the board is silent: it turns everything off by itself")
-    if record.echo is not None and record.echo.tripped:
+        yield (ALARM, "ALARM  the board is silent: it turns its heater off by itself")
+    if record.echo is not None and record.echo.stopped:
+        yield (ALARM, f"STOPPED  the board holds everything off: {record.echo.trip_cause}")
+    elif record.echo is not None and record.echo.tripped:
         yield (ALARM, f"ALARM  the board has tripped: {record.echo.trip_cause}")
     said = dict.fromkeys(f"safety  {change.reason} ({change.rule})" for change in record.changes)
     yield from (("yellow", text) for text in said)

@@ -92,12 +92,28 @@ def test_the_status_reads_as_a_page(status: dict[str, Any]) -> None:
 
 def test_the_status_begins_with_what_is_wrong(status: dict[str, Any]) -> None:
     operation = {**status["operation"], "emergency_stop": True, "maintenance_until_utc": 9e9}
-    tick = {**status["tick"], "link_up": False}
-    lines = status_lines(
-        {**status, "operation": operation, "tick": tick, "trips": ["overheat"], "echo": None}
-    )
+    now = {"link_up": 0, "trips": ["overheat"], "echo": None}  # since the tick
+    lines = status_lines({**status, "operation": operation, **now})
     assert [line.split()[0] for line in lines[:4]] == ["EMERGENCY", "MAINTENANCE", "TRIPPED:", "THE"]
     assert "heater     not known: the board does not say" in lines
+
+
+@pytest.mark.parametrize(
+    ("cause", "ended_by"),
+    [("emergency_stop", "release"), ("maintenance", "maintenance 0"), ("over_temperature", "clear-trip")],
+)
+def test_what_holds_the_board_is_named_with_what_ends_it(
+    status: dict[str, Any], cause: str, ended_by: str
+) -> None:
+    held = {**status, "echo": {**status["echo"], "tripped": 1, "trip_cause": cause}}
+    assert status_lines(held)[0].startswith(f"THE BOARD HAS TRIPPED: {cause}; `greenhouse {ended_by}`")
+
+
+def test_a_stop_that_the_daemon_knows_of_is_named_once(status: dict[str, Any]) -> None:
+    operation = {**status["operation"], "emergency_stop": True}
+    echo = {**status["echo"], "tripped": 1, "trip_cause": "emergency_stop"}
+    lines = status_lines({**status, "operation": operation, "echo": echo})
+    assert [line for line in lines if line.isupper() or "STOP" in line or "TRIPPED" in line] == lines[:1]
 
 
 def test_before_the_first_tick_the_status_says_so(status: dict[str, Any]) -> None:

@@ -7,6 +7,11 @@ from typing import Any
 from edge.why.reasons import reasons
 
 CLEAR_TRIP = "`greenhouse clear-trip` when the cause is gone"
+# Stops that the board still holds and the daemon does not know of.
+ENDED_BY = {
+    "emergency_stop": "`greenhouse release` ends it",
+    "maintenance": "`greenhouse maintenance 0` ends it",
+}
 
 Json = Mapping[str, Any]
 
@@ -42,10 +47,13 @@ def _alarms(status: Json) -> Iterator[str]:
         yield f"MAINTENANCE until {datetime.fromtimestamp(until):%Y-%m-%d %H:%M}: everything is off"
     if status["trips"]:
         yield f"TRIPPED: {', '.join(map(str, status['trips']))}; {CLEAR_TRIP}"
-    if echo is not None and echo["tripped"] and not operation["emergency_stop"]:
-        yield f"THE BOARD HAS TRIPPED: {echo['trip_cause']}; {CLEAR_TRIP}"
-    if tick is not None and not tick["link_up"]:
-        yield "THE BOARD IS SILENT: it turns everything off by itself"
+    if echo is not None and echo["tripped"]:
+        cause = echo["trip_cause"]
+        known = {"emergency_stop": operation["emergency_stop"], "maintenance": until is not None}
+        if not known.get(cause, False):
+            yield f"THE BOARD HAS TRIPPED: {cause}; {ENDED_BY.get(cause, CLEAR_TRIP)}"
+    if tick is not None and not status["link_up"]:
+        yield "THE BOARD IS SILENT: it turns its heater off by itself"
 
 
 def _driven(echo: Json | None) -> dict[str, str]:
