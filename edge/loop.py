@@ -306,7 +306,7 @@ class Loop:
 
     def _answer_urgent(self) -> None:
         """Obey stop and maintenance while a controller thinks; the tick ends under the new orders."""
-        while (letter := self._rig.inbox.take(ORDINARY)) is not None:
+        if (letter := self._rig.inbox.take(ORDINARY)) is not None:  # one: a flood must not hold up the tick
             self._answer(letter)
 
     def _answer(self, letter: Letter) -> None:

@@ -15,7 +15,7 @@ import pytest
 from loop_rig import UTC_0, LoopRig, is_safe
 
 from edge.failures import FAILURES
-from edge.inbox import Letter
+from edge.inbox import ORDINARY, Letter
 from edge.loop import Loop
 from edge.messages import Command, Quality, TickRecord
 from edge.operation import Operation
@@ -556,3 +556,21 @@ def test_between_two_requests_of_a_flood_the_line_is_served(rig: LoopRig) -> Non
     while rig.loop._operation.reference_c != 29.0:
         rig.loop._serve_and_answer(rig.clock.now_s)
     assert len(served) == 10
+
+
+def test_stops_without_end_while_a_controller_thinks_do_not_hold_up_the_tick(rig: LoopRig) -> None:
+    rig.tick()
+    rig.chosen.hang_s = 0.5
+    rig.loop._decider._deadline_s = 1.0
+    take = rig.inbox.take
+    taken: list[int] = []
+
+    def never_empty(lanes: int = ORDINARY + 1) -> Letter | None:
+        taken.append(lanes)
+        assert len(taken) < 1000, "the tick never ends"
+        rig.inbox.post({"do": "emergency_stop"}, lambda reply: None)
+        return take(lanes)
+
+    rig.inbox.take = never_empty  # type: ignore[method-assign]
+    assert rig.tick().sent.heater_duty == 0.0
+    assert 1 <= len(taken) <= 10
