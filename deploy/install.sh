@@ -56,7 +56,9 @@ install_config() {
 }
 
 install_system_files() {
-    run install -D -m 0644 "$source/deploy/greenhouse.service" "$root/etc/systemd/system/greenhouse.service"
+    for unit in $units; do
+        run install -D -m 0644 "$source/deploy/$unit" "$root/etc/systemd/system/$unit"
+    done
     run install -D -m 0644 "$source/deploy/70-greenhouse.rules" "$root/etc/udev/rules.d/70-greenhouse.rules"
 }
 
@@ -68,7 +70,8 @@ start_service() {
     run udevadm control --reload
     run udevadm trigger --subsystem-match=tty
     run systemctl daemon-reload
-    run systemctl enable --quiet greenhouse.service
+    run systemctl enable --quiet greenhouse.service greenhouse-diagnosis.path
+    run systemctl restart greenhouse-diagnosis.path
     run systemctl try-restart greenhouse.service
 }
 
@@ -84,6 +87,7 @@ while [ $# -gt 0 ]; do
 done
 
 source=$(cd "$(dirname "$0")/.." && pwd)
+units="greenhouse.service greenhouse-diagnosis.path greenhouse-diagnosis.service"
 opt="$root/opt/greenhouse" etc="$root/etc/greenhouse"
 
 [ -n "$dry_run$root" ] || [ "$(id -u)" = 0 ] || die "must be run as root: sudo deploy/install.sh (or --dry-run)"

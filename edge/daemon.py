@@ -1,5 +1,6 @@
 """Wires a rig together from settings, runs its loop, and takes it apart again."""
 
+import os
 import secrets
 import signal
 import threading
@@ -49,6 +50,7 @@ from edge.steering.desk import Surroundings, WishDesk
 from edge.steering.language import settings_from
 from edge.storage import Session, Storage
 
+REQUESTS_VARIABLE = "GREENHOUSE_DIAGNOSIS"  # folder of requests to the diagnosis's unit, set by the daemon's
 ANSWER_SHARE = 0.9  # of the decision's deadline that a client of `external` may take
 
 
@@ -240,6 +242,7 @@ class Daemon:
             bundles.twin_file,
             self.config_file,
             lambda: bundles.serving.rival is not None,
+            Path(folder) if (folder := os.environ.get(REQUESTS_VARIABLE)) else None,
         )
         nightly = NightlyDiagnosis(settings.drift, places, self.clock, zone_of(settings.timezone))
         self._stack.callback(nightly.close)

@@ -1,7 +1,8 @@
 """The diagnosis at night: `greenhouse twin diagnose` over the stored history, as a process of its own.
 
 Control never waits for it: it runs at the lowest priority of processor and disk, one at a time, for a limited
-time, and ends with the daemon. A twin that it finds goes no further than the settings say.
+time and with limited memory, and ends with the daemon. On a rig a unit of systemd runs it, see
+`edge.diagnosis_request`; elsewhere it is a child. A twin that it finds goes no further than the settings say.
 """
 
 import json
@@ -10,7 +11,6 @@ import queue
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -20,17 +20,21 @@ from pathlib import Path
 from typing import Any
 
 from edge.clock import Clock
+from edge.diagnosis_request import GREENHOUSE, LATE, NoUnit, ask
 from edge.messages import DriftState, Event, Severity, TickRecord
 from edge.reference import seconds_of_day
 from edge.settings import DriftSettings
 
-GREENHOUSE = (sys.executable, "-m", "edge")
 LATE_MAX_S = 3600.0  # a night whose hour went by while the rig was off, or its clock wrong, is left out
 ADOPT_MAX_S = 600.0
+ROWS_MAX = 6000  # newest of the history: four days of 60 s, which a diagnosis does in 250 MB
+DATA_MAX_BYTES = 400 << 20  # of a child's memory that is its own; the unit has MemoryMax= instead
 REPORTS_KEPT = 30
 LOG = "log.txt"
-_LOWEST = (  # each where the machine has it: ends with the thread that started it; processor; disk
-    ("setpriv", "--pdeathsig", "KILL"),
+_LOWEST = (  # each where the machine has it
+    ("setpriv", "--pdeathsig", "KILL"),  # ends with the thread that started it
+    ("choom", "-n", "1000", "--"),  # the first that the kernel ends when memory runs out
+    ("prlimit", f"--data={DATA_MAX_BYTES}"),
     ("nice", "-n", "19"),
     ("ionice", "-t", "-c", "3"),
 )
@@ -44,12 +48,14 @@ class Places:
     twin : file of the running twin, None while none runs
     config : edge.yaml of this daemon, None where it has none
     on_trial : a bundle is being compared with the active one: another would end its trial
+    requests : folder in which a unit of systemd looks for requests; None: the diagnosis is a child
     """
 
     history: Path
     twin: Callable[[], Path | None]
     config: Path | None = None
     on_trial: Callable[[], bool] = lambda: False
+    requests: Path | None = None
 
 
 class NightlyDiagnosis:
@@ -132,6 +138,8 @@ class NightlyDiagnosis:
             places.history,
             "--since",
             f"{settings.diagnose_since_d:g}d",
+            "--rows",
+            str(ROWS_MAX),
             "--twin",
             twin,
         )
@@ -151,7 +159,20 @@ class NightlyDiagnosis:
 
     def _call(self, words: Sequence[str | Path], log: Path, patience_s: float) -> None:
         """Run `greenhouse twin ...` to its end. Errors: _Failed"""
-        command = [*self._program, "twin", *map(str, words)]
+        code = self._ended(["twin", *map(str, words)], log, patience_s)
+        if code == LATE:
+            raise _Failed(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended")
+        if code != 0:
+            raise _Failed(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
+
+    def _ended(self, words: Sequence[str], log: Path, patience_s: float) -> int | str:
+        """The exit code, below 0 the signal that ended it; LATE. Errors: _Failed"""
+        if self._places.requests is not None:
+            try:
+                return ask(self._places.requests, words, log, patience_s, lambda: self._closing)
+            except NoUnit as error:
+                raise _Failed(str(error)) from None
+        command = [*self._program, *words]
         with log.open("ab") as out, self._lock:
             if self._closing:
                 raise _Failed("the daemon ends")
@@ -160,16 +181,14 @@ class NightlyDiagnosis:
                 command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
             )
         try:
-            code = process.wait(patience_s)
+            return process.wait(patience_s)
         except subprocess.TimeoutExpired:
             _kill(process)
             process.wait()
-            raise _Failed(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended") from None
+            return LATE
         finally:
             with self._lock:
                 self._process = None
-        if code != 0:
-            raise _Failed(f"{words[0]}: ended with {code}: {_last_line(log)}")
 
     def _tell(self, key: str, text: str, severity: Severity = Severity.INFO) -> None:
         self._told.append((key, severity, text))
@@ -222,6 +241,13 @@ def _in_words(found: Mapping[str, Any]) -> str:
         return "the diagnosis finds nothing missing in the twin"
     on = ", ".join(map(str, found.get("depends_on") or ())) or "nothing it knows"
     return f"the diagnosis finds no name for what is missing; it depends on {on}"
+
+
+def _cause(code: int | str, said: str) -> str:
+    """The command's last words, and that its memory was limited where that ended it."""
+    if code == -signal.SIGKILL or "MemoryError" in said:
+        return f"it needed more memory than it may have; {said}"
+    return said
 
 
 def _last_line(log: Path) -> str:

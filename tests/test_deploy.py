@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 
 from edge import config
+from edge.daemon import REQUESTS_VARIABLE
+from edge.diagnosis_request import REQUEST
 from edge.settings import Settings
 from tests.broker import wait_for
 from tests.daemon_process import ROOT, DaemonProcess, run_command
@@ -23,7 +25,9 @@ from tests.rig import virtual_board
 
 DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "greenhouse.service"
-EXPOSURE_MAX = 2.0
+DIAGNOSIS = DEPLOY / "greenhouse-diagnosis.service"
+PATH_UNIT = DEPLOY / "greenhouse-diagnosis.path"
+EXPOSURE_MAX = {UNIT: 2.0, DIAGNOSIS: 1.0}
 NOBODY = 65534
 # Asked for and done without: sqlite gives files that root makes to their owner, OpenBLAS places memory.
 DISPENSABLE_CALLS = {"fchown", "mbind"}
@@ -33,34 +37,61 @@ def needs(program: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
 
 
-def values(key: str) -> list[str]:
-    """Values of one key of the unit, in order."""
-    return re.findall(rf"^{key}=(.*)$", UNIT.read_text(), re.MULTILINE)
+def values(key: str, unit: Path = UNIT) -> list[str]:
+    """Values of one key of a unit, in order."""
+    return re.findall(rf"^{key}=(.*)$", unit.read_text(), re.MULTILINE)
 
 
 # the unit
 
 
 @needs("systemd-analyze")
-def test_the_unit_is_hardened() -> None:
-    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", str(UNIT)]
+@pytest.mark.parametrize("unit", EXPOSURE_MAX)
+def test_the_unit_is_hardened(unit: Path) -> None:
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", str(unit)]
     out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    score = re.search(r"Overall exposure level for greenhouse\.service: ([0-9.]+)", out)
+    score = re.search(rf"Overall exposure level for {re.escape(unit.name)}: ([0-9.]+)", out)
     assert score is not None, out
-    assert float(score[1]) <= EXPOSURE_MAX
+    assert float(score[1]) <= EXPOSURE_MAX[unit]
 
 
 @needs("systemd-analyze")
-def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path) -> None:
-    installed = tmp_path / UNIT.name
-    program, _, arguments = values("ExecStart")[0].partition(" ")
-    assert program == "/opt/greenhouse/venv/bin/greenhouse"
-    installed.write_text(UNIT.read_text().replace(program, shutil.which("true") or ""))
-    done = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", str(installed)], capture_output=True, text=True
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert arguments == "run --config /etc/greenhouse/edge.yaml"
+def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
+    for unit in (UNIT, DIAGNOSIS, PATH_UNIT):
+        text = re.sub(r"/opt/greenhouse/venv/bin/\w+", shutil.which("true") or "", unit.read_text())
+        (tmp_path / unit.name).write_text(text)
+    for unit in (UNIT, DIAGNOSIS, PATH_UNIT):
+        done = subprocess.run(
+            ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit.name)],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "SYSTEMD_UNIT_PATH": f"{tmp_path}:"},
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_unit_starts_the_daemon() -> None:
+    assert values("ExecStart") == [
+        "/opt/greenhouse/venv/bin/greenhouse run --config /etc/greenhouse/edge.yaml"
+    ]
+
+
+def test_the_diagnosis_has_a_memory_limit_of_its_own_and_ends_with_the_daemon() -> None:
+    assert values("MemoryMax", DIAGNOSIS) == ["320M"]
+    assert values("OOMScoreAdjust", DIAGNOSIS) == ["1000"]
+    assert values("BindsTo", DIAGNOSIS) == [UNIT.name]
+    assert PATH_UNIT.stem == DIAGNOSIS.stem
+
+
+def test_daemon_path_unit_and_diagnosis_mean_one_folder() -> None:
+    (folder,) = (value for value in values("Environment") if value.startswith(REQUESTS_VARIABLE))
+    requests = folder.partition("=")[2]
+    assert values("PathExists", PATH_UNIT) == [f"{requests}/{REQUEST}"]
+    program, _, arguments = values("ExecStart", DIAGNOSIS)[0].partition(" ")
+    assert program == "/opt/greenhouse/venv/bin/python"
+    assert arguments == f"-m edge.diagnosis_request {requests}"
+    assert requests.startswith(f"/run/{values('RuntimeDirectory')[0]}/")
+    assert f"/run/{values('RuntimeDirectory')[0]}" in values("ReadWritePaths", DIAGNOSIS)[0].split()
 
 
 def test_the_default_settings_lie_where_the_unit_allows() -> None:
@@ -251,7 +282,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def test_install_puts_everything_in_its_place(installed: Path) -> None:
-    assert (installed / "etc/systemd/system/greenhouse.service").read_bytes() == UNIT.read_bytes()
+    for unit in (UNIT, DIAGNOSIS, PATH_UNIT):
+        assert (installed / "etc/systemd/system" / unit.name).read_bytes() == unit.read_bytes()
     assert (installed / "etc/udev/rules.d/70-greenhouse.rules").exists()
     assert stat.S_IMODE((installed / "opt/greenhouse/venv/bin/greenhouse").stat().st_mode) == 0o755
     assert config.load(installed / "etc/greenhouse/edge.yaml") == config.default()

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -500,6 +501,18 @@ def test_a_clock_that_went_back_between_two_sessions_only_separates_them(history
     runs = history_runs(export_stretches(history), TWIN, test_share=0.0)
     assert [len(named.run) for named in runs.train] == [30, 30]
     assert runs.test == ()
+
+
+def test_of_a_long_history_the_newest_rows_are_used_and_the_report_says_since_when(history: Path) -> None:
+    first = [full_tick(seq) for seq in range(1, 31)]
+    later = [full_tick(31, ticks_skipped=11), *(full_tick(seq) for seq in range(32, 61))]
+    record(history, *first, *later)
+    runs = history_runs(export_stretches(history), TWIN, test_share=0.25, rows_max=40)
+    assert [len(named.run) for named in (*runs.train, *runs.test)] == [10, 20, 10]
+    since = datetime.fromtimestamp(START_UTC + 21 * 60.0, UTC).isoformat(timespec="milliseconds")
+    assert runs.told[0].startswith(f"40 of 60 rows of the history are used, from {since} on")
+    every = history_runs(export_stretches(history), TWIN, test_share=0.25, rows_max=60)
+    assert (sum(len(named.run) for named in every.train), every.told) == (45, ())
 
 
 def test_a_named_test_run_of_the_history_is_never_fitted_on(history: Path) -> None:

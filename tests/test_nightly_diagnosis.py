@@ -12,7 +12,16 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from edge.messages import Drift, DriftState, Event
-from edge.nightly_diagnosis import LOG, REPORTS_KEPT, NightlyDiagnosis, Places, is_due, lowest_priority, prune
+from edge.nightly_diagnosis import (
+    LOG,
+    REPORTS_KEPT,
+    ROWS_MAX,
+    NightlyDiagnosis,
+    Places,
+    is_due,
+    lowest_priority,
+    prune,
+)
 from edge.settings import DriftSettings
 from tests.broker import wait_for
 from tests.loop_rig import FakeClock
@@ -42,12 +51,13 @@ class Night:
     """A nightly diagnosis whose ticks a test hands in, and what it says."""
 
     def __init__(self, folder: Path, body: str = NAMED, twin: Path | None = Path("twin.yaml"),
-                 on_trial: bool = False, **settings):  # fmt: skip
+                 on_trial: bool = False, requests: Path | None = None, **settings):  # fmt: skip
         self.folder = folder
         program = folder / "greenhouse.py"
         program.write_text(FAKE.format(folder=str(folder), body=body))
         given = DriftSettings(reports=str(folder / "reports"), **{"diagnose": "disagrees", **settings})
-        places = Places(folder / "history.db", lambda: twin, folder / "edge.yaml", lambda: on_trial)
+        config = folder / "edge.yaml"
+        places = Places(folder / "history.db", lambda: twin, config, lambda: on_trial, requests)
         self.diagnosis = NightlyDiagnosis(given, places, FakeClock(), UTC, (sys.executable, str(program)))
         self.events: list[Event] = []
 
@@ -137,7 +147,8 @@ def test_it_reads_the_history_and_writes_a_report(tmp_path):
         night.strike_three()
         report = tmp_path / "reports" / "2026-07-01_0300"
         assert night.told("diagnosis.done") == f"the diagnosis names wall_loss; report: {report}"
-    words = f"twin diagnose --jobs 1 --history {tmp_path}/history.db --since 0.5d --twin twin.yaml"
+    bounds = f"--since 0.5d --rows {ROWS_MAX}"
+    words = f"twin diagnose --jobs 1 --history {tmp_path}/history.db {bounds} --twin twin.yaml"
     niceness, _, called = night.calls[0].partition(" ")
     assert called == f"{words} --out {report}"
     assert int(niceness) == 19
@@ -184,7 +195,8 @@ def test_where_it_names_nothing_nothing_is_adopted(tmp_path, found, words):
         ("", "diagnosis.json"),
         ("(Path(words[-1]) / 'diagnosis.json').write_text('[]')", "not a JSON object"),
         ("(Path(words[-1]) / 'diagnosis.json').write_text('{')", "diagnosis.json"),
-        ("os.kill(os.getpid(), 9)", "ended with -9"),
+        ("os.kill(os.getpid(), 9)", "ended with -9: it needed more memory than it may have"),
+        ("bytearray(1 << 30)", "it needed more memory than it may have; MemoryError"),
     ],
 )
 def test_a_diagnosis_that_fails_is_told_and_the_next_night_tries_again(tmp_path, body, words):

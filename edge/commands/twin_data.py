@@ -35,11 +35,16 @@ def add_data_arguments(parser: argparse.ArgumentParser) -> None:
         type=number(0.0, 1.0),
         help=f"newest share of the rows that becomes test runs (usual: {TEST_SHARE:g})",
     )
+    parser.add_argument(
+        "--rows",
+        type=int,
+        help="newest rows of the history that are used; memory grows with them (usual: all)",
+    )
 
 
 def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> DiagnosisRuns:
     """The runs that the arguments name. Errors: DataError, RequestError for files and history together"""
-    bounds = (arguments.history, arguments.since, arguments.until, arguments.test_share)
+    bounds = (arguments.history, arguments.since, arguments.until, arguments.test_share, arguments.rows)
     if all(bound is None for bound in bounds):
         if not arguments.train:
             raise RequestError(
@@ -53,4 +58,6 @@ def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> Diagnosi
     path = history_of(arguments.history)
     stretches = export_stretches(path, moment(arguments.since), moment(arguments.until))
     share = TEST_SHARE if arguments.test_share is None else arguments.test_share
-    return history_runs(stretches, twin, share, str(path))
+    if arguments.rows is not None and arguments.rows < 1:
+        raise RequestError(f"--rows: {arguments.rows} is not above 0")
+    return history_runs(stretches, twin, share, str(path), arguments.rows)

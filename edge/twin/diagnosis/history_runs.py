@@ -14,9 +14,15 @@ TEST_SHARE = 0.2
 
 
 def history_runs(
-    stretches: Sequence[Run], twin: TwinFile, test_share: float = TEST_SHARE, source: str = "the history"
+    stretches: Sequence[Run],
+    twin: TwinFile,
+    test_share: float = TEST_SHARE,
+    source: str = "the history",
+    rows_max: int | None = None,
 ) -> DiagnosisRuns:
     """Stretches in the order of time, the last `test_share` of their rows as test runs.
+
+    rows_max : newest rows that are used, as memory and time grow with them; a note says from when on
 
     A stretch of role test is never fitted on, wherever it lies. Runs are called history_1, history_2, ...; of
     a stretch in which the room was not measured while others have it nothing is used.
@@ -28,15 +34,37 @@ def history_runs(
     parts = [piece for stretch in stretches for piece in pieces(stretch)]
     usable = [part for part in parts if _measured(part) >= PIECE_ROWS]
     chosen = _with_room(usable)
+    left_out = len(parts) - len(chosen)
     if not chosen:
         raise DataError(f"{source}: no stretch has {PIECE_ROWS} rows with a temperature")
+    every = sum(len(run) for run in chosen)
+    chosen = _newest(chosen, every if rows_max is None else rows_max)
+    notes = []
+    if (rows := sum(len(run) for run in chosen)) < every:
+        begun = f"from {chosen[0].facts['start_utc']} on" if "start_utc" in chosen[0].facts else "the newest"
+        notes.append(
+            f"{rows} of {every} rows of {source} are used, {begun}: more need more memory than is allowed"
+        )
     train, test = _divide(chosen, test_share)
     named = [(f"history_{i + 1}", run) for i, run in enumerate([*train, *test])]
-    left_out = len(parts) - len(chosen)
-    note = f"{left_out} of {len(parts)} stretches of {source} are too short or lack the room temperature"
+    if left_out:
+        notes.append(
+            f"{left_out} of {len(parts)} stretches of {source} are too short or lack the room temperature"
+        )
     if not train:
         raise DataError(f"{source}: only runs of role test, which are never fitted on")
-    return diagnosis_runs(named[: len(train)], named[len(train) :], twin, [note] if left_out else [])
+    return diagnosis_runs(named[: len(train)], named[len(train) :], twin, notes)
+
+
+def _newest(runs: Sequence[Run], rows_max: int) -> list[Run]:
+    """The newest rows of all runs together; the run in which the boundary lies is cut there."""
+    found: list[Run] = []
+    for run in reversed(runs):
+        rows = min(len(run), rows_max)
+        rows_max -= rows
+        if _measured_from(run, len(run) - rows) >= PIECE_ROWS:
+            found.insert(0, cut(run, len(run) - rows, len(run)))
+    return found
 
 
 def _with_room(runs: Sequence[Run]) -> list[Run]:

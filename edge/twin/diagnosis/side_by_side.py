@@ -15,7 +15,7 @@ from typing import TypeVar
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
-AT_ONCE = 100_000  # rows of all trials of one lot together, as each row of a trial takes about 1 kB
+AT_ONCE = 30_000  # rows of all trials of one lot together, as each row of a trial takes about 1 kB
 
 
 class SideBySide:

@@ -75,8 +75,10 @@ def find_events(
     steps = steps_of(twin, runs, sensor_k)
     found: list[list[Shape]] = [[] for _ in names]
     switches = Switches.of(runs)
+    shapes: list[RunShapes] = []
     for _ in range(PASSES):
         way = filtered(steps, sensor_k, likeliest(_loosened(steps, found), sensor_k))
+        shapes.clear()  # the largest arrays of a diagnosis: never two passes' at once
         shapes = _shapes(twin, runs, steps, way)
         before, found = found, _pursued(shapes, white(way), switches, false_alarm)
         if _places(before) == _places(found):
@@ -105,7 +107,8 @@ def _shapes(twin: Twin, runs: Recorded, steps: Steps, way: Filtered) -> list[Run
     # door lets out is gone in seconds.
     shown = np.stack([held(temp) for temp in runs.temp])[:, 1:]
     excess = shown - twin.signals.room(runs.ambient)
-    doors = pulses(steps, way) * -excess[:, :, None]
+    doors = pulses(steps, way)
+    doors *= -excess[:, :, None]
     every = zip(doors, spikes(steps, way), jumps(steps, way), excess, strict=True)
     return [RunShapes(*parts) for parts in every]
 

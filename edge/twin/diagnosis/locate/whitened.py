@@ -33,10 +33,12 @@ def spikes(steps: Steps, way: Filtered) -> Floats:
     shown = _scaled(way, np.ones_like(way.innovation), 0)
     later = -np.einsum("kbij,kbj->kbi", steps.matrix[1:], way.gain[:-1])
     rest = _responses(steps, way, np.concatenate([np.zeros_like(way.gain[:1]), later]))
-    out = np.zeros_like(rest)
-    out[:, :, 0] = shown.T
-    out[:, :-1, 1:] = rest[:, 1:, :-1]
-    return out
+    # In place, as a second array of this size is what a small machine lacks.
+    for run in rest:
+        run[:-1, 1:] = run[1:, :-1]
+    rest[:, -1, 1:] = 0.0
+    rest[:, :, 0] = shown.T
+    return rest
 
 
 def _responses(steps: Steps, way: Filtered, state: Floats) -> Floats:
