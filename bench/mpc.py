@@ -20,6 +20,7 @@ from bench import closed_loop, peers
 from bench.instances import fitted_model, instances
 from edge.controllers.mixed_integer.problem import Problem
 from edge.controllers.mixed_integer.solver import solve
+from edge.controllers.mixed_integer.time_box import TimeBox
 
 HORIZONS = (5, 10, 20, 30)
 _NO_BUDGET = 10**9  # here the time box alone ends a search
@@ -31,7 +32,7 @@ def ours(box_s: float) -> Method:
     """The planner of `MPC` inside a time box."""
 
     def method(problem: Problem) -> tuple[float, float, bool]:
-        solution = solve(problem, _NO_BUDGET, box_s)
+        solution = solve(problem, _NO_BUDGET, TimeBox(box_s))
         return solution.plan.cost, solution.bound, solution.proven
 
     return method
@@ -64,7 +65,7 @@ def compare(problems: list[Problem], methods: dict[str, Method]) -> list[str]:
             proven += sure
         spent = f"{np.median(times):9.2f} {np.percentile(times, 99):9.2f} {max(times):9.2f}"
         lines.append((name, f"{100.0 * proven / len(problems):7.1f} {spent}"))
-    long_run = [solve(problem, _NO_BUDGET, _LONG_S) for problem in problems]
+    long_run = [solve(problem, _NO_BUDGET, TimeBox(_LONG_S)) for problem in problems]
     known = np.min([*costs.values(), [solution.plan.cost for solution in long_run]], axis=0)
     false = sum(int((np.array(values) > known * (1 + 1e-9) + 1e-9).sum()) for values in bounds.values())
     rows = [f"{name:22} {sum(costs[name]) / known.sum():10.5f} {rest}" for name, rest in lines]

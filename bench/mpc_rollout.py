@@ -25,6 +25,7 @@ from edge.bundle.store import PACKAGED_FOLDER
 from edge.controllers.base import Context
 from edge.controllers.mixed_integer.problem import Plan
 from edge.controllers.mixed_integer.solver import solve
+from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.mpc import MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
 from edge.controllers.plan_rollouts import plan_rollouts
@@ -89,11 +90,11 @@ def best_known(model: Predictor, arx: Arx, context: Context, settings: MpcSettin
     estimate = context.estimate
     held = arx.duty_to_hold(float(problem.reference[-1]), estimate.temp_ambient, estimate.offset)
     costly = [replace(problem, fan_weight=problem.fan_weight + more) for more in _FAN_WEIGHTS]
-    starts = [solve(one, settings.node_budget, _FOREVER_S).plan for one in costly]
+    starts = [solve(one, settings.node_budget, TimeBox(_FOREVER_S)).plan for one in costly]
     still = np.zeros(problem.horizon, dtype=np.int64)
     if problem.allows(still, still):
         starts.append(Plan(still, still, np.inf))
-    meter = Meter(_FOREVER_S, _MANY * _BUDGETS[-1])
+    meter = Meter(TimeBox(_FOREVER_S), _MANY * _BUDGETS[-1])
     search = RolloutSearch(plan_rollouts(context, model, problem, held), meter)
     search.run(starts)
     return search.best.plan.cost

@@ -97,7 +97,13 @@ class ControlSettings(Section):
     node_budget: int = whole(
         20_000, "nodes an MPC may search; the same log gives the same decisions", 1, 10_000_000
     )
-    time_box_ms: float = number(250.0, "wall clock that guards the search", "ms", 1.0, 60_000.0)
+    time_box_ms: float = number(
+        250.0,
+        "CPU time that guards the search; the wall time is limited to three times as much",
+        "ms",
+        1.0,
+        60_000.0,
+    )
     preview: bool = flag(False, "MPC, MPC-P, MPC-BFGS, MPC-BFGS-P and LLM-* know the coming reference")
     twin_preview: bool = flag(True, "MPC-Twin and MPC-Twin-P know the coming reference")
     decision_deadline_s: float = number(

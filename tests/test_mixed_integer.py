@@ -1,5 +1,6 @@
 """What the solver proves is true: against full enumeration, on problems of every kind."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +17,10 @@ from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import search
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.tangent import tangent
+from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.errors import DataError
 
-FOREVER_S = 1e9
+FOREVER = TimeBox(1e9)
 MANY_NODES = 10**7
 short = problems(st.integers(1, 2), st.just(20))
 coarse = problems(st.integers(3, 5), st.integers(0, 3))
@@ -32,7 +34,7 @@ def close(cost: float) -> float:
 @settings(deadline=None, max_examples=150)
 @given(short)
 def test_short_plans_of_the_real_grid_are_the_cheapest_of_all(problem):
-    solution = solve(problem, MANY_NODES, FOREVER_S)
+    solution = solve(problem, MANY_NODES, FOREVER)
     optimum = true_optimum(problem)
     assert solution.proven
     assert abs(solution.plan.cost - optimum) <= close(optimum)
@@ -41,7 +43,7 @@ def test_short_plans_of_the_real_grid_are_the_cheapest_of_all(problem):
 @settings(deadline=None, max_examples=200)
 @given(coarse)
 def test_longer_plans_of_a_coarse_grid_are_the_cheapest_of_all(problem):
-    solution = solve(problem, MANY_NODES, FOREVER_S)
+    solution = solve(problem, MANY_NODES, FOREVER)
     optimum = true_optimum(problem)
     assert solution.proven
     assert abs(solution.plan.cost - optimum) <= close(optimum)
@@ -59,7 +61,7 @@ def test_three_steps_of_the_real_grid_are_the_cheapest_of_all(seed):
         heater_weight=float(seed % 2),
         fan_weight=float(seed % 2),
     )
-    solution = solve(problem, MANY_NODES, FOREVER_S)
+    solution = solve(problem, MANY_NODES, FOREVER)
     assert solution.proven
     assert solution.plan.cost == pytest.approx(true_optimum(problem), rel=1e-9)
 
@@ -67,7 +69,7 @@ def test_three_steps_of_the_real_grid_are_the_cheapest_of_all(seed):
 @settings(deadline=None, max_examples=200)
 @given(coarse, st.integers(1, 60))
 def test_a_small_budget_gives_an_allowed_plan_and_a_bound_below_the_optimum(problem, budget):
-    solution = solve(problem, budget, FOREVER_S)
+    solution = solve(problem, budget, FOREVER)
     optimum = true_optimum(problem)
     assert problem.allows(solution.plan.levels, solution.plan.fan)
     assert solution.bound <= optimum + close(optimum)
@@ -81,7 +83,7 @@ def test_a_small_budget_gives_an_allowed_plan_and_a_bound_below_the_optimum(prob
 def test_a_solve_stopped_anywhere_keeps_an_honest_bound(problem, node_limit):
     nothing = np.zeros(problem.horizon, dtype=np.int64)
     warm = (nothing, nothing + int(problem.fan_rules.on))
-    solution = solve(problem, MANY_NODES, FOREVER_S, node_limit=node_limit, warm=warm)
+    solution = solve(problem, MANY_NODES, FOREVER, node_limit=node_limit, warm=warm)
     optimum = true_optimum(problem)
     assert solution.bound <= optimum + close(optimum)
     assert not solution.proven or solution.plan.cost <= optimum + close(optimum)
@@ -134,7 +136,7 @@ def test_what_dominance_drops_is_never_needed(problem, seed):
 @settings(deadline=None, max_examples=150)
 @given(coarse)
 def test_the_runner_up_has_another_first_step_and_costs_no_less(problem):
-    solution = solve(problem, MANY_NODES, FOREVER_S)
+    solution = solve(problem, MANY_NODES, FOREVER)
     if solution.runner_up is None:
         levels, fan = every_plan(problem.heater_levels, problem.horizon)
         allowed = problem.allows(levels, fan)
@@ -149,7 +151,7 @@ def test_the_runner_up_has_another_first_step_and_costs_no_less(problem):
 @settings(deadline=None, max_examples=60)
 @given(problems(st.integers(6, 12), st.integers(0, 20)), st.integers(0, 2**32 - 1))
 def test_no_bound_is_above_any_plan_of_a_long_problem(problem, seed):
-    solution = solve(problem, 2000, FOREVER_S)
+    solution = solve(problem, 2000, FOREVER)
     rng = np.random.default_rng(seed)
     levels = rng.integers(0, problem.heater_levels + 1, size=(500, problem.horizon))
     fan = rng.integers(0, 2, size=(500, problem.horizon))
@@ -188,15 +190,15 @@ def plain_problem(horizon: int = 20, **changes: object) -> Problem:
 
 
 def test_the_same_problem_gives_the_same_plan_bit_for_bit():
-    one, two = (solve(plain_problem(), 3000, FOREVER_S) for _ in range(2))
+    one, two = (solve(plain_problem(), 3000, FOREVER) for _ in range(2))
     assert one.plan.levels.tolist() == two.plan.levels.tolist()
     assert (one.plan.cost, one.bound, one.nodes) == (two.plan.cost, two.bound, two.nodes)
 
 
 def test_a_fired_time_box_is_replayed_by_its_node_count():
-    fired = solve(plain_problem(), MANY_NODES, 0.0)
+    fired = solve(plain_problem(), MANY_NODES, TimeBox(0.0))
     assert fired.time_box_fired
-    replayed = solve(plain_problem(), MANY_NODES, FOREVER_S, node_limit=fired.nodes)
+    replayed = solve(plain_problem(), MANY_NODES, FOREVER, node_limit=fired.nodes)
     assert replayed.time_box_fired
     assert replayed.plan.levels.tolist() == fired.plan.levels.tolist()
     assert (replayed.plan.cost, replayed.bound, replayed.nodes) == (fired.plan.cost, fired.bound, fired.nodes)
@@ -205,7 +207,7 @@ def test_a_fired_time_box_is_replayed_by_its_node_count():
 def test_a_budget_is_kept_and_enough_of_it_finds_the_cheapest():
     costs = []
     for budget in (1, 40, 400, 100_000):
-        solution = solve(plain_problem(), budget, FOREVER_S)
+        solution = solve(plain_problem(), budget, FOREVER)
         assert solution.nodes <= max(budget, 20)  # one node a step is the least there is
         costs.append(solution.plan.cost)
     assert solution.proven
@@ -214,16 +216,16 @@ def test_a_budget_is_kept_and_enough_of_it_finds_the_cheapest():
 
 def test_a_warm_start_is_used_only_where_it_is_allowed():
     problem = plain_problem(fan_rules=FanRules(on=False, hold=3))
-    best = solve(problem, MANY_NODES, FOREVER_S).plan
-    warm = solve(problem, 1, FOREVER_S, warm=(best.levels, best.fan))
+    best = solve(problem, MANY_NODES, FOREVER).plan
+    warm = solve(problem, 1, FOREVER, warm=(best.levels, best.fan))
     assert warm.plan.cost == pytest.approx(best.cost)
-    forbidden = solve(problem, 1, FOREVER_S, warm=(best.levels, np.ones_like(best.fan)))
+    forbidden = solve(problem, 1, FOREVER, warm=(best.levels, np.ones_like(best.fan)))
     assert problem.allows(forbidden.plan.levels, forbidden.plan.fan)
 
 
 def test_a_capped_heater_stays_off_and_a_held_fan_stays_as_it_is():
     problem = plain_problem(heater_levels=0, fan_rules=FanRules(on=True, hold=20))
-    solution = solve(problem, MANY_NODES, FOREVER_S)
+    solution = solve(problem, MANY_NODES, FOREVER)
     assert solution.plan.levels.tolist() == [0] * 20
     assert solution.plan.fan.tolist() == [1] * 20
     assert solution.runner_up is None
@@ -299,7 +301,7 @@ def test_polish_redoes_a_slow_heater_with_all_the_horizon_in_view():
     fan = np.array([1] + [0] * 9)
     swinging = np.array([20, 0] * 5)  # what the next temperature alone asks for
     better = polished(problem, Plan(swinging, fan, float(problem.cost(swinging, fan))))
-    best = solve(problem, MANY_NODES, 20.0).plan.cost
+    best = solve(problem, MANY_NODES, TimeBox(20.0)).plan.cost
     assert better.cost <= 1.01 * best
 
 
@@ -341,7 +343,28 @@ def test_polish_switches_a_fan_that_runs_for_nothing():
 
 def test_a_search_that_can_find_nothing_better_says_so():
     problem = plain_problem(4)
-    best = solve(problem, MANY_NODES, FOREVER_S).plan.cost
+    best = solve(problem, MANY_NODES, FOREVER).plan.cost
     found = search(problem, tangent(problem, relaxed_temperatures(problem)), 1000, best)
     assert found.plan is None
     assert found.bound == np.inf
+
+
+def test_a_search_on_a_busy_machine_gets_its_cpu_time():
+    """Wall time that other processes take does not shorten the search."""
+    quiet, busy = (
+        solve(plain_problem(), MANY_NODES, TimeBox(1.0, cpu=ticking(0.01), wall=ticking(wall_s)))
+        for wall_s in (0.01, 0.025)
+    )
+    assert (busy.nodes, busy.plan.cost) == (quiet.nodes, quiet.plan.cost)
+
+
+def test_a_search_that_gets_no_cpu_time_ends_by_the_wall_clock():
+    starved = solve(plain_problem(), MANY_NODES, TimeBox(1.0, cpu=lambda: 0.0, wall=ticking(1.0)))
+    assert starved.time_box_fired
+    box = TimeBox(1.0, wall_s=2.0, cpu=lambda: 0.0, wall=iter((10.0, 11.9, 12.1)).__next__)
+    assert [box.is_over(), box.is_over()] == [False, True]
+
+
+def ticking(step_s):
+    """A clock that goes on by `step_s` at each look."""
+    return itertools.count(0.0, step_s).__next__

@@ -132,6 +132,17 @@ def test_a_plan_is_carried_on_and_forgotten_on_reset():
     assert controller.decide(context(24.0, 22.0)).why["cost"] == alone
 
 
+@pytest.mark.parametrize(
+    ("box_s", "decision_s", "wall_s"), [(0.25, 4.0, 0.75), (2.0, 4.0, 3.2), (2.0, 1.0, 2.0)]
+)
+def test_a_time_box_ends_before_the_decision_is_late(monkeypatch, box_s, decision_s, wall_s):
+    """Three times the CPU time, at most four fifths of the deadline, and never below the CPU time."""
+    found = []
+    monkeypatch.setattr("edge.controllers.mpc.TimeBox", lambda cpu_s, wall_s: found.append((cpu_s, wall_s)))
+    MpcSettings(1.0, 20, 100, box_s, decision_s=decision_s).time_box()
+    assert found == [(box_s, pytest.approx(wall_s))]
+
+
 def test_a_fired_time_box_is_reported_and_replayed():
     boxed = Mpc("MPC-P", MODEL, MpcSettings(1.0, 20, 100_000, 0.0))
     fired = boxed.decide(context(26.0, 22.0))

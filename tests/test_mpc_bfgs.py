@@ -4,6 +4,7 @@ from contexts import context
 
 from edge.controllers.base import Limits
 from edge.controllers.mixed_integer.solver import solve
+from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.mpc import planning_problem
 from edge.controllers.mpc_bfgs import MpcBfgs, rounded_bfgs
 from edge.messages import Command
@@ -37,7 +38,7 @@ def test_plans_are_on_the_grid_and_never_better_than_the_exact_one(temp, weight)
     problem = planning_problem(context(temp, 26.0), MODEL, weight, 6, False)
     levels, fan, _ = rounded_bfgs(problem)
     assert problem.allows(levels, fan)
-    exact = solve(problem, 100_000, 1e9)
+    exact = solve(problem, 100_000, TimeBox(1e9))
     assert float(problem.cost(levels, fan)) >= exact.bound
 
 

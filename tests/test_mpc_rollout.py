@@ -1,6 +1,5 @@
 import itertools
 import json
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.controllers.base import Context, Limits
+from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.mpc import Mpc, MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
 from edge.controllers.plan_rollouts import plan_rollouts
@@ -147,7 +147,7 @@ def test_a_short_plan_is_the_cheapest_of_all():
 def test_every_plan_that_is_found_keeps_the_relay_rules_and_the_heaters_limit(seed, budget):
     here = random_context(seed)
     problem = planning_problem(here, ARX, 0.0, 5, False, 3)
-    search = RolloutSearch(plan_rollouts(here, LazyBox(), problem, 0.1), Meter(FOREVER_S, budget))
+    search = RolloutSearch(plan_rollouts(here, LazyBox(), problem, 0.1), Meter(TimeBox(FOREVER_S), budget))
     search.run([search.meter.linear_plan(problem, 100, None)])
     plans = [search.best.plan, *([search.runner_up] if search.runner_up is not None else [])]
     for plan in plans:
@@ -239,8 +239,9 @@ def test_a_search_that_the_clock_ends_anywhere_is_replayed_bit_for_bit(monkeypat
     for late_from in range(1, 40, 2):  # the so-many-th look at the clock
         looks = itertools.count()
         with monkeypatch.context() as patched:
-            patched.setattr(time, "monotonic", lambda looks=looks, last=late_from: float(next(looks) >= last))
-            fired = over(LazyBox(), box_s=0.5).decide(here)
+            box = TimeBox(0.5, cpu=lambda looks=looks, last=late_from: float(next(looks) >= last))
+            patched.setattr(MpcSettings, "time_box", lambda self, box=box: box)
+            fired = over(LazyBox()).decide(here)
         if fired.why["time_box_fired"]:
             fired_in.add(fired.why["rollouts"])
             assert the_same(fired, over(LazyBox()).decide(here, node_limit=fired.why["nodes"]))

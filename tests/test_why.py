@@ -75,7 +75,7 @@ def test_a_plan_is_told_with_its_costs_and_what_bound_it() -> None:
             },
             'That does not hold: "the fan is on" (fan off).',
         ),
-        ({"time_box_fired": True}, "The wall clock ended its search."),
+        ({"time_box_fired": True}, "The time limit ended its search."),
     ],
 )
 def test_every_kind_of_controller_has_its_sentence(values: dict[str, Any], sentence: str) -> None:

@@ -10,6 +10,7 @@ from edge.controllers.base import Columns, Context, goal_ahead
 from edge.controllers.heater import levels_allowed
 from edge.controllers.mixed_integer.problem import FanRules, Ints, Problem
 from edge.controllers.mixed_integer.solver import Solution, solve
+from edge.controllers.mixed_integer.time_box import WALL_FACTOR, TimeBox
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
 from edge.messages import Decision
 from edge.models.arx import Arx
@@ -17,13 +18,17 @@ from edge.names import HEATER_LEVELS
 
 LIMIT_WEIGHT = 1000.0  # 1 K above the soft limit costs as much as 10 K off the reference
 
+WALL_SHARE = 0.8  # of the decision's deadline; polish and runner-up follow the search
+
 
 @dataclass(frozen=True, slots=True)
 class MpcSettings:
     """What an MPC is made with.
 
     weight : on heater and fan effort, 0 for `MPC`, 1 for `MPC-P` (paper, section MPC)
-    node_budget, time_box_s : see `mixed_integer.solver.solve`
+    node_budget : see `mixed_integer.solver.solve`
+    time_box_s : CPU time of a search [s]
+    decision_s : wall time that a decision may take [s]
     preview : plan for the coming reference; False is the paper's, which holds the present one
     """
 
@@ -33,6 +38,12 @@ class MpcSettings:
     time_box_s: float
     preview: bool = False
     tail: int = 0
+    decision_s: float = 4.0
+
+    def time_box(self) -> TimeBox:
+        """Return the time box of one decision; it ends before the decision is late."""
+        wall_s = max(self.time_box_s, WALL_SHARE * self.decision_s)
+        return TimeBox(self.time_box_s, min(WALL_FACTOR * self.time_box_s, wall_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +80,7 @@ class Mpc:
             context, self._model, settings.weight, settings.horizon, settings.preview, settings.tail
         )
         warm = shifted(self._previous, context)
-        solution = solve(problem, settings.node_budget, settings.time_box_s, node_limit, warm)
+        solution = solve(problem, settings.node_budget, settings.time_box(), node_limit, warm)
         plan = solution.plan
         self._previous = Previous(context.now_s, plan.levels, plan.fan)
         temps = problem.temperatures(plan.levels, plan.fan)

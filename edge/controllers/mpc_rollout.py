@@ -47,7 +47,7 @@ class MpcRollout:
         """
         begun = time.perf_counter()
         settings = self._settings
-        meter = Meter(time.monotonic() + settings.time_box_s, self._budget, node_limit)
+        meter = Meter(settings.time_box(), self._budget, node_limit)
         problem = planning_problem(
             context, self._planner, settings.weight, settings.horizon, settings.preview, settings.tail
         )

@@ -91,6 +91,7 @@ def _mpc(name: str, parts: Parts) -> Controller:
         horizon=settings.horizon,
         node_budget=settings.node_budget,
         time_box_s=1e-3 * settings.time_box_ms,
+        decision_s=settings.decision_deadline_s,
         preview=settings.preview,
         tail=settings.tail,
     )

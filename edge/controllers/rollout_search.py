@@ -5,7 +5,6 @@ near plans are ranked by the picture and the most promising are rolled out for r
 best of them is the next plan to look around, until none is better. Nothing is proven.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from edge.controllers.mixed_integer.polish import Local, neighbours
 from edge.controllers.mixed_integer.problem import Plan, Problem
 from edge.controllers.mixed_integer.solver import solve
+from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.plan_moves import small_moves
 from edge.controllers.plan_rollouts import PlanRollouts
 from edge.names import HEATER_LEVELS
@@ -30,13 +30,13 @@ _LINEAR_NODES = 2000
 class Meter:
     """Counts the work and says when it must end.
 
-    deadline_s : of the monotonic clock
+    time_box : ends the search
     rollout_budget : rollouts that may be done beside those of the starting plans
     node_limit : to replay a search that the clock ended after so much work
     spent : nodes of the linear planner and rollouts, until the clock ended the search
     """
 
-    deadline_s: float
+    time_box: TimeBox
     rollout_budget: int
     node_limit: int | None = None
     spent: int = 0
@@ -48,7 +48,7 @@ class Meter:
         if self.rollouts + rollouts > self.rollout_budget:
             return False
         limited = self.node_limit is not None and self.spent >= self.node_limit
-        self.fired = self.fired or limited or time.monotonic() > self.deadline_s
+        self.fired = self.fired or limited or self.time_box.is_over()
         return not self.fired
 
     def count(self, rollouts: int) -> None:
@@ -59,7 +59,7 @@ class Meter:
     def linear_plan(self, problem: Problem, node_budget: int, warm: tuple[Ints, Ints] | None) -> Plan:
         """The exact planner's plan for a linear problem, its nodes counted."""
         left = None if self.node_limit is None else self.node_limit - self.spent
-        solution = solve(problem, node_budget, self.deadline_s - time.monotonic(), left, warm)
+        solution = solve(problem, node_budget, self.time_box, left, warm)
         self.spent += solution.nodes
         self.fired = self.fired or solution.time_box_fired
         return solution.plan

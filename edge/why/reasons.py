@@ -23,7 +23,7 @@ def _plan(why: Mapping[str, Any]) -> Iterator[str]:
         )
         yield f"Its plan costs {_number(why.get('cost'))}{by}: {parts}."
     if why.get("time_box_fired"):
-        yield "The wall clock ended its search."
+        yield "The time limit ended its search."
 
 
 def _binding(why: Mapping[str, Any]) -> Iterator[str]:

@@ -1,6 +1,5 @@
 """Solve a planning problem inside a budget of nodes, guarded by a time box."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,7 @@ from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import rounding_margin, search
 from edge.controllers.mixed_integer.tangent import Tangent, tangent
+from edge.controllers.mixed_integer.time_box import TimeBox
 
 _WIDTHS = (16, 128, 1024, 8192, 32768)  # each search is wider than the one before, until one drops nothing
 _POLISH_FROM = 128  # a plan that this width could not prove is worth some polish
@@ -38,18 +38,17 @@ class Solution:
 def solve(
     problem: Problem,
     node_budget: int,
-    time_box_s: float,
+    time_box: TimeBox,
     node_limit: int | None = None,
     warm: tuple[Ints, Ints] | None = None,
 ) -> Solution:
     """The cheapest plan, or the best there is when the budget or the time is used up.
 
     node_budget : nodes that may be looked into; the same budget gives the same plan, bit for bit
-    time_box_s : wall time after which no further level is begun; without `warm` the first, narrow search ends
+    time_box : once over, no further level is begun; without `warm` the first, narrow search ends
     node_limit : stop where a time box fired after so many nodes, to replay that solve
     warm : heater levels and fan to start from, used where they are allowed
     """
-    deadline = time.monotonic() + time_box_s
     bounds = tangent(problem, relaxed_temperatures(problem))
     best = _warm_plan(problem, warm)
     narrow, bound, nodes = best, _root_bound(problem, bounds), 0
@@ -58,7 +57,7 @@ def solve(
         if best is None:
             found = search(problem, bounds, width, np.inf)
         else:
-            stop = _stop(deadline, None if node_limit is None else node_limit - nodes)
+            stop = _stop(time_box, None if node_limit is None else node_limit - nodes)
             found = search(problem, bounds, width, best.cost, stop)
         nodes += found.nodes
         best = found.plan or best
@@ -96,9 +95,9 @@ def _next_width(width: int, affordable: int) -> int:
     return min(wider, affordable) if affordable > width else 0
 
 
-def _stop(deadline: float, nodes_left: int | None) -> Callable[[int], bool]:
+def _stop(time_box: TimeBox, nodes_left: int | None) -> Callable[[int], bool]:
     """Asked before each level: is the time over, or the node reached at which it once was?"""
-    return lambda nodes: time.monotonic() > deadline or (nodes_left is not None and nodes >= nodes_left)
+    return lambda nodes: time_box.is_over() or (nodes_left is not None and nodes >= nodes_left)
 
 
 def _warm_plan(problem: Problem, warm: tuple[Ints, Ints] | None) -> Plan | None:
