@@ -162,11 +162,15 @@ def test_a_stop_turns_everything_off_at_once_the_fan_too(new_board, config, stop
 
 
 @stops
-@pytest.mark.parametrize("field", ["heater_steps", "fan_on", "led_pct", "valve_pulse_s"])
-def test_while_stopped_a_command_that_drives_anything_is_refused(new_board, stop, release, cause, field):
+@pytest.mark.parametrize(
+    ("field", "least"), [("heater_steps", 1), ("fan_on", True), ("led_pct", 1), ("valve_pulse_s", 0.1)]
+)
+def test_while_stopped_a_command_that_drives_anything_is_refused(
+    new_board, stop, release, cause, field, least
+):
     bench = heating(new_board)
     bench.ask(stop)
-    asked = replace(IDLE, **{field: getattr(EVERYTHING, field)})
+    asked = replace(IDLE, **{field: least})
     assert is_error(bench.ask(asked), ErrorCode.TRIPPED, cause)
     assert_still(bench.step(100))
     assert bench.ask(IDLE).lease_left_s == 10.0
@@ -298,6 +302,15 @@ def test_a_cleared_trip_stays_cleared(new_board):
 @pytest.mark.parametrize("blank", BLANK)
 def test_a_blank_store_holds_no_trip(new_board, blank):
     assert not Bench(new_board, persistent=blank).greet().state().tripped
+
+
+def test_a_store_with_every_latch_is_whole(new_board):
+    store = b"\x01\x0f" + crc16(b"\x01\x0f").to_bytes(2, "big")
+    bench = Bench(new_board, persistent=store).greet().air(25.0)
+    assert bench.state().trip_cause is TripCause.EMERGENCY_STOP
+    assert bench.ask(ReleaseStop()).trip_cause is TripCause.MAINTENANCE
+    assert bench.ask(EndMaintenance()).trip_cause is TripCause.STORAGE_DAMAGED
+    assert not bench.ask(ClearTrip()).tripped
 
 
 def test_every_damaged_store_is_a_trip(new_board):
