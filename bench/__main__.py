@@ -43,6 +43,7 @@ BENCHES = {
     ),
     "clairvoyant": Bench(("--references", "tuning_1", "--minutes", "10")),
     "decision_time": Bench(("--controllers", "rules")),
+    "diagnosis_memory": Bench(("--days", "0.5")),
     "history_year": Bench(("--days", "3", "--hours", "0.5", "--file", "out/bench/history_days.db")),
     "attack": Bench(("--share", "0.01")),
     "dqn": Bench(("--share", "0.002", "--seeds", "1", "--steps", "2000")),
