@@ -33,7 +33,7 @@ PICTURE = Path(__file__).parents[1] / "docs" / "images" / "closed_loop_day.png"
 SETTLE_MIN = 30  # after each change of the reference, left out of the "settled" columns
 NEAR_K = 0.5
 COMPARED = (RULES, *MPC)
-DRAWN = ("rules", "MPC", "MPC-P")  # more columns could not be read
+DEFAULT = config.default().control.controller  # the one that is drawn
 
 DAY_YAML = """
 timezone: UTC
@@ -64,6 +64,7 @@ class Day:
     changes: Counter[str]  # safety rule -> commands it changed
     time_boxes: int  # decisions that the wall clock cut short
     heater_off_at_end: bool
+    plans: tuple[tuple[float, ...], ...] = ()  # as in `training.control.closed_loop.Log`
 
     @property
     def errors(self) -> tuple[Floats, Floats]:
@@ -99,7 +100,9 @@ def run_day(controller: str, seed: int, hours: float, yaml: str = DAY_YAML) -> D
 def _run(settings: Settings, clock: SimClock, seed: int, length_s: float) -> Day:
     log = closed_loop(settings, clock, lambda: clock.truth()["chamber"], length_s)
     heater_off = not clock.truth()["pins"]["heater_relay"]
-    return Day(settings.control.controller, seed, log.columns, log.changes, log.time_boxes, heater_off)
+    return Day(
+        settings.control.controller, seed, log.columns, log.changes, log.time_boxes, heater_off, log.plans
+    )
 
 
 TITLES = {  # column -> width; the safety changes stand after the last one
@@ -147,7 +150,7 @@ def _facts(command: str) -> list[str]:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Run all days, print and keep the table, draw the first seed."""
+    """Run all days, print and save the table, draw the default controller's first seed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3], help="of the virtual board")
     parser.add_argument("--hours", type=float, default=24.0)
@@ -158,7 +161,7 @@ def main(words: Sequence[str] | None = None) -> None:
     arguments = parser.parse_args(words)
     for path in (arguments.out, arguments.picture):
         path.parent.mkdir(parents=True, exist_ok=True)
-    drawn = []
+    drawn = None
     with arguments.out.open("w", encoding="utf-8") as kept:
         for line in [*_facts(" ".join(["python -m bench.closed_loop_day", *words])), HEADER]:
             _tell(line, kept)
@@ -166,9 +169,9 @@ def main(words: Sequence[str] | None = None) -> None:
             for seed in arguments.seeds:
                 day = run_day(controller, seed, arguments.hours)
                 _tell(table_line(day), kept)
-                if seed == arguments.seeds[0] and controller in DRAWN:
-                    drawn.append(day)
-    if drawn:
+                if seed == arguments.seeds[0] and (drawn is None or controller == DEFAULT):
+                    drawn = day
+    if drawn is not None:
         draw(drawn, arguments.picture)
 
 

@@ -3,10 +3,14 @@
 Bounds of the error are two to four times what was measured. The full day: bench/closed_loop_day.py.
 """
 
+from collections import Counter
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from bench.closed_loop_day import Day, run_day, table_line
+from bench.closed_loop_picture import draw
 
 HOURS = 2.0
 WARM_THEN_COOL = """
@@ -63,3 +67,21 @@ def test_every_minute_has_its_tick_and_the_heater_is_off_at_the_end(days):
 def test_safety_changes_nothing_of_a_quiet_run(days):
     for day in days.values():
         assert not day.changes, table_line(day)
+
+
+def test_the_picture_of_a_day_is_drawn_with_and_without_plans(tmp_path: Path) -> None:
+    hours = np.arange(0.0, 6.0, 1.0 / 60.0)
+    reference = np.where((hours > 2.0) & (hours < 4.0), 28.0, 24.0)
+    columns = {
+        "time_s": 3600.0 * hours,
+        "reference_c": reference,
+        "temp_air_c": reference + 0.1,
+        "temp_ambient_c": np.full(len(hours), 21.0),
+        "heater_duty": np.full(len(hours), 0.2),
+        "fan_on": np.zeros(len(hours)),
+    }
+    sizes = []
+    for plans in ((), ((25.0, 26.0, 27.0),) * len(hours)):
+        draw(Day("MPC-P", 1, columns, Counter(), 0, True, plans), tmp_path / "day.png")
+        sizes.append((tmp_path / "day.png").stat().st_size)
+    assert 0 < sizes[0] < sizes[1]  # the plans are ink

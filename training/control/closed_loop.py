@@ -31,6 +31,7 @@ class Log:
     instead : why another controller decided -> ticks
     time_boxes : decisions that the wall clock cut short
     tokens : of a language model
+    plans : per tick the air that the controller expected after each of the next steps [°C], or empty
     """
 
     columns: Mapping[str, Floats]
@@ -38,6 +39,7 @@ class Log:
     instead: Counter[str]
     time_boxes: int
     tokens: int
+    plans: tuple[tuple[float, ...], ...] = ()
 
 
 def closed_loop(
@@ -54,6 +56,7 @@ def closed_loop(
     """
     name = settings.control.controller if instead is None else instead.name
     rows: list[dict[str, float]] = []
+    plans: list[tuple[float, ...]] = []
     changes: Counter[str] = Counter()
     others: Counter[str] = Counter()
     counts: Counter[str] = Counter()
@@ -64,6 +67,7 @@ def closed_loop(
         if reads_history:
             wait_recorded(Path(settings.history.path), record.seq)
         rows.append(_row(record, truth()))
+        plans.append(tuple(record.decision.forecast))
         changes.update({change.rule: 1 for change in record.changes})
         why = record.decision.why
         if record.decision.controller != name:
@@ -85,7 +89,7 @@ def closed_loop(
     if clock.now() < end_s:
         raise KeyboardInterrupt  # the daemon took the signal for itself
     columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    return Log(columns, changes, others, counts["time_boxes"], counts["tokens"])
+    return Log(columns, changes, others, counts["time_boxes"], counts["tokens"], tuple(plans))
 
 
 def _row(record: TickRecord, truth: Mapping[str, float]) -> dict[str, float]:
