@@ -1,10 +1,11 @@
 """python -m bench.mpc: the exact planner beside the paper's and two mixed-integer peers.
 
 Cost is the sum over all instances divided by the sum of the best known (the best over all methods and a
-long run of ours). Times are CPU times of one thread.
+long run of ours). Times are CPU times of one thread. One plant first, then random ones.
 """
 
 import argparse
+import itertools
 import os
 import platform
 import sys
@@ -18,11 +19,13 @@ import numpy as np
 
 from bench import closed_loop, peers
 from bench.instances import fitted_model, instances
+from bench.random_plants import random_problems, ranges
 from edge.controllers.mixed_integer.problem import Problem
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 
 HORIZONS = (5, 10, 20, 30)
+RANDOM_HORIZONS = (10, 20)
 _NO_BUDGET = 10**9  # here the time box alone ends a search
 _LONG_S = 2.0
 Method = Callable[[Problem], tuple[float, float, bool]]  # cost, lower bound, proven
@@ -32,7 +35,7 @@ def ours(box_s: float) -> Method:
     """The planner of `MPC` inside a time box."""
 
     def method(problem: Problem) -> tuple[float, float, bool]:
-        solution = solve(problem, _NO_BUDGET, TimeBox(box_s))
+        solution = solve(problem, _NO_BUDGET, TimeBox(box_s, wall_s=np.inf))
         return solution.plan.cost, solution.bound, solution.proven
 
     return method
@@ -65,7 +68,7 @@ def compare(problems: list[Problem], methods: dict[str, Method]) -> list[str]:
             proven += sure
         spent = f"{np.median(times):9.2f} {np.percentile(times, 99):9.2f} {max(times):9.2f}"
         lines.append((name, f"{100.0 * proven / len(problems):7.1f} {spent}"))
-    long_run = [solve(problem, _NO_BUDGET, TimeBox(_LONG_S)) for problem in problems]
+    long_run = [solve(problem, _NO_BUDGET, TimeBox(_LONG_S, wall_s=np.inf)) for problem in problems]
     known = np.min([*costs.values(), [solution.plan.cost for solution in long_run]], axis=0)
     false = sum(int((np.array(values) > known * (1 + 1e-9) + 1e-9).sum()) for values in bounds.values())
     rows = [f"{name:22} {sum(costs[name]) / known.sum():10.5f} {rest}" for name, rest in lines]
@@ -80,33 +83,49 @@ def main() -> None:
     parser.add_argument("--instances", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--peer-seconds", type=float, default=0.25, help="CPU time limit of each peer")
+    parser.add_argument("--plants", choices=("all", "random"), default="all", help="random: without the one")
     parser.add_argument("--references", type=int, default=12, help="reference steps of the closed loop")
     options = parser.parse_args()
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "daqp", "pyscipopt"))
     print(f"python -m bench.mpc {' '.join(sys.argv[1:])}")
     print(f"seed {options.seed}; python {platform.python_version()}, {versions}; {platform.machine()}")
-    fit = fitted_model(options.seed)
-    print(f"plant: two-node box (bench/two_node_box.py), 60 s steps; ARX of order 3 from 12 runs, "
-          f"30 steps free run {fit.free_run_rmse_k:.2f} K RMSE; {options.instances} instances")  # fmt: skip
     methods = {
         "ours, 20 ms box": ours(0.020),
         "ours, 250 ms box": ours(0.250),
-        "BFGS, rounded": peer(peers.scipy_bfgs),
+        "L-BFGS-B, rounded": peer(peers.scipy_bfgs),
         "daqp, rounded heater": peer(lambda problem: peers.daqp_rounded(problem, options.peer_seconds)),
         f"SCIP, {options.peer_seconds:g} s": peer(lambda problem: peers.scip(problem, options.peer_seconds)),
     }
+    if options.plants == "all":
+        one_plant(methods, options)
+    print(f"\n{options.instances} random plants: {ranges()}")
+    for weight, horizon in itertools.product((0.0, 1.0), RANDOM_HORIZONS):
+        print_table(
+            f"random plants, weights ({weight:g}, {weight:g}), N = {horizon}",
+            list(random_problems(options.instances, horizon, weight, options.seed)),
+            methods,
+        )
+
+
+def one_plant(methods: dict[str, Method], options: argparse.Namespace) -> None:
+    """Print the tables of one box and its ARX model, and the closed loop on that box."""
+    fit = fitted_model(options.seed)
+    print(f"plant: two-node box (bench/two_node_box.py), 60 s steps; ARX of order 3 from 12 runs, "
+          f"30 steps free run {fit.free_run_rmse_k:.2f} K RMSE; {options.instances} instances")  # fmt: skip
     for weight, label in ((0.0, "MPC, weights (0, 0)"), (1.0, "MPC-P, weights (1, 1)")):
         for horizon in HORIZONS:
-            print(f"\n{label}, N = {horizon}")
-            print(
-                f"{'':22} {'cost':>10} {'proven%':>7} {'median ms':>9} {'p99 ms':>9} {'max ms':>9}",
-                flush=True,
-            )
             problems = list(instances(fit.model, options.instances, horizon, weight, options.seed))
-            for line in compare(problems, methods):
-                print(line, flush=True)
+            print_table(f"{label}, N = {horizon}", problems, methods)
     excess = fitted_model(options.seed, "excess")
     print_closed_loop(fit.model, excess.model, options.references, options.seed)
+
+
+def print_table(title: str, problems: list[Problem], methods: dict[str, Method]) -> None:
+    """Print one comparison."""
+    heads = f"{'cost':>10} {'proven%':>7} {'median ms':>9} {'p99 ms':>9} {'max ms':>9}"
+    print(f"\n{title}\n{'':22} {heads}", flush=True)
+    for line in compare(problems, methods):
+        print(line, flush=True)
 
 
 def print_closed_loop(model: closed_loop.Arx, excess: closed_loop.Arx, references: int, seed: int) -> None:

@@ -6,6 +6,7 @@ sequence, by which they are asked for again.
 """
 
 import argparse
+import json
 import os
 import platform
 import random
@@ -14,32 +15,59 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
+from edge import config
 from edge.clock import RealClock
+from edge.daemon import Daemon
+from edge.messages import TickRecord
 from edge.mqtt.telemetry import Telemetry
 from edge.settings import HistorySettings
+from edge.sim_clock import SimClock
 from edge.storage import Outbox, Storage
+from edge.tick_json import tick_json
+from edge.virtual_rig import settings_in, virtual_rig
 from tests.broker import Broker, Listener
-from tests.mqtt_rig import ROOT, ControlLoop, record, settings
+from tests.mqtt_rig import ROOT, ControlLoop, settings
 
 REPOSITORY = Path(__file__).parent.parent
 TICKS = f"{ROOT}/history/tick"
+SETTLED_TICKS = 75  # by then each forecast has met its measurement
+REAL_TICKS = 15
 BROKER = "allow_anonymous true\nmax_queued_messages 0"
 
 
-def drain_rate(ticks: int, config: str) -> float:
-    """Messages per second, out of SQLite and acknowledged by the broker, after an outage of `ticks` ticks."""
+def real_ticks() -> list[TickRecord]:
+    """Ticks of a daemon at its default settings: forecasts of four predictors and their skill."""
+    made: list[TickRecord] = []
+    with tempfile.TemporaryDirectory(prefix="gh-") as name, virtual_rig(Path(name), seed=1) as board:
+        with_files = settings_in(Path(name), config.parse("{}", "bench"))
+        stop_at_s = 60.0 * (SETTLED_TICKS + REAL_TICKS)
+        with (
+            closing(SimClock(board.control)) as clock,
+            Daemon(with_files, clock, after_tick=made.append, stop_at_s=stop_at_s) as daemon,
+        ):
+            daemon.run()
+    return made[SETTLED_TICKS:]
+
+
+def drain_rate(ticks: int, broker_lines: str, real: Sequence[TickRecord]) -> float:
+    """Messages per second, out of SQLite and acknowledged by the broker, after an outage of `ticks` ticks.
+
+    real : what each tick says, in turn; it is given another number and time
+    """
     with tempfile.TemporaryDirectory() as folder:
         database = f"{folder}/history.db"
         storage = Storage(HistorySettings(path=database, queue_ticks=100_000), RealClock())
         first = storage.open()
         for number in range(ticks):
-            storage.write(record(first + number, utc=1.7e9 + 60 * number))
+            tick = real[number % len(real)]
+            storage.write(replace(tick, seq=first + number, utc=1.7e9 + 60 * number))
         assert storage.wait_written(first + ticks - 1, 120)
-        with Broker(Path(folder), config) as broker, draining(broker.port, database) as outbox:
+        with Broker(Path(folder), broker_lines) as broker, draining(broker.port, database) as outbox:
             start = time.perf_counter()
             wait_until_empty(outbox)
             rate = ticks / (time.perf_counter() - start)
@@ -143,9 +171,12 @@ def main() -> int:
     arguments = parser.parse_args()
     print(f"python -m bench.outbox {' '.join(sys.argv[1:])}")
     print(f"python {platform.python_version()}, {platform.machine()}, seed {arguments.seed}\n")
+    real = real_ticks()
+    sizes = [len(json.dumps(tick_json(tick)).encode()) for tick in real]
+    print(f"ticks of the default daemon, {min(sizes)} to {max(sizes)} bytes of JSON\n")
     print("| broker | messages/s drained |\n|---|---|")
-    for name, config in (("defaults", ""), ("max_inflight_messages 200", "\nmax_inflight_messages 200")):
-        print(f"| mosquitto, {name} | {drain_rate(arguments.ticks, BROKER + config):.0f} |", flush=True)
+    for name, lines in (("defaults", ""), ("max_inflight_messages 200", "\nmax_inflight_messages 200")):
+        print(f"| mosquitto, {name} | {drain_rate(arguments.ticks, BROKER + lines, real):.0f} |", flush=True)
     print("\n| killed | times | ticks stored | duplicates | missing | missing after resend |")
     print("|---|---|---|---|---|---|")
     for name, kill in (("daemon", kill_daemon), ("broker", kill_broker)):
