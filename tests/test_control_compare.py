@@ -265,6 +265,8 @@ def test_a_few_runs_are_checked_against_theirs_alone():
     assert changed(RESULTS, RESULTS[3:5]) == ""
     other = [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.2000001)]
     assert changed(RESULTS, other).startswith("MPC-Twin, reference_1, seed 2.figures.mae_true: 0.2 is kept")
+    assert changed(RESULTS, other, tolerance=1e-6) == ""
+    assert "mae_true" in changed(RESULTS, [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.202)], 0.005)
     assert "seed 7: no such run is kept" in changed(RESULTS, [made("MPC-Twin", 7)])
 
 

@@ -124,6 +124,12 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
         help="beside the other runs' figures as they are kept (and do again what the pictures show)",
     )
     sub.add_argument("--check", action="store_true", help="compare with the kept figures, change nothing")
+    sub.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.005,
+        help="of --check, as a share of each figure (usual: 0.005); one machine and one version give 0",
+    )
     sub.set_defaults(run=_compare)
 
 

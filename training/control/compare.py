@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     """The exit code. Errors: GreenhouseError
 
     arguments : controllers (empty: all), references, seeds, runs, results, images (folders), workers, kept,
-        beside_kept, llm_url, llm_model, check
+        beside_kept, llm_url, llm_model, check, tolerance
     """
     known = entries()
     unknown = set(arguments.controllers or ()) - known.keys()
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     results, times = _figures(done, arguments.runs)
     if arguments.check:
         print(text_of(results, names), end="")
-        return _check(results, kept)
+        return _check(results, kept, arguments.tolerance)
     if is_beside:
         names = list(known)
         results = beside(kept, results, names)
@@ -123,7 +123,8 @@ def _write(
         (arguments.images / f"{name}.png").write_bytes(content)
 
 
-def _check(results: Sequence[Result], kept: Sequence[Result]) -> int:
-    difference = changed(kept, results)
-    print(difference or f"{len(results)} of the {len(kept)} runs: the same as what is kept")
+def _check(results: Sequence[Result], kept: Sequence[Result], tolerance: float) -> int:
+    difference = changed(kept, results, tolerance)
+    near = f"within {100.0 * tolerance:g} % of" if tolerance else "the same as"
+    print(difference or f"{len(results)} of the {len(kept)} runs: {near} what is kept")
     return 1 if difference else 0

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from edge.errors import DataError
@@ -64,16 +64,26 @@ def times_beside(kept: Times, now: Times, names: Sequence[str]) -> Times:
     return {name: both[name] for name in names if name in (both := {**kept, **whole})}
 
 
-def changed(kept: Results, now: Results) -> str:
-    """Where a run of `now` differs first from the one that is kept; "" where none does."""
+def changed(kept: Results, now: Results, tolerance: float = 0.0) -> str:
+    """Return the first figure of `now` that differs from the saved one, "" where none does.
+
+    tolerance : share of the saved figure that it may differ by
+    """
     runs = {_run(one): one for one in kept}
     for one in now:
         place = f"{one.entry}, {one.reference}, seed {one.seed}"
         if (before := runs.get(_run(one))) is None:
             return f"{place}: no such run is kept"
-        if found := first_difference(asdict(before), asdict(one), place=place):
+        if found := first_difference(asdict(before), asdict(_rounded(before, one, tolerance)), place=place):
             return found
     return ""
+
+
+def _rounded(saved: Result, now: Result, tolerance: float) -> Result:
+    """Return `now` with the saved value of each figure that is within the tolerance."""
+    pairs = {name: (value, getattr(now.figures, name)) for name, value in asdict(saved.figures).items()}
+    near = {name: a for name, (a, b) in pairs.items() if abs(a - b) <= tolerance * abs(a)}
+    return replace(now, figures=replace(now.figures, **near))
 
 
 def _run(one: Result) -> tuple[str, str, int]:
