@@ -100,7 +100,9 @@ def _add_evaluate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--results", type=Path, default=RESULTS, help=f"figures, report (usual: {RESULTS})")
     sub.add_argument("--images", type=Path, default=IMAGES, help=f"pictures (usual: {IMAGES})")
     sub.add_argument("--check", action="store_true", help="compare with what is there and change nothing")
-    sub.add_argument("--tolerance", type=float, default=0.0, help="of --check, on other machines (usual: 0)")
+    sub.add_argument(
+        "--tolerance", type=float, help="of --check (usual: 0 on the machine that made the figures)"
+    )
     sub.set_defaults(run=_evaluate)
 
 

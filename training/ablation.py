@@ -28,8 +28,8 @@ SEEDS = (0, 1, 2)
 EXCESS_K = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
 BASES: Mapping[str, tuple[str, ...]] = {  # what the hybrid corrects; each adds to the one before
     "the paper's PBM": (),
-    "+ capacity, wall loss, fan": ("extra_capacity", "wall_loss", "fan_effectiveness"),
-    "+ lag of the heater's element": ("extra_capacity", "wall_loss", "fan_effectiveness", "heater_lag"),
+    "+ capacity, wall loss, fan": pbm.ONE_MASS.effects,
+    "+ lag of the heater's element": (*pbm.ONE_MASS.effects, "heater_lag"),
     "+ walls that store heat": pbm.FITTED.effects,
 }
 

@@ -137,6 +137,7 @@ MODELS: Mapping[str, Train] = {
     "pbm": partial(_pbm, pbm.PbmSettings()),
     "lstm": partial(_lstm, lstm.LstmSettings()),
     "ham": partial(_ham, ham.HamSettings()),
+    "pbm_fitted": partial(_pbm, pbm.ONE_MASS),
     # Ours, beyond the paper:
     "linear_ambient": partial(_linear, linear.WITH_AMBIENT),
     "twin": partial(_pbm, pbm.FITTED),
@@ -148,7 +149,7 @@ SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded", HAM_GIVEN)  # others c
 GIVEN = {"pbm": (TWIN_GIVEN,), "ham": (HAM_GIVEN,)}  # of `over`, by subcommand
 FAMILIES = {  # subcommand -> models, the paper's first
     "linear": ("linear", "linear_ambient"),
-    "pbm": ("pbm", "twin"),
+    "pbm": ("pbm", "pbm_fitted", "twin"),
     "lstm": ("lstm", "lstm_increment"),
     "ham": ("ham", "ham_guarded"),
 }

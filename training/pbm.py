@@ -19,6 +19,8 @@ class PbmSettings:
     effects: tuple[str, ...] = ()  # of `edge.twin.effects.EFFECTS`, each with its usual start
 
 
+# The paper's one mass, with what it needs to be of the right size: capacity, loss and the fan's share.
+ONE_MASS = PbmSettings(effects=("extra_capacity", "wall_loss", "fan_effectiveness"))
 # Loss and capacity, and what a one-state box can't hold: the element's lag and the walls' memory.
 FITTED = PbmSettings(effects=("extra_capacity", "wall_mass", "heater_lag", "fan_effectiveness"))
 

@@ -68,7 +68,9 @@ def _pbm_is_last(scores: Sequence[Score]) -> Finding:
         f"{_mean(scores, 'pbm', IN)} and {_mean(scores, 'pbm', OUT)} K. It has no loss through the walls and "
         "the capacity of the air alone, so full duty heats it by 33 K a minute and nothing but the fan cools "
         "it: worst in the scenarios with the rarest fan (2 and 5). The pictures cut it off at the axis. With "
-        "capacity, losses, the heater's lag and the walls fitted the same equation is the best without a "
+        "capacity, loss and the fan's share fitted the same one mass has "
+        f"{_mean(scores, 'pbm_fitted', IN)} and {_mean(scores, 'pbm_fitted', OUT)} K; with "
+        "capacity, losses, the heater's lag and the walls fitted it is the best without a "
         f"network: {_mean(scores, 'twin', IN)} and {_mean(scores, 'twin', OUT)} K.",
     )
 

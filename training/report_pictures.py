@@ -21,6 +21,7 @@ COLOURS = {
     "pbm": "tab:gray",
     "lstm": "tab:orange",
     "ham": "tab:red",
+    "pbm_fitted": "tab:brown",
     "linear_ambient": "tab:cyan",
     "twin": "tab:purple",
     "lstm_increment": "tab:olive",
@@ -81,7 +82,7 @@ def bars_picture(scores: Sequence[Score], regime: Regime) -> bytes:
     axes.set_xticks(places, [LABELS[model].replace(" ", "\n", 1) for model in MODELS], fontsize="small")
     axes.axvline(len(PAPER) - 0.5, color="black", linewidth=0.8, linestyle=":")
     axes.text(len(PAPER) - 0.55, 450, "the paper's", ha="right", fontsize="small")
-    axes.text(len(PAPER) - 0.45, 450, "ours", fontsize="small")
+    axes.text(len(PAPER) - 0.45, 450, "beyond the paper", fontsize="small")
     axes.set_ylabel("free-run MAE [K], logarithmic")
     axes.set_title(f"{regime.capitalize()}: mean of the seeds, whiskers from best to worst seed")
     axes.legend(loc="upper right", fontsize="small")

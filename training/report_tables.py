@@ -19,6 +19,7 @@ LABELS = {
     "pbm": "PBM",
     "lstm": "LSTM",
     "ham": "HAM",
+    "pbm_fitted": "PBM, fitted",
     "linear_ambient": "Linear with the room",
     "twin": "fitted twin",
     "lstm_increment": "LSTM of increments",

@@ -22,7 +22,7 @@ from training.weights import load_network
 
 UNGUARDED = "ham_unguarded"  # our hybrid with its guard off, nothing trained anew
 PAPER = ("linear", "pbm", "lstm", "ham")
-OURS = ("linear_ambient", "twin", "lstm_increment", "ham_guarded")
+OURS = ("pbm_fitted", "linear_ambient", "twin", "lstm_increment", "ham_guarded")
 
 
 @dataclass(frozen=True, slots=True)
