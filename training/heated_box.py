@@ -99,6 +99,9 @@ def lines(data: Data, seeds: Sequence[int] = SEEDS) -> list[str]:
     note = (
         f"Forecasts with the inputs that then stood, from every row after the first {START_ROWS} of the test "
         f"runs; networks: mean ± sd over {len(seeds)} seeds. The first four models are the paper's kinds.\n"
+        "The paper's LSTM gives levels, learnt here from 264 windows up to 23.7 °C where test runs reach 24.7 "
+        "°C.\nOf increments, all else as in the paper, it was best on the validation runs (no better there "
+        "without\ndropout, with or without four times the patience).\n"
         f"Linear: p = {len(arx.temp)}, q = {len(arx.heater)}. One mass: {mass.text}.\n"
         f"With the heater's mass: {lag.text}."
     )
@@ -120,10 +123,10 @@ def _rows(data: Data, arx: Arx, mass: Box, lag: Box, seeds: Sequence[int]) -> di
         "persistence": [_persistence(data.test)],
         "Linear": [scores(arx)],
         "PBM, one mass": [scores(mass.predictor)],
-        "LSTM": [scores(_lstm(by_mass, seed, increment=False)) for seed in seeds],
+        "LSTM of increments": [scores(_lstm(by_mass, seed, increment=True)) for seed in seeds],
         "HAM over the one mass": [scores(_ham(by_mass, mass, seed, guarded=False)) for seed in seeds],
         "twin with the heater's mass": [scores(lag.predictor, lag)],
-        "LSTM of increments": [scores(_lstm(by_mass, seed, increment=True)) for seed in seeds],
+        "LSTM of levels": [scores(_lstm(by_mass, seed, increment=False)) for seed in seeds],
         "HAM over that twin, guarded": [scores(_ham(by_lag, lag, seed, guarded=True), lag) for seed in seeds],
     }
 
