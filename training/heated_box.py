@@ -99,9 +99,9 @@ def lines(data: Data, seeds: Sequence[int] = SEEDS) -> list[str]:
     note = (
         f"Forecasts with the inputs that then stood, from every row after the first {START_ROWS} of the test "
         f"runs; networks: mean ± sd over {len(seeds)} seeds. The first four models are the paper's kinds.\n"
-        "The paper's LSTM gives levels, learnt here from 264 windows up to 23.7 °C where test runs reach 24.7 "
-        "°C.\nOf increments, all else as in the paper, it was best on the validation runs (no better there "
-        "without\ndropout, with or without four times the patience).\n"
+        "The paper's LSTM gives levels, learnt here from 264 windows up to 23.7 °C where test runs reach "
+        "24.7 °C.\nOf increments, all else as in the paper, it was best on the validation runs (no better "
+        "there without\ndropout, with or without four times the patience).\n"
         f"Linear: p = {len(arx.temp)}, q = {len(arx.heater)}. One mass: {mass.text}.\n"
         f"With the heater's mass: {lag.text}."
     )
