@@ -78,6 +78,11 @@ def test_it_never_lasts_longer_than_its_bound():
     assert proof == RelayProof()
 
 
+@pytest.mark.parametrize(("seconds", "runs"), [(THREE_HOURS_S - 0.5, False), (THREE_HOURS_S, True)])
+def test_time_counts_from_zero(seconds, runs):
+    assert follow(RelayProof(), seconds, 26.0, heated=True, fan_on=True, quiet=False).running is runs
+
+
 @pytest.mark.parametrize(("busy_s", "runs"), [(1079.0, False), (1080.0, True)])
 def test_a_tenth_of_three_hours_counts_as_busy(busy_s, runs):
     busy = RelayProof(since_s=THREE_HOURS_S - STEP_S, heated_s=busy_s, fanned_s=busy_s)
