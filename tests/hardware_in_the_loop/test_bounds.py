@@ -1,8 +1,13 @@
 """Faults that show only in the air: the alarm in time, and no warmer than stated in bounds.yaml."""
 
+from pathlib import Path
+
 import pytest
 from bounds import LOOK_S, Case, cases
 from run import Run
+
+ROOT = Path(__file__).parents[2]
+MARGIN_S = 120.0  # two ticks
 
 
 @pytest.mark.parametrize("core", ["python", "c"])
@@ -31,3 +36,22 @@ def check_answer(result: Run, case: Case) -> None:
         assert all(look.cutoff_open is bool(case.board) for look in looks)
         assert all(look.heat is not bool(case.board) for look in looks)
         assert looks[-1].temp_air_c < result.hottest_c(case.fault_s)
+
+
+def test_the_printed_figures_are_within_the_stated_margin_of_the_bounds():
+    printed = (ROOT / "bench/results/fault_bounds.txt").read_text(encoding="utf-8").splitlines()[3:]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for line, case in zip(printed, cases(), strict=True):
+        assert line.startswith(case.name)
+        *_, after, alarm_max, hottest, temp_max = line.split()
+        assert float(temp_max) == case.temp_max_c
+        assert 0.0 < case.temp_max_c - float(hottest) < 1.0 + 0.15  # printed to a tenth
+        assert (
+            f"{float(hottest):.1f} ({case.temp_max_c:.1f})" in readme
+            or case.name == "the same, then the rig is off"
+        )
+        if case.alarm:
+            worst_s = float(after.rpartition("..")[2])
+            assert float(alarm_max) == case.alarm_max_s
+            assert 0.0 < case.alarm_max_s - worst_s <= MARGIN_S
+            assert f"{worst_s:.0f} ({case.alarm_max_s:.0f})" in readme
