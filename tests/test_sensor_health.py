@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from edge.messages import Command, Quality, Reading
 from edge.names import SIGNALS
-from edge.sensor_health import CONFIRM_SAMPLES, SensorHealth, trimmed_mean
+from edge.sensor_health import CONFIRM_SAMPLES, SensorHealth, Track, follow, trimmed_mean
 from edge.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
 
 OFF = Command()
@@ -259,3 +259,18 @@ def test_a_good_reading_is_always_a_fresh_number_of_the_sensors_range(samples, w
         assert now + wait_s - reading.time_s <= 3.0
     else:
         assert reading.value is None or math.isfinite(reading.value)
+
+
+SOME_VALUES = st.sampled_from([None, math.nan, 20.0, 20.0, 20.1, 20.1, 24.0, 24.1, 30.0, 200.0])
+
+
+@given(st.lists(st.tuples(SOME_VALUES, st.sampled_from([0.5, 1.0, 1.0, 6.0])), max_size=40))
+def test_samples_taken_together_leave_the_track_of_samples_taken_one_by_one(steps):
+    settings, now, samples = SensorHealthSettings(), 0.0, []
+    for value, after_s in steps:
+        now += after_s
+        samples.append(air(value, now)["temp_air"])
+    one_by_one = Track()
+    for sample in samples:
+        one_by_one = follow(one_by_one, [sample], settings)
+    assert repr(follow(Track(), samples, settings)) == repr(one_by_one)  # NaN differs from itself

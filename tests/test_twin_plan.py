@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edge.controllers.mixed_integer.problem import FanRules, Problem
-from edge.controllers.twin_plan.beam import Start, search
+from edge.controllers.twin_plan.beam import KIND_K, Start, _Children, _kept, search
 from edge.controllers.twin_plan.belief import Inputs, begin, corrected, moved
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.models.pbm import read_twin
@@ -138,3 +138,24 @@ def test_the_same_question_gives_the_same_plan(diagnosed):
     ]
     np.testing.assert_array_equal(plans[0].levels, plans[1].levels)
     np.testing.assert_array_equal(plans[0].fan, plans[1].fan)
+
+
+@pytest.mark.parametrize("width", [3, 60, 10_000])
+def test_the_beam_keeps_the_cheapest_of_each_kind_as_a_sort_of_all_would(width):
+    """Equal costs, forbidden children and both states of the fan included."""
+    rng, shape = np.random.default_rng(width), (50, 2, HEATER_LEVELS + 1)
+    cost = rng.integers(0, 40, shape).astype(float)
+    cost[rng.random(shape) < 0.3] = np.inf
+    stored = KIND_K * rng.integers(-30, 30, shape)
+    nothing = np.zeros((0,), dtype=np.int64)
+    kept = _kept(_Children(cost, stored, np.zeros(0), nothing, nothing), width)
+
+    kinds = {}
+    for place in np.argsort(-cost, axis=None, kind="stable"):
+        if np.isfinite(cost.ravel()[place]):
+            fan = np.unravel_index(place, shape)[1]
+            kinds[round(stored.ravel()[place] / KIND_K), fan] = place
+    all_kinds = np.array([kinds[kind] for kind in sorted(kinds)])
+    cheapest = all_kinds[np.argsort(cost.ravel()[all_kinds], kind="stable")[:width]]
+    expected = all_kinds if len(all_kinds) <= width else cheapest
+    assert kept.tolist() == expected.tolist()
