@@ -50,14 +50,14 @@ def cobs_decode(encoded: bytes) -> bytes | None:
     if not encoded or 0 in encoded:
         return None
     out = bytearray()
-    at = 0
-    while at < len(encoded):
+    at, size = 0, len(encoded)
+    while at < size:
         code = encoded[at]
         end = at + code
-        if end > len(encoded):
+        if end > size:
             return None
         out += encoded[at + 1 : end]
-        if code <= _LONGEST_BLOCK and end < len(encoded):
+        if code <= _LONGEST_BLOCK and end < size:
             out.append(0)
         at = end
     return bytes(out)

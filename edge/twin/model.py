@@ -72,7 +72,7 @@ class Twin:
         """Names, the air first."""
         return self.system.states
 
-    @property
+    @cached_property
     def sha256(self) -> str:
         """Hash of all that a prediction depends on; not of where it comes from."""
         content: dict[str, object] = {
