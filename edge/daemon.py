@@ -16,6 +16,7 @@ from edge import __version__
 from edge.active_models import ActiveModels
 from edge.board import Board
 from edge.bundle.keeper import BundleKeeper
+from edge.bundle.proof import Prover
 from edge.bundle.store import Store
 from edge.clock import Clock, RealClock, boot_id
 from edge.config import config_hash
@@ -193,9 +194,8 @@ class Daemon:
         settings = self.settings
         if not settings.bundle.path:
             return None
-        store = Store(
-            Path(settings.bundle.path), Path(settings.bundle.trusted_keys), loader(settings.control.step_s)
-        )
+        keys, step_s = Path(settings.bundle.trusted_keys), settings.control.step_s
+        store = Store(Path(settings.bundle.path), keys, loader(step_s), prove=Prover(keys, step_s))
         automatic = settings.bundle.auto == "promote"
         bundles = BundleKeeper(store, self.clock, automatic, settings.bundle.trial_ticks)
         self._stack.callback(bundles.close)

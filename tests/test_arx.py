@@ -197,9 +197,9 @@ def _with(key, value):
         (_with("heater_duty", [1.0]), "fan_on: 3 coefficients, heater_duty has 1"),
         (_with("step_s", 0.0), "step_s: 0.0 is not above 0"),
         (_with("step_s", True), "step_s: True is not a number"),
-        (_with("temp_ambient", float("nan")), "temp_ambient: nan is not a number"),
+        (_with("temp_ambient", float("nan")), "not JSON: NaN is not JSON"),
         (_with("validity", [1, 2]), "validity: not pairs"),
-        (lambda document: [document], "model: not an ARX"),
+        (lambda document: [document], "not JSON: not a JSON object"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_place(tmp_path, change, says):

@@ -97,9 +97,9 @@ def run(folder: Path, kind: str, children: int, strace: list[str]) -> list[int]:
     return [int(word) for word in done.stdout.split()]
 
 
-# Calls of each kind that the work makes: five files, the new folder and its parent, twice roles.json and its
-# folder.
-@pytest.mark.parametrize(("kind", "calls"), [("fsync", 11), ("rename", 3), ("mkdir", 1), ("write", 7)])
+# Calls of each kind that the work makes: five files, the new folder and its parent, admitted.json and twice
+# roles.json, each with its folder.
+@pytest.mark.parametrize(("kind", "calls"), [("fsync", 13), ("rename", 4), ("mkdir", 1), ("write", 8)])
 def test_a_kill_at_any_call_leaves_a_working_bundle(tmp_path: Path, kind: str, calls: int) -> None:
     workshop = prepare(tmp_path)
     inject = [
@@ -126,7 +126,8 @@ def test_a_kill_at_any_call_leaves_a_working_bundle(tmp_path: Path, kind: str, c
         install(store, tmp_path / "2.0.zip")
         if store.roles().active != "2.0":
             carry_out(store, "activate", "2.0")
-        assert sorted(p.name for p in store.folder.iterdir()) == ["1.0", "2.0", "lock", "roles.json"]
+        names = sorted(path.name for path in store.folder.iterdir())
+        assert names == ["1.0", "2.0", "admitted.json", "lock", "roles.json"]
         assert choose(store).active.name == "2.0"
 
 
@@ -137,7 +138,9 @@ def test_everything_is_synced_before_the_rename_that_names_it_and_the_folder_aft
     place = tmp_path / "trace-0"
     calls = [line.split(" ", 1)[1].strip() for line in trace.read_text().splitlines() if str(place) in line]
     renames = [i for i, call in enumerate(calls) if call.startswith("rename(")]
-    assert len(renames) == 3  # the bundle's folder; roles.json for the shadow, and for the active bundle
+    assert (
+        len(renames) == 4
+    )  # the bundle's folder; admitted.json; roles.json for the shadow, and for the active bundle
     for at in renames:
         source, target = (Path(name) for name in re.findall(r'"([^"]+)"', calls[at]))
         written = {path_of(call) for call in calls[:at] if call.startswith("write(")}

@@ -122,7 +122,7 @@ def test_an_installed_bundle_runs_in_shadow_until_it_is_activated(workshop: Work
     carry_out(store, "activate", None)
     serving = choose(store)
     assert (serving.active.name, serving.rival.name, serving.on_probation) == ("1.0", PACKAGED, True)
-    assert names(store) == ["1.0", "lock", "roles.json"]
+    assert names(store) == ["1.0", "admitted.json", "lock", "roles.json"]
 
 
 def test_a_folder_installs_as_an_archive_does(workshop: Workshop) -> None:
@@ -154,7 +154,7 @@ def test_a_damaged_installed_bundle_is_replaced_by_a_whole_one(workshop: Worksho
     install(store, bundle)
     store.load("1.0")
     install(store, workshop.archive("2.0"))
-    assert names(store) == ["1.0", "2.0", "lock", "roles.json"]
+    assert names(store) == ["1.0", "2.0", "admitted.json", "lock", "roles.json"]
 
 
 def test_what_is_refused_leaves_nothing_behind(workshop: Workshop) -> None:
@@ -173,7 +173,7 @@ def test_what_an_interrupted_install_has_left_is_cleared_by_the_next(workshop: W
     (store.folder / ".incoming" / "x").mkdir(parents=True)
     (store.folder / ".damaged").mkdir()
     install(store, workshop.archive("1.0"))
-    assert names(store) == ["1.0", "lock", "roles.json"]
+    assert names(store) == ["1.0", "admitted.json", "lock", "roles.json"]
     assert store.versions() == ["1.0"]
 
 

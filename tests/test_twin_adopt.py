@@ -158,7 +158,7 @@ def write_report(folder: Path, twin: TwinFile, **document: object) -> Path:
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
     workshop = Workshop(tmp_path)
     packaged = workshop.signed_folder("packaged", version="0")
-    monkeypatch.setattr(Store.__init__, "__defaults__", (packaged,))
+    monkeypatch.setattr(Store.__init__, "__defaults__", (packaged, None))
     monkeypatch.setattr(signature, "PACKAGED_KEY", tmp_path / "none.pub")
     (tmp_path / "edge.yaml").write_text(
         f"control_socket: {{path: {tmp_path}/control.sock}}\n"
@@ -326,7 +326,7 @@ def test_a_twin_file_is_replaced_and_put_back(rig: Rig, capsys: pytest.CaptureFi
 def test_a_hybrid_of_the_twin_before_is_left_out_and_never_the_one_that_plans(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(Store.__init__, "__defaults__", (PACKAGED_FOLDER,))
+    monkeypatch.setattr(Store.__init__, "__defaults__", (PACKAGED_FOLDER, None))
     shutil.copyfile(PACKAGED_FOLDER.with_suffix(".pub"), rig.workshop.trusted / "packaged.pub")
     rig.configure("control: {predictor: ham}")
     assert rig.adopt(rig.report) == 2

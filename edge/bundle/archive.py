@@ -15,9 +15,10 @@ from typing import IO, BinaryIO
 from edge.bundle.durable import write_new
 from edge.bundle.manifest import FILE_NAME
 from edge.errors import DataError
+from edge.input_file import MODEL
 
 FILES_MAX = 64
-FILE_BYTES_MAX = 16 << 20  # ten times what a network of this size takes
+FILE_BYTES_MAX = MODEL
 TOTAL_BYTES_MAX = 32 << 20
 _CHUNK = 1 << 20
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same files make the same archive

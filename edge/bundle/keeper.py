@@ -144,7 +144,10 @@ class BundleKeeper:
         except (DataError, RequestError) as error:
             return str(error)
         self.serving = choose(self._store, _in_memory(self.serving))
-        self._told.append((Severity.INFO, f"bundle.{job.action}", f"{job.why}; {_in_words(self.serving)}"))
+        severity, why = Severity.INFO, job.why
+        if job.action == "refresh-older":
+            severity, why = Severity.WARNING, f"--allow-older took in {shown(job.version)}"
+        self._told.append((severity, f"bundle.{job.action}", f"{why}; {_in_words(self.serving)}"))
         return ""
 
     def _status(self, job: object) -> dict[str, Any]:

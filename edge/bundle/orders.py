@@ -36,6 +36,7 @@ ACTIONS: dict[str, Action] = {
     "mark-good": _mark_good,
     "reject": _reject,
     "refresh": _refresh,  # changes nothing: the daemon reads again what others have changed
+    "refresh-older": _refresh,  # the same after `install --allow-older VERSION`, for the event
 }
 
 

@@ -2,6 +2,7 @@
 
     <store>/<version>/...       written once, then never changed
     <store>/roles.json          replaced whole; the only thing that activating changes
+    <store>/admitted.json       the newest version installed so far, and which bundles were proved
     <store>/lock                held while something is changed: command line and daemon take turns
     <store>/.incoming           an install under way, or what an interrupted one has left
 
@@ -10,6 +11,7 @@ cut or a kill leaves the state before or the state after.
 """
 
 import fcntl
+import hashlib
 import os
 import shutil
 import tempfile
@@ -20,13 +22,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from edge import state_file
+from edge.bundle.admitted import Admitted, read_admitted, release, write_admitted
 from edge.bundle.archive import unpack
-from edge.bundle.check import check_folder
+from edge.bundle.check import check_folder, read_checked
 from edge.bundle.durable import make_folder, move, sync_folder
 from edge.bundle.manifest import MANIFEST, PACKAGED, VERSION, Manifest
 from edge.bundle.roles import Roles, installed, rolled_back
 from edge.errors import DataError, RequestError
 from edge.forecasts.conformal import Intervals, read_intervals
+from edge.input_file import Folder, read_file
 from edge.models.base import Predictor
 from edge.policy.from_bundle import load_policies
 from edge.policy.onnx_policy import OnnxPolicy
@@ -36,7 +40,8 @@ INTERVALS = "intervals.json"
 _INCOMING = ".incoming"
 _DAMAGED = ".damaged"
 
-Load = Callable[[Path, Manifest], Mapping[str, Predictor]]
+Load = Callable[[Folder, Manifest], Mapping[str, Predictor]]
+Prove = Callable[[Path], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +60,20 @@ class Store:
 
     keys : folder of trusted public keys
     load : gives the models of a bundle's folder; raises DataError when they can't be used on this rig
+    prove : does so in a process of its own, before this process loads a bundle that was not proved yet; None
+        where every bundle is the caller's own
     """
 
-    def __init__(self, folder: Path, keys: Path, load: Load, packaged: Path = PACKAGED_FOLDER) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        keys: Path,
+        load: Load,
+        packaged: Path = PACKAGED_FOLDER,
+        prove: Prove | None = None,
+    ) -> None:
         self.folder = folder
-        self._keys, self._load, self._packaged = keys, load, packaged
+        self._keys, self._load, self._packaged, self._prove = keys, load, packaged, prove
 
     def roles(self) -> Roles:
         """Which bundle does what. Errors: DataError when the file that says so can't be understood"""
@@ -91,28 +105,48 @@ class Store:
             known = ", ".join([PACKAGED, *self.versions()])
             raise RequestError(f"bundle {version} is not installed; known: {known}")
         try:
-            return self._checked(version, place)
+            if self._prove is not None and version != PACKAGED and not self._is_proved(place):
+                self._prove(place)
+            return self.load_folder(place, version)
         except DataError as error:
             raise DataError(f"bundle {version}: {error}") from error
 
-    def verify(self, archive: BinaryIO) -> Loaded:
+    def load_folder(self, folder: Path, name: str = "") -> Loaded:
+        """The bundle in `folder`; what was checked is what is loaded, byte for byte. Errors: DataError"""
+        manifest, files = read_checked(folder, self._keys)
+        calibrated = INTERVALS in manifest.files
+        intervals = read_intervals(files / INTERVALS) if calibrated else Intervals()
+        predictors, policies = self._load(files, manifest), load_policies(files, manifest)
+        return Loaded(name or manifest.version, manifest, predictors, intervals, policies)
+
+    def verify(self, archive: BinaryIO) -> Manifest:
         """A bundle that is not installed, checked as for `install`. Errors: DataError"""
         with tempfile.TemporaryDirectory(prefix="greenhouse-bundle-") as folder:
             unpack(archive, Path(folder))
-            return self._checked("", Path(folder))
+            manifest = check_folder(Path(folder), self._keys)
+            self._try_models(Path(folder))
+            return manifest
 
-    def install(self, archive: BinaryIO) -> Manifest:
-        """Take a bundle in and let it run in shadow. Errors: DataError, and nothing has changed"""
+    def install(self, archive: BinaryIO, allow_older: bool = False) -> Manifest:
+        """Take a bundle in and let it run in shadow. Errors: DataError, and nothing has changed
+
+        allow_older : the operator's word for a version below the newest that was installed
+        """
         with self._lock():
             self._clear_garbage()
+            admitted = self._admitted(allow_older)
             incoming = self.folder / _INCOMING
             incoming.mkdir()
             try:
                 unpack(archive, incoming)
-                manifest = self._checked("", incoming).manifest
+                manifest = check_folder(incoming, self._keys)
+                newest = self._newest(admitted.newest, manifest.version, allow_older)
+                self._try_models(incoming)
+                digest = _manifest_sha256(incoming)
                 self._take_in(incoming, manifest.version)
             finally:
                 shutil.rmtree(incoming, ignore_errors=True)
+            write_admitted(self.folder, admitted.with_install(newest, digest))
             self._write(installed(self._roles_or_fresh(), manifest.version))
         return manifest
 
@@ -133,12 +167,44 @@ class Store:
         except DataError:
             return self.change(lambda roles: Roles(PACKAGED, None, roles.shadow))
 
-    def _checked(self, name: str, folder: Path) -> Loaded:
-        manifest = check_folder(folder, self._keys)
-        calibrated = INTERVALS in manifest.files
-        intervals = read_intervals(folder / INTERVALS) if calibrated else Intervals()
-        predictors, policies = self._load(folder, manifest), load_policies(folder, manifest)
-        return Loaded(name or manifest.version, manifest, predictors, intervals, policies)
+    def _try_models(self, folder: Path) -> None:
+        if self._prove is None:
+            self.load_folder(folder)
+        else:
+            self._prove(folder)
+
+    def _is_proved(self, place: Path) -> bool:
+        try:
+            admitted = read_admitted(self.folder)
+            return admitted is not None and _manifest_sha256(place) in admitted.proved
+        except (DataError, OSError):
+            return False
+
+    def _admitted(self, allow_older: bool) -> Admitted:
+        """The record; of a store that has none yet what is installed speaks, of a spoilt one the operator."""
+        try:
+            admitted = read_admitted(self.folder)
+        except DataError as error:
+            if not allow_older:
+                raise DataError(f"{error}; --allow-older begins it anew") from error
+            return Admitted()
+        return admitted or Admitted(max(self.versions(), key=release, default=""))
+
+    def _newest(self, newest: str, version: str, allow_older: bool) -> str:
+        """The newest version after an install. Errors: DataError for an older one that nobody asked for
+
+        A bundle made from the active one (another twin) is no older than that.
+        """
+        if allow_older or release(version) >= release(newest):
+            return version
+        active = self._roles_or_fresh().active
+        if active == PACKAGED:
+            active = check_folder(self._packaged, self._keys).version
+        if release(version) and release(version) == release(active):
+            return newest
+        raise DataError(
+            f"bundle {version} is older than {newest}, which was installed before; --allow-older takes it in"
+        )
 
     def _take_in(self, incoming: Path, version: str) -> None:
         """Give the checked folder its name. A version never changes what it holds."""
@@ -188,6 +254,10 @@ class Store:
                 os.close(descriptor)
         except OSError as error:
             raise DataError(f"{error.filename or self.folder}: {error.strerror or error}") from error
+
+
+def _manifest_sha256(folder: Path) -> str:
+    return hashlib.sha256(read_file(folder / MANIFEST)).hexdigest()
 
 
 def _roles(path: Path, values: Mapping[str, object]) -> Roles:

@@ -14,10 +14,11 @@ from typing import Any, BinaryIO
 
 from edge import config
 from edge.bundle.archive import open_archive
-from edge.bundle.manifest import PACKAGED
+from edge.bundle.manifest import PACKAGED, Manifest
 from edge.bundle.orders import carry_out
+from edge.bundle.proof import Prover
 from edge.bundle.roles import Roles
-from edge.bundle.store import Loaded, Store
+from edge.bundle.store import Store
 from edge.control_socket import NobodyListens, request
 from edge.errors import DataError, RequestError
 from edge.models.from_bundle import loader
@@ -40,6 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         action = actions.add_parser(name, help=help_text, description=help_text)
         action.add_argument("bundle", type=Path, help="archive or folder")
+        if name == "install":
+            action.add_argument(
+                "--allow-older", action="store_true", help="also below the newest version installed so far"
+            )
         if name == "verify":  # what is installed must be trusted by the daemon too, so by the configuration
             action.add_argument("--keys", type=Path, default=None, help="folder of public keys (*.pub)")
     activate = actions.add_parser("activate", help="make the bundle in shadow, or VERSION, the active one")
@@ -62,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         case "verify":
             _verify(store, arguments.bundle)
         case "install":
-            _install(store, settings, arguments.bundle)
+            _install(store, settings, arguments.bundle, arguments.allow_older)
         case "list":
             _list(store)
         case action:
@@ -73,7 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
 def store_of(settings: Settings, keys: Path | None = None) -> Store:
     """The rig's store. keys: other trusted ones than the configured"""
     trusted = keys or Path(settings.bundle.trusted_keys)
-    return Store(Path(settings.bundle.path), trusted, loader(settings.control.step_s))
+    step_s = settings.control.step_s
+    return Store(Path(settings.bundle.path), trusted, loader(step_s), prove=Prover(trusted, step_s))
 
 
 def settings_of(path: Path | None) -> Settings:
@@ -85,25 +91,27 @@ def settings_of(path: Path | None) -> Settings:
 
 def _verify(store: Store, source: Path) -> None:
     with open_archive(source) as archive, _told_of(source):
-        loaded = store.verify(archive)
-    manifest = loaded.manifest
+        manifest = store.verify(archive)
     print(
         f"{source} is good: {manifest.name} {manifest.version} of {manifest.created_utc}, "
-        f"{manifest.sample_s:g} s steps, models {', '.join(loaded.predictors)}{_policies(loaded)}"
+        f"{manifest.sample_s:g} s steps, models {', '.join(manifest.models)}{_policies(manifest)}"
     )
 
 
-def _install(store: Store, settings: Settings, source: Path) -> None:
+def _install(store: Store, settings: Settings, source: Path, allow_older: bool) -> None:
     with open_archive(source) as archive, _told_of(source):
-        install(store, settings, archive)
+        install(store, settings, archive, allow_older)
 
 
-def install(store: Store, settings: Settings, archive: BinaryIO) -> None:
-    """Take a bundle in to run in shadow, and tell who serves now. Errors: DataError, RequestError"""
+def install(store: Store, settings: Settings, archive: BinaryIO, allow_older: bool = False) -> None:
+    """Take a bundle in to run in shadow, and tell who serves now. Errors: DataError, RequestError
+
+    allow_older : the operator's word for a version below the newest that was installed
+    """
     with _as_owner(store.folder):
-        version = store.install(archive).version
-    print(f"bundle {version} is installed")
-    reply = _ask(settings, "refresh", None)
+        version = store.install(archive, allow_older).version
+    print(f"bundle {version} is installed{' (older versions were allowed)' if allow_older else ''}")
+    reply = _ask(settings, "refresh-older" if allow_older else "refresh", version if allow_older else None)
     if reply is None:
         print_roles(store.roles())
     else:
@@ -135,14 +143,14 @@ def _list(store: Store) -> None:
         words = [word for word, role in _roles_in_words(roles).items() if role == name]
         try:
             loaded = store.load(name)
-            state = f"of {loaded.manifest.created_utc}{_policies(loaded)}"
+            state = f"of {loaded.manifest.created_utc}{_policies(loaded.manifest)}"
         except (DataError, RequestError) as error:
             state = f"can't be used: {error}"
         print(f"{name:20} {', '.join(words) or 'installed':24} {state}")
 
 
-def _policies(loaded: Loaded) -> str:
-    return f", policies {', '.join(loaded.policies)}" if loaded.policies else ""
+def _policies(manifest: Manifest) -> str:
+    return f", policies {', '.join(manifest.policies)}" if manifest.policies else ""
 
 
 def _roles_in_words(roles: Roles) -> dict[str, str | None]:

@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.input_file import Source, read_file
+from edge.strict_json import parse_object
 
 Floats = NDArray[np.float64]
 CLAIMED = 0.9  # share of the measurements that an interval shall hold
@@ -85,15 +87,15 @@ def write_intervals(intervals: Intervals, path: Path) -> None:
     path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_intervals(path: Path) -> Intervals:
+def read_intervals(path: Source) -> Intervals:
     """The calibration in `path`. Errors: DataError, naming the file and the row."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_object(read_file(path))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise DataError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict) or document.get("format") != _FORMAT:
+    if document.get("format") != _FORMAT:
         raise DataError(f"{path}: format: not a table of intervals of format {_FORMAT}")
     if document.get("claimed") != CLAIMED:
         raise DataError(f"{path}: claimed: {document.get('claimed')!r} is not {CLAIMED}")

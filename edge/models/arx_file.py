@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.input_file import Source, read_file
 from edge.models.arx import Arx, FanInput
+from edge.plain_text import shown
+from edge.strict_json import parse_object
 
 DEFAULT_PATH = Path(__file__).with_name("default_arx.json")
 _FORMAT = 2
@@ -45,19 +48,19 @@ def write_arx(model: Arx, path: Path, provenance: Mapping[str, Any]) -> None:
     path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_arx(path: Path = DEFAULT_PATH) -> Arx:
+def read_arx(path: Source = DEFAULT_PATH) -> Arx:
     """The model in `path`; its version is the first 12 hex digits of the file's sha256.
 
     Raises : DataError naming the file and the key
     """
     try:
-        content = path.read_bytes()
-        document = json.loads(content)
+        content = read_file(path)
+        document = parse_object(content)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise DataError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict) or document.get("model") != "arx":
+    if document.get("model") != "arx":
         raise DataError(f"{path}: model: not an ARX model")
     if document.get("format") != _FORMAT:
         raise DataError(f"{path}: format: {document.get('format')!r} is not {_FORMAT}")
@@ -82,27 +85,27 @@ def read_arx(path: Path = DEFAULT_PATH) -> Arx:
     )
 
 
-def _fan_input(path: Path, value: Any) -> FanInput:
+def _fan_input(path: Source, value: Any) -> FanInput:
     if value in get_args(FanInput):
         return cast(FanInput, value)
-    raise DataError(f'{path}: fan_input: {value!r} is neither "on" nor "excess"')
+    raise DataError(f'{path}: fan_input: {shown(value)} is neither "on" nor "excess"')
 
 
-def _number(path: Path, document: Mapping[str, Any], key: str) -> float:
+def _number(path: Source, document: Mapping[str, Any], key: str) -> float:
     value = document[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise DataError(f"{path}: {key}: {value!r} is not a number")
+        raise DataError(f"{path}: {key}: {shown(value)} is not a number")
     return float(value)
 
 
-def _numbers(path: Path, document: Mapping[str, Any], key: str) -> NDArray[np.float64]:
+def _numbers(path: Source, document: Mapping[str, Any], key: str) -> NDArray[np.float64]:
     values = document[key]
     if not isinstance(values, list) or not values:
         raise DataError(f"{path}: {key}: not a list of numbers")
     return np.array([_number(path, {key: value}, key) for value in values])
 
 
-def _validity(path: Path, value: Any) -> dict[str, tuple[float, float]]:
+def _validity(path: Source, value: Any) -> dict[str, tuple[float, float]]:
     try:
         return {str(key): (float(low), float(high)) for key, (low, high) in value.items()}
     except (AttributeError, TypeError, ValueError) as error:

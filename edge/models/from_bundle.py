@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 
 from edge.bundle.manifest import MANIFEST, TWIN, Manifest
 from edge.errors import DataError
+from edge.input_file import Folder, Source
 from edge.models.base import Predictor
 
-Load = Callable[[Path, Manifest], Mapping[str, Predictor]]
+Load = Callable[[Folder, Manifest], Mapping[str, Predictor]]
 
 
 def loader(step_s: float) -> Load:
@@ -16,7 +16,7 @@ def loader(step_s: float) -> Load:
     return partial(load_predictors, step_s=step_s)
 
 
-def load_predictors(folder: Path, manifest: Manifest, step_s: float) -> dict[str, Predictor]:
+def load_predictors(folder: Folder, manifest: Manifest, step_s: float) -> dict[str, Predictor]:
     """Predictors by name, in the manifest's order; each proves its contract as it is read.
 
     folder : a bundle whose hashes have been checked
@@ -40,7 +40,7 @@ def load_predictors(folder: Path, manifest: Manifest, step_s: float) -> dict[str
     return predictors
 
 
-def _check_twin(folder: Path, manifest: Manifest) -> None:
+def _check_twin(folder: Folder, manifest: Manifest) -> None:
     from edge.models.pbm import read_twin
 
     found = read_twin(folder / TWIN).twin.sha256
@@ -48,31 +48,31 @@ def _check_twin(folder: Path, manifest: Manifest) -> None:
         raise DataError(f"{MANIFEST}: twin_sha256: is not that of {TWIN}, {found}")
 
 
-def _arx(path: Path, manifest: Manifest) -> Predictor:
+def _arx(path: Source, manifest: Manifest) -> Predictor:
     from edge.models.arx_file import read_arx
 
     return read_arx(path)
 
 
-def _pbm(path: Path, manifest: Manifest) -> Predictor:
+def _pbm(path: Source, manifest: Manifest) -> Predictor:
     from edge.models.pbm import read_twin
 
     return read_twin(path)
 
 
-def _lstm(path: Path, manifest: Manifest) -> Predictor:
+def _lstm(path: Source, manifest: Manifest) -> Predictor:
     from edge.models.lstm import read_lstm
 
     return read_lstm(path)
 
 
-def _ham(path: Path, manifest: Manifest) -> Predictor:
+def _ham(path: Source, manifest: Manifest) -> Predictor:
     from edge.models.ham import read_ham
 
     return read_ham(path, manifest.twin_sha256)
 
 
-_READ: dict[str, Callable[[Path, Manifest], Predictor]] = {
+_READ: dict[str, Callable[[Source, Manifest], Predictor]] = {
     "arx": _arx,
     "pbm": _pbm,
     "lstm": _lstm,

@@ -1,13 +1,12 @@
 """The hybrid (paper, eq. method-hybrid-model) over the twin that it was trained on, as an ONNX file."""
 
-from pathlib import Path
-
+from edge.input_file import Source
 from edge.models.onnx_predictor import OnnxPredictor, read_onnx
 
 KINDS = ("ham", "ham_guarded")  # the paper's, and the one that falls back to its twin outside its data
 
 
-def read_ham(path: Path, twin_sha256: str, step_s: float | None = None) -> OnnxPredictor:
+def read_ham(path: Source, twin_sha256: str, step_s: float | None = None) -> OnnxPredictor:
     """The predictor "ham" in `path`, proved by its golden vectors; which hybrid it is says its `kind`.
 
     twin_sha256 : `Twin.sha256` of the twin beside it: a hybrid corrects one twin and no other

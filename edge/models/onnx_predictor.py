@@ -6,12 +6,12 @@ onnxruntime is imported when a file is read and not before: a rig without such a
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from edge.errors import DataError
+from edge.input_file import MODEL, Source, read_file
 from edge.models.base import Columns, Floats
 from edge.models.contract import KEY, Contract, parse_contract
 from edge.models.onnx_session import one_line, open_session
@@ -110,7 +110,7 @@ class OnnxPredictor:
 
 
 def read_onnx(
-    path: Path, name: str, kinds: Sequence[str], step_s: float | None, twin_sha256: str = ""
+    path: Source, name: str, kinds: Sequence[str], step_s: float | None, twin_sha256: str = ""
 ) -> OnnxPredictor:
     """The predictor in `path`; its version is the first 12 hex digits of the file's sha256.
 
@@ -119,7 +119,7 @@ def read_onnx(
     Raises : DataError that names the file and the key of the contract, or the golden vector that it misses
     """
     try:
-        content = path.read_bytes()
+        content = read_file(path, MODEL)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
     try:

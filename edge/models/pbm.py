@@ -1,11 +1,11 @@
 """The physics model as a predictor: the twin of a twin file, stepped exactly."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from edge.errors import DataError
+from edge.input_file import Source
 from edge.models.base import Columns, Floats
 from edge.twin.model import Twin
 from edge.twin.twin_file import read_twin_file
@@ -76,7 +76,7 @@ def _cut(columns: Columns, names: tuple[str, ...], rows: slice) -> Columns:
     return {name: columns[name][rows] for name in names if name in columns}
 
 
-def read_twin(path: Path) -> Pbm:
+def read_twin(path: Source) -> Pbm:
     """The predictor of a twin file.
 
     Errors : DataError naming file and key, also for a value that is still to be fitted

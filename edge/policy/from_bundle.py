@@ -1,12 +1,11 @@
 """The policies of a bundle's folder: what its manifest names, each held to the manifest's step."""
 
-from pathlib import Path
-
 from edge.bundle.manifest import Manifest
+from edge.input_file import Folder
 from edge.policy.onnx_policy import OnnxPolicy, read_policy
 
 
-def load_policies(folder: Path, manifest: Manifest) -> dict[str, OnnxPolicy]:
+def load_policies(folder: Folder, manifest: Manifest) -> dict[str, OnnxPolicy]:
     """Policies by the controller that they are for, in the manifest's order; each proved as it is read.
 
     folder : a bundle whose hashes have been checked

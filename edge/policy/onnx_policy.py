@@ -2,12 +2,12 @@
 
 import hashlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from edge.errors import DataError
+from edge.input_file import MODEL, Source, read_file
 from edge.models.onnx_session import one_line, open_session
 from edge.policy.actions import ACTIONS
 from edge.policy.contract import KEY, TOLERANCE, PolicyContract, parse_policy_contract
@@ -51,14 +51,14 @@ class OnnxPolicy:
             raise DataError("golden.values: another action than the trained network's")
 
 
-def read_policy(path: Path, name: str, step_s: float | None = None) -> OnnxPolicy:
+def read_policy(path: Source, name: str, step_s: float | None = None) -> OnnxPolicy:
     """The policy in `path`; its version is the first 12 hex digits of the file's sha256.
 
     step_s : the control step that it has to be made for [s], None for any
     Errors : DataError that names the file and the key
     """
     try:
-        content = path.read_bytes()
+        content = read_file(path, MODEL)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
     try:

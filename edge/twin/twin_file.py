@@ -10,6 +10,7 @@ import yaml
 
 from edge.config_schema import nearest
 from edge.errors import DataError
+from edge.input_file import Source, read_text
 from edge.strict_yaml import parse_yaml
 from edge.twin.effects import EFFECTS, check_names
 from edge.twin.geometry import Geometry
@@ -79,12 +80,12 @@ class TwinFile:
         )
 
 
-def read_twin_file(path: Path) -> TwinFile:
+def read_twin_file(path: Source) -> TwinFile:
     """Read `path`. Errors: DataError naming the file and the key, also for a file that can't be read."""
     try:
-        document = parse_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read: {error}") from error
+        document = parse_yaml(read_text(path))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
     except yaml.YAMLError as error:
         raise DataError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     try:

@@ -1,0 +1,57 @@
+"""What a store remembers of its installs: the newest version, and which bundles have proved their models."""
+
+import re
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from edge import state_file
+from edge.errors import DataError
+
+FILE = "admitted.json"
+PROVED_MAX = 64  # the newest ones; a bundle that falls out is proved again when it is loaded
+_RELEASE = re.compile(r"\d{1,9}(?:\.\d{1,9})*")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, slots=True)
+class Admitted:
+    """newest : version of the newest bundle, by number; "" before the first; proved : sha256 of manifests."""
+
+    newest: str = ""
+    proved: tuple[str, ...] = ()
+
+    def with_install(self, version: str, manifest_sha256: str) -> "Admitted":
+        """The record after a bundle was installed; an older one by the operator's word sets `newest` back."""
+        others = tuple(sha256 for sha256 in self.proved if sha256 != manifest_sha256)
+        return replace(self, newest=version, proved=(*others, manifest_sha256)[-PROVED_MAX:])
+
+
+def release(version: str) -> tuple[int, ...]:
+    """The numbers that a version begins with, to compare by: (2,) for "2.0-twin-3f2a"; () without any."""
+    found = _RELEASE.match(version)
+    numbers = [int(part) for part in found[0].split(".")] if found else []
+    while numbers and numbers[-1] == 0:  # 2.0 is 2
+        numbers.pop()
+    return tuple(numbers)
+
+
+def read_admitted(folder: Path) -> Admitted | None:
+    """The store's record, None where there is none. Errors: DataError"""
+    path = folder / FILE
+    try:
+        values = state_file.read(path)
+    except state_file.StateFileBroken as error:
+        raise DataError(str(error)) from error
+    if values is None:
+        return None
+    newest, proved = values.get("newest"), values.get("proved")
+    if not isinstance(newest, str) or not isinstance(proved, list):
+        raise DataError(f"{path}: does not say which version is the newest")
+    return Admitted(
+        newest, tuple(item for item in proved if isinstance(item, str) and _SHA256.fullmatch(item))
+    )
+
+
+def write_admitted(folder: Path, admitted: Admitted) -> None:
+    """Replace the record. Errors: OSError"""
+    state_file.write(folder / FILE, asdict(admitted))

@@ -1,0 +1,104 @@
+"""A bundle's models run first in a process of their own: a graph may loop for ever, or take all memory.
+
+The process checks the bundle itself, so that what it proves is what the signature covers.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from edge.errors import DataError
+from edge.plain_text import plain
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What proving a bundle may take; the packaged one takes 1 s and 80 MB."""
+
+    cpu_s: int = 60  # a single-board computer needs a tenth of it
+    wall_s: float = 180.0  # beside a daemon that works
+    memory: int = 300 << 20  # beside the daemon within the unit's MemoryMax= [bytes]
+
+
+LIMITS = Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class Prover:
+    """Proves bundles of this rig: trusted `keys` (a folder), control steps of `step_s` [s]."""
+
+    keys: Path
+    step_s: float
+    limits: Limits = LIMITS
+
+    def __call__(self, folder: Path) -> None:
+        """Load the bundle in `folder` with all of its models. Errors: DataError with what is wrong"""
+        task = {"folder": str(folder.absolute()), "keys": str(self.keys.absolute()), "step_s": self.step_s}
+        command = [
+            sys.executable,
+            "-m",
+            "edge.bundle.proof",
+            json.dumps({**task, "limits": asdict(self.limits)}),
+        ]
+        root = Path(__file__).parent.parent.parent  # where this software lies
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path[1:]])}
+        try:
+            done = subprocess.run(
+                command,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                env=environment,
+                timeout=self.limits.wall_s,
+            )
+        except subprocess.TimeoutExpired:
+            raise DataError(f"its models are not proved after {self.limits.wall_s:g} s") from None
+        except OSError as error:
+            raise DataError(f"its models cannot be proved: {error.strerror}") from error
+        if done.returncode:
+            raise DataError(self._reason(done))
+
+    def _reason(self, done: "subprocess.CompletedProcess[bytes]") -> str:
+        if done.returncode == REFUSED:
+            return plain(done.stdout.decode(errors="replace"), 400)
+        said = plain(done.stderr.decode(errors="replace")[-200:])
+        ended = f"signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
+        return (
+            f"its models end the process that proves them ({ended}), which may compute for "
+            f"{self.limits.cpu_s} s and take {self.limits.memory >> 20} MB{f': {said}' if said else ''}"
+        )
+
+
+REFUSED = 3  # exit code: the reason is on stdout
+
+
+def main(task: str) -> int:
+    """Prove what the JSON object `task` names, within its limits."""
+    values = json.loads(task)
+    limits = Limits(**values["limits"])
+    resource.setrlimit(resource.RLIMIT_CPU, (limits.cpu_s, limits.cpu_s))
+    resource.setrlimit(resource.RLIMIT_DATA, (limits.memory, limits.memory))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with suppress(OSError):  # not where root acts as the store's owner
+        Path("/proc/self/oom_score_adj").write_text("1000")  # where memory runs short this process ends first
+    from edge.bundle.store import Store  # after the limits
+    from edge.models.from_bundle import loader
+
+    folder = Path(values["folder"])
+    try:
+        Store(folder.parent, Path(values["keys"]), loader(values["step_s"])).load_folder(folder)
+    except DataError as error:
+        print(error)
+        return REFUSED
+    except MemoryError:
+        print(f"its models need more than {limits.memory >> 20} MB")
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    os._exit(main(sys.argv[1]))  # no exit handlers: a library's may wait
