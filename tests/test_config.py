@@ -145,6 +145,11 @@ def test_no_value_widens_a_hard_limit(value):
     assert safety.temp_air_max_c <= hard_limits.TEMP_AIR_MAX_C
 
 
+def test_the_lease_and_the_longest_maintenance_are_those_of_the_manual():
+    assert hard_limits.LEASE_S == 10.0
+    assert hard_limits.MAINTENANCE_MAX_MIN / 60.0 == 24.0
+
+
 def test_settings_made_in_code_are_held_to_the_same_limits():
     with pytest.raises(ConfigError, match="above the hard limit"):
         SafetySettings(temp_air_max_c=61.0)

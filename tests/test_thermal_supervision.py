@@ -177,6 +177,13 @@ def test_cooling_counts_from_the_warmest_air_since_the_fan_was_switched(left_k, 
     assert (found and found[0]) == trip
 
 
+@pytest.mark.parametrize(("excess_k", "trip"), [(13.1, None), (13.2, FAN_NO_EFFECT)])
+def test_a_fan_at_a_third_of_its_flow_may_leave_what_full_heat_makes(excess_k, trip):
+    # 110 W into 8 W/K of a weak fan and 4 W/K of the walls, and 4 K of other heat: 13.17 K.
+    found = first_trip(fan_on([21.0 + excess_k] * 10, duty=1.0))
+    assert (found and found[0]) == trip
+
+
 def test_a_fan_that_cools_is_no_fault():
     assert first_trip(fan_on([36.0, 29.0, 27.0, 26.0, 25.0, 24.0, *[22.8] * 60])) is None
 
