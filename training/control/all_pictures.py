@@ -39,8 +39,9 @@ def pictures_of(
             if shown:
                 title = f"{reference.replace('_', ' ')}, {'with' if ending else 'without'} penalty"
                 pictures[f"control_{reference}{ending}"] = runs_picture(title, shown)
-    pictures["control_mae"] = bars_picture(results, [n for n in names if n not in SPARING], references)
-    pictures["control_energy"] = energy_picture(results, names, references)
+    shown_names = [name for name in names if name not in SPARING and not name.endswith("/unbounded")]
+    pictures["control_mae"] = bars_picture(results, shown_names, references)
+    pictures["control_energy"] = energy_picture(results, shown_names, references)
     if families := _radar(results, references):
         pictures["control_radar"] = radar_picture(families)
     return pictures
