@@ -11,9 +11,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from contexts import context
 
 from edge import config
+from edge.controllers.registry import Parts, make
 from edge.errors import DataError
+from edge.models.arx_file import read_arx
+from edge.settings import ControlSettings
 from edge.sim_clock import SimClock
 from edge.virtual_rig import settings_in, virtual_rig
 from training.control import job as control_job
@@ -139,3 +143,20 @@ def test_the_twins_controller_runs_with_the_diagnosed_twin(tmp_path, monkeypatch
     log = run(Job(entries()["MPC-Twin-P"], "short", 101))
     assert log.instead == {}
     assert abs(log.columns["sensor_air_c"][-1] + 0.4 - 24.0) < 0.7
+
+
+def test_a_variant_is_another_run_with_a_controller_of_its_own(tmp_path):
+    known = entries()
+    hashes = {Job(known[name], "reference_1", 1).sha256() for name in ("MPC-BFGS", "MPC-BFGS/unbounded")}
+    assert len(hashes) == 2
+    made = {
+        name: control_job._instead(Job(known[name], "reference_1", 1), tmp_path)
+        for name in ("MPC-BFGS", "MPC-BFGS/unbounded", "rules/tuned")
+    }
+    assert made["MPC-BFGS"] is None  # the daemon's own
+    cold = context(26.0, 27.0)
+    daemons = {name: make(name, Parts(ControlSettings(), read_arx())) for name in ("MPC-BFGS", "rules")}
+    assert made["MPC-BFGS/unbounded"].decide(cold).command != daemons["MPC-BFGS"].decide(cold).command
+    near = context(25.7, 26.0)
+    assert made["rules/tuned"].decide(near).command.heater_duty == 1.0
+    assert daemons["rules"].decide(near).command.heater_duty == 0.0
