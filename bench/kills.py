@@ -26,6 +26,7 @@ from typing import Any
 
 import yaml
 
+from bench.attack.part import Found
 from edge import config, state_file
 from edge.control_socket import request
 from edge.daemon import Daemon
@@ -316,22 +317,34 @@ def _advance(rig: Rig, duration_s: float) -> None:
     rig.board.ask(advance_to_s=_now(rig) + duration_s)
 
 
-def run(kills: int, seed: int, core: str, say: Callable[[str], None] = print) -> int:
-    """Kill so often, print the table; the number of violations."""
-    counts: Counter[tuple[str, str]] = Counter()
-    violations, begun_s = 0, time.monotonic()
+def trials(seed: int, count: int, core: str = "python") -> Iterator[tuple[Plan, Found]]:
+    """Each kill with what was wrong after it; all in one rig."""
     with tempfile.TemporaryDirectory(prefix="gh-kills-") as name, rig_in(Path(name), core) as rig:
         rig.restart()
         rig.order("socket", MOVING)
         wait_for(lambda: not _resting(rig, 0.0), "the actuators move")
-        say(f"seed {seed}, core {core}, {kills} kills; each kill is drawn from 'seed/number'")
-        for number in range(kills):
+        for number in range(count):
             drawn = plan(random.Random(f"{seed}/{number}"), rig.doors)
-            for found in one_kill(rig, drawn):
-                violations += 1
-                say(f"VIOLATION {seed}/{number}: {found}; {drawn}; log {rig.folder}/daemon.log")
-            for kind, value in _kinds(drawn):
-                counts[kind, value] += 1
+            yield drawn, Found(f"{seed}/{number}: {drawn}", 1, one_kill(rig, drawn))
+
+
+def attack(seed: int, count: int) -> Iterator[Found]:
+    """The kills as a part of `python -m bench.attack`."""
+    for _, found in trials(seed, count):
+        yield found
+
+
+def run(kills: int, seed: int, core: str, say: Callable[[str], None] = print) -> int:
+    """Kill so often, print the table; the number of violations."""
+    counts: Counter[tuple[str, str]] = Counter()
+    violations, begun_s = 0, time.monotonic()
+    say(f"seed {seed}, core {core}, {kills} kills; each kill is drawn from 'seed/number'")
+    for drawn, found in trials(seed, kills, core):
+        violations += len(found.violations)
+        for text in found.violations:
+            say(f"VIOLATION {found.name}: {text}")
+        for kind, value in _kinds(drawn):
+            counts[kind, value] += 1
     say("| kills | of them |\n|---|---:|")
     for (kind, value), count in sorted(counts.items()):
         say(f"| {kind}: {value} | {count} |")

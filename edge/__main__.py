@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from edge import __version__
 from edge.commands import orders
 from edge.errors import GreenhouseError
+from edge.plain_text import storable
 
 COMMANDS = {  # command -> help; the module is edge.commands.<name with underscores>
     "demo": "run a simulated greenhouse: no board, broker or root needed",
@@ -26,6 +27,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "bundle": "install, activate or roll back signed bundles of models",
     "forget-discovery": "remove a rig from Home Assistant and the broker",
 }
+MESSAGE_MAX = 1500  # characters of an error
 GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "Start here": ("demo", "check-config", "run"),
     "See what it does": ("status", "watch", "why", "plot"),
@@ -82,12 +84,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return int(arguments.run(arguments))
     except GreenhouseError as error:
-        print(f"greenhouse {arguments.command}: {error}", file=sys.stderr)
+        print(f"greenhouse {arguments.command}: {_bounded(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
         return 141  # the reader of our output went away: `greenhouse status | head`
+
+
+def _bounded(text: str) -> str:
+    """The text without control characters, and not longer than a screen."""
+    text = storable(text)
+    return text if len(text) <= MESSAGE_MAX else f"{text[:MESSAGE_MAX]}..."
 
 
 def _module(command: str) -> str:

@@ -11,6 +11,8 @@ import yaml
 
 from edge.config_schema import Section, SettingError, nearest
 from edge.errors import ConfigError
+from edge.input_file import YAML, read_text
+from edge.plain_text import shown
 from edge.settings import Settings
 from edge.strict_yaml import parse_yaml
 
@@ -25,9 +27,9 @@ def default() -> Settings:
 def load(path: str | Path) -> Settings:
     """Settings from a YAML file. Raises ConfigError, which names file and key."""
     try:
-        source = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: can't be read: {error}") from error
+        source = read_text(Path(path), YAML)
+    except OSError as error:
+        raise ConfigError(f"{path}: can't be read: {error.strerror}") from error
     return parse(source, str(path))
 
 
@@ -36,7 +38,7 @@ def parse(source: str, place: str = "edge.yaml") -> Settings:
     try:
         tree = parse_yaml(source)
     except yaml.YAMLError as error:
-        raise ConfigError(f"{place}: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{place}: {error}") from error
     try:
         return _section(Settings, tree, "")
     except SettingError as error:
@@ -54,12 +56,12 @@ def _section(kind: type[AnySection], tree: object, key: str) -> AnySection:
     if tree is None:
         tree = {}
     if not isinstance(tree, dict):
-        raise SettingError(key or "the file", f"must hold keys and values, not {tree!r}")
+        raise SettingError(key or "the file", f"must hold keys and values, not {shown(tree)}")
     types = get_type_hints(kind)
     known = [item.name for item in fields(kind)]
     for name in tree:
         if name not in known:
-            raise SettingError(key or "the file", f"unknown key {name!r}; {nearest(str(name), known)}")
+            raise SettingError(key or "the file", f"unknown key {shown(name)}; {nearest(str(name), known)}")
     values = {name: _value(types[name], value, _join(key, name)) for name, value in tree.items()}
     try:
         return kind(**values)
@@ -78,7 +80,7 @@ def _value(kind: Any, value: object, key: str) -> Any:
     if kind is float and type(value) is int:
         return float(value)
     if type(value) is not kind:
-        raise SettingError(key, f"must be {_WORDS[kind]}, not {value!r}")
+        raise SettingError(key, f"must be {_WORDS[kind]}, not {shown(value)}")
     return value
 
 
@@ -87,7 +89,7 @@ _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 def _list(kind: type[AnySection], value: object, key: str) -> tuple[AnySection, ...]:
     if not isinstance(value, list):
-        raise SettingError(key, f"must be a list, not {value!r}")
+        raise SettingError(key, f"must be a list, not {shown(value)}")
     return tuple(_section(kind, item, f"{key}[{index}]") for index, item in enumerate(value))
 
 
@@ -97,7 +99,7 @@ def _time(value: object, key: str) -> time:
     except ValueError:
         result = None
     if result is None or result.tzinfo is not None:
-        raise SettingError(key, f"must be {_WORDS[time]}, not {value!r}")
+        raise SettingError(key, f"must be {_WORDS[time]}, not {shown(value)}")
     return result
 
 

@@ -14,6 +14,10 @@ from datetime import time
 from typing import Any, NoReturn
 
 from edge.errors import ConfigError
+from edge.plain_text import shown
+
+TEXT_MAX = 4096  # of a value; the longest path of Linux
+KEY_MAX = 100  # of a misspelt key that is compared with the known ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +101,13 @@ def value_problem(value: object, rule: Rule | None) -> str:
     if rule is None:
         return ""
     if rule.choices and value not in rule.choices:
-        return f"{value!r} is none of {', '.join(str(choice) for choice in rule.choices)}"
+        return f"{shown(value)} is none of {', '.join(str(choice) for choice in rule.choices)}"
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _number_problem(value, rule)
+    if isinstance(value, str) and (len(value) > TEXT_MAX or not value.isprintable()):
+        return f"{shown(value)} is longer than {TEXT_MAX} characters or has some that are not printable"
     if rule.pattern and isinstance(value, str) and not re.fullmatch(rule.pattern, value):
-        return f"{value!r} does not match {rule.pattern}"
+        return f"{shown(value)} does not match {rule.pattern}"
     return ""
 
 
@@ -118,5 +124,5 @@ def _number_problem(value: float, rule: Rule) -> str:
 def nearest(key: str, known: Iterable[str]) -> str:
     """A hint for a misspelt key: the nearest known one, or all of them."""
     names = sorted(known)
-    close = difflib.get_close_matches(key, names, n=1)
+    close = difflib.get_close_matches(key[:KEY_MAX], names, n=1)
     return f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(names)}"

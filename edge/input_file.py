@@ -10,7 +10,9 @@ import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
+YAML = 128 << 10  # the parser takes a second for so much [bytes]
 SMALL = 1 << 20  # settings, states, manifests, keys, reports [bytes]
 MODEL = 16 << 20  # ten times what a network of this project takes [bytes]
 TABLE = 64 << 20  # run files; a year of minutes has 20 MB [bytes]
@@ -47,17 +49,22 @@ Source = Path | MemoryFile
 Folder = Path | MemoryFolder
 
 
-def read_file(path: Source, most: int = SMALL) -> bytes:
-    """Return the content of `path`. Errors: OSError, also for a FIFO, a device, more than `most` bytes."""
-    if isinstance(path, MemoryFile):
-        return path.content
+def open_file(path: Path) -> BinaryIO:
+    """Open a regular file, for readers that take less than all of it. Errors: OSError as `read_file`."""
     if "\0" in str(path):
         raise OSError(errno.EINVAL, "a NUL in the path")
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # opening a FIFO would wait
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, "not a regular file")
-    with os.fdopen(descriptor, "rb") as file:
+    return os.fdopen(descriptor, "rb")
+
+
+def read_file(path: Source, most: int = SMALL) -> bytes:
+    """Return the content of `path`. Errors: OSError, also for a FIFO, a device, more than `most` bytes."""
+    if isinstance(path, MemoryFile):
+        return path.content
+    with open_file(path) as file:
         content = file.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"larger than {most >> 10} kB")

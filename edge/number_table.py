@@ -1,7 +1,7 @@
 """Strict CSV of numbers over time, `# key: value` lines on top: what run files and profiles are."""
 
 import csv
-import math
+import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,9 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.input_file import TABLE, read_text
+from edge.plain_text import plain, shown
 
 Floats = NDArray[np.float64]
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # no nan, no inf, no 1_000
+LARGEST = 1e12  # of a cell; beyond, squares and sums overflow somewhere behind
+FACT_MAX = 20_000  # characters of a line `# key: value`; notes can be long
+COLUMNS_MAX = 200
+NAME_MAX = 100  # characters of a column's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +46,10 @@ class NumberTable:
 def read_table(path: Path) -> NumberTable:
     """Read `path`. Errors: DataError with file, line and column; also for a file that can't be read."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            table = _parse(path, file)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        table = _parse(path, io.StringIO(read_text(path, TABLE), newline=""))
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from error
+    except csv.Error as error:
         raise DataError(f"{path}: {error}") from error
     time_s = table.columns["time_s"]
     table.refuse("time_s", np.isnan(time_s), "is no time")
@@ -79,10 +86,12 @@ def _parse(path: Path, file: TextIO) -> NumberTable:
             break
         fact_lines += 1
         key, colon, value = line[1:].partition(":")
+        if len(line) > FACT_MAX:
+            raise DataError(f"{path}: line {fact_lines}: longer than {FACT_MAX} characters")
         if not colon or not key.strip():
-            raise DataError(f"{path}: line {fact_lines}: {line.strip()!r} is no `# key: value`")
+            raise DataError(f"{path}: line {fact_lines}: {shown(line.strip())} is no `# key: value`")
         if key.strip() in facts:
-            raise DataError(f"{path}: line {fact_lines}: {key.strip()} is told twice")
+            raise DataError(f"{path}: line {fact_lines}: {plain(key.strip(), 60)} stands there twice")
         facts[key.strip()] = value.strip()
     else:
         raise DataError(f"{path}: there is no header")
@@ -103,8 +112,10 @@ def _parse(path: Path, file: TextIO) -> NumberTable:
 def _header(path: Path, line: int, cells: list[str]) -> list[str]:
     names = [cell.strip() for cell in cells]
     place = f"{path}: line {line}"
+    if len(names) > COLUMNS_MAX or any(len(name) > NAME_MAX for name in names):
+        raise DataError(f"{place}: more than {COLUMNS_MAX} columns, or a name of over {NAME_MAX} characters")
     if "time_s" not in names:
-        raise DataError(f"{place}: time_s is not among the columns {names}")
+        raise DataError(f"{place}: time_s is not among the columns {shown(names, 500)}")
     for name in names:
         if not name or names.count(name) > 1:
             raise DataError(f"{place}: {name!r} is no name for one column")
@@ -120,8 +131,8 @@ def _row(place: str, names: list[str], cells: list[str]) -> list[float]:
 def _number(place: str, name: str, cell: str) -> float:
     if not cell:
         return float("nan")
-    if not (_NUMBER.fullmatch(cell) and math.isfinite(float(cell))):
-        raise DataError(f"{place}: {name}: {cell!r} is no number")
+    if not (_NUMBER.fullmatch(cell) and abs(float(cell)) <= LARGEST):
+        raise DataError(f"{place}: {name}: {shown(cell)} is no number of at most {LARGEST:g}")
     return float(cell)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import DataError
+from edge.plain_text import shown
 from edge.profile_file import read_profile
 from edge.settings import ReferenceSettings
 
@@ -77,7 +78,7 @@ def reference_from_profile(path: Path) -> Reference:
     """A profile file with `time_s,reference_c`. Errors: DataError."""
     profile = read_profile(path)
     if not profile.is_reference:
-        raise DataError(f"{path}: reference_c is not among the columns {list(profile.columns)}")
+        raise DataError(f"{path}: reference_c is not among the columns {shown(list(profile.columns), 500)}")
     return Reference(profile.columns["time_s"], profile.columns["reference_c"])
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from edge.errors import DataError
 from edge.names import SIGNALS
 from edge.number_table import NumberTable, read_table, write_table
+from edge.plain_text import shown
 
 Floats = NDArray[np.float64]
 REQUIRED = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
@@ -59,7 +60,7 @@ class Run:
             moment = datetime.fromisoformat(text)
         except ValueError:
             raise DataError(
-                f"{self.path}: start_utc: {text!r} is no time like 2026-07-01T12:00:00Z"
+                f"{self.path}: start_utc: {shown(text)} is no time like 2026-07-01T12:00:00Z"
             ) from None
         # A time without zone is what the fact's name says: UTC.
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
@@ -180,12 +181,14 @@ def _check_names(table: NumberTable, without: Collection[str]) -> None:
     for name in table.columns:
         if name not in KNOWN and (near := [known for known in _near(name) if known not in table.columns]):
             raise DataError(
-                f"{table.path}: unknown column {name!r}: is it {' or '.join(near)}? "
+                f"{table.path}: unknown column {shown(name)}: is it {' or '.join(near)}? "
                 "Rename it, or give it a name unlike those"
             )
     for name in OPTION_WITHOUT:
         if table.facts.get(name, ABSENT) != ABSENT:
-            raise DataError(f"{table.path}: {name}: {table.facts[name]!r}: this fact can only be {ABSENT!r}")
+            raise DataError(
+                f"{table.path}: {name}: {shown(table.facts[name])}: this fact can only be {ABSENT!r}"
+            )
         if name in table.facts and name in table.columns:
             raise DataError(f"{table.path}: {name}: the fact says {ABSENT!r}, but the column is there")
     for name in REQUIRED:
@@ -197,7 +200,11 @@ def _check_names(table: NumberTable, without: Collection[str]) -> None:
                 f"; where it was not recorded, say so: {OPTION_WITHOUT[name]}, "
                 f"or the line '# {name}: {ABSENT}' above the header"
             )
-        raise DataError(f"{table.path}: {name} is not among the columns {list(table.columns)}{hint}")
+        raise DataError(f"{table.path}: {name} is not among the columns {_listed(table)}{hint}")
+
+
+def _listed(table: NumberTable) -> str:
+    return shown(list(table.columns), 500)
 
 
 def _near(name: str) -> list[str]:

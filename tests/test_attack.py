@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from bench.attack import answers, floods, payloads, scenarios
+from bench.attack import answers, files, floods, payloads, scenarios
 from bench.attack.part import Found, Part
 from tests.broker import needs_mosquitto
 
@@ -24,6 +24,10 @@ def test_random_faults_kills_and_full_disks_break_no_invariant() -> None:
 
 def test_evil_answers_of_a_language_model_break_nothing() -> None:
     assert violations(answers.run, 11, 9) == []
+
+
+def test_hostile_files_are_refused_in_a_few_lines_that_name_them() -> None:
+    assert violations(files.run, 11, 30) == []
 
 
 @needs_mosquitto

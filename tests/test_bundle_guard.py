@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from bundles import Workshop, install, load_nothing
 
-from bench.evil_bundles import ENDLESS, GREEDY, KINDS, attack
+from bench.attack.bundles import ENDLESS, GREEDY, KINDS, run
 from edge.__main__ import main
 from edge.bundle.admitted import release
 from edge.bundle.archive import open_archive
@@ -205,11 +205,11 @@ def test_a_file_exchanged_between_check_and_load_is_not_loaded(workshop: Worksho
     assert loaded.predictors["arx"].step_s == 60.0
 
 
-# all of it, in short; the long form is `python -m bench evil_bundles`
+# all of it, in short; the long form is `python -m bench.attack bundles`
 
 
 def test_hostile_bundles_are_refused_and_the_active_one_goes_on() -> None:
-    outcomes, violations = attack(range(1000, 1012))
-    assert violations == []
-    assert sum(outcomes.values()) == 12
+    found = list(run(1000, 12))
+    assert len(found) == 12
+    assert [(each.name, each.violations) for each in found if each.violations] == []
     assert len(KINDS) > 30

@@ -91,7 +91,7 @@ def test_a_mark_of_unicode_and_carriage_returns_are_no_matter(path: Path) -> Non
         ("", "there is no header"),
         ("# rig: a\n", "there is no header"),
         (HEADER, "there are no rows"),
-        ("# role: test\n# role: train\n" + HEADER + "0,20,20,0,0\n", "line 2: role is told twice"),
+        ("# role: test\n# role: train\n" + HEADER + "0,20,20,0,0\n", "line 2: role stands there twice"),
         ("# no colon\n" + HEADER + "0,20,20,0,0\n", "line 1: '# no colon' is no `# key: value`"),
         ("temp_air_c,heater_duty\n20,0\n", "line 1: time_s is not among the columns"),
         ("time_s,heater_duty\n0,0\n", "temp_air_c is not among the columns"),

@@ -4,7 +4,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from bench.attack import answers, floods, payloads, scenarios
+from bench import kills
+from bench.attack import answers, bundles, files, floods, payloads, scenarios
 from bench.attack.part import Part, report
 
 PARTS: dict[str, tuple[Part, int]] = {  # and how many cases
@@ -12,6 +13,9 @@ PARTS: dict[str, tuple[Part, int]] = {  # and how many cases
     "floods": (floods.run, 4 * len(floods.FLOODS)),
     "answers": (answers.run, 100),
     "payloads": (payloads.run, 2000),
+    "files": (files.run, 200),
+    "bundles": (bundles.run, 200),
+    "kills": (kills.attack, 1000),
 }
 
 

@@ -15,7 +15,9 @@ from edge.bundle.manifest import TWIN, Manifest
 from edge.bundle.sign import Facts, sign_folder
 from edge.bundle.store import Store
 from edge.errors import DataError, RequestError
+from edge.input_file import read_file
 from edge.models.pbm import read_twin
+from edge.strict_json import parse_object
 from edge.twin.twin_file import TwinFile, read_twin_file
 
 REPORT = "report.json"
@@ -88,8 +90,7 @@ def _data_sha256(file: TwinFile, before: Manifest) -> str:
 def _note(path: Path, adopted: dict[str, Any]) -> None:
     """Say it in the report of the models, where there is one."""
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = parse_object(read_file(path))
     except (OSError, ValueError):
         report = {}
-    report = report if isinstance(report, dict) else {}
     path.write_text(json.dumps({**report, "adopted_twin": adopted}, indent=1) + "\n", encoding="utf-8")

@@ -15,7 +15,7 @@ from typing import IO, BinaryIO
 from edge.bundle.durable import write_new
 from edge.bundle.manifest import FILE_NAME
 from edge.errors import DataError
-from edge.input_file import MODEL
+from edge.input_file import MODEL, open_file
 
 FILES_MAX = 64
 FILE_BYTES_MAX = MODEL
@@ -41,7 +41,7 @@ def open_archive(source: Path) -> BinaryIO:
     """The archive `source`, or the folder `source` as one. Errors: DataError"""
     try:
         if not source.is_dir():
-            return source.open("rb")
+            return open_file(source)
         packed = io.BytesIO()  # bounded by what `pack` takes
         pack(source, packed)
         return packed

@@ -11,6 +11,7 @@ from edge import __version__
 from edge.controller_names import RL
 from edge.errors import DataError
 from edge.names import ACTUATORS, SIGNALS
+from edge.plain_text import shown
 from edge.strict_json import parse_object
 
 FORMAT = 1
@@ -87,7 +88,7 @@ def parse_manifest(content: bytes) -> Manifest:
     except ValueError as error:
         raise _wrong("", str(error)) from None
     if document.get("format") != FORMAT:
-        raise _wrong("format", f"{document.get('format')!r} is not {FORMAT}, the one known here")
+        raise _wrong("format", f"{shown(document.get('format'))} is not {FORMAT}, the one known here")
     document.setdefault("policies", {})
     keys = set(Manifest.__dataclass_fields__) | {"format"}
     if odd := sorted(keys ^ set(document)):
@@ -122,7 +123,7 @@ def _check_fit(manifest: Manifest) -> None:
         wrong = sorted(key for key in {*UNITS, *manifest.units} if UNITS.get(key) != manifest.units.get(key))[
             0
         ]
-        raise _wrong(f"units.{wrong}", f"{manifest.units.get(wrong)!r} is not {UNITS.get(wrong)!r}")
+        raise _wrong(f"units.{wrong}", f"{shown(manifest.units.get(wrong))} is not {UNITS.get(wrong)!r}")
     if not manifest.models:
         raise _wrong("models", "there are none")
     if TWIN not in manifest.files:
@@ -148,7 +149,7 @@ def _mapping(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 def _text(document: Mapping[str, Any], key: str, pattern: re.Pattern[str]) -> str:
     value = document[key]
     if not isinstance(value, str) or not pattern.fullmatch(value):
-        raise _wrong(key, f"{value!r} does not match {pattern.pattern}")
+        raise _wrong(key, f"{shown(value)} does not match {pattern.pattern}")
     return value
 
 
@@ -159,14 +160,14 @@ def _moment(document: Mapping[str, Any], key: str) -> str:
     except (TypeError, ValueError):
         moment = None
     if moment is None or moment.tzinfo is None:
-        raise _wrong(key, f"{value!r} is no time like 2026-07-01T12:00:00Z")
+        raise _wrong(key, f"{shown(value)} is no time like 2026-07-01T12:00:00Z")
     return str(value)
 
 
 def _sample_s(document: Mapping[str, Any]) -> float:
     value = document["sample_s"]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < float("inf"):
-        raise _wrong("sample_s", f"{value!r} is no time above 0")
+        raise _wrong("sample_s", f"{shown(value)} is no time above 0")
     return float(value)
 
 
@@ -178,9 +179,9 @@ def _file(name: str, entry: Any) -> FileEntry:
         raise _wrong(place, "must hold sha256 and size")
     size = entry["size"]
     if isinstance(size, bool) or not isinstance(size, int) or size < 0:
-        raise _wrong(f"{place}.size", f"{size!r} is no number of bytes")
+        raise _wrong(f"{place}.size", f"{shown(size)} is no number of bytes")
     if not isinstance(entry["sha256"], str) or not _SHA256.fullmatch(entry["sha256"]):
-        raise _wrong(f"{place}.sha256", f"{entry['sha256']!r} is no sha256")
+        raise _wrong(f"{place}.sha256", f"{shown(entry['sha256'])} is no sha256")
     return FileEntry(entry["sha256"], size)
 
 
@@ -202,7 +203,7 @@ def _entry(place: str, entry: Any, files: Mapping[str, FileEntry], kind: str) ->
     if not isinstance(entry, dict) or set(entry) != {"file", "kind"}:
         raise _wrong(place, "must hold file and kind")
     if entry["file"] not in files:
-        raise _wrong(f"{place}.file", f"{entry['file']!r} is not among the files")
+        raise _wrong(f"{place}.file", f"{shown(entry['file'])} is not among the files")
     if entry["kind"] != kind:
-        raise _wrong(f"{place}.kind", f"{entry['kind']!r} is not {kind!r}")
+        raise _wrong(f"{place}.kind", f"{shown(entry['kind'])} is not {kind!r}")
     return ModelEntry(entry["file"], entry["kind"])

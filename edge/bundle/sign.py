@@ -31,6 +31,7 @@ from edge.bundle.manifest import (
 )
 from edge.controller_names import RL
 from edge.errors import DataError
+from edge.input_file import read_file
 from edge.models.pbm import read_twin
 
 if TYPE_CHECKING:  # the package is imported when something is signed, not with the daemon
@@ -146,7 +147,7 @@ def _read_private(path: Path) -> "Ed25519PrivateKey":
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
     try:
-        key = load_pem_private_key(path.read_bytes(), password=None)
+        key = load_pem_private_key(read_file(path), password=None)
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from error
     except (ValueError, TypeError):  # no PEM; encrypted

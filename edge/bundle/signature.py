@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.errors import DataError
+from edge.input_file import read_file
 
 if TYPE_CHECKING:  # the package is imported when a signature is checked, not with the daemon
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -48,7 +49,7 @@ def _read_key(path: Path) -> "Ed25519PublicKey":
     from cryptography.hazmat.primitives.serialization import load_pem_public_key
 
     try:
-        key = load_pem_public_key(path.read_bytes())
+        key = load_pem_public_key(read_file(path))
     except OSError as error:
         raise DataError(f"{path}: can't be read: {error.strerror}") from error
     except (ValueError, UnsupportedAlgorithm):

@@ -7,7 +7,6 @@ trusted keys. Without a rig, --to replaces a twin file and keeps the one before.
 """
 
 import argparse
-import json
 import os
 import shutil
 import tempfile
@@ -21,9 +20,12 @@ from edge.bundle.archive import open_archive, pack
 from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.output import writing
 from edge.errors import DataError, RequestError
+from edge.input_file import MODEL, read_file
 from edge.models.pbm import read_twin
 from edge.names import SIGNALS
+from edge.plain_text import plain, shown
 from edge.settings import Settings
+from edge.strict_json import parse_object
 
 DIAGNOSIS, TWIN = "diagnosis.json", "twin.yaml"
 BEFORE = ".before"  # ending of the file that --to has replaced
@@ -66,9 +68,12 @@ def reported_twin(report: Path) -> Path:
         return report
     document = _diagnosis(report / DIAGNOSIS)
     if not document.get("effects"):
-        verdict = document.get("verdict")
+        verdict = plain(str(document.get("verdict")), 60)
         raise DataError(f"{report / DIAGNOSIS}: effects: none was found ({verdict}), so there is no new twin")
-    twin = report / (document.get("twin_after") or TWIN)
+    name = document.get("twin_after") or TWIN
+    if not isinstance(name, str):
+        raise DataError(f"{report / DIAGNOSIS}: twin_after: {shown(name)} is not a file's name")
+    twin = report / name
     read_twin(twin)
     return twin
 
@@ -76,14 +81,11 @@ def reported_twin(report: Path) -> Path:
 def _diagnosis(path: Path) -> dict[str, Any]:
     """The machine's answer. Errors: DataError"""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        return parse_object(read_file(path, MODEL))
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}: is this the folder of a diagnosis?") from error
     except ValueError as error:
         raise DataError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise DataError(f"{path}: is no object")
-    return document
 
 
 def _adopt(twin: Path, arguments: argparse.Namespace) -> None:

@@ -63,7 +63,7 @@ def read_arx(path: Source = DEFAULT_PATH) -> Arx:
     if document.get("model") != "arx":
         raise DataError(f"{path}: model: not an ARX model")
     if document.get("format") != _FORMAT:
-        raise DataError(f"{path}: format: {document.get('format')!r} is not {_FORMAT}")
+        raise DataError(f"{path}: format: {shown(document.get('format'))} is not {_FORMAT}")
     if missing := sorted(_KEYS - document.keys()):
         raise DataError(f"{path}: {missing[0]}: missing")
     heater, fan = _numbers(path, document, "heater_duty"), _numbers(path, document, "fan_on")

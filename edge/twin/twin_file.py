@@ -10,7 +10,8 @@ import yaml
 
 from edge.config_schema import nearest
 from edge.errors import DataError
-from edge.input_file import Source, read_text
+from edge.input_file import YAML, Source, read_text
+from edge.plain_text import shown
 from edge.strict_yaml import parse_yaml
 from edge.twin.effects import EFFECTS, check_names
 from edge.twin.geometry import Geometry
@@ -83,11 +84,11 @@ class TwinFile:
 def read_twin_file(path: Source) -> TwinFile:
     """Read `path`. Errors: DataError naming the file and the key, also for a file that can't be read."""
     try:
-        document = parse_yaml(read_text(path))
+        document = parse_yaml(read_text(path, YAML))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
     except yaml.YAMLError as error:
-        raise DataError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+        raise DataError(f"{path}: not YAML: {error}") from error
     try:
         file = _twin_file(document)
         file.twin()  # values that no twin can have are refused now
@@ -136,7 +137,7 @@ def _time(document: Any) -> float | None:
     try:
         moment = datetime.fromisoformat(document)
     except (TypeError, ValueError):
-        raise DataError(f"day0_utc: {document!r} is no time like 2026-07-01T12:00:00Z") from None
+        raise DataError(f"day0_utc: {shown(document)} is no time like 2026-07-01T12:00:00Z") from None
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
@@ -177,8 +178,8 @@ def _mapping(place: str, document: Any, known: Any = None) -> dict[str, Any]:
     if document is None:
         return {}
     if not isinstance(document, dict):
-        raise DataError(f"{place}: must be a mapping, not {document!r}")
+        raise DataError(f"{place}: must be a mapping, not {shown(document)}")
     for key in document:
         if known is not None and key not in known:
-            raise DataError(f"{place}: unknown key {key!r}; {nearest(str(key), known)}")
+            raise DataError(f"{place}: unknown key {shown(key)}; {nearest(str(key), known)}")
     return document

@@ -7,6 +7,7 @@ from typing import Any
 
 from edge.config_schema import nearest
 from edge.errors import DataError
+from edge.plain_text import shown
 
 KEYS = ("value", "rel_sd", "low", "high", "fit", "start")
 
@@ -40,7 +41,7 @@ def read_value(place: str, document: Any, start: float | None = None) -> Value:
         return Value(number(place, document))
     for key in document:
         if key not in KEYS:
-            raise DataError(f"{place}: unknown key {key!r}; {nearest(str(key), KEYS)}")
+            raise DataError(f"{place}: unknown key {shown(key)}; {nearest(str(key), KEYS)}")
     if "fit" in document:
         return _to_fit(place, document, start)
     numbers = {key: number(f"{place}.{key}", item) for key, item in document.items()}
@@ -59,7 +60,7 @@ def read_value(place: str, document: Any, start: float | None = None) -> Value:
 
 def _to_fit(place: str, document: Mapping[str, Any], start: float | None) -> Value:
     if document["fit"] is not True:
-        raise DataError(f"{place}.fit: {document['fit']!r} is not true; a known value has no such key")
+        raise DataError(f"{place}.fit: {shown(document['fit'])} is not true; a known value has no such key")
     for key in document:
         if key not in ("fit", "start"):
             raise DataError(f"{place}.{key}: does not go with fit: true")
@@ -73,5 +74,5 @@ def _to_fit(place: str, document: Mapping[str, Any], start: float | None) -> Val
 def number(place: str, document: Any) -> float:
     """A finite number. Errors: DataError, beginning with `place`."""
     if isinstance(document, bool) or not isinstance(document, int | float) or not math.isfinite(document):
-        raise DataError(f"{place}: {document!r} is not a number")
+        raise DataError(f"{place}: {shown(document)} is not a number")
     return float(document)

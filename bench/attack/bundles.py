@@ -1,20 +1,17 @@
-"""`python -m bench evil_bundles`: seeded hostile bundles; each is refused with a reason, or runs in shadow.
+"""Hostile bundles: python -m bench.attack.bundles --seed S --count N. Each is refused, or runs in shadow.
 
 Damaged archives, unsigned and signed contents that nobody here would make, graphs that loop for ever or take
 all memory. Whatever comes, the active bundle stays the one that it was, byte for byte, and nothing hangs.
 """
 
-import argparse
 import hashlib
 import io
 import json
 import random
 import shutil
 import signal
-import sys
 import tempfile
 import zipfile
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,6 +21,7 @@ import numpy as np
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from onnx import TensorProto, helper
 
+from bench.attack.part import Found, main_of
 from edge.bundle.archive import open_archive
 from edge.bundle.manifest import MANIFEST, SIGNATURE
 from edge.bundle.proof import Limits, Prover
@@ -348,34 +346,15 @@ def attempt(rig: Rig, seed: int) -> tuple[str, str, str]:
     return kind, outcome, ""
 
 
-def attack(seeds: range) -> tuple[Counter[tuple[str, str]], list[str]]:
-    """Outcomes by kind, and the violations."""
-    outcomes: Counter[tuple[str, str]] = Counter()
-    violations = []
+def run(seed: int, count: int) -> Iterator[Found]:
+    """One bundle of each seed into one store; afterwards the active bundle still loads."""
     with tempfile.TemporaryDirectory(prefix="gh-") as folder:
         rig = Rig(Path(folder))
-        for seed in seeds:
-            kind, outcome, violation = attempt(rig, seed)
-            outcomes[kind, outcome] += 1
-            if violation:
-                violations.append(f"seed {seed}, {kind}: {violation}")
+        for number in range(seed, seed + count):
+            kind, outcome, violation = attempt(rig, number)
+            yield Found(f"{kind}, seed {number}: {outcome}", 1, [violation] if violation else [])
         rig.store.load(ACTIVE)
-    return outcomes, violations
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Print outcomes and violations; 1 where there is one."""
-    parser = argparse.ArgumentParser(prog="python -m bench evil_bundles", description=__doc__)
-    parser.add_argument("--bundles", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0, help="the first; one each")
-    options = parser.parse_args(arguments)
-    outcomes, violations = attack(range(options.seed, options.seed + options.bundles))
-    for (kind, outcome), count in sorted(outcomes.items()):
-        print(f"{kind:20} {outcome:10} {count:4}")
-    print("\n".join(violations))
-    print(f"seeds {options.seed} to {options.seed + options.bundles - 1}: {len(violations)} violations")
-    return 1 if violations else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main_of(run, 1, 200, "bundles", __doc__))
