@@ -84,7 +84,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return int(arguments.run(arguments))
     except GreenhouseError as error:
-        print(f"greenhouse {arguments.command}: {_bounded(str(error))}", file=sys.stderr)
+        for line in _bounded(str(error)).splitlines():
+            print(f"greenhouse {arguments.command}: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

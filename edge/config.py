@@ -9,7 +9,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
 
-from edge.config_schema import Section, SettingError, nearest
+from edge.config_schema import Section, SettingError, nearest, value_problem
 from edge.errors import ConfigError
 from edge.input_file import YAML, read_text
 from edge.plain_text import shown
@@ -39,10 +39,11 @@ def parse(source: str, place: str = "edge.yaml") -> Settings:
         tree = parse_yaml(source)
     except yaml.YAMLError as error:
         raise ConfigError(f"{place}: {error}") from error
-    try:
-        return _section(Settings, tree, "")
-    except SettingError as error:
-        raise ConfigError(f"{place}: {error}") from error
+    wrong: list[SettingError] = []
+    settings = _section(Settings, tree, "", wrong)
+    if wrong:
+        raise ConfigError("\n".join(f"{place}: {error}" for error in wrong))
+    return settings
 
 
 def config_hash(settings: Settings) -> str:
@@ -51,30 +52,46 @@ def config_hash(settings: Settings) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _section(kind: type[AnySection], tree: object, key: str) -> AnySection:
-    """One section from a mapping; a missing key keeps its default, an empty section is all defaults."""
-    if tree is None:
-        tree = {}
-    if not isinstance(tree, dict):
-        raise SettingError(key or "the file", f"must hold keys and values, not {shown(tree)}")
+def _section(kind: type[AnySection], tree: object, key: str, wrong: list[SettingError]) -> AnySection:
+    """One section from a mapping; a missing key keeps its default, an empty section is all defaults.
+
+    wrong : takes every problem; with a new one the returned section means nothing
+    """
+    before = len(wrong)
+    if not isinstance(tree, dict | None):
+        wrong.append(SettingError(key or "the file", f"must hold keys and values, not {shown(tree)}"))
+        return kind()
     types = get_type_hints(kind)
-    known = [item.name for item in fields(kind)]
-    for name in tree:
+    known = {item.name: item.metadata.get("rule") for item in fields(kind)}
+    values = {}
+    for name, value in (tree or {}).items():
         if name not in known:
-            raise SettingError(key or "the file", f"unknown key {shown(name)}; {nearest(str(name), known)}")
-    values = {name: _value(types[name], value, _join(key, name)) for name, value in tree.items()}
+            problem = f"unknown key {shown(name)}; {nearest(str(name), known)}"
+            wrong.append(SettingError(key or "the file", problem))
+            continue
+        place = _join(key, name)
+        try:
+            values[name] = _value(types[name], value, place, wrong)
+        except SettingError as error:
+            wrong.append(error)
+        else:
+            if problem := value_problem(values[name], known[name]):
+                wrong.append(SettingError(place, problem))
+    if len(wrong) > before:
+        return kind()
     try:
         return kind(**values)
     except SettingError as error:
-        raise SettingError(_join(key, error.key), error.problem) from error
+        wrong.append(SettingError(_join(key, error.key), error.problem))
+        return kind()
 
 
-def _value(kind: Any, value: object, key: str) -> Any:
+def _value(kind: Any, value: object, key: str, wrong: list[SettingError]) -> Any:
     """`value` as the type a field asks for; never a guess between types."""
     if get_origin(kind) is tuple:
-        return _list(get_args(kind)[0], value, key)
+        return _list(get_args(kind)[0], value, key, wrong)
     if issubclass(kind, Section):
-        return _section(kind, value, key)
+        return _section(kind, value, key, wrong)
     if kind is time:
         return _time(value, key)
     if kind is float and type(value) is int:
@@ -87,10 +104,12 @@ def _value(kind: Any, value: object, key: str) -> Any:
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text", time: '"HH:MM"'}
 
 
-def _list(kind: type[AnySection], value: object, key: str) -> tuple[AnySection, ...]:
+def _list(
+    kind: type[AnySection], value: object, key: str, wrong: list[SettingError]
+) -> tuple[AnySection, ...]:
     if not isinstance(value, list):
         raise SettingError(key, f"must be a list, not {shown(value)}")
-    return tuple(_section(kind, item, f"{key}[{index}]") for index, item in enumerate(value))
+    return tuple(_section(kind, item, f"{key}[{index}]", wrong) for index, item in enumerate(value))
 
 
 def _time(value: object, key: str) -> time:

@@ -274,7 +274,7 @@ def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: Rig, ref
         ),
         (replace(KNOWN, sample_s=30.0), {}, "sample_s: 30, but bundle packaged is for 60 s"),
         (TwinFile(), {}, "is the twin of bundle packaged, which is active, already"),
-        (KNOWN, {"twin_after": "other.yaml"}, "other.yaml: cannot be read"),
+        (KNOWN, {"twin_after": "other.yaml"}, "'other.yaml' is not a file of the report"),
     ],
 )
 def test_a_report_that_holds_no_new_twin_is_refused(

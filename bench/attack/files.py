@@ -296,7 +296,7 @@ def _violations(words: list[str], folder: Path, path: Path) -> list[str]:
         found.append(f"ended by signal {-code} after {time.monotonic() - begun_s:.0f} s")
     elif "Traceback" in text:
         found.append(f"a traceback: {text.strip().splitlines()[-1][:200]}")
-    elif len(text) > MESSAGE_MAX or len(text.splitlines()) > LINES_MAX:
+    elif len(text) > MESSAGE_MAX or (code and len(text.splitlines()) > LINES_MAX):
         found.append(f"a message of {len(text)} characters: {text[:200]!r}")
     elif code and not any(name in text for name in (path.name, "csv.yaml", "model.yaml")):
         found.append(f"exit code {code}, and the message does not name the file: {text[:200]!r}")

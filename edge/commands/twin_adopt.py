@@ -17,6 +17,7 @@ from typing import Any
 
 from edge.bundle.adopt import Adopted, is_adopted, with_twin
 from edge.bundle.archive import open_archive, pack
+from edge.bundle.manifest import FILE_NAME
 from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.output import writing
 from edge.errors import DataError, RequestError
@@ -71,8 +72,8 @@ def reported_twin(report: Path) -> Path:
         verdict = plain(str(document.get("verdict")), 60)
         raise DataError(f"{report / DIAGNOSIS}: effects: none was found ({verdict}), so there is no new twin")
     name = document.get("twin_after") or TWIN
-    if not isinstance(name, str):
-        raise DataError(f"{report / DIAGNOSIS}: twin_after: {shown(name)} is not a file's name")
+    if not (isinstance(name, str) and FILE_NAME.fullmatch(name) and (report / name).is_file()):
+        raise DataError(f"{report / DIAGNOSIS}: twin_after: {shown(name)} is not a file of the report")
     twin = report / name
     read_twin(twin)
     return twin

@@ -36,7 +36,7 @@ def make_client(settings: MqttSettings, lane: str = "") -> Client:
     client.max_inflight_messages_set(0)  # the drain keeps its own window
     _set_credentials(client, settings)
     if settings.tls:
-        client.tls_set_context(_tls(settings))
+        client.tls_set_context(tls_context(settings))
     try:
         settings.host.encode("idna")
         keepalive_s = min(settings.keepalive_s, LANE_MAX_S) if lane else settings.keepalive_s
@@ -55,7 +55,8 @@ def _set_credentials(client: Client, settings: MqttSettings) -> None:
     client.username_pw_set(settings.username, password)
 
 
-def _tls(settings: MqttSettings) -> ssl.SSLContext:
+def tls_context(settings: MqttSettings) -> ssl.SSLContext:
+    """Authority and client certificate as configured. Errors: ConfigError."""
     try:
         context = ssl.create_default_context(cafile=settings.ca or None)
     except OSError as error:
