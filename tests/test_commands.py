@@ -1,6 +1,7 @@
 """The thin commands: what they write, and one clear line with exit code 2 for what is wrong."""
 
 import json
+import os
 import re
 import sqlite3
 from pathlib import Path
@@ -312,6 +313,23 @@ def test_a_reference_that_is_no_number_is_a_wrong_argument(capsys):
         main(["reference", "warm"])
     assert ended.value.code == 2
     assert "'warm' is neither a temperature nor none" in capsys.readouterr().err
+
+
+def test_a_fifo_is_refused_wherever_a_file_is_read(tmp_path, capsys):
+    fifo, profile, run = tmp_path / "run.jsonl", tmp_path / "profile.csv", run_file(tmp_path)
+    os.mkfifo(fifo)
+    profile.write_text("time_s,reference_c\n0,24\n600,24\n")
+    out = ("--out", tmp_path / "out.csv")
+    assert "not a regular file" in refusal(capsys, "export", "--history", fifo, *out)
+    words = ("experiment", "--virtual", profile, *out, "--chamber")
+    assert "not a regular file" in refusal(capsys, *words, fifo)
+    assert "not a regular file" in refusal(
+        capsys, "replay", run, "--controller", "rules", "--again", tmp_path
+    )
+    fifo.unlink()
+    fifo.write_text("[" * 100_000)
+    assert "nested too deep" in refusal(capsys, *words, fifo)
+    assert "nested too deep" in refusal(capsys, "replay", run, "--controller", "rules", "--again", tmp_path)
 
 
 # check-config

@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from yaml import YAMLError
+
 from edge import config
 from edge.clock import Clock, RealClock
 from edge.commands.numbers import SEED_MAX, number, whole
@@ -15,10 +17,12 @@ from edge.controller_names import CONTROLLERS
 from edge.controllers.input_profile import InputProfile
 from edge.errors import DataError
 from edge.experiment import ROLES, Experiment, describe_changes, run_experiment
+from edge.input_file import YAML, read_text
 from edge.profile_file import Profile, read_profile
 from edge.run_file import Run, absence_facts, write_run
 from edge.settings import Settings
 from edge.sim_clock import SimClock
+from edge.strict_yaml import parse_yaml
 from edge.virtual_rig import settings_in, virtual_rig
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
@@ -100,7 +104,10 @@ def _rig(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
         yield config.load(arguments.config or RIG_CONFIG), RealClock()
         return
     settings = config.default() if arguments.config is None else config.load(arguments.config)
-    options = [] if arguments.chamber is None else ["--chamber", str(arguments.chamber)]
+    options = []
+    if arguments.chamber is not None:
+        _check_chamber(arguments.chamber)
+        options = ["--chamber", str(arguments.chamber)]
     with tempfile.TemporaryDirectory(prefix="greenhouse-experiment-") as temporary:
         folder = Path(temporary)
         placed = settings_in(folder, settings)
@@ -112,6 +119,16 @@ def _rig(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
                 yield placed, clock
             finally:
                 clock.close()
+
+
+def _check_chamber(path: Path) -> None:
+    """Refuse here what the virtual board's process would hang or end on. Errors: DataError."""
+    try:
+        parse_yaml(read_text(path, YAML))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    except YAMLError as error:
+        raise DataError(f"{path}: not YAML: {error}") from error
 
 
 def _virtual_facts(arguments: argparse.Namespace) -> dict[str, str]:

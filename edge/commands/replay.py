@@ -15,12 +15,14 @@ from edge.commands.numbers import number
 from edge.controller_names import MPC_TWIN
 from edge.errors import DataError
 from edge.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
+from edge.input_file import TABLE, read_text
 from edge.messages import TickRecord
 from edge.models.arx_file import DEFAULT_PATH, read_arx
 from edge.models.pbm import read_twin
 from edge.replay import REPLAYED, Skill, decisions_digest, fired_limits, replay, score
 from edge.run_file import read_run
 from edge.settings import Settings
+from edge.strict_json import parse_object
 from edge.tick_json import tick_json
 
 HORIZONS_S = (60.0, 300.0, 900.0, 1800.0, 3600.0)
@@ -112,7 +114,7 @@ def _horizons(text: str) -> tuple[float, ...]:
 
 def _read(path: Path) -> list[dict[str, Any]]:
     try:
-        return [json.loads(line) for line in path.read_text().splitlines()]
+        return [parse_object(line) for line in read_text(path, TABLE).splitlines()]
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: no ticks of an earlier replay: {error}") from error
 

@@ -109,6 +109,9 @@ def import_run(path: str | Path, run: Run, name: str) -> tuple[int, int]:
 @contextmanager
 def reading(path: str | Path) -> Iterator[sqlite3.Connection]:
     """A connection that can't write. Errors: DataError"""
+    # Not opened to look: closing it would drop the locks of other connections of this process.
+    if Path(path).exists() and not Path(path).is_file():
+        raise DataError(f"{path}: not a regular file")
     try:
         uri = f"{Path(path).absolute().as_uri()}?mode=ro"
         with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as connection:
