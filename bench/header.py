@@ -13,7 +13,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "bench" / "results"
-MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its timings are of
+MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its figures are of
+    "attack": ("edge", "firmware_protocol", "bench/attack", "bench/kills.py"),
+    "kills": ("edge", "firmware_protocol", "bench/kills.py"),
     "daemon": ("edge", "firmware_protocol", "bench/daemon.py", "bench/default_daemon.py"),
     "decision_time": ("edge/controllers", "edge/models", "edge/twin", "edge/llm", "edge/decider.py"),
     "mpc": ("edge/controllers", "edge/models/arx.py", "bench/mpc.py", "bench/instances.py"),
