@@ -13,7 +13,7 @@ from edge.models.arx import Arx
 from edge.models.base import Columns, Floats
 from edge.models.pbm import Pbm
 from edge.replay import decisions_digest, fired_limits, replay, score
-from edge.run_file import Run, read_run
+from edge.run_file import OPTION_WITHOUT, Run, read_run
 from edge.tick_json import tick_json
 from edge.twin.model import Twin
 
@@ -152,7 +152,7 @@ def test_a_horizon_longer_than_the_run_gives_no_forecasts_and_says_so() -> None:
 
 @pytest.mark.skipif(not LOGS.exists(), reason="the measured logs are not part of the repository")
 def test_a_measured_log_replays_the_same_twice() -> None:
-    run = read_run(sorted(LOGS.glob("*.csv"))[-1])
+    run = read_run(sorted(LOGS.glob("*.csv"))[-1], without=OPTION_WITHOUT)
     model = Arx(
         temp=np.array([1.0]),
         heater=np.array([0.03]),

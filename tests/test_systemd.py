@@ -148,7 +148,7 @@ def test_ready_comes_after_the_first_tick_and_a_ping_with_every_tick(
     heard = pings(manager, 4)
     assert heard[0] == 1
     assert follow_on(heard)
-    assert daemon.log.count("  tick ") >= 4  # each of them in the log as well
+    wait_for(lambda: daemon.log.count("  tick ") >= 4, "the log has each of them as well")
 
 
 def test_an_unplugged_board_is_no_reason_for_a_restart(

@@ -241,8 +241,10 @@ def test_the_command_trains_a_family_and_prints_its_table(
     words = ["pbm", "--out", str(tmp_path / "out"), "--logs", str(tmp_path / "logs")]
     assert __main__.main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["pbm", "pbm", "twin", "twin", "free-run", "pbm", "twin"]
-    assert len(list((tmp_path / "out").rglob("result.json"))) == 4
+    models = ["pbm", "pbm_fitted", "twin"]
+    rows = [model for model in models for _ in range(2)] + ["free-run", *models]
+    assert [line.split()[0] for line in lines] == rows
+    assert len(list((tmp_path / "out").rglob("result.json"))) == 6
 
 
 def test_an_error_of_the_data_ends_in_one_line(

@@ -29,7 +29,7 @@ from edge.config_document import document
 from edge.models.arx_file import DEFAULT_PATH
 from edge.settings import Settings
 
-MEMORY = 1536 << 20  # address space of a command [bytes]
+MEMORY = 1536 << 20  # address space that a command may add [bytes]
 TIME_S = 10  # of a command's CPU; its wall time may be WALL times as long on a busy machine
 WALL = 4
 MESSAGE_MAX = 2000  # characters on standard error
@@ -311,7 +311,8 @@ def _command(words: list[str], folder: Path, errors: Path) -> None:
     try:
         signal.alarm(WALL * TIME_S)
         resource.setrlimit(resource.RLIMIT_CPU, (TIME_S, TIME_S))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        allowed = _address_space() + MEMORY  # the process this one was forked from may be large
+        resource.setrlimit(resource.RLIMIT_AS, (allowed, allowed))
         os.environ["HOME"] = str(folder)
         os.chdir(folder)
         os.dup2(os.open(os.devnull, os.O_RDWR), 1)
@@ -326,6 +327,11 @@ def _command(words: list[str], folder: Path, errors: Path) -> None:
     finally:
         sys.stderr.flush()
         os._exit(code)
+
+
+def _address_space() -> int:
+    """Bytes that this process has mapped."""
+    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
 
 if __name__ == "__main__":

@@ -163,33 +163,30 @@ def stopped_after(
     try:
         time.sleep(WARM_UP_S)
         begin = time.monotonic()
-        _send(stop, door, daemon.socket, sender)
-        while _pins_on(board) and time.monotonic() - begin < GIVE_UP_S:
-            time.sleep(0.01)
-        return time.monotonic() - begin
+        with _sent(stop, door, daemon.socket, sender):
+            while _pins_on(board) and time.monotonic() - begin < GIVE_UP_S:
+                time.sleep(0.01)
+            return time.monotonic() - begin
     finally:
         flooder.kill()
         flooder.join()
 
 
-def _send(stop: str, door: str, path: Path, sender: Listener) -> None:
-    """Without waiting for the answer: what counts is when the pins are off."""
+@contextlib.contextmanager
+def _sent(stop: str, door: str, path: Path, sender: Listener) -> Iterator[None]:
+    """Send without waiting for the answer: what counts is when the pins are off."""
     order, (topic, payload) = STOPS[stop]
     if door == "mqtt":
         sender.client.publish(f"{RIG}/set/{topic}", payload, qos=1)
+        yield
         return
-    client = socket.socket(socket.AF_UNIX)
-    client.settimeout(GIVE_UP_S)
-    with contextlib.suppress(OSError):
-        client.connect(str(path))
-        client.sendall(json.dumps(order).encode() + b"\n")
-    _OPEN.append(client)  # closed by the next one, else the order might be dropped with its line
-    for old in _OPEN[:-1]:
-        old.close()
-    del _OPEN[:-1]
-
-
-_OPEN: list[socket.socket] = []
+    # The connection stays open meanwhile: the order might be dropped with its line.
+    with socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(GIVE_UP_S)
+        with contextlib.suppress(OSError):
+            client.connect(str(path))
+            client.sendall(json.dumps(order).encode() + b"\n")
+        yield
 
 
 def _heat(board: VirtualBoard, daemon: DaemonProcess) -> bool:
