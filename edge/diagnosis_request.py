@@ -17,6 +17,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from edge.input_file import read_file
+from edge.strict_json import parse_object
+
 GREENHOUSE = (sys.executable, "-m", "edge")
 REQUEST, ANSWER = "request", "answer"
 START_MAX_S = 120.0  # for systemd to take up a request, on a busy single-board computer
@@ -36,7 +39,7 @@ def ask(
 
     is_over : the daemon ends, and the unit with it
     Returns : its exit code, below 0 the signal that ended it; LATE
-    Errors : NoUnit, OSError
+    Errors : NoUnit; OSError and ValueError of an answer that can't be read
     """
     folder.mkdir(parents=True, exist_ok=True)
     request, answer = folder / REQUEST, folder / ANSWER
@@ -48,13 +51,13 @@ def ask(
     except NoUnit:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    code = json.loads(answer.read_text(encoding="utf-8"))["code"]
+    code = parse_object(read_file(answer)).get("code")
     return code if isinstance(code, int) else LATE
 
 
 def serve(folder: Path, program: Sequence[str] = GREENHOUSE) -> int:
     """Take the request and run it; whatever way the command ends, an answer says how."""
-    request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    request = parse_object(read_file(folder / REQUEST))
     (folder / REQUEST).unlink()  # first of all: while it is there the path unit starts this again
     code: int | str = 1
     try:

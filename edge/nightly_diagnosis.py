@@ -5,7 +5,6 @@ time and with limited memory, and ends with the daemon. On a rig a unit of syste
 `edge.diagnosis_request`; elsewhere it is a child. A twin that it finds goes no further than the settings say.
 """
 
-import json
 import os
 import queue
 import shutil
@@ -21,9 +20,11 @@ from typing import Any
 
 from edge.clock import Clock
 from edge.diagnosis_request import GREENHOUSE, LATE, NoUnit, ask
+from edge.input_file import read_file
 from edge.messages import DriftState, Event, Severity, TickRecord
 from edge.reference import seconds_of_day
 from edge.settings import DriftSettings
+from edge.strict_json import parse_object
 
 LATE_MAX_S = 3600.0  # a night whose hour went by while the rig was off, or its clock wrong, is left out
 ADOPT_MAX_S = 600.0
@@ -225,12 +226,9 @@ def _kill(process: "subprocess.Popen[bytes]") -> None:
 def _diagnosis(path: Path) -> dict[str, Any]:
     """Errors: _Failed"""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        return parse_object(read_file(path))
     except (OSError, ValueError) as error:
         raise _Failed(f"{path}: {error}") from error
-    if not isinstance(found, dict):
-        raise _Failed(f"{path}: not a JSON object")
-    return found
 
 
 def _in_words(found: Mapping[str, Any]) -> str:
