@@ -139,7 +139,7 @@ def test_the_access_list_lets_home_assistant_ask_only_what_it_may(password_broke
     own = Telemetry(configured, loop.ask, loop.post, MemoryOutbox)
     try:
         with Listener(password_broker.port, user="home", password="home") as home:
-            wait_for(lambda: not fault(own))
+            wait_for(lambda: home.payloads(f"{ROOT}/availability")[-1:] == [b"online"])
             home.send(f"{ROOT}/set/emergency_stop", "PRESS")
             home.send(f"{ROOT}/set/mode", "off")
             wait_for(lambda: home.objects(f"{ROOT}/reply"))
