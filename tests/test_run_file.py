@@ -484,6 +484,22 @@ def test_a_stretch_that_is_not_there_is_refused(
         export_run(history, **arguments)  # type: ignore[arg-type]
 
 
+def test_a_view_in_a_tables_place_is_refused_its_query_may_have_no_end(history: Path) -> None:
+    record(history, tick(1))
+    with closing(sqlite3.connect(history)) as connection:
+        connection.executescript("PRAGMA legacy_alter_table = ON; ALTER TABLE ticks RENAME TO hidden;")
+        connection.execute("CREATE VIEW ticks AS SELECT * FROM hidden")
+    with pytest.raises(DataError, match=r"history\.db: ticks is a view"):
+        export_run(history)
+
+
+def test_a_damaged_letter_in_the_history_is_one_letter(history: Path) -> None:
+    record(history, tick(1))
+    with closing(sqlite3.connect(history)) as connection, connection:
+        connection.execute("UPDATE ticks SET controller = CAST(X'4dd143' AS TEXT)")
+    assert export_run(history).facts["controllers"] == "M\ufffdC"
+
+
 def test_exporting_makes_no_history(history: Path) -> None:
     with pytest.raises(DataError, match=r"history\.db"):
         export_run(history)

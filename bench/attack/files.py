@@ -5,11 +5,14 @@ bundles. The command runs in a process of its own, with limits on memory and tim
 few lines that name it, or succeeds where the damage left the file valid; nothing ends in a traceback.
 """
 
+import contextlib
+import io
 import json
 import os
 import re
 import resource
 import signal
+import sqlite3
 import sys
 import tempfile
 import time
@@ -59,6 +62,15 @@ BOMB = b"".join(
     b"a%d: &a%d [%s]\n" % (level, level, b", ".join([b"*a%d" % (level - 1)] * 9) if level else b"1")
     for level in range(12)
 )
+
+
+PROFILE = b"# record_from_s: 60\ntime_s,heater_duty,fan_on\n0,0.5,0\n600,1,1\n1200,0,0\n"
+SQL_VALUES = (
+    "NULL", "'x'", "''", "-1", "9223372036854775807", "1e308", "9e999", "-9e999", "zeroblob(100)", "X'ff00'",
+    "'{}'", "'[]'", "'[null]'", "'[' || hex(zeroblob(90000)) || ']'",
+    "replace(hex(zeroblob(50000)), '0', '[')",
+    "hex(zeroblob(5000000))", "char(27) || '[2J'", "CAST(X'eda080' AS TEXT)", "'2'", "'1e999'",
+)  # fmt: skip
 
 
 def honest_run() -> bytes:
@@ -143,6 +155,57 @@ def _bundle() -> bytes:
         return file.read()
 
 
+def _history() -> bytes:
+    """A database with two hours: one that a virtual rig recorded, one that was imported."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "history.db"
+        (Path(folder) / "first.csv").write_bytes(honest_run())
+        (Path(folder) / "profile.csv").write_bytes(PROFILE)
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            words = f"experiment {folder}/profile.csv --virtual --out {folder}/out.csv --history {path}"
+            assert greenhouse.main(words.split()) == 0
+            assert greenhouse.main(["import", f"{folder}/first.csv", "--history", str(path)]) == 0
+        return path.read_bytes()
+
+
+def _database(rng: np.random.Generator, content: bytes) -> bytes:
+    if rng.random() < 0.3:
+        return _zip(rng, content)
+    with tempfile.TemporaryDirectory() as folder, contextlib.suppress(sqlite3.Error):
+        path = Path(folder) / "history.db"
+        path.write_bytes(content)
+        with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            _harm(rng, connection)
+        return path.read_bytes()
+    return content
+
+
+def _harm(rng: np.random.Generator, connection: sqlite3.Connection) -> None:
+    """What somebody does who may write the database, or a disk that lost a part of it."""
+    query = "SELECT name FROM sqlite_schema WHERE type = 'table' AND sql IS NOT NULL ORDER BY name"
+    table = _one(rng, [name for (name,) in connection.execute(query)])
+    columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{table}")')]
+    kind = int(rng.integers(8))
+    if kind <= 3:
+        connection.execute("PRAGMA ignore_check_constraints = ON")
+        connection.execute("PRAGMA foreign_keys = OFF")
+        column, value = _one(rng, columns), _one(rng, SQL_VALUES)
+        some = "" if rng.random() < 0.5 else f'WHERE "{columns[0]}" % 7 = 3'
+        connection.execute(f'UPDATE OR IGNORE "{table}" SET "{column}" = {value} {some}')
+    elif kind == 4:
+        connection.execute(f"PRAGMA user_version = {_one(rng, ('-1', '0', '1', '4', '99', '2147483647'))}")
+    elif kind == 5:
+        connection.execute(f'DELETE FROM "{table}"')
+    else:
+        connection.execute("PRAGMA legacy_alter_table = ON")  # its views may stay without it
+        connection.execute(f'ALTER TABLE "{table}" RENAME TO hidden')
+        if kind == 7:
+            connection.execute(
+                f'CREATE VIEW "{table}" AS WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n)'
+                " SELECT hidden.*, n.x FROM hidden, n"
+            )
+
+
 VERIFY, INSTALL = "bundle --config FOLDER/rig.yaml verify", "bundle --config FOLDER/rig.yaml install"
 KINDS = (
     Kind(
@@ -175,7 +238,7 @@ KINDS = (
     ),
     Kind(
         "profile",
-        lambda: b"# record_from_s: 60\ntime_s,heater_duty,fan_on\n0,0.5,0\n600,1,1\n1200,0,0\n",
+        lambda: PROFILE,
         _csv,
         ("experiment FILE --out FILE/none",),
     ),
@@ -201,6 +264,17 @@ KINDS = (
         DEFAULT_PATH.read_bytes,
         _json,
         ("replay FOLDER/run.csv --model FILE --controller rules", "check-config FOLDER/model.yaml"),
+    ),
+    Kind(
+        "history",
+        _history,
+        _database,
+        (
+            "why --history FILE",
+            "plot --history FILE --out FOLDER/run.svg",
+            "import FOLDER/run.csv --history FILE",
+            "twin diagnose --history FILE --twin FOLDER/fit.yaml --out FOLDER/report --json-only --jobs 1",
+        ),
     ),
     Kind("bundle", _bundle, _zip, (f"{VERIFY} FILE", f"{INSTALL} FILE")),
     Kind(

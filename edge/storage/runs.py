@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from edge.errors import DataError
 from edge.messages import Event, Quality, Severity
+from edge.plain_text import plain
 from edge.run_file import Run
 from edge.storage.file import SCHEMA_VERSION, USABLE_VERSION, connect
 from edge.storage.ticks_as_run import TICK_INPUTS, run_of_ticks, ticks_between
@@ -115,14 +116,23 @@ def reading(path: str | Path) -> Iterator[sqlite3.Connection]:
     try:
         uri = f"{Path(path).absolute().as_uri()}?mode=ro"
         with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as connection:
+            connection.text_factory = _text
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if not USABLE_VERSION <= version <= SCHEMA_VERSION:
                 raise DataError(
                     f"{path}: its version is {version}, not {SCHEMA_VERSION}: let the daemon open it once"
                 )
+            _check_tables(connection, path)
             yield connection
     except sqlite3.Error as error:
         raise DataError(f"{path}: {error}") from error
+
+
+def _check_tables(connection: sqlite3.Connection, path: str | Path) -> None:
+    """Refuse a view in a table's place: its query may have no end. Errors: DataError"""
+    for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'view'"):
+        if not name.startswith("v_"):
+            raise DataError(f"{path}: {plain(name)} is a view, and no view of a history is called so")
 
 
 @contextmanager
@@ -164,6 +174,11 @@ def _named(connection: sqlite3.Connection, path: str | Path, name: str) -> tuple
         known = [other for (other,) in connection.execute("SELECT name FROM runs ORDER BY name LIMIT 20")]
         raise DataError(f"{path}: there is no run {name!r}; known are {known}")
     return row[0], row[1], json.loads(row[2])
+
+
+def _text(stored: bytes) -> str:
+    """A damaged letter is one, not the end of the command that reads it."""
+    return stored.decode(errors="replace")
 
 
 def _quality(value: float | None) -> Quality:
