@@ -166,9 +166,27 @@ def test_rows_whose_tick_was_deleted_stall_nothing_and_leave_a_gap(
     assert outbox.depth() == 2
     with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("SELECT first_seq, last_seq, reason FROM gaps ORDER BY 1").fetchall() == [
-            (1, 1, "deleted before it was sent"),
-            (2, 2, "deleted before it was sent"),
+            (1, 1, "deleted or damaged before it was sent"),
+            (2, 2, "deleted or damaged before it was sent"),
         ]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE decisions SET why = '{' WHERE seq = 2",
+        "UPDATE ticks SET sent_heater_duty = 'x' WHERE seq = 2",
+        "UPDATE ticks SET mode = CAST(X'd143' AS TEXT) WHERE seq = 2",
+        "UPDATE readings SET quality = 'other' WHERE seq = 2",
+    ],
+)
+def test_a_damaged_tick_holds_up_no_other_and_leaves_a_gap(path: Path, outbox: Outbox, damage: str) -> None:
+    store(path, tick(1), tick(2), tick(3))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(damage)
+    assert [seq for _, seq, _, _ in contents(outbox.pending(10))] == [1, 3]
+    with closing(sqlite3.connect(path)) as connection:
+        assert connection.execute("SELECT first_seq, last_seq FROM gaps").fetchall() == [(2, 2)]
 
 
 def test_a_deleted_event_does_not_hold_up_its_tick(path: Path, outbox: Outbox) -> None:

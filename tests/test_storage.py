@@ -409,11 +409,12 @@ def test_a_full_queue_drops_the_oldest_ticks_and_counts_them(path: Path) -> None
             write(storage, *range(3, 20))
         assert storage.wait_written(19, PATIENCE_S)
         until(lambda: storage.lost_ticks == 7)
-        (event,) = storage.events_pending()
-        assert event.key == "history.ticks_lost"
-        assert "ticks 3 to 9 are not in the history: the queue was full" in event.text
+        events = storage.events_pending()  # one, or more where the writer tried between two of the ticks
+        assert {event.key for event in events} == {"history.ticks_lost"}
+        assert all("are not in the history: the queue was full" in event.text for event in events)
     assert seqs(path) == [1, 2, *range(10, 20)]
-    assert rows(path, "SELECT first_seq, last_seq FROM gaps") == [(3, 9)]
+    gaps = rows(path, "SELECT first_seq, last_seq FROM gaps ORDER BY 1")
+    assert [seq for first, last in gaps for seq in range(first, last + 1)] == list(range(3, 10))  # type: ignore[call-overload]
 
 
 def test_a_database_locked_from_the_start_does_not_hold_up_the_first_tick(path: Path) -> None:
@@ -440,8 +441,10 @@ def test_a_history_that_stays_locked_does_not_hold_up_the_end(path: Path) -> Non
     with locked(path):
         write(storage, 2)
         assert not storage.close(timeout_s=0.2)
-    with opened(path) as (storage, _):
-        assert [event.key for event in storage.events_pending()] == ["history.unclean_stop"]
+    storage.close(PATIENCE_S)  # its thread would have ended with the process
+    with opened(path) as (storage, first):
+        told = [event.key for event in storage.events_pending()]
+    assert told == ([] if first == 3 else ["history.unclean_stop"])  # tick 2: as it got the lock, or not
 
 
 FULL = """
@@ -522,7 +525,7 @@ def test_a_history_of_an_older_version_is_brought_up_with_its_ticks(path: Path) 
     assert rows(path, tables) == rows(fresh, tables)
     with opened(path) as (storage, first):
         assert first == 3
-        assert storage.faults() == {}
+        until(lambda: storage.faults() == {})  # but for indexes, which a thread builds
     assert [len(rows(path, f"SELECT * FROM {view}")) for view in VIEWS] == [2, 0, 2, 0, 0, 0, 0, 0]
 
 

@@ -19,6 +19,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,7 @@ def _bundle() -> bytes:
         return file.read()
 
 
+@cache
 def _history() -> bytes:
     """A database with two hours: one that a virtual rig recorded, one that was imported."""
     with tempfile.TemporaryDirectory() as folder:

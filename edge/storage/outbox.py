@@ -20,7 +20,8 @@ BUSY_S = 5.0  # the writer holds its lock for milliseconds
 _CHOSEN = "id IN (SELECT value FROM json_each(:ids))"
 _DELETE = f"DELETE FROM outbox WHERE {_CHOSEN}"
 _GAPS_OF_GONE = (
-    "INSERT INTO gaps SELECT seq, seq, CAST(strftime('%s', 'now') AS REAL), 'deleted before it was sent'"
+    "INSERT INTO gaps SELECT seq, seq, CAST(strftime('%s', 'now') AS REAL),"
+    " 'deleted or damaged before it was sent'"
     f" FROM outbox WHERE event IS NULL AND NOT is_resend AND {_CHOSEN}"
 )
 
@@ -51,7 +52,8 @@ class Outbox:
     def pending(self, limit: int) -> list[OutboxMessage]:
         """Up to `limit` messages, oldest first; they stay until they are acknowledged.
 
-        Rows whose tick or event was deleted by another hand can't be sent: they go, and leave a gap.
+        Rows whose tick or event is damaged, or was deleted by another hand, can't be sent: they go, and
+        leave a gap.
         """
         connection = self._open()
         while True:

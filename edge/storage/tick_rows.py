@@ -79,11 +79,24 @@ def insert_ticks(connection: sqlite3.Connection, records: Sequence[TickRecord], 
 
 
 def read_ticks(connection: sqlite3.Connection, seqs: Iterable[int]) -> dict[int, TickRecord]:
-    """The stored ticks with these numbers, without those that are not there.
+    """The stored ticks with these numbers, without those that are not there or damaged.
 
     Monotonic times come back as NaN: they mean nothing after their process.
     """
     numbers = list(seqs)
+    try:
+        return _read(connection, numbers)
+    except (ValueError, TypeError, KeyError, RecursionError):
+        pass
+    except sqlite3.OperationalError as error:
+        if "decode" not in str(error):
+            raise
+    if len(numbers) == 1:
+        return {}
+    return {seq: record for number in numbers for seq, record in read_ticks(connection, [number]).items()}
+
+
+def _read(connection: sqlite3.Connection, numbers: list[int]) -> dict[int, TickRecord]:
     chosen = json.dumps(numbers)
 
     def rows(columns: str, table: str) -> list[tuple[Any, ...]]:
@@ -92,7 +105,9 @@ def read_ticks(connection: sqlite3.Connection, seqs: Iterable[int]) -> dict[int,
 
     readings: defaultdict[int, dict[str, Reading]] = defaultdict(dict)
     for seq, key, value, quality in rows("seq, signal, value, quality", "readings"):
-        readings[seq][_SIGNAL_OF_KEY[key]] = Reading(_SIGNAL_OF_KEY[key], value, NAN, Quality(quality))
+        readings[seq][_SIGNAL_OF_KEY[key]] = Reading(
+            _SIGNAL_OF_KEY[key], None if value is None else float(value), NAN, Quality(quality)
+        )
     changes: defaultdict[int, list[Change]] = defaultdict(list)
     for seq, _, rule, actuator, wanted, sent, reason in rows("*", "changes"):
         changes[seq].append(Change(rule, actuator, _or_nan(wanted), _or_nan(sent), reason))
@@ -174,12 +189,17 @@ def _record(
     return TickRecord(
         seq=row[0],
         time_s=NAN,
-        utc=row[2],
-        step_s=row[3],
+        utc=float(row[2]),
+        step_s=float(row[3]),
         mode=row[4],
         readings=readings,
         estimate=Estimate(
-            _or_nan(row[7]), _or_nan(row[8]), _or_nan(row[9]), row[10], _or_nan(row[11]), time_s=NAN
+            _or_nan(row[7]),
+            _or_nan(row[8]),
+            _or_nan(row[9]),
+            None if row[10] is None else float(row[10]),
+            _or_nan(row[11]),
+            time_s=NAN,
         ),
         reference_c=_or_nan(row[6]),
         decision=Decision(wanted, row[5], tuple(_or_nan(t) for t in json.loads(forecast)), json.loads(why)),
@@ -190,7 +210,7 @@ def _record(
         echo=None if row[25] is None else _echo(row[20:26]),
         link_up=bool(row[26]),
         events=events,
-        ticks_skipped=row[27],
+        ticks_skipped=int(row[27]),
         late_s=_or_nan(row[28]),
         decide_ms=_or_nan(row[29]),
         forecasts=forecasts,
@@ -215,4 +235,4 @@ def _finite(value: float | None) -> float | None:
 
 
 def _or_nan(value: float | None) -> float:
-    return NAN if value is None else value
+    return NAN if value is None else float(value)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.errors import DataError
+from edge.plain_text import plain
 from edge.storage.runs import reading
 from edge.storage.tick_rows import read_ticks
 from edge.why.explain import explain
@@ -24,10 +25,15 @@ def why(path: str | Path, at_utc: float | None, zone: tzinfo | None) -> Json:
             seq = _seq(connection, at_utc)
             if seq is None:
                 raise DataError(f"{path}: no tick is recorded {'before that time' if at_utc else 'yet'}")
-            record = read_ticks(connection, [seq])[seq]
+            record = read_ticks(connection, [seq]).get(seq)
+            if record is None:
+                raise DataError(f"{path}: tick {seq} is damaged")
     except sqlite3.Error as error:
         raise DataError(f"{path}: {error}") from error
-    lines = explain(record, zone)
+    try:
+        lines = explain(record, zone)
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:  # its reasons are free
+        raise DataError(f"{path}: tick {seq} is damaged: {plain(str(error))}") from None
     if at_utc is not None and at_utc - record.utc > 2 * record.step_s:
         ago = _ago(at_utc - record.utc)
         lines.insert(0, f"Nothing is recorded at that time; the last tick before it was {ago} earlier.")
