@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from edge.allowance import Allowance
 from edge.conditions import Conditions
 from edge.controllers.base import Context
 from edge.decider import Decider
@@ -20,8 +21,17 @@ from edge.hard_limits import LEASE_S
 from edge.inbox import ORDINARY, Letter, Reply, Request
 from edge.lighting import led_level
 from edge.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
-from edge.operation import Desk, Operation, acts_at_once, apply_orders, operate, refuse_unknown_keys
-from edge.operation_json import to_dict
+from edge.operation import (
+    Desk,
+    Operation,
+    acts_at_once,
+    apply_orders,
+    has_lost_date,
+    is_released,
+    operate,
+    refuse_unknown_keys,
+)
+from edge.operation_json import UTC_MAX, to_dict
 from edge.order_words import in_words
 from edge.reference import seconds_of_day
 from edge.rig import Rig
@@ -40,6 +50,9 @@ from edge.watering import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
 NOT_REACHED = "no link to the board: it obeys as soon as it is back; what it drives now ends with its lease"
+# Each release lets the next stop write the board's EEPROM, which takes 100 000 writes: it lasts 11 months so.
+RELEASES, RELEASE_EVERY_S = 100, 300.0  # at once; at length [s]
+RELEASED_TOO_OFTEN = "released too often: each time wears the board's memory; it stays off, try in 5 minutes"
 START_WAIT_S = 5.0  # for the board, before the first tick
 ORDERS_TOLD = 20  # between two ticks, each with its words; more than a person gives in a minute
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
@@ -62,6 +75,8 @@ class Loop:
         self._start_s = rig.clock.now()  # of the tick grid, set anew when the board is there
         self._sent = Command()
         self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
+        self._jump_s = 0.0  # of the wall clock since the last tick
+        self._releases = Allowance(RELEASES, 1.0 / RELEASE_EVERY_S, rig.clock.now)
         self._conditions = Conditions()
         self._events = EventLog(ORDERS_TOLD)
         self._decider = Decider(rig.controllers, rig.settings.control, self._conditions, self._answer_urgent)
@@ -103,6 +118,7 @@ class Loop:
     def tick(self, now: float, late_s: float = 0.0, skipped: int = 0) -> TickRecord:
         """One step of control: the arrow."""
         rig, utc = self._rig, self._rig.clock.utc()
+        self._follow_clock()
         if exchanged := rig.models.exchange(rig.estimator, rig.controllers):
             self._tell("models.exchanged", Severity.INFO, exchanged, now)
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
@@ -163,6 +179,19 @@ class Loop:
         self._operation = replace(self._operation, steering=None, before=None)
         self._rig.save_state(self._operation, self._memory)
         self._tell("steering.ended", Severity.INFO, f"{ended.id} has ended: {ended.words}", now)
+
+    def _follow_clock(self) -> None:
+        """Set the end of a maintenance with the wall clock: hands are inside for as long as was said."""
+        now, utc = self._rig.clock.now(), self._rig.clock.utc()
+        jump_s = (utc - now) - self._wall_minus_monotonic
+        self._wall_minus_monotonic = utc - now
+        self._jump_s += jump_s
+        until = self._operation.maintenance_until_utc
+        if until is None or abs(jump_s) <= CLOCK_JUMP_S or has_lost_date(until, utc - jump_s):
+            return
+        moved = min(max(until + jump_s, 0.0), UTC_MAX)
+        self._operation = replace(self._operation, maintenance_until_utc=moved)
+        self._rig.save_state(self._operation, self._memory)
 
     def _end_maintenance(self, now: float, utc: float) -> None:
         """Release the board when the time is over, also where it ended while no daemon ran."""
@@ -234,9 +263,8 @@ class Loop:
         note("board.link_down", not link_up, now, utc)
         note("board.no_echo", link_up and echo is None, now, utc)
         note("tick.late", late_s > LATE_SHARE * self._step_s, now, utc, f"{late_s:.2f} s")
-        jump_s = (utc - now) - self._wall_minus_monotonic
-        self._wall_minus_monotonic = utc - now
-        note("clock.jumped", abs(jump_s) > CLOCK_JUMP_S, now, utc, f"by {jump_s:+.0f} s")
+        note("clock.jumped", abs(self._jump_s) > CLOCK_JUMP_S, now, utc, f"by {self._jump_s:+.0f} s")
+        self._jump_s = 0.0
         faults = {key: detail for sink in self._rig.sinks for key, detail in sink.faults().items()}
         for key in SINK_FAULTS:
             note(key, key in faults, now, utc, faults.get(key, ""))
@@ -350,8 +378,12 @@ class Loop:
     def _order(self, request: Request) -> str:
         """Change the standing orders; return what a person has to know of a stop that is not in force yet."""
         clock = self._rig.clock
+        self._follow_clock()
         before = self._operation
-        self._operation = operate(before, request, self._desk())
+        after = operate(before, request, self._desk())
+        if is_released(before, after) and not self._releases.take():
+            raise RequestError(RELEASED_TOO_OFTEN)
+        self._operation = after
         warning = self._order_board(request)
         self._tell("operator.order", Severity.INFO, in_words(request), clock.now())
         if acts_at_once(before, self._operation):

@@ -65,15 +65,25 @@ class Operation:
         return self.steering if self.steering is not None and utc < self.steering.until_utc else None
 
     def in_maintenance(self, utc: float) -> bool:
-        """Hands are in the box. A clock set back far does not prolong it beyond the longest allowed time."""
-        until = self.maintenance_until_utc
-        return until is not None and until - MAINTENANCE_MAX_MIN * 60 <= utc < until
+        """Hands are in the box. A clock that lost the date prolongs it, until a person ends it."""
+        return self.maintenance_until_utc is not None and utc < self.maintenance_until_utc
 
 
 def acts_at_once(before: Operation, after: Operation) -> bool:
     """Whether new orders change what may be sent now; reference and controller wait for a decision."""
     waits = {name: getattr(before, name) for name in ("reference_c", "controller", "before")}
     return replace(after, **waits) != before
+
+
+def has_lost_date(until_utc: float, utc: float) -> bool:
+    """Whether no maintenance that ends at `until_utc` can have been ordered yet, by this clock."""
+    return utc < until_utc - MAINTENANCE_MAX_MIN * 60
+
+
+def is_released(before: Operation, after: Operation) -> bool:
+    """Whether an order ended an emergency stop or a maintenance, over or not."""
+    ended = before.maintenance_until_utc is not None and after.maintenance_until_utc is None
+    return ended or (before.emergency_stop and not after.emergency_stop)
 
 
 Request = Mapping[str, Any]

@@ -16,6 +16,7 @@ from edge.input_file import read_file
 from edge.strict_json import parse_object
 
 RETRY_S = 10.0  # between two tries to write what a full or read-only disk did not take
+ANSWERS_MAX = 200  # that wait for the disk; more come in a flood only
 
 Answered = Callable[[str], None]  # called with "" when the values are on disk, else with the reason
 
@@ -75,13 +76,18 @@ class StateWriter:
         """Hand over values; never waits, never raises.
 
         answered : called once, in the writer's thread, when these values or newer ones are on disk (file and
-            folder synchronised), or could not be written
+            folder synchronised), or could not be written; behind a disk that hangs the oldest of too many are
+            answered at once, in the caller's thread
         """
+        oldest = None
         with self._condition:
             self._next = values
             if answered is not None:
+                oldest = self._answers.pop(0) if len(self._answers) == ANSWERS_MAX else None
                 self._answers.append(answered)
             self._condition.notify()
+        if oldest is not None:
+            oldest("the disk does not answer")
 
     def close(self) -> None:
         """Write what waits, then end."""

@@ -16,7 +16,7 @@ from loop_rig import UTC_0, LoopRig, is_safe
 
 from edge.failures import FAILURES
 from edge.inbox import ORDINARY, Letter
-from edge.loop import Loop
+from edge.loop import RELEASE_EVERY_S, RELEASES, Loop
 from edge.messages import Command, Quality, TickRecord
 from edge.operation import Operation
 from edge.safety import SafetyMemory
@@ -469,6 +469,62 @@ def test_maintenance_that_ended_while_no_daemon_ran_is_ended_on_the_board(rig: L
     rig.loop = Loop(rig.rig, Operation("MPC", maintenance_until_utc=UTC_0 - 1.0), SafetyMemory(), first_seq=1)
     rig.tick()
     assert not rig.board.maintained
+
+
+def hands_in(rig: LoopRig) -> bool:
+    rig.chosen.command = Command(heater_duty=0.5, fan_on=True)
+    sent = rig.tick().sent
+    assert (sent == Command()) is rig.board.maintained
+    return rig.board.maintained
+
+
+@pytest.mark.parametrize("jump_s", [-10 * 86400.0, -3600.0, 3600.0, 10 * 86400.0])
+def test_maintenance_lasts_as_long_as_was_said_when_the_wall_clock_is_set(
+    rig: LoopRig, jump_s: float
+) -> None:
+    rig.tick()
+    rig.ask({"do": "maintenance", "minutes": 30})
+    assert hands_in(rig)
+    rig.clock.utc_offset += jump_s
+    rig.clock.now_s += 60.0
+    assert hands_in(rig)
+    rig.clock.now_s += 25 * 60.0
+    assert hands_in(rig)
+    rig.clock.now_s += 10 * 60.0
+    assert not hands_in(rig)
+
+
+def test_a_clock_that_finds_the_date_again_ends_a_maintenance_of_before(rig: LoopRig) -> None:
+    rig.loop.close()
+    rig.clock.utc_offset -= 300 * 86400.0
+    rig.loop = Loop(rig.rig, Operation("MPC", maintenance_until_utc=UTC_0 - 1.0), SafetyMemory(), first_seq=1)
+    rig.chosen.command = Command(heater_duty=0.5)
+    assert rig.tick().sent == Command()  # nobody knows whether it is over
+    rig.clock.utc_offset += 300 * 86400.0
+    rig.tick()
+    assert rig.tick().sent.heater_duty == 0.5
+
+
+@pytest.mark.parametrize(
+    ("stop", "release"),
+    [
+        ({"do": "emergency_stop"}, {"do": "release_emergency_stop"}),
+        ({"do": "maintenance", "minutes": 30}, {"do": "maintenance", "minutes": 0}),
+    ],
+)
+def test_stops_are_always_obeyed_but_releases_wear_the_board_and_are_limited(
+    rig: LoopRig, stop: dict[str, Any], release: dict[str, Any]
+) -> None:
+    rig.tick()
+    for _ in range(RELEASES):
+        rig.ask(stop)
+        rig.ask(release)
+    rig.ask(stop)
+    assert "wears the board's memory" in rig.ask(release)["error"]
+    assert rig.board.stopped or rig.board.maintained
+    rig.clock.now_s += RELEASE_EVERY_S
+    assert rig.ask(release)["ok"]
+    assert not rig.board.stopped and not rig.board.maintained
 
 
 def test_status_is_plain_json(rig: LoopRig) -> None:

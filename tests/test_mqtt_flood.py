@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from edge.mqtt.allowance import Allowance
+from edge.allowance import Allowance
 from edge.mqtt.telemetry import COMMANDS_WAITING_MAX, Telemetry
 from tests.broker import Broker, Listener, needs_mosquitto, wait_for
 from tests.daemon_process import RIG, DaemonProcess

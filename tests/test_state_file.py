@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from edge.state_file import StateFileBroken, StateWriter, read, write
+from edge.state_file import ANSWERS_MAX, StateFileBroken, StateWriter, read, write
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -81,6 +81,19 @@ def test_a_failed_write_is_answered_with_its_reason_and_tried_again(tmp_path, mo
         time.sleep(0.01)
     assert read(path) == {"number": 1} and answers.empty()
     writer.close()
+
+
+def test_answers_that_wait_for_a_disk_that_hangs_are_bounded_and_each_is_given(tmp_path, monkeypatch):
+    may_write = threading.Event()
+    monkeypatch.setattr("edge.state_file.write", lambda path, values: may_write.wait(5.0))
+    writer = StateWriter(tmp_path / "state.json")
+    answers: list[str] = []
+    for n in range(ANSWERS_MAX + 50):
+        writer.save({"n": n}, answers.append)
+    assert 48 <= answers.count("the disk does not answer") <= 50
+    may_write.set()
+    writer.close()
+    assert len(answers) == ANSWERS_MAX + 50
 
 
 def test_a_card_is_spared_and_the_newest_is_written_at_the_end(tmp_path, monkeypatch):

@@ -15,10 +15,10 @@ from paho.mqtt.client import Client, ConnectFlags, MQTTMessage
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+from edge.allowance import Allowance
 from edge.errors import RequestError
 from edge.messages import Event, Severity, TickRecord
 from edge.mqtt import discovery, states
-from edge.mqtt.allowance import Allowance
 from edge.mqtt.commands import parse
 from edge.mqtt.connection import make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, Outbox
