@@ -1,5 +1,6 @@
 """What happens, live: a line per tick, or on a terminal a page that redraws itself (rich, imported late)."""
 
+import textwrap
 from collections import deque
 from collections.abc import Mapping
 from datetime import datetime
@@ -16,19 +17,27 @@ if TYPE_CHECKING:
 TICKS_KEPT = 500  # more than the columns of a terminal
 
 
-def tick_line(tick: Mapping[str, Any]) -> str:
-    """One tick, in the form of `edge.tick_json`, on one line."""
+def tick_line(tick: Mapping[str, Any], columns: int | None = None) -> str:
+    """One tick, in the form of `edge.tick_json`, on one line.
+
+    columns : of the terminal; a line that is longer leaves out the forecasts and is folded
+    """
     air = tick["readings"].get("temp_air_c", {"value": None, "quality": "absent"})
     shown = f"{air['value']:5.1f}" if air["value"] is not None else f"({air['quality']})"
     rules = ",".join(dict.fromkeys(change["rule"] for change in tick["changes"])) or "-"
     forecast = " ".join(f"{value:.1f}" for value in tick["forecast_c"][:3]) or "-"
-    events = "".join(f"  ! {event['text']}" for event in tick["events"])
-    return (
+    facts = (
         f"{_clock(tick['utc'])}  tick {tick['seq']:<5d} air {shown} degC  ref {tick['reference_c']:4.1f}"
         f"  heater {tick['sent']['heater_duty']:4.2f}  fan {'on ' if tick['sent']['fan_on'] else 'off'}"
-        f"  {tick['controller']:<7s} forecast {forecast}{_models(tick['forecasts'])}  safety {rules}"
-        f"{events}"
+        f"  {tick['controller']:<7s}"
     )
+    expected = f" forecast {forecast}{_models(tick['forecasts'])}"
+    rest = "".join([f"  safety {rules}", *(f"  ! {event['text']}" for event in tick["events"])])
+    line = f"{facts}{expected}{rest}"
+    if columns is None or len(line) <= columns:
+        return line
+    short = facts.rstrip() + (rest if tick["changes"] or tick["events"] else "")
+    return textwrap.fill(short, columns, subsequent_indent=" " * 10, break_on_hyphens=False)
 
 
 def _models(forecasts: Mapping[str, Any]) -> str:

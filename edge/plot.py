@@ -1,6 +1,7 @@
 """Pictures of runs and of stretches of the history, laid out as the paper's figures are."""
 
 import importlib.util
+import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -48,7 +49,7 @@ def plot_run(run: Run, out: str | Path, events: Sequence[Event] = ()) -> None:
     Errors : RequestError without matplotlib or for an unknown kind; OSError
     """
     if importlib.util.find_spec("matplotlib") is None:
-        raise RequestError("pictures need matplotlib: pip install 'greenhouse-twin[report]'")
+        raise RequestError(f"pictures need matplotlib: {sys.executable} -m pip install matplotlib")
     told = sorted(events, key=lambda event: event.utc) if run.start_utc is not None else []
     try:
         _draw(run, told).savefig(out, dpi=150)

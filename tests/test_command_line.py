@@ -1,6 +1,8 @@
 """edge/__main__.py: help, version, and numbers that no command accepts."""
 
+import io
 import json
+import sys
 from typing import Any
 
 import pytest
@@ -114,6 +116,25 @@ def test_a_stop_that_the_daemon_knows_of_is_named_once(status: dict[str, Any]) -
     echo = {**status["echo"], "tripped": 1, "trip_cause": "emergency_stop"}
     lines = status_lines({**status, "operation": operation, "echo": echo})
     assert [line for line in lines if line.isupper() or "STOP" in line or "TRIPPED" in line] == lines[:1]
+
+
+@pytest.mark.parametrize("order", [{"emergency_stop": True}, {"maintenance_until_utc": 9e9}])
+def test_while_everything_is_off_the_status_shows_no_plan(
+    status: dict[str, Any], order: dict[str, Any]
+) -> None:
+    status["tick"]["why"] = {"rule": "below the reference"}
+    assert "why        Its rule: below the reference." in status_lines(status)
+    stopped = status_lines({**status, "operation": {**status["operation"], **order}})
+    assert not any(line.startswith("why") for line in stopped)
+
+
+def test_a_terminal_that_knows_only_ascii_gets_the_text_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("edge.commands.why.why", lambda *_, zone: {"lines": ["24 °C"]})
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii"))
+    assert main(["why", "--history", "any.db"]) == 0
+    sys.stdout.flush()
+    assert shown.getvalue() == b"24 ?C\n"
 
 
 def test_before_the_first_tick_the_status_says_so(status: dict[str, Any]) -> None:

@@ -42,6 +42,19 @@ def test_a_line_tells_all_that_matters(rig: LoopRig) -> None:
         assert words in shown
 
 
+def test_on_a_narrow_terminal_a_tick_is_shortened_and_folded(rig: LoopRig) -> None:
+    event = Event(
+        "k", Severity.INFO, "a long event that goes on and on until it is folded at the edge", 1.0, 1.0
+    )
+    record = replace(rig.tick(), events=(event,))
+    for columns in (80, 40):
+        shown = tick_line(tick_json(record), columns)
+        assert max(map(len, shown.splitlines())) <= columns
+        assert "forecast" not in shown and "folded at" in " ".join(shown.split())
+    assert tick_line(tick_json(record), 500) == line(record)
+    assert len(tick_line(tick_json(replace(record, events=())), 80).splitlines()) == 1
+
+
 def test_a_reading_without_a_number_shows_its_quality_and_no_number(rig: LoopRig) -> None:
     rig.board.temp_air, rig.board.quality = None, Quality.FAULT
     shown = line(rig.tick())

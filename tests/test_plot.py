@@ -2,6 +2,8 @@
 
 import importlib.util
 import math
+import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -111,5 +113,5 @@ def test_a_stretch_without_ticks_is_refused(tmp_path: Path) -> None:
 
 def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(RequestError, match="pip install"):
+    with pytest.raises(RequestError, match=f"{re.escape(sys.executable)} -m pip install matplotlib"):
         plot.plot_run(run_of(3), tmp_path / "out.png")

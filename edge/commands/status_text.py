@@ -33,7 +33,7 @@ def status_lines(status: Json) -> list[str]:
         "asked": operation["steering"] and operation["steering"]["words"],
         "safety": "; ".join(dict.fromkeys(change["reason"] for change in tick["changes"])),
         "last tick": f"{tick['seq']} at {at:%H:%M:%S}, every {tick['step_s']:g} s",
-        "why": " ".join(reasons(tick["why"])),
+        "why": "" if _stopped(operation, tick) else " ".join(reasons(tick["why"])),
     }
     return [*lines, *(f"{name:<11s}{text}" for name, text in rows.items() if text)]
 
@@ -43,7 +43,7 @@ def _alarms(status: Json) -> Iterator[str]:
     if operation["emergency_stop"]:
         yield "EMERGENCY STOP: everything is off until `greenhouse release`"
     until = operation["maintenance_until_utc"]
-    if until is not None and (tick is None or tick["utc"] < until):
+    if _in_maintenance(operation, tick):
         yield f"MAINTENANCE until {datetime.fromtimestamp(until):%Y-%m-%d %H:%M}: everything is off"
     if status["trips"]:
         yield f"TRIPPED: {', '.join(map(str, status['trips']))}; {CLEAR_TRIP}"
@@ -54,6 +54,16 @@ def _alarms(status: Json) -> Iterator[str]:
             yield f"THE BOARD HAS TRIPPED: {cause}; {ENDED_BY.get(cause, CLEAR_TRIP)}"
     if tick is not None and not status["link_up"]:
         yield "THE BOARD IS SILENT: it turns its heater off by itself"
+
+
+def _in_maintenance(operation: Json, tick: Json | None) -> bool:
+    until = operation["maintenance_until_utc"]
+    return until is not None and (tick is None or tick["utc"] < until)
+
+
+def _stopped(operation: Json, tick: Json) -> bool:
+    """Return True while a person's stop holds everything off, so that no plan is carried out."""
+    return bool(operation["emergency_stop"]) or _in_maintenance(operation, tick)
 
 
 def _driven(echo: Json | None) -> dict[str, str]:

@@ -1,13 +1,15 @@
-"""`greenhouse watch`: what the running daemon does, one line per tick, from its control socket."""
+"""`greenhouse watch`: print what the running daemon does, tick by tick, from its control socket."""
 
 import argparse
+import shutil
+import sys
 import time
 
 from edge.commands.which_rig import add_socket, socket_of
 from edge.control_socket import request
 from edge.display import tick_line
 
-POLL_S = 1.0
+POLL_S = 0.25  # a demo makes two ticks a second
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,5 +24,6 @@ def run(arguments: argparse.Namespace) -> int:
         tick = request(socket, {"do": "status"}).get("tick")
         if tick is not None and tick["seq"] != seen:
             seen = tick["seq"]
-            print(tick_line(tick), flush=True)
+            columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+            print(tick_line(tick, columns), flush=True)
         time.sleep(POLL_S)

@@ -25,7 +25,7 @@ from edge.twin.diagnosis.report.wording import (
 )
 
 NO_PICTURES = (
-    "No pictures: they need matplotlib. Get them with `pip install 'greenhouse-twin[report]'`, and again."
+    "No pictures: they need matplotlib. Install it with `pip install matplotlib` and diagnose again."
 )
 WORDS = {
     "free run": "the twin simulated over a whole run from its first rows, without another look at the air",
