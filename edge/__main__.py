@@ -83,12 +83,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # an ASCII terminal shows ? for the degree sign
     argv = sys.argv[1:] if argv is None else list(argv)
     command = next((word for word in argv if not word.startswith("-")), None)
-    arguments = parser_for(command).parse_args(argv)
     try:
+        arguments = parser_for(command).parse_args(argv)
         return int(arguments.run(arguments))
     except GreenhouseError as error:
         for line in _bounded(str(error)).splitlines():
-            print(f"greenhouse {arguments.command}: {line}", file=sys.stderr)
+            print(f"greenhouse {command}: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -1,8 +1,10 @@
 """edge/__main__.py: help, version, and numbers that no command accepts."""
 
+import argparse
 import io
 import json
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -116,6 +118,36 @@ def test_a_stop_that_the_daemon_knows_of_is_named_once(status: dict[str, Any]) -
     echo = {**status["echo"], "tripped": 1, "trip_cause": "emergency_stop"}
     lines = status_lines({**status, "operation": operation, "echo": echo})
     assert [line for line in lines if line.isupper() or "STOP" in line or "TRIPPED" in line] == lines[:1]
+
+
+def explained(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str | None]]:
+    """Every command and argument of a parser and of those below it, with the text that explains it."""
+    yield parser.prog, parser.description
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from explained(below)
+        else:
+            yield f"{parser.prog} {action.option_strings or action.dest}", action.help
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *ORDERS])
+def test_every_argument_of_every_command_is_explained(command: str) -> None:
+    places = [
+        place for place, _ in explained(parser_for(command)) if place.startswith(f"greenhouse {command}")
+    ]
+    texts = dict(explained(parser_for(command)))
+    assert [place for place in places if not texts[place]] == []
+
+
+def test_ctrl_c_while_a_command_is_still_being_imported_is_no_traceback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(name: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("importlib.import_module", interrupted)
+    assert main(["demo"]) == 130
 
 
 @pytest.mark.parametrize("order", [{"emergency_stop": True}, {"maintenance_until_utc": 9e9}])

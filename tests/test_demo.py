@@ -77,6 +77,20 @@ def test_a_demo_publishes_at_the_broker_that_is_named(tmp_path: Path) -> None:
         assert listener.objects("greenhouse/demo/state")[-1]["temp_air_c"] > 15.0
 
 
+def test_the_demo_names_the_program_as_it_was_called(tmp_path: Path) -> None:
+    program = tmp_path / "greenhouse"
+    program.write_text(f"#!{sys.executable}\nfrom edge.__main__ import main\nraise SystemExit(main())\n")
+    program.chmod(0o755)
+    root = Path(__file__).parent.parent
+    for path, called in (("/nowhere", str(program)), (str(tmp_path), "greenhouse")):
+        done = subprocess.run(
+            [str(program), "demo", "--speed", "0", "--minutes", "1"],
+            capture_output=True, text=True, timeout=60, check=False,
+            env={**os.environ, "PATH": f"{path}:/usr/bin:/bin", "PYTHONPATH": str(root)},
+        )  # fmt: skip
+        assert done.stderr.startswith(f"in another terminal: {called} status ("), done.stderr
+
+
 @pytest.fixture
 def short_path() -> Iterator[Path]:
     """A folder whose sockets have names that are short enough."""
@@ -105,9 +119,11 @@ def test_other_commands_speak_to_a_running_demo_by_themselves(short_path: Path) 
         status = said("status")
         assert "reference" in status.stdout and "set by hand to 26.0 °C" in status.stdout
         assert "not a real rig" in status.stderr
+        ago = said("why", "--at", "1min").stdout  # by the demo's clock, which shows another year
+        assert ago.startswith("Tick ") or "earlier" not in ago
     finally:
         demo.send_signal(signal.SIGINT)
         demo.communicate(timeout=30)
-    picture = said("plot", "--out", str(short_path / "p.png"))
+    picture = said("plot", "--since", "90min", "--out", str(short_path / "p.png"))
     assert picture.returncode == 0, picture.stderr
     assert (short_path / "p.png").stat().st_size > 1000

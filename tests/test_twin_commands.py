@@ -297,7 +297,7 @@ def test_the_history_is_taken_by_its_age(tmp_path: Path) -> None:
         storage.write(tick(seq, utc=now - 60.0 * (100 - seq)))
     assert storage.close(20.0)
     runs = diagnosis_runs_of(data("--history", history, "--since", "1h", "--test-share", "0.5"), TwinFile())
-    assert [len(named.run) for named in (*runs.train, *runs.test)] == [30, 30]
+    assert [len(named.run) for named in (*runs.train, *runs.test)] == [31, 30]  # both ends count
     with pytest.raises(DataError, match="no ticks in this stretch"):
         diagnosis_runs_of(data("--history", history, "--until", "2d"), TwinFile())
 

@@ -26,35 +26,45 @@ from edge.settings import Settings
 
 CONFIG = Path("/etc/greenhouse/edge.yaml")
 POLL_S = 0.1
+ACTIONS = {  # action -> help
+    "verify": "check signature, hashes and models of a bundle, change nothing",
+    "install": "verify a bundle and let it run in shadow beside the active one",
+    "activate": "make the bundle in shadow, or VERSION, the active one",
+    "rollback": "make the bundle before the active one active again",
+    "mark-good": "end the active bundle's probation",
+    "reject": "end the shadow's trial; it stays installed",
+    "key": "make a key pair that signs bundles",
+    "list": "show what is installed, what is active, what runs in shadow",
+}
 JOB_TIMEOUT_S = 120.0  # for a slow disk and models that load
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "--config", type=Path, default=None, help=f"{CONFIG} where there is one; else every setting's default"
+        "--config",
+        type=Path,
+        default=None,
+        help=f"configuration file; default: {CONFIG} where there is one, else every setting's default",
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    for name, help_text in (
-        ("verify", "check signature, hashes and models of a bundle, change nothing"),
-        ("install", "verify, and let it run in shadow beside the active bundle"),
-    ):
-        action = actions.add_parser(name, help=help_text, description=help_text)
-        action.add_argument("bundle", type=Path, help="archive or folder")
-        if name == "install":
-            action.add_argument(
-                "--allow-older", action="store_true", help="also below the newest version installed so far"
-            )
-        if name == "verify":  # what is installed must be trusted by the daemon too, so by the configuration
-            action.add_argument("--keys", type=Path, default=None, help="folder of public keys (*.pub)")
-    activate = actions.add_parser("activate", help="make the bundle in shadow, or VERSION, the active one")
-    activate.add_argument("version", nargs="?", default=None, help=f"an installed version, or {PACKAGED}")
-    actions.add_parser("rollback", help="make the bundle before the active one active again")
-    actions.add_parser("mark-good", help="end the active bundle's probation")
-    actions.add_parser("reject", help="end the shadow's trial; it stays installed")
-    key = actions.add_parser("key", help="make a key pair that signs bundles")
-    key.add_argument("file", type=Path, help="private key to make; the public one ends in .pub")
-    actions.add_parser("list", help="what is installed, what is active, what runs beside it")
+    action = {
+        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        for name, text in ACTIONS.items()
+    }
+    for name in ("verify", "install"):
+        action[name].add_argument("bundle", type=Path, help="archive or folder of the bundle")
+    action["install"].add_argument(
+        "--allow-older", action="store_true", help="accept a version below the newest installed so far"
+    )
+    # What is installed must be trusted by the daemon too, so by the configuration.
+    action["verify"].add_argument(
+        "--keys", type=Path, help="folder of trusted public keys (*.pub); default: bundle.trusted_keys"
+    )
+    action["activate"].add_argument(
+        "version", nargs="?", help=f"an installed version, or {PACKAGED}; default: the one in shadow"
+    )
+    action["key"].add_argument("file", type=Path, help="private key to write; the public one ends in .pub")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from edge.errors import ConfigError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("file", help="edge.yaml")
+    parser.add_argument("file", help="configuration file, as /etc/greenhouse/edge.yaml")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,12 +1,14 @@
 """`greenhouse demo`: the daemon against a virtual board, live. No broker, no root, no board needed."""
 
 import argparse
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 from edge import config
 from edge.commands.numbers import SEED_MAX, number, whole
+from edge.controller_names import CONTROLLERS
 from edge.daemon import Daemon
 from edge.demo_folders import make_demo_folder
 from edge.display import make_display
@@ -38,18 +40,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=120.0,
         help="simulated seconds per second; 0: unlimited; default: 120",
     )
-    parser.add_argument("--minutes", type=number(0.0, above=True), help="end after so many simulated minutes")
-    parser.add_argument("--controller", default="MPC-Twin-P", help="who decides; default: %(default)s")
-    parser.add_argument("--llm-url", default="", help="OpenAI-compatible endpoint, for the controllers LLM-*")
-    parser.add_argument("--llm-model", default="", help="the model's name there")
     parser.add_argument(
-        "--seed", type=whole(0, SEED_MAX), default=1, help="of the virtual board's noise; default: 1"
+        "--minutes",
+        type=number(0.0, above=True),
+        help="end after so many simulated minutes; default: at Ctrl-C",
+    )
+    parser.add_argument(
+        "--controller",
+        default="MPC-Twin-P",
+        metavar="NAME",
+        help=f"controller: {', '.join(CONTROLLERS)}; LLM-* need --llm-url; default: %(default)s",
+    )
+    parser.add_argument(
+        "--llm-url",
+        default="",
+        metavar="URL",
+        help="OpenAI-compatible server of a language model, http://host:port/v1, for LLM-* and `ask`",
+    )
+    parser.add_argument(
+        "--llm-model", default="", metavar="NAME", help="name of the language model on that server"
+    )
+    parser.add_argument(
+        "--seed", type=whole(0, SEED_MAX), default=1, help="number that fixes the simulated noise; default: 1"
     )
     parser.add_argument(
         "--out", type=Path, help="folder for the history; default: one that the next demo removes"
     )
     parser.add_argument(
-        "--mqtt", type=_broker, metavar="HOST[:PORT]", help=f"publish as the rig {RIG!r} there"
+        "--mqtt",
+        type=_broker,
+        metavar="HOST[:PORT]",
+        help=f"publish over MQTT at this broker, as the rig {RIG!r}; default port: {MqttSettings().port}",
     )
 
 
@@ -66,6 +87,16 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _program() -> str:
+    """Return how this user calls `greenhouse`: by its path where PATH does not find it."""
+    called = Path(sys.argv[0])
+    return (
+        str(called)
+        if called.name == "greenhouse" and shutil.which("greenhouse") != str(called)
+        else "greenhouse"
+    )
+
+
 def _broker(text: str) -> tuple[str, int]:
     host, colon, port = text.rpartition(":") if text.count(":") == 1 else (text, "", "")
     if not host or text.count(":") > 1:
@@ -77,7 +108,7 @@ def _run(arguments: argparse.Namespace, settings: Settings, control: Path) -> No
     stop_at_s = float("inf") if arguments.minutes is None else 60.0 * arguments.minutes
     clock = SimClock(control, speed=arguments.speed or None)
     with standard_output() as out:
-        hint = f"in another terminal: greenhouse status (or --socket {settings.control_socket.path})"
+        hint = f"in another terminal: {_program()} status (or --socket {settings.control_socket.path})"
         if not out.isatty():
             print(hint, file=sys.stderr)
         display = make_display(out, hint)

@@ -39,19 +39,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, help="run file to write")
     parser.add_argument(
-        "--config", type=Path, help=f"edge.yaml; else {RIG_CONFIG}, or the defaults with --virtual"
+        "--config",
+        type=Path,
+        help=f"configuration file; default: {RIG_CONFIG}, with --virtual every setting's default",
     )
-    parser.add_argument("--role", choices=ROLES, help="what the run is for, kept among its facts")
-    parser.add_argument("--notes", help="kept among its facts")
+    parser.add_argument("--role", choices=ROLES, help="what the run is for; written into the run file")
+    parser.add_argument("--notes", help="a note to write into the run file")
     parser.add_argument(
-        "--controller", choices=CONTROLLERS, help="that follows a reference profile, else MPC"
+        "--controller",
+        choices=CONTROLLERS,
+        metavar="NAME",
+        help="controller that follows a profile of references, as in `greenhouse demo --help`; default: MPC",
     )
-    parser.add_argument("--minutes", type=number(0.0, above=True), help="end sooner than the profile")
+    parser.add_argument(
+        "--minutes",
+        type=number(0.0, above=True),
+        help="end after so many minutes; default: at the profile's end",
+    )
     virtual = parser.add_argument_group("with a virtual board, as fast as it goes")
-    virtual.add_argument("--virtual", action="store_true", help="start one, instead of the rig's board")
-    virtual.add_argument("--seed", type=whole(0, SEED_MAX), default=1, help="of the virtual board")
-    virtual.add_argument("--chamber", type=Path, help="YAML that changes the simulated box")
-    virtual.add_argument("--history", type=Path, help="database that keeps the ticks; else none is kept")
+    virtual.add_argument("--virtual", action="store_true", help="use a virtual board instead of the rig's")
+    virtual.add_argument(
+        "--seed", type=whole(0, SEED_MAX), default=1, help="number that fixes the simulated noise; default: 1"
+    )
+    virtual.add_argument("--chamber", type=Path, help="YAML file that changes the simulated greenhouse")
+    virtual.add_argument("--history", type=Path, help="database to store the ticks in; default: none")
 
 
 def run(arguments: argparse.Namespace) -> int:

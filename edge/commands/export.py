@@ -5,7 +5,7 @@ from pathlib import Path
 
 from edge.commands.numbers import whole
 from edge.commands.output import writing
-from edge.commands.stretch import add_bounds, moment
+from edge.commands.stretch import add_bounds, bounds
 from edge.commands.which_rig import history_of
 from edge.run_file import absence_facts, write_run
 from edge.storage.runs import export_run
@@ -14,21 +14,19 @@ from edge.storage.runs import export_run
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_bounds(parser)
-    parser.add_argument("--run", dest="name", help="a run that the history knows by name, instead of bounds")
-    parser.add_argument("--first-seq", type=whole(1), help="first tick")
-    parser.add_argument("--last-seq", type=whole(1), help="last tick")
+    parser.add_argument(
+        "--run", dest="name", help="a run that was imported or recorded under this name, instead of times"
+    )
+    parser.add_argument("--first-seq", type=whole(1), help="number of the first tick")
+    parser.add_argument("--last-seq", type=whole(1), help="number of the last tick")
     parser.add_argument("--out", type=Path, required=True, help="run file to write")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """0 when the run file is written."""
+    history = history_of(arguments.history)
     recorded = export_run(
-        history_of(arguments.history),
-        arguments.name,
-        arguments.first_seq,
-        arguments.last_seq,
-        moment(arguments.since),
-        moment(arguments.until),
+        history, arguments.name, arguments.first_seq, arguments.last_seq, *bounds(arguments, history)
     )
     with writing(arguments.out):
         write_run(absence_facts(recorded), arguments.out)

@@ -25,13 +25,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--step-s",
         type=number(0.0, STEP_MAX_S, above=True),
         default=60.0,
-        help="control step the model is made for",
+        help="control step of the model [s]; default: %(default)g",
     )
     parser.add_argument(
         "--fan",
         choices=("excess", "on", "none"),
-        help="how the fan enters: by the excess of the air over the room (as long as there is a room "
-        "temperature), as on or off (the paper's), or not at all, e.g. where it never switched",
+        help="how the fan enters; default: by the excess of the air over the room (if there is a "
+        "room temperature), as on or off (the paper's), or not at all, e.g. where it never switched",
     )
     parser.add_argument(
         "--no-fan", action="store_const", const="none", dest="fan", help="the same as --fan none"

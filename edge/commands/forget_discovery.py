@@ -11,7 +11,12 @@ from edge.mqtt import telemetry
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--config", type=Path, default=Path("/etc/greenhouse/edge.yaml"))
+    parser.add_argument(
+        "--config",
+        type=Path,
+        default=Path("/etc/greenhouse/edge.yaml"),
+        help="the rig's configuration file; default: %(default)s",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

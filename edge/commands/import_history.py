@@ -12,7 +12,9 @@ from edge.storage.runs import import_run
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run file; its name names the run")
-    parser.add_argument("--history", type=Path, default=Path(HistorySettings().path), help="database")
+    parser.add_argument(
+        "--history", type=Path, default=Path(HistorySettings().path), help="database; default: %(default)s"
+    )
     add_absent_columns(parser, "fan_on", "temp_ambient_c")
 
 

@@ -32,33 +32,47 @@ def _name(text: str) -> str | None:
 
 
 def _mode(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("mode", choices=[mode.value for mode in Mode])
+    parser.add_argument(
+        "mode",
+        choices=[mode.value for mode in Mode],
+        help="auto: heater and fan; heat: heater alone; fan_only: fan alone; off: neither; "
+        "manual: as `greenhouse manual` set them",
+    )
 
 
 def _fan(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("fan_mode", choices=[mode.value for mode in FanMode])
+    parser.add_argument(
+        "fan_mode", choices=[mode.value for mode in FanMode], help="auto: the controller decides"
+    )
 
 
 def _reference(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "reference_c", metavar="DEGC|none", type=_target, help="a temperature, or none: as configured"
+        "reference_c",
+        metavar="DEGC|none",
+        type=_target,
+        help="temperature of the air [°C], or none: as configured",
     )
 
 
 def _controller(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", type=_name, help="as in `greenhouse demo --controller`; none: as configured")
+    parser.add_argument("name", type=_name, help="a name from `greenhouse demo --help`; none: as configured")
 
 
 def _manual(parser: argparse.ArgumentParser) -> None:
     share = number(0.0, 1.0)
-    parser.add_argument("--heater-duty", type=share, default=0.0, help="share of full power; default: 0")
-    parser.add_argument("--fan-on", type=int, choices=(0, 1), default=0, help="default: 0")
-    parser.add_argument("--led", type=share, default=0.0, help="share of full light; default: 0")
+    parser.add_argument(
+        "--heater-duty", type=share, default=0.0, help="heater, 0 to 1 of full power; default: 0"
+    )
+    parser.add_argument("--fan-on", type=int, choices=(0, 1), default=0, help="fan: 1 on, 0 off; default: 0")
+    parser.add_argument("--led", type=share, default=0.0, help="light, 0 to 1 of full; default: 0")
 
 
 def _maintenance(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "minutes", type=number(0.0, MAINTENANCE_MAX_MIN), help="ends by itself after so long; 0 ends it now"
+        "minutes",
+        type=number(0.0, MAINTENANCE_MAX_MIN),
+        help=f"minutes after which it ends by itself, up to {MAINTENANCE_MAX_MIN:g}; 0 ends it now",
     )
 
 
@@ -72,7 +86,7 @@ def _proposal(parser: argparse.ArgumentParser) -> None:
 
 
 def _status(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="everything, for programs")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON, for programs")
 
 
 def _nothing(parser: argparse.ArgumentParser) -> None:
@@ -80,15 +94,15 @@ def _nothing(parser: argparse.ArgumentParser) -> None:
 
 
 ORDERS: dict[str, tuple[str, str, Fill]] = {  # command -> request, help, arguments
-    "status": ("status", "what the rig measures, drives and was told to do", _status),
-    "mode": ("set_mode", "what may run: auto, heat, fan_only, off, manual", _mode),
+    "status": ("status", "show what the rig measures, drives and was ordered to do", _status),
+    "mode": ("set_mode", "choose what may run: auto, heat, fan_only, off, manual", _mode),
     "fan": ("set_fan_mode", "let the controller decide on the fan (auto), or on, off", _fan),
     "reference": ("set_reference", "set the temperature to hold, or none: as configured", _reference),
     "controller": ("set_controller", "change the controller while it runs", _controller),
     "manual": ("set_manual", "fix heater, fan and light until the mode changes", _manual),
     "emergency-stop": ("emergency_stop", "turn everything off, the fan too, until `release`", _nothing),
     "release": ("release_emergency_stop", "end an emergency stop", _nothing),
-    "clear-trip": ("clear_trip", "end a trip whose cause is gone", _nothing),
+    "clear-trip": ("clear_trip", "end an over-temperature trip once its cause is gone", _nothing),
     "maintenance": (
         "maintenance",
         "turn everything off, the fan too: hands are inside",

@@ -30,27 +30,46 @@ HORIZONS_S = (60.0, 300.0, 900.0, 1800.0, 3600.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv")
-    parser.add_argument("--model", type=Path, default=DEFAULT_PATH, help="ARX file; its step is the replay's")
-    parser.add_argument("--controller", choices=REPLAYED, default="MPC")
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv", help="recorded run")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        default=DEFAULT_PATH,
+        help="ARX model file, whose step is the replay's; default: the packaged one",
+    )
+    parser.add_argument(
+        "--controller",
+        choices=REPLAYED,
+        default="MPC",
+        metavar="NAME",
+        help=f"controller that decides in shadow: {', '.join(REPLAYED)}; default: %(default)s",
+    )
     parser.add_argument("--twin", type=Path, help="twin file that MPC-Twin and MPC-Twin-P plan with")
     parser.add_argument(
         "--reference",
         type=number(REFERENCE_MIN_C, REFERENCE_MAX_C),
         default=24.0,
         metavar="DEGC",
-        help="what it should hold",
+        help="temperature to hold [°C]; default: %(default)g",
     )
-    parser.add_argument("--horizons", type=_horizons, default=HORIZONS_S, metavar="S,S,...")
+    parser.add_argument(
+        "--horizons",
+        type=_horizons,
+        default=HORIZONS_S,
+        metavar="S,S,...",
+        help=f"how far ahead forecasts are scored [s]; default: {','.join(f'{s:g}' for s in HORIZONS_S)}",
+    )
     add_absent_columns(parser, "fan_on", "temp_ambient_c")
     parser.add_argument(
-        "--fan-always-on", action="store_true", help="for runs without the column fan_on: the fan was on"
+        "--fan-always-on",
+        action="store_true",
+        help="take the fan as always on in runs without the column fan_on",
     )
-    parser.add_argument("--out", type=Path, help="folder for the ticks, one JSON line each")
+    parser.add_argument("--out", type=Path, help="folder to write the ticks to, one JSON line each")
     parser.add_argument(
         "--again",
         type=Path,
-        help="folder of earlier ticks: searches that the clock cut short end there again",
+        help="folder of an earlier --out: searches that the time limit ended then end at the same point",
     )
 
 

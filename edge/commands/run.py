@@ -14,7 +14,12 @@ from edge.systemd import Notifier
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--config", type=Path, default=Path("/etc/greenhouse/edge.yaml"))
+    parser.add_argument(
+        "--config",
+        type=Path,
+        default=Path("/etc/greenhouse/edge.yaml"),
+        help="the rig's configuration file; default: %(default)s",
+    )
 
 
 class _Report:

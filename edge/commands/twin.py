@@ -6,9 +6,9 @@ import importlib.util
 
 ACTIONS = {  # action -> help; the module is edge.commands.twin_<action>
     "diagnose": "find where twin and measurements disagree, name the missing effect, add it",
-    "simulate": "free run of a twin over recorded runs, and what it misses by",
-    "benchmark": "how often the diagnosis is right where the truth is known",
-    "adopt": "make a diagnosis's twin the running one, or take that back",
+    "simulate": "run a twin freely over recorded runs and print its errors",
+    "benchmark": "measure how often the diagnosis is right where the truth is known",
+    "adopt": "make the twin of a diagnosis the running one, or take that back",
 }
 
 

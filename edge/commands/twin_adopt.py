@@ -38,15 +38,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--back", action="store_true", help="instead: undo the last adoption")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
-        "--shadow", action="store_true", help="run beside the active bundle and be scored (usual)"
+        "--shadow", action="store_true", help="run beside the active bundle and be scored; the default"
     )
     how.add_argument("--activate", action="store_true", help="take its place, on probation")
     how.add_argument(
         "--bundle-out", type=Path, metavar="FILE", help="write the signed bundle, install nothing"
     )
-    how.add_argument("--to", type=Path, metavar="FILE", help="replace this twin file, keep the one before")
-    parser.add_argument("--key", type=Path, help="private key that signs (usual: bundle.signing_key)")
-    parser.add_argument("--config", type=Path, help="edge.yaml (usual: the rig's, else the defaults)")
+    how.add_argument("--to", type=Path, metavar="FILE", help="replace this twin file, save the one before")
+    parser.add_argument("--key", type=Path, help="private key that signs; default: bundle.signing_key")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="configuration file; default: the rig's where there is one, else every setting's default",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from edge.commands.absent_columns import add_absent_columns
 from edge.commands.numbers import number
-from edge.commands.stretch import add_times, moment
+from edge.commands.stretch import add_times, bounds
 from edge.commands.which_rig import history_of
 from edge.errors import RequestError
 from edge.settings import HistorySettings
@@ -23,29 +23,31 @@ def add_data_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar="TEST.csv",
-        help="show the gap and have no part in the choice; temperatures in their first rows suffice",
+        help="runs that show the gap and have no part in the choice; only their first rows need temperatures",
     )
     parser.add_argument(
-        "--history", type=Path, help=f"instead of run files: this database (usual: {HistorySettings().path})"
+        "--history",
+        type=Path,
+        help=f"database to read instead of run files; default: {HistorySettings().path}",
     )
     add_absent_columns(parser, "fan_on", "temp_ambient_c")
     add_times(parser)
     parser.add_argument(
         "--test-share",
         type=number(0.0, 1.0),
-        help=f"newest share of the rows that becomes test runs (usual: {TEST_SHARE:g})",
+        help=f"share 0..1 of the rows, the newest, that becomes test runs; default: {TEST_SHARE:g}",
     )
     parser.add_argument(
         "--rows",
         type=int,
-        help="newest rows of the history that are used; memory grows with them (usual: all)",
+        help="use so many of the newest rows of the history; memory grows with them; default: all",
     )
 
 
 def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> DiagnosisRuns:
     """The runs that the arguments name. Errors: DataError, RequestError for files and history together"""
-    bounds = (arguments.history, arguments.since, arguments.until, arguments.test_share, arguments.rows)
-    if all(bound is None for bound in bounds):
+    given = (arguments.history, arguments.since, arguments.until, arguments.test_share, arguments.rows)
+    if all(value is None for value in given):
         if not arguments.train:
             raise RequestError(
                 "nothing to diagnose: give run files, or a time of the history like --since 14d"
@@ -56,7 +58,7 @@ def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> Diagnosi
     from edge.storage.stretches import export_stretches
 
     path = history_of(arguments.history)
-    stretches = export_stretches(path, moment(arguments.since), moment(arguments.until))
+    stretches = export_stretches(path, *bounds(arguments, path))
     share = TEST_SHARE if arguments.test_share is None else arguments.test_share
     if arguments.rows is not None and arguments.rows < 1:
         raise RequestError(f"--rows: {arguments.rows} is not above 0")

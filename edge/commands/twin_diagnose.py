@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the action."""
     add_data_arguments(parser)
-    parser.add_argument("--twin", type=Path, required=True, help="twin file: what is known already")
+    parser.add_argument("--twin", type=Path, required=True, help="twin file with what is known already")
     parser.add_argument("--out", type=Path, required=True, help="folder for the report")
     parser.add_argument(
         "--config",
         type=Path,
-        help="edge.yaml, whose limits the next experiment keeps; else the rig's where there is one",
+        help="configuration file with the next experiment's limits; default: the rig's where there is one",
     )
     parser.add_argument(
         "--jobs",
         type=whole(1),
         default=processors(),
-        help="processes: they change the time, not the answer; default: one for each processor",
+        help="processes to use; the answer does not depend on it; default: one for each processor",
     )
     parser.add_argument(
         "--json-only", action="store_true", help="no pictures: diagnosis.json and the twin alone"

@@ -42,28 +42,30 @@ class Errors:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the action."""
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv")
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.csv", help="recorded run")
     parser.add_argument("--twin", type=Path, required=True, help="twin file with every value known")
     parser.add_argument(
         "--out",
         type=Path,
-        help="run file to write, or folder for one each; without it CSV on standard output",
+        help="run file to write, or folder for one each; default: CSV on standard output",
     )
     parser.add_argument(
         "--start-rows",
         type=whole(1),
         default=START_ROWS,
-        help=f"rows whose temperatures tell the start, as far as they have one (usual: {START_ROWS})",
+        help=f"first rows whose temperatures give the start; default: {START_ROWS}",
     )
     parser.add_argument(
         "--ambient-c",
         type=number(-50.0, 80.0),
         metavar="DEGC",
-        help="room temperature of runs that have none",
+        help="room temperature of runs that have none [°C]",
     )
     add_absent_columns(parser, "fan_on")
     parser.add_argument(
-        "--fan-always-on", action="store_true", help="for runs without the column fan_on: the fan was on"
+        "--fan-always-on",
+        action="store_true",
+        help="take the fan as always on in runs without the column fan_on",
     )
 
 

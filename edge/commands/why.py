@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from edge.commands.stretch import moment
+from edge.commands.stretch import moment, moment_in
 from edge.commands.which_rig import add_socket, socket_of
 from edge.control_socket import request
 from edge.errors import RequestError
@@ -14,8 +14,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
         "--at",
-        help="the command that held then: 2026-07-01T12:00, UTC unless it says a zone; or ago: 90min; "
-        "usual: the newest",
+        help="the command that held then: 2026-07-01T12:00 (UTC unless it names a zone), or 90min before the "
+        "newest; default: the newest",
     )
     parser.add_argument("--history", type=Path, help="read this database instead of asking the daemon")
     add_socket(parser)
@@ -23,12 +23,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the explanation. Errors: RequestError or DataError where there is none"""
-    at_utc = moment(arguments.at)
     if arguments.history is not None:
-        answer = why(arguments.history, at_utc, zone=None)
+        answer = why(arguments.history, moment_in(arguments.history, arguments.at), zone=None)
     else:
-        answer = request(socket_of(arguments), {"do": "why", "at_utc": at_utc})
+        socket = socket_of(arguments)
+        answer = request(socket, {"do": "why", "at_utc": _moment_of(socket, arguments.at)})
         if not answer.get("ok", False):
             raise RequestError(str(answer.get("error", answer)))
     print("\n".join(answer["lines"]))
     return 0
+
+
+def _moment_of(socket: Path, at: str | None) -> float | None:
+    """Return the moment by the daemon's clock: a demo's is simulated. Errors: RequestError"""
+    if at is None:
+        return None
+    tick = request(socket, {"do": "status"}).get("tick")
+    return moment(at, None if tick is None else tick["utc"])

@@ -46,6 +46,13 @@ def export_run(
         return run_of_ticks(connection, path, ticks, facts)
 
 
+def newest_utc(path: str | Path) -> float | None:
+    """Return when the newest tick was recorded [s since 1970], None where there is none. Errors: DataError"""
+    with reading(path) as connection:
+        newest = connection.execute("SELECT max(utc) FROM ticks").fetchone()[0]
+    return None if newest is None else float(newest)
+
+
 def events_between(path: str | Path, since_utc: float, until_utc: float) -> list[Event]:
     """Events of the history by their wall clock time, both ends included. Errors: DataError"""
     with reading(path) as connection:
