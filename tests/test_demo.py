@@ -120,7 +120,7 @@ def test_other_commands_speak_to_a_running_demo_by_themselves(short_path: Path) 
         assert "reference" in status.stdout and "set by hand to 26.0 °C" in status.stdout
         assert "not a real rig" in status.stderr
         ago = said("why", "--at", "1min").stdout  # by the demo's clock, which shows another year
-        assert ago.startswith("Tick ") or "earlier" not in ago
+        assert ago.startswith("Tick ")
     finally:
         demo.send_signal(signal.SIGINT)
         demo.communicate(timeout=30)
