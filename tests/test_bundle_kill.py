@@ -23,6 +23,7 @@ pytestmark = pytest.mark.skipif(shutil.which("strace") is None, reason="needs st
 WORK = """
 import os, sys
 from pathlib import Path
+import cryptography  # signatures are checked in this process then: a pipe to another is no call of the store
 sys.path[:0] = [{tests!r}]
 from bundles import install, load_nothing
 from edge.bundle.orders import carry_out

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from edge.bundle.archive import FILE_BYTES_MAX, TOTAL_BYTES_MAX
 from edge.bundle.manifest import MANIFEST, SIGNATURE, Manifest, parse_manifest
-from edge.bundle.signature import check_signature, trusted_keys
+from edge.bundle.signature_process import check_apart
 from edge.errors import DataError
 from edge.input_file import MemoryFolder, read_file
 
@@ -23,7 +23,7 @@ def read_checked(folder: Path, keys: Path) -> tuple[Manifest, MemoryFolder]:
     try:
         content = _read(folder / MANIFEST, _MANIFEST_BYTES_MAX)
         signature = _read(folder / SIGNATURE, _MANIFEST_BYTES_MAX)
-        check_signature(content, signature, trusted_keys(keys))
+        check_apart(content, signature, keys)
         manifest = parse_manifest(content)
         files = _checked_files(folder, manifest)
     except OSError as error:

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from edge.errors import DataError
+from edge.own_process import environment
 from edge.plain_text import plain
 
 
@@ -45,14 +46,12 @@ class Prover:
             "edge.bundle.proof",
             json.dumps({**task, "limits": asdict(self.limits)}),
         ]
-        root = Path(__file__).parent.parent.parent  # where this software lies
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path[1:]])}
         try:
             done = subprocess.run(
                 command,
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
-                env=environment,
+                env=environment(),
                 timeout=self.limits.wall_s,
             )
         except subprocess.TimeoutExpired:
