@@ -6,15 +6,16 @@ An emergency stop or maintenance must have every pin off within OBEYED_S, whiche
 
 import contextlib
 import itertools
-import json
 import multiprocessing
 import random
 import signal
 import socket
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
@@ -22,6 +23,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from bench.attack.part import Found, main_of
 from bench.watched_clock import ACTUATORS
 from edge.control_socket import request
+from edge.errors import RequestError
 from tests.broker import Broker, Listener
 from tests.daemon_process import RIG, DaemonProcess
 from tests.rig import VirtualBoard, virtual_board
@@ -180,13 +182,15 @@ def _sent(stop: str, door: str, path: Path, sender: Listener) -> Iterator[None]:
         sender.client.publish(f"{RIG}/set/{topic}", payload, qos=1)
         yield
         return
-    # The connection stays open meanwhile: the order might be dropped with its line.
-    with socket.socket(socket.AF_UNIX) as client:
-        client.settimeout(GIVE_UP_S)
-        with contextlib.suppress(OSError):
-            client.connect(str(path))
-            client.sendall(json.dumps(order).encode() + b"\n")
-        yield
+    asking = threading.Thread(target=_ask, args=(path, order), daemon=True)
+    asking.start()
+    yield
+    asking.join()
+
+
+def _ask(path: Path, order: dict[str, Any]) -> None:
+    with contextlib.suppress(RequestError):
+        request(path, order, GIVE_UP_S)
 
 
 def _heat(board: VirtualBoard, daemon: DaemonProcess) -> bool:
