@@ -273,8 +273,10 @@ def _stop(rig: Rig, drawn: Plan) -> dict[str, float] | str:
         return f"refused: {answer['error']}"
     if not drawn.unplugged_s:
         return dict.fromkeys(PINS, _now(rig))
-    leases = dict.fromkeys(PINS, unplugged_at_s + LEASE_S + STEP_S)  # a lease that the last command renewed
-    return leases | {"link back": unplugged_at_s + drawn.unplugged_s}
+    lease_ends_s = unplugged_at_s + LEASE_S + STEP_S  # a lease that the last command renewed
+    # On a machine with much to do the cable is back before the order is read: until then the daemon drives.
+    still_from = dict.fromkeys(PINS, max(lease_ends_s, _now(rig)))
+    return still_from | {"link back": unplugged_at_s + drawn.unplugged_s}
 
 
 def _request(order: str) -> dict[str, Any]:
