@@ -71,7 +71,18 @@ def silences(outcome: Outcome) -> list[Span]:
     for lived, after in zip(outcome.lives, [*outcome.lives[1:], None], strict=True):
         end_s = outcome.looks[-1].time_s if after is None else after.begin_s
         spans.append(Span(lived.end_s + LOOK_S, end_s))
-    return spans
+    return [Span(span.begin_s + _in_flight_s(outcome, span.begin_s), span.end_s) for span in spans]
+
+
+def _in_flight_s(outcome: Outcome, time_s: float) -> float:
+    """How long words of the host are still on a slow line."""
+    delays = [
+        fault["delay_s"]
+        for fault in outcome.plan.faults
+        if fault["name"] == "delay" and fault["direction"] != "to_host"
+        and fault["start_s"] <= time_s <= fault["start_s"] + fault["duration_s"] + fault["delay_s"]
+    ]  # fmt: skip
+    return float(sum(delays))
 
 
 def _stops(outcome: Outcome) -> Iterator[str]:
