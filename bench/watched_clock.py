@@ -69,7 +69,8 @@ class WatchedClock:
 
     def wait(self, port: Port | None, wake: int | None, until_s: float) -> None:
         """As SimClock; comes back early to look and to give orders."""
-        next_order_s = self._orders[0].at_s if self._orders else until_s
+        # Where the loop listens to the board alone, an order waits, and must not keep time from moving.
+        next_order_s = self._orders[0].at_s if self._orders and wake is not None else until_s
         self._board.wait(port, wake, min(until_s, self._look_s, next_order_s))
         if self.now() >= self._look_s:
             self._look_s = self.now() + self._period_s
