@@ -147,7 +147,7 @@ class NightlyDiagnosis:
         self._call(("diagnose", *given, "--out", report), report / LOG, 60.0 * settings.diagnose_max_min)
         found = _diagnosis(report / "diagnosis.json")
         self._tell("diagnosis.done", f"{_in_words(found)}; report: {report}")
-        if found.get("effects") and settings.adopt in _HOW:
+        if found.get("twin_after") and settings.adopt in _HOW:
             self._adopt(report)
 
     def _adopt(self, report: Path) -> None:

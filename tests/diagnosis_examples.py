@@ -173,6 +173,7 @@ def named_story(test: bool = True) -> Story:
                 "name": "heater_lag",
                 "alternatives": [],
                 "log_odds": 812.4,
+                "probability": 0.947,
                 "parameters": {"tau_h": {"value": 418.2, "low": 402.5, "high": 434.9, "unit": "s"}},
                 "equation": "The element warms up before it heats: tau_h dP/dt = H - P.",
                 "without": "negative for minutes after the heater goes on, positive for as long after",
@@ -183,6 +184,7 @@ def named_story(test: bool = True) -> Story:
                 "alternatives": ["short_circuit"],
                 "alternative_log_odds": {"short_circuit": -0.02},
                 "log_odds": 96.7,
+                "probability": 0.9,
                 "parameters": {"eps_f": {"value": 0.703, "low": 0.681, "high": 0.724, "unit": ""}},
                 "equation": "Share of the rated flow that changes air, against the filters: F -> eps_f F.",
                 "without": "positive with the fan on, in proportion to T - T_amb",
@@ -265,6 +267,17 @@ def named_story(test: bool = True) -> Story:
             },
         },
         "twin_after": "twin.yaml",
+        "doubtful": [
+            {"name": "soil_mass", "against": ["C_s would store 17 times the heat of the box full of water"]}
+        ],
+        "provisional": [],
+        "left_out": {
+            "given_k": 2.4,
+            "after_k": 0.11,
+            "simple_k": {"one mass": 0.61, "heater lag": 0.14, "two masses": 0.58, "ARX 2": 0.09},
+            "test_k": {"one mass": 0.72, "heater lag": 0.2, "two masses": 0.6, "ARX 2": None},
+        },
+        "against_adopting": [],
     }  # fmt: skip
     return Story(document, tuple(traces))
 

@@ -124,7 +124,7 @@ def test_the_page_tells_the_gap_the_effects_the_odds_and_what_to_do(pages: dict[
     text = words(pages["named"])
     for said in (
         "tau_h 418 402 to 435 s",
-        "How sure: log odds 812 nat against the best model without it, more than a million to one",
+        "How sure: probability 0.95",
         "These data cannot tell it from short_circuit",
         "100 % of the gap is closed",
         "within 15 min of a change of the duty 58 % -14.2 ± 0.9",
@@ -324,7 +324,7 @@ def test_the_summary_of_a_named_effect() -> None:
     assert re.search(r"test runs +2\.87 +0\.084 +0\.085 +100 %", text)
     text = " ".join(text.split())
     assert "58 % within 15 min of a change of the duty; there the twin gains 14.2 ± 0.9 W too much" in text
-    assert "tau_h = 418 s (95 %: 402 to 435); odds more than a million to one" in text
+    assert "tau_h = 418 s (95 %: 402 to 435); probability 0.95" in text
     assert "these data cannot tell it from short_circuit" in text
     assert "greenhouse experiment report/next_experiment.csv --out next_run.csv" in text
 
@@ -396,8 +396,8 @@ def test_a_gap_that_shrinks_thirtyfold_and_more_is_drawn_on_a_logarithmic_axis(
         (odds(0.0), "even"),
         (odds(2.302585), "10 to 1"),
         (odds(-1.0986), "1 to 3.0"),
-        (odds(14.0), "more than a million to one"),
-        (odds(-800.0), "less than one to a million"),
+        (odds(14.0), "more than 100 to 1"),
+        (odds(-800.0), "less than 1 to 100"),
         (odds(None), "–"),
         (duration(45.0), "45 s"),
         (duration(119.0), "119 s"),

@@ -41,7 +41,8 @@ with (folder / "calls").open("a") as calls:
 NAMED = """
 if words[1] == "diagnose":
     out = Path(words[words.index("--out") + 1])
-    (out / "diagnosis.json").write_text(json.dumps({"verdict": "named", "effects": [{"name": "wall_loss"}]}))
+    found = {"verdict": "named", "effects": [{"name": "wall_loss"}], "twin_after": "twin.yaml"}
+    (out / "diagnosis.json").write_text(json.dumps(found))
 else:
     print("bundle 1.0-twin is installed")
 """

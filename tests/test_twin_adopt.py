@@ -265,8 +265,8 @@ def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: Rig, ref
 @pytest.mark.parametrize(
     ("twin", "document", "message"),
     [
-        (KNOWN, {"verdict": "nothing_missing", "effects": []}, "effects: none was found (nothing_missing)"),
-        (KNOWN, {"verdict": "unknown", "effects": []}, "effects: none was found (unknown)"),
+        (KNOWN, {"verdict": "nothing_missing", "twin_after": None}, "the verdict is nothing_missing"),
+        (KNOWN, {"twin_after": None, "against_adopting": ["it is worse"]}, "to adopt: it is worse"),
         (
             replace(KNOWN, effects={"wall_loss": {"UA": Value(5.0, fit=True)}}),
             {},

@@ -72,10 +72,10 @@ def reported_twin(report: Path) -> Path:
         read_twin(report)
         return report
     document = _diagnosis(report / DIAGNOSIS)
-    if not document.get("effects"):
-        verdict = plain(str(document.get("verdict")), 60)
-        raise DataError(f"{report / DIAGNOSIS}: effects: none was found ({verdict}), so there is no new twin")
-    name = document.get("twin_after") or TWIN
+    name = document.get("twin_after", TWIN)
+    if name is None:
+        why = document.get("against_adopting") or [f"the verdict is {document.get('verdict')}"]
+        raise DataError(f"{report / DIAGNOSIS}: there is no twin to adopt: {plain(str(why[0]), 200)}")
     if not (isinstance(name, str) and FILE_NAME.fullmatch(name) and (report / name).is_file()):
         raise DataError(f"{report / DIAGNOSIS}: twin_after: {shown(name)} is not a file of the report")
     twin = report / name

@@ -1,7 +1,7 @@
 """`greenhouse twin diagnose`: where twin and measurements disagree, what is missing, and the gap without it.
 
-The report folder gets report.html, diagnosis.json, twin_before.yaml and, where effects were named, twin.yaml;
-where rivals are left, next_experiment.csv, a profile for `greenhouse experiment`.
+The report folder gets report.html, diagnosis.json and twin_before.yaml; where a better twin was found,
+twin.yaml; where rivals are left, next_experiment.csv, a profile for `greenhouse experiment`.
 """
 
 import argparse
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         document = answer(found, places, command, None if experiment is None else experiment.document())
         with writing(arguments.out):
             write_twin_file(file, arguments.out / "twin_before.yaml")
-            if found.verdict.effects:
+            if found.is_offered:
                 write_twin_file(found.adopted, arguments.out / "twin.yaml")
             write_profile(experiment, arguments.out)
             if arguments.json_only:

@@ -22,6 +22,7 @@ class Recorded:
     temp : [B, N + 1], NaN where missing [°C]; duty, fan, ambient : [B, N]
     ambient : NaN throughout when no run has a room temperature
     conditions : [B, N] each, columns of CONDITIONS that every run has, held over holes
+    left_out : [B, N], temperatures after a row that a fit must not see; None: it may see all
     """
 
     temp: Floats
@@ -29,6 +30,7 @@ class Recorded:
     fan: Floats
     ambient: Floats
     conditions: Conditions = field(default_factory=dict)
+    left_out: NDArray[np.bool_] | None = None
 
     @property
     def has_ambient(self) -> bool:
@@ -38,7 +40,8 @@ class Recorded:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """Where a temperature was measured after a row, [B, N]: what a model is fitted to."""
-        return np.isfinite(self.temp[:, 1:])
+        known = np.isfinite(self.temp[:, 1:])
+        return known if self.left_out is None else known & ~self.left_out
 
 
 def recorded(runs: Sequence[Run], step_s: float) -> Recorded:

@@ -28,7 +28,7 @@ def answer(
     """The document; numbers that are none become null."""
     document = {
         "verdict": found.verdict.kind,
-        "effects": [_effect(item) for item in found.verdict.effects],
+        "effects": [_effect(item, found) for item in found.verdict.effects],
         "depends_on": list(found.verdict.depends_on),
         "regimes": located.regimes,
         "gap": {
@@ -49,17 +49,24 @@ def answer(
         "software": f"greenhouse-twin {__version__}",
         "command": command,
         "twin_before": "twin_before.yaml",
-        "twin_after": "twin.yaml" if found.verdict.effects else None,
+        "twin_after": "twin.yaml" if found.is_offered else None,
+        "doubtful": [
+            {"name": item.effect.name, "against": list(item.against)} for item in found.judged.doubtful
+        ],
+        "provisional": list(found.judged.provisional),
+        "left_out": _left_out(found),
+        "against_adopting": list(found.against_adopting),
     }
     return {key: _plain(value) for key, value in document.items()}
 
 
-def _effect(item: Named) -> dict[str, Any]:
+def _effect(item: Named, found: Diagnosis) -> dict[str, Any]:
     effect = EFFECTS[item.name]
     return {
         "name": item.name,
         "alternatives": list(item.alternatives),
         "log_odds": item.log_odds,
+        "probability": found.judged.standings[item.name].probability,
         "parameters": {
             parameter.name: _parameter(item.parameters[parameter.name], parameter.unit)
             for parameter in effect.parameters
@@ -68,6 +75,17 @@ def _effect(item: Named) -> dict[str, Any]:
         "equation": (inspect.getdoc(effect.add) or "").splitlines()[0],
         "without": effect.without,
         "at_bound": list(item.at_bound),
+    }
+
+
+def _left_out(found: Diagnosis) -> dict[str, Any]:
+    """What free runs miss by over rows that no fit saw."""
+    compared = found.judged.comparison
+    return {
+        "given_k": compared.tried[frozenset()].rmse_k,
+        "after_k": found.judged.handed.rmse_k,
+        "simple_k": compared.simple_k,
+        "test_k": {name: error for name, error in found.test_k.items() if name in compared.simple_k},
     }
 
 
@@ -104,8 +122,8 @@ def _step(names: tuple[str, ...], side: Side) -> dict[str, Any]:
 
 
 def _round(item: Round, found: Diagnosis) -> dict[str, Any]:
-    final = found.verdict.final.added
-    held_out = found.search.held_out
+    final = {effect.name for effect in found.verdict.effects}
+    gains = {name: item.gain_nats for name, item in found.judged.standings.items()}
     candidates = []
     for tried in item.tried:
         kept = tried.name in final
@@ -114,7 +132,7 @@ def _round(item: Round, found: Diagnosis) -> dict[str, Any]:
                 "name": tried.name.removeprefix("~"),
                 "gain_nats": tried.gain_nats,
                 "bic": -2.0 * tried.score_gain,
-                "held_out_gain_nats": held_out.get(tried.name) if kept else None,
+                "held_out_gain_nats": gains.get(tried.name),
                 "kept": kept,
                 "why": "in the final set" if kept else _why_not(tried.score_gain, tried.name, found),
             }
@@ -126,6 +144,9 @@ def _why_not(score_gain: float, name: str, found: Diagnosis) -> str:
     for effect in found.verdict.effects:
         if name in effect.alternatives:
             return f"can't be told from {effect.name}"
+    for doubtful in found.judged.doubtful:
+        if name == doubtful.effect.name:
+            return "; ".join(doubtful.against)
     if score_gain <= 0.0:
         return "explains less than chance does with so many candidates"
     return "needless beside what was kept"

@@ -1,6 +1,7 @@
 """The whole workflow: locate, name, tell rivals apart, add and show."""
 
 import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -8,17 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.diagnosis.adopted_twin import Added, Origin, twin_after
-from edge.twin.diagnosis.candidates import Scored
+from edge.twin.diagnosis.baselines import ONE_MASS, arx_errors
 from edge.twin.diagnosis.formulas import formulas
 from edge.twin.diagnosis.gap import Forecast, alone, errors, floor_squares, forecast
 from edge.twin.diagnosis.given import Given, given, with_rooms
-from edge.twin.diagnosis.held_out import held_out_gains
+from edge.twin.diagnosis.handed import against_adopting
 from edge.twin.diagnosis.innovations import NoiseLevels
+from edge.twin.diagnosis.judged import Judged, judged
 from edge.twin.diagnosis.progress import Progress
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.twin.diagnosis.search import Search
 from edge.twin.diagnosis.side_by_side import SideBySide
-from edge.twin.diagnosis.verdict import Verdict, interval, verdict
+from edge.twin.diagnosis.verdict import Verdict, interval, intervals, verdict
 from edge.twin.effects import EFFECTS
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -41,18 +43,32 @@ class Diagnosis:
     """All that was found, before it is written.
 
     steps : the gap's waterfall, the effects of each and its twin, the first as given
+    against_adopting : why the twin that was found should not be adopted, sentences
+    test_k : errors of free runs over the test runs, `before`, `after` and of each baseline; empty without any
     """
 
     data: DiagnosisRuns
     known: Given
     search: Search
-    verdict: Verdict
+    judged: Judged
     before: Side
     after: Side
     steps: tuple[tuple[tuple[str, ...], Side], ...]
     floor_k: tuple[float | None, float | None]
     adopted: TwinFile
+    against_adopting: tuple[str, ...]
+    test_k: Mapping[str, float]
     seconds: float
+
+    @property
+    def is_offered(self) -> bool:
+        """Whether there is a new twin that is worth adopting."""
+        return bool(self.judged.handed.added) and not self.against_adopting
+
+    @property
+    def verdict(self) -> Verdict:
+        """The names that stand."""
+        return self.judged.verdict
 
 
 def diagnose(
@@ -83,19 +99,14 @@ def _diagnosis(
     search = Search(
         prepared.file, prepared.runs, progress, prepared.terms, terms, len(prepared.doors), shared=shared
     )
-    found = verdict(search, {name: shape for name, (shape, _) in shapes.items()})
-    known = with_rooms(prepared, found.final.fitted.sizes)
+    text_shapes = {name: shape for name, (shape, _) in shapes.items()}
+    found = verdict(search, text_shapes)
+    progress("free runs over rows that are left out")
+    result = judged(search, found, prepared, text_shapes, shared)
     progress("free runs before and after")
-    names = tuple(effect.name for effect in found.effects)
-    search.held_out |= held_out_gains(search, found.final, names)
-    before = _before(prepared, search.sets.base(), data)
-    steps: list[tuple[tuple[str, ...], Side]] = [((), before)]
-    for count in range(1, len(names) + 1):
-        item = _only(search, found, names[:count])
-        twin = _settled(prepared.file, item, names[:count])
-        own = with_rooms(prepared, item.fitted.sizes)
-        steps.append((names[:count], _side(twin, item.fitted.trial.levels, data, own)))
-    after = steps[-1][1]
+    known = with_rooms(prepared, found.final.fitted.sizes)
+    steps = tuple(_steps(search, result, prepared, data))
+    before, after = steps[0][1], steps[-1][1]
     train = known.as_fitted()
     floor = (_floor_k(after, train, after.train, known), _floor_k(after, data.test, after.test, known))
     origin = Origin(
@@ -105,44 +116,73 @@ def _diagnosis(
         datetime.now(UTC).isoformat(timespec="seconds"),
         command,
     )
+    test_k = _test_k(result, prepared, data, before, after)
     return Diagnosis(
         data,
         known,
         search,
-        found,
+        result,
         before,
         after,
-        tuple(steps),
+        steps,
         floor,
-        _adopted(prepared.file, search, found, names, origin),
+        _adopted(prepared.file, result, origin),
+        against_adopting(
+            result.comparison.tried[frozenset()], result.handed, result.comparison.simple_k, test_k
+        ),
+        test_k,
         time.monotonic() - begun,
     )
 
 
-def _before(prepared: Given, base: Scored, data: DiagnosisRuns) -> Side:
-    """The twin as given; what it leaves open is as the file has them or fitted, whichever is better."""
-    levels, file = base.fitted.trial.levels, prepared.file
-    given_side = _side(file, levels, data, with_rooms(prepared, base.fitted.sizes))
-    is_open = {place for place, value in file.values().items() if value.fit}
-    if not is_open:
-        return given_side
-    values = base.fitted.file.values()
-    fitted = file.with_values({place: Value(values[place].value) for place in is_open})
-    fitted_side = _side(fitted, levels, data, with_rooms(prepared, base.fitted.sizes))
-    return min(given_side, fitted_side, key=_train_rmse_k)
+def _steps(
+    search: Search, result: Judged, prepared: Given, data: DiagnosisRuns
+) -> Iterator[tuple[tuple[str, ...], Side]]:
+    """One effect after another, names first, each twin with the values that predict."""
+    names = [item.name for item in result.verdict.effects]
+    sets = [tuple(names[:count]) for count in range(len(names) + 1)]
+    if result.provisional:
+        sets.append((*names, *result.provisional))
+    beside = search.sets.base()
+    for added in sets:
+        item = result.comparison.tried[frozenset(added)].fitted
+        wanted = frozenset(added)
+        beside = search.sets.fitted({wanted: search.sets.as_usual(beside, wanted)})[0]
+        own = with_rooms(prepared, item.sizes)
+        yield added, _side(_settled(item.file, added), beside.fitted.trial.levels, data, own)
 
 
-def _train_rmse_k(side: Side) -> float:
-    found = errors(side.train)
-    return np.inf if found is None else float(str(found["rmse_k"]))
+def _test_k(
+    result: Judged, prepared: Given, data: DiagnosisRuns, before: Side, after: Side
+) -> dict[str, float]:
+    """Errors over the test runs of the twin before and after and of each baseline; none without test runs."""
+    found = {"before": _errors(before.test), "after": _errors(after.test)}
+    for name, item in result.comparison.simple.items():
+        own = with_rooms(prepared, item.fitted.sizes)
+        free = [forecast(item.fitted.file.twin(), run, own.room_of(run)) for run in data.test]
+        found[name] = _errors(free)
+    rooms = with_rooms(prepared, result.comparison.simple[ONE_MASS].fitted.sizes)
+    for name, arx in result.comparison.arx.items():
+        found[name] = [
+            _arx_errors(arx.weights, run, guess, rooms.room_of(run))
+            for run, guess in zip(data.test, before.test, strict=True)
+        ]
+    missed = {name: np.concatenate([np.empty(0), *errors]) for name, errors in found.items()}
+    known = {name: errors[~np.isnan(errors)] for name, errors in missed.items()}
+    return {name: float(np.sqrt(np.mean(errors**2))) for name, errors in known.items() if len(errors)}
 
 
-def _only(search: Search, found: Verdict, names: tuple[str, ...]) -> Scored:
-    """The final set with no more than these effects."""
-    item = found.final
-    for name in sorted(item.added - set(names)):
-        item = search.sets.without(item, name)
-    return item
+def _errors(free: Sequence[Forecast]) -> list[Floats]:
+    return [item.residual for item in free]
+
+
+def _arx_errors(weights: Floats | None, run: NamedRun, guess: Forecast, room_c: Floats) -> Floats:
+    """From the row on that a twin begins from."""
+    arrays = alone(run, guess, room_c)
+    seen = np.zeros(arrays.duty.shape, dtype=bool)
+    seen[:, : guess.start] = True
+    missed = arx_errors(weights, arrays, seen)[0, guess.start :]
+    return np.where(np.isfinite(guess.measured[guess.start + 1 :]), missed, np.nan)
 
 
 def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: Given) -> Side:
@@ -169,35 +209,33 @@ def _floor_k(
     return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
 
 
-def _settled(file: TwinFile, item: Scored, names: tuple[str, ...]) -> TwinFile:
-    """The twin with the set's values, without what its effects replace."""
-    fitted = item.fitted.file
-    values = {place: Value(value.value) for place, value in fitted.values().items()}
-    plain = fitted.with_values(values)
+def _settled(fitted: TwinFile, names: Sequence[str]) -> TwinFile:
+    """The twin with values that are known, without what its effects replace."""
+    plain = fitted.with_values({place: Value(value.value) for place, value in fitted.values().items()})
     gone = _replaced(names)
     return replace(plain, effects={name: own for name, own in plain.effects.items() if name not in gone})
 
 
-def _replaced(names: tuple[str, ...]) -> set[str]:
+def _replaced(names: Iterable[str]) -> set[str]:
     return {EFFECTS[name].replaces for name in names} - {""}
 
 
-def _adopted(
-    file: TwinFile, search: Search, found: Verdict, names: tuple[str, ...], origin: Origin
-) -> TwinFile:
+def _adopted(file: TwinFile, result: Judged, origin: Origin) -> TwinFile:
     """The twin file to adopt: effects with intervals, and what the runs say of the values that were open."""
-    item = _only(search, found, names)
+    fitted, names = result.handed.fitted, result.handed.added
     gone = _replaced(names)
     kept = replace(file, effects={name: own for name, own in file.effects.items() if name not in gone})
     refitted: dict[Place, Value] = {}
-    for i, unknown in enumerate(item.fitted.free):
+    for i, unknown in enumerate(fitted.free):
         if unknown.place in kept.values():
-            value = interval(unknown, float(item.fitted.coordinates[i]), float(item.fitted.covariance[i, i]))
-            refitted[unknown.place] = value
+            refitted[unknown.place] = interval(
+                unknown, float(fitted.coordinates[i]), float(fitted.covariance[i, i])
+            )
     added = [
         Added(effect.name, effect.parameters, tuple(effect.alternatives), effect.log_odds)
-        for effect in found.effects
+        for effect in result.verdict.effects
     ]
+    added += [Added(name, intervals(fitted, name)[0]) for name in result.provisional]
     return twin_after(kept, added, origin, refitted)
 
 

@@ -90,6 +90,32 @@ def _evidence() -> dict[str, Schema]:
             "description": "the gap after each step; first the twin as given",
         },
         "rounds": {**_list(_object(search_round)), "description": "the search, round by round"},
+        "doubtful": {
+            **_list(_object({"name": _text("an effect"), "against": _list(_text("a sentence"))})),
+            "description": "effects that the search found and that do not stand",
+        },
+        "provisional": {
+            **_list(_text("an effect")),
+            "description": "in the new twin because it predicts better with them; their names do not stand",
+        },
+        "left_out": {
+            **_object(
+                {
+                    "given_k": _or_null(_number("the twin as given, what it leaves open fitted [K]", 0)),
+                    "after_k": _or_null(_number("the new twin [K]", 0)),
+                    "simple_k": {
+                        **_map(_or_null(_number("[K]", 0))),
+                        "description": "baselines by name",
+                    },
+                    "test_k": {
+                        **_map(_or_null(_number("[K]", 0))),
+                        "description": "of the baselines over the test runs",
+                    },
+                }
+            ),
+            "description": "RMSE of free runs over rows that no fit saw",
+        },
+        "against_adopting": {**_list(_text("a sentence")), "description": "none where it is worth it"},
         "formula": {
             **_or_null(_object(formula)),
             "description": "the best small formula of an unknown effect",
@@ -107,7 +133,7 @@ def _origin() -> dict[str, Schema]:
         "software": _text("name and version"),
         "command": _text("as it was typed"),
         "twin_before": _text("file beside this one"),
-        "twin_after": _or_null(_text("file beside this one; null where nothing was added")),
+        "twin_after": _or_null(_text("file beside this one; null where none is worth adopting")),
     }
 
 
@@ -116,6 +142,7 @@ def _effect() -> Schema:
         "name": _text("of the library, see edge/twin/effects.py"),
         "alternatives": _list(_text("an effect that these data cannot tell from it")),
         "log_odds": _or_null(_number("natural logarithm, against the best model without it [nat]")),
+        "probability": _or_null(_number("that it, or one of its alternatives, is missing, 0..1", 0)),
         "parameters": _map(_parameter()),
         "alternative_log_odds": {
             **_map(_or_null(_number("natural logarithm [nat]"))),
@@ -125,7 +152,7 @@ def _effect() -> Schema:
         "without": _text("what the residual looks like where it is missing"),
         "at_bound": _list(_text("a parameter that ended at its physical bound")),
     }
-    return _object(known, optional=["alternative_log_odds", "equation", "without", "at_bound"])
+    return _object(known, optional=["probability", "alternative_log_odds", "equation", "without", "at_bound"])
 
 
 def _parameter() -> Schema:

@@ -59,7 +59,7 @@ class Round:
 
 @dataclass(slots=True, eq=False)
 class Search:
-    """Over one lot of runs: rounds as they were tried, and what was found of left-out runs afterwards."""
+    """Over one lot of runs: rounds as they were tried."""
 
     file: TwinFile
     runs: Recorded
@@ -68,7 +68,6 @@ class Search:
     formulas: Mapping[str, Term] = field(default_factory=dict)
     doors: int = 0
     rounds: list[Round] = field(default_factory=list)
-    held_out: dict[str, float] = field(default_factory=dict)
     shared: SideBySide = field(default_factory=SideBySide)
     candidates: Candidates = field(init=False)
     screening: Screening = field(init=False)

@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 LOG_PRIOR_SD = 2.0  # of what nothing is known but its usual size: a factor of 7 either way
 GEOMETRY_PRIOR_SD = 3.0  # the same for a geometry value that is to be fitted
 LINEAR_PRIOR_SHARE = 0.5  # of the range of a value that may be 0 or negative
+AT_BOUND = 1e-3  # of the range of a coordinate
 PATH_SD = 0.005  # relative, of a loss that two values in series must give, where it is known as exact
 
 
@@ -40,6 +41,12 @@ class Unknown:
         """Inside the bounds, whatever the coordinate."""
         raw = float(np.exp(min(coordinate, 700.0))) if self.log else coordinate * self.scale
         return min(max(raw, self.low), self.high)
+
+    def is_at_bound(self, coordinate: float) -> bool:
+        """Whether a fit ended at one of its bounds."""
+        low, high = self.bounds
+        margin = AT_BOUND * (high - low)
+        return not low + margin < coordinate < high - margin
 
     @property
     def bounds(self) -> tuple[float, float]:

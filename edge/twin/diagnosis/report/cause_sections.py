@@ -5,7 +5,7 @@ from html import escape
 from typing import Any
 
 from edge.twin.diagnosis.report.markup import Column, bullets, folded, paragraph, table
-from edge.twin.diagnosis.report.number_text import DASH, duration, nats, number, odds
+from edge.twin.diagnosis.report.number_text import DASH, duration, nats, number, odds, probability
 from edge.twin.diagnosis.report.wording import (
     Document,
     changed,
@@ -36,6 +36,9 @@ def what(document: Document) -> Iterator[str]:
         yield from _effect(effect)
     if document["verdict"] == "unknown":
         yield from _unknown(document)
+    if doubtful := document.get("doubtful"):
+        yield "<h3>What explains these runs too, and does not stand</h3>"
+        yield bullets(f"{item['name']}: {'; '.join(item['against'])}" for item in doubtful)
 
 
 def rivals(document: Document) -> Iterator[str]:
@@ -96,10 +99,7 @@ def _effect(effect: Mapping[str, Any]) -> Iterator[str]:
     if equation := effect.get("equation"):
         yield paragraph(equation)
     yield from _parameters(effect["parameters"], effect.get("at_bound", ()))
-    yield paragraph(
-        f"How sure: log odds {nats(effect['log_odds'])} nat against the best model without it,"
-        f" {odds(effect['log_odds'])}."
-    )
+    yield paragraph(f"How sure: probability {probability(effect.get('probability'))}.")
     if without := effect.get("without"):
         yield paragraph(f"Its mark in measured minus predicted: {without}.", "soft")
     if effect["alternatives"]:

@@ -4,7 +4,7 @@ import math
 
 DASH = "–"
 EVEN_NATS = math.log(1.05)
-SURE_NATS = math.log(1e6)  # odds beyond it are not worth their digits
+SURE_NATS = math.log(100.0)  # odds beyond it say more of the noise model than of the box
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -58,9 +58,14 @@ def odds(log_odds: float | None) -> str:
     if abs(log_odds) < EVEN_NATS:
         return "even"
     if abs(log_odds) > SURE_NATS:
-        return "more than a million to one" if log_odds > 0.0 else "less than one to a million"
+        return "more than 100 to 1" if log_odds > 0.0 else "less than 1 to 100"
     times = number(math.exp(abs(log_odds)), 2)
     return f"{times} to 1" if log_odds >= 0.0 else f"1 to {times}"
+
+
+def probability(value: float | None) -> str:
+    """A probability: `0.93`; one that is not known is a dash."""
+    return DASH if value is None else f"{value:.2f}"
 
 
 def duration(seconds: float) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from edge.twin.diagnosis.report.cause_sections import left, rivals, tried, what
 from edge.twin.diagnosis.report.gap_sections import gap_table, run_table, tiles
-from edge.twin.diagnosis.report.markup import Column, command, folded, paragraph, table, terms
+from edge.twin.diagnosis.report.markup import Column, bullets, command, folded, paragraph, table, terms
 from edge.twin.diagnosis.report.number_text import duration, nats, number, odds
 from edge.twin.diagnosis.report.page_style import STYLE
 from edge.twin.diagnosis.report.picture import Picture
@@ -22,6 +22,7 @@ from edge.twin.diagnosis.report.wording import (
     listed,
     meaning,
     new_twin,
+    predicting,
 )
 
 NO_PICTURES = (
@@ -33,7 +34,8 @@ WORDS = {
     "noise floor": "the RMSE that is left to a twin with the right effects and values: sensor noise, steps of"
     " the reading, and heat that no input explains",
     "residual heat": "heat into the air that, added to the twin, would make it show what was measured",
-    "log odds": "how much better the runs are explained [nat]: 3 are odds of 20 to 1, 14 of a million to one",
+    "log odds": "how much better the runs are explained [nat]: 3 are odds of 20 to 1, if the noise is as it"
+    " was found",
     "innovation": "measured minus what was predicted from the row before",
     "white": "without a pattern in time, like noise",
 }
@@ -61,6 +63,7 @@ def _lines(
     yield f'<div class="verdict {verdict}">{_VERDICTS[verdict]}</div><h1>{title}</h1>'
     glosses = [gloss(effect) for effect in document["effects"]]
     yield from (paragraph(sentence) for sentence in (*glosses, *meaning(document), gap_sentence(document)))
+    yield from (paragraph(sentence) for sentence in predicting(document))
     yield from tiles(document)
     if pictures is None:
         yield paragraph(NO_PICTURES, "soft")
@@ -96,6 +99,9 @@ def _next(document: Document, folder: str) -> Iterator[str]:
     if experiment:
         yield "<h3>The next experiment</h3>"
         yield from _experiment(experiment, folder)
+    if changed(document) and (against := document.get("against_adopting")):
+        yield "<h3>Not to be adopted</h3>"
+        yield bullets(against)
     if twin := new_twin(document):
         yield "<h3>Adopt the new twin</h3>"
         yield paragraph(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from edge.twin.diagnosis.report.number_text import duration, kelvin, odds, percent
+from edge.twin.diagnosis.report.number_text import duration, kelvin, percent, probability
 from edge.twin.diagnosis.report.wording import (
     Document,
     changed,
@@ -16,6 +16,7 @@ from edge.twin.diagnosis.report.wording import (
     meaning,
     new_twin,
     parameter_text,
+    predicting,
     scored,
     shrink,
     step_names,
@@ -41,11 +42,16 @@ def _lines(document: Document, folder: str) -> Iterator[str]:
         yield from _wrapped(sentence)
     yield from _regimes(document)
     yield from _effects(document)
+    yield from _doubtful(document)
     yield from _gap_rows(document)
+    for sentence in predicting(document):
+        yield from _wrapped(sentence)
     if experiment := document["next_experiment"]:
         yield from _experiment(experiment, folder)
     if new_twin(document):
         yield f"To adopt the new twin: greenhouse twin adopt {shlex.quote(folder)}"
+    for reason in document.get("against_adopting", ()) if changed(document) else ():
+        yield from _wrapped(f"Not to be adopted: {reason}", "")
     yield f"Took {duration(document['seconds'])}."
 
 
@@ -64,12 +70,19 @@ def _effects(document: Document) -> Iterator[str]:
     for effect in document["effects"]:
         told = [parameter_text(name, value) for name, value in effect["parameters"].items()]
         told += [f"{name} is at its bound" for name in effect.get("at_bound", ())]
-        told += [f"odds {odds(effect['log_odds'])}"]
+        told += [f"probability {probability(effect.get('probability'))}"]
         if effect["alternatives"]:
             told += [f"these data cannot tell it from {listed(effect['alternatives'])}"]
         equation = effect.get("equation", "").rstrip(".")
         yield from _wrapped(f"{effect['name']}: {equation}".rstrip(": "))
         yield from _wrapped("; ".join(told), "    ", "    ")
+
+
+def _doubtful(document: Document) -> Iterator[str]:
+    if document.get("doubtful"):
+        yield "What explains these runs too, and does not stand:"
+    for item in document.get("doubtful", ()):
+        yield from _wrapped(f"{item['name']}: {'; '.join(item['against'])}")
 
 
 def _gap_rows(document: Document) -> Iterator[str]:

@@ -40,12 +40,44 @@ def meaning(document: Document) -> list[str]:
         )
     if document["verdict"] == "unknown":
         sentences.append(
-            "What the twin lacks is more than noise, but none of the named effects explains it: the one that"
-            " comes nearest is not its cause."
+            "What the twin lacks is more than noise, but no name for it stands: the effect that comes nearest"
+            " need not be its cause."
         )
         if formula := document.get("formula"):
             sentences.append(f"The best small formula: {formula_text(formula)}.")
     return sentences
+
+
+def predicting(document: Document) -> list[str]:
+    """How well the new twin predicts rows that no fit saw, beside simple models of the same rows."""
+    known = document.get("left_out")
+    if not known or not changed(document):
+        return []
+    after = (document["gap"]["after"]["test"] or {}).get("rmse_k")
+    told = [
+        f"Over rows that no fit saw, RMSE of free runs: {kelvin(known['after_k'])} K, the twin as given "
+        f"{kelvin(known['given_k'])} K; {_simple(known['simple_k'])}."
+    ]
+    if known["test_k"]:
+        told.append(f"Over the test runs: {kelvin(after)} K; {_simple(known['test_k'])}.")
+    if provisional := document.get("provisional"):
+        verb = "is" if len(provisional) == 1 else "are"
+        told.append(
+            f"{listed(provisional)} {verb} in the new twin because it predicts better so; that {verb} no"
+            " name for what is missing."
+        )
+    for where, own, simple in (
+        ("rows that no fit saw", known["after_k"], known["simple_k"]),
+        ("the test runs", after, known["test_k"]),
+    ):
+        better = [name for name, error in simple.items() if None not in (error, own) and error < own]
+        if better:
+            told.append(f"A simpler model predicts {where} better than the new twin: {listed(better)}.")
+    return told
+
+
+def _simple(errors: Mapping[str, float | None]) -> str:
+    return ", ".join(f"{name} {kelvin(error)}" for name, error in errors.items())
 
 
 def gap_sentence(document: Document) -> str:
@@ -98,7 +130,7 @@ def changed(document: Document) -> bool:
 def new_twin(document: Document) -> str | None:
     """File of the twin with the effects added, beside the report; None where nothing was added."""
     name = document.get("twin_after", "twin.yaml")
-    return str(name) if document["effects"] and name else None
+    return str(name) if changed(document) and name else None
 
 
 def scored(document: Document) -> str:

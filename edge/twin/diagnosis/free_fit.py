@@ -1,0 +1,178 @@
+"""Values that predict: what a twin leaves open, by least squares over free runs, from several starts.
+
+The filter of `edge.twin.diagnosis.innovations` without any unknown heat: what it calls innovations are then
+the errors of a free run from the start that suits best, and no coloured noise takes up what values explain.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.diagnosis.fitting import fit
+from edge.twin.diagnosis.innovations import NoiseLevels, whitened
+from edge.twin.diagnosis.linearised import State, filters_of, nominal
+from edge.twin.diagnosis.side_by_side import SideBySide
+from edge.twin.diagnosis.trial import Fitted, Term, Trial, start_of
+from edge.twin.diagnosis.unknowns import Unknown, placed, unknowns
+from edge.twin.ensemble import Response, responses
+from edge.twin.recorded import Recorded
+from edge.twin.twin_file import TwinFile
+
+Floats = NDArray[np.float64]
+TAU_S = 600.0  # of a heat that is 0
+DRAWN = 4  # starts beside the one that the caller has
+FARTHEST = 2.0  # of a start from the usual value, in coordinates
+ROUGH_K = 1.0  # what a free run may miss by while starts are tried
+ROUGHLY, FINELY = 3, 12  # iterations
+LONGEST_LAG_S = 1800.0  # over which errors go together
+KEPT = 2  # starts that are followed to their ends
+
+
+def free_levels(error_k: float) -> NoiseLevels:
+    """No noise but that of what is read: how far a free run may be off [K]."""
+    return NoiseLevels(sensor_k=error_k, room_k=0.0, heat_w=0.0, heat_tau_s=TAU_S, power_share=0.0)
+
+
+def fit_values(
+    files: Sequence[TwinFile], terms: Sequence[Term], runs: Recorded, noise_k: float, shared: SideBySide
+) -> list[Fitted]:
+    """Each file's open values at their best, in the order given.
+
+    terms : of unknown size beside them, such as the room's temperature; noise_k : of a reading
+    """
+    starts = [trial for file in files for trial in _starts(file, tuple(terms))]
+    rough = shared.map(partial(fit, runs=runs, iterations=ROUGHLY), starts)
+    lots = [rough[i * (DRAWN + 1) : (i + 1) * (DRAWN + 1)] for i in range(len(files))]
+    followed = [_followed(item, noise_k, runs) for lot in lots for item in _best(lot, KEPT)]
+    fine = shared.map(partial(fit, runs=runs, iterations=FINELY), followed)
+    ends = [_best(fine[i * KEPT : (i + 1) * KEPT], 1)[0] for i in range(len(files))]
+    last = [_followed(item, noise_k, runs) for item in ends]
+    return [_spread(item, runs) for item in shared.map(partial(fit, runs=runs, iterations=FINELY), last)]
+
+
+def _spread(found: Fitted, runs: Recorded) -> Fitted:
+    """With a covariance that counts errors which go together once."""
+    factor = together(found.innovations, runs.measured, found.file.sample_s)
+    return replace(found, covariance=factor * found.covariance)
+
+
+def together(innovations: Floats, seen: NDArray[np.bool_], step_s: float) -> float:
+    """How many errors tell what one would, if they had nothing in common: at least 1.
+
+    innovations : [B, N], in standard deviations; seen : [B, N], where there is one
+    Bartlett's weights over LONGEST_LAG_S (Newey & West 1987, Econometrica 55).
+    """
+    white = np.where(seen, innovations, 0.0)
+    square = float((white**2).sum())
+    if not square > 0.0:
+        return 1.0
+    lags = min(max(1, round(LONGEST_LAG_S / step_s)), white.shape[1] // 4)
+    total = 1.0
+    for lag in range(1, lags + 1):
+        weight = 2.0 * (1.0 - lag / (lags + 1.0))
+        total += weight * float((white[:, lag:] * white[:, :-lag]).sum()) / square
+    return max(1.0, total) * max(1.0, square / float(seen.sum()))
+
+
+def _starts(file: TwinFile, terms: tuple[Term, ...]) -> list[Trial]:
+    free, levels = unknowns(file), free_levels(ROUGH_K)
+    drawn = np.random.default_rng(len(free)).uniform(-1.0, 1.0, (DRAWN, len(free)))
+    places = [np.array([_start(item, x) for item, x in zip(free, row, strict=True)]) for row in drawn]
+    return [Trial(each, levels, terms, free) for each in (file, *(placed(file, free, x) for x in places))]
+
+
+def _start(item: Unknown, drawn: float) -> float:
+    low, high = item.bounds
+    return float(np.clip(item.mean + drawn * min(item.sd, FARTHEST), low, high))
+
+
+def _best(found: Sequence[Fitted], count: int) -> list[Fitted]:
+    return sorted(found, key=lambda item: -item.log_likelihood)[:count]
+
+
+def _followed(found: Fitted, noise_k: float, runs: Recorded) -> Trial:
+    """From where it is, against what its free runs miss by."""
+    error_k = max(noise_k, rms_k(found, runs))
+    return replace(found.trial, file=found.file, free=found.free, levels=free_levels(error_k))
+
+
+def rms_k(found: Fitted, runs: Recorded) -> float:
+    """Of the errors of free runs where temperatures were measured [K]."""
+    return float(np.sqrt(np.mean(free_errors(found, runs, ROUGH_K)[runs.measured] ** 2)))
+
+
+def free_errors(found: Fitted, runs: Recorded, error_k: float) -> Floats:
+    """Measured minus forecast, [B, N], by a free run that knows what `runs` lets it see before each row.
+
+    error_k : what a free run may miss by, against which its start is found
+    """
+    terms = [term.of_room for term in found.trial.nuisances]  # no other stays with a twin that is handed over
+    kept = tuple(term for term in found.trial.nuisances if term.of_room)
+    state = State(
+        replace(found.trial, levels=free_levels(error_k), nuisances=kept), found.free, found.coordinates
+    )
+    filters = filters_of([state], runs, runs.measured)
+    white = whitened(filters, np.array([0]), _errors(state, found.sizes[terms], runs)[None], everywhere=True)[
+        0
+    ]
+    return np.asarray(white * filters.sd[:, 0].T)
+
+
+def _errors(state: State, sizes: Floats, runs: Recorded) -> Floats:
+    """Of a run from rest, [B, N]."""
+    twin, steps = nominal(state, state.x, runs)
+    wanted = [Response(steps, start_of(twin, runs), steps.driven)]
+    shown = responses(wanted + [term.response(steps) for term in state.trial.nuisances])
+    error = np.nan_to_num(runs.temp[:, 1:]) - shown[0]
+    for i, term in enumerate(state.trial.nuisances):
+        error = error - sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
+    return np.asarray(error)
+
+
+def left_out_errors(
+    found: Sequence[Fitted], folds: Sequence[NDArray[np.bool_]], runs: Recorded, shared: SideBySide
+) -> list[Floats]:
+    """Errors of free runs over rows that the fit behind each did not see, [B, N], NaN where nothing was read.
+
+    folds : [B, N], the rows that are left out, each in one of them
+    """
+    errors = [np.full(runs.duty.shape, np.nan) for _ in found]
+    scales = [rms_k(item, runs) for item in found]
+    for fold in folds:
+        seen = replace(runs, left_out=fold)
+        for own, item, error_k in zip(errors, again(found, seen, shared), scales, strict=True):
+            rows = fold & np.isfinite(runs.temp[:, 1:])
+            own[rows] = free_errors(item, seen, error_k)[rows]
+    return errors
+
+
+def left_out_nats(
+    found: Sequence[Fitted], folds: Sequence[NDArray[np.bool_]], runs: Recorded, shared: SideBySide
+) -> list[Floats]:
+    """Log likelihood of each reading after those before it, by values that did not see it.
+
+    Returns : [B, N] each, 0 where nothing was left out
+    """
+    told = [np.zeros(runs.duty.shape) for _ in found]
+    for fold in folds:
+        for own, item in zip(told, again(found, replace(runs, left_out=fold), shared), strict=True):
+            rows = fold & np.isfinite(runs.temp[:, 1:])
+            own[rows] = row_nats(item, runs)[rows]
+    return told
+
+
+def again(found: Sequence[Fitted], runs: Recorded, shared: SideBySide) -> list[Fitted]:
+    """Each fitted anew to other rows, from where it is and with its noise."""
+    trials = [replace(item.trial, file=item.file, free=item.free) for item in found]
+    return shared.map(partial(fit, runs=runs, iterations=ROUGHLY), trials)
+
+
+def row_nats(found: Fitted, runs: Recorded) -> Floats:
+    """Log likelihood of each reading after those before it, up to a constant, [B, N]; 0 where none is."""
+    state = State(found.trial, found.free, found.coordinates)
+    filters = filters_of([state], runs, runs.measured)
+    white = whitened(filters, np.array([0]), _errors(state, found.sizes, runs)[None])[0]
+    return np.where(runs.measured, -0.5 * white**2 - np.log(filters.sd[:, 0].T), 0.0)

@@ -1,0 +1,168 @@
+"""Twins judged by rows that no fit saw: which one is handed over, and whether it is worth adopting.
+
+Each set of effects has values by least squares over free runs. Of those that predict as well as the best the
+one with the fewest values is handed over (Breiman et al. 1984, Classification and Regression Trees, ch. 3).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weights, simple_twins
+from edge.twin.diagnosis.candidates import Names
+from edge.twin.diagnosis.folds import block_sums, folds
+from edge.twin.diagnosis.free_fit import fit_values, left_out_errors
+from edge.twin.diagnosis.given import Given
+from edge.twin.diagnosis.side_by_side import SideBySide
+from edge.twin.diagnosis.trial import Fitted
+from edge.twin.diagnosis.unknowns import Unknown
+from edge.twin.twin_file import TwinFile
+
+Floats = NDArray[np.float64]
+MUCH_BETTER = 0.9  # times the error, for what has no name to be added to a twin
+CLEARLY = 2.0  # standard errors, where it must be no chance that one of several is better
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """A twin judged by rows that its fit did not see.
+
+    added : effects beside those given; errors : [B, N] of free runs over left-out rows [K], NaN where none
+    """
+
+    added: Names
+    fitted: Fitted
+    errors: Floats
+
+    @property
+    def rmse_k(self) -> float:
+        """Over all rows that were left out."""
+        return rmse(self.errors)
+
+    @property
+    def open_values(self) -> list[tuple[Unknown, float]]:
+        """What was fitted, and its coordinate, without values that another effect replaces."""
+        return list(zip(self.fitted.free, map(float, self.fitted.coordinates), strict=True))
+
+
+class Arx(NamedTuple):
+    """weights : of all rows, None of too few; rmse_k : over left-out rows [K]"""
+
+    weights: Floats | None
+    rmse_k: float
+
+
+@dataclass(slots=True, eq=False)
+class Comparison:
+    """Sets of effects over the same left-out rows, each fitted once. noise_k : of a reading"""
+
+    known: Given
+    noise_k: float
+    shared: SideBySide
+    tried: dict[Names, Predicted] = field(default_factory=dict)
+    simple: dict[str, Predicted] = field(default_factory=dict)
+    arx: dict[str, Arx] = field(default_factory=dict)
+
+    def add(self, files: Mapping[Names, TwinFile]) -> None:
+        """Judge sets that were not yet."""
+        new = {key: file for key, file in files.items() if key not in self.tried}
+        for key, (fitted, errors) in zip(new, self._judged(new.values()), strict=True):
+            self.tried[key] = Predicted(key, fitted, errors)
+
+    def add_simple(self) -> None:
+        """Judge the baselines."""
+        runs = self.known.runs
+        twins = simple_twins(self.known.file, runs)
+        for name, (fitted, errors) in zip(twins, self._judged(twins.values()), strict=True):
+            self.simple[name] = Predicted(frozenset(), fitted, errors)
+        seen = np.isfinite(runs.temp[:, 1:])
+        for order in ORDERS:
+            errors = np.full(runs.duty.shape, np.nan)
+            for fold in folds(runs):
+                weights = arx_weights(order, runs, seen & ~fold)
+                errors[fold] = arx_errors(weights, runs, seen & ~fold)[fold]
+            self.arx[f"ARX {order}"] = Arx(arx_weights(order, runs, seen), rmse(errors))
+
+    @property
+    def simple_k(self) -> dict[str, float]:
+        """Errors of the baselines over left-out rows [K]."""
+        twins = {name: item.rmse_k for name, item in self.simple.items()}
+        return twins | {name: item.rmse_k for name, item in self.arx.items()}
+
+    def choose(self, names: Names) -> Predicted:
+        """The simplest of those that predict as well as the best, among those with the names that stand.
+
+        What has no name is added only where it is clearly better.
+        """
+        named = self.tried[names]
+        others = [item for key, item in self.tried.items() if key >= names]
+        best = min(others, key=lambda item: item.rmse_k)
+        if not self.is_better(best, named, CLEARLY):
+            return named
+        near = [item for item in others if not self.is_better(best, item)]
+        return min(near, key=lambda item: (len(item.open_values), item.rmse_k))
+
+    def is_better(self, item: Predicted, than: Predicted, errors: float = 1.0) -> bool:
+        """Whether free runs of one miss left-out rows by much less, and by so many standard errors."""
+        return item.rmse_k < MUCH_BETTER * than.rmse_k and self.behind(than, item) > errors
+
+    def behind(self, item: Predicted, best: Predicted) -> float:
+        """By how many standard errors one misses more than another, blocks of time taken as independent."""
+        off = block_sums(item.errors**2 - best.errors**2, self.known.runs)
+        spread = float(np.sqrt(len(off) / (len(off) - 1.0) * ((off - off.mean()) ** 2).sum()))
+        return float(off.sum()) / max(spread, 1e-12)
+
+    def _judged(self, files: Iterable[TwinFile]) -> list[tuple[Fitted, Floats]]:
+        runs = self.known.runs
+        rooms = [term for term in self.known.terms if term.of_room]
+        fitted = fit_values(list(files), rooms, runs, self.noise_k, self.shared)
+        errors = left_out_errors(fitted, folds(runs), runs, self.shared)
+        return list(zip(fitted, errors, strict=True))
+
+
+def rmse(errors: Floats) -> float:
+    """Of what is known, infinite where an error is [K]."""
+    known = errors[~np.isnan(errors)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def against_adopting(
+    given: Predicted,
+    handed: Predicted,
+    simple_k: Mapping[str, float],
+    test_k: Mapping[str, float],
+) -> tuple[str, ...]:
+    """Why a twin should not be adopted, sentences; none where it may.
+
+    simple_k : errors of the baselines over left-out rows
+    test_k : the same over test runs, where there are any, and those of the twin `before` and `after`
+    """
+    own_k = handed.rmse_k
+    said = []
+    if not own_k < given.rmse_k:
+        said.append(
+            f"over left-out rows its free runs miss by {own_k:.3g} K, those of the twin as given by "
+            f"{given.rmse_k:.3g} K"
+        )
+    if test_k and not test_k["after"] < test_k["before"]:
+        said.append(
+            f"over the test runs its free runs miss by {test_k['after']:.3g} K, before by "
+            f"{test_k['before']:.3g} K"
+        )
+    if test_k and not test_k["after"] <= test_k[ONE_MASS]:
+        said.append(
+            f"over the test runs a single mass misses by {test_k[ONE_MASS]:.3g} K, this twin by "
+            f"{test_k['after']:.3g} K"
+        )
+    if not own_k <= simple_k[ONE_MASS]:
+        said.append(
+            f"over left-out rows a single mass misses by {simple_k[ONE_MASS]:.3g} K, this twin by "
+            f"{own_k:.3g} K"
+        )
+    bound = [".".join(item.place) for item, x in handed.open_values if item.is_at_bound(x)]
+    if bound:
+        said.append(f"a value is as far as it can go: {', '.join(bound)}")
+    return tuple(said)

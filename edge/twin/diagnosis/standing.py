@@ -1,0 +1,156 @@
+"""Which names stand: each must explain rows that no fit saw, predict them, and have a value that can be.
+
+Held-out evidence is an e-value (Vovk & Wang 2021, Annals of Statistics 49): the likelihood ratio of rows that
+the fit did not see, tempered by how far its errors go together in time, which the noise model may not know.
+Names pass by e-BH (Wang & Ramdas 2022, JRSS B 84), which bounds the false discovery rate however they depend.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.diagnosis.candidates import Names, Scored
+from edge.twin.diagnosis.folds import folds, halves
+from edge.twin.diagnosis.free_fit import again, left_out_nats, row_nats, together
+from edge.twin.diagnosis.handed import Comparison
+from edge.twin.diagnosis.trial import Fitted
+from edge.twin.recorded import Recorded
+from edge.twin.value import Value
+
+Floats = NDArray[np.float64]
+FALSE_SHARE = 0.05  # of names, that may be false
+NO_WORSE = 1.02  # times the error of free runs without a name
+APART_SDS = 4.0  # between the values of two halves: more is no chance
+AGAINST_NATS = 3.0  # by which a half may be against a name
+WATER_J_M3_K = 4.18e6  # nothing that fits into a box stores more heat
+MOST_SURE = 0.95  # nothing is surer than that the library has the effect at all
+MOST_NATS = 50.0  # beyond it more evidence changes nothing
+PERIODS = 3.0  # of the longest run: a slower time constant can't be seen in it
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What speaks for a name, and what against it.
+
+    gain_nats : of rows that were left out, and of what the twin file declares as known
+    tempered_nats : the same, errors that go together counted once
+    against : sentences, none where it stands
+    """
+
+    name: str
+    gain_nats: float
+    tempered_nats: float
+    against: tuple[str, ...]
+    candidates: int
+
+    @property
+    def probability(self) -> float:
+        """That the name is right, or one of those that can't be told from it."""
+        odds = min(self.tempered_nats, MOST_NATS) - float(np.log(self.candidates))
+        return MOST_SURE / (1.0 + float(np.exp(-odds)))
+
+
+def standing(
+    whole: Scored, without: Mapping[str, Scored], compared: Comparison, candidates: int
+) -> dict[str, Standing]:
+    """Each name of a set. without : the set less each name; candidates : how many were tried for one place"""
+    runs, step_s, shared = compared.known.runs, compared.known.file.sample_s, compared.shared
+    fits = [whole.fitted, *(item.fitted for item in without.values())]
+    told = left_out_nats(fits, folds(runs), runs, shared)
+    temper = 1.0 / together(whole.fitted.innovations, runs.measured, step_s)
+    gains = {name: told[0] - own for name, own in zip(without, told[1:], strict=True)}
+    known = {name: _known_before(whole, item, runs) for name, item in without.items()}
+    evidence = {name: temper * float(gain.sum()) + known[name] for name, gain in gains.items()}
+    passed = discovered(evidence, candidates)
+    half = halves(runs)
+    two = [again([whole.fitted], replace(runs, left_out=half == 1 - i), shared)[0] for i in range(2)]
+    found = {}
+    for name, gain in gains.items():
+        against = [] if name in passed else ["rows that were left out do not prove it"]
+        against += _predicting(name, whole.added, compared)
+        against += impossible(name, compared.tried[whole.added].fitted, runs, step_s)
+        against += _halves(name, gain, half, two)
+        found[name] = Standing(
+            name, float(gain.sum()) + known[name], evidence[name], tuple(against), candidates
+        )
+    return found
+
+
+def _known_before(whole: Scored, less: Scored, runs: Recorded) -> float:
+    """Nats by which values without a name are farther from what the twin file declares as known."""
+    rows = float((row_nats(whole.fitted, runs) - row_nats(less.fitted, runs)).sum())
+    return whole.likelihood - less.likelihood - rows
+
+
+def discovered(evidence: Mapping[str, float], candidates: int) -> set[str]:
+    """Names that pass e-BH. evidence : log e-values"""
+    ranked = sorted(evidence, key=lambda name: -evidence[name])
+    most = 0
+    for rank, name in enumerate(ranked, start=1):
+        if evidence[name] >= np.log(candidates / (FALSE_SHARE * rank)):
+            most = rank
+    return set(ranked[:most])
+
+
+def _predicting(name: str, names: Names, compared: Comparison) -> list[str]:
+    """Free runs over rows that were left out, with the name and without it."""
+    own, less = compared.tried[names], compared.tried[names - {name}]
+    if own.rmse_k > NO_WORSE * less.rmse_k:
+        return [f"free runs miss left-out rows by {own.rmse_k:.3g} K with it, by {less.rmse_k:.3g} K without"]
+    return []
+
+
+def impossible(name: str, fitted: Fitted, runs: Recorded, step_s: float) -> list[str]:
+    """What can't be of its values in this box and in runs of this length."""
+    values = fitted.file.effects.get(name, {})
+    geometry = fitted.file.twin().geometry
+    stores = {key: values[key].value for key in ("C_s", "C_w") if key in values}
+    if "kC" in values:
+        stores["kC"] = values["kC"].value * geometry.air_capacity_j_k
+    full = WATER_J_M3_K * geometry.volume_m3
+    said = [
+        f"{key} would store {store / full:.2g} times the heat of the box full of water"
+        for key, store in stores.items()
+        if store > full
+    ]
+    longest_s = float(runs.measured.sum(axis=1).max()) * step_s
+    for key, tau in _times(name, values).items():
+        if tau > PERIODS * longest_s:
+            said.append(
+                f"a time constant of {tau / 3600.0:.2g} h can't be seen in {longest_s / 3600.0:.2g} h ({key})"
+            )
+    pairs = zip(fitted.free, map(float, fitted.coordinates), strict=True)
+    own = [(item, x) for item, x in pairs if item.place[:2] == ("effects", name)]
+    said += [f"{item.place[2]} is as far as it can go" for item, x in own if item.is_at_bound(x)]
+    return said
+
+
+def _times(name: str, values: Mapping[str, Value]) -> dict[str, float]:
+    numbers = {key: value.value for key, value in values.items()}
+    if name == "soil_mass":
+        return {"C_s / G_s": numbers["C_s"] / numbers["G_s"]}
+    if name == "wall_mass":
+        return {"C_w / G": numbers["C_w"] / (numbers["G_in"] + numbers["G_out"])}
+    return {key: value for key, value in numbers.items() if key.startswith("tau_")}
+
+
+def _halves(name: str, gain: Floats, half: NDArray[np.intp], two: Sequence[Fitted]) -> list[str]:
+    said = []
+    against = [float(gain[half == i].sum()) for i in range(2)]
+    if min(against) < -AGAINST_NATS:
+        which = "first" if against[0] < against[1] else "second"
+        said.append(f"the {which} half of the data is explained better without it")
+    for i, item in enumerate(two[0].free):
+        if item.place[:2] != ("effects", name):
+            continue
+        apart = abs(float(two[0].coordinates[i] - two[1].coordinates[i]))
+        sd = float(np.sqrt(two[0].covariance[i, i] + two[1].covariance[i, i]))
+        if apart > APART_SDS * sd:
+            values = [item.value(float(each.coordinates[i])) for each in two]
+            said.append(
+                f"the halves of the data contradict each other: {item.place[2]} is {values[0]:.3g} "
+                f"and {values[1]:.3g}"
+            )
+    return said
