@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 TAU_S = 600.0  # of a heat that is 0
 DRAWN = 4  # starts beside the one that the caller has
 FARTHEST = 2.0  # of a start from the usual value, in coordinates
+LEAST_K = 1e-3  # of a box that stands still, which is told exactly
 ROUGH_K = 1.0  # what a free run may miss by while starts are tried
 ROUGHLY, FINELY = 3, 12  # iterations
 LONGEST_LAG_S = 1800.0  # over which errors go together
@@ -33,7 +34,9 @@ KEPT = 2  # starts that are followed to their ends
 
 def free_levels(error_k: float) -> NoiseLevels:
     """No noise but that of what is read: how far a free run may be off [K]."""
-    return NoiseLevels(sensor_k=error_k, room_k=0.0, heat_w=0.0, heat_tau_s=TAU_S, power_share=0.0)
+    return NoiseLevels(
+        sensor_k=max(error_k, LEAST_K), room_k=0.0, heat_w=0.0, heat_tau_s=TAU_S, power_share=0.0
+    )
 
 
 def fit_values(

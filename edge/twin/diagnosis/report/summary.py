@@ -9,6 +9,8 @@ from typing import Any
 from edge.twin.diagnosis.report.number_text import duration, kelvin, percent, probability
 from edge.twin.diagnosis.report.wording import (
     Document,
+    beaten,
+    best_simple,
     changed,
     headline,
     heat_text,
@@ -16,14 +18,13 @@ from edge.twin.diagnosis.report.wording import (
     meaning,
     new_twin,
     parameter_text,
-    predicting,
     scored,
     shrink,
     step_names,
 )
 
 COLUMNS = 100  # of a line
-REGIMES = 3
+REGIMES = 2
 _ROLES = {"train": "training runs", "test": "held-out test runs"}
 
 
@@ -44,7 +45,7 @@ def _lines(document: Document, folder: str) -> Iterator[str]:
     yield from _effects(document)
     yield from _doubtful(document)
     yield from _gap_rows(document)
-    for sentence in predicting(document):
+    for sentence in beaten(document):
         yield from _wrapped(sentence)
     if experiment := document["next_experiment"]:
         yield from _experiment(experiment, folder)
@@ -87,12 +88,20 @@ def _doubtful(document: Document) -> Iterator[str]:
 
 def _gap_rows(document: Document) -> Iterator[str]:
     gap = document["gap"]
-    yield f"{'RMSE of free runs [K]':<24}{'before':>9}{'after':>9}{'noise':>9}{'closed':>9}"
+    heads = "".join(f"{head:>9}" for head in ("before", "after", "noise", "closed"))
+    yield f"{'RMSE of free runs [K]':<24}{heads}  best simple model"
     for role, name in _ROLES.items():
         errors = [(gap[when][role] or {}).get("rmse_k") for when in ("before", "after")]
         closed = shrink(document, role) if changed(document) else None
         cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(closed)]
-        yield f"  {name:<22}" + "".join(f"{cell:>9}" for cell in cells)
+        simple = best_simple(document, "test_k") if role == "test" else ""
+        yield (f"  {name:<22}" + "".join(f"{cell:>9}" for cell in cells) + f"  {simple}").rstrip()
+    if known := document.get("left_out"):
+        cells = [*map(kelvin, (known["given_k"], known["after_k"])), "", ""]
+        simple = best_simple(document, "simple_k")
+        yield (
+            f"  {'rows left out of fits':<22}" + "".join(f"{cell:>9}" for cell in cells) + f"  {simple}"
+        ).rstrip()
     steps = document.get("waterfall", [])
     if len(steps) > 2:
         role = scored(document)

@@ -66,6 +66,16 @@ def predicting(document: Document) -> list[str]:
             f"{listed(provisional)} {verb} in the new twin because it predicts better so; that {verb} no"
             " name for what is missing."
         )
+    return [*told, *beaten(document)]
+
+
+def beaten(document: Document) -> list[str]:
+    """Where a simpler model predicts better than the new twin, a sentence each."""
+    known = document.get("left_out")
+    if not known or not changed(document):
+        return []
+    told = []
+    after = (document["gap"]["after"]["test"] or {}).get("rmse_k")
     for where, own, simple in (
         ("rows that no fit saw", known["after_k"], known["simple_k"]),
         ("the test runs", after, known["test_k"]),
@@ -74,6 +84,14 @@ def predicting(document: Document) -> list[str]:
         if better:
             told.append(f"A simpler model predicts {where} better than the new twin: {listed(better)}.")
     return told
+
+
+def best_simple(document: Document, key: str) -> str:
+    """The baseline with the least error: `0.14 heater lag`; "" where there is none. key : of `left_out`"""
+    errors = document.get("left_out", {}).get(key, {})
+    known = {name: error for name, error in errors.items() if error is not None}
+    best = min(known, key=lambda name: known[name], default=None)
+    return "" if best is None else f"{kelvin(known[best])} {best}"
 
 
 def _simple(errors: Mapping[str, float | None]) -> str:
