@@ -23,7 +23,7 @@ from edge.twin.twin_file import TwinFile
 
 Floats = NDArray[np.float64]
 TAU_S = 600.0  # of a heat that is 0
-DRAWN = 4  # starts beside the one that the caller has
+DRAWN = 6  # starts beside the one that the caller has
 FARTHEST = 2.0  # of a start from the usual value, in coordinates
 LEAST_K = 1e-3  # of a box that stands still, which is told exactly
 ROUGH_K = 1.0  # what a free run may miss by while starts are tried
@@ -46,20 +46,24 @@ def fit_values(
 
     terms : of unknown size beside them, such as the room's temperature; noise_k : of a reading
     """
+    if not files:
+        return []
     starts = [trial for file in files for trial in _starts(file, tuple(terms))]
     rough = shared.map(partial(fit, runs=runs, iterations=ROUGHLY), starts)
     lots = [rough[i * (DRAWN + 1) : (i + 1) * (DRAWN + 1)] for i in range(len(files))]
     followed = [_followed(item, noise_k, runs) for lot in lots for item in _best(lot, KEPT)]
     fine = shared.map(partial(fit, runs=runs, iterations=FINELY), followed)
     ends = [_best(fine[i * KEPT : (i + 1) * KEPT], 1)[0] for i in range(len(files))]
-    last = [_followed(item, noise_k, runs) for item in ends]
-    return [_spread(item, runs) for item in shared.map(partial(fit, runs=runs, iterations=FINELY), last)]
-
-
-def _spread(found: Fitted, runs: Recorded) -> Fitted:
-    """With a covariance that counts errors which go together once."""
-    factor = together(found.innovations, runs.measured, found.file.sample_s)
-    return replace(found, covariance=factor * found.covariance)
+    misses = [rms_k(item, runs) for item in ends]
+    donor = ends[int(np.argmin(misses))]
+    lent = [_followed(_lent(item, donor), noise_k, runs) for item in ends]
+    others = shared.map(partial(fit, runs=runs, iterations=FINELY), lent)
+    kept = [
+        other if rms_k(other, runs) < miss else item
+        for item, other, miss in zip(ends, others, misses, strict=True)
+    ]
+    last = [_followed(item, noise_k, runs) for item in kept]
+    return shared.map(partial(fit, runs=runs, iterations=FINELY), last)
 
 
 def together(innovations: Floats, seen: NDArray[np.bool_], step_s: float) -> float:
@@ -92,14 +96,25 @@ def _start(item: Unknown, drawn: float) -> float:
     return float(np.clip(item.mean + drawn * min(item.sd, FARTHEST), low, high))
 
 
+def _lent(item: Fitted, donor: Fitted) -> Fitted:
+    """With the values of the twin that fits best, where it has them: a way out of a valley."""
+    known = {own.place: float(x) for own, x in zip(donor.free, donor.coordinates, strict=True)}
+    places = [known.get(own.place, float(x)) for own, x in zip(item.free, item.coordinates, strict=True)]
+    x = np.array(places)
+    return replace(item, coordinates=x, file=placed(item.file, item.free, x))
+
+
 def _best(found: Sequence[Fitted], count: int) -> list[Fitted]:
     return sorted(found, key=lambda item: -item.log_likelihood)[:count]
 
 
 def _followed(found: Fitted, noise_k: float, runs: Recorded) -> Trial:
-    """From where it is, against what its free runs miss by."""
-    error_k = max(noise_k, rms_k(found, runs))
-    return replace(found.trial, file=found.file, free=found.free, levels=free_levels(error_k))
+    """From where it is, against what its free runs miss by, errors that go together counted once."""
+    errors = free_errors(found, runs, ROUGH_K)
+    error_k = max(noise_k, float(np.sqrt(np.mean(errors[runs.measured] ** 2))))
+    alike = together(errors / error_k, runs.measured, found.file.sample_s)
+    levels = free_levels(error_k * float(np.sqrt(alike)))
+    return replace(found.trial, file=found.file, free=found.free, levels=levels)
 
 
 def rms_k(found: Fitted, runs: Recorded) -> float:

@@ -7,7 +7,7 @@ from edge.twin.diagnosis.candidates import Names, Scored
 from edge.twin.diagnosis.formulas import Shape
 from edge.twin.diagnosis.given import Given
 from edge.twin.diagnosis.handed import Comparison, Predicted
-from edge.twin.diagnosis.search import Search
+from edge.twin.diagnosis.search import WORTH_A_LOOK, Search
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.standing import Standing, standing
 from edge.twin.diagnosis.starts import with_usual
@@ -93,7 +93,11 @@ def _exchanged(
         if len(key) == len(names) == len(key & names) + 1 and comparison.is_better(item, own)
     ]
     best = min(others, key=lambda item: item.rmse_k, default=None)
-    if best is None:
+    # Where the likelihood says the opposite, nothing is exchanged.
+    if (
+        best is None
+        or scored(search, best.added).likelihood < scored(search, names).likelihood - WORTH_A_LOOK
+    ):
         return effects, []
     (gone,) = names - best.added
     (placed,) = best.added - names

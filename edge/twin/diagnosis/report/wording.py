@@ -11,6 +11,7 @@ _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 _ROLES = {"train": "training runs", "test": "held-out test runs"}
 NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
 CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
+CLEARLY_LESS = 0.98  # times an error, for a model to be called better
 ERROR_SHARE = "squared error"  # what a finding that tells where the error lies has in it
 WHITE_P = 0.05  # a run's innovations count as white from this p-value on
 
@@ -80,7 +81,8 @@ def beaten(document: Document) -> list[str]:
         ("rows that no fit saw", known["after_k"], known["simple_k"]),
         ("the test runs", after, known["test_k"]),
     ):
-        better = [name for name, error in simple.items() if None not in (error, own) and error < own]
+        less_k = -1.0 if own is None else CLEARLY_LESS * own
+        better = [name for name, error in simple.items() if error is not None and error < less_k]
         if better:
             told.append(f"A simpler model predicts {where} better than the new twin: {listed(better)}.")
     return told
@@ -165,7 +167,7 @@ def shrink(document: Document, role: str) -> float | None:
     before, after = ((gap[when][role] or {}).get("rmse_k") for when in ("before", "after"))
     if floor is None or before is None or after is None or not before > NO_GAP * floor:
         return None
-    return float((before - after) / (before - floor))
+    return min(float((before - after) / (before - floor)), 1.0)  # no twin closes more than the gap
 
 
 def effect_text(effect: Mapping[str, Any]) -> str:
