@@ -24,7 +24,8 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "import": "read run files into the history",
     "replay": "put recorded runs through the same tick; score forecasts",
     "fit-arx": "fit an ARX model to recorded runs",
-    "twin": "the physics model: simulate, find what it lacks, adopt",
+    "data": "look at logs of another box, convert them to run files",
+    "twin": "the physics model: new, simulate, find what it lacks, adopt",
     "bundle": "install, activate or roll back signed bundles of models",
     "forget-discovery": "remove a rig from Home Assistant and the broker",
 }
@@ -34,7 +35,15 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "See what it does": ("status", "watch", "why", "plot"),
     "Tell it what to do": ("reference", "mode", "fan", "controller", "manual", "ask", "confirm", "undo"),
     "Stop it": ("emergency-stop", "release", "maintenance", "clear-trip"),
-    "Record and model your own greenhouse": ("experiment", "export", "import", "replay", "fit-arx", "twin"),
+    "Record and model your own greenhouse": (
+        "data",
+        "experiment",
+        "export",
+        "import",
+        "replay",
+        "fit-arx",
+        "twin",
+    ),
     "Look after a rig": ("bundle", "resend", "forget-discovery"),
 }
 FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.

@@ -5,6 +5,7 @@ import importlib
 import importlib.util
 
 ACTIONS = {  # action -> help; the module is edge.commands.twin_<action>
+    "new": "write a twin file for a box, with what is not known to be fitted",
     "diagnose": "find where twin and measurements disagree, name the missing effect, add it",
     "simulate": "run a twin freely over recorded runs and print its errors",
     "benchmark": "measure how often the diagnosis is right where the truth is known",

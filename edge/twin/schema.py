@@ -7,7 +7,7 @@ from typing import Any
 from edge.twin.effect import Effect
 from edge.twin.effects import EFFECTS
 from edge.twin.geometry import Geometry
-from edge.twin.twin_file import NUISANCE, SENSOR
+from edge.twin.twin_file import FAN_ROLES, NUISANCE, SENSOR
 
 _NUMBER = {"type": "number"}
 
@@ -22,6 +22,7 @@ def schema() -> dict[str, Any]:
         "properties": {
             "geometry": _object({item.name: _value(0.0, None, "") for item in fields(Geometry)}),
             "sample_s": {"type": "number", "exclusiveMinimum": 0, "description": "length of a step [s]"},
+            "fan_role": {"enum": list(FAN_ROLES), "description": "what the fan does; default: exhaust"},
             "day0_utc": {
                 "type": ["string", "null"],
                 "description": "where the days of ua_drift begin, ISO 8601",

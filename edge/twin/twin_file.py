@@ -19,7 +19,9 @@ from edge.twin.model import Noise, Twin
 from edge.twin.value import Value, number, read_value
 
 Place = tuple[str, ...]  # ("effects", "wall_loss", "UA") or ("geometry", "heater_max_w")
-SECTIONS = ("geometry", "sample_s", "day0_utc", "effects", "sensor", "nuisance", "provenance")
+FAN_ROLES = ("exhaust", "stirring", "none")  # what the fan does: change the air, mix it, or there is none
+NO_FLOW = 1e-9  # share of the flow that a fan which changes no air has
+SECTIONS = ("geometry", "fan_role", "sample_s", "day0_utc", "effects", "sensor", "nuisance", "provenance")
 SENSOR = ("quantisation_k", "noise_sd_k")
 NUISANCE = ("heater_power_run_sd", "heat_noise_sd_w")
 _SAMPLE_S = 60.0
@@ -31,6 +33,7 @@ class TwinFile:
     """What a twin file says; a key of `geometry` that it leaves out is the paper's.
 
     day0_utc : where the days of `ua_drift` begin [s since 1970], None where no effect counts them
+    fan_role : of FAN_ROLES
     sensor, nuisance : null or absent where not known
     provenance : where the values come from, any mapping
     """
@@ -42,12 +45,16 @@ class TwinFile:
     nuisance: Mapping[str, float | None] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     day0_utc: float | None = None
+    fan_role: str = FAN_ROLES[0]
 
     def twin(self) -> Twin:
         """The twin, with its start for a value that is to be fitted. Errors: DataError naming the key."""
         usual = Noise()
+        geometry = {name: value.value for name, value in self.geometry.items()}
+        if self.fan_role != FAN_ROLES[0]:
+            geometry["fan_max_m3_s"] *= NO_FLOW
         return Twin(
-            Geometry(**{name: value.value for name, value in self.geometry.items()}),
+            Geometry(**geometry),
             {effect: {name: v.value for name, v in own.items()} for effect, own in self.effects.items()},
             self.sample_s,
             Noise(
@@ -101,6 +108,7 @@ def write_twin_file(file: TwinFile, path: Path) -> None:
     """Write a file that `read_twin_file` reads back to the same. Errors: OSError."""
     document = {
         "geometry": {name: value.document() for name, value in file.geometry.items()},
+        **({} if file.fan_role == FAN_ROLES[0] else {"fan_role": file.fan_role}),
         "sample_s": file.sample_s,
         **({} if file.day0_utc is None else {"day0_utc": _time_text(file.day0_utc)}),
         "effects": {
@@ -119,6 +127,9 @@ def write_twin_file(file: TwinFile, path: Path) -> None:
 def _twin_file(document: Any) -> TwinFile:
     sections = _mapping("the file", document, SECTIONS)
     sample_s = number("sample_s", sections.get("sample_s", _SAMPLE_S))
+    fan_role = sections.get("fan_role", FAN_ROLES[0])
+    if fan_role not in FAN_ROLES:
+        raise DataError(f"fan_role: {shown(fan_role)} is none of {', '.join(FAN_ROLES)}")
     return TwinFile(
         geometry=_geometry(_mapping("geometry", sections.get("geometry"), _PAPER)),
         sample_s=sample_s,
@@ -127,6 +138,7 @@ def _twin_file(document: Any) -> TwinFile:
         nuisance=_spreads("nuisance", sections.get("nuisance"), NUISANCE),
         provenance=_mapping("provenance", sections.get("provenance")),
         day0_utc=_time(sections.get("day0_utc")),
+        fan_role=fan_role,
     )
 
 

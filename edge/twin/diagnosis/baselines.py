@@ -26,7 +26,7 @@ FAN = "fan_effectiveness"
 
 def simple_twins(file: TwinFile, runs: Recorded) -> dict[str, TwinFile]:
     """By name, with all values to be fitted. file : for the geometry and the step"""
-    fan = (FAN,) if np.ptp(runs.fan) > 0.0 else ()
+    fan = (FAN,) if np.ptp(runs.fan) > 0.0 and file.fan_role == "exhaust" else ()
     sets = {
         ONE_MASS: (LOSING, STORING, *fan),
         "heater lag": (LOSING, STORING, *fan, "heater_lag"),

@@ -17,6 +17,8 @@ from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
 DOOR_LENGTHS = 6.0  # among which that of a door was chosen, as if they had nothing in common
+# Of a fan that changes the air: where it stirs, or is none, they do nothing.
+BY_FLOW = ("infiltration", "fan_effectiveness", "short_circuit", "fan_deadtime", "fan_spinup")
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 
 
@@ -58,6 +60,8 @@ class Candidates:
     def _can_be(self, name: str) -> bool:
         if name == "door_opening":
             return "door_open" in self.runs.conditions
+        if name in BY_FLOW and self.file.fan_role != "exhaust":
+            return False
         return not (name == "wall_loss" and "wall_mass" in self.file.effects)
 
     @property

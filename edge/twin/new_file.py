@@ -1,0 +1,107 @@
+"""A twin file for a box of which little is known: what is measured by hand, and the rest to be fitted."""
+
+from dataclasses import dataclass
+
+from edge.errors import RequestError
+from edge.twin.geometry import Geometry
+
+FILM_M2_K_W = 0.26  # both faces of a wall in a room, ISO 6946 table 7: twice 0.13
+# ISO 10456:2007 table 3; of foams and cardboard what makers usually declare.
+CONDUCTIVITY_W_M_K = {
+    "plywood": 0.13,
+    "wood": 0.13,
+    "cardboard": 0.06,
+    "glass": 1.0,
+    "acrylic": 0.18,
+    "polycarbonate": 0.20,
+    "polystyrene-foam": 0.035,
+    "polyurethane-foam": 0.028,
+    "steel": 50.0,
+    "aluminium": 160.0,
+    "brick": 0.6,
+}
+VOLUME_M3 = (1e-4, 10.0)  # 0.1 litre to a small room
+HEATER_W = (0.1, 20_000.0)
+CHANGES_PER_H = 3600.0  # air changes; a fan that does more has been given in another unit
+WALL_REL_SD = 0.3  # of a loss by area and material: edges, seams and floors are not in it
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """What a person knows of it. wall : material and thickness [m]; None where not known"""
+
+    volume_m3: float
+    heater_w: float
+    fan_role: str
+    fan_m3_h: float | None = None
+    wall_area_m2: float | None = None
+    wall: tuple[str, float] | None = None
+    sample_s: float = 60.0
+
+
+def check(box: Box) -> None:
+    """Refuse numbers that look like another unit. Errors: RequestError"""
+    low, high = VOLUME_M3
+    if box.volume_m3 > high:
+        raise RequestError(f"--volume: {box.volume_m3:g} m3 is a house: litres? ({box.volume_m3:g}l)")
+    if box.volume_m3 < low:
+        raise RequestError(
+            f"--volume: {box.volume_m3:g} m3 is less than {1000.0 * low:g} litres: m3 or litres?"
+        )
+    if not HEATER_W[0] <= box.heater_w <= HEATER_W[1]:
+        raise RequestError(
+            f"--heater-w: {box.heater_w:g} W is not within {HEATER_W[0]:g}..{HEATER_W[1]:g} W: kW?"
+        )
+    if box.fan_role == "exhaust":
+        if box.fan_m3_h is None or not box.fan_m3_h > 0.0:
+            raise RequestError("--fan exhaust: needs --fan-flow, what it moves when it runs free [m3/h]")
+        changes = box.fan_m3_h / box.volume_m3
+        if changes > CHANGES_PER_H:
+            raise RequestError(
+                f"--fan-flow: {box.fan_m3_h:g} m3/h changes the air {changes:.0f} times an hour: l/min?"
+            )
+    if (box.wall is None) != (box.wall_area_m2 is None):
+        raise RequestError("--wall and --wall-area go together")
+
+
+def loss_w_k(box: Box) -> float | None:
+    """Through the walls by area, thickness and material, ISO 6946: UA = A / (0.26 + d / lambda)."""
+    if box.wall is None or box.wall_area_m2 is None:
+        return None
+    material, thickness_m = box.wall
+    return box.wall_area_m2 / (FILM_M2_K_W + thickness_m / CONDUCTIVITY_W_M_K[material])
+
+
+def text(box: Box) -> str:
+    """The file, with a comment on each line."""
+    usual = Geometry()
+    flow = usual.fan_max_m3_s if box.fan_m3_h is None else box.fan_m3_h / 3600.0
+    loss = loss_w_k(box)
+    known = "{fit: true}" if loss is None else f"{{value: {loss:.3g}, rel_sd: {WALL_REL_SD:g}}}"
+    source = "fitted to the runs" if loss is None else f"{_wall(box)}, ISO 6946"
+    return f"""# A bare number is exact, {{value, rel_sd}} is uncertain, {{fit: true}} is to be fitted.
+geometry:
+  volume_m3: {box.volume_m3:.6g}  # {1000.0 * box.volume_m3:.4g} litres of air
+  heater_max_w: {box.heater_w:.6g}  # at duty 1; if it is not known, what is fitted is in proportion to it
+  fan_max_m3_s: {flow:.6g}  # {_flow(box)}
+fan_role: {box.fan_role}  # exhaust changes the air, stirring mixes it, none: there is no fan
+sample_s: {box.sample_s:g}  # step of the twin [s]; rows of runs at least as close
+effects:
+  wall_loss:
+    UA: {known}  # heat through the walls [W/K]; {source}
+  extra_capacity:
+    kC: {{fit: true}}  # heat capacity of all that is warmed with the air, in times the air's own
+sensor: {{quantisation_k: 0.0, noise_sd_k: null}}  # null: found from the runs
+nuisance: {{heater_power_run_sd: null, heat_noise_sd_w: null}}
+"""
+
+
+def _wall(box: Box) -> str:
+    assert box.wall is not None
+    return f"{box.wall_area_m2:g} m2 of {box.wall[0]}, {1000.0 * box.wall[1]:g} mm"
+
+
+def _flow(box: Box) -> str:
+    if box.fan_role != "exhaust":
+        return "plays no part"
+    return f"{box.fan_m3_h:g} m3/h when it runs free"

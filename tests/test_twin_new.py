@@ -1,0 +1,62 @@
+"""`greenhouse twin new`: a twin file from what can be measured by hand."""
+
+from pathlib import Path
+
+import pytest
+
+from edge.__main__ import main
+from edge.twin.twin_file import read_twin_file
+
+KNOWN = ("--heater-w", "42", "--fan", "none")
+
+
+def test_the_file_says_what_is_known_and_what_is_to_be_fitted(tmp_path: Path) -> None:
+    place = tmp_path / "twin.yaml"
+    words = ["twin", "new", str(place), "--edges", "50x50x60cm", "--heater-w", "100", "--fan", "exhaust"]
+    assert main([*words, "--fan-flow", "68", "--wall", "polycarbonate:8mm", "--wall-area", "1.7"]) == 0
+    file = read_twin_file(place)
+    assert file.geometry["volume_m3"].value == pytest.approx(0.15)
+    assert file.geometry["fan_max_m3_s"].value == pytest.approx(68.0 / 3600.0, rel=1e-4)
+    # 1.7 m2 / (0.26 + 0.008 / 0.20) m2 K/W
+    assert file.effects["wall_loss"]["UA"].value == pytest.approx(5.67, abs=0.01)
+    assert file.effects["wall_loss"]["UA"].rel_sd == 0.3
+    assert file.effects["extra_capacity"]["kC"].fit
+
+
+def test_a_fan_that_stirs_changes_no_air(tmp_path: Path) -> None:
+    place = tmp_path / "twin.yaml"
+    assert main(["twin", "new", str(place), "--volume", "27l", "--heater-w", "42", "--fan", "stirring"]) == 0
+    file = read_twin_file(place)
+    assert file.fan_role == "stirring"
+    assert file.twin().geometry.fan_max_m3_s < 1e-9
+    assert file.geometry["fan_max_m3_s"].value > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--volume", "120m3", *KNOWN), "120 m3 is a house: litres? (120l)"),
+        (("--volume", "0.01l", *KNOWN), "is less than 0.1 litres"),
+        (("--volume", "27l", "--heater-w", "42000", "--fan", "none"), "is not within 0.1..20000 W: kW?"),
+        (("--volume", "27l", "--heater-w", "42", "--fan", "exhaust"), "--fan exhaust: needs --fan-flow"),
+        (
+            ("--volume", "27l", "--heater-w", "42", "--fan", "exhaust", "--fan-flow", "900"),
+            "times an hour: l/min?",
+        ),
+        (("--volume", "27l", *KNOWN, "--wall-area", "0.5"), "--wall and --wall-area go together"),
+    ],
+)
+def test_numbers_in_another_unit_are_asked_about(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], message: str
+) -> None:
+    assert main(["twin", "new", str(tmp_path / "twin.yaml"), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "twin.yaml").exists()
+
+
+def test_a_file_that_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "twin.yaml"
+    place.write_text("mine")
+    assert main(["twin", "new", str(place), "--volume", "27l", *KNOWN]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert place.read_text() == "mine"
