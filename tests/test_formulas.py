@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.twin.diagnosis.formulas import HEAT_SD_W, PREFIX, READING_SD_K, SHAPES, Shape, formulas
+from edge.twin.diagnosis.formulas import HEAT_SD, PREFIX, READING_SD_K, Shape, formulas, shapes
 from edge.twin.diagnosis.trial import Term
 from edge.twin.recorded import Recorded
 
 STEP_S = 60.0
 HOUR_UTC = 1_782_896_400.0  # 2026-07-01 09:00 UTC
+HEATER_W = 100.0
+SHAPES = shapes()
 WORDS = {"heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "rel_humidity", "time"}
 
 
@@ -27,6 +29,9 @@ def recording(rows: int = 120, runs: int = 2) -> Recorded:
         20.0 + draw.random(shape),
         {"light": draw.random(shape), "rel_humidity": 40.0 + 40.0 * draw.random(shape), "utc": utc},
     )
+
+
+LEVELS = (29.0, 31.0, 30.0, 20.0)  # warm, hot, usual and the room's, of `recording`
 
 
 def found(runs: Recorded) -> dict[str, tuple[Shape, Term]]:
@@ -60,7 +65,7 @@ def test_what_a_named_effect_says_is_left_to_it(text: str) -> None:
 def test_what_the_runs_have_columns_for_is_offered() -> None:
     runs = recording()
     everything = found(runs)
-    assert set(everything) <= {PREFIX + shape.text for shape in SHAPES}
+    assert set(everything) <= {PREFIX + shape.text for shape in shapes(*LEVELS)}
     assert {"~u fan", "~L fan", "~RH - 50", "~day", "~reading: t"} <= set(everything)
     bare = found(replace(runs, conditions={}))
     assert set(everything) - set(bare) == {
@@ -95,7 +100,7 @@ def test_values_are_those_of_the_middle_of_each_row() -> None:
     expected = {
         "u (T - T_amb)": duty[k] * excess,
         "fan (T - T_amb)^2": fan[k] * excess**2,
-        "max(T - 28, 0)": max(middle - 28.0, 0.0),
+        "max(T - 29, 0)": max(middle - 29.0, 0.0),
         "T_amb - 20": room[k] - 20.0,
         "u t": duty[k] * hours,
         "fan hours of fan (T - T_amb)": fan[k] * fan[: k + 1].sum() * STEP_S / 3600.0 * excess,
@@ -114,7 +119,7 @@ def test_before_it_is_seen_a_formula_is_of_one_size_whatever_its_unit() -> None:
     runs = recording()
     for shape, one in found(runs).values():
         rms = np.sqrt(np.mean(one.shape**2))
-        assert one.sd * rms == pytest.approx(READING_SD_K if shape.of_reading else HEAT_SD_W)
+        assert one.sd * rms == pytest.approx(READING_SD_K if shape.of_reading else HEAT_SD * HEATER_W)
         assert one.of_reading == shape.of_reading
         assert one.shape.shape == (120, 2)
 
@@ -133,5 +138,5 @@ def test_rows_without_a_temperature_and_padding_have_no_say() -> None:
 def test_what_a_temperature_was_expected_to_be_is_taken_not_its_reading() -> None:
     runs = recording()
     smooth = np.full_like(runs.temp, 30.0)
-    _, one = formulas(runs, smooth, STEP_S)["~u max(T - 28, 0)"]
-    assert one.shape == pytest.approx(2.0 * runs.duty.T)
+    _, one = formulas(runs, smooth, STEP_S)["~u max(T - 29, 0)"]
+    assert one.shape == pytest.approx(runs.duty.T)

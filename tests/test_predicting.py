@@ -87,8 +87,8 @@ def test_an_error_of_a_row_that_is_left_out_does_not_know_its_reading() -> None:
     fitted = fit_values([open_file()], (), runs, 0.1, SideBySide())
     spoiled = runs.temp.copy()
     spoiled[:, 1:][fold] += 5.0
-    plain = left_out_errors(fitted, [fold], runs, SideBySide())[0]
-    other = left_out_errors(fitted, [fold], replace(runs, temp=spoiled), SideBySide())[0]
+    [(plain, _)] = left_out_errors(fitted, [fold], runs, SideBySide())
+    [(other, _)] = left_out_errors(fitted, [fold], replace(runs, temp=spoiled), SideBySide())
     assert other[fold] == pytest.approx(plain[fold] + 5.0, abs=1e-3)
     assert np.isnan(plain[~fold]).all()
 
@@ -102,10 +102,10 @@ def test_a_free_run_with_the_right_values_misses_by_the_noise() -> None:
 def test_errors_that_go_together_count_once() -> None:
     white = np.random.default_rng(1).standard_normal((2, 4000))
     seen = np.ones(white.shape, dtype=bool)
-    assert together(white, seen, 60.0) == pytest.approx(1.0, abs=0.3)
+    assert together(white, seen, TwinFile()) == pytest.approx(1.0, abs=0.3)
     held = np.repeat(white[:, ::10], 10, axis=1)
-    assert together(held, seen, 60.0) == pytest.approx(10.0, rel=0.35)
-    assert together(3.0 * white, seen, 60.0) == pytest.approx(9.0, rel=0.3)
+    assert together(held, seen, TwinFile()) == pytest.approx(10.0, rel=0.35)
+    assert together(3.0 * white, seen, TwinFile()) == pytest.approx(9.0, rel=0.3)
 
 
 # baselines
@@ -116,7 +116,7 @@ def test_the_heater_that_lags_is_the_best_of_the_simple_twins_where_it_does() ->
     twins = simple_twins(twin_file(), runs)
     fitted = fit_values(list(twins.values()), (), runs, 0.1, SideBySide())
     errors = left_out_errors(fitted, folds(runs), runs, SideBySide())
-    missed = {name: np.nanmean(own**2) for name, own in zip(twins, errors, strict=True)}
+    missed = {name: np.nanmean(own**2) for name, (own, _) in zip(twins, errors, strict=True)}
     assert min(missed, key=lambda name: missed[name]) == "heater lag"
 
 

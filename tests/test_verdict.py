@@ -9,7 +9,7 @@ from simulated_runs import BOX, NOISE, simulated, twin_file
 
 from edge.twin.diagnosis.candidates import Scored
 from edge.twin.diagnosis.fitting import fit
-from edge.twin.diagnosis.formulas import SHAPES
+from edge.twin.diagnosis.formulas import shapes
 from edge.twin.diagnosis.search import RIVAL_NATS
 from edge.twin.diagnosis.starts import with_effect
 from edge.twin.diagnosis.trial import Fitted, Term, Trial
@@ -18,7 +18,7 @@ from edge.twin.diagnosis.verdict import Verdict, interval, intervals, verdict
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 
-SHAPE = {f"~{shape.text}": shape for shape in SHAPES}
+SHAPE = {f"~{shape.text}": shape for shape in shapes()}
 NO_RUNS = Recorded(np.full((1, 3), 21.0), np.zeros((1, 2)), np.zeros((1, 2)), np.full((1, 2), 21.0))
 
 

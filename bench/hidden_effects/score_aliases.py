@@ -26,7 +26,8 @@ from bench.hidden_effects.score_noise import Noise
 from bench.hidden_effects.score_rivals import sieve, unknown
 from bench.hidden_effects.score_structure import Structure, structure
 from edge.run_file import Run
-from edge.twin.effects import EFFECTS, applied
+from edge.twin.effects import EFFECTS, USUAL_EFFECTS, applied
+from edge.twin.further_effects import FURTHER_EFFECTS
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -145,7 +146,7 @@ def _price(rival: str, hidden: str, truth: Structure) -> float:
 
 def _rivals(hidden: str, file: TwinFile, data: Recorded) -> Iterator[str]:
     """Effects that could stand in the place of a hidden one: not there, with their columns, and acting."""
-    for name, effect in EFFECTS.items():
+    for name, effect in {**USUAL_EFFECTS, **FURTHER_EFFECTS}.items():
         missing = [column for column in effect.needs if column not in data.conditions]
         if name in file.effects or name in _WITHOUT_A_COLUMN or missing:
             continue

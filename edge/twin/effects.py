@@ -15,19 +15,22 @@ from edge.twin.geometry import Geometry
 from edge.twin.heater_effects import HEATER_EFFECTS
 from edge.twin.loss_effects import LOSS_EFFECTS
 from edge.twin.network import Network
+from edge.twin.scale import USUAL_STEP_S, scale_of
 from edge.twin.signal_effects import SIGNAL_EFFECTS
+from edge.twin.unnamed_effects import UNNAMED_EFFECTS
 
 Effects = Mapping[str, Mapping[str, float]]
 USUAL_EFFECTS: Mapping[str, Effect] = {**LOSS_EFFECTS, **HEATER_EFFECTS, **AIR_EFFECTS, **SIGNAL_EFFECTS}
-EFFECTS: Mapping[str, Effect] = {**USUAL_EFFECTS, **FURTHER_EFFECTS}
+EFFECTS: Mapping[str, Effect] = {**USUAL_EFFECTS, **FURTHER_EFFECTS, **UNNAMED_EFFECTS}
 
 
-def build(geometry: Geometry, effects: Effects) -> Network:
+def build(geometry: Geometry, effects: Effects, step_s: float = USUAL_STEP_S) -> Network:
     """The base balance with effects added. Errors: DataError, `effects.wall_loss.UA: ...`."""
+    scale = scale_of(geometry.heater_max_w, step_s)
     for name, values in effects.items():
         check_names(name, values)
         for parameter in EFFECTS[name].parameters:
-            if problem := parameter.problem(values[parameter.name]):
+            if problem := scale.possible(parameter).problem(values[parameter.name]):
                 raise DataError(f"effects.{name}.{parameter.name}: {problem}")
     network = Network(geometry)
     for name in applied(effects):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from edge.errors import DataError
 from edge.run_file import Run
-from edge.twin.effects import EFFECTS, applied
+from edge.twin.effects import applied
 from edge.twin.output_error import FreeRun, free_run, rmse
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import Place, TwinFile
@@ -18,7 +18,7 @@ from edge.twin.value import Value
 Floats = NDArray[np.float64]
 GEOMETRY_RANGE = (0.01, 100.0)  # of a geometry value that is fitted, shares of its start
 AMBIENT_RANGE_C = (-20.0, 60.0)
-CORRELATED_S = 1800.0  # errors of a free run closer than this go together
+CORRELATED_S = 1800.0  # of the paper's box: errors of a free run closer than this go together
 SPINUP = ("effects", "fan_spinup")
 COARSE = 3e-3  # a fan's speed is rounded (edge/twin/march.py): shorter steps of tau_f change nothing
 _95 = 1.959964  # standard deviations of a normal distribution, both sides
@@ -157,7 +157,7 @@ def _unknowns(file: TwinFile, data: Recorded) -> list[_Unknown]:
     for place, value in file.values().items():
         if not (value.fit or value.rel_sd is not None):
             continue
-        low, high = _range(place, value.value)
+        low, high = _range(file, place, value.value)
         prior_sd = np.inf if value.rel_sd is None else abs(value.rel_sd * value.value)
         unknowns.append(_Unknown(place, value.value, low, high, prior_sd))
         if place[0] == "effects" and place[1] not in applied(file.effects):
@@ -169,10 +169,10 @@ def _unknowns(file: TwinFile, data: Recorded) -> list[_Unknown]:
     return unknowns
 
 
-def _range(place: Place, start: float) -> tuple[float, float]:
+def _range(file: TwinFile, place: Place, start: float) -> tuple[float, float]:
     if place[0] == "geometry":
         return GEOMETRY_RANGE[0] * start, GEOMETRY_RANGE[1] * start
-    parameter = EFFECTS[place[1]].parameter(place[2])
+    parameter = file.usual(place)
     return parameter.low, parameter.high
 
 
@@ -183,7 +183,7 @@ def _estimates(problem: _Problem, scaled: Floats, jacobian: Floats, run: FreeRun
     )
     information = jacobian.T @ jacobian
     inverse = np.linalg.pinv(information, hermitian=True)
-    lags = max(1, round(CORRELATED_S / problem.file.sample_s))
+    lags = max(1, round(CORRELATED_S * problem.file.scale.time / problem.file.sample_s))
     prior = jacobian[rows:]
     spread = inverse @ (_long_run(scores, lags) + prior.T @ prior) @ inverse
     sds = np.sqrt(np.maximum(np.diag(spread), 0.0))

@@ -124,6 +124,7 @@ def _acting(twin: Twin, runs: Recorded) -> _Acting:
 def _columns(twin: Twin, runs: Recorded) -> dict[str, Floats]:
     """Columns that the twin's heat depends on, [N, B] each, with `day` where walls age."""
     columns = {name: column.T for name, column in columns_of(twin.needs, runs.conditions).items()}
+    columns["heater_duty"] = runs.duty.T
     if twin.signals.ageing_per_day != 0.0:
         if twin.day0_utc is None:
             raise DataError("day0_utc: missing, the twin's ua_drift counts days from it")

@@ -57,7 +57,7 @@ class Twin:
     def __post_init__(self) -> None:
         if not (self.step_s > 0.0 and np.isfinite(self.step_s)):
             raise DataError(f"sample_s: {self.step_s:g} is not a finite number above 0")
-        network = build(self.geometry, self.effects)
+        network = build(self.geometry, self.effects, self.step_s)
         system = network.system()
         object.__setattr__(self, "system", system)  # frozen for all but its own making
         object.__setattr__(self, "signals", network.signals)
@@ -194,7 +194,7 @@ class Twin:
 
         Errors : DataError naming a column that is missing, or `day0_utc`
         """
-        columns = dict(columns_of(self.needs, conditions))
+        columns = {**columns_of(self.needs, conditions), "heater_duty": commands.duty}
         if self.signals.ageing_per_day != 0.0:
             if self.day0_utc is None:
                 raise DataError("day0_utc: missing, the twin's ua_drift counts days from it")

@@ -91,9 +91,17 @@ effects:
     UA: {known}  # heat through the walls [W/K]; {source}
   extra_capacity:
     kC: {{fit: true}}  # heat capacity of all that is warmed with the air, in times the air's own
-sensor: {{quantisation_k: 0.0, noise_sd_k: null}}  # null: found from the runs
+{_fan(box)}sensor: {{quantisation_k: 0.0, noise_sd_k: null}}  # null: found from the runs
 nuisance: {{heater_power_run_sd: null, heat_noise_sd_w: null}}
 """
+
+
+def _fan(box: Box) -> str:
+    """An exhaust fan never moves what its plate says: that is against no resistance."""
+    if box.fan_role != "exhaust":
+        return ""
+    share = "eps_f: {fit: true}  # share of the fan's free flow that changes air in this box"
+    return f"  fan_effectiveness:\n    {share}\n"
 
 
 def _wall(box: Box) -> str:

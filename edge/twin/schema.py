@@ -7,9 +7,12 @@ from typing import Any
 from edge.twin.effect import Effect
 from edge.twin.effects import EFFECTS
 from edge.twin.geometry import Geometry
+from edge.twin.scale import Scale
 from edge.twin.twin_file import FAN_ROLES, NUISANCE, SENSOR
 
 _NUMBER = {"type": "number"}
+# Of heat and time, beside the paper's box: a file's own heater and step say more.
+_LEAST, _MOST = Scale(1e-3, 1e-3), Scale(1e3, 1e3)
 
 
 def schema() -> dict[str, Any]:
@@ -44,7 +47,10 @@ def _spread() -> dict[str, Any]:
 
 
 def _effect(effect: Effect) -> dict[str, Any]:
-    values = {item.name: _value(item.low, item.high, item.unit) for item in effect.parameters}
+    values = {
+        item.name: _value(_LEAST.usual(item).low, _MOST.usual(item).high, item.unit)
+        for item in effect.parameters
+    }
     return {
         **_object(values),
         "required": list(values),

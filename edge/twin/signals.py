@@ -18,7 +18,9 @@ class Now(NamedTuple):
 
     temp: Floats  # air [°C]
     ambient: Floats  # room [°C]
-    column: Conditions  # and fan_on, for heat that does not depend on the temperature
+    column: (
+        Conditions  # and fan_on, for heat that does not depend on the temperature, heater_duty for what does
+    )
 
 
 HeatNow = Callable[[Now], Floats]

@@ -13,16 +13,18 @@ from edge.errors import DataError
 from edge.input_file import YAML, Source, read_text
 from edge.plain_text import shown
 from edge.strict_yaml import parse_yaml
+from edge.twin.effect import Parameter
 from edge.twin.effects import EFFECTS, check_names
 from edge.twin.geometry import Geometry
 from edge.twin.model import Noise, Twin
+from edge.twin.scale import Scale, scale_of
 from edge.twin.value import Value, number, read_value
 
 Place = tuple[str, ...]  # ("effects", "wall_loss", "UA") or ("geometry", "heater_max_w")
 FAN_ROLES = ("exhaust", "stirring", "none")  # what the fan does: change the air, mix it, or there is none
 NO_FLOW = 1e-9  # share of the flow that a fan which changes no air has
 SECTIONS = ("geometry", "fan_role", "sample_s", "day0_utc", "effects", "sensor", "nuisance", "provenance")
-SENSOR = ("quantisation_k", "noise_sd_k")
+SENSOR = ("quantisation_k", "noise_sd_k", "highest_c")
 NUISANCE = ("heater_power_run_sd", "heat_noise_sd_w")
 _SAMPLE_S = 60.0
 _PAPER = {item.name: float(item.default) for item in fields(Geometry)}  # type: ignore[arg-type]
@@ -34,8 +36,9 @@ class TwinFile:
 
     day0_utc : where the days of `ua_drift` begin [s since 1970], None where no effect counts them
     fan_role : of FAN_ROLES
-    sensor, nuisance : null or absent where not known
+    sensor, nuisance : null or absent where not known; highest_c : that the air may have, for hot boxes
     provenance : where the values come from, any mapping
+    answer_s : time constant of the box, for usual values of what is not known; in no file
     """
 
     geometry: Mapping[str, Value] = field(default_factory=lambda: _geometry({}))
@@ -46,6 +49,7 @@ class TwinFile:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     day0_utc: float | None = None
     fan_role: str = FAN_ROLES[0]
+    answer_s: float | None = None
 
     def twin(self) -> Twin:
         """The twin, with its start for a value that is to be fitted. Errors: DataError naming the key."""
@@ -63,6 +67,15 @@ class TwinFile:
             ),
             self.day0_utc,
         )
+
+    @property
+    def scale(self) -> Scale:
+        """Of the box, beside the paper's."""
+        return scale_of(self.geometry["heater_max_w"].value, self.sample_s, self.answer_s)
+
+    def usual(self, place: Place) -> Parameter:
+        """An effect's parameter with the start and the range that suit this box."""
+        return self.scale.usual(EFFECTS[place[1]].parameter(place[2]))
 
     def values(self) -> dict[Place, Value]:
         """Every value by its place, geometry first."""
@@ -130,10 +143,11 @@ def _twin_file(document: Any) -> TwinFile:
     fan_role = sections.get("fan_role", FAN_ROLES[0])
     if fan_role not in FAN_ROLES:
         raise DataError(f"fan_role: {shown(fan_role)} is none of {', '.join(FAN_ROLES)}")
+    geometry = _geometry(_mapping("geometry", sections.get("geometry"), _PAPER))
     return TwinFile(
-        geometry=_geometry(_mapping("geometry", sections.get("geometry"), _PAPER)),
+        geometry=geometry,
         sample_s=sample_s,
-        effects=_effects(sections.get("effects")),
+        effects=_effects(sections.get("effects"), scale_of(geometry["heater_max_w"].value, sample_s)),
         sensor=_spreads("sensor", sections.get("sensor"), SENSOR),
         nuisance=_spreads("nuisance", sections.get("nuisance"), NUISANCE),
         provenance=_mapping("provenance", sections.get("provenance")),
@@ -163,13 +177,15 @@ def _geometry(given: Mapping[str, Any]) -> dict[str, Value]:
     }
 
 
-def _effects(document: Any) -> dict[str, dict[str, Value]]:
+def _effects(document: Any, scale: Scale) -> dict[str, dict[str, Value]]:
     effects = {}
     for name, own in _mapping("effects", document).items():
         parameters = _mapping(f"effects.{name}", own)
         check_names(name, parameters)
         effects[name] = {
-            item.name: read_value(f"effects.{name}.{item.name}", parameters[item.name], item.start)
+            item.name: read_value(
+                f"effects.{name}.{item.name}", parameters[item.name], scale.usual(item).start
+            )
             for item in EFFECTS[name].parameters
         }
     return effects

@@ -42,7 +42,13 @@ def answer(
         "waterfall": [_step(names, side) for names, side in found.steps],
         "rounds": [_round(item, found) for item in found.search.rounds],
         "formula": _formula(found.verdict.formula),
-        "findings": [*located.findings, *found.data.told, *found.known.told, *found.data.cannot_tell],
+        "findings": [
+            *located.findings,
+            *found.data.told,
+            *found.known.told,
+            *found.judged.told,
+            *found.data.cannot_tell,
+        ],
         "events": located.events,
         "innovations": {when: located.whiteness(when) for when in ("before", "after")},
         "data_sha256": found.data.data_sha256,
@@ -67,6 +73,7 @@ def _effect(item: Named, found: Diagnosis) -> dict[str, Any]:
         "alternatives": list(item.alternatives),
         "log_odds": item.log_odds,
         "probability": found.judged.standings[item.name].probability,
+        "left_out": _told_of(item, found),
         "parameters": {
             parameter.name: _parameter(item.parameters[parameter.name], parameter.unit)
             for parameter in effect.parameters
@@ -75,6 +82,19 @@ def _effect(item: Named, found: Diagnosis) -> dict[str, Any]:
         "equation": (inspect.getdoc(effect.add) or "").splitlines()[0],
         "without": effect.without,
         "at_bound": list(item.at_bound),
+    }
+
+
+def _told_of(item: Named, found: Diagnosis) -> dict[str, float]:
+    """What rows that no fit saw say of a name."""
+    names = frozenset(effect.name for effect in found.verdict.effects)
+    standing, tried = found.judged.standings[item.name], found.judged.comparison.tried
+    return {
+        "gain_nats": standing.gain_nats,
+        "tempered_nats": standing.tempered_nats,
+        "with_k": tried[names].rmse_k,
+        "without_k": tried[names - {item.name}].rmse_k,
+        "noise_k": found.judged.comparison.noise_k,
     }
 
 

@@ -37,7 +37,11 @@ def simple_twins(file: TwinFile, runs: Recorded) -> dict[str, TwinFile]:
 
 def _open(file: TwinFile, names: Sequence[str]) -> TwinFile:
     effects = {
-        name: {item.name: Value(item.start, fit=True) for item in EFFECTS[name].parameters} for name in names
+        name: {
+            item.name: Value(file.usual(("effects", name, item.name)).start, fit=True)
+            for item in EFFECTS[name].parameters
+        }
+        for name in names
     }
     geometry = {name: Value(value.value) for name, value in file.geometry.items()}
     return replace(file, geometry=geometry, effects=effects)

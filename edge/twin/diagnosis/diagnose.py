@@ -12,8 +12,8 @@ from edge.twin.diagnosis.adopted_twin import Added, Origin, twin_after
 from edge.twin.diagnosis.baselines import ONE_MASS, arx_errors
 from edge.twin.diagnosis.formulas import formulas
 from edge.twin.diagnosis.gap import Forecast, alone, errors, floor_squares, forecast
-from edge.twin.diagnosis.given import Given, given, with_rooms
-from edge.twin.diagnosis.handed import against_adopting
+from edge.twin.diagnosis.given import Given, errors_over, given, with_rooms
+from edge.twin.diagnosis.handed import OPEN, against_adopting
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.judged import Judged, judged
 from edge.twin.diagnosis.progress import Progress
@@ -94,7 +94,12 @@ def _diagnosis(
     shared: SideBySide,
     begun: float,
 ) -> Diagnosis:
-    shapes = formulas(prepared.runs, prepared.expected, prepared.file.sample_s)
+    shapes = formulas(
+        prepared.runs,
+        prepared.expected,
+        prepared.file.sample_s,
+        prepared.file.geometry["heater_max_w"].value,
+    )
     terms = {name: term for name, (_, term) in shapes.items()}
     search = Search(
         prepared.file, prepared.runs, progress, prepared.terms, terms, len(prepared.doors), shared=shared
@@ -102,7 +107,7 @@ def _diagnosis(
     text_shapes = {name: shape for name, (shape, _) in shapes.items()}
     found = verdict(search, text_shapes)
     progress("free runs over rows that are left out")
-    result = judged(search, found, prepared, text_shapes, shared)
+    result = judged(search, found, prepared, text_shapes, shared, data.test)
     progress("free runs before and after")
     known = with_rooms(prepared, found.final.fitted.sizes)
     steps = tuple(_steps(search, result, prepared, data))
@@ -140,13 +145,13 @@ def _steps(
 ) -> Iterator[tuple[tuple[str, ...], Side]]:
     """One effect after another, names first, each twin with the values that predict."""
     names = [item.name for item in result.verdict.effects]
-    sets = [tuple(names[:count]) for count in range(len(names) + 1)]
-    if result.provisional:
-        sets.append((*names, *result.provisional))
+    sets = [(tuple(names[:count]), frozenset(names[:count])) for count in range(len(names) + 1)]
+    if result.handed.added != sets[-1][1]:
+        sets.append(((*names, *result.provisional), result.handed.added))
     beside = search.sets.base()
-    for added in sets:
-        item = result.comparison.tried[frozenset(added)].fitted
-        wanted = frozenset(added)
+    for added, key in sets:
+        item = result.comparison.tried[key].fitted
+        wanted = key - {OPEN}
         beside = search.sets.fitted({wanted: search.sets.as_usual(beside, wanted)})[0]
         own = with_rooms(prepared, item.sizes)
         yield added, _side(_settled(item.file, added), beside.fitted.trial.levels, data, own)
@@ -158,9 +163,7 @@ def _test_k(
     """Errors over the test runs of the twin before and after and of each baseline; none without test runs."""
     found = {"before": _errors(before.test), "after": _errors(after.test)}
     for name, item in result.comparison.simple.items():
-        own = with_rooms(prepared, item.fitted.sizes)
-        free = [forecast(item.fitted.file.twin(), run, own.room_of(run)) for run in data.test]
-        found[name] = _errors(free)
+        found[name] = [errors_over(data.test, item.fitted, prepared)]
     rooms = with_rooms(prepared, result.comparison.simple[ONE_MASS].fitted.sizes)
     for name, arx in result.comparison.arx.items():
         found[name] = [
@@ -206,7 +209,12 @@ def _floor_k(
         if seen.any():
             single = alone(named, guess, known.room_of(named))
             squares.append(floor_squares(twin, side.levels, single, seen))
-    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
+    if not squares:
+        return None
+    floor_k = float(np.sqrt(np.mean(np.concatenate(squares))))
+    # Heat that noise was taken for may be more than what is left: no twin is below its floor.
+    found = errors(free)
+    return min(floor_k, found["rmse_k"]) if found else floor_k
 
 
 def _settled(fitted: TwinFile, names: Sequence[str]) -> TwinFile:

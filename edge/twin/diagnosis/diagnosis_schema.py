@@ -143,6 +143,11 @@ def _effect() -> Schema:
         "alternatives": _list(_text("an effect that these data cannot tell from it")),
         "log_odds": _or_null(_number("natural logarithm, against the best model without it [nat]")),
         "probability": _or_null(_number("that it, or one of its alternatives, is missing, 0..1", 0)),
+        "left_out": {
+            **_map(_or_null(_number("nats, or an RMSE of free runs [K]"))),
+            "description": "what rows that no fit saw say of it: nats gained, all and errors that go "
+            "together counted once; errors with it, without it, and of a reading",
+        },
         "parameters": _map(_parameter()),
         "alternative_log_odds": {
             **_map(_or_null(_number("natural logarithm [nat]"))),
@@ -152,7 +157,9 @@ def _effect() -> Schema:
         "without": _text("what the residual looks like where it is missing"),
         "at_bound": _list(_text("a parameter that ended at its physical bound")),
     }
-    return _object(known, optional=["probability", "alternative_log_odds", "equation", "without", "at_bound"])
+    return _object(
+        known, optional=["probability", "left_out", "alternative_log_odds", "equation", "without", "at_bound"]
+    )
 
 
 def _parameter() -> Schema:

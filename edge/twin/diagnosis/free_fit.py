@@ -28,7 +28,7 @@ FARTHEST = 2.0  # of a start from the usual value, in coordinates
 LEAST_K = 1e-3  # of a box that stands still, which is told exactly
 ROUGH_K = 1.0  # what a free run may miss by while starts are tried
 ROUGHLY, FINELY = 3, 12  # iterations
-LONGEST_LAG_S = 1800.0  # over which errors go together
+LONGEST_LAG_S = 1800.0  # over which errors go together, in the paper's box
 KEPT = 2  # starts that are followed to their ends
 
 
@@ -66,7 +66,7 @@ def fit_values(
     return shared.map(partial(fit, runs=runs, iterations=FINELY), last)
 
 
-def together(innovations: Floats, seen: NDArray[np.bool_], step_s: float) -> float:
+def together(innovations: Floats, seen: NDArray[np.bool_], file: TwinFile) -> float:
     """How many errors tell what one would, if they had nothing in common: at least 1.
 
     innovations : [B, N], in standard deviations; seen : [B, N], where there is one
@@ -76,7 +76,7 @@ def together(innovations: Floats, seen: NDArray[np.bool_], step_s: float) -> flo
     square = float((white**2).sum())
     if not square > 0.0:
         return 1.0
-    lags = min(max(1, round(LONGEST_LAG_S / step_s)), white.shape[1] // 4)
+    lags = min(max(1, round(LONGEST_LAG_S * file.scale.time / file.sample_s)), white.shape[1] // 4)
     total = 1.0
     for lag in range(1, lags + 1):
         weight = 2.0 * (1.0 - lag / (lags + 1.0))
@@ -112,7 +112,7 @@ def _followed(found: Fitted, noise_k: float, runs: Recorded) -> Trial:
     """From where it is, against what its free runs miss by, errors that go together counted once."""
     errors = free_errors(found, runs, ROUGH_K)
     error_k = max(noise_k, float(np.sqrt(np.mean(errors[runs.measured] ** 2))))
-    alike = together(errors / error_k, runs.measured, found.file.sample_s)
+    alike = together(errors / error_k, runs.measured, found.file)
     levels = free_levels(error_k * float(np.sqrt(alike)))
     return replace(found.trial, file=found.file, free=found.free, levels=levels)
 
@@ -152,19 +152,33 @@ def _errors(state: State, sizes: Floats, runs: Recorded) -> Floats:
 
 def left_out_errors(
     found: Sequence[Fitted], folds: Sequence[NDArray[np.bool_]], runs: Recorded, shared: SideBySide
-) -> list[Floats]:
-    """Errors of free runs over rows that the fit behind each did not see, [B, N], NaN where nothing was read.
+) -> list[tuple[Floats, Floats]]:
+    """Of each fit what its free runs miss over rows that it did not see, and how far its values go meanwhile.
 
     folds : [B, N], the rows that are left out, each in one of them
+    Returns : errors [B, N], NaN where nothing was read; sds of the coordinates [p] by the grouped jackknife
+        (Efron & Tibshirani 1993, An Introduction to the Bootstrap, ch. 11), which hold under misfit
     """
     errors = [np.full(runs.duty.shape, np.nan) for _ in found]
+    places: list[list[Floats]] = [[] for _ in found]
     scales = [rms_k(item, runs) for item in found]
     for fold in folds:
         seen = replace(runs, left_out=fold)
-        for own, item, error_k in zip(errors, again(found, seen, shared), scales, strict=True):
+        for own, at, item, error_k in zip(errors, places, again(found, seen, shared), scales, strict=True):
             rows = fold & np.isfinite(runs.temp[:, 1:])
             own[rows] = free_errors(item, seen, error_k)[rows]
-    return errors
+            at.append(item.coordinates)
+    count = len(folds)
+    sds = [np.sqrt((count - 1.0) * np.var(np.stack(at), axis=0)) for at in places]
+    return list(zip(errors, sds, strict=True))
+
+
+def widened(found: Fitted, sds: Floats) -> Fitted:
+    """With coordinates as uncertain as they were seen to be. sds : [p]"""
+    own = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
+    by = np.ones(len(own))
+    by[: len(sds)] = np.maximum(1.0, sds / own[: len(sds)])
+    return replace(found, covariance=found.covariance * np.outer(by, by))
 
 
 def left_out_nats(

@@ -8,12 +8,15 @@ from numpy.typing import NDArray
 
 from edge.errors import DataError
 from edge.twin.diagnosis.fitting import fit
+from edge.twin.diagnosis.free_fit import fit_values
+from edge.twin.diagnosis.gap import forecast
 from edge.twin.diagnosis.locate.events import Door, find_events
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels
-from edge.twin.diagnosis.nuisances import nuisances, rooms
-from edge.twin.diagnosis.readings import expected, spikes, wrong_starts
+from edge.twin.diagnosis.nuisances import answer_s, nuisances, rooms
+from edge.twin.diagnosis.readings import expected, spikes, stuck, wrong_starts
 from edge.twin.diagnosis.room import WAYS, over_rows
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
+from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.trial import Fitted, Term, Trial
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
@@ -94,15 +97,28 @@ class Given:
 
 def given(file: TwinFile, data: DiagnosisRuns) -> Given:
     """Prepare the training runs. Errors: DataError for a column that the twin needs and the runs have not"""
-    item = _prepared(file, data.train)
+    item = _prepared(_begun_well(file, data), data.train)
     best = _fitted(item)
     wrong = wrong_starts(best, item.runs)
     if wrong.any():
         train = [_begun_later(named) if bad else named for named, bad in zip(data.train, wrong, strict=True)]
-        item = _prepared(file, train)
+        item = _prepared(item.file, train)
         item = replace(item, wrong=item.wrong + int(wrong.sum()))
         best = _fitted(item)
     return _without_events(item, best)
+
+
+def _begun_well(file: TwinFile, data: DiagnosisRuns) -> TwinFile:
+    """With its open values where free runs fit best, wherever they were to start, and its speed."""
+    if not file.to_fit():
+        return replace(file, answer_s=answer_s(file.twin()))
+    plain = _prepared(file, data.train)
+    rooms = [term for term in plain.terms if term.of_room]
+    best = fit_values([file], rooms, plain.runs, first_levels(file, plain.runs).sensor_k, SideBySide())[
+        0
+    ].file
+    found = {place: value for place, value in best.values().items() if file.values()[place].fit}
+    return replace(file.with_values(found), answer_s=answer_s(best.twin()))
 
 
 def _begun_later(named: NamedRun) -> NamedRun:
@@ -120,9 +136,10 @@ def _prepared(file: TwinFile, train: Sequence[NamedRun]) -> Given:
     guessed = not runs.has_ambient
     if guessed:
         runs = replace(runs, ambient=np.repeat(runs.temp[:, :1], runs.duty.shape[1], axis=1))
-    wrong = spikes(runs)
+    wrong = stuck(runs)
+    wrong |= spikes(replace(runs, temp=np.where(wrong, np.nan, runs.temp)))
     runs = replace(runs, temp=np.where(wrong, np.nan, runs.temp))
-    terms = rooms(runs) if guessed else nuisances(file.twin(), runs, runs.temp)
+    terms = rooms(runs) if guessed else nuisances(file, runs, runs.temp)
     plain = Given(file, tuple(train), runs, terms, (), int(wrong.sum()), guessed, runs.temp, "")
     return plain if guessed else _with_room(plain)
 
@@ -152,7 +169,7 @@ def _with_expected(item: Given, best: Fitted) -> Given:
     off_k = np.sqrt(np.nanmean((temps - item.runs.temp) ** 2))
     if not off_k <= FAR_OFF * first_levels(item.file, item.runs).sensor_k:
         return item
-    terms = item.terms if item.guessed else nuisances(item.file.twin(), item.runs, temps)
+    terms = item.terms if item.guessed else nuisances(item.file, item.runs, temps)
     return replace(item, expected=temps, terms=terms)
 
 
@@ -183,3 +200,11 @@ def with_rooms(item: Given, sizes: Sequence[float] | Floats) -> Given:
         return item
     offsets = np.array([size for term, size in zip(item.terms, sizes, strict=False) if term.of_room])
     return replace(item, runs=replace(item.runs, ambient=item.runs.ambient + offsets[:, None]))
+
+
+def errors_over(tests: Sequence[NamedRun], fitted: Fitted, known: Given) -> Floats:
+    """Measured minus free run over all test runs, one after another, NaN where not measured [K]."""
+    own = with_rooms(known, fitted.sizes)
+    twin = fitted.file.twin()
+    missed = [forecast(twin, named, own.room_of(named)).residual for named in tests]
+    return np.concatenate([np.empty(0), *missed])

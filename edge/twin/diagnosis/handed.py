@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 from edge.twin.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weights, simple_twins
 from edge.twin.diagnosis.candidates import Names
 from edge.twin.diagnosis.folds import block_sums, folds
-from edge.twin.diagnosis.free_fit import fit_values, left_out_errors
+from edge.twin.diagnosis.free_fit import fit_values, left_out_errors, widened
 from edge.twin.diagnosis.given import Given
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.trial import Fitted
 from edge.twin.diagnosis.unknowns import Unknown
 from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
 MUCH_BETTER = 0.9  # times the error, for what has no name to be added to a twin
+OPEN = "~open values"  # among effects: what the file is uncertain of, as if nothing were known of it
 CLEARLY = 2.0  # standard errors, where it must be no chance that one of several is better
 
 
@@ -46,6 +48,12 @@ class Predicted:
     def open_values(self) -> list[tuple[Unknown, float]]:
         """What was fitted, and its coordinate, without values that another effect replaces."""
         return list(zip(self.fitted.free, map(float, self.fitted.coordinates), strict=True))
+
+    @property
+    def spreads(self) -> list[tuple[Unknown, float, float]]:
+        """What was fitted, its coordinate and the coordinate's sd."""
+        sds = np.sqrt(np.maximum(np.diag(self.fitted.covariance), 0.0))
+        return [(own, x, float(sd)) for (own, x), sd in zip(self.open_values, sds, strict=False)]
 
 
 class Arx(NamedTuple):
@@ -109,6 +117,14 @@ class Comparison:
         """Whether free runs of one miss left-out rows by much less, and by so many standard errors."""
         return item.rmse_k < MUCH_BETTER * than.rmse_k and self.behind(than, item) > errors
 
+    def is_better_throughout(self, item: Predicted, than: Predicted) -> bool:
+        """Whether it is clearly better, in all fifths of the runs but one, and at their ends."""
+        if not self.is_better(item, than, CLEARLY):
+            return False
+        parts = folds(self.known.runs)
+        less = [rmse(item.errors[part]) < rmse(than.errors[part]) for part in parts]
+        return less[-1] and sum(less) >= len(parts) - 1
+
     def behind(self, item: Predicted, best: Predicted) -> float:
         """By how many standard errors one misses more than another, blocks of time taken as independent."""
         off = block_sums(item.errors**2 - best.errors**2, self.known.runs)
@@ -119,8 +135,15 @@ class Comparison:
         runs = self.known.runs
         rooms = [term for term in self.known.terms if term.of_room]
         fitted = fit_values(list(files), rooms, runs, self.noise_k, self.shared)
-        errors = left_out_errors(fitted, folds(runs), runs, self.shared)
-        return list(zip(fitted, errors, strict=True))
+        told = left_out_errors(fitted, folds(runs), runs, self.shared)
+        return [(widened(item, sds), errors) for item, (errors, sds) in zip(fitted, told, strict=True)]
+
+
+def opened(file: TwinFile) -> TwinFile:
+    """With uncertain values to be fitted, whatever the file says of them."""
+    return file.with_values(
+        {place: Value(value.value, fit=True) for place, value in file.values().items() if value.rel_sd}
+    )
 
 
 def rmse(errors: Floats) -> float:

@@ -1,21 +1,37 @@
 """From what the search found to what is said and handed over: by rows that no fit saw."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from edge.twin.diagnosis.candidates import Names, Scored
 from edge.twin.diagnosis.formulas import Shape
-from edge.twin.diagnosis.given import Given
-from edge.twin.diagnosis.handed import Comparison, Predicted
+from edge.twin.diagnosis.given import Given, errors_over
+from edge.twin.diagnosis.handed import OPEN, Comparison, Predicted, opened, rmse
+from edge.twin.diagnosis.runs import NamedRun
 from edge.twin.diagnosis.search import WORTH_A_LOOK, Search
 from edge.twin.diagnosis.side_by_side import SideBySide
-from edge.twin.diagnosis.standing import Standing, standing
+from edge.twin.diagnosis.standing import APART_SDS, Standing, impossible, none_at_all, standing
 from edge.twin.diagnosis.starts import with_usual
-from edge.twin.diagnosis.verdict import Named, Verdict, intervals, read, unnamed
+from edge.twin.diagnosis.verdict import Named, Verdict, _95, intervals, read, unnamed
 from edge.twin.twin_file import TwinFile
+from edge.twin.unnamed_effects import UNNAMED_EFFECTS
+from edge.twin.value import Value
 
 # What most boxes have more or less of: they stand for a name that fails, where they predict clearly better.
 USUAL = ("heater_lag", "soil_mass", "sensor_lag", "imperfect_mixing")
+# What may be added beside those where much is unexplained, so that a twin without a name predicts better.
+UNNAMED = ("constant_heat", "fan_heat", "natural_convection", *UNNAMED_EFFECTS, OPEN)
+MOST_UNNAMED = 2
+FIRST_FEW = 3  # of the search's last round, that are tried too
+LESS_UNNAMED = 0.7  # times the error, for a term that says nothing of its cause
+EXPLAINED = 2.0  # times a reading's noise: free runs that miss by less need nothing more
+AT_NOISE = 1.5  # and here nothing is missing that matters
+FAR_FROM_NOISE = 10.0  # here something is, whatever the likelihood took it for
+NEVER_MOVED = 0.1  # of a coordinate, that is the same still
+REFUTED_FROM = 1.1  # times the error over test runs without a name
+HALF = 0.5  # of the error, that an effect must take away to be thought of though the search did not
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +55,36 @@ class Judged:
     @property
     def provisional(self) -> tuple[str, ...]:
         """Effects of the twin that is handed over whose names do not stand."""
-        return tuple(sorted(self.handed.added - {item.name for item in self.verdict.effects}))
+        return tuple(sorted(self.handed.added - {item.name for item in self.verdict.effects} - {OPEN}))
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Values of the twin file that the runs contradict, sentences."""
+        if OPEN not in self.handed.added:
+            return ()
+        given = self.comparison.known.file.values()
+        return tuple(
+            f"{'.'.join(item.place)} is {item.value(x):.3g}, where the twin file says "
+            f"{given[item.place].value:.3g} and to {100.0 * (given[item.place].rel_sd or 0.0):.0f} %"
+            for item, x in self.handed.open_values
+            if item.place in given and given[item.place].rel_sd is not None
+            and abs(item.value(x) / given[item.place].value - 1.0) > _95 * (given[item.place].rel_sd or 0.0)
+        )  # fmt: skip
 
 
 def judged(
-    search: Search, found: Verdict, known: Given, shapes: Mapping[str, Shape], shared: SideBySide
+    search: Search,
+    found: Verdict,
+    known: Given,
+    shapes: Mapping[str, Shape],
+    shared: SideBySide,
+    tests: Sequence[NamedRun] = (),
 ) -> Judged:
-    """Keep the names that stand, and choose the twin."""
+    """Keep the names that stand, and choose the twin. tests : runs that are only judged by"""
     comparison = Comparison(known, search.sets.base().fitted.trial.levels.sensor_k, shared)
     effects, doubtful = list(found.effects), list[Doubtful]()
     every: dict[str, Standing] = {}
+    refused = set[str]()
     while True:
         comparison.add(_files(known.file, search, effects))
         effects, exchanged = _exchanged(search, comparison, effects)
@@ -56,21 +92,37 @@ def judged(
         names = frozenset(effect.name for effect in effects)
         whole = scored(search, names)
         if not names:
-            break
+            handed = _with_unnamed(search, comparison, comparison.choose(names))
+            if not (more := _thought_of(search, comparison, handed, names, refused)):
+                break
+            effects = list(read(search, scored(search, more)))
+            continue
         without = {name: search.sets.without(whole, name) for name in names}
         tries = len(search.candidates.names) + len(search.candidates.formulas)
         comparison.add(_files(known.file, search, effects))
         now = standing(whole, without, comparison, tries)
         every |= now
-        failed = [effect for effect in effects if now[effect.name].against]
-        if not failed:
-            break
-        doubtful += [Doubtful(effect, now[effect.name].against) for effect in failed]
-        effects = [effect for effect in effects if effect not in failed]
+        against = {name: item.against for name, item in now.items() if item.against}
+        if not against:
+            handed = _with_unnamed(search, comparison, comparison.choose(names))
+            # With what else is in that twin a name may have become what it can't be.
+            for name in names:
+                said = impossible(name, handed.fitted, known.runs, known.file.sample_s)
+                said += none_at_all(name, handed.fitted)
+                said += _refuted(name, names, comparison, tests)
+                if said:
+                    against[name] = tuple(said)
+        if not against:
+            if not (more := _thought_of(search, comparison, handed, names, refused)):
+                break
+            effects = list(read(search, scored(search, names | more)))
+            continue
+        refused |= against.keys()
+        doubtful += [Doubtful(effect, against[effect.name]) for effect in effects if effect.name in against]
+        effects = [effect for effect in effects if effect.name not in against]
     comparison.add_simple()
-    handed = comparison.choose(names)
-    said = _said(search, found, tuple(effects), handed, shapes)
-    return Judged(said, tuple(doubtful), every, comparison, handed)
+    text = _said(search, found, tuple(effects), handed, shapes, comparison.noise_k)
+    return Judged(text, tuple(doubtful), every, comparison, handed)
 
 
 def scored(search: Search, names: Names) -> Scored:
@@ -124,10 +176,73 @@ def _files(file: TwinFile, search: Search, effects: Iterable[Named]) -> dict[Nam
     return {key: _with(file, key) for key in keys}
 
 
-def _with(file: TwinFile, names: Names) -> TwinFile:
-    for name in sorted(names):
+def _refuted(name: str, names: Names, comparison: Comparison, tests: Sequence[NamedRun]) -> list[str]:
+    """Test runs that are predicted worse with a name."""
+    both = [comparison.tried[names], comparison.tried[names - {name}]]
+    own, less = (rmse(errors_over(tests, item.fitted, comparison.known)) for item in both)
+    if not own > REFUTED_FROM * less:
+        return []
+    return [f"free runs miss the test runs by {own:.3g} K with it, by {less:.3g} K without"]
+
+
+def _thought_of(
+    search: Search, comparison: Comparison, handed: Predicted, names: Names, refused: set[str]
+) -> Names:
+    """Effects that the search did not name and that take away most of what free runs missed by."""
+    more = handed.added & set(search.candidates.names) - names - refused
+    refused |= more  # each is thought of once
+    less = comparison.tried[names].rmse_k
+    return frozenset(more) if more and handed.rmse_k < HALF * less else frozenset()
+
+
+def _with_unnamed(search: Search, comparison: Comparison, handed: Predicted) -> Predicted:
+    """With what makes free runs clearly better over left-out rows, whatever it stands for."""
+    file, runs = search.file, comparison.known.runs
+    last = search.rounds[-1].tried[:FIRST_FEW] if search.rounds else ()
+    also = [item.name for item in last if item.name in search.candidates.names]
+    usual = [name for name in USUAL if name in search.candidates.names]
+    possible = [name for name in dict.fromkeys((*usual, *also, *UNNAMED)) if name not in file.effects]
+    if not runs.fan.any() or np.ptp(runs.fan) == 0.0:
+        possible.remove("fan_heat")
+    if not any(value.rel_sd for value in file.values().values()):
+        possible.remove(OPEN)
+    middle_c = float(np.nanmedian(runs.temp))
+    for _ in range(MOST_UNNAMED):
+        if handed.rmse_k <= EXPLAINED * comparison.noise_k:
+            break
+        wanted = [handed.added | {name} for name in possible if name not in handed.added]
+        comparison.add({key: _with(file, key, middle_c) for key in wanted})
+        found = [comparison.tried[key] for key in wanted]
+        best = min(
+            (item for item in found if not _is_moved(handed, item)),
+            key=lambda item: item.rmse_k,
+            default=handed,
+        )
+        less = LESS_UNNAMED if best.added & UNNAMED_EFFECTS.keys() - handed.added else 1.0
+        if not comparison.is_better_throughout(best, handed) or best.rmse_k > less * handed.rmse_k:
+            break
+        handed = best
+    return handed
+
+
+def _is_moved(handed: Predicted, item: Predicted) -> bool:
+    """Whether an effect is something else beside what was added: that then stands for it."""
+    there = {own.place: (x, sd) for own, x, sd in item.spreads}
+    for own, x, sd in handed.spreads:
+        other, other_sd = there[own.place]
+        is_added = own.place[0] == "effects" and own.place[1] in handed.added
+        if is_added and abs(other - x) > max(APART_SDS * np.hypot(sd, other_sd), NEVER_MOVED):
+            return True
+    return False
+
+
+def _with(file: TwinFile, names: Names, middle_c: float = 0.0) -> TwinFile:
+    """middle_c : of the air, about which a heat without a name may turn"""
+    for name in sorted(names - {OPEN}):
         file = with_usual(file, name)
-    return file
+        if "T_x" in file.effects[name]:
+            file = file.with_values({("effects", name, "T_x"): Value(middle_c, fit=True)})
+    return opened(file) if OPEN in names else file
 
 
 def _said(
@@ -136,12 +251,16 @@ def _said(
     effects: tuple[Named, ...],
     handed: Predicted,
     shapes: Mapping[str, Shape],
+    noise_k: float,
 ) -> Verdict:
     """The verdict with the names that stand and the values that are handed over."""
     valued = tuple(_valued(effect, handed) for effect in effects)
     if valued:
-        return replace(found, effects=valued)
-    if found.effects or (found.kind == "nothing_missing" and handed.added):
+        return replace(found, kind="named", effects=valued, depends_on=())
+    if handed.rmse_k <= AT_NOISE * noise_k and not handed.added - {OPEN}:
+        return replace(found, kind="nothing_missing", effects=(), depends_on=(), formula=())
+    too_far = handed.rmse_k > FAR_FROM_NOISE * noise_k
+    if found.effects or (found.kind == "nothing_missing" and (handed.added - {OPEN} or too_far)):
         return unnamed(search, shapes)
     return found
 

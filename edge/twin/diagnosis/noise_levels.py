@@ -19,10 +19,10 @@ Step = Mapping[str, float]  # factors of levels
 USUAL_HEAT = 0.01  # unknown heat where the file does not say, share of the heater's: most are within 5 times
 USUAL_HEAT_LOG_SD = 1.6
 USUAL_POWER_SHARE = 0.01  # mains from run to run where the file does not say
-USUAL_TAU_S, TAU_RANGE_S = 600.0, (90.0, 7200.0)
+USUAL_TAU_S, TAU_RANGE_S = 600.0, (90.0, 7200.0)  # in the paper's box
 SENSOR_RANGE_K = (0.005, 2.0)
 HEAT_RANGE = (0.0002, 5.0)  # share of the heater's
-RANGES = {"heat_tau_s": TAU_RANGE_S, "sensor_k": SENSOR_RANGE_K, "room_k": SENSOR_RANGE_K}
+RANGES = {"sensor_k": SENSOR_RANGE_K, "room_k": SENSOR_RANGE_K}
 MORE_HEAT, HEAT_NATS = 1.5, 10.0  # times the declared heat, and how sure that it is more
 MOST_HEAT = 0.04  # share that nobody would look for a cause of, where the file declares none
 FIRST_FACTOR, NEAR_FACTOR, LAST_FACTOR = 3.0, 1.4, 1.15  # of the steps in which levels are sought
@@ -46,7 +46,7 @@ def first_levels(file: TwinFile, runs: Recorded) -> NoiseLevels:
         heat_w=max(
             USUAL_HEAT * _heater_w(file) if heat_w is None else heat_w, HEAT_RANGE[0] * _heater_w(file)
         ),
-        heat_tau_s=USUAL_TAU_S,
+        heat_tau_s=USUAL_TAU_S * file.scale.time,
         power_share=USUAL_POWER_SHARE if power is None else power,
     )
 
@@ -102,7 +102,11 @@ def _free(file: TwinFile, runs: Recorded) -> tuple[str, ...]:
 
 def _changed(levels: NoiseLevels, step: Step, file: TwinFile) -> NoiseLevels:
     heater_w = _heater_w(file)
-    ranges = {**RANGES, "heat_w": (HEAT_RANGE[0] * heater_w, HEAT_RANGE[1] * heater_w)}
+    ranges = {
+        **RANGES,
+        "heat_w": (HEAT_RANGE[0] * heater_w, HEAT_RANGE[1] * heater_w),
+        "heat_tau_s": (TAU_RANGE_S[0] * file.scale.time, TAU_RANGE_S[1] * file.scale.time),
+    }
     values = {name: float(np.clip(getattr(levels, name) * by, *ranges[name])) for name, by in step.items()}
     return replace(levels, **values)
 

@@ -7,18 +7,19 @@ from edge.twin.diagnosis.trial import Term
 from edge.twin.model import Twin
 from edge.twin.network import AIR
 from edge.twin.recorded import Recorded
+from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
 CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box warms
 EXCESS_K = 10.0
-USUAL_LOSS_W_K = 8.0  # of a box whose twin is not said to lose heat, and lacks that
+USUAL_LOSS_W_K = 8.0  # of a box as large as the paper's whose twin is not said to lose heat, and lacks that
 ROOM_SD_K = 2.0  # of a room about a run's first temperature: a run begins at rest or soon after another
 
 
-def nuisances(twin: Twin, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
+def nuisances(file: TwinFile, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
     """Terms for every trial on these runs. temps : [B, N + 1], the air without its reading's noise [°C]"""
-    loss_w_k = still_loss_w_k(twin) or USUAL_LOSS_W_K
+    loss_w_k = still_loss_w_k(file.twin()) or USUAL_LOSS_W_K * file.scale.heat
     return (curved_loss(runs, temps, CURVATURE_SD * loss_w_k),)
 
 
@@ -47,6 +48,12 @@ def still_loss_w_k(twin: Twin) -> float:
     except np.linalg.LinAlgError:
         return 0.0
     return float(system.air_capacity_j_k / warmed) if warmed > 1e-9 else 0.0
+
+
+def answer_s(twin: Twin) -> float | None:
+    """Time constant of the air and what is in close contact with it, the fan off; None of no loss."""
+    loss_w_k = still_loss_w_k(twin)
+    return twin.system.air_capacity_j_k / loss_w_k if loss_w_k else None
 
 
 def rooms(runs: Recorded) -> tuple[Term, ...]:

@@ -8,14 +8,18 @@ import numpy as np
 from edge.run_file import Run, cut
 
 GAP_S = 600.0  # without rows for longer, nothing is known of what the heater did meanwhile
-LONGEST_S = 12 * 3600.0
+LONGEST_S = 12 * 3600.0  # in steps of a minute: of longer ones as many times more
+USUAL_STEP_S = 60.0
 
 
-def pieces(run: Run, gap_s: float = GAP_S, longest_s: float = LONGEST_S) -> list[Run]:
-    """The run cut where its rows are more than `gap_s` apart, and what is longer into equal parts.
+def pieces(run: Run, step_s: float = USUAL_STEP_S) -> list[Run]:
+    """The run cut where its rows are more than GAP_S apart, and what is longer into equal parts.
 
+    step_s : of the twin; where it is more than a minute, gaps and parts may be longer by as much
     Each piece begins at time 0 and says when that was. No row is in two of them.
     """
+    slower = max(1.0, step_s / USUAL_STEP_S)
+    gap_s, longest_s = GAP_S * slower, LONGEST_S * slower
     time_s = run.columns["time_s"]
     starts = [0, *(np.flatnonzero(np.diff(time_s) > gap_s) + 1).tolist(), len(time_s)]
     found = []

@@ -23,10 +23,13 @@ _HUMIDITY = "rel_humidity_pct"
 Floats = NDArray[np.float64]
 
 
-def plausible_run(table: NumberTable, without: Collection[str] = ()) -> tuple[Run, list[str]]:
+def plausible_run(
+    table: NumberTable, without: Collection[str] = (), highest_c: float | None = None
+) -> tuple[Run, list[str]]:
     """The table as a run in which every number can be what its column says; and in words what was left out.
 
     without : columns that the table may lack, as in `read_run`
+    highest_c : that the air may have, as the twin file says; None: what greenhouses have
     Errors : DataError naming file, line and column, and the unit that it looks like
     """
     run = run_of(table, without)
@@ -34,7 +37,7 @@ def plausible_run(table: NumberTable, without: Collection[str] = ()) -> tuple[Ru
     _check_humidity(table)
     columns, told = dict(run.columns), []
     for key in WHAT.keys() & columns.keys():
-        columns[key], note = _temperatures(table, key)
+        columns[key], note = _temperatures(table, key, highest_c if key == "temp_air_c" else None)
         told += note
     return replace(run, columns=columns), told
 
@@ -55,16 +58,17 @@ def _check_humidity(table: NumberTable) -> None:
         table.refuse(_HUMIDITY, values > 0.0, "is no humidity of a room in percent; is it a share of 1?")
 
 
-def _temperatures(table: NumberTable, key: str) -> tuple[Floats, list[str]]:
+def _temperatures(table: NumberTable, key: str, highest_c: float | None) -> tuple[Floats, list[str]]:
     """The column without what no air temperature can be. Errors: DataError where that is more than slips."""
     signal = next(signal for signal in SIGNALS.values() if signal.key == key)
     values = table.columns[key]
-    odd = (values < signal.low) | (values > signal.high)
+    high = signal.high if highest_c is None else highest_c
+    odd = (values < signal.low) | (values > high)
     if not odd.any():
         return values, []
     if odd.sum() > TOLERATED * np.isfinite(values).sum():
         first = float(values[odd.argmax()])
-        table.refuse(key, odd, f"is not a plausible {WHAT[key]} in degC{_question(first, signal.high)}")
+        table.refuse(key, odd, f"is not a plausible {WHAT[key]} in degC{_question(first, high)}")
     row = int(odd.argmax())
     note = (
         f"{table.place(row, key)}: {values[row]:g} degC can't be; "

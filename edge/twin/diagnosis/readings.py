@@ -1,5 +1,6 @@
 """Readings that are wrong on their face, and what a reading was expected to be."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,8 @@ from edge.twin.warm_start import held, spread
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 SPIKE_SDS, SPIKE_K = 6.0, 1.5  # a reading this far from both neighbours, which agree, is no temperature
+MOSTLY_DIFFERENT, BY_CHANCE = 0.5, 1e-4  # shares of readings: that repeat the last; that are called stuck
+LEAST_ROWS = 30  # beside a stretch, that tell how readings usually are
 AFTER_CHANGE = 0.2  # share of a change in one direction alone
 FIRST_AGREE, FIRST_NATS = 0.5, 20.0  # the same of a run's first reading, and what beginning later must gain
 DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
@@ -52,6 +55,35 @@ def _worst(readings: Floats, runs: Recorded) -> Mask:
     found = np.zeros(readings.shape, dtype=bool)
     found[:, 1:-1] = (off > least) & (bent[:, 1:-1] >= np.maximum(bent[:, :-2], bent[:, 2:]))
     return found
+
+
+def stuck(runs: Recorded) -> Mask:
+    """Readings that repeat for longer than chance lets them, but for the first of each stretch, [B, N + 1].
+
+    Only where readings mostly differ from one row to the next: a coarse or steady sensor repeats itself.
+    """
+    temp = runs.temp
+    same = np.zeros(temp.shape, dtype=bool)
+    same[:, 1:] = temp[:, 1:] == temp[:, :-1]
+    stretches = list(_stretches(same))
+    longest = max((end - first for _, first, end in stretches), default=0)
+    rows = int(np.isfinite(temp).sum())
+    # How often two in a row are the same by chance, the longest stretch left out of the count.
+    usual = (int(same.sum()) - longest + 1.0) / max(rows - longest, 2)
+    found = np.zeros(temp.shape, dtype=bool)
+    if usual > MOSTLY_DIFFERENT or rows - longest < LEAST_ROWS:
+        return found
+    for i, first, end in stretches:
+        if np.log(rows) + (end - first) * np.log(usual) < np.log(BY_CHANCE):
+            found[i, first:end] = True
+    return found
+
+
+def _stretches(same: Mask) -> Iterator[tuple[int, int, int]]:
+    """Run, first row and end of each stretch of rows that are."""
+    for i, row in enumerate(same):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        yield from ((i, int(first), int(end)) for first, end in zip(edges[::2], edges[1::2], strict=True))
 
 
 def wrong_starts(found: Fitted, runs: Recorded) -> Mask:

@@ -21,7 +21,6 @@ from edge.twin.diagnosis.noise_levels import (
 )
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.trial import Fitted, Trial
-from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -89,6 +88,5 @@ def begun(trial: Trial, given: TwinFile, runs: Recorded) -> Trial:
         if item.place in known:
             starts[item.place] = known[item.place]
         else:
-            _, effect, name = item.place
-            starts[item.place] = Value(EFFECTS[effect].parameter(name).start, fit=True)
+            starts[item.place] = Value(given.usual(item.place).start, fit=True)
     return replace(trial, file=trial.file.with_values(starts), levels=first_levels(given, runs))

@@ -77,7 +77,7 @@ def read_runs(
     if not train:
         raise DataError("diagnosis: needs at least one training run")
     paths = [*train, *test]
-    read = [plausible_run(read_table(Path(path)), without) for path in paths]
+    read = [plausible_run(read_table(Path(path)), without, twin.sensor.get("highest_c")) for path in paths]
     recordings = [run for run, _ in read]
     for run in recordings[: len(train)]:
         refuse_test(run)
@@ -188,7 +188,7 @@ def _has(run: Run, column: str) -> bool:
 
 
 def _training_pieces(name: str, run: Run, step_s: float, told: list[str]) -> list[NamedRun]:
-    parts = pieces(run)
+    parts = pieces(run, step_s)
     names = [name if len(parts) == 1 else f"{name} ({i} of {len(parts)})" for i in range(1, len(parts) + 1)]
     found = [_at_step(of, part, step_s) for of, part in zip(names, parts, strict=True)]
     kept = [piece for piece in found if _measured(piece.run) >= PIECE_ROWS]

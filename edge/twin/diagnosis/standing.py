@@ -16,6 +16,7 @@ from edge.twin.diagnosis.folds import folds, halves
 from edge.twin.diagnosis.free_fit import again, left_out_nats, row_nats, together
 from edge.twin.diagnosis.handed import Comparison
 from edge.twin.diagnosis.trial import Fitted
+from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.value import Value
 
@@ -27,6 +28,8 @@ AGAINST_NATS = 3.0  # by which a half may be against a name
 WATER_J_M3_K = 4.18e6  # nothing that fits into a box stores more heat
 MOST_SURE = 0.95  # nothing is surer than that the library has the effect at all
 MOST_NATS = 50.0  # beyond it more evidence changes nothing
+NOTHING_AT = {"eta": 1.0, "eps_f": 1.0, "u_sat": 1.0, "kC": 1.0}  # other values do nothing at 0
+SDS_95 = 1.959964
 PERIODS = 3.0  # of the longest run: a slower time constant can't be seen in it
 
 
@@ -59,7 +62,7 @@ def standing(
     runs, step_s, shared = compared.known.runs, compared.known.file.sample_s, compared.shared
     fits = [whole.fitted, *(item.fitted for item in without.values())]
     told = left_out_nats(fits, folds(runs), runs, shared)
-    temper = 1.0 / together(whole.fitted.innovations, runs.measured, step_s)
+    temper = 1.0 / together(whole.fitted.innovations, runs.measured, compared.known.file)
     gains = {name: told[0] - own for name, own in zip(without, told[1:], strict=True)}
     known = {name: _known_before(whole, item, runs) for name, item in without.items()}
     evidence = {name: temper * float(gain.sum()) + known[name] for name, gain in gains.items()}
@@ -125,6 +128,20 @@ def impossible(name: str, fitted: Fitted, runs: Recorded, step_s: float) -> list
     own = [(item, x) for item, x in pairs if item.place[:2] == ("effects", name)]
     said += [f"{item.place[2]} is as far as it can go" for item, x in own if item.is_at_bound(x)]
     return said
+
+
+def none_at_all(name: str, fitted: Fitted) -> list[str]:
+    """Values that may as well be nothing, within their 95 % interval."""
+    if len(EFFECTS[name].parameters) > 1:
+        return []
+    found = []
+    for i, item in enumerate(fitted.free):
+        if item.place[:2] == ("effects", name) and not item.log:
+            x, sd = float(fitted.coordinates[i]), float(np.sqrt(max(fitted.covariance[i, i], 0.0)))
+            low, high = item.value(x - SDS_95 * sd), item.value(x + SDS_95 * sd)
+            if low <= NOTHING_AT.get(item.place[2], 0.0) <= high:
+                found.append(f"{item.place[2]} is {low:.3g} to {high:.3g}, which may as well be no effect")
+    return found
 
 
 def _times(name: str, values: Mapping[str, Value]) -> dict[str, float]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import product
 
 from edge.twin.effects import EFFECTS
+from edge.twin.scale import USUAL_STEP_S
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -45,7 +46,11 @@ USUAL_UA_W_K = 4.0  # where it is not
 
 def with_usual(file: TwinFile, name: str) -> TwinFile:
     """The file with one more effect, to be fitted, from its usual values."""
-    return _added(file, name, {item.name: item.start for item in EFFECTS[name].parameters})
+    return _added(
+        file,
+        name,
+        {item.name: file.usual(("effects", name, item.name)).start for item in EFFECTS[name].parameters},
+    )
 
 
 def with_effect(file: TwinFile, name: str) -> list[TwinFile]:
@@ -54,15 +59,28 @@ def with_effect(file: TwinFile, name: str) -> list[TwinFile]:
         return [_added(file, name, values) for values in _walls(file)]
     if name not in STARTS:
         return [with_usual(file, name)]
-    return [_added(file, name, values) for values in STARTS[name]]
+    return [_added(file, name, _scaled(file, name, values)) for values in STARTS[name]]
+
+
+def _scaled(file: TwinFile, name: str, values: Values) -> Values:
+    """Of the paper's box, for this one."""
+    if name in ("heater_deadtime", "fan_deadtime"):
+        return {key: value * file.sample_s / USUAL_STEP_S for key, value in values.items()}
+    effect, scale = EFFECTS[name], file.scale
+    return {key: value * scale.of(effect.parameter(key).unit) for key, value in values.items()}
 
 
 def _walls(file: TwinFile) -> list[Values]:
     """Films that give the known loss in series."""
     known = file.effects.get("wall_loss", {}).get("UA")
-    ua_w_k = known.value if known is not None and known.value > 0.0 else USUAL_UA_W_K
+    scale = file.scale
+    ua_w_k = known.value if known is not None and known.value > 0.0 else USUAL_UA_W_K * scale.of("W/K")
     return [
-        {"C_w": capacity, "G_in": ua_w_k * (1.0 + share), "G_out": ua_w_k * (1.0 + 1.0 / share)}
+        {
+            "C_w": capacity * scale.of("J/K"),
+            "G_in": ua_w_k * (1.0 + share),
+            "G_out": ua_w_k * (1.0 + 1.0 / share),
+        }
         for capacity, share in product(WALL_CAPACITIES_J_K, INNER_TIMES_OUTER)
     ]
 

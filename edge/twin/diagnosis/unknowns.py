@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.effect import Parameter
-from edge.twin.effects import EFFECTS, applied
+from edge.twin.effects import applied
 from edge.twin.fit import GEOMETRY_RANGE
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 LOG_PRIOR_SD = 2.0  # of what nothing is known but its usual size: a factor of 7 either way
 GEOMETRY_PRIOR_SD = 3.0  # the same for a geometry value that is to be fitted
 LINEAR_PRIOR_SHARE = 0.5  # of the range of a value that may be 0 or negative
+TEMPERATURE_K = 5.0  # of a temperature: its usual value is no measure of how far it may be off
 AT_BOUND = 1e-3  # of the range of a coordinate
 PATH_SD = 0.005  # relative, of a loss that two values in series must give, where it is known as exact
 
@@ -45,7 +46,7 @@ class Unknown:
     def is_at_bound(self, coordinate: float) -> bool:
         """Whether a fit ended at one of its bounds."""
         low, high = self.bounds
-        margin = AT_BOUND * (high - low)
+        margin = AT_BOUND * min(high - low, 2.0 * self.sd)
         return not low + margin < coordinate < high - margin
 
     @property
@@ -58,29 +59,31 @@ def unknowns(file: TwinFile) -> tuple[Unknown, ...]:
     """What `file` has to be fitted or is uncertain of, without what another effect replaces."""
     acting = set(applied(file.effects))
     return tuple(
-        _unknown(place, value)
+        _unknown(file, place, value)
         for place, value in file.values().items()
         if (value.fit or value.rel_sd is not None) and (place[0] == "geometry" or place[1] in acting)
     )
 
 
-def _unknown(place: Place, value: Value) -> Unknown:
+def _unknown(file: TwinFile, place: Place, value: Value) -> Unknown:
     if place[0] == "geometry":
         low, high = (share * value.value for share in GEOMETRY_RANGE)
         sd = GEOMETRY_PRIOR_SD if value.rel_sd is None else value.rel_sd
         return Unknown(place, low, high, True, 1.0, float(np.log(value.value)), sd)
-    parameter = EFFECTS[place[1]].parameter(place[2])
+    parameter = file.usual(place)
     if parameter.low > 0.0:
         sd = LOG_PRIOR_SD if value.rel_sd is None else value.rel_sd
         usual = parameter.start if value.fit else value.value
         return Unknown(place, parameter.low, parameter.high, True, 1.0, float(np.log(usual)), sd)
-    return _linear(place, value, parameter)
+    return _linear(place, value, parameter, file.scale.of(parameter.unit))
 
 
-def _linear(place: Place, value: Value, parameter: Parameter) -> Unknown:
-    scale = abs(parameter.start) or 0.1 * (parameter.high - parameter.low)
+def _linear(place: Place, value: Value, parameter: Parameter, factor: float) -> Unknown:
+    # A range is never narrower than the table's: in a small box only a small part of it is usual.
+    usual = (parameter.high - parameter.low) * min(1.0, factor)
+    scale = TEMPERATURE_K if parameter.unit == "°C" else abs(parameter.start) or 0.1 * usual
     if value.rel_sd is None:
-        sd = LINEAR_PRIOR_SHARE * (parameter.high - parameter.low)
+        sd = LINEAR_PRIOR_SHARE * usual
         return Unknown(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
     sd = max(abs(value.rel_sd * value.value), 1e-9)
     return Unknown(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)

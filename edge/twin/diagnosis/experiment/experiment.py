@@ -97,7 +97,8 @@ def write_profile(found: Experiment | None, folder: Path) -> None:
     }
     if found.profile[0].light is not None:
         columns["light"] = [row.light or 0.0 for row in found.profile]
-    facts = {"notes": f"{found.kind}, to separate {', '.join(found.names)}"}
+    aim = f", to separate {', '.join(found.names)}" if found.names else ""
+    facts = {"notes": f"{found.kind}{aim}"}
     write_table(path, {name: np.array(values) for name, values in columns.items()}, facts)
 
 

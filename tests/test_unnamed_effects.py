@@ -1,0 +1,58 @@
+"""edge/twin/unnamed_effects.py: bounded heat without a name, and what it is for."""
+
+import numpy as np
+import pytest
+from simulated_runs import twin_file
+
+from edge.twin.diagnosis.candidates import Candidates
+from edge.twin.effects import EFFECTS
+from edge.twin.model import Twin
+from edge.twin.recorded import Recorded
+from edge.twin.unnamed_effects import UNNAMED_EFFECTS
+
+BASE = {"wall_loss": {"UA": 5.0}, "extra_capacity": {"kC": 4.0}}
+HEAT = {"unnamed_heat": {"P_x": 20.0, "T_x": 30.0, "w_x": 1.0}}
+CUT = {"unnamed_cut": {"f_x": 1.0, "T_x": 30.0, "w_x": 0.5}}
+ROWS = 600
+
+
+def settled_c(effects: dict[str, dict[str, float]], duty: float) -> float:
+    """Where the air ends, from a room of 20 °C."""
+    commands = np.full((1, ROWS), duty)
+    temps = Twin(effects=effects).rollout(np.array([20.0]), commands, np.zeros((1, ROWS)), 20.0)
+    assert np.isfinite(temps).all()
+    return float(temps[0, -1])
+
+
+def test_heat_comes_while_the_box_is_cool() -> None:
+    assert settled_c(BASE | HEAT, 0.0) == pytest.approx(24.0, abs=0.1)  # 20 W through 5 W/K
+    assert settled_c(BASE | HEAT, 1.0) == pytest.approx(40.0, abs=0.1)  # warm: none
+
+
+def test_a_cut_takes_the_heater_from_a_warm_box() -> None:
+    assert settled_c(BASE | CUT, 0.2) == pytest.approx(24.0, abs=0.1)
+    assert settled_c(BASE | CUT, 1.0) == pytest.approx(30.0, abs=1.0)
+
+
+@pytest.mark.parametrize("temp_c", [-200.0, 0.0, 30.0, 1000.0])
+def test_it_is_bounded_wherever_the_box_goes(temp_c: float) -> None:
+    twin = Twin(effects=BASE | HEAT)
+    heat_w = twin.signals.heat_w(np.array([temp_c]), np.array([20.0]), {}, by_temp=True)
+    assert 0.0 <= float(np.asarray(heat_w)[0]) <= 20.0
+
+
+def test_a_march_of_single_steps_is_the_rollout() -> None:
+    duty, fan = np.array([[0.0, 1.0, 1.0, 1.0, 0.2, 0.0]]), np.zeros((1, 6))
+    twin = Twin(effects=BASE | CUT)
+    whole = twin.rollout(np.array([28.0]), duty, fan, 20.0)[0]
+    state, single = np.array([28.0]), []
+    for u in duty[0]:
+        state = twin.advance(state, 20.0, u, 0.0)
+        single.append(state[0])
+    assert np.array(single) == pytest.approx(whole)
+
+
+def test_it_is_never_offered_as_a_name() -> None:
+    runs = Recorded(np.full((1, 41), 20.0), np.zeros((1, 40)), np.zeros((1, 40)), np.full((1, 40), 20.0), {})
+    assert set(UNNAMED_EFFECTS) <= EFFECTS.keys()
+    assert not set(UNNAMED_EFFECTS) & set(Candidates(twin_file(), runs, {}).names)
