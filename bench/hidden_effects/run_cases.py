@@ -57,7 +57,7 @@ def main(words: Sequence[str] | None = None) -> int:
         for folder, _ in cases_of(arguments)
         for solver in _solvers(arguments.solvers)
     ]
-    missing = [task for task in tasks if arguments.again or not _is_done(task)]
+    missing = [task for task in tasks if arguments.again or not is_done(task)]
     print(f"{len(tasks)} answers, {len(tasks) - len(missing)} of them there", flush=True)
     run_all(missing, arguments.workers)
     return 0
@@ -116,6 +116,7 @@ def _import_pysindy(solvers: set[str]) -> None:
 
 def _diagnosis(task: Task) -> dict[str, Any]:
     train, tests = (sorted(task.folder.glob(f"{role}_*.csv")) for role in ("train", "test"))
+    tests = tests or train  # each divided in time
     command = [
         "nice", "-n", "10", sys.executable, "-m", "edge", "twin", "diagnose", *map(str, train),
         "--test", *map(str, tests), "--twin", str(task.folder / "twin.yaml"), "--out", str(task.out),
@@ -165,7 +166,8 @@ def case_sha256(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def _is_done(task: Task) -> bool:
+def is_done(task: Task) -> bool:
+    """Whether it has an answer of its present files."""
     path = task.out / "run.json"
     if not path.exists():
         return False

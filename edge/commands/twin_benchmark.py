@@ -1,5 +1,7 @@
 """How often the diagnosis is right where the truth is known: cases with hidden effects, made, run and scored.
 
+The suite `foreign` shares nothing with the diagnosis: other physics, disturbances, sizes and pace.
+
 Needs the project's checkout, which holds the cases' generator and the scorer, and `pip install '.[dev]'`.
 """
 
@@ -13,8 +15,8 @@ from edge.commands.numbers import whole
 from edge.errors import RequestError
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-BENCH = "bench.hidden_effects"
-SUITES = ("equations", "chamber")
+BENCH, FOREIGN = "bench.hidden_effects", "bench.foreign"
+SUITES = ("equations", "chamber", "foreign")
 QUICK_CASES = 2  # of each kind
 
 
@@ -40,8 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
     Errors : RequestError where there is no checkout, or no pysindy
     """
     refuse_without_checkout(CHECKOUT)
-    for step in steps(arguments):
-        code = subprocess.run([sys.executable, "-m", BENCH, *step], cwd=CHECKOUT, check=False).returncode
+    bench, to_do = (
+        (FOREIGN, foreign_steps(arguments)) if arguments.suite == "foreign" else (BENCH, steps(arguments))
+    )
+    for step in to_do:
+        code = subprocess.run([sys.executable, "-m", bench, *step], cwd=CHECKOUT, check=False).returncode
         if code:
             return code
     return 0
@@ -58,15 +63,26 @@ def refuse_without_checkout(checkout: Path) -> None:
 
 def steps(arguments: argparse.Namespace) -> list[list[str]]:
     """Arguments of make, run and score, in this order."""
-    out = arguments.out.absolute()
+    out, few = arguments.out.absolute(), _few(arguments)
     which = ["--suite", arguments.suite, "--split", arguments.split]
     which += ["--kinds", arguments.kinds] if arguments.kinds else []
     workers = ["--workers", str(arguments.workers)]
-    per_kind = QUICK_CASES if arguments.quick else arguments.per_kind
-    few = [] if per_kind is None else ["--per-kind", str(per_kind)]
     places = ["--root", str(out / "cases"), "--results", str(out / "answers")]
     return [
         ["make", *which, "--out", str(out / "cases"), *few, *workers],
         ["run", *which, *places, *few, *workers],
         ["score", *which, *places, *few, *workers],
     ]
+
+
+def foreign_steps(arguments: argparse.Namespace) -> list[list[str]]:
+    """The same of the suite `foreign`, which has no other solvers and scores by other figures."""
+    which = ["--split", arguments.split, "--out", str(arguments.out.absolute() / "foreign"), *_few(arguments)]
+    which += ["--kinds", arguments.kinds] if arguments.kinds else []
+    which += ["--workers", str(arguments.workers)]
+    return [[step, *which] for step in ("make", "run", "score")]
+
+
+def _few(arguments: argparse.Namespace) -> list[str]:
+    per_kind = QUICK_CASES if arguments.quick else arguments.per_kind
+    return [] if per_kind is None else ["--per-kind", str(per_kind)]

@@ -1,0 +1,1 @@
+"""A third generator of cases: physics, numbers and disturbances that the engine has not."""
