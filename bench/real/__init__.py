@@ -1,0 +1,1 @@
+"""Logs that somebody else measured, with what is known of the truth."""

@@ -1,0 +1,159 @@
+"""python -m bench.real: the diagnosis on logs that other people measured, beside four simple models.
+
+A name is right where what is known of the rig says so; an impossible one is a store that could not be in the
+box or a time that the log can't show. Errors are those of free runs over what no fit saw [K]. The twin that
+is given knows volume and heater; its loss and capacity are to be fitted.
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from bench.foreign.cases import Log
+from bench.foreign.make import write_text
+from bench.foreign.score import is_alike
+from bench.header import header
+from bench.hidden_effects.run_cases import LIMIT_S, OURS, Task, run_all
+from bench.real.logs import LOGS, Columns, RealLog, texts
+from edge.errors import DataError
+
+TRAINS = 0.65
+SURE = 0.9
+RESULTS = Path(__file__).parents[1] / "results"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Make the cases, run them, and print a line a log."""
+    parser = argparse.ArgumentParser(prog="python -m bench.real", description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="logs of the folder README")
+    parser.add_argument("--repositories", type=Path, default=Path("../repositories"), help="clones of others")
+    parser.add_argument("--split", choices=("dev", "scored"), default="dev")
+    parser.add_argument("--only", help="logs with this in their names")
+    parser.add_argument("--out", type=Path, help="keep cases and answers here")
+    parser.add_argument("--write", action="store_true", help=f"also to {RESULTS.name}/real_<split>.txt")
+    arguments = parser.parse_args(words)
+    logs = [log for log in LOGS if log.split == arguments.split and (arguments.only or "") in log.name]
+    with tempfile.TemporaryDirectory() as folder:
+        out = arguments.out or Path(folder)
+        text = report(logs, out, arguments.data, arguments.repositories)
+    print(text, end="")
+    if arguments.write:
+        (RESULTS / f"real_{arguments.split}.txt").write_text(f"{header()}\n{text}", encoding="utf-8")
+    return 0
+
+
+def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -> str:
+    """Cases and answers under `out`; a line a log and what they come to."""
+    lines, found = [], []
+    for log in logs:
+        folder = out / "cases" / log.name.replace(" ", "_").replace(",", "")
+        answer = out / "answers" / folder.name
+        try:
+            write(log, folder, texts(log, data, repositories))
+        except DataError as error:
+            lines.append(f"{log.name}: left out: {error}")
+            continue
+        run_all([Task(OURS, folder, answer, LIMIT_S, jobs=2)], 1)
+        path = answer / "diagnosis.json"
+        run = json.loads((answer / "run.json").read_text(encoding="utf-8"))
+        if not path.exists():
+            lines.append(f"{log.name}: no answer: {run['stderr'].strip()}")
+            continue
+        document = json.loads(path.read_text(encoding="utf-8"))
+        found.append((log, document))
+        lines += _lines(log, document, run)
+    return "\n".join([*lines, "", *_totals(found)]) + "\n"
+
+
+def write(log: RealLog, folder: Path, files: Sequence[str]) -> None:
+    """What the workflow is given."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.iterdir():
+        old.unlink()
+    runs = [log.read(text) for text in files]
+    tests = len(runs) // 3 if log.whole else 0
+    for i, columns in enumerate(runs):
+        role = "test" if i >= len(runs) - tests else "train"
+        time_s = columns["time_s"]
+        judged = None if log.whole else float(time_s[round(TRAINS * len(time_s))])
+        name = f"{role}_{i + 1:02}.csv"
+        (folder / name).write_text(write_text(name, Log(columns, judged)), encoding="utf-8")
+    (folder / "twin.yaml").write_text(yaml.safe_dump(_twin(log, runs[0]), sort_keys=False), encoding="utf-8")
+
+
+def _twin(log: RealLog, first: Columns) -> dict[str, Any]:
+    step_s = max(log.step_s, float(np.median(np.diff(first["time_s"]))))
+    return {
+        "geometry": {"volume_m3": log.volume_m3, "heater_max_w": log.heater_w},
+        "fan_role": log.fan,
+        "sample_s": step_s,
+        "effects": {"wall_loss": {"UA": {"fit": True}}, "extra_capacity": {"kC": {"fit": True}}},
+    }
+
+
+def is_true(log: RealLog, name: str) -> bool:
+    """Whether what is known of the rig has it, or what a log can't tell from it."""
+    return any(is_alike(name, own) for own in (*log.main, *log.true))
+
+
+def _lines(log: RealLog, found: Mapping[str, Any], run: Mapping[str, Any]) -> list[str]:
+    names = [
+        f"{item['name']} {item['probability']:.2f}{'' if is_true(log, item['name']) else ' FALSE'}"
+        for item in found["effects"]
+    ]
+    tests = _tests(found)
+    simple = {key: tests[key] for key in tests if key not in ("before", "after")}
+    best = min(simple, key=lambda key: simple[key]) if simple else ""
+    told = ", ".join(f"{key} {value:.3g}" for key, value in tests.items())
+    offered = "offered" if found["twin_after"] else f"not offered: {'; '.join(found['against_adopting'])}"
+    return [
+        f"{log.name}: {found['verdict']}: {', '.join(names) or '-'}",
+        f"    held out [K]: {told}; best simple: {best}",
+        f"    {offered}; {run['cpu_s']:.0f} s of processor",
+    ]
+
+
+def _tests(found: Mapping[str, Any]) -> dict[str, float]:
+    gaps = {key: found["gap"][key]["test"] for key in ("before", "after")}
+    measured = {key: own["rmse_k"] for key, own in gaps.items() if own}
+    return measured | {key: value for key, value in found["left_out"]["test_k"].items() if value is not None}
+
+
+def _totals(found: Sequence[tuple[RealLog, Mapping[str, Any]]]) -> list[str]:
+    sure = [
+        (is_true(log, item["name"]))
+        for log, own in found
+        for item in own["effects"]
+        if item["probability"] >= SURE
+    ]
+    main = [
+        any(
+            is_alike(item["name"], name)
+            for item in own["effects"]
+            for name in log.main
+            if item["probability"] >= SURE
+        )
+        for log, own in found
+    ]
+    near, worse = [], []
+    for _, own in found:
+        tests = _tests(own)
+        best = min(value for key, value in tests.items() if key not in ("before", "after"))
+        near.append(tests["after"] <= 1.1 * best)
+        worse.append(own["twin_after"] is not None and tests["after"] > best)
+    return [
+        f"main effect named with {SURE} or more: {sum(main)} of {len(main)}",
+        f"names with {SURE} or more that are false: {sum(not own for own in sure)} of {len(sure)}",
+        f"held out at most 1.10 of the best simple model: {sum(near)} of {len(near)}",
+        f"offered and worse than the best simple model: {sum(worse)} of {len(worse)}",
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
