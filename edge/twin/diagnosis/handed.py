@@ -126,10 +126,20 @@ class Comparison:
         return less[-1] and sum(less) >= len(parts) - 1
 
     def behind(self, item: Predicted, best: Predicted) -> float:
-        """By how many standard errors one misses more than another, blocks of time taken as independent."""
-        off = block_sums(item.errors**2 - best.errors**2, self.known.runs)
-        spread = float(np.sqrt(len(off) / (len(off) - 1.0) * ((off - off.mean()) ** 2).sum()))
-        return float(off.sum()) / max(spread, 1e-12)
+        """By how many standard errors one misses more than another, blocks of time taken as independent.
+
+        By the logarithm of what each misses in a block: one that runs away in a single one decides nothing.
+        """
+        known = np.isfinite(item.errors) & np.isfinite(best.errors)
+        least = block_sums(np.where(known, self.noise_k**2, 0.0), self.known.runs)
+        own, less = (
+            block_sums(np.where(known, each.errors**2, 0.0), self.known.runs) for each in (item, best)
+        )
+        told = least > 0.0
+        off = np.log((own[told] + least[told]) / (less[told] + least[told]))
+        if len(off) < 2:
+            return 0.0
+        return float(off.mean()) / max(float(off.std(ddof=1)) / float(np.sqrt(len(off))), 1e-12)
 
     def _judged(self, files: Iterable[TwinFile]) -> list[tuple[Fitted, Floats]]:
         runs = self.known.runs

@@ -142,7 +142,9 @@ def _exchanged(
     others = [
         item
         for key, item in comparison.tried.items()
-        if len(key) == len(names) == len(key & names) + 1 and comparison.is_better(item, own)
+        if len(key) == len(names) == len(key & names) + 1
+        and key <= set(search.candidates.names)
+        and comparison.is_better(item, own)
     ]
     best = min(others, key=lambda item: item.rmse_k, default=None)
     # Where the likelihood says the opposite, nothing is exchanged.
