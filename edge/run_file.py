@@ -30,6 +30,7 @@ KNOWN = tuple(
             *INPUTS,
             "ambient_rel_humidity_pct",
             "door_open",
+            "solar_w_m2",
         )
     )
 )
@@ -115,7 +116,7 @@ def data_sha256(runs: Sequence[Run]) -> str:
 
 def inside_names(run: Run) -> dict[str, Floats]:
     """The run's columns by their names inside the program, with `utc` where the run says when it began."""
-    keys = {signal.key: name for name, signal in SIGNALS.items()}
+    keys = {signal.key: name for name, signal in SIGNALS.items()} | {"solar_w_m2": "solar"}
     columns = {keys.get(key, key): values for key, values in run.columns.items()}
     start_utc = run.start_utc
     return columns if start_utc is None else {**columns, "utc": start_utc + run.columns["time_s"]}

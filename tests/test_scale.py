@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_runs import twin_file
+from simulated_runs import BOX, changed, diagnosed, silent, simulated, twin_file
 
 from edge.errors import DataError
+from edge.twin.diagnosis.diagnose import diagnose
 from edge.twin.diagnosis.runs import read_runs
 from edge.twin.effects import EFFECTS, build
 from edge.twin.geometry import Geometry
@@ -112,3 +113,24 @@ def test_a_hot_box_is_read_where_the_twin_file_says_so(tmp_path: Path) -> None:
         read_runs([path], [], twin_file())
     hot = replace(twin_file(), sensor={"quantisation_k": 0.0, "noise_sd_k": 0.1, "highest_c": 300.0})
     assert np.isfinite(read_runs([path], [], hot).train[0].run.columns["temp_air_c"]).all()
+
+
+def test_sun_through_a_window_is_named_where_it_was_measured() -> None:
+    sun = np.clip(800.0 * np.sin(np.arange(150) / 25.0), 0.0, None)
+    runs = []
+    for seed in (1, 2, 3):
+        plain = simulated(BOX, seed)
+        twin = Twin(effects={**BOX, "solar_gain": {"A_sun": 0.04}})
+        columns = plain.columns
+        warmer = twin.rollout(
+            np.array([0.0]),
+            np.zeros((1, 149)),
+            columns["fan_on"][None, :-1],
+            0.0,
+            conditions={"solar": sun[:-1]},
+        )[0]
+        temps = columns["temp_air_c"] + np.concatenate([[0.0], warmer])
+        runs.append(changed(plain, temp_air_c=temps, solar_w_m2=sun))
+    found = diagnose(twin_file(), diagnosed(runs), silent, "")
+    assert [effect.name for effect in found.verdict.effects] == ["solar_gain"]
+    assert found.verdict.effects[0].parameters["A_sun"].value == pytest.approx(0.04, rel=0.1)

@@ -30,6 +30,7 @@ SINGLE = {
     "ambient_offset": {"b_amb": -1.2},
     "constant_heat": {"P0": 8.0},
     "led_gain": {"P_led": 20.0},
+    "solar_gain": {"A_sun": 0.03},
     "door_opening": {"G_door": 25.0},
     "ua_drift": {"ua_drift": 0.05},
     "fan_heat": {"P_fan": 4.0},
@@ -58,10 +59,11 @@ def conditions(seed, steps=STEPS):
         "ambient": 21.0 + rng.normal(size=steps),
         "light": rng.uniform(size=steps),
         "rel_humidity": rng.uniform(40.0, 80.0, steps),
+        "solar": rng.uniform(0.0, 800.0, steps),
         "day": 2.0 + np.arange(steps) / 1440.0,
         "door": (rng.uniform(size=steps) < 0.2) * 1.0,
     }
-    given = {name: columns[name] for name in ("light", "rel_humidity")}
+    given = {name: columns[name] for name in ("light", "solar", "rel_humidity")}
     return columns, {**given, "utc": 86400.0 * columns["day"], "door_open": columns["door"]}
 
 

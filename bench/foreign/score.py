@@ -23,6 +23,7 @@ from edge.twin.diagnosis.report.wording import beaten
 
 SURE = 0.95
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.01)
+TRUSTED = {"UA": "effects.wall_loss.UA", "kC": "effects.extra_capacity.kC"}
 NEAR_BEST, NEAR_SIMPLE = 1.02, 1.10
 
 
@@ -133,10 +134,10 @@ def _places(names: Iterable[str]) -> frozenset[str]:
 
 def _bias(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[float]:
     """Relative error of what the twin file gives to be fitted."""
-    trusted = found.get("trusted", {})
+    values = found.get("values", {})
     for key, true in truth.get("known", {}).items():
-        if key in trusted:
-            yield abs(trusted[key]["value"] - true) / abs(true)
+        if TRUSTED[key] in values:
+            yield abs(values[TRUSTED[key]]["value"] - true) / abs(true)
 
 
 def _covered(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[bool]:

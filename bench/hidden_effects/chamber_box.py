@@ -1,11 +1,9 @@
 """Boxes of the independent chamber: what each effect is there, and which values of the chamber say how much.
 
-The chamber's further effects are off unless they are what is hidden: films do not grow with the difference,
-the fan does not stir the walls, the element hardly radiates, the floor does not leak. What is left are its
-two sheets of wall, its element, its moisture; the twin's equations fit them nearly, not wholly.
-
-`imperfect_mixing` is not among them: the chamber's fan blows through both zones in turn, the library's
-through one.
+Each of the chamber's further effects, BYSTANDERS, acts in some boxes, calibrated with what is known of them as
+well as the twin's equations can, however badly that is. The fan does not stir the walls and the floor does
+not leak. `imperfect_mixing` is never what is hidden: the chamber's fan blows through both zones in turn, the
+library's through one.
 """
 
 from collections.abc import Mapping
@@ -27,6 +25,11 @@ BASE: Settings = {
     "effects.power_wander": 1.0, "effects.heat_noise": 1.0, "effects.sensor_noise": 1.0,
     "effects.sensor_step": 1.0,
 }  # fmt: skip
+BYSTANDERS = (
+    "imperfect_mixing", "natural_convection", "interior_longwave", "plant_mass", "condensation",
+    "fan_motor_heat", "heater_thermostat", "stack_ventilation",
+)  # fmt: skip
+BYSTANDER_ODDS = 0.12
 QUIET: Settings = {
     "effects.power_run_variation": 0.0, "effects.power_wander": 0.0, "effects.sensor_noise": 0.0,
     "effects.sensor_step": 0.0,
@@ -151,8 +154,9 @@ THIN_WALLS: Settings = {"cover.inner_film_w_m2_k": 80.0, "cover.gap_w_m2_k": 150
 
 
 def draw_base(rng: Generator) -> Settings:
-    """Films and contacts of a box."""
-    return {
+    """Films and contacts of a box, and what else acts in it."""
+    also = {f"effects.{name}": 1.0 for name in BYSTANDERS if rng.random() < BYSTANDER_ODDS}
+    return also | {
         "cover.inner_film_w_m2_k": rng.uniform(7.0, 14.0),
         "cover.outer_film_w_m2_k": rng.uniform(5.0, 14.0),
         "soil.air_w_k": rng.uniform(1.5, 4.0),

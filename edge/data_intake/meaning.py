@@ -22,6 +22,7 @@ FOR: Mapping[str, frozenset[str]] = {
     "soil_moisture": _words("soil"),
     "tank_level": _words("tank"),
     "door_open": _words("door lid window"),
+    "solar_w_m2": _words("solar sun irradiance radiation ghi globalstrahlung"),
 }
 ELSEWHERE = _words("ambient room raum outside outdoor tamb tout ext set setpoint reference target soil")
 AGAINST: Mapping[str, frozenset[str]] = {

@@ -12,7 +12,12 @@ from edge.twin.signals import Conditions
 from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
-CONDITIONS = {"light": "light", "rel_humidity_pct": "rel_humidity", "door_open": "door_open"}
+CONDITIONS = {
+    "light": "light",
+    "rel_humidity_pct": "rel_humidity",
+    "door_open": "door_open",
+    "solar_w_m2": "solar",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

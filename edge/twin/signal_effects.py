@@ -34,6 +34,11 @@ def led_gain(network: Network, P_led: float) -> None:
     network.heat(lambda now: P_led * now.column["light"])
 
 
+def solar_gain(network: Network, A_sun: float) -> None:
+    """Sun through windows: Q = A_sun I(t), I the column `solar` in W/m², A_sun what it is gathered by."""
+    network.heat(lambda now: A_sun * now.column["solar"])
+
+
 def evapotranspiration(network: Network, k_e: float) -> None:
     """Heat that plants and soil take to evaporate: Q = -k_e (0.4 + 0.6 L) VPD(T, RH), VPD in kPa.
 
@@ -84,6 +89,13 @@ SIGNAL_EFFECTS: Mapping[str, Effect] = {
         "heat gain from lighting, ASHRAE Fundamentals 2017, ch. 18",
         "positive in proportion to the light",
         needs=("light",),
+    ),
+    "solar_gain": Effect(
+        solar_gain,
+        (Parameter("A_sun", "m²", 0.0, 5.0, 0.05),),
+        "effective collecting area of a window, ISO 52016-1, 6.5.13",
+        "positive in proportion to the sun",
+        needs=("solar",),
     ),
     "evapotranspiration": Effect(
         evapotranspiration,

@@ -15,7 +15,7 @@ from edge.twin.diagnosis.located import Located
 from edge.twin.diagnosis.report.story import Trace
 from edge.twin.diagnosis.runs import NamedRun
 from edge.twin.diagnosis.search import Round
-from edge.twin.diagnosis.verdict import Coefficient, Named
+from edge.twin.diagnosis.verdict import Coefficient, Named, interval
 from edge.twin.effects import EFFECTS
 from edge.twin.value import Value
 
@@ -60,6 +60,7 @@ def answer(
             {"name": item.effect.name, "against": list(item.against)} for item in found.judged.doubtful
         ],
         "provisional": list(found.judged.provisional),
+        "values": _values(found),
         "left_out": _left_out(found),
         "against_adopting": list(found.against_adopting),
     }
@@ -83,6 +84,17 @@ def _effect(item: Named, found: Diagnosis) -> dict[str, Any]:
         "without": effect.without,
         "at_bound": list(item.at_bound),
     }
+
+
+def _values(found: Diagnosis) -> dict[str, Any]:
+    """What the runs say of what the twin file leaves open or is uncertain of."""
+    fitted, given = found.judged.handed.fitted, found.known.file.values()
+    own = {}
+    for i, item in enumerate(fitted.free):
+        if item.place in given:
+            value = interval(item, float(fitted.coordinates[i]), float(fitted.covariance[i, i]))
+            own[".".join(item.place)] = {"value": value.value, "low": value.low, "high": value.high}
+    return own
 
 
 def _told_of(item: Named, found: Diagnosis) -> dict[str, float]:

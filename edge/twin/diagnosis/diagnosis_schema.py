@@ -98,6 +98,13 @@ def _evidence() -> dict[str, Schema]:
             **_list(_text("an effect")),
             "description": "in the new twin because it predicts better with them; their names do not stand",
         },
+        "values": {
+            **_map(
+                _object({"value": _number("in the unit of the twin file"), "low": _bound(), "high": _bound()})
+            ),
+            "description": "what the runs say of values that the twin file leaves open, by place: geometry or "
+            "effects.NAME.PARAMETER; 95 % intervals",
+        },
         "left_out": {
             **_object(
                 {
@@ -163,8 +170,12 @@ def _effect() -> Schema:
 
 
 def _parameter() -> Schema:
-    bound = _or_null(_number("of the 95 % interval, in `unit`"))
-    return _object({"value": _number("in `unit`"), "low": bound, "high": bound, "unit": {"type": "string"}})
+    ends = {"low": _bound(), "high": _bound()}
+    return _object({"value": _number("in `unit`"), **ends, "unit": {"type": "string"}})
+
+
+def _bound() -> Schema:
+    return _or_null(_number("of the 95 % interval, in the value's unit"))
 
 
 def _regime() -> Schema:

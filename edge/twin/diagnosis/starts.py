@@ -37,6 +37,7 @@ STARTS: Mapping[str, Sequence[Values]] = {
     "ambient_offset": ({"b_amb": 0.1},),
     "constant_heat": ({"P0": 1.0},),
     "led_gain": ({"P_led": 2.0},),
+    "solar_gain": ({"A_sun": 0.01},),
     "evapotranspiration": ({"k_e": 2.0},),
 }
 WALL_CAPACITIES_J_K = (2000.0, 20000.0)

@@ -31,6 +31,7 @@ CHECKS: Mapping[str, str] = {
     "extra_capacity": "a run with the box emptied",
     "infiltration": "a run with the fan's openings taped",
     "led_gain": "a power meter at the lamp",
+    "solar_gain": "a day with the windows covered",
     "evapotranspiration": "a run without plant and wet soil",
     "door_opening": "a contact on the door",
     "ua_drift": "the same run again after some days",
