@@ -204,7 +204,8 @@ def test_a_value_at_its_bound_is_not_offered(found: Diagnosis) -> None:
     stuck = Predicted(handed.added, replace(handed.fitted, coordinates=at_end), handed.errors)
     given = found.judged.comparison.tried[frozenset()]
     [said] = against_adopting(given, stuck, {"one mass": 9.0}, {})
-    assert said == "a value is as far as it can go: effects.heater_lag.tau_h"
+    assert said.startswith("a value is as far as it can go: ")
+    assert "effects.heater_lag.tau_h" in said
 
 
 def stuck(run: Run, first: int) -> Run:

@@ -190,7 +190,7 @@ def test_the_new_twin_is_one_that_predicts(named: Told) -> None:
 def test_every_effect_was_tried_and_the_rounds_say_why_not(named: Told) -> None:
     rounds = named.document["rounds"]
     tried = {candidate["name"]: candidate for candidate in rounds[0]["candidates"]}
-    needing = {"evapotranspiration", "door_opening"}  # no humidity, no door
+    needing = {"evapotranspiration", "door_opening", "solar_gain"}  # no humidity, no door, no sun
     assert set(USUAL_EFFECTS) - set(BOX) - needing <= set(tried)
     assert tried["heater_lag"]["kept"]
     assert all(candidate["why"] for candidate in tried.values())

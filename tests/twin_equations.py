@@ -50,7 +50,7 @@ def slopes(state, duty, fan, now, p):
         p["P_fan"] * flow
         + p["P0"]
         + p["P_led"] * now["light"]
-        + p["A_sun"] * now["solar"]
+        + p["A_sun"] * now.get("solar", 0.0)
         - p["k_e"] * (0.4 + 0.6 * now["light"]) * deficit
     )
     exhaust = p["eps_f"] * (1.0 - p["s_sc"]) * flow * EXHAUST_W_K * (air - room)

@@ -90,7 +90,7 @@ def score(
         found["verdict"],
         names,
         tuple(own in hidden for own in names),
-        tuple(_matched(names, hidden)),
+        tuple(matched(names, hidden)),
         tuple(
             (item["probability"], any(is_alike(item["name"], own) for own in hidden))
             for item in [*found["effects"], *found["doubtful"]]
@@ -115,7 +115,7 @@ def _gaps(found: Mapping[str, Any]) -> dict[str, float]:
     return {key: own["rmse_k"] for key, own in gaps.items() if own}
 
 
-def _matched(names: Sequence[str], hidden: Sequence[str]) -> Iterable[bool]:
+def matched(names: Sequence[str], hidden: Sequence[str]) -> Iterable[bool]:
     """Each hidden effect finds one name at most, a strict one first."""
     left = [own for own in hidden if own not in names]
     for name in names:

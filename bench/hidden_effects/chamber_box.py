@@ -1,9 +1,9 @@
 """Boxes of the independent chamber: what each effect is there, and which values of the chamber say how much.
 
-Each of the chamber's further effects, BYSTANDERS, acts in some boxes, calibrated with what is known of them as
-well as the twin's equations can, however badly that is. The fan does not stir the walls and the floor does
-not leak. `imperfect_mixing` is never what is hidden: the chamber's fan blows through both zones in turn, the
-library's through one.
+Each of the chamber's further effects, BYSTANDERS, acts in some boxes; what is known of these is calibrated as
+well as the twin's equations can be, however badly that is. The fan does not stir the walls and the floor does
+not leak. `imperfect_mixing` never acts: the chamber's fan blows through both zones in turn, the library's
+through one; nor does the heater's thermostat, which nobody would calibrate a box with.
 """
 
 from collections.abc import Mapping
@@ -26,8 +26,8 @@ BASE: Settings = {
     "effects.sensor_step": 1.0,
 }  # fmt: skip
 BYSTANDERS = (
-    "imperfect_mixing", "natural_convection", "interior_longwave", "plant_mass", "condensation",
-    "fan_motor_heat", "heater_thermostat", "stack_ventilation",
+    "natural_convection", "interior_longwave", "plant_mass", "condensation", "fan_motor_heat",
+    "stack_ventilation",
 )  # fmt: skip
 BYSTANDER_ODDS = 0.12
 QUIET: Settings = {

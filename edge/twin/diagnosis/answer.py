@@ -99,14 +99,13 @@ def _values(found: Diagnosis) -> dict[str, Any]:
 
 def _told_of(item: Named, found: Diagnosis) -> dict[str, float]:
     """What rows that no fit saw say of a name."""
-    names = frozenset(effect.name for effect in found.verdict.effects)
-    standing, tried = found.judged.standings[item.name], found.judged.comparison.tried
+    standing = found.judged.standings[item.name]
     return {
         "gain_nats": standing.gain_nats,
         "tempered_nats": standing.tempered_nats,
-        "with_k": tried[names].rmse_k,
-        "without_k": tried[names - {item.name}].rmse_k,
-        "noise_k": found.judged.comparison.noise_k,
+        "with_k": standing.with_k,
+        "without_k": standing.without_k,
+        "noise_k": standing.noise_k,
     }
 
 

@@ -102,8 +102,8 @@ def _evidence() -> dict[str, Schema]:
             **_map(
                 _object({"value": _number("in the unit of the twin file"), "low": _bound(), "high": _bound()})
             ),
-            "description": "what the runs say of values that the twin file leaves open, by place: geometry or "
-            "effects.NAME.PARAMETER; 95 % intervals",
+            "description": "what the runs say of values that the twin file leaves open, by place: geometry "
+            "or effects.NAME.PARAMETER; 95 % intervals",
         },
         "left_out": {
             **_object(

@@ -26,8 +26,7 @@ UNNAMED = ("constant_heat", "fan_heat", "natural_convection", *UNNAMED_EFFECTS, 
 MOST_UNNAMED = 2
 FIRST_FEW = 3  # of the search's last round, that are tried too
 LESS_UNNAMED = 0.7  # times the error, for a term that says nothing of its cause
-EXPLAINED = 2.0  # times a reading's noise: free runs that miss by less need nothing more
-AT_NOISE = 1.5  # and here nothing is missing that matters
+EXPLAINED = 2.0  # times a reading's noise: free runs that miss by less lack nothing that matters
 FAR_FROM_NOISE = 10.0  # here something is, whatever the likelihood took it for
 NEVER_MOVED = 0.1  # of a coordinate, that is the same still
 REFUTED_FROM = 1.1  # times the error over test runs without a name
@@ -91,6 +90,9 @@ def judged(
         doubtful += exchanged
         names = frozenset(effect.name for effect in effects)
         whole = scored(search, names)
+        if not names and comparison.tried[names].rmse_k <= EXPLAINED * comparison.noise_k:
+            handed = comparison.tried[names]
+            break
         if not names:
             handed = _with_unnamed(search, comparison, comparison.choose(names))
             if not (more := _thought_of(search, comparison, handed, names, refused)):
@@ -259,7 +261,7 @@ def _said(
     valued = tuple(_valued(effect, handed) for effect in effects)
     if valued:
         return replace(found, kind="named", effects=valued, depends_on=())
-    if handed.rmse_k <= AT_NOISE * noise_k and not handed.added - {OPEN}:
+    if handed.rmse_k <= EXPLAINED * noise_k and not handed.added - {OPEN}:
         return replace(found, kind="nothing_missing", effects=(), depends_on=(), formula=())
     too_far = handed.rmse_k > FAR_FROM_NOISE * noise_k
     if found.effects or (found.kind == "nothing_missing" and (handed.added - {OPEN} or too_far)):

@@ -15,6 +15,7 @@ from edge.twin.diagnosis.candidates import Names, Scored
 from edge.twin.diagnosis.folds import folds, halves
 from edge.twin.diagnosis.free_fit import again, left_out_nats, row_nats, together
 from edge.twin.diagnosis.handed import Comparison
+from edge.twin.diagnosis.probability import LIKELY, evidence, probability
 from edge.twin.diagnosis.trial import Fitted
 from edge.twin.effects import EFFECTS
 from edge.twin.recorded import Recorded
@@ -26,8 +27,6 @@ NO_WORSE = 1.02  # times the error of free runs without a name
 APART_SDS = 4.0  # between the values of two halves: more is no chance
 AGAINST_NATS = 3.0  # by which a half may be against a name
 WATER_J_M3_K = 4.18e6  # nothing that fits into a box stores more heat
-MOST_SURE = 0.95  # nothing is surer than that the library has the effect at all
-MOST_NATS = 50.0  # beyond it more evidence changes nothing
 NOTHING_AT = {"eta": 1.0, "eps_f": 1.0, "u_sat": 1.0, "kC": 1.0}  # other values do nothing at 0
 SDS_95 = 1.959964
 PERIODS = 3.0  # of the longest run: a slower time constant can't be seen in it
@@ -40,19 +39,21 @@ class Standing:
     gain_nats : of rows that were left out, and of what the twin file declares as known
     tempered_nats : the same, errors that go together counted once
     against : sentences, none where it stands
+    with_k, without_k, noise_k : errors of free runs over left-out rows, and of a reading
     """
 
     name: str
     gain_nats: float
     tempered_nats: float
     against: tuple[str, ...]
-    candidates: int
+    with_k: float
+    without_k: float
+    noise_k: float
 
     @property
     def probability(self) -> float:
         """That the name is right, or one of those that can't be told from it."""
-        odds = min(self.tempered_nats, MOST_NATS) - float(np.log(self.candidates))
-        return MOST_SURE / (1.0 + float(np.exp(-odds)))
+        return probability(evidence(self.tempered_nats, self.with_k, self.without_k, self.noise_k))
 
 
 def standing(
@@ -65,8 +66,8 @@ def standing(
     temper = 1.0 / together(whole.fitted.innovations, runs.measured, compared.known.file)
     gains = {name: told[0] - own for name, own in zip(without, told[1:], strict=True)}
     known = {name: _known_before(whole, item, runs) for name, item in without.items()}
-    evidence = {name: temper * float(gain.sum()) + known[name] for name, gain in gains.items()}
-    passed = discovered(evidence, candidates)
+    tempered = {name: temper * float(gain.sum()) + known[name] for name, gain in gains.items()}
+    passed = discovered(tempered, candidates)
     half = halves(runs)
     two = [again([whole.fitted], replace(runs, left_out=half == 1 - i), shared)[0] for i in range(2)]
     found = {}
@@ -75,9 +76,21 @@ def standing(
         against += _predicting(name, whole.added, compared)
         against += impossible(name, compared.tried[whole.added].fitted, runs, step_s)
         against += _halves(name, gain, half, two)
-        found[name] = Standing(
-            name, float(gain.sum()) + known[name], evidence[name], tuple(against), candidates
+        less, own = (compared.tried[key].rmse_k for key in (whole.added - {name}, whole.added))
+        item = Standing(
+            name,
+            float(gain.sum()) + known[name],
+            tempered[name],
+            tuple(against),
+            own,
+            less,
+            compared.noise_k,
         )
+        if item.probability < LIKELY and not against:
+            item = replace(
+                item, against=(f"it is right in {100.0 * item.probability:.0f} of 100 such cases",)
+            )
+        found[name] = item
     return found
 
 

@@ -9,6 +9,7 @@ from edge.twin.diagnosis.report.number_text import DASH, duration, nats, number,
 from edge.twin.diagnosis.report.wording import (
     Document,
     changed,
+    dependences,
     effect_text,
     formula_text,
     interval_text,
@@ -130,9 +131,9 @@ def _parameters(parameters: Mapping[str, Any], at_bound: Any = ()) -> Iterator[s
 
 def _unknown(document: Document) -> Iterator[str]:
     yield "<h3>Without a name</h3>"
-    if document["depends_on"]:
+    if told := dependences(document):
         yield paragraph("It depends on, strongest first:")
-        yield bullets(DEPENDENCES.get(name, name) for name in document["depends_on"])
+        yield bullets(DEPENDENCES.get(name, name) for name in told)
     else:
         yield paragraph("These data do not tell what it depends on.")
     if formula := document.get("formula"):

@@ -11,6 +11,7 @@ _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 _ROLES = {"train": "training runs", "test": "held-out test runs"}
 NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
 CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
+NOTHING = "none"
 CLEARLY_LESS = 0.98  # times an error, for a model to be called better
 ERROR_SHARE = "squared error"  # what a finding that tells where the error lies has in it
 WHITE_P = 0.05  # a run's innovations count as white from this p-value on
@@ -26,9 +27,14 @@ def headline(document: Document) -> str:
         count = _COUNTS[len(effects)] if len(effects) < len(_COUNTS) else str(len(effects))
         return f"{count} effect{' is' if len(effects) == 1 else 's are'} missing: {names}"
     besides = f"Besides {names}, something" if effects else "Something"
-    if not document["depends_on"]:
+    if not (told := dependences(document)):
         return f"{besides} is missing that has no name here; these data do not tell what it depends on"
-    return f"{besides} is missing that has no name here: it depends on {listed(document['depends_on'])}"
+    return f"{besides} is missing that has no name here: it depends on {listed(told)}"
+
+
+def dependences(document: Document) -> list[str]:
+    """What an unknown effect depends on, without the word that says nothing is known of it."""
+    return [name for name in document["depends_on"] if name != NOTHING]
 
 
 def meaning(document: Document) -> list[str]:

@@ -1,0 +1,84 @@
+"""python -m bench.calibrate ANSWERS...: how sure a name is, from what rows that no fit saw say of it.
+
+ANSWERS are folders of development answers: of `bench.foreign` (DIR/dev with cases, truth, answers) or of
+`bench.hidden_effects run` (given as ANSWERS:TRUTHS). A logistic regression of whether a name was right, on
+three numbers of its evidence, each of which can only help or harm, prints the coefficients of
+edge/twin/diagnosis/probability.py and what was said beside what held. Names are right by class, as
+`bench.foreign.score` has it. Scored cases have no part in it.
+"""
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.foreign.score import bins, calibration_error, matched
+from bench.hidden_effects.wilson import share
+from edge.twin.diagnosis.probability import MOST_SURE, evidence
+
+RIDGE = 0.05  # of the slopes, so that a perfect separation stays finite
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Fit, and print."""
+    places = list(sys.argv[1:] if words is None else words)
+    if not places:
+        print(__doc__, end="")
+        return 2
+    told = [pair for place in places for pair in statements(place)]
+    numbers, right = np.array([own for own, _ in told]), np.array([own for _, own in told], dtype=bool)
+    weights = fitted(numbers, right)
+    print(f"{len(told)} names, {int(right.sum())} of them right")
+    print("intercept, nats, ratio, noise:", ", ".join(f"{weight:.2f}" for weight in weights))
+    odds = weights[0] + numbers @ weights[1:]
+    said = np.minimum(MOST_SURE, 1.0 / (1.0 + np.exp(-odds)))
+    pairs = list(zip(said.tolist(), right.tolist(), strict=True))
+    for (low, high), own in bins(pairs).items():
+        held = share(true for _, true in own)
+        print(f"{low:.2f} to {min(high, 1.0):.2f}: held {held.value:.2f} of {held.cases}")
+    print(f"calibration error {calibration_error(pairs):.3f}")
+    return 0
+
+
+def statements(place: str) -> Iterator[tuple[tuple[float, float, float], bool]]:
+    """Evidence of each name, and whether it is right."""
+    answers, _, truths = place.partition(":")
+    folder = Path(answers) if truths else Path(answers) / "answers"
+    truth_folder = Path(truths) if truths else Path(answers) / "truth"
+    for path in sorted(folder.glob("*/diagnosis.json")):
+        document = json.loads(path.read_text(encoding="utf-8"))
+        truth = json.loads((truth_folder / f"{path.parent.name}.json").read_text(encoding="utf-8"))
+        names = [item["name"] for item in document["effects"]]
+        right = list(matched(names, hidden_of(truth)))
+        for item, is_right in zip(document["effects"], right, strict=True):
+            own = item["left_out"]
+            yield (
+                evidence(own["tempered_nats"], own["with_k"], own["without_k"], own["noise_k"]),
+                is_right,
+            )
+
+
+def hidden_of(truth: dict[str, Any]) -> list[str]:
+    """Names, as either kind of truth has them."""
+    return [item if isinstance(item, str) else item["name"] for item in truth["hidden"]]
+
+
+def fitted(numbers: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Intercept and three slopes, of which none has the wrong sign."""
+    from scipy.optimize import minimize
+
+    sign = np.where(right, 1.0, -1.0)
+
+    def lost(weights: np.ndarray) -> float:
+        odds = weights[0] + numbers @ weights[1:]
+        return float(np.logaddexp(0.0, -sign * odds).sum() + RIDGE * (weights[1:] ** 2).sum())
+
+    bounds = [(None, None), (0.0, None), (0.0, None), (None, 0.0)]
+    return np.asarray(minimize(lost, np.array([0.0, 1.0, 1.0, -1.0]), bounds=bounds).x)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
