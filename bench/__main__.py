@@ -51,6 +51,7 @@ BENCHES = {
     "twin": Bench(("--repeats", "3")),
     "rollout": Bench(("--seconds", "0.3")),
     "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
+    "real_truth": Bench(("--only", "energy balance")),
     "real_diagnosis": Bench(("--out", "out/bench"), keeps_its_table=True),
 }  # fmt: skip
 

@@ -21,6 +21,7 @@ MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its figure
     "mpc": ("edge/controllers", "edge/models/arx.py", "bench/mpc.py", "bench/instances.py"),
     "mpc_rollout": ("edge/controllers", "edge/models", "edge/twin", "bench/mpc_rollout.py"),
     "outbox": ("edge/mqtt", "edge/storage", "edge/tick_json.py", "bench/outbox.py"),
+    "real_truth": ("edge/twin", "bench/real_truth"),
     "rollout": ("edge/models", "edge/twin", "bench/rollout.py"),
     "twin": ("edge/twin", "bench/twin.py"),
 }

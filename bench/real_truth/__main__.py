@@ -1,4 +1,4 @@
-"""python -m bench.real: the diagnosis on logs that other people measured, beside four simple models.
+"""python -m bench.real_truth: the diagnosis on logs that other people measured, beside four simple models.
 
 A name is right where what is known of the rig says so; an impossible one is a store that could not be in the
 box or a time that the log can't show. Errors are those of free runs over what no fit saw [K]. The twin that
@@ -18,33 +18,28 @@ import yaml
 from bench.foreign.cases import Log
 from bench.foreign.make import write_text
 from bench.foreign.score import is_alike
-from bench.header import header
 from bench.hidden_effects.run_cases import LIMIT_S, OURS, Task, run_all
-from bench.real.logs import LOGS, Columns, RealLog, texts
+from bench.real_truth.logs import LOGS, Columns, RealLog, texts
 from edge.errors import DataError
 
 TRAINS = 0.65
 SURE = 0.9
-RESULTS = Path(__file__).parents[1] / "results"
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Make the cases, run them, and print a line a log."""
-    parser = argparse.ArgumentParser(prog="python -m bench.real", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m bench.real_truth", description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="logs of the folder README")
     parser.add_argument("--repositories", type=Path, default=Path("../repositories"), help="clones of others")
     parser.add_argument("--split", choices=("dev", "scored"), default="dev")
     parser.add_argument("--only", help="logs with this in their names")
     parser.add_argument("--out", type=Path, help="keep cases and answers here")
-    parser.add_argument("--write", action="store_true", help=f"also to {RESULTS.name}/real_<split>.txt")
     arguments = parser.parse_args(words)
     logs = [log for log in LOGS if log.split == arguments.split and (arguments.only or "") in log.name]
     with tempfile.TemporaryDirectory() as folder:
         out = arguments.out or Path(folder)
         text = report(logs, out, arguments.data, arguments.repositories)
     print(text, end="")
-    if arguments.write:
-        (RESULTS / f"real_{arguments.split}.txt").write_text(f"{header()}\n{text}", encoding="utf-8")
     return 0
 
 
