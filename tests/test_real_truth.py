@@ -64,5 +64,5 @@ def test_what_is_not_there_is_said_with_where_to_get_it(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="--data says where the logs lie"):
         texts(KIT, tmp_path, tmp_path)
     other = next(log for log in LOGS if log.source != SHARED)
-    with pytest.raises(DataError, match="no clone of https://github.com/"):
+    with pytest.raises(DataError, match=r"no clone of https://github\.com/"):
         texts(other, tmp_path, tmp_path)

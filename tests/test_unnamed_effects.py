@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
-from simulated_runs import twin_file
+from simulated_runs import diagnosed, silent, simulated, twin_file
 
 from edge.twin.diagnosis.candidates import Candidates
+from edge.twin.diagnosis.diagnose import diagnose
+from edge.twin.diagnosis.handed import OPEN, opened
 from edge.twin.effects import EFFECTS
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
 from edge.twin.unnamed_effects import UNNAMED_EFFECTS
+from edge.twin.value import Value
 
 BASE = {"wall_loss": {"UA": 5.0}, "extra_capacity": {"kC": 4.0}}
 HEAT = {"unnamed_heat": {"P_x": 20.0, "T_x": 30.0, "w_x": 1.0}}
@@ -50,6 +53,22 @@ def test_a_march_of_single_steps_is_the_rollout() -> None:
         state = twin.advance(state, 20.0, u, 0.0)
         single.append(state[0])
     assert np.array(single) == pytest.approx(whole)
+
+
+def test_values_that_the_runs_contradict_are_opened_and_that_is_said() -> None:
+    runs = [simulated({"wall_loss": {"UA": 9.0}, "extra_capacity": {"kC": 10.0}}, seed) for seed in (1, 2, 3)]
+    wrong = {("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)}
+    file = twin_file().with_values(wrong)
+    found = diagnose(file, diagnosed(runs, file=file), silent, "")
+    fitted = found.adopted.effects["wall_loss"]["UA"]
+    assert fitted.value == pytest.approx(9.0, rel=0.1) or found.verdict.kind == "named"
+    if OPEN in found.judged.handed.added:
+        assert any("wall_loss.UA is" in line for line in found.judged.told)
+
+
+def test_opened_values_are_adopted_like_any_other() -> None:
+    file = twin_file().with_values({("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)})
+    assert opened(file).to_fit() == [("effects", "wall_loss", "UA")]
 
 
 def test_it_is_never_offered_as_a_name() -> None:

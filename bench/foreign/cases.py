@@ -26,6 +26,7 @@ SHOWN_NOISES, SHOWN_STEPS, SHOWN_SHARE = 1.5, 0.3, 0.02
 ALIASES = (
     {"heater_lag", "sensor_lag", "heater_deadtime", "imperfect_mixing", "radiative_split"},
     {"soil_mass", "wall_mass"},
+    {"wall_loss", "wall_mass"},
     {"heater_saturation", "heater_sag"},
     {"constant_heat", "ambient_offset", "sensor_bias", "ground_loss"},
     {"natural_convection", "longwave_radiation", "stack_ventilation"},

@@ -7,8 +7,10 @@ is given knows volume and heater; its loss and capacity are to be fitted.
 
 import argparse
 import json
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +56,8 @@ def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -
         except DataError as error:
             lines.append(f"{log.name}: left out: {error}")
             continue
-        run_all([Task(OURS, folder, answer, LIMIT_S, jobs=2)], 1)
+        with redirect_stdout(sys.stderr):  # how far it is; the table is what is printed
+            run_all([Task(OURS, folder, answer, LIMIT_S, jobs=2)], 1)
         path = answer / "diagnosis.json"
         run = json.loads((answer / "run.json").read_text(encoding="utf-8"))
         if not path.exists():

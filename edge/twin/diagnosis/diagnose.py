@@ -230,7 +230,7 @@ def _replaced(names: Iterable[str]) -> set[str]:
 
 def _adopted(file: TwinFile, result: Judged, origin: Origin) -> TwinFile:
     """The twin file to adopt: effects with intervals, and what the runs say of the values that were open."""
-    fitted, names = result.handed.fitted, result.handed.added
+    fitted, names = result.handed.fitted, result.handed.added - {OPEN}
     gone = _replaced(names)
     kept = replace(file, effects={name: own for name, own in file.effects.items() if name not in gone})
     refitted: dict[Place, Value] = {}
