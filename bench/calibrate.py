@@ -1,8 +1,9 @@
 """python -m bench.calibrate ANSWERS...: how sure a name is, from what rows that no fit saw say of it.
 
-ANSWERS are folders of development answers: of `bench.foreign` (DIR/dev with cases, truth, answers) or of
-`bench.hidden_effects run` (given as ANSWERS:TRUTHS). A logistic regression of whether a name was right, on
-three numbers of its evidence, each of which can only help or harm, prints the coefficients of
+ANSWERS are folders of development answers: of `bench.foreign` (DIR/dev with cases, truth, answers), of
+`bench.hidden_effects run` (given as ANSWERS:TRUTHS) or of `bench.real_truth --out DIR` (which count MEASURED
+times, as there are few). A logistic regression of whether a name was right, on two numbers of its evidence,
+each of which can only help, prints the coefficients of
 edge/twin/diagnosis/probability.py and what was said beside what held. Names are right by class, as
 `bench.foreign.score` has it. Scored cases have no part in it.
 """
@@ -17,8 +18,11 @@ import numpy as np
 
 from bench.foreign.score import bins, calibration_error, matched
 from bench.hidden_effects.wilson import share
+from bench.real_truth.__main__ import folder_name, is_true
+from bench.real_truth.logs import LOGS
 from edge.twin.diagnosis.probability import MOST_SURE, evidence
 
+MEASURED = 3
 RIDGE = 0.05  # of the slopes, so that a perfect separation stays finite
 
 
@@ -32,7 +36,7 @@ def main(words: Sequence[str] | None = None) -> int:
     numbers, right = np.array([own for own, _ in told]), np.array([own for _, own in told], dtype=bool)
     weights = fitted(numbers, right)
     print(f"{len(told)} names, {int(right.sum())} of them right")
-    print("intercept, nats, ratio, noise:", ", ".join(f"{weight:.2f}" for weight in weights))
+    print("intercept, nats, ratio:", ", ".join(f"{weight:.2f}" for weight in weights))
     odds = weights[0] + numbers @ weights[1:]
     said = np.minimum(MOST_SURE, 1.0 / (1.0 + np.exp(-odds)))
     pairs = list(zip(said.tolist(), right.tolist(), strict=True))
@@ -43,8 +47,12 @@ def main(words: Sequence[str] | None = None) -> int:
     return 0
 
 
-def statements(place: str) -> Iterator[tuple[tuple[float, float, float], bool]]:
+def statements(place: str) -> Iterator[tuple[tuple[float, float], bool]]:
     """Evidence of each name, and whether it is right."""
+    if not (":" in place or (Path(place) / "truth").is_dir()):
+        for _ in range(MEASURED):
+            yield from measured(Path(place))
+        return
     answers, _, truths = place.partition(":")
     folder = Path(answers) if truths else Path(answers) / "answers"
     truth_folder = Path(truths) if truths else Path(answers) / "truth"
@@ -54,11 +62,21 @@ def statements(place: str) -> Iterator[tuple[tuple[float, float, float], bool]]:
         names = [item["name"] for item in document["effects"]]
         right = list(matched(names, hidden_of(truth)))
         for item, is_right in zip(document["effects"], right, strict=True):
-            own = item["left_out"]
-            yield (
-                evidence(own["tempered_nats"], own["with_k"], own["without_k"], own["noise_k"]),
-                is_right,
-            )
+            yield _evidence(item), is_right
+
+
+def measured(folder: Path) -> Iterator[tuple[tuple[float, float], bool]]:
+    """The same of logs of which it is known what they have."""
+    for log in LOGS:
+        path = folder / "answers" / folder_name(log) / "diagnosis.json"
+        if path.exists() and log.split == "dev":
+            for item in json.loads(path.read_text(encoding="utf-8"))["effects"]:
+                yield _evidence(item), is_true(log, item["name"])
+
+
+def _evidence(item: dict[str, Any]) -> tuple[float, float]:
+    own = item["left_out"]
+    return evidence(own["tempered_nats"], own["with_k"], own["without_k"])
 
 
 def hidden_of(truth: dict[str, Any]) -> list[str]:
@@ -67,7 +85,7 @@ def hidden_of(truth: dict[str, Any]) -> list[str]:
 
 
 def fitted(numbers: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Intercept and three slopes, of which none has the wrong sign."""
+    """Intercept and two slopes, of which none has the wrong sign."""
     from scipy.optimize import minimize
 
     sign = np.where(right, 1.0, -1.0)
@@ -76,8 +94,8 @@ def fitted(numbers: np.ndarray, right: np.ndarray) -> np.ndarray:
         odds = weights[0] + numbers @ weights[1:]
         return float(np.logaddexp(0.0, -sign * odds).sum() + RIDGE * (weights[1:] ** 2).sum())
 
-    bounds = [(None, None), (0.0, None), (0.0, None), (None, 0.0)]
-    return np.asarray(minimize(lost, np.array([0.0, 1.0, 1.0, -1.0]), bounds=bounds).x)
+    bounds = [(None, None), (0.0, None), (0.0, None)]
+    return np.asarray(minimize(lost, np.array([0.0, 1.0, 1.0]), bounds=bounds).x)
 
 
 if __name__ == "__main__":

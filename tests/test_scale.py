@@ -32,6 +32,7 @@ def test_both_steps_and_answers_tell_how_slow_a_box_is() -> None:
     assert scale_of(50.0, 15.0).time == 0.25
     assert scale_of(50.0, 15.0, 150.0).time == 0.5
     assert scale_of(50.0, 15.0).heat == 0.5
+    assert scale_of(50.0, 60.0, 1e9).time == 10.0  # no more than a file may have
 
 
 @pytest.mark.parametrize(("name", "item"), EVERY)

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
-from simulated_runs import diagnosed, silent, simulated, twin_file
+from simulated_runs import NOISE, diagnosed, silent, simulated, twin_file
 
 from edge.twin.diagnosis.candidates import Candidates
 from edge.twin.diagnosis.diagnose import diagnose
-from edge.twin.diagnosis.handed import OPEN, opened
+from edge.twin.diagnosis.handed import OPEN, Predicted, opened
+from edge.twin.diagnosis.judged import _is_moved
+from edge.twin.diagnosis.trial import Fitted, Trial
+from edge.twin.diagnosis.unknowns import Unknown
 from edge.twin.effects import EFFECTS
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
@@ -75,3 +78,23 @@ def test_it_is_never_offered_as_a_name() -> None:
     runs = Recorded(np.full((1, 41), 20.0), np.zeros((1, 40)), np.zeros((1, 40)), np.full((1, 40), 20.0), {})
     assert set(UNNAMED_EFFECTS) <= EFFECTS.keys()
     assert not set(UNNAMED_EFFECTS) & set(Candidates(twin_file(), runs, {}).names)
+
+
+def predicted(added: set[str], places: dict[tuple[str, str, str], float], sd: float = 0.1) -> Predicted:
+    """A twin of which no more is told than its values."""
+    free = tuple(Unknown(place, 1e-3, 1e3, True, 1.0, 0.0, 1.0) for place in places)
+    file, coordinates = twin_file(), np.array(list(places.values()))
+    fitted = Fitted(
+        Trial(file, NOISE), file, free, coordinates, 0.0, sd**2 * np.eye(len(free)), np.zeros((1, 1)),
+        np.empty(0), np.empty(0),
+    )  # fmt: skip
+    return Predicted(frozenset(added), fitted, np.zeros((1, 1)))
+
+
+def test_a_name_that_becomes_something_else_beside_a_term_is_moved() -> None:
+    lag, loss = ("effects", "heater_lag", "tau_h"), ("effects", "wall_loss", "UA")
+    named = predicted({"heater_lag"}, {loss: 1.0, lag: 5.0})
+    assert not _is_moved(named, predicted({"heater_lag", "x"}, {loss: 3.0, lag: 5.2}))
+    assert _is_moved(named, predicted({"heater_lag", "x"}, {loss: 1.0, lag: 6.0}))
+    # where a wall that stores heat replaces the loss, there is no loss to compare
+    assert not _is_moved(named, predicted({"heater_lag", "wall_mass"}, {lag: 5.0}))

@@ -49,7 +49,7 @@ def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -
     """Cases and answers under `out`; a line a log and what they come to."""
     lines, found = [], []
     for log in logs:
-        folder = out / "cases" / log.name.replace(" ", "_").replace(",", "")
+        folder = out / "cases" / folder_name(log)
         answer = out / "answers" / folder.name
         try:
             write(log, folder, texts(log, data, repositories))
@@ -93,6 +93,11 @@ def _twin(log: RealLog, first: Columns) -> dict[str, Any]:
         "sample_s": step_s,
         "effects": {"wall_loss": {"UA": {"fit": True}}, "extra_capacity": {"kC": {"fit": True}}},
     }
+
+
+def folder_name(log: RealLog) -> str:
+    """Of its case and its answer."""
+    return log.name.replace(" ", "_").replace(",", "")
 
 
 def is_true(log: RealLog, name: str) -> bool:

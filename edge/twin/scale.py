@@ -50,4 +50,5 @@ def scale_of(heater_w: float, step_s: float, answer_s: float | None = None) -> S
     """
     steps = step_s / USUAL_STEP_S
     time = steps if answer_s is None else (steps * answer_s / USUAL_ANSWER_S) ** 0.5
+    time = min(max(time, steps / SLOWER), steps * SLOWER)  # what `possible` lets a file have
     return Scale(heater_w / USUAL_HEATER_W, time)

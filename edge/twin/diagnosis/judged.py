@@ -233,8 +233,8 @@ def _is_moved(handed: Predicted, item: Predicted) -> bool:
     """Whether an effect is something else beside what was added: that then stands for it."""
     there = {own.place: (x, sd) for own, x, sd in item.spreads}
     for own, x, sd in handed.spreads:
-        other, other_sd = there[own.place]
         is_added = own.place[0] == "effects" and own.place[1] in handed.added
+        other, other_sd = there.get(own.place, (x, sd))  # gone where another effect replaces it
         if is_added and abs(other - x) > max(APART_SDS * np.hypot(sd, other_sd), NEVER_MOVED):
             return True
     return False

@@ -80,4 +80,6 @@ def _temperatures(table: NumberTable, key: str, highest_c: float | None) -> tupl
 def _question(value: float, high: float) -> str:
     if KELVIN[0] <= value <= KELVIN[1]:
         return "; is it kelvin?"
-    return "; is it Fahrenheit?" if high < value < KELVIN[0] else ""
+    if high < value < KELVIN[0]:
+        return "; is it Fahrenheit? A box that is so hot says so in its twin file: sensor: {highest_c: ...}"
+    return ""

@@ -53,7 +53,7 @@ class Standing:
     @property
     def probability(self) -> float:
         """That the name is right, or one of those that can't be told from it."""
-        return probability(evidence(self.tempered_nats, self.with_k, self.without_k, self.noise_k))
+        return probability(evidence(self.tempered_nats, self.with_k, self.without_k))
 
 
 def standing(
