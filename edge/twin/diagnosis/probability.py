@@ -14,7 +14,7 @@ LIKELY = 0.4  # below it a name is only listed
 
 
 def evidence(tempered_nats: float, with_k: float, without_k: float) -> tuple[float, float]:
-    """Logarithms: nats gained, errors that go together counted once; errors of free runs without over with."""
+    """Logarithms: nats, errors that go together counted once; the error without a name over that with it."""
     return math.log(max(tempered_nats, 1.0)), math.log(without_k / max(with_k, 1e-9))
 
 
