@@ -35,6 +35,7 @@ def recording() -> Recorded:
     conditions = {
         "light": column * (rows // 20 % 2),
         "rel_humidity": column * (50.0 + 10.0 * np.sin(rows / 9.0)),
+        "solar": column * (400.0 + 300.0 * np.cos(rows / 11.0)),
         "utc": DAY0_UTC + 60.0 * rows + 86400.0 * np.array([[0.0], [6.0]]),
         "door_open": door,
     }
