@@ -2,6 +2,12 @@
 
 Half of them are for development, half for scoring: the split was made before any scoring log was looked at,
 and none moves back. Commits are those at which the paths were seen.
+
+For scoring, once, when the engine is frozen, and so not read yet: rawlings-group/mlid_2024 @9f1c939 (tclab
+pickles), Subve/System-identification @e96d6c5 (heating_system), RonakornST/EE436_Lab_Control @5c98e6d,
+BaltazarUach/Solar-Greenhouse-Dryer @8f2cb19 (Datos.xlsx), pkrysztopa/HVAC-equipment-fault-detection @94166e3,
+czagoni/darkgreybox @280a7cd, locie/pySIP @da70d25 (armadillo), cellularmitosis/logs @31b3970 (20180114-*),
+and open-ideas/IDEAS @272d82a (O5Exp1 and Exp2).
 """
 
 import csv
