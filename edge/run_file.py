@@ -29,6 +29,7 @@ KNOWN = tuple(
             *SHARES,
             *INPUTS,
             "ambient_rel_humidity_pct",
+            "temp_air_second_c",
             "door_open",
             "solar_w_m2",
         )

@@ -11,6 +11,7 @@ import pytest
 from edge.__main__ import main
 from edge.data_intake.look import look
 from edge.data_intake.mapping import read_map
+from edge.data_intake.units import UNITS, guess_unit
 from edge.run_file import read_run
 
 ASKED = {"temp_air_c": "foo", "heater_duty": "bar"}
@@ -263,3 +264,13 @@ def test_files_with_other_columns_are_not_mixed(greenhouse, tmp_path: Path) -> N
     code, _, error = greenhouse("data", "look", one, two, "--map", tmp_path / "map.yaml")
     assert code == 2
     assert "other.csv: has other columns than" in error
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "read"), [([0.0, 480.0, 910.0], "W/m2", 910.0), ([0.0, 0.48, 0.91], "kW/m2", 910.0)]
+)
+def test_sun_is_read_in_watts_or_kilowatts(values: list[float], unit: str, read: float) -> None:
+    guessed, full, why = guess_unit("solar_w_m2", np.array(values), "ghi")
+    assert (guessed, full) == (unit, None)
+    assert bool(why) == (unit == "kW/m2")
+    assert UNITS[guessed].to_ours(np.array(values), 1.0).max() == pytest.approx(read)

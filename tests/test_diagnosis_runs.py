@@ -17,7 +17,7 @@ from edge.storage import Storage
 from edge.storage.runs import name_run
 from edge.storage.stretches import export_stretches
 from edge.twin.diagnosis.history_runs import history_runs
-from edge.twin.diagnosis.pieces import GAP_S, LONGEST_S, pieces
+from edge.twin.diagnosis.pieces import GAP_S, LONGEST_S, WHOLE_S, pieces
 from edge.twin.diagnosis.runs import PIECE_ROWS, USABLE_ROWS, DiagnosisRuns, read_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -141,11 +141,15 @@ def test_a_run_is_cut_where_rows_are_missing_for_long(gap_s: float, count: int) 
     assert len(pieces(timed([0.0, 60.0, 60.0 + gap_s, 120.0 + gap_s]))) == count
 
 
-@pytest.mark.parametrize(("last_s", "count"), [(LONGEST_S - 60, 1), (LONGEST_S, 1), (LONGEST_S + 60, 2)])
-def test_no_piece_is_longer_than_half_a_day(last_s: float, count: int) -> None:
+@pytest.mark.parametrize(("last_s", "count"), [(WHOLE_S - 60, 1), (WHOLE_S, 1), (WHOLE_S + 60, 3)])
+def test_two_days_stay_one_recording_and_more_become_days(last_s: float, count: int) -> None:
     parts = pieces(timed(np.arange(0.0, last_s + 1.0, 60.0).tolist()))
     assert len(parts) == count
-    assert max(part.columns["time_s"][-1] for part in parts) <= LONGEST_S
+    assert max(part.columns["time_s"][-1] for part in parts) <= (WHOLE_S if count == 1 else LONGEST_S)
+
+
+def test_ten_days_of_five_minutes_stay_one_recording() -> None:
+    assert len(pieces(timed(np.arange(0.0, 5.0 * WHOLE_S + 1.0, 300.0).tolist()), step_s=300.0)) == 1
 
 
 def test_pieces_share_no_row_and_say_when_they_began() -> None:
@@ -160,13 +164,14 @@ def test_pieces_share_no_row_and_say_when_they_began() -> None:
 def test_a_long_test_run_stays_whole_as_its_later_part_may_have_no_temperature(
     train: Path, tmp_path: Path
 ) -> None:
-    rows = int(1.5 * LONGEST_S / 60.0)
+    rows = int(1.2 * WHOLE_S / 60.0)
     long = recorded(tmp_path / "long.csv", box_run(2, rows=rows, role="test"))
     runs = read(train, test=[long])
     assert [named.name for named in runs.test] == ["long.csv"]
     assert [named.name for named in read(recorded(long, box_run(2, rows=rows))).train] == [
-        "long.csv (1 of 2)",
-        "long.csv (2 of 2)",
+        "long.csv (1 of 3)",
+        "long.csv (2 of 3)",
+        "long.csv (3 of 3)",
     ]
 
 
@@ -432,6 +437,41 @@ def test_an_air_that_stays_near_the_room_tells_no_losses(tmp_path: Path, excess_
     assert ("losses can hardly be told" in "\n".join(read(train).cannot_tell)) == told
 
 
+@pytest.mark.parametrize(
+    ("train", "test", "said"),
+    [
+        ({"fan_on": np.zeros(90)}, {"fan_on": np.repeat([0.0, 1.0], 45)}, "the fan runs there"),
+        ({"fan_on": np.ones(90)}, {}, "the fan stands still there"),
+        ({"heater_duty": np.repeat([0.0, 0.5], 45)}, {}, "the heater goes up to 90 % there, to 50 %"),
+        ({"temp_air_c": np.linspace(20.0, 30.0, 90)}, {"temp_air_c": np.full(90, 35.2)}, "5.2 K warmer"),
+        ({"temp_air_c": np.linspace(20.0, 30.0, 90)}, {"temp_air_c": np.full(90, 34.8)}, ""),
+        ({"temp_air_c": np.linspace(20.0, 200.0, 90)}, {"temp_air_c": np.full(90, 215.0)}, ""),
+        (
+            {"temp_ambient_c": np.linspace(20.0, 23.0, 90)},
+            {"temp_ambient_c": np.full(90, 14.0)},
+            "6 K colder",
+        ),
+    ],
+)
+def test_a_test_run_in_another_regime_is_said(
+    tmp_path: Path, train: dict[str, object], test: dict[str, object], said: str
+) -> None:
+    usual = {**ALL_TOLD, "temp_air_c": np.linspace(20.0, 34.0, 90)}
+    ran = recorded(tmp_path / "a.csv", **{**usual, **train})
+    judges = recorded(tmp_path / "b.csv", **{**usual, **{key: usual[key] for key in train}, **test})
+    twin = replace(TWIN, sensor={**TWIN.sensor, "highest_c": 300.0})
+    told = [text for text in read_runs([ran], [judges], twin).cannot_tell if "another regime" in text]
+    assert (said in told[0]) if said else not told
+
+
+def test_the_part_before_a_test_run_judges_is_no_regime(tmp_path: Path) -> None:
+    air = np.concatenate([np.full(40, 60.0), np.linspace(20.0, 30.0, 50)])
+    ran = recorded(tmp_path / "a.csv", **ALL_TOLD, temp_air_c=np.linspace(20.0, 30.0, 90))
+    judges = recorded(tmp_path / "b.csv", box_run(2, role="test"), **ALL_TOLD, temp_air_c=air)
+    judges.write_text("# validate_from_s: 2400\n" + judges.read_text())
+    assert "another regime" not in "\n".join(read(ran, test=[judges]).cannot_tell)
+
+
 def test_a_lone_run_and_no_test_run_are_said(train: Path) -> None:
     told = "\n".join(read(train).cannot_tell)
     assert "there is one training run" in told
@@ -567,3 +607,42 @@ def test_a_history_without_a_temperature_is_refused() -> None:
     blind = replace(run, columns={**run.columns, "temp_air_c": np.full(90, np.nan)}, facts={})
     with pytest.raises(DataError, match="the history: no stretch has 5 rows with a temperature"):
         history_runs([blind], TWIN)
+
+
+# two sensors in the air
+
+
+def test_the_air_is_the_mean_of_two_sensors_and_how_far_they_are_apart_is_said(tmp_path: Path) -> None:
+    run = box_run(1)
+    first = run.columns["temp_air_c"].copy()
+    duty = np.repeat([0.0, 0.5, 0.0], 30)
+    second = first + 0.4 + 2.0 * (duty > 0.0)
+    gone = second.copy()
+    gone[70], first[71] = np.nan, np.nan
+    path = recorded(tmp_path / "a.csv", temp_air_c=first, temp_air_second_c=gone, heater_duty=duty)
+    found = read(path)
+    air = found.train[0].run.columns["temp_air_c"]
+    assert air[:70] == pytest.approx(0.5 * (first + second)[:70])
+    assert air[70] == pytest.approx(first[70] + 0.2)
+    assert air[71] == pytest.approx(second[71] - 0.2)
+    (told,) = found.told
+    assert "0.4 K more than the first in the median, and is 2.4 K from it at most" in told
+    assert "2.4 K while the heater is on and 0.4 K while it is off: the air is not mixed" in told
+
+
+def test_a_second_sensor_that_some_runs_lack_is_passed_over_and_said(tmp_path: Path) -> None:
+    air = box_run(1).columns["temp_air_c"]
+    one = recorded(tmp_path / "a.csv", temp_air_second_c=air + 3.0)
+    other = recorded(tmp_path / "b.csv", box_run(2))
+    found = read(one, other)
+    assert found.train[0].run.columns["temp_air_c"] == pytest.approx(air)
+    assert found.told == ("temp_air_second_c is not known in every run and is passed over",)
+
+
+def test_rows_of_an_hour_are_read_where_the_twin_file_says_that_the_house_is_so_slow(tmp_path: Path) -> None:
+    run = box_run(1)
+    path = recorded(tmp_path / "a.csv", time_s=3600.0 * np.arange(len(run)))
+    with pytest.raises(DataError, match="a house that is so slow says so in its twin file: sample_s: 3600"):
+        read(path)
+    found = read(path, twin=replace(TWIN, sample_s=3600.0))
+    assert len(found.train[0].run) == len(run)

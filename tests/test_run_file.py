@@ -141,7 +141,7 @@ def test_a_wrong_file_is_refused_with_its_place(path: Path, text: str, message: 
         ("temp_ambient", "temp_ambient_c"),
         ("temp_room_c", "temp_ambient_c"),
         ("temp_ambeint_c", "temp_ambient_c"),
-        ("temp", "temp_air_c or temp_ambient_c"),
+        ("temp", "temp_air_c or temp_ambient_c or temp_air_second_c"),
         ("heater", "heater_duty"),
         ("heater_dtuy", "heater_duty"),
         ("lihgt", "light"),

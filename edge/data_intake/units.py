@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 TRUE, FALSE = ("true", "on", "yes", "high", "open"), ("false", "off", "no", "low", "closed")
-TEMPERATURES = ("temp_air_c", "temp_ambient_c")
+TEMPERATURES = ("temp_air_c", "temp_ambient_c", "temp_air_second_c")
 SHARES = ("heater_duty", "fan_on", "light", "soil_moisture", "tank_level", "door_open")
 PERCENTS = ("rel_humidity_pct", "ambient_rel_humidity_pct")
-TARGETS = (*TEMPERATURES, *SHARES, *PERCENTS, "co2_ppm")
+TARGETS = (*TEMPERATURES, *SHARES, *PERCENTS, "co2_ppm", "solar_w_m2")
+SMALL = {**dict.fromkeys(PERCENTS, 1.0), "solar_w_m2": 2.0}  # in percent, or W/m2, numbers are larger
 INPUTS = ("heater_duty", "fan_on")  # known in every row, or held from the one before
 
 
@@ -38,6 +39,8 @@ UNITS: Mapping[str, Unit] = {
         Unit("percent of humidity", lambda values, _: values),
         Unit("share of humidity", lambda values, _: 100.0 * values),
         Unit("ppm", lambda values, _: values),
+        Unit("W/m2", lambda values, _: values),
+        Unit("kW/m2", lambda values, _: 1000.0 * values),
     )
 }
 BY_TARGET: Mapping[str, tuple[str, ...]] = {
@@ -45,6 +48,7 @@ BY_TARGET: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(SHARES, ("share", "percent", "0..255", "on/off", "of full")),
     **dict.fromkeys(PERCENTS, ("percent of humidity", "share of humidity")),
     "co2_ppm": ("ppm",),
+    "solar_w_m2": ("W/m2", "kW/m2"),
 }
 
 
@@ -59,12 +63,8 @@ def guess_unit(target: str, values: Floats, words: str) -> tuple[str, float | No
     most = float(np.nanmax(np.abs(values), initial=0.0))
     if target in TEMPERATURES:
         return _temperature(float(np.nanmedian(values)), words)
-    if target in PERCENTS:
-        if most <= 1.0:
-            return "share of humidity", None, "no value is above 1, so it is taken for a share"
-        return "percent of humidity", None, ""
-    if target == "co2_ppm":
-        return "ppm", None, ""
+    if target not in SHARES:
+        return _by_size(target, most)
     if most <= 1.0:
         return "share", None, ""
     if "%" in words or "pct" in words or "percent" in words:
@@ -76,6 +76,14 @@ def guess_unit(target: str, values: Floats, words: str) -> tuple[str, float | No
     if most == 255.0:
         return "0..255", None, "the largest value is 255, so it is taken for 0..255"
     return "of full", most, f"the largest value, {most:g}, is taken for full: say what full is"
+
+
+def _by_size(target: str, most: float) -> tuple[str, float | None, str]:
+    """The first unit of a target, or its second where no number is as large as the first would have."""
+    usual, *other = BY_TARGET[target]
+    if other and most <= SMALL[target]:
+        return other[0], None, f"no value is above {SMALL[target]:g}, so it is taken for {other[0]}"
+    return usual, None, ""
 
 
 def _temperature(middle: float, words: str) -> tuple[str, float | None, str]:

@@ -1,6 +1,6 @@
 """What recordings can't tell, whatever is computed from them: said before anything is fitted."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +11,51 @@ SMALL_EXCESS_K = 2.0  # air over room: less, and losses drown in noise
 STEADY_ROOM_K = 0.5
 SHORT_S = 3600.0  # walls and soil answer over hours
 DAY_S = 86400.0
+FARTHER_K, FARTHER_SHARE = 5.0, 0.1  # than the training runs went: kelvins, or share of their range if more
+MORE_DUTY = 0.1
+WHAT = {"temp_air_c": "the air", "temp_ambient_c": "the room"}
 
 Floats = NDArray[np.float64]
 
 
-def cannot_tell(runs: Sequence[Run], has_test: bool, sources: int) -> tuple[str, ...]:
+def cannot_tell(runs: Sequence[Run], tests: Mapping[str, Run], sources: int) -> tuple[str, ...]:
     """Sentences.
 
-    runs : what is fitted on, at least one
+    runs : what is fitted on, at least one; tests : what is judged by, by name
     sources : recordings that they come from
     """
-    found = [*_trials(has_test, sources), *_heater(runs), *_fan(runs), *_room(runs), *_rest(runs)]
-    return tuple(found)
+    found = [*_trials(bool(tests), sources), *_heater(runs), *_fan(runs), *_room(runs), *_rest(runs)]
+    beyond = (_beyond(name, test, runs) for name, test in tests.items())
+    return (*found, *(sentence for sentences in beyond for sentence in sentences))
+
+
+def _beyond(name: str, test: Run, runs: Sequence[Run]) -> Iterable[str]:
+    """Where a test run goes to what no training run shows: an error there tells less of what is missing."""
+    ran, runs_now = (_levels(own, "fan_on") or {0.0} for own in (runs, [test]))
+    if max(ran) == 0.0 < max(runs_now):
+        yield f"{name} is in another regime: the fan runs there, in no training run"
+    elif min(ran) > 0.0 == min(runs_now):
+        yield f"{name} is in another regime: the fan stands still there, in no training run"
+    duty, known_duty = (max(_levels(own, "heater_duty"), default=0.0) for own in ([test], runs))
+    if duty > known_duty + MORE_DUTY:
+        yield (
+            f"{name} is in another regime: the heater goes up to {100.0 * duty:.0f} % there, to "
+            f"{100.0 * known_duty:.0f} % in the training runs"
+        )
+    for key, what in WHAT.items():
+        own, known = _known(test, key), np.concatenate([_known(run, key) for run in runs])
+        if not len(own) or not len(known):
+            continue
+        by_k = max(FARTHER_K, FARTHER_SHARE * float(np.ptp(known)))
+        for off_k, word, reached in (
+            (own.max() - known.max(), "warmer", known.max()),
+            (known.min() - own.min(), "colder", known.min()),
+        ):
+            if off_k > by_k:
+                yield (
+                    f"{name} is in another regime: {what} gets {off_k:.3g} K {word} there than the "
+                    f"{reached:.3g} degC of the training runs"
+                )
 
 
 def _trials(has_test: bool, sources: int) -> Iterable[str]:

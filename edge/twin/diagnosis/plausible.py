@@ -15,38 +15,49 @@ from edge.number_table import NumberTable
 from edge.run_file import Run, run_of
 
 TOLERATED = 0.1  # share of a column's numbers that may be slips of the sensor: more is another unit
-WHAT = {"temp_air_c": "air temperature", "temp_ambient_c": "room temperature"}
+WHAT = {
+    "temp_air_c": "air temperature",
+    "temp_air_second_c": "air temperature",
+    "temp_ambient_c": "room temperature",
+}
 KELVIN = (200.0, 400.0)
-STEP_MAX_S = 600.0  # of a run file's rows: the box answers within minutes
+STEP_MAX_S = 600.0  # of a run file's rows, unless the twin's step is longer: a box answers within minutes
 _HUMIDITY = "rel_humidity_pct"
 
 Floats = NDArray[np.float64]
 
 
 def plausible_run(
-    table: NumberTable, without: Collection[str] = (), highest_c: float | None = None
+    table: NumberTable,
+    without: Collection[str] = (),
+    highest_c: float | None = None,
+    step_s: float = STEP_MAX_S,
 ) -> tuple[Run, list[str]]:
     """The table as a run in which every number can be what its column says; and in words what was left out.
 
     without : columns that the table may lack, as in `read_run`
     highest_c : that the air may have, as the twin file says; None: what greenhouses have
+    step_s : of the twin: rows that far apart are no slip
     Errors : DataError naming file, line and column, and the unit that it looks like
     """
     run = run_of(table, without)
-    _check_time(run)
+    _check_time(run, max(step_s, STEP_MAX_S))
     _check_humidity(table)
     columns, told = dict(run.columns), []
     for key in WHAT.keys() & columns.keys():
-        columns[key], note = _temperatures(table, key, highest_c if key == "temp_air_c" else None)
+        columns[key], note = _temperatures(table, key, highest_c if WHAT[key] == "air temperature" else None)
         told += note
     return replace(run, columns=columns), told
 
 
-def _check_time(run: Run) -> None:
+def _check_time(run: Run, most_s: float) -> None:
     steps = np.diff(run.columns["time_s"])
-    if len(steps) and (usual := float(np.median(steps))) > STEP_MAX_S:
+    if len(steps) and (usual := float(np.median(steps))) > most_s:
         unit = "; is it in milliseconds?" if usual >= 1000.0 else ""
-        raise DataError(f"{run.path}: time_s: rows are {usual:g} s apart, more than {STEP_MAX_S:g} s{unit}")
+        raise DataError(
+            f"{run.path}: time_s: rows are {usual:g} s apart, more than {most_s:g} s{unit}; a house that is "
+            f"so slow says so in its twin file: sample_s: {usual:g}"
+        )
 
 
 def _check_humidity(table: NumberTable) -> None:
@@ -60,7 +71,7 @@ def _check_humidity(table: NumberTable) -> None:
 
 def _temperatures(table: NumberTable, key: str, highest_c: float | None) -> tuple[Floats, list[str]]:
     """The column without what no air temperature can be. Errors: DataError where that is more than slips."""
-    signal = next(signal for signal in SIGNALS.values() if signal.key == key)
+    signal = next(signal for signal in SIGNALS.values() if signal.key == key.replace("_second", ""))
     values = table.columns[key]
     high = signal.high if highest_c is None else highest_c
     odd = (values < signal.low) | (values > high)

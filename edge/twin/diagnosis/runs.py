@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from edge.errors import DataError
 from edge.number_table import read_table
 from edge.run_file import Run, cut, data_sha256, refuse_test, resample
+from edge.twin.diagnosis.air_sensors import averaged
 from edge.twin.diagnosis.cannot_tell import cannot_tell
 from edge.twin.diagnosis.pieces import pieces
 from edge.twin.diagnosis.plausible import plausible_run
@@ -40,6 +41,14 @@ class NamedRun:
     from_s: float | None = None
     rest_of: str = ""
 
+    @property
+    def judged(self) -> Run:
+        """The part that a test run judges by."""
+        if self.from_s is None:
+            return self.run
+        begin = int((self.run.columns["time_s"] < self.from_s).sum())
+        return cut(self.run, min(begin, len(self.run) - 1), len(self.run))
+
     def at_rows(self, values: Floats) -> Floats:
         """Values [len(run)] of the run's rows at the recording's own rows, [len(rows_s)]."""
         return np.interp(self.rows_s, self.run.columns["time_s"], values)
@@ -67,9 +76,10 @@ def read_runs(
 ) -> DiagnosisRuns:
     """Run files as a diagnosis needs them; `without` as in `read_run`.
 
-    A training run ends where its fact `validate_from_s` says, and is cut where rows are missing for long and
-    after 12 h. A test run stays whole: it may have temperatures in its first rows only. One with that fact
-    judges from there on and may know what was before: so one recording may train and then test.
+    A training run ends where its fact `validate_from_s` says, and is cut where rows are missing for long, and
+    one of more than two days into days. A test run stays whole: it may have temperatures in its first rows
+    only. One with that fact judges from there on and may know what was before: so one recording may train
+    and then test.
 
     Errors : DataError naming file, line and column: a run of role test to fit on, one file twice, wrong
         units, time that goes backwards, nothing measured, too few rows, a missing column that the twin needs
@@ -77,7 +87,10 @@ def read_runs(
     if not train:
         raise DataError("diagnosis: needs at least one training run")
     paths = [*train, *test]
-    read = [plausible_run(read_table(Path(path)), without, twin.sensor.get("highest_c")) for path in paths]
+    read = [
+        plausible_run(read_table(Path(path)), without, twin.sensor.get("highest_c"), twin.sample_s)
+        for path in paths
+    ]
     recordings = [run for run, _ in read]
     for run in recordings[: len(train)]:
         refuse_test(run)
@@ -98,22 +111,25 @@ def diagnosis_runs(
     told: Sequence[str] = (),
 ) -> DiagnosisRuns:
     """Recordings with their names as a diagnosis needs them. Errors: DataError, as `read_runs`."""
+    sha256 = data_sha256([run for _, run in train])
+    ends = {data_sha256([run]): name for name, run in train}
+    rests = {name: ends.get(data_sha256([run]), "") for name, run in test}
+    train, test, two_sensors = averaged(train, test)
     fitted = [(name, _until_validation(run)) for name, run in train]
     _check_columns([run for _, run in fitted], [run for _, run in test], twin)
     for _, run in fitted:
         _check_period(run, twin.sample_s)
-    notes = list(told)
+    notes = [*told, *two_sensors]
     training = [piece for name, run in fitted for piece in _training_pieces(name, run, twin.sample_s, notes)]
     _check_rows([run for _, run in fitted], training, twin.sample_s)
     runs = [piece.run for piece in training]
-    ends = {data_sha256([run]): name for name, run in train}
-    rests = {name: ends.get(data_sha256([run]), "") for name, run in test}
+    judging = tuple(_whole(name, run, twin.sample_s, rests[name], notes) for name, run in test)
     return DiagnosisRuns(
         tuple(training),
-        tuple(_whole(name, run, twin.sample_s, rests[name], notes) for name, run in test),
+        judging,
         tuple(notes),
-        cannot_tell(runs, bool(test), len(train)),
-        data_sha256([run for _, run in train]),
+        cannot_tell(runs, {item.name: item.judged for item in judging}, len(train)),
+        sha256,
     )
 
 
@@ -198,7 +214,10 @@ def _training_pieces(name: str, run: Run, step_s: float, told: list[str]) -> lis
     if len(parts) > 1:
         short = len(parts) - len(kept)
         left_out = f", {short} of them too short to be of use" if short else ""
-        told.append(f"{name} is cut into {len(parts)} pieces where rows are missing or after 12 h{left_out}")
+        told.append(
+            f"{name} is cut into {len(parts)} pieces, where rows are missing or as it lasts for more than "
+            f"two days: what bodies had stored is not known where one begins{left_out}"
+        )
     _tell_resampled(name, found[0], told)
     return kept
 
