@@ -155,7 +155,8 @@ def diagnose(
     """Where a twin disagrees with recordings, what is missing, and the twin with it.
 
     runs : to fit on; tests : to judge by, which may be empty
-    jobs : processes, which change the time and not the answer; progress : is told what is done now
+    jobs : processes, which change the time and not the answer
+    progress : is told what is done now, and the share that is done by then
     Errors : DataError naming a run and its column
     """
     data = diagnosis_runs(
@@ -175,7 +176,7 @@ def _complete(run: Run) -> run_file.Run:
     return absence_facts(run.content)
 
 
-def _silent(_: str) -> None:
+def _silent(_: str, __: float) -> None:
     """Nothing is told."""
 
 

@@ -28,7 +28,7 @@ NOISE = NoiseLevels(sensor_k=0.1, room_k=0.03, heat_w=0.5, heat_tau_s=600.0, pow
 QUIET = NoiseLevels(sensor_k=1e-6, room_k=0.0, heat_w=0.0, heat_tau_s=600.0, power_share=0.0)
 
 
-def silent(text: str) -> None:
+def silent(text: str, share: float = 0.0) -> None:
     """Progress that nobody wants to see."""
 
 

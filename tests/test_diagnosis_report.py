@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from edge.errors import DataError
-from edge.twin.diagnosis.progress import TerminalProgress
+from edge.twin.diagnosis.progress import Stage, TerminalProgress
 from edge.twin.diagnosis.report.gap_picture import error_axis
 from edge.twin.diagnosis.report.heat_variables import explained, variables
 from edge.twin.diagnosis.report.markup import paragraph
@@ -109,7 +109,7 @@ def test_the_page_needs_nothing_beside_it(pages: dict[str, str], name: str) -> N
 
 @pytest.mark.parametrize(
     ("name", "figures"),
-    [("named", 6), ("nothing_missing", 6), ("unknown", 5)],  # no waterfall where nothing was added
+    [("named", 6), ("nothing_missing", 6), ("unknown", 6)],  # no waterfall there, but its heat over time
 )
 def test_every_picture_is_there_in_the_colours_of_the_page(
     pages: dict[str, str], name: str, figures: int
@@ -418,17 +418,35 @@ class Terminal(io.StringIO):
 
 
 def test_progress_rewrites_one_line_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "10")
-    out = Terminal()
-    with TerminalProgress(out) as progress:
-        progress("fit 1 of 25: wall_loss")
-        progress("bad\n\x1b[2Jname")
-    assert out.getvalue() == "\r\x1b[Kfit 1 of " + "\r\x1b[Kbad  [2Jn" + "\r\x1b[K"
+    monkeypatch.setenv("COLUMNS", "41")
+    out, times = Terminal(), iter([0.0, 1.0, 30.0, 600.0, 900.0])
+    with TerminalProgress(out, lambda: next(times)) as progress:
+        progress("fit 1 of 25: wall_loss", 0.1)
+        progress("bad\n\x1b[2Jname", 0.5)
+        progress("", 0.75)
+        progress("back to the search", 0.3)
+    assert out.getvalue() == (
+        "\r\x1b[K[##                  ]  10 %  fit 1 of 2"
+        "\r\x1b[K[##########          ]  50 %, 30 s left "
+        "\r\x1b[K[###############     ]  75 %, 3 min left"
+        "\r\x1b[K[###############     ]  75 %, 5 min left"
+        "\r\x1b[K"
+    )
 
 
 def test_progress_is_lines_in_a_file() -> None:
     out = io.StringIO()
     with TerminalProgress(out) as progress:
-        progress("reads runs")
-        progress("fit 1 of 25")
-    assert out.getvalue() == "reads runs\nfit 1 of 25\n"
+        progress("reads runs", 0.0)
+        progress("fit 1 of 25", 0.08)
+    assert out.getvalue() == "  0 % reads runs\n  8 % fit 1 of 25\n"
+
+
+def test_a_stage_of_unknown_length_goes_on_and_never_ends_early() -> None:
+    told: list[float] = []
+    stage = Stage(lambda _, share: told.append(share), 0.2, 0.6, 5.0)
+    for _ in range(40):
+        stage("a fit")
+    assert told[0] == 0.2
+    assert told == sorted(set(told))
+    assert 0.59 < told[-1] < 0.6

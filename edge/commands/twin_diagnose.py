@@ -64,9 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.out.mkdir(parents=True, exist_ok=True)
     with TerminalProgress() as progress:
         found = diagnose(file, data, progress, command, arguments.jobs)
-        progress("where it disagrees")
+        progress("where it disagrees", 0.96)
         places = located(found)
-        progress("the next experiment")
+        progress("the next experiment", 0.97)
         experiment = next_experiment(found, limits)
         document = answer(found, places, command, None if experiment is None else experiment.document())
         with writing(arguments.out):
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.json_only:
                 write_json(arguments.out / "diagnosis.json", document)
             else:
-                progress("the report")
+                progress("the report", 0.98)
                 write_report(arguments.out, Story(document, traces(found, places)))
     page = None if arguments.json_only else PAGE_NAME
     print(summary_text(document, str(arguments.out), page), end="")

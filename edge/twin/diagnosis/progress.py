@@ -1,12 +1,34 @@
-"""What a long computation is doing, told while it does it."""
+"""What a long computation is doing, told while it does it, and how much of it is done."""
 
+import math
 import shutil
 import sys
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Self, TextIO
 
-Progress = Callable[[str], None]  # a short text, what is done now; called often
+Telling = Callable[[str], None]  # a short text, what is done now; called often
+Progress = Callable[[str, float], None]  # the same with the share of all that is done by now, 0..1
+BAR = 20  # characters
+SOON_S = 2.0  # before which nothing is known of how long it takes
+
+
+class Stage:
+    """A part of a computation whose number of steps nobody knows beforehand.
+
+    Each step takes away the same share of what is left, so that a longer one slows down and never ends early.
+    """
+
+    def __init__(self, progress: Progress, begin: float, end: float, steps: float) -> None:
+        """begin, end : shares of the whole; steps : after which 63 % of the part is usually done"""
+        self._progress, self._begin, self._end, self._steps = progress, begin, end, steps
+        self._told = 0
+
+    def __call__(self, text: str) -> None:
+        done = 1.0 - math.exp(-self._told / self._steps)
+        self._told += 1
+        self._progress(text, self._begin + done * (self._end - self._begin))
 
 
 class TerminalProgress:
@@ -15,19 +37,32 @@ class TerminalProgress:
     A context manager: at its end the line is gone.
     """
 
-    def __init__(self, out: TextIO | None = None) -> None:
-        """out : standard error unless given"""
+    def __init__(self, out: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        """out : standard error unless given; clock : [s]"""
         self._out = sys.stderr if out is None else out
         self._rewrites = self._out.isatty()
+        self._clock, self._begun_s = clock, clock()
+        self._share = 0.0  # that was told: a stage may be gone back to, a share that is done is
 
-    def __call__(self, text: str) -> None:
+    def __call__(self, text: str, share: float) -> None:
+        share = self._share = max(share, self._share)
         line = "".join(character if character.isprintable() else " " for character in text)
         if self._rewrites:
+            bar = "#" * round(BAR * share)
             columns = shutil.get_terminal_size().columns
-            self._out.write(f"\r\x1b[K{line[: columns - 1]}")
+            shown = f"[{bar:<{BAR}}] {100.0 * share:3.0f} %{self._left(share)}  {line}"
+            self._out.write(f"\r\x1b[K{shown[: columns - 1]}")
         else:
-            self._out.write(f"{line}\n")
+            self._out.write(f"{100.0 * share:3.0f} % {line}\n")
         self._out.flush()
+
+    def _left(self, share: float) -> str:
+        """As long again for each share as what is done took."""
+        passed_s = self._clock() - self._begun_s
+        if passed_s < SOON_S or not share > 0.0:
+            return ""
+        left_s = passed_s * (1.0 - share) / share
+        return f", {left_s / 60.0:.0f} min left" if left_s >= 90.0 else f", {left_s:.0f} s left"
 
     def __enter__(self) -> Self:
         return self

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
 from edge.twin.diagnosis.fitting import fit, gains_of, glance, slopes
 from edge.twin.diagnosis.innovations import NoiseLevels
-from edge.twin.diagnosis.progress import Progress
+from edge.twin.diagnosis.progress import Telling
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.starts import settled, with_effect
 from edge.twin.diagnosis.trial import Trial
@@ -40,7 +40,7 @@ class Screening:
 
     candidates: Candidates
     runs: Recorded
-    progress: Progress
+    progress: Telling
     shared: SideBySide = field(default_factory=SideBySide)
     _known: dict[Key, list[Candidate]] = field(default_factory=dict)
     _formulas: dict[Key, list[Candidate]] = field(default_factory=dict)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
-from edge.twin.diagnosis.progress import Progress
+from edge.twin.diagnosis.progress import Telling
 from edge.twin.diagnosis.refining import AGAIN, SEVERAL
 from edge.twin.diagnosis.screening import FORMULAS, Candidate, Screening
 from edge.twin.diagnosis.sets import Sets, best_of
@@ -63,7 +63,7 @@ class Search:
 
     file: TwinFile
     runs: Recorded
-    progress: Progress
+    progress: Telling
     nuisances: tuple[Term, ...] = ()
     formulas: Mapping[str, Term] = field(default_factory=dict)
     doors: int = 0

@@ -7,7 +7,7 @@ from functools import partial
 from edge.twin.diagnosis.candidates import Candidates, Names, Scored
 from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.noise_levels import first_levels
-from edge.twin.diagnosis.progress import Progress
+from edge.twin.diagnosis.progress import Telling
 from edge.twin.diagnosis.refining import AGAIN, begun, likelihood, refined
 from edge.twin.diagnosis.screening import SCREENED, Candidate
 from edge.twin.diagnosis.side_by_side import SideBySide
@@ -28,7 +28,7 @@ class Sets:
     """Over one lot of runs. nuisances : of the twin as it is given"""
 
     candidates: Candidates
-    progress: Progress
+    progress: Telling
     nuisances: tuple[Term, ...] = ()
     shared: SideBySide = field(default_factory=SideBySide)
     _known: dict[Names, Scored] = field(default_factory=dict)

@@ -158,6 +158,6 @@ def _clear(gains: Floats) -> float:
 
 
 def _chance(lost: float, left: float, freedom: int, tried: int) -> float:
-    from scipy.stats import f
+    from scipy.special import fdtrc  # the tail of F; scipy.stats takes a second to load
 
-    return float(min(1.0, tried * f.sf(max(lost, 0.0) * freedom / left, 1, freedom)))
+    return float(min(1.0, tried * fdtrc(1, freedom, max(lost, 0.0) * freedom / left)))

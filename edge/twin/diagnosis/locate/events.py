@@ -116,9 +116,9 @@ def _shapes(twin: Twin, runs: Recorded, steps: Steps, way: Filtered) -> list[Run
 def _pursued(
     shapes: list[RunShapes], innovations: Floats, switches: Switches, false_alarm: float
 ) -> list[list[Shape]]:
-    from scipy.stats import norm
+    from scipy.special import ndtri  # the normal quantile; scipy.stats takes a second to load
 
-    threshold = float(norm.isf(false_alarm / (INDEPENDENT * innovations.shape[1])))
+    threshold = -float(ndtri(false_alarm / (INDEPENDENT * innovations.shape[1])))
     parts = list(zip(shapes, innovations, strict=True))
     usual = {
         "door": switches.usual(np.stack([run.doors(row).z for run, row in parts])),

@@ -99,10 +99,9 @@ def _known(column: Floats | None) -> Floats:
 
 def _slow(values: Floats, step_s: float) -> Floats:
     """First-order lag, at rest before the first row."""
-    from scipy.signal import lfilter
-
-    if not len(values):
-        return values
-    keeps = float(np.exp(-step_s / SLOW_S))
-    found, _ = lfilter([1.0 - keeps], [1.0, -keeps], values, zi=[keeps * values[0]])
-    return np.asarray(found, dtype=np.float64)
+    keeps, slow = float(np.exp(-step_s / SLOW_S)), 0.0
+    found = np.empty(len(values))
+    for k, value in enumerate(values.tolist()):
+        slow = keeps * (slow if k else value) + (1.0 - keeps) * value
+        found[k] = slow
+    return found

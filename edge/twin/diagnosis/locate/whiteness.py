@@ -35,8 +35,9 @@ class Whiteness:
 def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
     """Of innovations in standard deviations, NaN where nothing was measured; gaps are left out, not filled.
 
-    Ljung & Box 1978, Biometrika 65, with the number of pairs that there are at each lag; the period by Lomb &
-    Scargle, its false alarm by Fisher's exact test of the largest ordinate (1929, Proc. R. Soc. A 125).
+    Ljung & Box 1978, Biometrika 65, with the number of pairs that there are at each lag; the period by
+    the periodogram, its false alarm by Fisher's exact test of the largest ordinate (1929, Proc. R. Soc. A
+    125).
 
     values : [N]; fitted : parameters of the noise model, degrees of freedom that are spent
     """
@@ -49,8 +50,7 @@ def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
     correlation, pairs = (np.array(column) for column in zip(*_correlations(off, seen, lags), strict=True))
     # Of a run without gaps this is Ljung & Box's n (n + 2) sum r^2 / (n - lag), r over all n rows.
     statistic = float((rows + 2) / rows * (pairs * correlation**2).sum())
-    at_s = step_s * np.flatnonzero(seen).astype(np.float64)
-    period_s, false_alarm = _strongest(at_s, off[seen])
+    period_s, false_alarm = _strongest(off, step_s)
     chance = _chance(statistic, lags - fitted)
     return Whiteness(rows, lags, statistic, chance, float(correlation[0]), period_s, false_alarm)
 
@@ -78,22 +78,20 @@ def _correlations(off: Floats, seen: NDArray[np.bool_], lags: int) -> list[tuple
 
 
 def _chance(statistic: float, freedom: int) -> float | None:
-    from scipy.stats import chi2
+    from scipy.special import chdtrc  # a chi square's tail; scipy.stats takes a second to load
 
-    return float(chi2.sf(statistic, freedom)) if freedom > 0 else None
+    return float(chdtrc(freedom, statistic)) if freedom > 0 else None
 
 
-def _strongest(time_s: Floats, values: Floats) -> tuple[float | None, float | None]:
-    from scipy.signal import lombscargle
-
-    span_s = time_s[-1] - time_s[0]
+def _strongest(off: Floats, step_s: float) -> tuple[float | None, float | None]:
+    """off : [N], 0 where nothing was measured"""
+    power = np.abs(np.fft.rfft(off, FINENESS * len(off))) ** 2
     # A grid on which white noise has independent ordinates, from two periods in the run on.
-    coarse = np.arange(2, len(values) // 2) / span_s
+    coarse = np.arange(2, len(off) // 2) * FINENESS
     if len(coarse) < 3:
         return None, None
-    power = lombscargle(time_s, values, 2.0 * np.pi * coarse)
-    share = float(power.max() / power.sum())
-    peak = coarse[power.argmax()]
-    fine = peak + np.arange(-FINENESS, FINENESS + 1) / (FINENESS * span_s)
-    sharp = fine[lombscargle(time_s, values, 2.0 * np.pi * fine).argmax()]
+    share = float(power[coarse].max() / power[coarse].sum())
+    peak = int(coarse[power[coarse].argmax()])
+    near = power[peak - FINENESS : peak + FINENESS + 1]
+    sharp = (peak - FINENESS + int(near.argmax())) / (FINENESS * len(off) * step_s)
     return float(1.0 / sharp), float(min(1.0, len(coarse) * (1.0 - share) ** (len(coarse) - 1)))

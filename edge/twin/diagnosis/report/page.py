@@ -15,6 +15,7 @@ from edge.twin.diagnosis.report.picture import Picture
 from edge.twin.diagnosis.report.where_sections import where_tables
 from edge.twin.diagnosis.report.wording import (
     Document,
+    cautions,
     changed,
     gap_sentence,
     gloss,
@@ -63,7 +64,7 @@ def _lines(
     yield f'<div class="verdict {verdict}">{_VERDICTS[verdict]}</div><h1>{title}</h1>'
     glosses = [gloss(effect) for effect in document["effects"]]
     yield from (paragraph(sentence) for sentence in (*glosses, *meaning(document), gap_sentence(document)))
-    yield from (paragraph(sentence) for sentence in predicting(document))
+    yield from (paragraph(sentence) for sentence in (*cautions(document), *predicting(document)))
     yield from tiles(document)
     if pictures is None:
         yield paragraph(NO_PICTURES, "soft")

@@ -11,7 +11,7 @@ from edge.twin.diagnosis.report.candidates_picture import candidates_picture
 from edge.twin.diagnosis.report.gap_picture import gap_picture
 from edge.twin.diagnosis.report.heat_picture import heat_picture
 from edge.twin.diagnosis.report.picture import Picture
-from edge.twin.diagnosis.report.residual_picture import residual_picture
+from edge.twin.diagnosis.report.residual_picture import heat_course_picture, residual_picture
 from edge.twin.diagnosis.report.run_picture import run_picture
 from edge.twin.diagnosis.report.story import Story, Trace
 from edge.twin.diagnosis.report.whiteness_picture import whiteness_picture
@@ -28,7 +28,7 @@ def pictures(story: Story) -> Mapping[str, tuple[Picture, ...]] | None:
     story = replace(story, traces=tuple(one for one in story.traces if len(one.time_s) >= LEAST_ROWS))
     adds = changed(story.document)
     drawn: dict[str, list[Picture | None]] = {
-        "where": [heat_picture(story, adds), residual_picture(story, adds)],
+        "where": [heat_picture(story, adds), heat_course_picture(story), residual_picture(story, adds)],
         "run": [
             *(run_picture(one, _errors(story.document, one), adds) for one in told_runs(story)),
             gap_picture(story.document),

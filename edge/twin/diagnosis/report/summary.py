@@ -11,6 +11,7 @@ from edge.twin.diagnosis.report.wording import (
     Document,
     beaten,
     best_simple,
+    cautions,
     changed,
     headline,
     heat_text,
@@ -45,7 +46,7 @@ def _lines(document: Document, folder: str) -> Iterator[str]:
     yield from _effects(document)
     yield from _doubtful(document)
     yield from _gap_rows(document)
-    for sentence in beaten(document):
+    for sentence in (*cautions(document), *beaten(document)):
         yield from _wrapped(sentence)
     if experiment := document["next_experiment"]:
         yield from _experiment(experiment, folder)

@@ -12,8 +12,10 @@ _ROLES = {"train": "training runs", "test": "held-out test runs"}
 NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
 CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
 NOTHING = "none"
-CLEARLY_LESS = 0.98  # times an error, for a model to be called better
+CLEARLY_LESS = 0.999  # times an error, for a model to be called better: rounding alone is no difference
 ERROR_SHARE = "squared error"  # what a finding that tells where the error lies has in it
+# What findings have in them that nobody may miss: where test runs go beyond, and a second set of values.
+CAUTIONS = ("in another regime", "Other values do as well")
 WHITE_P = 0.05  # a run's innovations count as white from this p-value on
 
 
@@ -136,6 +138,11 @@ def where_found(document: Document) -> list[str]:
 def noticed(document: Document) -> list[str]:
     """The other findings: what was left out, and what these runs can't tell."""
     return [text for text in document.get("findings", []) if ERROR_SHARE not in text]
+
+
+def cautions(document: Document) -> list[str]:
+    """What the reader must know to take the figures for what they are, a sentence each."""
+    return [f"{text}." for text in document.get("findings", []) if any(key in text for key in CAUTIONS)]
 
 
 def heat_text(regime: Mapping[str, Any]) -> str:
