@@ -1,5 +1,6 @@
 """bench/foreign: cases that share nothing with the engine, and their score."""
 
+import argparse
 import ast
 import json
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from bench.foreign import cases
 from bench.foreign.box import HOT_ELEMENT_K, Box, Weather, drive
 from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, Case, make_case, seed_of
-from bench.foreign.make import write_case
+from bench.foreign.make import name_of, tasks_of, write_case
 from bench.foreign.score import calibration_error, figures, is_alike, score, text
 from edge.run_file import read_run
 from edge.twin.effects import EFFECTS
@@ -28,6 +29,15 @@ def still(room_c: float = 20.0) -> Weather:
 
 def heated(box: Box, duty: float = 0.5, fan: float = 0.0) -> np.ndarray:
     return drive(box, still(), lambda row, _: (duty, fan), STEP_S)[0][:, 0]
+
+
+def test_seeds_that_are_not_burnt_begin_later() -> None:
+    arguments = argparse.Namespace(
+        kinds="null,pair", per_kind=2, seed_from=10, out=Path("out"), split="scored", workers=1
+    )
+    assert [name_of(task) for task in tasks_of(arguments)] == [
+        "case_500010", "case_500011", "case_502010", "case_502011",
+    ]  # fmt: skip
 
 
 def test_the_generator_uses_nothing_of_the_engine() -> None:

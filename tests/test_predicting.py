@@ -10,7 +10,7 @@ from edge.run_file import Run
 from edge.twin.diagnosis.baselines import arx_errors, arx_weights, simple_twins
 from edge.twin.diagnosis.diagnose import Diagnosis, diagnose
 from edge.twin.diagnosis.folds import FIRST_ROWS, block_sums, folds, halves
-from edge.twin.diagnosis.free_fit import fit_values, free_errors, left_out_errors, together
+from edge.twin.diagnosis.free_fit import another, apart, fit_values, free_errors, left_out_errors, together
 from edge.twin.diagnosis.handed import Predicted, against_adopting
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.standing import discovered, impossible
@@ -67,6 +67,36 @@ def test_sums_of_blocks_are_of_all_rows_that_were_left_out() -> None:
 
 
 # values
+
+
+def in_a_still_room(run: Run) -> Run:
+    """The same heater in a box whose room stands still and whose fan never runs."""
+    element_w, air_k, temps = 0.0, 0.0, []
+    ua_w_k, air_s, element_s = 4.0, 900.0, 200.0
+    for duty in run.columns["heater_duty"]:
+        temps.append(21.0 + air_k)
+        for _ in range(60):
+            air_k += (element_w - ua_w_k * air_k) / (ua_w_k * air_s)
+            element_w += (100.0 * duty - element_w) / element_s
+    noise = np.random.default_rng(1).normal(0.0, 0.02, len(run))
+    still = {"temp_air_c": np.array(temps) + noise, "temp_ambient_c": np.full(len(run), 21.0)}
+    return replace(run, columns={**run.columns, **still, "fan_on": np.zeros(len(run))})
+
+
+def test_where_slow_and_fast_may_change_places_other_values_do_as_well() -> None:
+    runs = recorded([in_a_still_room(simulated(BOX, seed, 200)) for seed in (1, 2)], 60.0)
+    [found] = fit_values([open_file()], (), runs, 0.1, SideBySide())
+    other = another(found, runs, 0.02, SideBySide())
+    assert other is not None
+    assert {item.place[2] for item in apart(found, other)} == {"kC", "tau_h"}
+    lags = sorted(item.file.values()["effects", "heater_lag", "tau_h"].value for item in (found, other))
+    assert lags == pytest.approx([200.0, 900.0], rel=0.1)
+
+
+def test_where_the_room_tells_them_apart_there_are_no_other_values() -> None:
+    runs = runs_of(LAG)
+    [found] = fit_values([open_file()], (), runs, 0.1, SideBySide())
+    assert another(found, runs, 0.1, SideBySide()) is None
 
 
 @pytest.mark.parametrize("start", [0.1, 1.0, 10.0])

@@ -20,6 +20,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", choices=list(FIRST_SEEDS), default="dev")
     parser.add_argument("--kinds", default=",".join(KINDS), help="comma between; default: %(default)s")
     parser.add_argument("--per-kind", type=int, help="cases of each kind; default: as many as are scored")
+    parser.add_argument("--seed-from", type=int, default=0, metavar="N", help="first number within a kind")
     parser.add_argument("--out", type=Path, default=Path("out/foreign"))
     parser.add_argument("--workers", type=int, default=2)
 
@@ -29,10 +30,11 @@ def tasks_of(arguments: argparse.Namespace) -> list[Task]:
     kinds = arguments.kinds.split(",")
     if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise DataError(f"there is no kind {unknown[0]!r}; there are {', '.join(KINDS)}")
+    first = arguments.seed_from
     return [
         (arguments.out / arguments.split, arguments.split, kind, number)
         for kind in kinds
-        for number in range(arguments.per_kind or KINDS[kind])
+        for number in range(first, first + (arguments.per_kind or KINDS[kind]))
     ]
 
 

@@ -30,6 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--kinds", help="of case, comma between; default: all")
     parser.add_argument("--per-kind", type=whole(1), metavar="N", help="cases of each kind; default: all")
+    parser.add_argument(
+        "--seed-from", type=whole(0), default=0, metavar="N", help="first number within a kind; default: 0"
+    )
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_CASES} cases of each kind")
     parser.add_argument("--workers", type=whole(1), default=2, help="cases at a time; default: %(default)s")
     parser.add_argument("--out", type=Path, default=Path("out/twin_benchmark"), help="cases and answers")
@@ -68,8 +71,9 @@ def steps(arguments: argparse.Namespace) -> list[list[str]]:
     which += ["--kinds", arguments.kinds] if arguments.kinds else []
     workers = ["--workers", str(arguments.workers)]
     places = ["--root", str(out / "cases"), "--results", str(out / "answers")]
+    first = ["--seed-from", str(arguments.seed_from)]
     return [
-        ["make", *which, "--out", str(out / "cases"), *few, *workers],
+        ["make", *which, "--out", str(out / "cases"), *few, *first, *workers],
         ["run", *which, *places, *few, *workers],
         ["score", *which, *places, *few, *workers],
     ]
@@ -79,7 +83,7 @@ def foreign_steps(arguments: argparse.Namespace) -> list[list[str]]:
     """The same of the suite `foreign`, which has no other solvers and scores by other figures."""
     which = ["--split", arguments.split, "--out", str(arguments.out.absolute() / "foreign"), *_few(arguments)]
     which += ["--kinds", arguments.kinds] if arguments.kinds else []
-    which += ["--workers", str(arguments.workers)]
+    which += ["--seed-from", str(arguments.seed_from), "--workers", str(arguments.workers)]
     return [[step, *which] for step in ("make", "run", "score")]
 
 

@@ -6,6 +6,7 @@ paper's box suits any, once it is multiplied by these two.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from edge.twin.effect import Parameter
 
@@ -37,6 +38,7 @@ class Scale:
             parameter, low=low, high=parameter.high * max(1.0, factor), start=parameter.start * factor
         )
 
+    @lru_cache(maxsize=512)  # noqa: B019 - looked up for each twin that a fit makes, of few scales
     def possible(self, parameter: Parameter) -> Parameter:
         """With the widest range that a box of such a heater, recorded in such steps, may have."""
         slow, quick = replace(self, time=self.time * SLOWER), replace(self, time=self.time / SLOWER)

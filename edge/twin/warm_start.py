@@ -14,6 +14,7 @@ from edge.twin.signals import Conditions
 
 Floats = NDArray[np.float64]
 NODE_SPREAD_K = 3.0  # sd of a body's temperature about rest, before anything is known
+NODE_SHARE = 0.3  # the same, of how far the air is from the room
 HEATER_SPREAD = 0.3  # of the same for the heater's heat, share of its power
 
 
@@ -54,11 +55,15 @@ def at_rest(twin: Twin, temp: ArrayLike, ambient: ArrayLike) -> Floats:
     return np.concatenate([temps[..., None], hidden[..., : size - 1]], axis=-1)
 
 
-def spread(twin: Twin) -> Floats:
-    """How far (sd) the state may be from rest [n], the air as its sensor tells."""
+def spread(twin: Twin, excess_k: ArrayLike = 0.0) -> Floats:
+    """How far (sd) the state may be from rest, the air as its sensor tells.
+
+    excess_k : of the air over the room, scalar or [B]. Returns : [n], or [B, n]
+    """
     heater_w = HEATER_SPREAD * twin.geometry.heater_max_w
-    hidden = [heater_w if name == HEATER else NODE_SPREAD_K for name in twin.states[1:]]
-    return np.array([twin.noise.sensor_k, *hidden])
+    node_k = np.hypot(NODE_SPREAD_K, NODE_SHARE * np.asarray(excess_k))
+    hidden = [np.full_like(node_k, heater_w) if name == HEATER else node_k for name in twin.states[1:]]
+    return np.stack([np.full_like(node_k, twin.noise.sensor_k), *hidden], axis=-1)
 
 
 def drift(twin: Twin) -> Floats:

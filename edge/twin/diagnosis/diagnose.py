@@ -16,7 +16,7 @@ from edge.twin.diagnosis.given import Given, errors_over, given, with_rooms
 from edge.twin.diagnosis.handed import OPEN, against_adopting
 from edge.twin.diagnosis.innovations import NoiseLevels
 from edge.twin.diagnosis.judged import Judged, judged
-from edge.twin.diagnosis.progress import Progress
+from edge.twin.diagnosis.progress import Progress, Stage
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.twin.diagnosis.search import Search
 from edge.twin.diagnosis.side_by_side import SideBySide
@@ -26,6 +26,8 @@ from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
+# Shares of the time, and steps, as cases of bench/foreign took them.
+SEARCHED, JUDGED = (0.05, 0.3, 10.0), (0.3, 0.95, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +82,7 @@ def diagnose(
     Errors : DataError for runs that the twin can't be fitted to
     """
     begun = time.monotonic()
-    progress("reading the runs, looking for doors and wrong readings")
+    progress("reading the runs, looking for doors and wrong readings", 0.0)
     prepared = given(file, data)
     with SideBySide(jobs, prepared.runs.temp.size) as shared:
         return _diagnosis(prepared, data, progress, command, shared, begun)
@@ -102,13 +104,19 @@ def _diagnosis(
     )
     terms = {name: term for name, (_, term) in shapes.items()}
     search = Search(
-        prepared.file, prepared.runs, progress, prepared.terms, terms, len(prepared.doors), shared=shared
+        prepared.file,
+        prepared.runs,
+        Stage(progress, *SEARCHED),
+        prepared.terms,
+        terms,
+        len(prepared.doors),
+        shared=shared,
     )
     text_shapes = {name: shape for name, (shape, _) in shapes.items()}
     found = verdict(search, text_shapes)
-    progress("free runs over rows that are left out")
-    result = judged(search, found, prepared, text_shapes, shared, data.test)
-    progress("free runs before and after")
+    judging = Stage(progress, *JUDGED)
+    result = judged(search, found, prepared, text_shapes, shared, judging, data.test)
+    progress("free runs before and after", JUDGED[1])
     known = with_rooms(prepared, found.final.fitted.sizes)
     steps = tuple(_steps(search, result, prepared, data))
     before, after = steps[0][1], steps[-1][1]

@@ -4,9 +4,10 @@ The filter of `edge.twin.diagnosis.innovations` without any unknown heat: what i
 the errors of a free run from the start that suits best, and no coloured noise takes up what values explain.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain, islice, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,22 +15,28 @@ from numpy.typing import NDArray
 from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.innovations import NoiseLevels, whitened
 from edge.twin.diagnosis.linearised import State, filters_of, nominal
+from edge.twin.diagnosis.nuisances import answer_s
 from edge.twin.diagnosis.side_by_side import SideBySide
+from edge.twin.diagnosis.starts import with_effect
 from edge.twin.diagnosis.trial import Fitted, Term, Trial, start_of
 from edge.twin.diagnosis.unknowns import Unknown, placed, unknowns
 from edge.twin.ensemble import Response, responses
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
+from edge.twin.unnamed_effects import UNNAMED_EFFECTS
 
 Floats = NDArray[np.float64]
 TAU_S = 600.0  # of a heat that is 0
-DRAWN = 6  # starts beside the one that the caller has
+DRAWN = 8  # starts beside the one that the caller has
 FARTHEST = 2.0  # of a start from the usual value, in coordinates
 LEAST_K = 1e-3  # of a box that stands still, which is told exactly
 ROUGH_K = 1.0  # what a free run may miss by while starts are tried
 ROUGHLY, FINELY = 3, 12  # iterations
 LONGEST_LAG_S = 1800.0  # over which errors go together, in the paper's box
 KEPT = 2  # starts that are followed to their ends
+AS_GOOD = 1.01  # times the error, for other values to be a rival
+LAGS = ("tau_h", "tau_s")
+APART_SDS, NEVER_APART = 4.0, 0.2  # between two values: more is no chance; of a coordinate, that is the same
 
 
 def free_levels(error_k: float) -> NoiseLevels:
@@ -40,23 +47,31 @@ def free_levels(error_k: float) -> NoiseLevels:
 
 
 def fit_values(
-    files: Sequence[TwinFile], terms: Sequence[Term], runs: Recorded, noise_k: float, shared: SideBySide
+    files: Sequence[TwinFile],
+    terms: Sequence[Term],
+    runs: Recorded,
+    noise_k: float,
+    shared: SideBySide,
+    near: Sequence[Fitted | None] = (),
 ) -> list[Fitted]:
     """Each file's open values at their best, in the order given.
 
     terms : of unknown size beside them, such as the room's temperature; noise_k : of a reading
+    near : for each file a twin that is fitted already and has most of its effects, None where none is
     """
     if not files:
         return []
-    starts = [trial for file in files for trial in _starts(file, tuple(terms))]
-    rough = shared.map(partial(fit, runs=runs, iterations=ROUGHLY), starts)
-    lots = [rough[i * (DRAWN + 1) : (i + 1) * (DRAWN + 1)] for i in range(len(files))]
+    every = [_starts(file, tuple(terms), donor) for file, donor in zip_longest(files, near[: len(files)])]
+    rough = iter(shared.map(partial(fit, runs=runs, iterations=ROUGHLY), list(chain(*every))))
+    lots = [list(islice(rough, len(starts))) for starts in every]
     followed = [_followed(item, noise_k, runs) for lot in lots for item in _best(lot, KEPT)]
     fine = shared.map(partial(fit, runs=runs, iterations=FINELY), followed)
     ends = [_best(fine[i * KEPT : (i + 1) * KEPT], 1)[0] for i in range(len(files))]
     misses = [rms_k(item, runs) for item in ends]
     donor = ends[int(np.argmin(misses))]
-    lent = [_followed(_lent(item, donor), noise_k, runs) for item in ends]
+    # With the values of the twin that fits best: a way out of a valley.
+    moved = [_moved_to(item, _lent(item.free, item.coordinates, donor)) for item in ends]
+    lent = [_followed(item, noise_k, runs) for item in moved]
     others = shared.map(partial(fit, runs=runs, iterations=FINELY), lent)
     kept = [
         other if rms_k(other, runs) < miss else item
@@ -64,6 +79,48 @@ def fit_values(
     ]
     last = [_followed(item, noise_k, runs) for item in kept]
     return shared.map(partial(fit, runs=runs, iterations=FINELY), last)
+
+
+def another(found: Fitted, runs: Recorded, noise_k: float, shared: SideBySide) -> Fitted | None:
+    """The same twin with clearly other values that fit as well, where other starts lead to them."""
+    free, levels = found.free, free_levels(ROUGH_K)
+    starts = [
+        replace(found.trial, file=placed(found.file, free, x), free=free, levels=levels)
+        for x in (*_exchanged(found), *_drawn(free, DRAWN))
+    ]
+    rough = shared.map(partial(fit, runs=runs, iterations=ROUGHLY), starts)
+    far = sorted((item for item in rough if apart(found, item)), key=lambda item: rms_k(item, runs))
+    followed = [_followed(item, noise_k, runs) for item in far[:KEPT]]
+    ends = shared.map(partial(fit, runs=runs, iterations=FINELY), followed)
+    most_k = AS_GOOD * rms_k(found, runs)
+    rivals = [item for item in ends if apart(found, item) and rms_k(item, runs) <= most_k]
+    return min(rivals, key=lambda item: rms_k(item, runs), default=None)
+
+
+def _exchanged(found: Fitted) -> Iterator[Floats]:
+    """Coordinates at which a lag and the air have changed places: a slow and a fast answer in a row."""
+    values = found.file.values()
+    for i, item in enumerate(found.free):
+        if item.place[-1] not in LAGS:
+            continue
+        without = {name: own for name, own in found.file.effects.items() if name != item.place[1]}
+        if (air_s := answer_s(replace(found.file, effects=without).twin())) is None:
+            continue
+        places = found.coordinates.copy()
+        places[i] = item.coordinate(air_s)
+        for j, other in enumerate(found.free):
+            if other.place[-1] == "kC":
+                places[j] = other.coordinate(values[other.place].value * values[item.place].value / air_s)
+        yield places
+
+
+def apart(found: Fitted, other: Fitted) -> list[Unknown]:
+    """Values that two fits of one twin do not agree on."""
+    count = len(found.free)
+    sds = [np.sqrt(np.maximum(np.diag(item.covariance)[:count], 0.0)) for item in (found, other)]
+    off = np.abs(found.coordinates - other.coordinates)
+    far = off > np.maximum(APART_SDS * np.hypot(*sds), NEVER_APART)
+    return [item for item, is_far in zip(found.free, far, strict=True) if is_far]
 
 
 def together(innovations: Floats, seen: NDArray[np.bool_], file: TwinFile) -> float:
@@ -84,11 +141,36 @@ def together(innovations: Floats, seen: NDArray[np.bool_], file: TwinFile) -> fl
     return max(1.0, total) * max(1.0, square / float(seen.sum()))
 
 
-def _starts(file: TwinFile, terms: tuple[Term, ...]) -> list[Trial]:
+def _starts(file: TwinFile, terms: tuple[Term, ...], near: Fitted | None) -> list[Trial]:
+    """From the file's own values; and from anywhere, or where a twin is near, from there."""
     free, levels = unknowns(file), free_levels(ROUGH_K)
-    drawn = np.random.default_rng(len(free)).uniform(-1.0, 1.0, (DRAWN, len(free)))
-    places = [np.array([_start(item, x) for item, x in zip(free, row, strict=True)]) for row in drawn]
+    if near is None:
+        places = _drawn(free, DRAWN)
+    else:
+        places = [_lent(free, _here(free, each), near) for each in _begun(file, free, near)]
     return [Trial(each, levels, terms, free) for each in (file, *(placed(file, free, x) for x in places))]
+
+
+def _here(free: Sequence[Unknown], file: TwinFile) -> Floats:
+    values = file.values()
+    return np.array([item.coordinate(values[item.place].value) for item in free])
+
+
+def _begun(file: TwinFile, free: Sequence[Unknown], near: Fitted) -> list[TwinFile]:
+    """The file with each start of the one effect that a near twin has not."""
+    known = {item.place for item in near.free}
+    new = {item.place[1] for item in free if item.place not in known and item.place[0] == "effects"}
+    if len(new) != 1 or new <= UNNAMED_EFFECTS.keys():
+        return [file]
+    (name,) = new
+    without = {key: values for key, values in file.effects.items() if key != name}
+    return with_effect(replace(file, effects=without), name)
+
+
+def _drawn(free: Sequence[Unknown], count: int) -> list[Floats]:
+    """Coordinates to start from, always the same."""
+    drawn = np.random.default_rng(len(free)).uniform(-1.0, 1.0, (count, len(free)))
+    return [np.array([_start(item, x) for item, x in zip(free, row, strict=True)]) for row in drawn]
 
 
 def _start(item: Unknown, drawn: float) -> float:
@@ -96,11 +178,13 @@ def _start(item: Unknown, drawn: float) -> float:
     return float(np.clip(item.mean + drawn * min(item.sd, FARTHEST), low, high))
 
 
-def _lent(item: Fitted, donor: Fitted) -> Fitted:
-    """With the values of the twin that fits best, where it has them: a way out of a valley."""
+def _lent(free: Sequence[Unknown], here: Floats, donor: Fitted) -> Floats:
+    """Coordinates with those of another twin, where it has them."""
     known = {own.place: float(x) for own, x in zip(donor.free, donor.coordinates, strict=True)}
-    places = [known.get(own.place, float(x)) for own, x in zip(item.free, item.coordinates, strict=True)]
-    x = np.array(places)
+    return np.array([known.get(own.place, float(x)) for own, x in zip(free, here, strict=True)])
+
+
+def _moved_to(item: Fitted, x: Floats) -> Fitted:
     return replace(item, coordinates=x, file=placed(item.file, item.free, x))
 
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from edge.run_file import Run, inside_names
 from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
 from edge.twin.diagnosis.runs import NamedRun
-from edge.twin.diagnosis.trial import start_of
+from edge.twin.diagnosis.trial import start_of, start_spread
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import linear_steps
 from edge.twin.march import Commands
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
-from edge.twin.warm_start import Past, held, spread, state_now
+from edge.twin.warm_start import Past, held, state_now
 
 Floats = NDArray[np.float64]
 START_ROWS = 10  # of a run that may be known before the forecast begins
@@ -101,7 +101,7 @@ def alone(named: NamedRun, guess: Forecast, room_c: Floats) -> Recorded:
 def one_step(twin: Twin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
     """The temperature of each row of one run from all measured before it [rows]; seen : [rows]."""
     steps = linear_steps(twin, runs)
-    filters = gains([Filtered(steps, levels, spread(twin), twin.step_s)], seen[None, 1:])
+    filters = gains([Filtered(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
     shown = responses([Response(steps, start_of(twin, runs), steps.driven)])
     error = runs.temp[None, :, 1:] - shown
     white = whitened(filters, np.array([0]), error, everywhere=True)[0, 0]

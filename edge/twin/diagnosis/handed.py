@@ -4,7 +4,7 @@ Each set of effects has values by least squares over free runs. Of those that pr
 one with the fewest values is handed over (Breiman et al. 1984, Classification and Regression Trees, ch. 3).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from edge.twin.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weights, simple_twins
 from edge.twin.diagnosis.candidates import Names
 from edge.twin.diagnosis.folds import block_sums, folds
-from edge.twin.diagnosis.free_fit import fit_values, left_out_errors, widened
+from edge.twin.diagnosis.free_fit import fit_values, left_out_errors, rms_k, widened
 from edge.twin.diagnosis.given import Given
+from edge.twin.diagnosis.progress import Telling
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.trial import Fitted
 from edge.twin.diagnosis.unknowns import Unknown
@@ -23,7 +24,7 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
-MUCH_BETTER = 0.9  # times the error, for what has no name to be added to a twin
+MUCH_BETTER = 0.85  # times the error, for what has no name to be added to a twin
 OPEN = "~open values"  # among effects: what the file is uncertain of, as if nothing were known of it
 CLEARLY = 2.0  # standard errors, where it must be no chance that one of several is better
 
@@ -50,6 +51,11 @@ class Predicted:
         return list(zip(self.fitted.free, map(float, self.fitted.coordinates), strict=True))
 
     @property
+    def at_bound(self) -> list[str]:
+        """Values that are as far as they can go."""
+        return [".".join(item.place) for item, x in self.open_values if item.is_at_bound(x)]
+
+    @property
     def spreads(self) -> list[tuple[Unknown, float, float]]:
         """What was fitted, its coordinate and the coordinate's sd."""
         sds = np.sqrt(np.maximum(np.diag(self.fitted.covariance), 0.0))
@@ -70,21 +76,37 @@ class Comparison:
     known: Given
     noise_k: float
     shared: SideBySide
+    telling: Telling
     tried: dict[Names, Predicted] = field(default_factory=dict)
     simple: dict[str, Predicted] = field(default_factory=dict)
     arx: dict[str, Arx] = field(default_factory=dict)
 
-    def add(self, files: Mapping[Names, TwinFile]) -> None:
-        """Judge sets that were not yet."""
+    def add(self, files: Mapping[Names, TwinFile], below_k: float = np.inf) -> None:
+        """Judge sets that were not yet, those alone that miss by less over the rows that are fitted."""
         new = {key: file for key, file in files.items() if key not in self.tried}
-        for key, (fitted, errors) in zip(new, self._judged(new.values()), strict=True):
-            self.tried[key] = Predicted(key, fitted, errors)
+        for size in sorted({len(key) for key in new}):
+            # One after another, as each begins near a smaller one.
+            self._add({key: file for key, file in new.items() if len(key) == size}, below_k)
+
+    def _add(self, new: Mapping[Names, TwinFile], below_k: float) -> None:
+        self.telling(f"free runs over left-out rows: {len(new)} twins")
+        fitted = self._fitted(new.values(), [self._near(key) for key in new])
+        kept = [
+            (key, item)
+            for key, item in zip(new, fitted, strict=True)
+            if below_k == np.inf or rms_k(item, self.known.runs) < below_k
+        ]
+        found = self._left_out([item for _, item in kept])
+        for (key, _), (item, errors) in zip(kept, found, strict=True):
+            self.tried[key] = Predicted(key, item, errors)
 
     def add_simple(self) -> None:
         """Judge the baselines."""
         runs = self.known.runs
         twins = simple_twins(self.known.file, runs)
-        for name, (fitted, errors) in zip(twins, self._judged(twins.values()), strict=True):
+        self.telling("simple models")
+        judged = self._left_out(self._fitted(twins.values()))
+        for name, (fitted, errors) in zip(twins, judged, strict=True):
             self.simple[name] = Predicted(frozenset(), fitted, errors)
         seen = np.isfinite(runs.temp[:, 1:])
         for order in ORDERS:
@@ -141,10 +163,19 @@ class Comparison:
             return 0.0
         return float(off.mean()) / max(float(off.std(ddof=1)) / float(np.sqrt(len(off))), 1e-12)
 
-    def _judged(self, files: Iterable[TwinFile]) -> list[tuple[Fitted, Floats]]:
-        runs = self.known.runs
+    def _near(self, names: Names) -> Fitted | None:
+        """The best twin that was judged with all of these effects but one."""
+        others = [item for key, item in self.tried.items() if key < names and len(names - key) == 1]
+        best = min(others, key=lambda item: item.rmse_k, default=None)
+        return None if best is None else best.fitted
+
+    def _fitted(self, files: Iterable[TwinFile], near: Sequence[Fitted | None] = ()) -> list[Fitted]:
         rooms = [term for term in self.known.terms if term.of_room]
-        fitted = fit_values(list(files), rooms, runs, self.noise_k, self.shared)
+        return fit_values(list(files), rooms, self.known.runs, self.noise_k, self.shared, near)
+
+    def _left_out(self, fitted: Sequence[Fitted]) -> list[tuple[Fitted, Floats]]:
+        """With wider intervals, and the errors."""
+        runs = self.known.runs
         told = left_out_errors(fitted, folds(runs), runs, self.shared)
         return [(widened(item, sds), errors) for item, (errors, sds) in zip(fitted, told, strict=True)]
 
@@ -195,7 +226,6 @@ def against_adopting(
             f"over left-out rows a single mass misses by {simple_k[ONE_MASS]:.3g} K, this twin by "
             f"{own_k:.3g} K"
         )
-    bound = [".".join(item.place) for item, x in handed.open_values if item.is_at_bound(x)]
-    if bound:
-        said.append(f"a value is as far as it can go: {', '.join(bound)}")
+    if handed.at_bound:
+        said.append(f"a value is as far as it can go: {', '.join(handed.at_bound)}")
     return tuple(said)

@@ -37,7 +37,7 @@ class NoiseLevels:
 
 
 class Filtered(NamedTuple):
-    """A twin to be filtered: steps, noise, spread of its start [n], and the length of a row [s]."""
+    """A twin to be filtered: steps, noise, spread of its start [n] or [B, n], and the length of a row [s]."""
 
     steps: LinearSteps
     levels: NoiseLevels
@@ -106,7 +106,8 @@ class _Walk:
         self.shape, self.states = (len(twins), len(measured)), self._heat + 2
         known = (*self.shape, self.states, self.states + 1)
         self._known, self._half = np.zeros(known), np.empty(known)  # covariance, and mean behind it
-        self._known[..., :-1] = np.stack([np.diag(_start(item, self._heat) ** 2) for item in twins])[:, None]
+        for known_of, item in zip(self._known, twins, strict=True):
+            np.einsum("bii->bi", known_of[..., :-1])[...] = _start(item, self._heat) ** 2
         self.mean, self._covariance = self._known[..., -1], np.empty((*self.shape, self.states, self.states))
         self._sensor = np.array([[item.levels.sensor_k**2] for item in twins])
         self._fresh = np.array([[item.levels.heat_w**2 * (1.0 - _kept(item) ** 2)] for item in twins])
@@ -148,10 +149,13 @@ class _Walk:
 
 
 def _start(item: Filtered, size: int) -> Floats:
-    """Standard deviations of the states before the first row, the unknown heat's and the power's last."""
-    found = np.zeros(size + 2)
-    found[: len(item.spread)] = item.spread
-    found[size:] = item.levels.heat_w, item.levels.power_share
+    """Standard deviations of the states before the first row, the unknown heat's and the power's last.
+
+    Returns : [m], or [B, m]
+    """
+    found = np.zeros((*item.spread.shape[:-1], size + 2))
+    found[..., : item.spread.shape[-1]] = item.spread
+    found[..., size:] = item.levels.heat_w, item.levels.power_share
     return found
 
 

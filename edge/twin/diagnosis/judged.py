@@ -4,33 +4,38 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.twin.diagnosis.candidates import Names, Scored
 from edge.twin.diagnosis.formulas import Shape
+from edge.twin.diagnosis.free_fit import APART_SDS, another, apart, rms_k
 from edge.twin.diagnosis.given import Given, errors_over
 from edge.twin.diagnosis.handed import OPEN, Comparison, Predicted, opened, rmse
+from edge.twin.diagnosis.progress import Telling
 from edge.twin.diagnosis.runs import NamedRun
 from edge.twin.diagnosis.search import WORTH_A_LOOK, Search
 from edge.twin.diagnosis.side_by_side import SideBySide
-from edge.twin.diagnosis.standing import APART_SDS, Standing, impossible, none_at_all, standing
+from edge.twin.diagnosis.standing import HALF, Standing, impossible, none_at_all, standing
 from edge.twin.diagnosis.starts import with_usual
+from edge.twin.diagnosis.trial import Fitted
 from edge.twin.diagnosis.verdict import Named, Verdict, _95, intervals, read, unnamed
 from edge.twin.twin_file import TwinFile
 from edge.twin.unnamed_effects import UNNAMED_EFFECTS
 from edge.twin.value import Value
 
+Floats = NDArray[np.float64]
 # What most boxes have more or less of: they stand for a name that fails, where they predict clearly better.
 USUAL = ("heater_lag", "soil_mass", "sensor_lag", "imperfect_mixing")
 # What may be added beside those where much is unexplained, so that a twin without a name predicts better.
 UNNAMED = ("constant_heat", "fan_heat", "natural_convection", *UNNAMED_EFFECTS, OPEN)
 MOST_UNNAMED = 2
 FIRST_FEW = 3  # of the search's last round, that are tried too
+LESS_SEEN = 0.97  # times the error over rows that were fitted, for left-out rows to be looked at
 LESS_UNNAMED = 0.7  # times the error, for a term that says nothing of its cause
 EXPLAINED = 2.0  # times a reading's noise: free runs that miss by less lack nothing that matters
 FAR_FROM_NOISE = 10.0  # here something is, whatever the likelihood took it for
 NEVER_MOVED = 0.1  # of a coordinate, that is the same still
 REFUTED_FROM = 1.1  # times the error over test runs without a name
-HALF = 0.5  # of the error, that an effect must take away to be thought of though the search did not
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +48,17 @@ class Doubtful:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """verdict : with the names that stand; handed : the twin to hand over, perhaps with more than names"""
+    """verdict : with the names that stand; handed : the twin to hand over, perhaps with more than names
+
+    other : the same twin with other values that do as well, None where there are none
+    """
 
     verdict: Verdict
     doubtful: tuple[Doubtful, ...]
     standings: Mapping[str, Standing]
     comparison: Comparison
     handed: Predicted
+    other: Fitted | None
 
     @property
     def provisional(self) -> tuple[str, ...]:
@@ -58,17 +67,19 @@ class Judged:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Values of the twin file that the runs contradict, sentences."""
+        """Other values that do as well, and values of the twin file that the runs contradict, sentences."""
+        told = [] if self.other is None else [_other_values(self.handed.fitted, self.other)]
         if OPEN not in self.handed.added:
-            return ()
+            return tuple(told)
         given = self.comparison.known.file.values()
-        return tuple(
+        told += [
             f"{'.'.join(item.place)} is {item.value(x):.3g}, where the twin file says "
             f"{given[item.place].value:.3g} and to {100.0 * (given[item.place].rel_sd or 0.0):.0f} %"
             for item, x in self.handed.open_values
             if item.place in given and given[item.place].rel_sd is not None
             and abs(item.value(x) / given[item.place].value - 1.0) > _95 * (given[item.place].rel_sd or 0.0)
-        )  # fmt: skip
+        ]  # fmt: skip
+        return tuple(told)
 
 
 def judged(
@@ -77,10 +88,11 @@ def judged(
     known: Given,
     shapes: Mapping[str, Shape],
     shared: SideBySide,
+    telling: Telling,
     tests: Sequence[NamedRun] = (),
 ) -> Judged:
     """Keep the names that stand, and choose the twin. tests : runs that are only judged by"""
-    comparison = Comparison(known, search.sets.base().fitted.trial.levels.sensor_k, shared)
+    comparison = Comparison(known, search.sets.base().fitted.trial.levels.sensor_k, shared, telling)
     effects, doubtful = list(found.effects), list[Doubtful]()
     every: dict[str, Standing] = {}
     refused = set[str]()
@@ -124,7 +136,17 @@ def judged(
         effects = [effect for effect in effects if effect.name not in against]
     comparison.add_simple()
     text = _said(search, found, tuple(effects), handed, shapes, comparison.noise_k)
-    return Judged(text, tuple(doubtful), every, comparison, handed)
+    other = another(handed.fitted, known.runs, comparison.noise_k, shared)
+    return Judged(text, tuple(doubtful), every, comparison, handed, other)
+
+
+def _other_values(found: Fitted, other: Fitted) -> str:
+    own, far = (item.file.values() for item in (found, other))
+    told = [
+        f"{'.'.join(item.place)} {far[item.place].value:.3g} in the place of {own[item.place].value:.3g}"
+        for item in apart(found, other)
+    ]
+    return f"Other values do as well: {', '.join(told)}"
 
 
 def scored(search: Search, names: Names) -> Scored:
@@ -183,10 +205,18 @@ def _files(file: TwinFile, search: Search, effects: Iterable[Named]) -> dict[Nam
 def _refuted(name: str, names: Names, comparison: Comparison, tests: Sequence[NamedRun]) -> list[str]:
     """Test runs that are predicted worse with a name."""
     both = [comparison.tried[names], comparison.tried[names - {name}]]
-    own, less = (rmse(errors_over(tests, item.fitted, comparison.known)) for item in both)
+    own, less = (rmse(_missed(tests, item.fitted, comparison.known)) for item in both)
     if not own > REFUTED_FROM * less:
         return []
     return [f"free runs miss the test runs by {own:.3g} K with it, by {less:.3g} K without"]
+
+
+def _missed(tests: Sequence[NamedRun], fitted: Fitted, known: Given) -> Floats:
+    """Errors over test runs, without their means where no room was recorded: that may be anything there."""
+    every = [errors_over([test], fitted, known) for test in tests]
+    if known.guessed:
+        every = [item - np.nanmean(item) if np.isfinite(item).any() else item for item in every]
+    return np.concatenate([np.empty(0), *every])
 
 
 def _thought_of(
@@ -215,10 +245,11 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: Predicted) -> 
         if handed.rmse_k <= EXPLAINED * comparison.noise_k:
             break
         wanted = [handed.added | {name} for name in possible if name not in handed.added]
-        comparison.add({key: _with(file, key, middle_c) for key in wanted})
-        found = [comparison.tried[key] for key in wanted]
+        most_k = LESS_SEEN * rms_k(handed.fitted, runs)
+        comparison.add({key: _with(file, key, middle_c) for key in wanted}, most_k)
+        found = [comparison.tried[key] for key in wanted if key in comparison.tried]
         best = min(
-            (item for item in found if not _is_moved(handed, item)),
+            (item for item in found if not item.at_bound and not _is_moved(handed, item)),
             key=lambda item: item.rmse_k,
             default=handed,
         )

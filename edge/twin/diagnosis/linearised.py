@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.diagnosis.innovations import Filtered, Gains, gains, whitened
-from edge.twin.diagnosis.trial import Trial, start_of
+from edge.twin.diagnosis.trial import Trial, start_of, start_spread
 from edge.twin.diagnosis.unknowns import Unknown, path_priors, placed, unknowns
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
-from edge.twin.warm_start import spread
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -53,7 +52,7 @@ def filters_of(states: list[State], runs: Recorded, measured: NDArray[np.bool_])
     filtered = []
     for state in states:
         twin, steps = nominal(state, state.x, runs)
-        filtered.append(Filtered(steps, state.trial.levels, spread(twin), twin.step_s))
+        filtered.append(Filtered(steps, state.trial.levels, start_spread(twin, runs), twin.step_s))
     return gains(filtered, measured)
 
 

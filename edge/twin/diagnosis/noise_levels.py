@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.diagnosis.innovations import Filtered, NoiseLevels, log_likelihoods
-from edge.twin.diagnosis.trial import Fitted, Trial, start_of
+from edge.twin.diagnosis.trial import Fitted, Trial, start_of, start_spread
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
-from edge.twin.warm_start import spread
 
 Floats = NDArray[np.float64]
 Step = Mapping[str, float]  # factors of levels
@@ -112,12 +111,13 @@ def _changed(levels: NoiseLevels, step: Step, file: TwinFile) -> NoiseLevels:
 
 
 class _Base:
-    """A fitted twin's steps and what its free run leaves, its terms at their sizes."""
+    """A fitted twin's steps, spread of its starts, and what its free run leaves, its terms at their sizes."""
 
     def __init__(self, found: Fitted, runs: Recorded) -> None:
         self.twin = found.file.twin()
         self.steps: LinearSteps = linear_steps(self.twin, runs)
         terms = [term.response(self.steps) for term in found.trial.nuisances]
+        self.spread = start_spread(self.twin, runs)
         shown = responses([Response(self.steps, start_of(self.twin, runs), self.steps.driven), *terms])
         for i, term in enumerate(found.trial.nuisances):
             shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
@@ -184,7 +184,7 @@ def _scores(
 ) -> list[Floats]:
     """Log likelihood of each of the levels of each base, with the prior of an undeclared heat."""
     filtered = [
-        Filtered(base.steps, levels, spread(base.twin), base.twin.step_s)
+        Filtered(base.steps, levels, base.spread, base.twin.step_s)
         for base, own in zip(bases, tried, strict=True)
         for levels in own
     ]

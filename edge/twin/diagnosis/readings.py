@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.innovations import Filtered, gains, whitened
-from edge.twin.diagnosis.trial import Fitted, start_of
+from edge.twin.diagnosis.trial import Fitted, start_of, start_spread
 from edge.twin.ensemble import Response, responses
 from edge.twin.linear_steps import linear_steps
 from edge.twin.recorded import Recorded
-from edge.twin.warm_start import held, spread
+from edge.twin.warm_start import held
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -118,7 +118,7 @@ def expected(found: Fitted, runs: Recorded) -> Floats:
     for i, term in enumerate(terms):
         shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
     measured = runs.measured
-    filters = gains([Filtered(steps, found.trial.levels, spread(twin), twin.step_s)], measured)
+    filters = gains([Filtered(steps, found.trial.levels, start_spread(twin, runs), twin.step_s)], measured)
     filled = np.where(measured, runs.temp[:, 1:], shown[0])
     white = whitened(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]
     predicted = filled - white * filters.sd[:, 0].T

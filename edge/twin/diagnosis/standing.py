@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.twin.diagnosis.candidates import Names, Scored
 from edge.twin.diagnosis.folds import folds, halves
-from edge.twin.diagnosis.free_fit import again, left_out_nats, row_nats, together
+from edge.twin.diagnosis.free_fit import APART_SDS, again, left_out_nats, row_nats, together
 from edge.twin.diagnosis.handed import Comparison
 from edge.twin.diagnosis.probability import LIKELY, evidence, probability
 from edge.twin.diagnosis.trial import Fitted
@@ -23,8 +23,9 @@ from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
 FALSE_SHARE = 0.05  # of names, that may be false
+HALVES_APART = 0.5  # of a coordinate, for two halves to contradict each other: a factor of 1.6
+HALF = 0.5  # of the error, that a name must take away to be thought of, and to stand, on that alone
 NO_WORSE = 1.02  # times the error of free runs without a name
-APART_SDS = 4.0  # between the values of two halves: more is no chance
 AGAINST_NATS = 3.0  # by which a half may be against a name
 WATER_J_M3_K = 4.18e6  # nothing that fits into a box stores more heat
 NOTHING_AT = {"eta": 1.0, "eps_f": 1.0, "u_sat": 1.0, "kC": 1.0}  # other values do nothing at 0
@@ -72,7 +73,8 @@ def standing(
     two = [again([whole.fitted], replace(runs, left_out=half == 1 - i), shared)[0] for i in range(2)]
     found = {}
     for name, gain in gains.items():
-        against = [] if name in passed else ["rows that were left out do not prove it"]
+        proven = name in passed or is_proven(whole.added, name, compared)
+        against = [] if proven else ["rows that were left out do not prove it"]
         against += _predicting(name, whole.added, compared)
         against += impossible(name, compared.tried[whole.added].fitted, runs, step_s)
         against += _halves(name, gain, half, two)
@@ -92,6 +94,12 @@ def standing(
             )
         found[name] = item
     return found
+
+
+def is_proven(names: Names, name: str, compared: Comparison) -> bool:
+    """Whether free runs miss left-out rows by much less with a name, wherever one looks."""
+    own, less = compared.tried[names], compared.tried[names - {name}]
+    return own.rmse_k < HALF * less.rmse_k and compared.is_better_throughout(own, less)
 
 
 def _known_before(whole: Scored, less: Scored, runs: Recorded) -> float:
@@ -177,7 +185,7 @@ def _halves(name: str, gain: Floats, half: NDArray[np.intp], two: Sequence[Fitte
             continue
         apart = abs(float(two[0].coordinates[i] - two[1].coordinates[i]))
         sd = float(np.sqrt(two[0].covariance[i, i] + two[1].covariance[i, i]))
-        if apart > APART_SDS * sd:
+        if apart > max(APART_SDS * sd, HALVES_APART):
             values = [item.value(float(each.coordinates[i])) for each in two]
             said.append(
                 f"the halves of the data contradict each other: {item.place[2]} is {values[0]:.3g} "

@@ -12,7 +12,7 @@ from edge.twin.linear_steps import LinearSteps
 from edge.twin.model import Twin
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
-from edge.twin.warm_start import at_rest
+from edge.twin.warm_start import at_rest, spread
 
 Floats = NDArray[np.float64]
 
@@ -78,3 +78,8 @@ class Fitted:
 def start_of(twin: Twin, runs: Recorded) -> Floats:
     """Where runs begin, [B, n]: at rest with the first temperature."""
     return at_rest(twin, runs.temp[:, 0], runs.ambient[:, 0])
+
+
+def start_spread(twin: Twin, runs: Recorded) -> Floats:
+    """How far (sd) it may be off, [B, n]."""
+    return spread(twin, runs.temp[:, 0] - runs.ambient[:, 0])
