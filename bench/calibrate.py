@@ -48,10 +48,18 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def statements(place: str) -> Iterator[tuple[tuple[float, float], bool]]:
-    """Evidence of each name, and whether it is right."""
-    if not (":" in place or (Path(place) / "truth").is_dir()):
-        for _ in range(MEASURED):
-            yield from measured(Path(place))
+    """Evidence of each name, and whether it is right; of development answers."""
+    is_measured = not _has_truths(place)
+    for _ in range(MEASURED if is_measured else 1):
+        for document, right in documents(place, "dev"):
+            for item, is_right in zip(document["effects"], right, strict=True):
+                yield _evidence(item), is_right
+
+
+def documents(place: str, split: str = "") -> Iterator[tuple[dict[str, Any], list[bool]]]:
+    """Answers, and which of their names are right. split : of measured logs, "" for both"""
+    if not _has_truths(place):
+        yield from _measured(Path(place), split)
         return
     answers, _, truths = place.partition(":")
     folder = Path(answers) if truths else Path(answers) / "answers"
@@ -59,19 +67,20 @@ def statements(place: str) -> Iterator[tuple[tuple[float, float], bool]]:
     for path in sorted(folder.glob("*/diagnosis.json")):
         document = json.loads(path.read_text(encoding="utf-8"))
         truth = json.loads((truth_folder / f"{path.parent.name}.json").read_text(encoding="utf-8"))
-        names = [item["name"] for item in document["effects"]]
-        right = list(matched(names, hidden_of(truth)))
-        for item, is_right in zip(document["effects"], right, strict=True):
-            yield _evidence(item), is_right
+        yield document, list(matched([item["name"] for item in document["effects"]], hidden_of(truth)))
 
 
-def measured(folder: Path) -> Iterator[tuple[tuple[float, float], bool]]:
+def _has_truths(place: str) -> bool:
+    return ":" in place or (Path(place) / "truth").is_dir()
+
+
+def _measured(folder: Path, split: str) -> Iterator[tuple[dict[str, Any], list[bool]]]:
     """The same of logs of which it is known what they have."""
     for log in LOGS:
         path = folder / "answers" / folder_name(log) / "diagnosis.json"
-        if path.exists() and log.split == "dev":
-            for item in json.loads(path.read_text(encoding="utf-8"))["effects"]:
-                yield _evidence(item), is_true(log, item["name"])
+        if path.exists() and split in ("", log.split):
+            document = json.loads(path.read_text(encoding="utf-8"))
+            yield document, [is_true(log, item["name"]) for item in document["effects"]]
 
 
 def _evidence(item: dict[str, Any]) -> tuple[float, float]:

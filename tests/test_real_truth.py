@@ -1,5 +1,6 @@
 """bench/real_truth: measured logs as cases, and what is said of them."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -66,3 +67,41 @@ def test_what_is_not_there_is_said_with_where_to_get_it(tmp_path: Path) -> None:
     other = next(log for log in LOGS if log.source != SHARED)
     with pytest.raises(DataError, match=r"no clone of https://github\.com/"):
         texts(other, tmp_path, tmp_path)
+
+
+def reader(name: str):
+    return next(log for log in LOGS if log.name == name).read
+
+
+def pickled(content: object) -> str:
+    return pickle.dumps(content, 5).decode("utf-8", "surrogateescape")
+
+
+def test_a_pickle_of_arrays_is_read() -> None:
+    content = {"t": np.arange(6), "y": np.arange(12.0).reshape(2, 6), "u": np.full((2, 6), 40.0)}
+    for text in (pickled(content), pickled({"first": content, "second": {}})):
+        columns = reader("lab kit, excited")(text)
+        assert columns["time_s"].tolist() == [0.0, 3.0]
+        assert columns["temp_air_c"].tolist() == [0.0, 3.0]
+        assert columns["heater_duty"].tolist() == [0.4, 0.4]
+
+
+def test_a_pickle_that_would_run_something_is_refused() -> None:
+    with pytest.raises(DataError, match="a pickle that asks for"):
+        reader("lab kit, excited")(pickled(Path("/etc/passwd")))
+
+
+def test_houses_plants_and_ovens_are_read_in_our_units() -> None:
+    house = reader("house in winter")("Time,T_ext,P_hea,I_sol,T_int\n0.0,15,0,14,26\n1800.0,15,1250,100,27\n")
+    assert house["time_s"].tolist() == [0.0, 1800.0]
+    assert house["heater_duty"].tolist() == [0.0, 0.5]
+    assert house["solar_w_m2"].tolist() == [14.0, 100.0]
+    lines = [f"{0.1 * k:.2f} 2.5 2.4 {k % 2}.0 10.0 2.5" for k in range(41)]
+    plant = reader("thermal plant")("\n".join(["Data", "", "Series 1", "", "Time T1 T2 setpoint", *lines]))
+    assert plant["time_s"].tolist() == [0.0, 2.0, 4.0]
+    assert plant["temp_air_c"].tolist() == [25.0, 25.0, 25.0]
+    oven = reader("Peltier oven")("26.0, 23.8, 52.9\n" * 8)
+    assert oven["time_s"].tolist() == [0.0, 1.0]
+    assert oven["heater_duty"] == pytest.approx(0.529)
+    lamp = reader("lamp over a plate")("   0.00   9.000  129.320\n   2.00   4.500  129.320\n")
+    assert lamp["heater_duty"].tolist() == [0.9, 0.45]

@@ -92,6 +92,7 @@ def _twin(log: RealLog, first: Columns) -> dict[str, Any]:
         "fan_role": log.fan,
         "sample_s": step_s,
         "effects": {"wall_loss": {"UA": {"fit": True}}, "extra_capacity": {"kC": {"fit": True}}},
+        "sensor": {} if log.highest_c is None else {"highest_c": log.highest_c},
     }
 
 

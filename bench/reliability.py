@@ -1,0 +1,87 @@
+"""python -m bench.reliability PLACE... --out PICTURE: how often names held that were said with a probability.
+
+PLACE is a folder of answers as `bench.calibrate` takes it, with a name before it: `foreign=DIR/scored`,
+`equations=ANSWERS:TRUTHS`, `measured=DIR`. Each name that stood counts once. Printed and drawn: by bins, what
+was said in the mean, what held with its 95 % interval, and of how many.
+"""
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from bench.calibrate import documents
+from bench.foreign.score import bins, calibration_error
+from bench.hidden_effects.wilson import share
+
+Statements = list[tuple[float, bool]]
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Print and draw."""
+    parser = argparse.ArgumentParser(prog="python -m bench.reliability", description=__doc__)
+    parser.add_argument("places", nargs="+", metavar="NAME=PLACE")
+    parser.add_argument("--out", type=Path, required=True, help="picture to write")
+    arguments = parser.parse_args(words)
+    told: dict[str, Statements] = {}
+    for place in arguments.places:
+        name, _, where = place.partition("=")
+        told.setdefault(name, []).extend(_statements(where))
+    told = {name: own for name, own in told.items() if own}
+    for name, own in told.items():
+        print(*_lines(name, own), sep="\n")
+    print(*_lines("all", [item for own in told.values() for item in own]), sep="\n")
+    _draw(told, arguments.out)
+    return 0
+
+
+def _statements(place: str) -> Iterator[tuple[float, bool]]:
+    for document, right in documents(place):
+        for item, is_right in zip(document["effects"], right, strict=True):
+            yield item["probability"], is_right
+
+
+def _lines(name: str, told: Statements) -> Iterator[str]:
+    yield f"{name}: {len(told)} names, calibration error {calibration_error(told):.3f}"
+    for (low, high), own in bins(told).items():
+        found = share(right for _, right in own)
+        said = sum(probability for probability, _ in own) / len(own)
+        yield (
+            f"  {low:.2f} to {min(high, 1.0):.2f}: said {said:.2f}, held {found.value:.2f} "
+            f"[{found.interval[0]:.2f}, {found.interval[1]:.2f}] of {found.cases}"
+        )
+
+
+def _draw(told: Mapping[str, Statements], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(5.2, 4.2), layout="constrained")
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=1.0, label="as said")
+    for number, ((name, own), colour) in enumerate(zip(told.items(), COLOURS, strict=False)):
+        for i, part in enumerate(bins(own).values()):
+            found = share(right for _, right in part)
+            said = sum(probability for probability, _ in part) / len(part) + 0.006 * (number - 1)
+            low, high = found.interval
+            ends = [[found.value - low], [high - found.value]]
+            label = f"{name} ({len(own)} names)" if i == 0 else None
+            axes.errorbar(
+                said, found.value, ends, fmt="o", color=colour, ms=5, capsize=2, lw=1.0, label=label
+            )
+            axes.annotate(
+                str(found.cases), (said, found.value), (4, -11), textcoords="offset points",
+                fontsize=8, color=colour,
+            )  # fmt: skip
+    axes.set(xlabel="probability that was said", ylabel="share of names that were right")
+    axes.set_xlim(0.35, 1.03)
+    axes.set_ylim(0.0, 1.05)
+    axes.legend(loc="lower right", frameon=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    pyplot.close(figure)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
