@@ -12,8 +12,9 @@ from edge.twin.diagnosis.diagnose import Diagnosis, diagnose
 from edge.twin.diagnosis.folds import FIRST_ROWS, block_sums, folds, halves
 from edge.twin.diagnosis.free_fit import another, apart, fit_values, free_errors, left_out_errors, together
 from edge.twin.diagnosis.handed import Predicted, against_adopting
+from edge.twin.diagnosis.possible import impossible
 from edge.twin.diagnosis.side_by_side import SideBySide
-from edge.twin.diagnosis.standing import discovered, impossible
+from edge.twin.diagnosis.standing import discovered
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value

@@ -46,13 +46,14 @@ def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fi
     states = [begun_from(trial) for trial in trials]
     measured = runs.measured
     filters = None
-    for _ in range(iterations):
-        moving = [i for i, state in enumerate(states) if not state.done]
-        if not moving:
-            break
-        filters = filters or filters_of(states, runs, measured)
-        _improve([states[i] for i in moving], np.array(moving), filters, runs)
-    return _finished(states, runs, measured)
+    with np.errstate(over="ignore", invalid="ignore"):  # twins that run away
+        for _ in range(iterations):
+            moving = [i for i, state in enumerate(states) if not state.done]
+            if not moving:
+                break
+            filters = filters or filters_of(states, runs, measured)
+            _improve([states[i] for i in moving], np.array(moving), filters, runs)
+        return _finished(states, runs, measured)
 
 
 def glance(trials: Sequence[Trial], runs: Recorded) -> list[tuple[Trial, float]]:
@@ -170,13 +171,14 @@ def _finished(states: list[State], runs: Recorded, measured: NDArray[np.bool_]) 
         p = len(state.free)
         inverse = np.asarray(np.linalg.pinv(own.normal, hermitian=True), dtype=np.float64)
         sizes = np.asarray(np.linalg.solve(own.normal[p:, p:], own.gradient[p:]))
+        nats = -cost(own, state) - float(spreads)
         found.append(
             Fitted(
                 state.trial,
                 placed(state.trial.file, state.free, state.x),
                 state.free,
                 state.x,
-                -cost(own, state) - float(spreads),
+                nats if np.isfinite(nats) else -np.inf,
                 inverse,
                 np.asarray((own.residual - sizes @ own.terms).reshape(measured.shape)),
                 sizes,

@@ -30,6 +30,7 @@ TAU_S = 600.0  # of a heat that is 0
 DRAWN = 8  # starts beside the one that the caller has
 FARTHEST = 2.0  # of a start from the usual value, in coordinates
 LEAST_K = 1e-3  # of a box that stands still, which is told exactly
+HOPELESS_K, RUNAWAY_K = 1e3, 1e6  # nothing that is recorded is so far off; of a twin that runs away
 ROUGH_K = 1.0  # what a free run may miss by while starts are tried
 ROUGHLY, FINELY = 3, 12  # iterations
 LONGEST_LAG_S = 1800.0  # over which errors go together, in the paper's box
@@ -195,8 +196,8 @@ def _best(found: Sequence[Fitted], count: int) -> list[Fitted]:
 def _followed(found: Fitted, noise_k: float, runs: Recorded) -> Trial:
     """From where it is, against what its free runs miss by, errors that go together counted once."""
     errors = free_errors(found, runs, ROUGH_K)
-    error_k = max(noise_k, float(np.sqrt(np.mean(errors[runs.measured] ** 2))))
-    alike = together(errors / error_k, runs.measured, found.file)
+    error_k = min(max(noise_k, float(np.sqrt(np.mean(errors[runs.measured] ** 2)))), HOPELESS_K)
+    alike = together(np.clip(errors / error_k, -HOPELESS_K, HOPELESS_K), runs.measured, found.file)
     levels = free_levels(error_k * float(np.sqrt(alike)))
     return replace(found.trial, file=found.file, free=found.free, levels=levels)
 
@@ -220,7 +221,8 @@ def free_errors(found: Fitted, runs: Recorded, error_k: float) -> Floats:
     white = whitened(filters, np.array([0]), _errors(state, found.sizes[terms], runs)[None], everywhere=True)[
         0
     ]
-    return np.asarray(white * filters.sd[:, 0].T)
+    errors = white * filters.sd[:, 0].T
+    return np.asarray(np.clip(np.nan_to_num(errors, nan=RUNAWAY_K), -RUNAWAY_K, RUNAWAY_K))
 
 
 def _errors(state: State, sizes: Floats, runs: Recorded) -> Floats:

@@ -12,7 +12,7 @@ from edge.twin.diagnosis.free_fit import fit_values
 from edge.twin.diagnosis.gap import forecast
 from edge.twin.diagnosis.locate.events import Door, find_events
 from edge.twin.diagnosis.noise_levels import find_levels, first_levels
-from edge.twin.diagnosis.nuisances import answer_s, nuisances, rooms
+from edge.twin.diagnosis.nuisances import answer_s, assumed_room, begins_at_rest, nuisances, rooms
 from edge.twin.diagnosis.readings import expected, spikes, stuck, wrong_starts
 from edge.twin.diagnosis.room import WAYS, over_rows
 from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun
@@ -81,8 +81,9 @@ class Given:
     def room_of(self, named: NamedRun) -> Floats:
         """The room temperature over each row of a run, [rows].
 
-        Where none was recorded, of a run that was not fitted on: as far from its first temperature as those
-        were, as long as it begins no warmer nor colder than they.
+        Where none was recorded, of a run that was not fitted on: where it begins at rest, as far from its
+        first temperature as those that did were, as long as it begins no warmer nor colder than they; else
+        the mean of theirs.
         """
         rows = len(named.run)
         if not self.guessed:
@@ -90,9 +91,13 @@ class Given:
         own = named.rest_of or named.name
         if own in self.names:
             return np.full(rows, self.runs.ambient[self.names.index(own), 0])
-        readings, known = named.run.columns["temp_air_c"], self.runs.temp[:, 0]
+        readings, fitted = named.run.columns["temp_air_c"], self.runs.ambient[:, 0]
+        at_rest = np.array([begins_at_rest(temps) for temps in self.runs.temp])
+        if not at_rest.any() or not begins_at_rest(readings):
+            return np.full(rows, fitted.mean())
+        known = self.runs.temp[at_rest, 0]
         first = np.clip(readings[np.isfinite(readings)][0], known.min(), known.max())
-        return np.full(rows, first + np.mean(self.runs.ambient[:, 0] - known))
+        return np.full(rows, first + np.mean(fitted[at_rest] - known))
 
 
 def given(file: TwinFile, data: DiagnosisRuns) -> Given:
@@ -135,7 +140,8 @@ def _prepared(file: TwinFile, train: Sequence[NamedRun]) -> Given:
         file = replace(file, day0_utc=float(runs.conditions["utc"].min()))
     guessed = not runs.has_ambient
     if guessed:
-        runs = replace(runs, ambient=np.repeat(runs.temp[:, :1], runs.duty.shape[1], axis=1))
+        assumed = np.array([[assumed_room(temps)] for temps in runs.temp])
+        runs = replace(runs, ambient=np.repeat(assumed, runs.duty.shape[1], axis=1))
     wrong = stuck(runs)
     wrong |= spikes(replace(runs, temp=np.where(wrong, np.nan, runs.temp)))
     runs = replace(runs, temp=np.where(wrong, np.nan, runs.temp))

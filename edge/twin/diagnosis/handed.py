@@ -15,7 +15,8 @@ from edge.twin.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weig
 from edge.twin.diagnosis.candidates import Names
 from edge.twin.diagnosis.folds import block_sums, folds
 from edge.twin.diagnosis.free_fit import fit_values, left_out_errors, rms_k, widened
-from edge.twin.diagnosis.given import Given
+from edge.twin.diagnosis.given import Given, errors_over
+from edge.twin.diagnosis.possible import impossible
 from edge.twin.diagnosis.progress import Telling
 from edge.twin.diagnosis.side_by_side import SideBySide
 from edge.twin.diagnosis.trial import Fitted
@@ -26,6 +27,7 @@ from edge.twin.value import Value
 Floats = NDArray[np.float64]
 MUCH_BETTER = 0.85  # times the error, for what has no name to be added to a twin
 OPEN = "~open values"  # among effects: what the file is uncertain of, as if nothing were known of it
+NO_WORSE = 1.02  # times the error of free runs without an effect
 CLEARLY = 2.0  # standard errors, where it must be no chance that one of several is better
 
 
@@ -128,12 +130,31 @@ class Comparison:
         What has no name is added only where it is clearly better.
         """
         named = self.tried[names]
-        others = [item for key, item in self.tried.items() if key >= names]
+        least = NO_WORSE * self.from_start_k(named)
+        others = [
+            item
+            for key, item in self.tried.items()
+            if key == names
+            or (key > names and not self.is_impossible(item) and self.from_start_k(item) <= least)
+        ]
         best = min(others, key=lambda item: item.rmse_k)
         if not self.is_better(best, named, CLEARLY):
             return named
         near = [item for item in others if not self.is_better(best, item)]
         return min(near, key=lambda item: (len(item.open_values), item.rmse_k))
+
+    def from_start_k(self, item: Predicted) -> float:
+        """Of free runs over the training runs from their first rows, hidden states at rest [K].
+
+        A body that may begin anywhere is a heat that no input makes: it helps where what was before is seen,
+        and misleads in a run of its own.
+        """
+        return rmse(errors_over(self.known.as_fitted(), item.fitted, self.known))
+
+    def is_impossible(self, item: Predicted) -> bool:
+        """Whether an effect that was added has a value that can't be in this box."""
+        runs, step_s = self.known.runs, self.known.file.sample_s
+        return any(impossible(name, item.fitted, runs, step_s) for name in item.added - {OPEN})
 
     def is_better(self, item: Predicted, than: Predicted, errors: float = 1.0) -> bool:
         """Whether free runs of one miss left-out rows by much less, and by so many standard errors."""

@@ -10,12 +10,13 @@ from edge.twin.diagnosis.candidates import Names, Scored
 from edge.twin.diagnosis.formulas import Shape
 from edge.twin.diagnosis.free_fit import APART_SDS, another, apart, rms_k
 from edge.twin.diagnosis.given import Given, errors_over
-from edge.twin.diagnosis.handed import OPEN, Comparison, Predicted, opened, rmse
+from edge.twin.diagnosis.handed import NO_WORSE, OPEN, Comparison, Predicted, opened, rmse
+from edge.twin.diagnosis.possible import impossible, none_at_all
 from edge.twin.diagnosis.progress import Telling
 from edge.twin.diagnosis.runs import NamedRun
 from edge.twin.diagnosis.search import WORTH_A_LOOK, Search
 from edge.twin.diagnosis.side_by_side import SideBySide
-from edge.twin.diagnosis.standing import HALF, Standing, impossible, none_at_all, standing
+from edge.twin.diagnosis.standing import HALF, Standing, standing
 from edge.twin.diagnosis.starts import with_usual
 from edge.twin.diagnosis.trial import Fitted
 from edge.twin.diagnosis.verdict import Named, Verdict, _95, intervals, read, unnamed
@@ -248,8 +249,16 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: Predicted) -> 
         most_k = LESS_SEEN * rms_k(handed.fitted, runs)
         comparison.add({key: _with(file, key, middle_c) for key in wanted}, most_k)
         found = [comparison.tried[key] for key in wanted if key in comparison.tried]
+        least = comparison.from_start_k(handed)
         best = min(
-            (item for item in found if not item.at_bound and not _is_moved(handed, item)),
+            (
+                item
+                for item in found
+                if not item.at_bound
+                and not _is_moved(handed, item)
+                and not comparison.is_impossible(item)
+                and comparison.from_start_k(item) <= NO_WORSE * least
+            ),
             key=lambda item: item.rmse_k,
             default=handed,
         )

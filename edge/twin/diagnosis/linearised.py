@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 DIFFERENCE = 1e-2  # of a coordinate, for a derivative
 FIRST_DAMPING = 1e-3  # share of the normal matrix' diagonal
+RUNAWAY = 1e12  # standard deviations, of an error or of its derivative
 REMEMBERED = 3  # places of a fit: where it stands and the two that it tries
 
 
@@ -135,8 +136,12 @@ def _readings(shown: Floats, place: int, trial: Trial) -> int:
 def _normal(columns: Floats, state: State) -> Linearised:
     """With the priors of the unknowns, of what two values must agree on, and of the nuisances."""
     residual, slopes = columns[0], columns[1:]
-    normal, gradient = slopes @ slopes.T, slopes @ residual
     p = len(state.free)
+    if not np.abs(columns).max(initial=0.0) < RUNAWAY:
+        # A twin that runs away is infinitely bad, and no way leads on from it.
+        own = np.zeros_like(columns)
+        return Linearised(np.eye(len(slopes)), np.zeros(len(slopes)), np.inf, own[0], own[1 + p :])
+    normal, gradient = slopes @ slopes.T, slopes @ residual
     for j, item in enumerate(state.free):
         normal[j, j] += item.sd**-2
         gradient[j] += (item.mean - state.x[j]) / item.sd**2

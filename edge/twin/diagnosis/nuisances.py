@@ -15,6 +15,9 @@ CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box w
 EXCESS_K = 10.0
 USUAL_LOSS_W_K = 8.0  # of a box as large as the paper's whose twin is not said to lose heat, and lacks that
 ROOM_SD_K = 2.0  # of a room about a run's first temperature: a run begins at rest or soon after another
+FALLS_K, FALLS_SHARE = 2.0, 0.1  # below its first temperature a run that began at rest goes by no more
+WARMEST_ROOM_C = 35.0
+ROOM_C, ANY_ROOM_SD_K = 20.0, 10.0  # of a run that begins hot: its room may be any that people work in
 
 
 def nuisances(file: TwinFile, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
@@ -56,12 +59,24 @@ def answer_s(twin: Twin) -> float | None:
     return twin.system.air_capacity_j_k / loss_w_k if loss_w_k else None
 
 
+def begins_at_rest(temps: Floats) -> bool:
+    """Whether a run's first temperature may be its room's. temps : [N], NaN where not measured"""
+    known = temps[np.isfinite(temps)]
+    falls_k = max(FALLS_K, FALLS_SHARE * float(np.ptp(known)))
+    return bool(known[0] <= WARMEST_ROOM_C and known[0] - known.min() <= falls_k)
+
+
+def assumed_room(temps: Floats) -> float:
+    """Of a run in which none was recorded. temps : [N], NaN where not measured"""
+    known = temps[np.isfinite(temps)]
+    return float(known[0]) if begins_at_rest(temps) else min(ROOM_C, float(known.min()))
+
+
 def rooms(runs: Recorded) -> tuple[Term, ...]:
     """A room temperature per run where none was recorded: how far it is from the one assumed."""
     count, rows = runs.duty.shape
+    sds = [ROOM_SD_K if begins_at_rest(temps) else ANY_ROOM_SD_K for temps in runs.temp]
     return tuple(
-        Term(
-            f"room of run {i + 1}", np.repeat(np.eye(count)[i : i + 1], rows, axis=0), ROOM_SD_K, of_room=True
-        )
-        for i in range(count)
+        Term(f"room of run {i + 1}", np.repeat(np.eye(count)[i : i + 1], rows, axis=0), sd, of_room=True)
+        for i, sd in enumerate(sds)
     )
