@@ -17,8 +17,10 @@ from edge.twin.diagnosis.experiment.experiment import PROFILE, Experiment, write
 from edge.twin.diagnosis.experiment.families import candidates
 from edge.twin.diagnosis.experiment.improve import cool
 from edge.twin.diagnosis.experiment.limits import ExperimentLimits
-from edge.twin.diagnosis.experiment.rivals import Pair
+from edge.twin.diagnosis.experiment.rivals import Pair, Rivals
+from edge.twin.diagnosis.experiment.separation import separation
 from edge.twin.diagnosis.experiment.sequence import Part, inputs_of
+from edge.twin.diagnosis.experiment.surroundings import surroundings
 from edge.twin.diagnosis.fitting import fit
 from edge.twin.diagnosis.trial import Trial
 from edge.twin.value import Value
@@ -283,3 +285,15 @@ def test_what_is_told_one_way_round_only_has_two_sides_too(told: list[bool]) -> 
     [sides] = _sides(pairs, np.array(told), np.array([False, False]))
     assert {name for side in sides for name in side} == {"wall_mass", "wall_loss"}
     assert _sides(pairs, np.array([False, False]), np.array([False, False])) == ()
+
+
+def test_a_rival_of_which_nothing_is_open_is_told_apart_too() -> None:
+    known = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 10.0}}
+    runs, file = driven({**known, "heater_lag": {"tau_h": 200.0}}, [Inputs(DUTIES, STILL)]), file_of(known)
+    (plain,) = fit([Trial(file, NOISE)], runs)
+    assert not plain.free
+    late = fitted(file, runs, "heater_lag")
+    names = ("sensor_lag", "heater_lag")
+    pairs = tuple(Pair(i, 1 - i, names[i], names[1 - i], names[0], 0.5, 1.0) for i in range(2))
+    plan = separation(Rivals((plain, late), pairs), surroundings(runs, False), STEP_S)
+    assert designed(plan, ExperimentLimits()).profile

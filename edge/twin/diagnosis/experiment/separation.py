@@ -107,7 +107,7 @@ class Separation:
     ) -> Floats:
         """By how much this model falls behind each of those that may be true, refitted [trues, B]."""
         item, steps = self.models[other], predicted.steps[other]
-        moves = np.stack([term.shape.T for term in slopes(item, predicted.runs[other])] or [])
+        moves = np.array([term.shape.T for term in slopes(item, predicted.runs[other])])  # perhaps none
         effects = _effects(predicted.terms[other], steps, within.shape)
         moves = np.concatenate([moves.reshape(-1, *within.shape), effects])
         root = _root(item.covariance)
