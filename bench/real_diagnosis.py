@@ -68,7 +68,7 @@ def measured(folder: Path, log_set: LogSet, logs: Logs) -> Result:
     train, test, twin = write_case(folder, log_set, logs)
     file = read_twin_file(twin)
     data = read_runs(train, test, file)
-    found = diagnose(file, data, lambda _: None, "")
+    found = diagnose(file, data, lambda _, __: None, "")
     steps = tuple(_step(names, side) for names, side in found.steps)
     return Result(found, _given(log_set, data), steps, _plate(found, logs, log_set))
 
