@@ -63,9 +63,9 @@ def _draw(told: Mapping[str, Statements], path: Path) -> None:
     for number, ((name, own), colour) in enumerate(zip(told.items(), COLOURS, strict=False)):
         for i, part in enumerate(bins(own).values()):
             found = share(right for _, right in part)
-            said = sum(probability for probability, _ in part) / len(part) + 0.006 * (number - 1)
+            said = sum(probability for probability, _ in part) / len(part) + 0.012 * (number - 1)
             low, high = found.interval
-            ends = [[found.value - low], [high - found.value]]
+            ends = [[max(found.value - low, 0.0)], [max(high - found.value, 0.0)]]
             label = f"{name} ({len(own)} names)" if i == 0 else None
             axes.errorbar(
                 said, found.value, ends, fmt="o", color=colour, ms=5, capsize=2, lw=1.0, label=label
@@ -77,7 +77,7 @@ def _draw(told: Mapping[str, Statements], path: Path) -> None:
     axes.set(xlabel="probability that was said", ylabel="share of names that were right")
     axes.set_xlim(0.35, 1.03)
     axes.set_ylim(0.0, 1.05)
-    axes.legend(loc="lower right", frameon=False)
+    axes.legend(loc="lower left", frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     pyplot.close(figure)

@@ -7,7 +7,7 @@ import pytest
 from training_runs import box_run
 
 from bench.agreement import _begun_anywhere, _half, disagreement
-from bench.reliability import _lines, main
+from bench.reliability import _draw, _lines, main
 from edge.python import Run, Twin
 from edge.twin.twin_file import read_twin_file
 
@@ -60,6 +60,12 @@ def test_what_was_said_stands_beside_what_held() -> None:
     assert "foreign: 12 names" in text
     assert "0.95 to 1.00: said 0.97, held 0.90" in text
     assert "of 10" in text
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_names_that_were_all_right_or_all_wrong_are_drawn(tmp_path: Path, right: bool) -> None:
+    _draw({"foreign": [(0.97, right)] * 3}, tmp_path / "diagram.png")
+    assert (tmp_path / "diagram.png").stat().st_size > 1000
 
 
 def test_a_place_without_names_draws_an_empty_diagram(tmp_path: Path) -> None:
