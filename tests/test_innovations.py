@@ -154,6 +154,17 @@ def test_a_likelihood_is_that_of_the_whitened_errors() -> None:
     assert found == pytest.approx(-0.5 * (white**2).sum(axis=(1, 2)) - spreads, rel=1e-12)
 
 
+def test_a_reading_long_after_a_start_that_is_forgotten_counts_in_full() -> None:
+    runs = recording(rows=1500, runs=1)
+    fast = Twin(effects=BOX | {"extra_capacity": {"kC": 1.0}})
+    levels = replace(LEVELS, room_k=0.0, heat_w=0.0, power_share=0.0)
+    seen = np.ones((1, 1500), dtype=bool)
+    filters = gains([Filtered(linear_steps(fast, runs), levels, spread(fast), STEP_S)], seen)
+    assert filters.rows[-1, 0, 0, 0, -1] == 0.0  # nothing is left to learn, to the last bit
+    white = whitened(filters, np.array([0]), np.ones((1, 1, 1500)))
+    assert white[0, 0, -1] == pytest.approx(1.0 / levels.sensor_k)
+
+
 def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:
     runs = recording()
     seen = np.ones((2, ROWS), dtype=bool)

@@ -52,10 +52,12 @@ class Gains:
     rows : [N, C, B, m + 1, m + 1], what a row makes of the states and its reading, behind each other: the
         states after it, and what the reading was expected to be; the last column is 0 where nothing was read
     sd : [N, C, B], of the innovation [K]
+    measured : [B, N], where something was read
     """
 
     rows: Floats
     sd: Floats
+    measured: NDArray[np.bool_]
 
 
 def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
@@ -72,7 +74,7 @@ def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
             row[..., :-1, -1] = gain
         step[..., -1, :-1] = step[..., 0, :-1]
         step[..., :-1, :-1] -= step[..., :-1, -1:] * step[..., -1:, :-1]
-    return Gains(found, sds)
+    return Gains(found, sds, measured)
 
 
 def log_likelihoods(twins: Sequence[Filtered], measured: NDArray[np.bool_], errors: Floats) -> Floats:
@@ -181,10 +183,8 @@ def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats, everywher
         found[k] = known[owner, :, -1, place]
     np.subtract(in_time, found, out=found)
     found /= filters.sd[:, owner]
-    if everywhere:
-        return found.transpose(1, 2, 0)
-    seen = np.any(filters.rows[..., 0, -1] != 0.0, axis=1)  # [N, B]
-    return np.where(seen[:, None], found, 0.0).transpose(1, 2, 0)
+    shown = found.transpose(1, 2, 0)
+    return shown if everywhere else np.where(filters.measured, shown, 0.0)
 
 
 def _places(owner: NDArray[np.intp], filters: int) -> NDArray[np.intp]:
