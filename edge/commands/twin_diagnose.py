@@ -78,7 +78,9 @@ def run(arguments: argparse.Namespace) -> int:
                 write_json(arguments.out / "diagnosis.json", document)
             else:
                 progress("the report", 0.98)
-                write_report(arguments.out, Story(document, traces(found, places)))
+                story = Story(document, traces(found, places))
+                del found, places  # all fits: matplotlib comes where they were, or two weeks take over 300 MB
+                write_report(arguments.out, story)
     page = None if arguments.json_only else PAGE_NAME
     print(summary_text(document, str(arguments.out), page), end="")
     return 0
