@@ -58,7 +58,7 @@ def _draw(told: Mapping[str, Statements], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(5.2, 4.2), layout="constrained")
+    figure, axes = pyplot.subplots(figsize=(5.2, 4.8), layout="constrained")
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=1.0, label="as said")
     for number, ((name, own), colour) in enumerate(zip(told.items(), COLOURS, strict=False)):
         for i, part in enumerate(bins(own).values()):
@@ -77,7 +77,7 @@ def _draw(told: Mapping[str, Statements], path: Path) -> None:
     axes.set(xlabel="probability that was said", ylabel="share of names that were right")
     axes.set_xlim(0.35, 1.03)
     axes.set_ylim(0.0, 1.05)
-    axes.legend(loc="lower left", frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     pyplot.close(figure)
