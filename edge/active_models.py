@@ -1,7 +1,6 @@
 """The predictive models a daemon works with: those of the active bundle, exchanged between two ticks."""
 
 from collections.abc import Mapping
-from typing import Protocol
 
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.serving import Serving
@@ -16,41 +15,15 @@ from edge.forecasts.forecasting import Forecasting
 from edge.forecasts.rivals import rival_rows
 from edge.forecasts.skill import SkillState
 from edge.llm.language_model import LanguageModel
-from edge.messages import Command, Decision, Forecast, ForecastSkill
+from edge.messages import Command, Decision
 from edge.models.arx import Arx
 from edge.models.base import Columns, Predictor
 from edge.models.configured import configured_model
 from edge.models.pbm import Pbm
 from edge.models.persistence import Persistence
+from edge.rig import Forecasts
 from edge.settings import Settings
 from edge.twin.model import Twin
-
-Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
-
-
-class Models(Protocol):
-    """What a loop asks of its models, twice a tick."""
-
-    @property
-    def twin(self) -> Twin | None: ...
-    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str: ...
-    def forecast(
-        self, history: Columns, decision: Decision, driven: Command, confirmed: bool
-    ) -> Forecasts: ...
-
-
-class NoForecasts:
-    """The models of a loop that never exchanges them: a replay."""
-
-    twin: Twin | None = None
-
-    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
-        """Nothing to exchange."""
-        return ""
-
-    def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
-        """None."""
-        return {}, ()
 
 
 class ActiveModels:

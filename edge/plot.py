@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from edge.errors import RequestError
 from edge.messages import Event, Severity
 from edge.run_file import Run
+from edge.twin.diagnosis.report.picture import time_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,8 +30,6 @@ LISTED_MAX = 10  # events with their texts; more are drawn, and counted
 LINE_CHARS = 145  # what fits into the width
 NUMBER_GAP = 0.03  # two numbers stand at least this share of the width apart, else they are written as one
 COLORS = {Severity.ALARM: "#c0392b", Severity.WARNING: "#d68910", Severity.INFO: "#707b7c"}
-# Shortest run [s], divisor, label
-UNITS = ((172800.0, 86400.0, "days"), (10800.0, 3600.0, "h"), (300.0, 60.0, "min"), (0.0, 1.0, "s"))
 
 
 def plot_history(path: str | Path, since_utc: float | None, until_utc: float | None, out: str | Path) -> None:
@@ -181,7 +180,7 @@ def _event_lines(events: Sequence[Event]) -> list[tuple[str, str]]:
 
 def _unit(run: Run) -> tuple[float, str]:
     length_s = float(run.columns["time_s"][-1])
-    return next((divisor, unit) for shortest_s, divisor, unit in UNITS if length_s >= shortest_s)
+    return time_axis(length_s)
 
 
 def _cut(line: str) -> str:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.active_models import NoForecasts
 from edge.controller_names import MPC, MPC_TWIN, PID, RULES
 from edge.controllers import registry
 from edge.controllers.base import Context, Controller
@@ -28,7 +27,7 @@ from edge.names import SIGNALS
 from edge.operation import Operation
 from edge.recorded_board import RecordedBoard, ReplayClock
 from edge.reference import make_reference, zone_of
-from edge.rig import Rig
+from edge.rig import NoForecasts, Rig
 from edge.run_file import Run
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth

@@ -6,19 +6,30 @@ from dataclasses import dataclass
 from datetime import tzinfo
 from typing import Protocol
 
-from edge.active_models import Models
 from edge.clock import Clock
-from edge.controllers.base import Controller
-from edge.drift.monitor import DriftMonitor
+from edge.controllers.base import Columns, Controller
 from edge.estimator import Estimator
 from edge.inbox import Inbox
-from edge.messages import Command, Echo, Event, Reading, TickRecord
+from edge.messages import (
+    Command,
+    Decision,
+    Drift,
+    Echo,
+    Event,
+    Forecast,
+    ForecastSkill,
+    Reading,
+    TickRecord,
+)
 from edge.operation import Operation
 from edge.reference import Reference
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings
 from edge.state_file import Answered
+from edge.twin.model import Twin
+
+Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
 
 
 class BoardLine(Protocol):
@@ -47,6 +58,38 @@ class BoardLine(Protocol):
     def maintain(self) -> None: ...
     def end_maintenance(self) -> None: ...
     def clear_trip(self) -> None: ...
+
+
+class Models(Protocol):
+    """What a loop asks of its models, twice a tick."""
+
+    @property
+    def twin(self) -> Twin | None: ...
+    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str: ...
+    def forecast(
+        self, history: Columns, decision: Decision, driven: Command, confirmed: bool
+    ) -> Forecasts: ...
+
+
+class NoForecasts:
+    """The models of a loop that never exchanges them: a replay."""
+
+    twin: Twin | None = None
+
+    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
+        """Nothing to exchange."""
+        return ""
+
+    def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
+        """None."""
+        return {}, ()
+
+
+class DriftWatch(Protocol):
+    """Compare the running twin with the measurements, once a tick; never raises."""
+
+    def tick(self, twin: Twin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift: ...
+    def take_events(self) -> list[Event]: ...
 
 
 class SaveState(Protocol):
@@ -84,4 +127,4 @@ class Rig:
     after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
     show: Callable[[], None] = lambda: None  # publish orders and outputs that changed between two ticks
     stop_at_s: float = math.inf  # end of an experiment
-    drift: DriftMonitor | None = None  # watches the running twin
+    drift: DriftWatch | None = None  # watches the running twin

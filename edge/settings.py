@@ -116,6 +116,10 @@ class ControlSettings(Section):
     model: str = text("", "ARX model file instead of a bundle's model; empty: none")
     ambient_default_c: float = number(21.0, "room temperature where no sensor tells", "degC", -20.0, 60.0)
 
+    def effort_weight(self, controller: str) -> float:
+        """Return what a planning controller pays for effort in addition to the tracking cost."""
+        return self.penalty_weight if controller.endswith("-P") else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class LlmSettings(Section):

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from edge import config
-from edge.active_models import NoForecasts
 from edge.controllers.base import Context
 from edge.estimator import Estimator
 from edge.inbox import Inbox, Letter, Reply
@@ -17,7 +16,7 @@ from edge.messages import Command, Decision, Echo, Event, Quality, Reading, Tick
 from edge.models.arx_file import read_arx
 from edge.operation import Operation
 from edge.reference import make_reference
-from edge.rig import Rig
+from edge.rig import NoForecasts, Rig
 from edge.safety import SafetyMemory
 from edge.sensor_health import SensorHealth
 from edge.settings import Settings

@@ -68,12 +68,7 @@ def _mpc_twin(name: str, parts: Parts) -> Controller:
     model = parts.predictors.get("pbm")
     if not isinstance(model, Pbm):
         raise RequestError(f"{name}: plans with the twin of the active bundle, there is none")
-    return MpcTwin(name, model, effort_weight(name, parts.control), parts.control.twin_preview)
-
-
-def effort_weight(name: str, control: ControlSettings) -> float:
-    """Of a controller that plans: what effort costs it beside the tracking."""
-    return control.penalty_weight if name.endswith("-P") else 0.0
+    return MpcTwin(name, model, parts.control.effort_weight(name), parts.control.twin_preview)
 
 
 def _mpc(name: str, parts: Parts) -> Controller:
@@ -81,7 +76,7 @@ def _mpc(name: str, parts: Parts) -> Controller:
     arx = model if parts.linear is None else parts.linear
     if not isinstance(arx, Arx):
         raise RequestError(f"{name}: plans with an ARX model, not with {arx.name} {arx.version}")
-    weight = effort_weight(name, settings)
+    weight = settings.effort_weight(name)
     if name.startswith("MPC-BFGS"):
         from edge.controllers.mpc_bfgs import MpcBfgs  # late: the daemon rarely needs it
 

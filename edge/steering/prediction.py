@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from edge.controllers.registry import effort_weight
 from edge.errors import DataError
 from edge.reference import Reference, make_reference, seconds_of_day, zone_of
 from edge.settings import Settings
@@ -41,7 +40,7 @@ def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, 
 
 
 def _wanted(reference: Reference, steering: Steering | None, controller: str, settings: Settings) -> Wanted:
-    weight = effort_weight(controller, settings.control)
+    weight = settings.control.effort_weight(controller)
     heater = fan = None
     if steering is not None:
         heater, fan = steering.heater_penalty, steering.fan_penalty

@@ -15,6 +15,8 @@ WIDTH_IN = 5.2  # narrow, so that the letters are large on a phone
 INK = "#010203"  # stands for the page's own text colour
 # Told apart by the colour-blind too (Okabe & Ito 2008), and seen on white and on black.
 BEFORE, AFTER, FAN, HEATER, PLAIN = "#d9660f", "#1f86cc", "#16a085", "#c9628f", "#8b949c"
+# Shortest run [s], divisor, label
+UNITS = ((172800.0, 86400.0, "days"), (10800.0, 3600.0, "h"), (300.0, 60.0, "min"), (0.0, 1.0, "s"))
 OF_THE_PAGE = {INK: "currentColor", BEFORE: "var(--before)", AFTER: "var(--after)"}  # light or dark
 STYLE: Any = {
     "font.size": 9.0,
@@ -98,9 +100,7 @@ def drawable(name: str, letters: int) -> str:
 
 
 def time_axis(seconds: float) -> tuple[float, str]:
-    """Divisor and unit for a time axis of that length."""
-    from edge.plot import UNITS
-
+    """Return divisor and unit for a time axis of that length."""
     return next((divisor, unit) for shortest_s, divisor, unit in UNITS if seconds >= shortest_s)
 
 
