@@ -27,7 +27,7 @@ class Bench:
 
 BENCHES = {
     "mpc": Bench(("--instances", "5", "--peer-seconds", "0.05", "--references", "1")),
-    "mutants": Bench(("edge.relay_proof", "--count", "2")),
+    "mutants": Bench(("edge.safety.relay_proof", "--count", "2")),
     "mpc_rollout": Bench(("--hours", "1", "--every", "30")),
     "daemon": Bench(("--seconds", "15", "--starts", "2", "--hours", "1")),
     "kills": Bench(("--kills", "5")),

@@ -21,9 +21,9 @@ from bench.foreign.make import Task, add_place, name_of, tasks_of
 from bench.foreign.score import SURE, is_alike
 from bench.header import header
 from bench.hidden_effects.wilson import share
-from edge.errors import DataError
-from edge.python import Run, Twin, diagnose
-from edge.run_file import cut
+from edge.core.errors import DataError
+from edge.diagnosis.python import Run, Twin, diagnose
+from edge.formats.run_file import cut
 
 Answer = Mapping[str, Any]
 FARTHEST = 10.0

@@ -11,9 +11,9 @@ from bench.two_node_box import TwoNodeBox
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.controllers.mpc import Mpc, MpcSettings
 from edge.controllers.mpc_bfgs import MpcBfgs
-from edge.messages import Command
+from edge.core.messages import Command
+from edge.core.names import HEATER_LEVELS
 from edge.models.arx import Arx
-from edge.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 ROOM_C = 21.0

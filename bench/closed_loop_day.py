@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.closed_loop_picture import draw
-from edge import __version__, config
-from edge.controller_names import MPC, RULES
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import Settings
+from edge.core.controller_names import MPC, RULES
+from edge.core.names import HEATER_MAX_W
+from edge.core.version import __version__
 from edge.models.arx_file import read_arx
-from edge.names import HEATER_MAX_W
-from edge.settings import Settings
-from edge.sim_clock import SimClock
-from edge.virtual_rig import settings_in, virtual_rig
 from training.control.closed_loop import closed_loop
 
 Floats = NDArray[np.float64]

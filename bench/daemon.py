@@ -22,15 +22,15 @@ from pathlib import Path
 import numpy as np
 
 from bench.default_daemon import SETTINGS, Memory, cost, memory_of
-from edge import config
-from edge.daemon import Daemon
-from edge.messages import TickRecord
-from edge.sim_clock import SimClock
+from bench.support.broker import Broker, wait_for
+from bench.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
+from bench.support.virtual_board import virtual_board
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import virtual_rig
+from edge.config import loading as config
+from edge.core.messages import TickRecord
 from edge.storage import Outbox
-from edge.virtual_rig import virtual_rig
-from tests.broker import Broker, wait_for
-from tests.daemon_process import RIG, ROOT, DaemonProcess, run_command
-from tests.rig import virtual_board
 
 WARM_UP_TICKS = 10
 DAY_TICKS = 1440  # at 60 s steps
@@ -40,8 +40,8 @@ PACKAGES = {
     "python, numpy": "import numpy",
     "python, scipy.optimize, sqlite_utils": "import scipy.optimize, sqlite_utils",
     "daemon's code, default bundle loaded": (
-        "import edge.daemon; from pathlib import Path; from edge.bundle.store import Store; "
-        "from edge.models.from_bundle import loader; "
+        "import edge.app.daemon; from pathlib import Path; from edge.bundle.store import Store; "
+        "from edge.bundle.predictors import loader; "
         "kept = Store(Path('/nonexistent'), Path('/nonexistent'), loader(60.0)).load('packaged')"
     ),
 }

@@ -7,7 +7,7 @@ a scripted stand-in answers at once.
 
 import argparse
 
-from edge.settings import LlmSettings
+from edge.config.settings import LlmSettings
 from training.control.comparison import STAND_IN_MODEL
 from training.control.figures import decision_time
 from training.control.job import Job, run

@@ -15,13 +15,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from edge import config
-from edge.clock import Port
-from edge.daemon import Daemon
-from edge.messages import TickRecord
-from edge.sim_clock import SimClock
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import virtual_rig
+from edge.config import loading as config
+from edge.core.clock import Port
+from edge.core.messages import TickRecord
 from edge.storage.file import connect
-from edge.virtual_rig import virtual_rig
 
 WARM_UP_TICKS = 120  # the estimator's history is full, and each forecast meets its measurement
 SETTINGS = """

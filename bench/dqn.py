@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: CPU time is of on
 import numpy as np
 from torch import nn
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.model import Twin
 from edge.twin.reference import rk45_rollout
 from edge.twin.twin_file import read_twin_file

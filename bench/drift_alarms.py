@@ -14,11 +14,11 @@ import numpy as np
 
 from bench.drift_box import UTC_0, Box, Chances, heat_for, switching, ticks, with_fan
 from edge.bundle.store import PACKAGED_FOLDER
+from edge.core.predictor import Floats
 from edge.drift import evidence, noise
 from edge.drift.evidence import Evidence
 from edge.drift.monitor import DriftMonitor, Promise
 from edge.drift.regimes import CELLS, Situation, situation
-from edge.models.base import Floats
 from edge.models.pbm import read_twin
 from edge.twin.model import Twin
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from edge.core.messages import Drift
+from edge.core.predictor import Floats
 from edge.drift.monitor import DriftMonitor
-from edge.messages import Drift
-from edge.models.base import Floats
 from edge.twin.model import Twin
 from edge.twin.warm_start import at_rest
 

@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from edge.twin.diagnosis.report.page_style import STYLE
+from edge.diagnosis.report.page_style import STYLE
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = Path("docs/examples/diagnosis")

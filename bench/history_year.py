@@ -19,25 +19,26 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edge import config
-from edge.daemon import Daemon
-from edge.llm.ledger import ToolError
-from edge.llm.sql_guard import DEADLINE_S
-from edge.llm.sql_tool import SqlTool
-from edge.messages import Event, Severity, TickRecord
-from edge.settings import HistorySettings
-from edge.sim_clock import SimClock
+from edge.app.daemon import Daemon
+from edge.assistant.llm.ledger import ToolError
+from edge.assistant.llm.sql_guard import DEADLINE_S
+from edge.assistant.llm.sql_tool import SqlTool
+from edge.assistant.why.ask_history import why
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import HistorySettings
+from edge.core.messages import Event, Severity, TickRecord
 from edge.storage import Outbox, Session
 from edge.storage.archive import Archive
-from edge.storage.file import USABLE_VERSION, VIEWS, connect
+from edge.storage.file import connect
 from edge.storage.retention import thin
 from edge.storage.runs import events_between, export_run
 from edge.storage.schema import INDEXES
+from edge.storage.schema_version import USABLE_VERSION, VIEWS
 from edge.storage.slice_check import SliceCheck
 from edge.storage.stretches import export_stretches
 from edge.storage.tick_rows import insert_ticks
-from edge.virtual_rig import settings_in, virtual_rig
-from edge.why.ask_history import why
 
 STEP_S = 60.0
 DAY_S = 86400.0

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.two_node_box import TwoNodeBox
-from edge.controllers.base import Context, Limits
 from edge.controllers.mixed_integer.problem import Problem
 from edge.controllers.mpc import planning_problem
-from edge.messages import Command, Estimate
+from edge.core.controller import Context, Limits
+from edge.core.messages import Command, Estimate
+from edge.formats.run_file import Run
 from edge.models.arx import Arx, FanInput
 from edge.models.fit_arx import Fit, fit_arx
-from edge.run_file import Run
 
 Floats = NDArray[np.float64]
 STEP_S = 60.0

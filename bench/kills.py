@@ -27,14 +27,15 @@ from typing import Any
 import yaml
 
 from bench.attack.part import Found
-from edge import config, state_file
-from edge.control_socket import request
-from edge.daemon import Daemon
-from edge.errors import RequestError
-from edge.hard_limits import LEASE_S
-from edge.sim_clock import SimClock
-from tests.broker import MOSQUITTO, Broker, Listener, wait_for
-from tests.rig import VirtualBoard, die_with_parent, virtual_board
+from bench.support.broker import MOSQUITTO, Broker, Listener, wait_for
+from bench.support.virtual_board import VirtualBoard, die_with_parent, virtual_board
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.config import loading as config
+from edge.core.errors import RequestError
+from edge.core.hard_limits import LEASE_S
+from edge.sockets.control_socket import request
+from edge.state import state_file
 
 RIG = "greenhouse/rig-1"
 SPEED = 40.0  # simulated seconds in one of ours

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from edge import config
-from edge.daemon import Daemon
-from edge.messages import TickRecord
-from edge.settings import Settings
-from edge.sim_clock import SimClock
-from edge.virtual_rig import settings_in, virtual_rig
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import Settings
+from edge.core.messages import TickRecord
 from training.control.recorded import wait_recorded
 
 REFERENCE_C = 26.0

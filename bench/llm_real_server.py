@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 
 from bench.llm_closed_loop import REFERENCE_C, Ended, run
-from edge.llm.budget import Budget
-from edge.llm.endpoint import Endpoint
-from edge.llm.failure import LlmFailure
-from edge.settings import LlmSettings
+from edge.assistant.llm.budget import Budget
+from edge.assistant.llm.endpoint import Endpoint
+from edge.assistant.llm.failure import LlmFailure
+from edge.config.settings import LlmSettings
 
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / "out" / "llm_real"

@@ -5,14 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.closed_loop_day import CHAMBER_YAML, DAY_YAML
-from edge import config
-from edge.controllers import registry
-from edge.controllers.base import Context, Controller
-from edge.daemon import Daemon
-from edge.messages import Decision
-from edge.models.base import Predictor
-from edge.sim_clock import SimClock
-from edge.virtual_rig import settings_in, virtual_rig
+from edge.app import controllers as registry
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.core.controller import Context, Controller
+from edge.core.messages import Decision
+from edge.core.predictor import Predictor
 
 
 class Logger:

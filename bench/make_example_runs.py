@@ -20,10 +20,10 @@ from bench.hidden_effects.chamber_box import THIN_WALLS, Settings
 from bench.hidden_effects.chamber_calibration import calibrate
 from bench.resolve_alias import chamber_document, quiet_plan
 from edge.__main__ import main as greenhouse
-from edge.errors import GreenhouseError
-from edge.number_table import write_table
-from edge.run_file import read_run, write_run
-from edge.sensor_health import AVERAGE_S
+from edge.core.errors import GreenhouseError
+from edge.formats.number_table import write_table
+from edge.formats.run_file import read_run, write_run
+from edge.tick.sensor_health import AVERAGE_S
 
 EXAMPLE = Path(__file__).parent.parent / "docs" / "examples" / "diagnosis"
 STEP_S, STEP_K, REST_MIN = 60.0, 0.1, 10

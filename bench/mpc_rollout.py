@@ -21,8 +21,9 @@ import numpy as np
 from bench.logged_contexts import logged_contexts
 from bench.twin import TWINS
 from edge.bundle.manifest import MANIFEST, parse_manifest
+from edge.bundle.predictors import load_predictors
 from edge.bundle.store import PACKAGED_FOLDER
-from edge.controllers.base import Context
+from edge.config.settings import ControlSettings
 from edge.controllers.mixed_integer.problem import Plan
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
@@ -30,12 +31,11 @@ from edge.controllers.mpc import MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
 from edge.controllers.plan_rollouts import plan_rollouts
 from edge.controllers.rollout_search import Meter, RolloutSearch
+from edge.core.controller import Context
+from edge.core.predictor import Predictor
 from edge.models.arx import Arx
 from edge.models.arx_file import read_arx
-from edge.models.base import Predictor
-from edge.models.from_bundle import load_predictors
 from edge.models.pbm import Pbm
-from edge.settings import ControlSettings
 from edge.twin.model import Twin
 
 _FOREVER_S = 1e9

@@ -23,7 +23,10 @@ from pathlib import Path
 from bench.source_changes import changes
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("edge.relay_proof", "edge.hard_limits")  # whose tests take seconds; others are asked for by name
+PACKAGES = (
+    "edge.safety.relay_proof",
+    "edge.core.hard_limits",
+)  # whose tests take seconds; others are asked for by name
 IN_PROCESS = "mutation"  # tests that import it change the sources themselves
 SLOWER = 3.0  # a mutant's tests may take this many times as long as the tests without a change
 LEAST_LIMIT_S = 60.0

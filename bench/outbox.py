@@ -20,18 +20,18 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from edge import config
-from edge.clock import RealClock
-from edge.daemon import Daemon
-from edge.messages import TickRecord
+from bench.support.broker import Broker, Listener
+from bench.support.mqtt_rig import ROOT, ControlLoop, settings
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import HistorySettings
+from edge.core.clock import RealClock
+from edge.core.messages import TickRecord
+from edge.formats.tick_json import tick_json
 from edge.mqtt.telemetry import Telemetry
-from edge.settings import HistorySettings
-from edge.sim_clock import SimClock
 from edge.storage import Outbox, Storage
-from edge.tick_json import tick_json
-from edge.virtual_rig import settings_in, virtual_rig
-from tests.broker import Broker, Listener
-from tests.mqtt_rig import ROOT, ControlLoop, settings
 
 REPOSITORY = Path(__file__).parent.parent
 TICKS = f"{ROOT}/history/tick"
@@ -115,7 +115,7 @@ def survive(kill: Callable[..., None], count: int, seed: int) -> tuple[int, int,
 
 def publisher(port: int, database: str) -> subprocess.Popen[bytes]:
     """The process under test."""
-    command = [sys.executable, str(REPOSITORY / "tests" / "publisher.py"), str(port), database]
+    command = [sys.executable, str(REPOSITORY / "bench" / "support" / "publisher.py"), str(port), database]
     return subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(REPOSITORY)})
 
 

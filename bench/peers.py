@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Problem, lower_toeplitz
 from edge.controllers.mpc_bfgs import rounded_bfgs
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 
 Ints = NDArray[np.int64]
 Answer = tuple[Ints, Ints, bool]  # heater levels, fan, proven optimal

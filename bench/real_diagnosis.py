@@ -24,10 +24,10 @@ import numpy as np
 
 from bench.real_diagnosis_logs import LOG_SETS, RULES, Logs, LogSet, Part, one_mass, read_logs, write_case
 from bench.real_diagnosis_plate import Heated, Plate, heated, plate_of
-from edge.errors import DataError
-from edge.twin.diagnosis.diagnose import Diagnosis, Side, diagnose
-from edge.twin.diagnosis.gap import Forecast, errors, forecast
-from edge.twin.diagnosis.runs import DiagnosisRuns, NamedRun, read_runs
+from edge.core.errors import DataError
+from edge.diagnosis.diagnose import Diagnosis, Side, diagnose
+from edge.diagnosis.gap import Forecast, errors, forecast
+from edge.diagnosis.runs import DiagnosisRuns, NamedRun, read_runs
 from edge.twin.network import HEATER
 from edge.twin.twin_file import read_twin_file
 

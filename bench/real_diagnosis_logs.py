@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.errors import DataError
-from edge.run_file import OPTION_WITHOUT, Run, absence_facts, cut, read_run, resample, write_run
-from edge.twin.effects import EFFECTS
+from edge.core.errors import DataError
+from edge.formats.run_file import OPTION_WITHOUT, Run, absence_facts, cut, read_run, resample, write_run
+from edge.twin.effects.library import EFFECTS
 from edge.twin.fit import Fit, fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from edge.twin.value import Value

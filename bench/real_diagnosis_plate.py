@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.diagnosis.gap import Forecast
+from edge.diagnosis.gap import Forecast
 from edge.twin.model import Twin
 from edge.twin.network import HEATER
 from edge.twin.warm_start import Past, state_now

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from edge.app.replay import Series, decisions_digest, replay, score
 from edge.commands.replay import settings_for, skill_table
-from edge.messages import TickRecord
+from edge.core.messages import TickRecord
+from edge.formats.run_file import OPTION_WITHOUT, Run, read_run
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx
-from edge.replay import Series, decisions_digest, replay, score
-from edge.run_file import OPTION_WITHOUT, Run, read_run
 
 STEP_S = 10.0
 HORIZONS_S = (10.0, 30.0, 60.0, 120.0, 300.0)

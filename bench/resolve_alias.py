@@ -23,8 +23,8 @@ import yaml
 from bench.hidden_effects.chamber_box import BASE, THIN_WALLS, Settings
 from bench.hidden_effects.chamber_calibration import calibrate
 from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan
-from edge.number_table import write_table
-from edge.sensor_health import AVERAGE_S
+from edge.formats.number_table import write_table
+from edge.tick.sensor_health import AVERAGE_S
 from edge.twin.twin_file import TwinFile, write_twin_file
 from edge.twin.value import Value
 from firmware_protocol.virtual_board.effects import EFFECT_NAMES

@@ -21,13 +21,13 @@ import numpy as np
 import onnxruntime
 import torch
 
+from edge.core.predictor import Columns, Floats, Predictor
+from edge.formats.run_file import Run, inside_names
 from edge.models.arx_file import read_arx
-from edge.models.base import Columns, Floats, Predictor
 from edge.models.contract import keys
 from edge.models.pbm import Pbm
 from edge.models.validity import box_of
-from edge.run_file import Run, inside_names
-from edge.twin.effects import EFFECTS
+from edge.twin.effects.library import EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.model import Twin
 from training.datasets import training_runs

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from edge.twin.effects import Effects
+from edge.twin.effects.library import Effects
 from edge.twin.model import Twin
 from edge.twin.reference import rk45_rollout
 from edge.twin.warm_start import at_rest

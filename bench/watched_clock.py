@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from edge.clock import Port
-from edge.control_socket import request
-from edge.sim_clock import SimClock
+from edge.board.sim_clock import SimClock
+from edge.core.clock import Port
+from edge.sockets.control_socket import request
 
 ACTUATORS = ("heater_relay", "fan", "led", "valve")
 ARRIVAL_S = 10.0  # real time an order may take to reach the daemon

@@ -2,17 +2,18 @@
 
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from edge.python import Found, Run, Twin, diagnose
+from edge.core.version import __version__
 
-__version__ = "0.1.0"
-__all__ = ["Found", "Run", "Twin", "diagnose"]
+if TYPE_CHECKING:
+    from edge.diagnosis.python import Found, Run, Twin, diagnose
+
+__all__ = ["Found", "Run", "Twin", "__version__", "diagnose"]
 
 
 def __getattr__(name: str) -> Any:
     """What a notebook needs, imported when it is asked for: the daemon needs none of it."""
     if name in __all__:
-        import edge.python
+        import edge.diagnosis.python
 
-        return getattr(edge.python, name)
+        return getattr(edge.diagnosis.python, name)
     raise AttributeError(f"module 'edge' has no attribute {name!r}")

@@ -6,10 +6,10 @@ import io
 import sys
 from collections.abc import Sequence
 
-from edge import __version__
 from edge.commands import orders
-from edge.errors import GreenhouseError
-from edge.plain_text import storable
+from edge.core.errors import GreenhouseError
+from edge.core.plain_text import storable
+from edge.core.version import __version__
 
 COMMANDS = {  # command -> help; the module is edge.commands.<name with underscores>
     "demo": "run a simulated greenhouse: no board, broker or root needed",

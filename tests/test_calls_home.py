@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from bench.support.daemon_process import ROOT
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.models.onnx_session import open_session
-from tests.daemon_process import ROOT
 
 ALONE = ("unshare", "-rn")  # a network namespace of its own, without an address
 CAN = shutil.which("strace") is not None and shutil.which(ALONE[0]) is not None
@@ -21,7 +21,7 @@ LOAD = """
 import time
 from pathlib import Path
 from edge.bundle.store import Store
-from edge.models.from_bundle import loader
+from edge.bundle.predictors import loader
 nowhere = Path("/nonexistent")
 models = Store(nowhere, nowhere, loader(60.0)).load("packaged")
 assert {"lstm", "ham"} <= set(models.predictors) and models.policies

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from tests.daemon_process import ROOT
+from bench.support.daemon_process import ROOT
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 SCREEN = 50  # lines

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edge.errors import GreenhouseError
+from edge.core.errors import GreenhouseError
 from training.rl import command as rl
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.models.base import Floats
+from edge.core.predictor import Floats
+from edge.formats.run_file import Run
 from edge.models.pbm import Pbm
-from edge.run_file import Run
 from edge.twin.model import Twin
 from training import ham_guarded, pbm
 from training.datasets import training_runs

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
+from edge.core.predictor import Predictor
 from edge.forecasts.adaptive import tracked
 from edge.forecasts.conformal import CLAIMED, Interval, Intervals, half_width, write_intervals
 from edge.forecasts.scorer import PERSISTENCE
-from edge.models.base import Predictor
-from edge.run_file import Run
+from edge.formats.run_file import Run
 from training import fresh_runs
 from training.forecast_errors import PROCESSES, Errors, Load, errors_of, predictors_in
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.errors import DataError
-from edge.run_file import Run, cut, data_sha256, read_run, refuse_test
+from edge.core.errors import DataError
+from edge.formats.run_file import Run, cut, data_sha256, read_run, refuse_test
 
 __all__ = ["Split", "data_sha256", "refuse_test", "regimes_of", "split", "test_run", "training_runs"]
 

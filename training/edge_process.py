@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.models.base import Predictor
+from edge.core.predictor import Predictor
 
 HISTORY_ROWS, HORIZON, SEQUENCES = 10, 20, 42
 REPEATS = 50

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from onnx import ModelProto
 
-from edge.errors import DataError, GreenhouseError
+from edge.core.errors import DataError, GreenhouseError
+from edge.core.predictor import Predictor
+from edge.formats.run_file import Run, inside_names
 from edge.models import contract
-from edge.models.base import Predictor
 from edge.models.ham import read_ham
 from edge.models.lstm import read_lstm
 from edge.models.onnx_predictor import OnnxPredictor
 from edge.models.validity import box_of
-from edge.run_file import Run, inside_names
 from edge.twin.model import Twin
 from training.datasets import training_runs
 from training.ham import HamNet

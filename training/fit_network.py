@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from training.early_stopping import EarlyStopping
 
 Predict = Callable[[Tensor], Tensor]  # features of a batch -> scaled target

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.estimator import Estimator
+from edge.config.settings import Settings
+from edge.core.messages import Command, Quality, Reading
+from edge.core.names import SIGNALS
+from edge.core.predictor import Predictor
 from edge.forecasts.scorer import Scorer
-from edge.messages import Command, Quality, Reading
+from edge.formats.run_file import Run
 from edge.models.arx_file import read_arx
-from edge.models.base import Predictor
 from edge.models.ham import read_ham
 from edge.models.lstm import read_lstm
 from edge.models.pbm import Pbm, read_twin
-from edge.names import SIGNALS
-from edge.run_file import Run
-from edge.settings import Settings
+from edge.tick.estimator import Estimator
 
 Floats = NDArray[np.float64]
 Load = Callable[[], Mapping[str, Predictor]]

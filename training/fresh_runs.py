@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from edge.run_file import Run, read_run, write_run
-from edge.sensor_health import AVERAGE_S, trimmed_mean
+from edge.formats.run_file import Run, read_run, write_run
+from edge.tick.sensor_health import AVERAGE_S, trimmed_mean
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
 from firmware_protocol.virtual_board.profiles.generate import PLANS, Plan, draw

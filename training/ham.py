@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from edge.run_file import Run
+from edge.formats.run_file import Run
 from edge.twin.geometry import Geometry
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.pairs import Transitions, split_all, transitions

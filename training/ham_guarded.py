@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from edge.run_file import Run
+from edge.formats.run_file import Run
 from edge.twin.model import Twin
 from training.datasets import Split
 from training.fit_network import Pairs, Progress, fit, make_deterministic

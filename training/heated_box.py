@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from edge.errors import DataError
+from edge.core.errors import DataError
+from edge.core.predictor import Floats, Predictor
+from edge.formats.run_file import OPTION_WITHOUT, Run, inside_names, read_run, resample
 from edge.models.arx import Arx
-from edge.models.base import Floats, Predictor
 from edge.models.fit_arx import fit_arx
 from edge.models.pbm import Pbm
-from edge.run_file import OPTION_WITHOUT, Run, inside_names, read_run, resample
-from edge.twin.effects import EFFECTS
+from edge.twin.effects.library import EFFECTS
 from edge.twin.fit import Fit, fit_twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value

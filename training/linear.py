@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from edge.formats.run_file import Run
 from edge.models.arx import FanInput
 from edge.models.fit_arx import Fit, fit_arx
-from edge.run_file import Run
 from training.pairs import split_all
 from training.rollout import START_ROWS
 

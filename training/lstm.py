@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from edge.run_file import Run
+from edge.formats.run_file import Run
 from training.datasets import Split
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.pairs import split_all, windows

@@ -8,12 +8,12 @@ from typing import Any
 
 from torch import nn
 
-from edge.errors import DataError
+from edge.core.errors import DataError
+from edge.core.predictor import Predictor
+from edge.formats.run_file import Run, data_sha256
 from edge.models.arx_file import write_arx
-from edge.models.base import Predictor
 from edge.models.fit_arx import FREE_RUN_STEPS, Fit
 from edge.models.pbm import Pbm
-from edge.run_file import Run, data_sha256
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from training import ham, ham_guarded, linear, lstm, pbm

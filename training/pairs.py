@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.run_file import Run
+from edge.formats.run_file import Run
 from training.datasets import Split, split
 
 Floats = NDArray[np.float64]

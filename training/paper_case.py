@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from training.datasets import data_sha256, training_runs
 from training.evaluate import first_difference
 from training.fit_network import make_deterministic

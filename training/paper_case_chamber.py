@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from edge.models.base import Floats
-from edge.twin.effects import USUAL_EFFECTS
+from edge.core.predictor import Floats
+from edge.twin.effects.library import USUAL_EFFECTS
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, load
 from firmware_protocol.virtual_board.effects import Effects

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from edge.errors import DataError
+from edge.core.errors import DataError
+from edge.formats.run_file import Run
 from edge.models.pbm import Pbm
-from edge.run_file import Run
-from edge.twin.effects import applied
+from edge.twin.effects.library import applied
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from edge.twin.value import Value

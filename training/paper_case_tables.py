@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.twin.diagnosis.report.number_text import number
+from edge.diagnosis.report.number_text import number
 from training.paper_case_chamber import Real
 from training.paper_case_models import HAM, HAM_GUARDED, TWIN, TWIN_HELD, Improved
 from training.report_table import Table, as_text

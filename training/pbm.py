@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edge.run_file import Run
-from edge.twin.effects import EFFECTS
+from edge.formats.run_file import Run
+from edge.twin.effects.library import EFFECTS
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -16,7 +16,7 @@ class PbmSettings:
     """The paper's form (eq. pbm): no effects, nothing fitted."""
 
     step_s: float = 60.0
-    effects: tuple[str, ...] = ()  # of `edge.twin.effects.EFFECTS`, each with its usual start
+    effects: tuple[str, ...] = ()  # of `edge.twin.effects.library.EFFECTS`, each with its usual start
 
 
 # The paper's one mass, with what it needs to be of the right size: capacity, loss and the fan's share.

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edge.models.base import Columns, Floats
+from edge.core.predictor import Columns, Floats
 from training.ham import HamNet
 from training.ham_guarded import GuardedHamNet
 from training.lstm import WINDOW, LstmNet
@@ -24,7 +24,7 @@ class LstmPredictor:
 
     @torch.no_grad()
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """As `edge.models.base.Predictor.rollout`."""
+        """As `edge.core.predictor.Predictor.rollout`."""
         inputs = torch.from_numpy(controls).float()
         window = _tail(history, ("temp_air", "heater_duty", "fan_on"), WINDOW).repeat(len(inputs), 1, 1)
         temps = []
@@ -47,7 +47,7 @@ class HamPredictor:
 
     @torch.no_grad()
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """As `edge.models.base.Predictor.rollout`."""
+        """As `edge.core.predictor.Predictor.rollout`."""
         now = torch.full((len(controls),), float(history["temp_air"][-1]))
         return _stacked(_advance(self._network, now, controls, ahead))
 
@@ -62,7 +62,7 @@ class GuardedHamPredictor:
 
     @torch.no_grad()
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """As `edge.models.base.Predictor.rollout`."""
+        """As `edge.core.predictor.Predictor.rollout`."""
         names = ("temp_air", "temp_ambient", "heater_duty", "fan_on")
         window = _tail(history, names, WINDOW)
         start = self._network.start(*(window[None, :, i] for i in range(len(names))))

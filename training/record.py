@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from edge.__main__ import main as greenhouse
-from edge.errors import GreenhouseError
-from edge.run_file import Run, read_run, write_run
+from edge.core.errors import GreenhouseError
+from edge.formats.run_file import Run, read_run, write_run
 from firmware_protocol.virtual_board.profiles.record import paths
 from training.datasets import REGIMES, RUNS, TRAIN_SHARE, regimes_of
 from training.draw_profiles import PLANS, path_of

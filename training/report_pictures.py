@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from edge.models.base import Floats
-from edge.run_file import Run
+from edge.core.predictor import Floats
+from edge.formats.run_file import Run
 from training.report_tables import LABELS
 from training.resources import Cost
 from training.rollout import START_ROWS

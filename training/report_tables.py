@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.models.base import Floats
+from edge.core.predictor import Floats
 from training.ablation import EXCESS_K, Base, ByExcess, Unexplained
 from training.report_table import Table
 from training.resources import Cost

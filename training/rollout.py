@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.errors import DataError
-from edge.models.base import Floats, Predictor
-from edge.run_file import Run, inside_names
+from edge.core.errors import DataError
+from edge.core.predictor import Floats, Predictor
+from edge.formats.run_file import Run, inside_names
 
 START_ROWS = 10  # the paper's window: every model begins from these, whatever it needs of them
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.errors import DataError
-from edge.models.base import Floats
+from edge.core.errors import DataError
+from edge.core.predictor import Floats
 from training.datasets import data_sha256, test_run, training_runs
 from training.rollout import START_ROWS, Errors, errors, free_run, one_step
 from training.study import SCENARIOS, Regime

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from edge.models.base import Predictor
-from edge.run_file import Run
+from edge.core.predictor import Predictor
+from edge.formats.run_file import Run
 from training.datasets import data_sha256, test_run, training_runs
 from training.pairs import INPUTS, split_all, stretches
 from training.peak_memory import peak_rss_mib, reset_peak

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from training.study import RESULT_FILE, SCENARIOS, Regime
 
 Record = Mapping[str, Any]

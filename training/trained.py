@@ -8,9 +8,9 @@ from typing import Any
 
 import torch
 
-from edge.errors import DataError
+from edge.core.errors import DataError
+from edge.core.predictor import Predictor
 from edge.models.arx_file import read_arx
-from edge.models.base import Predictor
 from edge.models.pbm import read_twin
 from training.ham import HamNet
 from training.ham_guarded import GuardedHamNet

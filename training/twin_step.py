@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.model import Twin
 from edge.twin.signals import Signals
 from edge.twin.warm_start import at_rest, drift, spread

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.geometry import Geometry
 from training.ham import STEP_S, HamNet
 from training.ham_guarded import GuardedHamNet

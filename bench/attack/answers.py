@@ -18,11 +18,11 @@ import numpy as np
 
 from bench.attack import nasty
 from bench.attack.part import Found, main_of
-from edge import config
-from edge.daemon import Daemon
-from edge.messages import TickRecord
-from edge.sim_clock import SimClock
-from edge.virtual_rig import settings_in, virtual_rig
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.core.messages import TickRecord
 from training.control.recorded import wait_recorded
 from training.llm_stand_in.behaviours import BEHAVIOURS, Sending
 from training.llm_stand_in.server import StandIn

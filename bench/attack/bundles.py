@@ -24,16 +24,16 @@ from onnx import TensorProto, helper
 from bench.attack.part import Found, main_of
 from edge.bundle.archive import open_archive
 from edge.bundle.manifest import MANIFEST, SIGNATURE
+from edge.bundle.predictors import loader
 from edge.bundle.proof import Limits, Prover
 from edge.bundle.roles import activated
 from edge.bundle.sign import Facts, build_bundle, generate_key, sign_folder
 from edge.bundle.store import PACKAGED_FOLDER, Store
-from edge.errors import DataError, RequestError
-from edge.models.from_bundle import loader
-from edge.policy import contract
-from edge.policy.actions import ACTIONS
-from edge.policy.observation import FEATURES
-from edge.policy.onnx_policy import INPUT, OUTPUT
+from edge.core.errors import DataError, RequestError
+from edge.models import policy_contract as contract
+from edge.models.onnx_policy import INPUT, OUTPUT
+from edge.models.policy_actions import ACTIONS
+from edge.models.policy_observation import FEATURES
 
 ACTIVE = "1.0"
 LIMITS = Limits(cpu_s=4, wall_s=20.0)

@@ -29,9 +29,9 @@ from bench.attack.part import Found, main_of
 from edge import __main__ as greenhouse
 from edge.bundle.archive import pack
 from edge.bundle.store import PACKAGED_FOLDER
-from edge.config_document import document
+from edge.config.example import document
+from edge.config.settings import Settings
 from edge.models.arx_file import DEFAULT_PATH
-from edge.settings import Settings
 
 MEMORY = 1536 << 20  # address space that a command may add [bytes]
 TIME_S = 10  # of a command's CPU; its wall time may be WALL times as long on a busy machine

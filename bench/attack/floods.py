@@ -21,12 +21,12 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
 from bench.attack.part import Found, main_of
+from bench.support.broker import Broker, Listener
+from bench.support.daemon_process import RIG, DaemonProcess
+from bench.support.virtual_board import VirtualBoard, virtual_board
 from bench.watched_clock import ACTUATORS
-from edge.control_socket import request
-from edge.errors import RequestError
-from tests.broker import Broker, Listener
-from tests.daemon_process import RIG, DaemonProcess
-from tests.rig import VirtualBoard, virtual_board
+from edge.core.errors import RequestError
+from edge.sockets.control_socket import request
 
 OBEYED_S = 1.0
 GIVE_UP_S = 30.0

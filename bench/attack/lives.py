@@ -20,12 +20,12 @@ import yaml
 
 from bench.attack.plan import Life, Plan
 from bench.watched_clock import Look, Order, WatchedClock, look_at
-from edge import config
-from edge.daemon import Daemon
-from edge.messages import TickRecord
-from edge.settings import Settings
-from edge.sim_clock import SimClock
-from edge.virtual_rig import settings_in, virtual_rig
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import Settings
+from edge.core.messages import TickRecord
 
 LOOK_S = 0.5
 GIVE_UP_S = 300.0  # real time for one life: beyond, the daemon hangs

@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from bench.foreign.cases import FIRST_SEEDS, KINDS, Case, Log, make_case, seed_of
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 Task = tuple[Path, str, str, int]
 

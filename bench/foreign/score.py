@@ -19,7 +19,7 @@ from bench.foreign.cases import ALIASES, PLACES
 from bench.foreign.make import add_place, name_of, tasks_of
 from bench.foreign.run import answer_of
 from bench.hidden_effects.wilson import Share, share
-from edge.twin.diagnosis.report.wording import beaten
+from edge.diagnosis.report.wording import beaten
 
 SURE = 0.95
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.01)

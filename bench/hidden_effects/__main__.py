@@ -8,7 +8,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from edge.errors import GreenhouseError
+from edge.core.errors import GreenhouseError
 
 COMMANDS = {"make": "make", "run": "run_cases", "score": "score_files", "table": "table"}  # and their modules
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from edge.run_file import Run
+from edge.formats.run_file import Run
 from edge.twin.twin_file import TwinFile
 
 GENERATOR_VERSION = 3  # cases of another version are made anew

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from bench.hidden_effects.chamber_box import BASE, QUIET, Settings
 from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan, drive
 from bench.hidden_effects.draw_readings import run_of
-from edge.twin.effects import EFFECTS
+from edge.twin.effects.library import EFFECTS
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value

@@ -12,7 +12,7 @@ from bench.hidden_effects.declare import declared, draw_knowledge
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS, draw_inputs, draw_surroundings
 from bench.hidden_effects.draw_readings import FIRST_DAY, Sensing, draw_sensing, read_temps, run_of
 from bench.hidden_effects.write_case import listed, listed_or_missing
-from edge.run_file import Run
+from edge.formats.run_file import Run
 
 CALIBRATION_ROWS, CALIBRATION_RUNS = 120, 2
 LIT = {"led_gain", "evapotranspiration"}

@@ -7,7 +7,7 @@ from typing import Literal
 from numpy.random import Generator
 
 from bench.hidden_effects.draw_readings import Sensing
-from edge.twin.effects import EFFECTS
+from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 

@@ -8,7 +8,7 @@ from numpy.random import Generator
 
 from bench.hidden_effects.cases import GIVEN_ROWS, STEP_S
 from bench.hidden_effects.equations_inputs import Floats
-from edge.run_file import Run
+from edge.formats.run_file import Run
 
 FIRST_DAY = datetime(2026, 3, 2, tzinfo=UTC)
 HUMIDITY_NOISE_PCT, AMBIENT_NOISE_K, AMBIENT_STEP_K = 0.4, 0.05, 0.1

@@ -35,7 +35,7 @@ from bench.hidden_effects.equations_inputs import Floats
 from bench.hidden_effects.equations_outside import OUTSIDE
 from bench.hidden_effects.equations_search import quiet
 from bench.hidden_effects.write_case import listed, listed_or_missing
-from edge.run_file import Run
+from edge.formats.run_file import Run
 
 CURVE_ODDS, CURVE = 0.75, (0.02, 0.04)  # of a loss that grows with the difference, share per 10 K
 ATTEMPTS = 80

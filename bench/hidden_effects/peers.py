@@ -14,7 +14,7 @@ from bench.hidden_effects.peers_regression import Columns, Regression, columns, 
 from bench.hidden_effects.peers_sindy import sindy
 from bench.hidden_effects.peers_stepwise import stepwise
 from bench.hidden_effects.peers_terms import TERMS
-from edge.run_file import read_run
+from edge.formats.run_file import read_run
 from edge.twin.model import Twin
 from edge.twin.twin_file import read_twin_file
 

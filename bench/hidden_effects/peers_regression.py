@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from bench.hidden_effects.cases import GIVEN_ROWS
 from bench.hidden_effects.peers_terms import TERMS, Row
-from edge.run_file import Run, resample
+from edge.formats.run_file import Run, resample
+from edge.twin.effects.signal import vapour_deficit_kpa
 from edge.twin.march import Commands, March
 from edge.twin.model import Twin
-from edge.twin.signal_effects import vapour_deficit_kpa
 from edge.twin.warm_start import Past, at_rest, held, state_now
 
 Floats = NDArray[np.float64]

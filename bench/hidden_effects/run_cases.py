@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 from bench.hidden_effects.peers import PEERS, diagnose
 from bench.hidden_effects.score import write_document
 from bench.hidden_effects.score_truth import add_place, cases_of
-from edge.errors import DataError, GreenhouseError
-from edge.processors import processors
+from edge.core.errors import DataError, GreenhouseError
+from edge.core.processors import processors
 
 OURS = "diagnose"
 SOLVERS = (OURS, *PEERS)

@@ -25,9 +25,9 @@ from bench.hidden_effects.score_fit import Fit, fit
 from bench.hidden_effects.score_noise import Noise
 from bench.hidden_effects.score_rivals import sieve, unknown
 from bench.hidden_effects.score_structure import Structure, structure
-from edge.run_file import Run
-from edge.twin.effects import EFFECTS, USUAL_EFFECTS, applied
-from edge.twin.further_effects import FURTHER_EFFECTS
+from edge.formats.run_file import Run
+from edge.twin.effects.further import FURTHER_EFFECTS
+from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS, applied
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value

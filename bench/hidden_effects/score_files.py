@@ -21,8 +21,8 @@ from bench.hidden_effects.score_answer import Answer, read_answer
 from bench.hidden_effects.score_case import Scored, score
 from bench.hidden_effects.score_truth import CasePaths, add_place, cases_of, read_truth
 from bench.hidden_effects.table import markdown, text
-from edge.errors import DataError
-from edge.run_file import read_run
+from edge.core.errors import DataError
+from edge.formats.run_file import read_run
 from edge.twin.twin_file import read_twin_file
 
 

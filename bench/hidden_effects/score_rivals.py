@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bench.hidden_effects.score_fit import Fit, stacked
 from bench.hidden_effects.score_noise import Whitener, whitener
 from bench.hidden_effects.score_structure import Structure, structure
-from edge.twin.effects import EFFECTS
+from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.hidden_effects.equations import CURVE_AT_K
-from edge.twin.effects import EFFECTS, applied
+from edge.twin.effects.library import EFFECTS, applied
 from edge.twin.model import Twin
 from edge.twin.network import HEATER
 from edge.twin.recorded import Recorded

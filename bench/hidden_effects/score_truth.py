@@ -14,7 +14,7 @@ from bench.hidden_effects.cases import (
     RunTruth,
     Truth,
 )
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 
 def read_truth(path: Path) -> Truth:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.hidden_effects.cases import GENERATOR_VERSION, Case
 from bench.hidden_effects.draw_readings import as_given
-from edge.run_file import write_run
+from edge.formats.run_file import write_run
 from edge.twin.twin_file import write_twin_file
 
 

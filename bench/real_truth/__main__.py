@@ -22,7 +22,7 @@ from bench.foreign.make import write_text
 from bench.foreign.score import is_alike
 from bench.hidden_effects.run_cases import LIMIT_S, OURS, Task, run_all
 from bench.real_truth.logs import LOGS, Columns, RealLog, texts
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 TRAINS = 0.65
 SURE = 0.9

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 Floats = NDArray[np.float64]
 Columns = dict[str, Floats]

@@ -4,8 +4,8 @@ import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from edge import state_file
-from edge.errors import DataError
+from edge.core.errors import DataError
+from edge.state import state_file
 
 FILE = "admitted.json"
 PROVED_MAX = 64  # the newest ones; a bundle that falls out is proved again when it is loaded

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from edge import __version__
 from edge.bundle.manifest import TWIN, Manifest
 from edge.bundle.sign import Facts, sign_folder
 from edge.bundle.store import Store
-from edge.errors import DataError, RequestError
-from edge.input_file import read_file
+from edge.core.errors import DataError, RequestError
+from edge.core.version import __version__
+from edge.formats.input_file import read_file
+from edge.formats.strict_json import parse_object
 from edge.models.pbm import read_twin
-from edge.strict_json import parse_object
 from edge.twin.twin_file import TwinFile, read_twin_file
 
 REPORT = "report.json"

@@ -14,8 +14,8 @@ from typing import IO, BinaryIO
 
 from edge.bundle.durable import write_new
 from edge.bundle.manifest import FILE_NAME
-from edge.errors import DataError
-from edge.input_file import MODEL, open_file
+from edge.core.errors import DataError
+from edge.formats.input_file import MODEL, open_file
 
 FILES_MAX = 64
 FILE_BYTES_MAX = MODEL

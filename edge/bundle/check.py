@@ -7,8 +7,8 @@ from pathlib import Path
 from edge.bundle.archive import FILE_BYTES_MAX, TOTAL_BYTES_MAX
 from edge.bundle.manifest import MANIFEST, SIGNATURE, Manifest, parse_manifest
 from edge.bundle.signature_process import check_apart
-from edge.errors import DataError
-from edge.input_file import MemoryFolder, read_file
+from edge.core.errors import DataError
+from edge.formats.input_file import MemoryFolder, read_file
 
 _MANIFEST_BYTES_MAX = 1 << 20
 

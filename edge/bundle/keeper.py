@@ -18,10 +18,10 @@ from edge.bundle.orders import ACTIONS, carry_out
 from edge.bundle.serving import Serving, choose
 from edge.bundle.store import Loaded, Store
 from edge.bundle.trial import HorizonScore, Judgement, Scores, Verdict, judge
-from edge.clock import Clock
-from edge.errors import DataError, RequestError
-from edge.messages import Event, Severity, TickRecord
-from edge.plain_text import plain, shown
+from edge.core.clock import Clock
+from edge.core.errors import DataError, RequestError
+from edge.core.messages import Event, Severity, TickRecord
+from edge.core.plain_text import plain, shown
 
 JOBS_REMEMBERED = 32
 JOBS_WAITING = 8

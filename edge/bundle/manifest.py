@@ -7,12 +7,12 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from typing import Any
 
-from edge import __version__
-from edge.controller_names import RL
-from edge.errors import DataError
-from edge.names import ACTUATORS, SIGNALS
-from edge.plain_text import shown
-from edge.strict_json import parse_object
+from edge.core.controller_names import RL
+from edge.core.errors import DataError
+from edge.core.names import ACTUATORS, SIGNALS
+from edge.core.plain_text import shown
+from edge.core.version import __version__
+from edge.formats.strict_json import parse_object
 
 FORMAT = 1
 MANIFEST = "manifest.json"

@@ -5,7 +5,7 @@ from functools import partial
 
 from edge.bundle.roles import Roles, activated, marked_good, rejected
 from edge.bundle.store import Store
-from edge.errors import RequestError
+from edge.core.errors import RequestError
 
 Action = Callable[[Store, str | None], Roles]
 

@@ -12,9 +12,9 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from edge.errors import DataError
-from edge.own_process import environment
-from edge.plain_text import plain
+from edge.core.errors import DataError
+from edge.core.own_process import environment
+from edge.core.plain_text import plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +84,8 @@ def main(task: str) -> int:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with suppress(OSError):  # not where root acts as the store's owner
         Path("/proc/self/oom_score_adj").write_text("1000")  # where memory runs short this process ends first
+    from edge.bundle.predictors import loader
     from edge.bundle.store import Store  # after the limits
-    from edge.models.from_bundle import loader
 
     folder = Path(values["folder"])
     try:

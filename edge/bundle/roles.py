@@ -7,7 +7,7 @@ install -> shadow -> activate -> on probation -> good
 from dataclasses import dataclass, replace
 
 from edge.bundle.manifest import PACKAGED
-from edge.errors import RequestError
+from edge.core.errors import RequestError
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from edge.bundle.manifest import PACKAGED
 from edge.bundle.roles import Roles
 from edge.bundle.store import Loaded, Store
-from edge.errors import DataError, RequestError
+from edge.core.errors import DataError, RequestError
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge import __version__
 from edge.bundle.archive import pack
 from edge.bundle.manifest import (
     MANIFEST,
@@ -29,9 +28,10 @@ from edge.bundle.manifest import (
     parse_manifest,
     write_manifest,
 )
-from edge.controller_names import RL
-from edge.errors import DataError
-from edge.input_file import read_file
+from edge.core.controller_names import RL
+from edge.core.errors import DataError
+from edge.core.version import __version__
+from edge.formats.input_file import read_file
 from edge.models.pbm import read_twin
 
 if TYPE_CHECKING:  # the package is imported when something is signed, not with the daemon

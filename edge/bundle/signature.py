@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.errors import DataError
-from edge.input_file import read_file
+from edge.core.errors import DataError
+from edge.formats.input_file import read_file
 
 if TYPE_CHECKING:  # the package is imported when a signature is checked, not with the daemon
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey

@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 from edge.bundle.signature import SIGNATURE_BYTES, check_signature, trusted_keys
-from edge.errors import DataError
-from edge.own_process import environment
-from edge.plain_text import plain
+from edge.core.errors import DataError
+from edge.core.own_process import environment
+from edge.core.plain_text import plain
 
 REFUSED = 3  # exit code: the reason is on stdout
 TIME_MAX_S = 60.0  # a single-board computer needs 2

@@ -21,19 +21,19 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from edge import state_file
 from edge.bundle.admitted import Admitted, read_admitted, release, write_admitted
 from edge.bundle.archive import unpack
 from edge.bundle.check import check_folder, read_checked
 from edge.bundle.durable import make_folder, move, sync_folder
 from edge.bundle.manifest import MANIFEST, PACKAGED, VERSION, Manifest
+from edge.bundle.policies import load_policies
 from edge.bundle.roles import Roles, installed, rolled_back
-from edge.errors import DataError, RequestError
+from edge.core.errors import DataError, RequestError
+from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
-from edge.input_file import Folder, read_file
-from edge.models.base import Predictor
-from edge.policy.from_bundle import load_policies
-from edge.policy.onnx_policy import OnnxPolicy
+from edge.formats.input_file import Folder, read_file
+from edge.models.onnx_policy import OnnxPolicy
+from edge.state import state_file
 
 PACKAGED_FOLDER = Path(__file__).parent.parent / "models" / "default_bundle"
 INTERVALS = "intervals.json"

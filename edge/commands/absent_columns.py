@@ -2,7 +2,7 @@
 
 import argparse
 
-from edge.run_file import OPTION_WITHOUT
+from edge.formats.run_file import OPTION_WITHOUT
 
 
 def add_absent_columns(parser: argparse.ArgumentParser, *columns: str) -> None:

@@ -6,10 +6,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from edge.assistant.requests.words import effect_table
 from edge.commands.which_rig import add_socket, socket_of
-from edge.control_socket import request
-from edge.errors import RequestError
-from edge.steering.words import effect_table
+from edge.core.errors import RequestError
+from edge.sockets.control_socket import request
 
 PATIENCE_S = 300.0  # a language model on a small machine is slow
 _POLL_S = 0.3

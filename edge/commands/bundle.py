@@ -12,17 +12,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from edge import config
 from edge.bundle.archive import open_archive
 from edge.bundle.manifest import PACKAGED, Manifest
 from edge.bundle.orders import carry_out
+from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
 from edge.bundle.roles import Roles
 from edge.bundle.store import Store
-from edge.control_socket import NobodyListens, request
-from edge.errors import DataError, RequestError
-from edge.models.from_bundle import loader
-from edge.settings import Settings
+from edge.config import loading as config
+from edge.config.settings import Settings
+from edge.core.errors import DataError, RequestError
+from edge.sockets.control_socket import NobodyListens, request
 
 CONFIG = Path("/etc/greenhouse/edge.yaml")
 POLL_S = 0.1

@@ -3,9 +3,9 @@
 import argparse
 import sys
 
-from edge import config
-from edge.config_check import problems
-from edge.errors import ConfigError
+from edge.app.config_check import problems
+from edge.config import loading as config
+from edge.core.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

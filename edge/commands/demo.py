@@ -6,16 +6,16 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from edge import config
+from edge.app.daemon import Daemon
+from edge.app.demo_folders import make_demo_folder
+from edge.app.display import make_display
+from edge.app.outlet import standard_output
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.commands.numbers import SEED_MAX, number, whole
-from edge.controller_names import CONTROLLERS
-from edge.daemon import Daemon
-from edge.demo_folders import make_demo_folder
-from edge.display import make_display
-from edge.outlet import standard_output
-from edge.settings import MqttSettings, Settings
-from edge.sim_clock import SimClock
-from edge.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import MqttSettings, Settings
+from edge.core.controller_names import CONTROLLERS
 
 RIG = "demo"  # its name over MQTT
 DEMO_YAML = """

@@ -9,21 +9,21 @@ from pathlib import Path
 
 from yaml import YAMLError
 
-from edge import config
-from edge.clock import Clock, RealClock
+from edge.app.experiment import ROLES, Experiment, describe_changes, run_experiment
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.commands.numbers import SEED_MAX, number, whole
 from edge.commands.output import writing
-from edge.controller_names import CONTROLLERS
+from edge.config import loading as config
+from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
-from edge.errors import DataError
-from edge.experiment import ROLES, Experiment, describe_changes, run_experiment
-from edge.input_file import YAML, read_text
-from edge.profile_file import Profile, read_profile
-from edge.run_file import Run, absence_facts, write_run
-from edge.settings import Settings
-from edge.sim_clock import SimClock
-from edge.strict_yaml import parse_yaml
-from edge.virtual_rig import settings_in, virtual_rig
+from edge.core.clock import Clock, RealClock
+from edge.core.controller_names import CONTROLLERS
+from edge.core.errors import DataError
+from edge.formats.input_file import YAML, read_text
+from edge.formats.profile_file import Profile, read_profile
+from edge.formats.run_file import Run, absence_facts, write_run
+from edge.formats.strict_yaml import parse_yaml
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
 HISTORY_FACTS = ("history_id", "first_seq", "last_seq")  # mean nothing where no history is kept

@@ -7,11 +7,11 @@ from typing import Literal
 
 from edge.commands.numbers import number
 from edge.commands.output import writing
-from edge.hard_limits import STEP_MAX_S
+from edge.core.hard_limits import STEP_MAX_S
+from edge.formats.run_file import Run, read_run
 from edge.models.arx import FanInput
 from edge.models.arx_file import write_arx
 from edge.models.fit_arx import Fit, fit_arx, provenance
-from edge.run_file import Run, read_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

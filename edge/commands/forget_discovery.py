@@ -3,10 +3,10 @@
 import argparse
 from pathlib import Path
 
-from edge import config
-from edge.control_socket import request
-from edge.errors import RequestError
+from edge.config import loading as config
+from edge.core.errors import RequestError
 from edge.mqtt import telemetry
+from edge.sockets.control_socket import request
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

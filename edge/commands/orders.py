@@ -9,10 +9,10 @@ from typing import Any
 from edge.commands.numbers import number, whole
 from edge.commands.status_text import status_lines
 from edge.commands.which_rig import add_socket, socket_of
-from edge.control_socket import request
-from edge.hard_limits import MAINTENANCE_MAX_MIN
-from edge.inbox import is_in_force, is_urgent
-from edge.operation import FanMode, Mode
+from edge.core.hard_limits import MAINTENANCE_MAX_MIN
+from edge.sockets.control_socket import request
+from edge.tick.inbox import is_in_force, is_urgent
+from edge.tick.orders import FanMode, Mode
 
 Request = dict[str, Any]
 Fill = Callable[[argparse.ArgumentParser], None]

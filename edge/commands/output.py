@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 
 @contextmanager

@@ -3,12 +3,12 @@
 import argparse
 from pathlib import Path
 
+from edge.app.plot import plot_history, plot_run
 from edge.commands.output import writing
 from edge.commands.stretch import add_bounds, bounds
 from edge.commands.which_rig import history_of
-from edge.errors import RequestError
-from edge.plot import plot_history, plot_run
-from edge.run_file import OPTION_WITHOUT, read_run
+from edge.core.errors import RequestError
+from edge.formats.run_file import OPTION_WITHOUT, read_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from edge import config
+from edge.app.replay import REPLAYED, Skill, decisions_digest, fired_limits, replay, score
 from edge.commands.absent_columns import add_absent_columns
 from edge.commands.numbers import number
-from edge.controller_names import MPC_TWIN
-from edge.errors import DataError
-from edge.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
-from edge.input_file import TABLE, read_text
-from edge.messages import TickRecord
+from edge.config import loading as config
+from edge.config.settings import Settings
+from edge.core.controller_names import MPC_TWIN
+from edge.core.errors import DataError
+from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
+from edge.core.messages import TickRecord
+from edge.formats.input_file import TABLE, read_text
+from edge.formats.run_file import read_run
+from edge.formats.strict_json import parse_object
+from edge.formats.tick_json import tick_json
 from edge.models.arx_file import DEFAULT_PATH, read_arx
 from edge.models.pbm import read_twin
-from edge.replay import REPLAYED, Skill, decisions_digest, fired_limits, replay, score
-from edge.run_file import read_run
-from edge.settings import Settings
-from edge.strict_json import parse_object
-from edge.tick_json import tick_json
 
 HORIZONS_S = (60.0, 300.0, 900.0, 1800.0, 3600.0)
 

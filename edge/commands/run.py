@@ -3,13 +3,13 @@
 import argparse
 from pathlib import Path
 
-from edge import config
-from edge.clock import RealClock
-from edge.daemon import Daemon
-from edge.display import LineDisplay
-from edge.messages import TickRecord
-from edge.outlet import standard_output
-from edge.systemd import Notifier
+from edge.app.daemon import Daemon
+from edge.app.display import LineDisplay
+from edge.app.outlet import standard_output
+from edge.app.systemd import Notifier
+from edge.config import loading as config
+from edge.core.clock import RealClock
+from edge.core.messages import TickRecord
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
-from edge.why.reasons import reasons
+from edge.assistant.why.reasons import reasons
 
 CLEAR_TRIP = "`greenhouse clear-trip` when the cause is gone"
 # Stops that the board still holds and the daemon does not know of.

@@ -6,8 +6,8 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edge.errors import RequestError
-from edge.settings import HistorySettings
+from edge.config.settings import HistorySettings
+from edge.core.errors import RequestError
 from edge.storage.runs import newest_utc
 
 _UNIT_S = {"d": 86400.0, "h": 3600.0, "min": 60.0}

@@ -20,13 +20,13 @@ from edge.bundle.archive import open_archive, pack
 from edge.bundle.manifest import FILE_NAME
 from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.output import writing
-from edge.errors import DataError, RequestError
-from edge.input_file import MODEL, read_file
+from edge.config.settings import Settings
+from edge.core.errors import DataError, RequestError
+from edge.core.names import SIGNALS
+from edge.core.plain_text import plain, shown
+from edge.formats.input_file import MODEL, read_file
+from edge.formats.strict_json import parse_object
 from edge.models.pbm import read_twin
-from edge.names import SIGNALS
-from edge.plain_text import plain, shown
-from edge.settings import Settings
-from edge.strict_json import parse_object
 
 DIAGNOSIS, TWIN = "diagnosis.json", "twin.yaml"
 BEFORE = ".before"  # ending of the file that --to has replaced

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from edge.commands.numbers import whole
-from edge.errors import RequestError
+from edge.core.errors import RequestError
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 BENCH, FOREIGN = "bench.hidden_effects", "bench.foreign"

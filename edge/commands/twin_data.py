@@ -7,10 +7,10 @@ from edge.commands.absent_columns import add_absent_columns
 from edge.commands.numbers import number
 from edge.commands.stretch import add_times, bounds
 from edge.commands.which_rig import history_of
-from edge.errors import RequestError
-from edge.settings import HistorySettings
-from edge.twin.diagnosis.history_runs import TEST_SHARE, history_runs
-from edge.twin.diagnosis.runs import DiagnosisRuns, read_runs
+from edge.config.settings import HistorySettings
+from edge.core.errors import RequestError
+from edge.diagnosis.history_runs import TEST_SHARE, history_runs
+from edge.diagnosis.runs import DiagnosisRuns, read_runs
 from edge.twin.twin_file import TwinFile
 
 

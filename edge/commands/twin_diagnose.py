@@ -11,17 +11,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge import config
 from edge.commands.numbers import whole
 from edge.commands.output import writing
 from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
-from edge.processors import processors
-from edge.twin.diagnosis.progress import TerminalProgress
-from edge.twin.diagnosis.report.summary import summary_text
+from edge.config import loading as config
+from edge.core.processors import processors
+from edge.diagnosis.progress import TerminalProgress
+from edge.diagnosis.report.summary import summary_text
 from edge.twin.twin_file import read_twin_file, write_twin_file
 
 if TYPE_CHECKING:
-    from edge.twin.diagnosis.experiment.limits import ExperimentLimits
+    from edge.diagnosis.experiment.limits import ExperimentLimits
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,14 +47,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """0 whatever the verdict. Errors: DataError, RequestError"""
-    from edge.twin.diagnosis.answer import answer, traces
-    from edge.twin.diagnosis.diagnose import diagnose
-    from edge.twin.diagnosis.diagnosis_document import write_json
-    from edge.twin.diagnosis.experiment.design import next_experiment
-    from edge.twin.diagnosis.experiment.experiment import write_profile
-    from edge.twin.diagnosis.located import located
-    from edge.twin.diagnosis.report.report import PAGE_NAME, write_report
-    from edge.twin.diagnosis.report.story import Story
+    from edge.diagnosis.answer import answer, traces
+    from edge.diagnosis.diagnose import diagnose
+    from edge.diagnosis.diagnosis_document import write_json
+    from edge.diagnosis.experiment.design import next_experiment
+    from edge.diagnosis.experiment.document import experiment_document, write_profile
+    from edge.diagnosis.located import located
+    from edge.diagnosis.report.report import PAGE_NAME, write_report
+    from edge.diagnosis.report.story import Story
 
     file = read_twin_file(arguments.twin)
     data = diagnosis_runs_of(arguments, file)
@@ -68,7 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
         places = located(found)
         progress("the next experiment", 0.97)
         experiment = next_experiment(found, limits)
-        document = answer(found, places, command, None if experiment is None else experiment.document())
+        document = answer(
+            found, places, command, None if experiment is None else experiment_document(experiment)
+        )
         with writing(arguments.out):
             write_twin_file(file, arguments.out / "twin_before.yaml")
             if found.is_offered:
@@ -89,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _limits(path: Path | None) -> "ExperimentLimits":
     """Those of the rig. Errors: ConfigError"""
     from edge.commands.experiment import RIG_CONFIG
-    from edge.twin.diagnosis.experiment.limits import ExperimentLimits
+    from edge.diagnosis.experiment.limits import ExperimentLimits
 
     if path is None and not os.access(RIG_CONFIG, os.R_OK):
         return ExperimentLimits()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from edge.commands.output import writing
-from edge.errors import RequestError
+from edge.core.errors import RequestError
 from edge.twin.new_file import CONDUCTIVITY_W_M_K, Box, check, text
 from edge.twin.twin_file import FAN_ROLES, read_twin_file
 

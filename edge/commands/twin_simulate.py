@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from edge.commands.absent_columns import add_absent_columns
 from edge.commands.numbers import number, whole
 from edge.commands.output import writing
-from edge.errors import DataError, RequestError
+from edge.core.errors import DataError, RequestError
+from edge.diagnosis.plausible import plausible_run
+from edge.formats.number_table import print_table, read_table
+from edge.formats.run_file import OPTION_WITHOUT, Run, inside_names, resample, write_run
 from edge.models.pbm import Pbm, read_twin
-from edge.number_table import print_table, read_table
-from edge.run_file import OPTION_WITHOUT, Run, inside_names, resample, write_run
-from edge.twin.diagnosis.plausible import plausible_run
 from edge.twin.warm_start import held
 
 START_ROWS = 10

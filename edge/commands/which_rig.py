@@ -5,9 +5,9 @@ import os
 import sys
 from pathlib import Path
 
-from edge.demo_folders import SOCKET, last_history, running_demos
-from edge.errors import ConfigError, DataError, RequestError
-from edge.settings import ControlSocketSettings, HistorySettings
+from edge.app.demo_folders import SOCKET, last_history, running_demos
+from edge.config.settings import ControlSocketSettings, HistorySettings
+from edge.core.errors import ConfigError, DataError, RequestError
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
 
@@ -67,7 +67,7 @@ def rig_socket() -> Path:
     usual = Path(ControlSocketSettings().path)
     if usual.exists() or not os.access(RIG_CONFIG, os.R_OK):
         return usual
-    from edge import config  # late: a stop on a usual rig does not wait for YAML
+    from edge.config import loading as config  # late: a stop on a usual rig does not wait for YAML
 
     try:
         return Path(config.load(RIG_CONFIG).control_socket.path)

@@ -1,17 +1,17 @@
-"""The controller `external`: another process proposes, `edge/external_proposals.py` asks it."""
+"""The controller `external`: another process proposes, `edge/sockets/external_proposals.py` asks it."""
 
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Protocol
 
-from edge.controller_names import EXTERNAL
-from edge.controllers.base import Context
-from edge.errors import RequestError
-from edge.messages import Command, Decision
-from edge.names import HEATER_LEVELS
-from edge.plain_text import shown
-from edge.policy.observation import by_name, observe_tick
+from edge.core.controller import Context
+from edge.core.controller_names import EXTERNAL
+from edge.core.errors import RequestError
+from edge.core.messages import Command, Decision
+from edge.core.names import HEATER_LEVELS
+from edge.core.plain_text import shown
+from edge.models.policy_observation import by_name, observe_tick
 
 WHY_MAX = 2000  # of a client's own reasons; longer ones are left out of the history [bytes of JSON]
 

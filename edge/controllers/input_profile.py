@@ -1,8 +1,8 @@
 """A predefined input profile in a controller's place: open loop, behind the same safety."""
 
-from edge.controllers.base import Context
-from edge.messages import Command, Decision
-from edge.profile_file import Profile
+from edge.core.controller import Context
+from edge.core.messages import Command, Decision
+from edge.formats.profile_file import Profile
 
 
 class InputProfile:

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from edge.controllers.base import Columns, Context, goal_ahead
-from edge.controllers.heater import levels_allowed
 from edge.controllers.mixed_integer.problem import FanRules, Ints, Problem
 from edge.controllers.mixed_integer.solver import Solution, solve
 from edge.controllers.mixed_integer.time_box import WALL_FACTOR, TimeBox
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
-from edge.messages import Decision
+from edge.core.controller import Columns, Context, goal_ahead
+from edge.core.heater_levels import levels_allowed
+from edge.core.messages import Decision
+from edge.core.names import HEATER_LEVELS
 from edge.models.arx import Arx
-from edge.names import HEATER_LEVELS
 
 LIMIT_WEIGHT = 1000.0  # 1 K above the soft limit costs as much as 10 K off the reference
 

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from edge.controllers.base import Context, Floats
 from edge.controllers.mixed_integer.problem import Ints, Problem, lower_toeplitz
 from edge.controllers.mpc import planning_problem
 from edge.controllers.plan_why import cost_split
-from edge.messages import Command, Decision
+from edge.core.controller import Context, Floats
+from edge.core.messages import Command, Decision
+from edge.core.names import HEATER_LEVELS
 from edge.models.arx import Arx
-from edge.names import HEATER_LEVELS
 
 _ITERATIONS = 200
 

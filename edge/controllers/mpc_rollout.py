@@ -3,16 +3,16 @@
 import time
 from typing import Any
 
-from edge.controllers.base import Context
 from edge.controllers.mixed_integer.problem import Plan, Problem
 from edge.controllers.mpc import MpcSettings, Previous, planning_problem, shifted
 from edge.controllers.plan_rollouts import PlanRollouts, plan_rollouts
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
 from edge.controllers.rollout_search import Meter, Priced, RolloutSearch
-from edge.messages import Decision
+from edge.core.controller import Context
+from edge.core.messages import Decision
+from edge.core.names import HEATER_LEVELS
+from edge.core.predictor import Predictor
 from edge.models.arx import Arx
-from edge.models.base import Predictor
-from edge.names import HEATER_LEVELS
 
 
 class MpcRollout:

@@ -4,18 +4,18 @@ import time
 
 import numpy as np
 
-from edge.controllers.base import Context, Floats, goal_ahead
-from edge.controllers.heater import levels_allowed
 from edge.controllers.mixed_integer.problem import Problem
 from edge.controllers.mpc import LIMIT_WEIGHT
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
 from edge.controllers.twin_plan.beam import Found, Start, relay, search
 from edge.controllers.twin_plan.belief import Belief, Inputs, begin, corrected, moved
 from edge.controllers.twin_plan.linear_step import LinearStep, linear_step
-from edge.errors import DataError
-from edge.messages import Decision
+from edge.core.controller import Context, Floats, goal_ahead
+from edge.core.errors import DataError
+from edge.core.heater_levels import levels_allowed
+from edge.core.messages import Decision
+from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import Pbm
-from edge.names import HEATER_LEVELS
 from edge.twin.signals import Conditions
 from edge.twin.warm_start import held
 

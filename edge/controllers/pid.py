@@ -4,10 +4,10 @@ import math
 
 from simple_pid import PID
 
-from edge.controllers.base import Context
-from edge.controllers.heater import levels_allowed
-from edge.messages import Command, Decision
-from edge.names import HEATER_LEVELS
+from edge.core.controller import Context
+from edge.core.heater_levels import levels_allowed
+from edge.core.messages import Command, Decision
+from edge.core.names import HEATER_LEVELS
 
 # Chosen on the tuning references by `python -m training.control.tune PID`: of the settings within 5 % of the
 # best those with the least derivative, as a real sensor has noise, and the fan that cools soonest.

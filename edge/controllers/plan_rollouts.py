@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge.controllers.base import Columns, Context, Floats
 from edge.controllers.mixed_integer.problem import Ints, Problem
 from edge.controllers.mpc import LIMIT_WEIGHT, padded
-from edge.errors import DataError
-from edge.models.base import Predictor
-from edge.names import HEATER_LEVELS
+from edge.core.controller import Columns, Context, Floats
+from edge.core.errors import DataError
+from edge.core.names import HEATER_LEVELS
+from edge.core.predictor import Predictor
 from edge.twin.warm_start import held as last_known
 
 _DUTIES = np.linspace(0.0, 1.0, 6)  # between which the duty that holds a temperature is interpolated

@@ -1,9 +1,9 @@
 """What a planning controller says of its plan: costs, constraints, the next best, the first command."""
 
-from edge.controllers.base import Floats
 from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
-from edge.messages import Command
-from edge.names import HEATER_LEVELS
+from edge.core.controller import Floats
+from edge.core.messages import Command
+from edge.core.names import HEATER_LEVELS
 
 
 def cost_split(problem: Problem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.base import Context
-from edge.errors import DataError
-from edge.messages import Decision
-from edge.policy.actions import ACTIONS, allowed, command_of
-from edge.policy.observation import Floats, by_name, observe_tick
-from edge.policy.onnx_policy import OnnxPolicy
+from edge.core.controller import Context
+from edge.core.errors import DataError
+from edge.core.messages import Decision
+from edge.models.onnx_policy import OnnxPolicy
+from edge.models.policy_actions import ACTIONS, allowed, command_of
+from edge.models.policy_observation import Floats, by_name, observe_tick
 
 BEST_TOLD = 5
 _DIGITS = 6

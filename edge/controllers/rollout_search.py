@@ -17,7 +17,7 @@ from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.plan_moves import small_moves
 from edge.controllers.plan_rollouts import PlanRollouts
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

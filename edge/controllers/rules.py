@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass
 
-from edge.controllers.base import Context
-from edge.controllers.heater import levels_allowed
-from edge.messages import Command, Decision
-from edge.names import HEATER_LEVELS
+from edge.core.controller import Context
+from edge.core.heater_levels import levels_allowed
+from edge.core.messages import Command, Decision
+from edge.core.names import HEATER_LEVELS
 
 DEADBAND_K = 0.5  # half-width: the box cools and heats by less than this in a fraction of a minute
 COOLING_DEADBAND_K = 1.5  # the fan starts later than the heater stops, so that they never fight

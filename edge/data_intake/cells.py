@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from edge.errors import DataError, RequestError
-from edge.input_file import TABLE, read_file
-from edge.plain_text import shown
+from edge.core.errors import DataError, RequestError
+from edge.core.plain_text import shown
+from edge.formats.input_file import TABLE, read_file
 
 DELIMITERS = (",", ";", "\t", "|")
 SAMPLE_LINES = 200

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.errors import DataError
+from edge.core.plain_text import plain, shown
 from edge.data_intake.cells import Cells, is_missing, number, read_cells
 from edge.data_intake.mapping import LogMap, Source
 from edge.data_intake.times import read_times
 from edge.data_intake.units import INPUTS, SHARES, UNITS, truth
-from edge.errors import DataError
-from edge.plain_text import plain, shown
-from edge.run_file import ABSENT, Run, read_run, write_run
+from edge.formats.run_file import ABSENT, Run, read_run, write_run
 
 Floats = NDArray[np.float64]
 FEWEST_ROWS = 2

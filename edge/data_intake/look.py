@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.errors import DataError
 from edge.data_intake.cells import Cells, is_missing, number, read_cells
 from edge.data_intake.mapping import LogMap, Source
 from edge.data_intake.meaning import is_time, propose, words_of
 from edge.data_intake.times import SINCE_1970, formats_of, read_times
 from edge.data_intake.units import BY_TARGET, guess_unit, truth
-from edge.errors import DataError
-from edge.run_file import OPTION_WITHOUT
+from edge.formats.run_file import OPTION_WITHOUT
 
 Floats = NDArray[np.float64]
 UNKNOWN = "?"  # for a column that a person must name

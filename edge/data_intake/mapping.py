@@ -7,15 +7,15 @@ from typing import Any
 
 import yaml
 
-from edge.config_schema import nearest
+from edge.core.errors import DataError
+from edge.core.plain_text import shown
 from edge.data_intake.cells import Layout
 from edge.data_intake.times import KINDS, zone_of
 from edge.data_intake.units import BY_TARGET, TARGETS, UNITS
-from edge.errors import DataError
-from edge.input_file import YAML, read_text
-from edge.plain_text import shown
-from edge.run_file import ABSENT
-from edge.strict_yaml import parse_yaml
+from edge.formats.checked import nearest
+from edge.formats.input_file import YAML, read_text
+from edge.formats.run_file import ABSENT
+from edge.formats.strict_yaml import parse_yaml
 from edge.twin.value import number
 
 TOP = """# What `greenhouse data look` understood. Where it says GUESS the log does not: read, correct, then

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from edge.core.errors import RequestError
 from edge.data_intake.look import Looked
-from edge.errors import RequestError
 
 HEIGHT_IN = 1.1  # of a column's strip
 

@@ -7,9 +7,9 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.errors import DataError
+from edge.core.plain_text import shown
 from edge.data_intake.cells import Cells, is_missing, number
-from edge.errors import DataError
-from edge.plain_text import shown
 
 Floats = NDArray[np.float64]
 SINCE_1970 = {"epoch_s": 1.0, "epoch_ms": 1e3, "epoch_us": 1e6, "epoch_ns": 1e9}  # per second

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from edge.core.plain_text import plain
 from edge.data_intake.look import UNKNOWN, Looked
-from edge.plain_text import plain
 
 NAME, EXAMPLE = 24, 20  # characters of a cell of the table
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.models.base import Columns
+from edge.core.errors import DataError
+from edge.core.predictor import Columns
 from edge.twin.march import Commands
 from edge.twin.model import Twin
 from edge.twin.signals import Conditions

@@ -6,15 +6,15 @@ from datetime import tzinfo
 
 import numpy as np
 
+from edge.core.errors import DataError
+from edge.core.messages import Drift, DriftState, Event, Severity
+from edge.core.predictor import Columns, Floats
 from edge.drift import evidence, noise, where
 from edge.drift.evidence import CLEAR, Evidence
 from edge.drift.kalman import Filter, Innovation, State
 from edge.drift.memory import Memory
 from edge.drift.regimes import CELLS, REGIMES, situation
 from edge.drift.words import in_words
-from edge.errors import DataError
-from edge.messages import Drift, DriftState, Event, Severity
-from edge.models.base import Columns, Floats
 from edge.twin.model import Twin
 
 SETTLE_S = 3600.0  # a filter that began at rest is not judged so long: walls and element are not known

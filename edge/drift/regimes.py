@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.predictor import Columns
 from edge.drift.kalman import off_where_unknown
-from edge.models.base import Columns
 
 WARM_K = 6.0  # above the room: about half of what full heat does with the fan on
 STRONG_DUTY = 0.5

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.messages import DriftRow
 from edge.drift.evidence import CUT
 from edge.drift.regimes import REGIMES
-from edge.messages import DriftRow
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

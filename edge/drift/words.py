@@ -2,8 +2,8 @@
 
 from datetime import datetime, tzinfo
 
+from edge.core.messages import Drift, DriftState
 from edge.drift.regimes import WORDS
-from edge.messages import Drift, DriftState
 
 
 def in_words(drift: Drift, zone: tzinfo | None) -> str:

@@ -1,6 +1,6 @@
 """Whether a forecast leaves the box of the data that its predictor was fitted on."""
 
-from edge.models.base import Columns, Floats, Predictor
+from edge.core.predictor import Columns, Floats, Predictor
 from edge.models.validity import outside_steps
 
 

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.input_file import Source, read_file
-from edge.strict_json import parse_object
+from edge.core.errors import DataError
+from edge.formats.input_file import Source, read_file
+from edge.formats.strict_json import parse_object
 
 Floats = NDArray[np.float64]
 CLAIMED = 0.9  # share of the measurements that an interval shall hold

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from edge.core.horizons import steps_of
+from edge.core.messages import Command, Forecast
+from edge.core.predictor import Columns, Floats, Predictor
 from edge.forecasts.box import is_outside
-from edge.forecasts.horizons import steps_of
 from edge.forecasts.rollout import ahead_of, roll
-from edge.messages import Command, Forecast
-from edge.models.base import Columns, Floats, Predictor
 
 HalfWidths = Callable[[str, str, Iterable[int]], Mapping[int, float]]  # name, version, horizons -> [K]
 

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 
+from edge.core.messages import Command, Decision, Forecast, ForecastSkill
+from edge.core.predictor import Columns, Predictor
 from edge.forecasts.conformal import Intervals
 from edge.forecasts.forecaster import forecasts, planned_inputs
 from edge.forecasts.scorer import Scorer
 from edge.forecasts.skill import RIVAL, SkillState, half_widths, skills, updated, without_rivals
-from edge.messages import Command, Decision, Forecast, ForecastSkill
-from edge.models.base import Columns, Predictor
 
 
 class Forecasting:

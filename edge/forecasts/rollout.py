@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.models.base import Columns, Floats, Predictor
+from edge.core.predictor import Columns, Floats, Predictor
 
 STEP_TOLERANCE = 1e-6  # share of a step
 
@@ -20,7 +20,7 @@ class Rolled:
 def roll(predictor: Predictor, history: Columns, controls: Floats, step_s: float) -> Rolled:
     """One rollout under the inputs `controls`, shape [N, 2]. Never raises.
 
-    history : columns up to the start, as `edge.models.base.Predictor.rollout`
+    history : columns up to the start, as `edge.core.predictor.Predictor.rollout`
     step_s : period of both [s]
     """
     if abs(predictor.step_s / step_s - 1.0) > STEP_TOLERANCE:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.forecasts.horizons import steps_of
+from edge.core.horizons import steps_of
+from edge.core.predictor import Columns, Floats, Predictor
 from edge.forecasts.rollout import roll
-from edge.models.base import Columns, Floats, Predictor
 
 START_ROWS = 20  # temperatures up to a start that later measurements may since have corrected
 INPUTS = ("heater_duty", "fan_on")

@@ -6,11 +6,11 @@ Skill is 1 - MAE / MAE of the reference, both over the same forecasts; 0 is as g
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from edge.core.messages import ForecastSkill
+from edge.core.predictor import Predictor
 from edge.forecasts.adaptive import tracked
 from edge.forecasts.conformal import Intervals
 from edge.forecasts.scorer import PERSISTENCE, Scored
-from edge.messages import ForecastSkill
-from edge.models.base import Predictor
 
 WINDOW_S = 86400.0  # means are plain up to a day of scored forecasts, then older ones fade over a day
 PBM = "pbm"

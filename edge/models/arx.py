@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
@@ -49,7 +49,7 @@ class Arx:
         return max(len(self.temp), len(self.heater))
 
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """Air temperature after each control, as `edge.models.base.Predictor.rollout`.
+        """Air temperature after each control, as `edge.core.predictor.Predictor.rollout`.
 
         history : `temp_air` and, as far as `rows_needed` reaches back, `heater_duty` and `fan_on`, and
             `temp_ambient` where the fan enters by the excess

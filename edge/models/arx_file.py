@@ -9,11 +9,11 @@ from typing import Any, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.input_file import Source, read_file
+from edge.core.errors import DataError
+from edge.core.plain_text import shown
+from edge.formats.input_file import Source, read_file
+from edge.formats.strict_json import parse_object
 from edge.models.arx import Arx, FanInput
-from edge.plain_text import shown
-from edge.strict_json import parse_object
 
 DEFAULT_PATH = Path(__file__).with_name("default_arx.json")
 _FORMAT = 2

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from edge.errors import DataError
-from edge.models.base import Floats
-from edge.names import ACTUATORS, SIGNALS
-from edge.strict_json import parse_object
+from edge.core.errors import DataError
+from edge.core.names import ACTUATORS, SIGNALS
+from edge.core.predictor import Floats
+from edge.formats.strict_json import parse_object
 
 KEY = "greenhouse_contract"  # of the metadata
 VERSION = 1
@@ -25,7 +25,7 @@ FEATURES = {  # kind -> columns of the window, in their order
 }
 STEP_TOLERANCE_K = 1e-4  # golden vectors of one step
 ROLLOUT_TOLERANCE_K = 1e-3  # of more steps
-_ROWS_MAX = 120  # of history, see `edge.models.base.Predictor`
+_ROWS_MAX = 120  # of history, see `edge.core.predictor.Predictor`
 _FACTS = ("scaler", "data_sha256", "command", "seed", "metrics", "software")  # for people, not looked into
 _KEYS = {"contract", "kind", "features", "units", "sample_s", "window", "scaler", "validity", "tolerance",
          "golden", "twin_sha256", "data_sha256", "command", "seed", "metrics", "software"}  # fmt: skip

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
+from edge.formats.run_file import Run, refuse_test, resample
 from edge.models.arx import Arx, FanInput
-from edge.run_file import Run, refuse_test, resample
 
 Floats = NDArray[np.float64]
 ORDERS = tuple((p, q) for p in (1, 2, 3, 4, 6, 8, 12) for q in (1, 2, 3, 4))

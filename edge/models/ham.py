@@ -1,6 +1,6 @@
 """The hybrid (paper, eq. method-hybrid-model) over the twin that it was trained on, as an ONNX file."""
 
-from edge.input_file import Source
+from edge.formats.input_file import Source
 from edge.models.onnx_predictor import OnnxPredictor, read_onnx
 
 KINDS = ("ham", "ham_guarded")  # the paper's, and the one that falls back to its twin outside its data

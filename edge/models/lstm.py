@@ -1,6 +1,6 @@
 """The LSTM of the paper (tab:method-model-parameters-lstm), fed back over its window, as an ONNX file."""
 
-from edge.input_file import Source
+from edge.formats.input_file import Source
 from edge.models.onnx_predictor import OnnxPredictor, read_onnx
 
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from edge.errors import DataError
-from edge.input_file import MODEL, Source, read_file
-from edge.models.base import Columns, Floats
+from edge.core.errors import DataError
+from edge.core.predictor import Columns, Floats
+from edge.formats.input_file import MODEL, Source, read_file
 from edge.models.contract import KEY, Contract, parse_contract
 from edge.models.onnx_session import one_line, open_session
 
@@ -53,7 +53,7 @@ class OnnxPredictor:
         return self.contract.validity
 
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """Air temperature after each control, as `edge.models.base.Predictor.rollout`.
+        """Air temperature after each control, as `edge.core.predictor.Predictor.rollout`.
 
         history : the contract's features; of the last row `temp_air` alone is read
         controls : [B, N, 2], heater_duty and fan_on

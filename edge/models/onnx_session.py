@@ -6,7 +6,7 @@ onnxruntime is imported when a file is read and not before: a rig without such a
 import os
 from typing import Any
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 
 def open_session(content: bytes) -> Any:

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from edge.errors import DataError
-from edge.input_file import Source
-from edge.models.base import Columns, Floats
+from edge.core.errors import DataError
+from edge.core.predictor import Columns, Floats
+from edge.formats.input_file import Source
 from edge.twin.model import Twin
 from edge.twin.twin_file import read_twin_file
 from edge.twin.warm_start import Past, state_now
@@ -31,7 +31,7 @@ class Pbm:
         return self.twin.step_s
 
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """Air temperature after each control, as `edge.models.base.Predictor.rollout`.
+        """Air temperature after each control, as `edge.core.predictor.Predictor.rollout`.
 
         history : `temp_air`; for a twin with hidden states also `temp_ambient`, `heater_duty` and `fan_on`;
             with an effect that needs more (`light`, `rel_humidity`, `utc`), those too

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.models.base import Columns, Floats
+from edge.core.predictor import Columns, Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +17,6 @@ class Persistence:
     rows_needed: int = 1
 
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """The newest air temperature, as `edge.models.base.Predictor.rollout`, shape [B, N] [°C]."""
+        """The newest air temperature, as `edge.core.predictor.Predictor.rollout`, shape [B, N] [°C]."""
         batch, horizon, _ = controls.shape
         return np.full((batch, horizon), history["temp_air"][-1])

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.models.base import Columns, Floats
-from edge.names import ACTUATORS, SIGNALS
+from edge.core.names import ACTUATORS, SIGNALS
+from edge.core.predictor import Columns, Floats
 
 Box = Mapping[str, tuple[float, float]]  # a column's key at a border -> its lowest and highest value
 TOLERANCE = 1e-6  # the third step of a heater that moves by 0.05 is not 0.15
@@ -36,7 +36,7 @@ def outside_steps(
     """Which predictions of a rollout rest on anything outside the box, at their step or before; NaN does too.
 
     box : columns that are not in it are not looked at
-    history, controls, ahead : what the rollout was given, `edge.models.base.Predictor.rollout`
+    history, controls, ahead : what the rollout was given, `edge.core.predictor.Predictor.rollout`
     temps : what it returned, [B, N] [°C]
     Returns : [B, N]
     """

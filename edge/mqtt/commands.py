@@ -4,12 +4,12 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from edge.controller_names import CONTROLLERS
-from edge.errors import RequestError
-from edge.hard_limits import MAINTENANCE_MAX_MIN
-from edge.operation import FanMode, Mode
-from edge.settings import ReferenceSettings
-from edge.strict_json import parse_object
+from edge.config.settings import ReferenceSettings
+from edge.core.controller_names import CONTROLLERS
+from edge.core.errors import RequestError
+from edge.core.hard_limits import MAINTENANCE_MAX_MIN
+from edge.formats.strict_json import parse_object
+from edge.tick.orders import FanMode, Mode
 
 Request = dict[str, Any]
 

@@ -5,10 +5,10 @@ import ssl
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from edge.errors import ConfigError
+from edge.config.secrets import read_secret, secret_path
+from edge.config.settings import MqttSettings
+from edge.core.errors import ConfigError
 from edge.mqtt.topics import Topics
-from edge.secrets import read_secret, secret_path
-from edge.settings import MqttSettings
 
 RECONNECT_MIN_S = 1
 RECONNECT_MAX_S = 60

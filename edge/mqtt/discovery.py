@@ -8,16 +8,16 @@ import math
 import re
 from typing import Any
 
-from edge import __version__
-from edge.hard_limits import MAINTENANCE_MAX_MIN
+from edge.assistant.requests.proposal_id import PROPOSAL_ID
+from edge.config.settings import Settings
+from edge.core.hard_limits import MAINTENANCE_MAX_MIN
+from edge.core.names import HEATER_LEVELS
+from edge.core.version import __version__
 from edge.mqtt.commands import PRESS
 from edge.mqtt.skill_sensors import skill_sensors
 from edge.mqtt.states import LINE_COUNTERS
 from edge.mqtt.topics import Topics
-from edge.names import HEATER_LEVELS
-from edge.operation import FanMode
-from edge.settings import Settings
-from edge.steering.proposal_id import PROPOSAL_ID
+from edge.tick.orders import FanMode
 
 Json = dict[str, Any]
 

@@ -11,9 +11,9 @@ from typing import Any
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode
 
+from edge.config.settings import Settings
 from edge.mqtt.connection import make_client
 from edge.mqtt.topics import Topics
-from edge.settings import Settings
 
 Hear = Callable[[str, bytes], None]
 

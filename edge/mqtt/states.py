@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from edge.names import SIGNALS
+from edge.core.names import SIGNALS
 
 Json = dict[str, Any]
 

@@ -15,18 +15,18 @@ from paho.mqtt.client import Client, ConnectFlags, MQTTMessage
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from edge.allowance import Allowance
-from edge.errors import RequestError
-from edge.messages import Event, Severity, TickRecord
+from edge.config.settings import Settings
+from edge.core.allowance import Allowance
+from edge.core.errors import RequestError
+from edge.core.messages import Event, Severity, TickRecord
+from edge.core.plain_text import plain
+from edge.formats.tick_json import event_json
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.connection import make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, Outbox
 from edge.mqtt.lane import Lane, end
 from edge.mqtt.topics import Topics
-from edge.plain_text import plain
-from edge.settings import Settings
-from edge.tick_json import event_json
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
 Post = Callable[[Mapping[str, Any], Callable[[dict[str, Any]], None]], None]

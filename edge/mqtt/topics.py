@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from edge.settings import MqttSettings
+from edge.config.settings import MqttSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,7 @@
-"""The history: SQLite, written in a thread of its own, never waited for."""
+"""The history: SQLite, written in a thread of its own, never waited for.
+
+Ticks as rows and back, the outbox of telemetry, retention, and runs out of the history and into it.
+"""
 
 from edge.storage.archive import Session
 from edge.storage.outbox import Outbox, OutboxMessage

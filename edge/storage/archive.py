@@ -7,10 +7,11 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from edge.hard_limits import STEP_MIN_S
-from edge.messages import TickRecord
-from edge.storage.file import SCHEMA_VERSION, Unusable, connect, identity
+from edge.core.hard_limits import STEP_MIN_S
+from edge.core.messages import TickRecord
+from edge.storage.file import Unusable, connect, identity
 from edge.storage.retention import RetentionSettings, thin
+from edge.storage.schema_version import SCHEMA_VERSION
 from edge.storage.slice_check import SliceCheck
 from edge.storage.tick_rows import insert_ticks
 

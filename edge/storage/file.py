@@ -6,13 +6,8 @@ from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 
-SCHEMA_VERSION = 5  # len(schema.MIGRATIONS), known here without importing sqlite_utils
-USABLE_VERSION = 4  # has every table, column and view; what comes later adds indexes, which takes long
-VIEWS = (
-    *("v_ticks", "v_changes", "v_decisions", "v_events", "v_ten_minutes", "v_gaps"),
-    *("v_forecasts", "v_skill"),
-)
-APPLICATION_ID = 0x67726E68  # "grnh", in the file's header: whose database this is
+from edge.storage.schema_version import APPLICATION_ID, SCHEMA_VERSION, USABLE_VERSION
+
 WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
 CACHE_KB = 1024
 

@@ -9,9 +9,9 @@ import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
-from edge.forecasts.horizons import HORIZONS_MIN
-from edge.messages import Forecast, TickRecord
-from edge.tick_json import TEMP_DIGITS, WIDTH_DIGITS, number
+from edge.core.horizons import HORIZONS_MIN
+from edge.core.messages import Forecast, TickRecord
+from edge.formats.tick_json import TEMP_DIGITS, WIDTH_DIGITS, number
 
 HOUR_S = 3600
 _SKILL = "INSERT OR REPLACE INTO skill VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"

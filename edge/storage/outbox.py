@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from edge.messages import TickRecord
+from edge.core.messages import TickRecord
+from edge.formats.tick_json import event_json, tick_json
 from edge.storage.file import connect, identity
 from edge.storage.tick_rows import read_ticks
-from edge.tick_json import event_json, tick_json
 
 BUSY_S = 5.0  # the writer holds its lock for milliseconds
 _CHOSEN = "id IN (SELECT value FROM json_each(:ids))"

@@ -41,7 +41,7 @@ ON CONFLICT DO UPDATE SET  -- a window that an earlier chunk began
 
 
 class RetentionSettings(Protocol):
-    """What is needed of edge.settings.HistorySettings."""
+    """What is needed of edge.config.settings.HistorySettings."""
 
     @property
     def retention_days(self) -> float: ...

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.messages import Event, Quality, Severity
-from edge.plain_text import plain
-from edge.run_file import Run
-from edge.storage.file import SCHEMA_VERSION, USABLE_VERSION, connect
+from edge.core.errors import DataError
+from edge.core.messages import Event, Quality, Severity
+from edge.core.plain_text import plain
+from edge.formats.run_file import Run
+from edge.storage.file import connect
+from edge.storage.schema_version import SCHEMA_VERSION, USABLE_VERSION
 from edge.storage.ticks_as_run import TICK_INPUTS, run_of_ticks, ticks_between
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 from sqlite_utils import Database
 
-from edge.forecasts.horizons import HORIZONS_MIN
-from edge.names import SIGNALS
-from edge.storage.file import APPLICATION_ID
+from edge.core.horizons import HORIZONS_MIN
+from edge.core.names import SIGNALS
+from edge.storage.schema_version import APPLICATION_ID
 
 INDEXES = {  # name -> table and column
     "ticks_by_utc": ("ticks", "utc"),

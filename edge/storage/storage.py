@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
-from edge.clock import Clock
-from edge.messages import Event, Severity, TickRecord
+from edge.core.clock import Clock
+from edge.core.messages import Event, Severity, TickRecord
 from edge.storage.archive import Archive, Gap, Session
 from edge.storage.file import Fault, fault_of, set_aside
 from edge.storage.numbers import NumbersFile, Reserved
@@ -23,7 +23,7 @@ CLOSE_S = 5.0  # a history that can't be written may hold up the end of the daem
 
 
 class HistorySettings(Protocol):
-    """What is needed of edge.settings.HistorySettings."""
+    """What is needed of edge.config.settings.HistorySettings."""
 
     @property
     def path(self) -> str: ...

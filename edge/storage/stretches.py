@@ -4,8 +4,8 @@ import sqlite3
 from itertools import groupby
 from pathlib import Path
 
-from edge.errors import DataError
-from edge.run_file import Run
+from edge.core.errors import DataError
+from edge.formats.run_file import Run
 from edge.storage.runs import reading
 from edge.storage.ticks_as_run import Tick, run_of_ticks, ticks_between
 

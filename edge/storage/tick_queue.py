@@ -3,7 +3,7 @@
 import threading
 from collections import deque
 
-from edge.messages import TickRecord
+from edge.core.messages import TickRecord
 
 
 class TickQueue:

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from edge.messages import (
+from edge.core.messages import (
     Change,
     Command,
     Decision,
@@ -20,9 +20,9 @@ from edge.messages import (
     Severity,
     TickRecord,
 )
-from edge.names import SIGNALS
+from edge.core.names import SIGNALS
+from edge.formats.tick_json import json_value, number
 from edge.storage.forecast_rows import insert_forecasts, keep_skill, read_forecasts
-from edge.tick_json import json_value, number
 
 _COMMAND_COLUMNS = ("heater_duty", "fan_on", "led", "valve_pulse_s")
 TICK_COLUMNS = (

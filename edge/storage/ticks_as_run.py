@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.run_file import Run
+from edge.core.errors import DataError
+from edge.formats.run_file import Run
 
 TICK_INPUTS = ("heater_duty", "fan_on", "led")  # columns of a run that the history keeps in `ticks`
 NAN = float("nan")

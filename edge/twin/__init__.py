@@ -1,1 +1,5 @@
-"""The physics of the box: base energy balance plus named effects; numpy alone, scipy late and only to fit."""
+"""The physics of the box: base energy balance plus named effects; numpy alone, scipy late and only to fit.
+
+What is done with a twin is elsewhere: predictors in `edge.models`, the search for missing effects in
+`edge.diagnosis`, planning in `edge.controllers.twin_plan`.
+"""

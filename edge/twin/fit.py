@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.run_file import Run
-from edge.twin.effects import applied
+from edge.core.errors import DataError
+from edge.formats.run_file import Run
+from edge.twin.effects.library import applied
 from edge.twin.output_error import FreeRun, free_run, rmse
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import Place, TwinFile

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 
 @dataclass(frozen=True, slots=True)

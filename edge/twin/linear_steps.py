@@ -7,7 +7,7 @@ unknown heat does to the temperature is then linear, exactly, and many twins can
 
 Error against `Twin.rollout`: rounding for linear effects; for bent ones of second order in the distance from
 what was measured: 0.01 K where noise is 0.3 K, 0.06 K where it is 1 K, 0.03 K in a hole of two rows and 0.3 K
-in one of ten while the heater is switched (tests/test_linear_steps.py).
+in one of ten while the heater is switched (tests/edge/twin/test_linear_steps.py).
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.distinct import distinct
 from edge.twin.fan_speeds import exponentials
 from edge.twin.march import cuts, late, spun_up

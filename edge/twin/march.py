@@ -5,7 +5,7 @@ spins up a part has the fan's mean speed (Magnus expansion, first term), and hea
 temperature is taken at the middle of a part (exponential midpoint rule, Hochbruck & Ostermann 2010, Acta
 Numerica 19): both of second order in parts of at most `PART_S` or `BENT_PART_S`.
 
-Error at steps of 60 s, against SciPy at 1e-9 (tests/test_twin_equations.py): rounding alone in linear
+Error at steps of 60 s, against SciPy at 1e-9 (test_twin_equations.py): rounding alone in linear
 effects; below 0.01 K with one that is not, beside a lossy wall, and 0.02 K with two; 0.03 K where two zones
 of air meet bent heat, whose bend is taken at the sensor's; 0.04 K for a fan that spins up in a lossless box.
 """

@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.discretisation import Transition, discretise
-from edge.twin.effects import Effects, build, needs
+from edge.twin.effects.library import Effects, build, needs
 from edge.twin.geometry import Geometry
 from edge.twin.march import Commands, March
 from edge.twin.network import AIR, LinearSystem
@@ -40,7 +40,7 @@ class Noise:
 class Twin:
     """Physics of the box at one step length; immutable, so what depends on the fan alone is computed once.
 
-    effects : parameters by effect, as in `edge.twin.effects.EFFECTS`
+    effects : parameters by effect, as in `edge.twin.effects.library.EFFECTS`
     step_s : length of a step [s]
     day0_utc : where the days of `ua_drift` begin [s since 1970], None where no effect counts them
     Errors : DataError naming the key, `effects.wall_loss.UA: ...`

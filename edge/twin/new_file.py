@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from edge.errors import RequestError
+from edge.core.errors import RequestError
 from edge.twin.geometry import Geometry
 
 FILM_M2_K_W = 0.26  # both faces of a wall in a room, ISO 6946 table 7: twice 0.13

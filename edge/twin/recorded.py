@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.run_file import Run, refuse_test, resample
+from edge.core.errors import DataError
+from edge.formats.run_file import Run, refuse_test, resample
 from edge.twin.signals import Conditions
 from edge.twin.warm_start import held
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.model import Twin
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,7 @@ paper's box suits any, once it is multiplied by these two.
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from edge.twin.effect import Parameter
+from edge.twin.effects.effect import Parameter
 
 USUAL_HEATER_W, USUAL_STEP_S, USUAL_ANSWER_S = 100.0, 60.0, 150.0  # of the paper's box
 SLOWER = 10.0  # or quicker, than its steps tell

@@ -4,8 +4,8 @@ import json
 from dataclasses import fields
 from typing import Any
 
-from edge.twin.effect import Effect
-from edge.twin.effects import EFFECTS
+from edge.twin.effects.effect import Effect
+from edge.twin.effects.library import EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.scale import Scale
 from edge.twin.twin_file import FAN_ROLES, NUISANCE, SENSOR

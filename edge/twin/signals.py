@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 Floats = NDArray[np.float64]
 Conditions = Mapping[str, Floats]  # columns beside the room: light, rel_humidity, utc, door_open

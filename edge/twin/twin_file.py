@@ -8,13 +8,13 @@ from typing import Any
 
 import yaml
 
-from edge.config_schema import nearest
-from edge.errors import DataError
-from edge.input_file import YAML, Source, read_text
-from edge.plain_text import shown
-from edge.strict_yaml import parse_yaml
-from edge.twin.effect import Parameter
-from edge.twin.effects import EFFECTS, check_names
+from edge.core.errors import DataError
+from edge.core.plain_text import shown
+from edge.formats.checked import nearest
+from edge.formats.input_file import YAML, Source, read_text
+from edge.formats.strict_yaml import parse_yaml
+from edge.twin.effects.effect import Parameter
+from edge.twin.effects.library import EFFECTS, check_names
 from edge.twin.geometry import Geometry
 from edge.twin.model import Noise, Twin
 from edge.twin.scale import Scale, scale_of

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from edge.config_schema import nearest
-from edge.errors import DataError
-from edge.plain_text import shown
+from edge.core.errors import DataError
+from edge.core.plain_text import shown
+from edge.formats.checked import nearest
 
 KEYS = ("value", "rel_sd", "low", "high", "fit", "start")
 

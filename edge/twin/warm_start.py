@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.march import Commands
 from edge.twin.model import Twin
 from edge.twin.network import HEATER

@@ -1,10 +1,10 @@
 """The host's own link and a board under test, joined by two lines, in steps of 10 ms of simulated time."""
 
 from board_bench import CONFIG
+from line import Line
 
 from firmware_protocol.link import Link
 from firmware_protocol.messages import CommandMessage, Message, Quality
-from tests.line import Line
 
 STEP_MS = 10
 RENEW_MS = 2000

@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import pytest
 from board_exchange import BoardExchange
+from line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, Line, LossyLine, NoisyLine
 
 from firmware_protocol.link import BoardReset, Echo, LinkLost, LinkUp, Refused, Report
 from firmware_protocol.messages import ClearTrip, CommandMessage, EmergencyStop, ErrorCode
-from tests.line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, Line, LossyLine, NoisyLine
 
 LEASE_S = 5.0
 HEATING = CommandMessage(20, True, 60, 0.0, False, LEASE_S)

@@ -1,6 +1,7 @@
 """Faults that show only in the air's temperature: how long until the alarm, how warm until then.
 
-PYTHONPATH=tests python tests/hardware_in_the_loop/bounds.py prints the worst of both boards and three seeds.
+PYTHONPATH=.:tests/support python tests/hardware_in_the_loop/bounds.py prints the worst of both boards and
+three seeds.
 """
 
 import tempfile

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from rig import virtual_board
 
+from bench.support.virtual_board import virtual_board
 from bench.watched_clock import Look, Order, WatchedClock
-from edge import config
-from edge.daemon import Daemon
-from edge.messages import TickRecord
-from edge.sim_clock import START_UTC, SimClock
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import START_UTC, SimClock
+from edge.config import loading as config
+from edge.core.messages import TickRecord
 
 VALVE_FLOW_KG_S, TANK_KG = 0.008, 2.0  # chamber.yaml: tank
 # Dry soil and a pulse at every tick, as long as the day's dose lasts: each fault meets an open valve.

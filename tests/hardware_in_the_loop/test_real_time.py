@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rig import VirtualBoard, virtual_board
+
+from bench.support.virtual_board import VirtualBoard, virtual_board
 
 LEASE_S = 10.0
 SLACK_S = 0.5  # of a busy machine, for looking only

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from edge.settings import LlmSettings
+from edge.config.settings import LlmSettings
 from training.control.comparison import Result, column, references_of
 from training.control.effort import FAMILIES, lines, training_s
 from training.control.energy import energy_picture

@@ -1,14 +1,14 @@
 """The virtual board in the daemon's own process: same device, same bytes, nothing between.
 
-A run over a pseudo-terminal gives the same columns (tests/test_control_runs.py) and takes longer.
+A run over a pseudo-terminal gives the same columns (tests/training/test_control_runs.py) and takes longer.
 """
 
 import math
 import select
 from pathlib import Path
 
-from edge.clock import Port
-from edge.sim_clock import SLICE_S, START_UTC
+from edge.board.sim_clock import SLICE_S, START_UTC
+from edge.core.clock import Port
 from firmware_protocol.messages import ResetCause
 from firmware_protocol.virtual_board.board_config import RIG_PARTS, BoardConfig
 from firmware_protocol.virtual_board.chamber import Chamber
@@ -29,7 +29,7 @@ def make_device(seed: int, chamber: Path | None = None) -> Device:
 
 
 class InProcessBoard:
-    """The device's time and line: an `edge.clock.Clock` that opens an `edge.serial_port.WirePort`."""
+    """The device's time and line: a `Clock` of edge/core that opens a `WirePort` of edge/board."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
@@ -42,7 +42,7 @@ class InProcessBoard:
         return self._now_s
 
     def utc(self) -> float:
-        """As `edge.sim_clock.SimClock`'s."""
+        """As `edge.board.sim_clock.SimClock`'s."""
         return START_UTC + self._now_s
 
     def wait(self, port: Port | None, wake: int | None, until_s: float) -> None:

@@ -1,7 +1,7 @@
 """The best that is possible: a beam search on the chamber itself, its future and the reference's known.
 
 Every node is a whole chamber. Its 42 commands are stood for by six, three duties with the fan off and on:
-between them the state a minute later is a parabola in the duty (tests/test_control_clairvoyant.py).
+between them the state a minute later is a parabola in the duty (tests/training/test_control_clairvoyant.py).
 Steps of 5 s are taken in the search; the plan's cost is then worked out in the chamber's own, and run.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 from firmware_protocol.virtual_board.board_config import PWM_SLOTS
 from training.control.chamber_rows import Boxes, ChamberRows
 

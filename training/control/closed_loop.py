@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.clock import Clock
-from edge.controller_names import LLM
-from edge.controllers.base import Controller
-from edge.daemon import Daemon
-from edge.messages import Quality, TickRecord
-from edge.serial_port import OpenPort, SerialPort
-from edge.settings import Settings
+from edge.app.daemon import Daemon
+from edge.board.serial_port import OpenPort, SerialPort
+from edge.config.settings import Settings
+from edge.core.clock import Clock
+from edge.core.controller import Controller
+from edge.core.controller_names import LLM
+from edge.core.messages import Quality, TickRecord
 from training.control.recorded import wait_recorded
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from edge.errors import DataError
-from edge.settings import LlmSettings
+from edge.config.settings import LlmSettings
+from edge.core.errors import DataError
 from training.control.all_pictures import drawn_jobs, pictures_of
 from training.control.comparison import STAND_IN_MODEL, Result, result, times_table
 from training.control.figures import DecisionTime, decision_time

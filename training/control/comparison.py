@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from edge.controller_names import LLM
+from edge.core.controller_names import LLM
 from training.control.closed_loop import Log
 from training.control.figures import DecisionTime, Figures, figures
 from training.control.job import Job

@@ -59,14 +59,16 @@ FAMILIES = (
         ((f"{RESULTS}/paper_case/interpolation/diagnosis.json", "seconds"),),
     ),
     Family(
-        "RL", "RL-Off", (f"{EDGE}/rl.py", "edge/policy", "training/rl"),
+        "RL", "RL-Off", (f"{EDGE}/rl.py", "edge/models/onnx_policy.py", "edge/models/policy_actions.py",
+         "edge/models/policy_contract.py", "edge/models/policy_observation.py", "edge/bundle/policies.py",
+         "training/rl"),
         ("learning rate", "batch", "buffer", "exploration", "target update", "network", "lambda_1",
          "lambda_2", "lambda_0h", "lambda_0f"), 4,
         "reward design and the learner's many settings; of the box only a model to practise on",
         ((f"{RESULTS}/policies/rl-off/ham/seed_4/record.json", "wall_s"),),  # the one in the bundle
     ),
     Family(
-        "LLM", "LLM-Te0", ("edge/llm",), ("prompt", "temperature"), 1,
+        "LLM", "LLM-Te0", ("edge/assistant/llm",), ("prompt", "temperature"), 1,
         "the task in plain words; the model brings the rest",
     ),
 )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
-from edge.names import HEATER_MAX_W
+from edge.core.names import HEATER_MAX_W
 from training.control.closed_loop import Log
 
 Floats = NDArray[np.float64]

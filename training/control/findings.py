@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.profile_file import read_profile
+from edge.formats.profile_file import read_profile
 from training.control.comparison import Results, column, mae_against, paired, regret, spread_text
 from training.control.draw_references import FOLDER
 from training.control.effort import FAMILIES, lines, training_s

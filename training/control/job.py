@@ -14,16 +14,16 @@ import numpy as np
 
 from edge.bundle.sign import POLICY_FILES
 from edge.bundle.store import PACKAGED_FOLDER
-from edge.controllers.base import Controller
+from edge.config.settings import ControlSettings, LlmSettings
 from edge.controllers.input_profile import InputProfile
 from edge.controllers.mpc_bfgs import MpcBfgs
 from edge.controllers.rules import Rules
-from edge.errors import DataError
+from edge.core.controller import Controller
+from edge.core.errors import DataError
+from edge.core.names import HEATER_LEVELS
+from edge.formats.profile_file import read_profile
 from edge.models.arx_file import read_arx
-from edge.names import HEATER_LEVELS
-from edge.profile_file import read_profile
-from edge.reference import reference_from_profile
-from edge.settings import ControlSettings, LlmSettings
+from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.board_in_process import InProcessBoard, make_device
 from training.control.chamber_rows import ChamberRows

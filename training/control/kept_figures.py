@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from training.control.comparison import Result, Results
 from training.control.figures import DecisionTime, Figures
 from training.evaluate import first_difference

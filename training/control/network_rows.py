@@ -1,6 +1,6 @@
 """The chamber's thermal network for many boxes at once: `firmware_protocol.virtual_board.network`, by arrays.
 
-The same equations in the same order; tests/test_control_chamber.py holds the one to the other. Supported is
+The same equations in the same order; test_control_chamber.py holds the one to the other. Supported is
 what the default chamber has: an element with mass, and films that grow with the difference or not at all.
 """
 

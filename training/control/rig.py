@@ -6,15 +6,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from edge.board.virtual_rig import settings_in
 from edge.bundle.archive import open_archive
+from edge.bundle.predictors import loader
 from edge.bundle.roles import activated
 from edge.bundle.sign import Facts, build_bundle, generate_key
 from edge.bundle.store import Store
-from edge.controller_names import CONTROLLERS, LLM, MPC, MPC_TWIN, RL
-from edge.controllers.rules import Thresholds
-from edge.models.arx_file import DEFAULT_PATH
-from edge.models.from_bundle import loader
-from edge.settings import (
+from edge.config.settings import (
     BundleSettings,
     ControlSettings,
     DriftSettings,
@@ -22,7 +20,9 @@ from edge.settings import (
     ReferenceSettings,
     Settings,
 )
-from edge.virtual_rig import settings_in
+from edge.controllers.rules import Thresholds
+from edge.core.controller_names import CONTROLLERS, LLM, MPC, MPC_TWIN, RL
+from edge.models.arx_file import DEFAULT_PATH
 
 Models = Literal[
     "arx", "packaged", "twin"

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from edge.errors import GreenhouseError
+from edge.core.errors import GreenhouseError
 from training.control.job import Job, is_kept
 
 POLL_S = 0.5

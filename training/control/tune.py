@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.base import Context, Controller, Limits
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.controllers.pid import FAN_ON_K, KD, KI, KP, Pid
 from edge.controllers.rules import Rules, Thresholds
-from edge.messages import Command, Estimate
-from edge.names import HEATER_LEVELS
-from edge.profile_file import read_profile
-from edge.reference import reference_from_profile
+from edge.core.controller import Context, Controller, Limits
+from edge.core.messages import Command, Estimate
+from edge.core.names import HEATER_LEVELS
+from edge.formats.profile_file import read_profile
+from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.chamber_rows import Boxes, ChamberRows
 from training.control.clairvoyant import COARSE_S, relay_share

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 from training.llm_stand_in.gains import COMMON_SENSE, Gains, estimate
 from training.llm_stand_in.prompt import Asked, read_prompt, results
 from training.llm_stand_in.wish import wish

@@ -1,4 +1,4 @@
-"""What a prompt of `edge/llm/prompts.py` says, read back from its text: all that the script goes by."""
+"""What a prompt of `assistant/llm/prompts.py` says, read back from its text: all that the script goes by."""
 
 import json
 import re

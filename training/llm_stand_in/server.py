@@ -8,7 +8,7 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Self
 
-from edge.strict_json import parse_object
+from edge.formats.strict_json import parse_object
 from training.llm_stand_in import MODEL
 from training.llm_stand_in.behaviours import BEHAVIOURS, Sending
 

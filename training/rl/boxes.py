@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.policy.actions import duties_and_fans
-from edge.policy.observation import AIR_ROWS, INPUT_ROWS, Recent, observe
+from edge.models.policy_actions import duties_and_fans
+from edge.models.policy_observation import AIR_ROWS, INPUT_ROWS, Recent, observe
 from training.lstm import WINDOW
 from training.rl.episodes import Episodes, Sensor, Start
 from training.rl.models import StepModel, Window

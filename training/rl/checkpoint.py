@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from stable_baselines3 import DQN
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 FORMAT = 1
 _COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")

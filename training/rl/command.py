@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]

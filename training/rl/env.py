@@ -13,7 +13,7 @@ Observation = NDArray[np.float32]
 
 
 class GreenhouseEnv(gymnasium.Env[Observation, np.int64]):
-    """Observation as `edge.policy.observation.FEATURES`, actions as `edge.policy.actions`.
+    """Observation as `edge.models.policy_observation.FEATURES`, actions as `edge.models.policy_actions`.
 
     A step is a minute; an episode never terminates, it is truncated when its time is over. `info` holds
     `error_k` (true air less its reference), `duty` and `fan`.

@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.run_file import Run
+from edge.core.errors import DataError
+from edge.formats.run_file import Run
 from training.pairs import split_all, stretches
 
 Floats = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""A trained policy as an ONNX file that carries its contract: `edge/policy/contract.py` says what is in it.
+"""A trained policy as an ONNX file that carries its contract, see edge/models/policy_contract.py.
 
 The file is read back as the rig reads it, golden observations and all, before it counts as written.
 """
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from onnx import ModelProto
 from torch import nn
 
-from edge.errors import DataError
-from edge.policy import contract
-from edge.policy.actions import ACTIONS
-from edge.policy.observation import FEATURES
-from edge.policy.onnx_policy import INPUT, OUTPUT, OnnxPolicy, read_policy
+from edge.core.errors import DataError
+from edge.models import policy_contract as contract
+from edge.models.onnx_policy import INPUT, OUTPUT, OnnxPolicy, read_policy
+from edge.models.policy_actions import ACTIONS
+from edge.models.policy_observation import FEATURES
 from training.onnx_graph import Graph, real
 
 GOLDEN = 16  # observations, spread over the given ones
@@ -36,7 +36,7 @@ def export(
 
     network : linear layers with ReLU between, [B, features] -> [B, ACTIONS]
     observations : recorded ones [n, features]; the golden ones are among them
-    facts : variant, sample_s, model, data_sha256, ... as `edge.policy.contract` has them; JSON values
+    facts : variant, sample_s, model, data_sha256, ... as `edge.models.policy_contract` has them; JSON values
     Errors : DataError for another kind of network, and when the graph misses it
     """
     model = graph_of(network)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.controllers.rl import Rl
-from edge.errors import DataError
-from edge.policy.onnx_policy import OnnxPolicy
-from edge.reference import Reference
+from edge.core.errors import DataError
+from edge.models.onnx_policy import OnnxPolicy
+from edge.tick.reference import Reference
 from training.rl.boxes import START_ROWS, World
 from training.rl.episodes import Episode, EpisodeSettings, Given, Start, draw_reference
 from training.rl.models import StepModel

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from edge.policy.onnx_policy import read_policy
+from edge.models.onnx_policy import read_policy
 from training.rl.gap import LEAD_STEPS, RIG_SEEDS, STEPS, Gap, gap_of
 from training.rl.kept import POLICY_FILE, Record, read_record
 from training.rl.models import StepModel

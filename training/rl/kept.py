@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 WEIGHTS_FILE, POLICY_FILE, RECORD_FILE = "weights.pt", "policy.onnx", "record.json"
 FOLDERS = {  # controller -> where its trainings lie, one folder `seed_*` each

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.policy.observation import AIR_ROWS, INPUT_ROWS, Recent, observe
-from edge.run_file import Run
+from edge.formats.run_file import Run
+from edge.models.policy_observation import AIR_ROWS, INPUT_ROWS, Recent, observe
 from training.pairs import stretches
 
 AHEAD_ROWS = (1, 5, 10, 20, 30)  # the reference is the air so much later: errors of a box that is driven

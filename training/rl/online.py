@@ -16,7 +16,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import ActionNoise
 
-from edge.run_file import data_sha256
+from edge.formats.run_file import data_sha256
 from training.datasets import training_runs
 from training.rl import checkpoint
 from training.rl.driven_buffer import DrivenReplayBuffer

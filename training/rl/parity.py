@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from edge.errors import GreenhouseError
-from edge.policy.onnx_policy import OnnxPolicy, read_policy
+from edge.core.errors import GreenhouseError
+from edge.models.onnx_policy import OnnxPolicy, read_policy
 from training.datasets import training_runs
 from training.rl.command import POLICIES
 from training.rl.kept import POLICY_FILE, WEIGHTS_FILE

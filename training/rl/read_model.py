@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 from edge.twin.model import Twin
 from edge.twin.twin_file import TwinFile, read_twin_file
 from edge.twin.value import Value

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge import config
-from edge.controllers.base import Controller
-from edge.daemon import Daemon
-from edge.messages import Quality, TickRecord
-from edge.reference import Reference
-from edge.settings import Settings
-from edge.sim_clock import SimClock
-from edge.virtual_rig import settings_in, virtual_rig
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import Settings
+from edge.core.controller import Controller
+from edge.core.messages import Quality, TickRecord
+from edge.tick.reference import Reference
 
 Floats = NDArray[np.float64]
 ROOM_C = 22.0  # about the virtual board's; references are drawn for it

@@ -1,4 +1,4 @@
-"""The rig as a Gymnasium environment: each step is a tick of the daemon, over `edge.external_proposals`."""
+"""The rig as a Gymnasium environment: each step is a tick of the daemon, over edge/sockets."""
 
 import json
 import select
@@ -12,10 +12,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import GreenhouseError
-from edge.messages import Command
-from edge.policy.actions import action_of, command_of
-from edge.strict_json import parse_object
+from edge.core.errors import GreenhouseError
+from edge.core.messages import Command
+from edge.formats.strict_json import parse_object
+from edge.models.policy_actions import action_of, command_of
 from training.rl.reward import Weights, reward
 from training.rl.vec_env import ACTION_SPACE, OBSERVATION_SPACE
 

@@ -10,9 +10,9 @@ from typing import Any
 from stable_baselines3 import DQN
 from torch import nn
 
-from edge.policy.observation import table_sha256
-from edge.policy.onnx_policy import OnnxPolicy
-from edge.run_file import Run, data_sha256
+from edge.formats.run_file import Run, data_sha256
+from edge.models.onnx_policy import OnnxPolicy
+from edge.models.policy_observation import table_sha256
 from training.datasets import training_runs
 from training.rl.boxes import START_ROWS, World
 from training.rl.episodes import Drawn

@@ -8,8 +8,8 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from edge.policy.actions import ACTIONS
-from edge.policy.observation import FEATURES
+from edge.models.policy_actions import ACTIONS
+from edge.models.policy_observation import FEATURES
 from training.rl.boxes import Boxes, World
 
 OBSERVATION_SPACE = spaces.Box(-np.inf, np.inf, (len(FEATURES),), np.float32)

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from edge import config
-from edge.controller_names import EXTERNAL
-from edge.daemon import Daemon
-from edge.errors import GreenhouseError
-from edge.reference import Reference
-from edge.settings import ExternalSettings
-from edge.sim_clock import SimClock
-from edge.virtual_rig import die_with_parent, end_process, settings_in, virtual_rig
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import die_with_parent, end_process, settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import ExternalSettings
+from edge.core.controller_names import EXTERNAL
+from edge.core.errors import GreenhouseError
+from edge.tick.reference import Reference
 from training.rl.episodes import EpisodeSettings, draw_reference
 from training.rl.rig import ROOM_C, without_forecasts
 

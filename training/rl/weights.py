@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from edge.errors import DataError
+from edge.core.errors import DataError
 
 
 def save_q_network(network: nn.Sequential, path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Problem
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.descent import descended
 from edge.controllers.mixed_integer.problem import Plan, Problem, lower_toeplitz
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import DataError
-from edge.names import HEATER_LEVELS
+from edge.core.errors import DataError
+from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.controllers.mixed_integer.dominance import undominated
 from edge.controllers.mixed_integer.problem import Plan, Problem
 from edge.controllers.mixed_integer.tangent import Tangent
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import Problem, lower_toeplitz
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, Problem
 from edge.controllers.twin_plan.linear_step import LinearStep
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
 STORED_STEPS = 4  # so long after a node the air tells what is stored in it

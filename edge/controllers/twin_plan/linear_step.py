@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS
 from edge.twin.march import Commands
 from edge.twin.model import Twin
 from edge.twin.network import AIR

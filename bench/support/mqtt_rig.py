@@ -1,0 +1,125 @@
+"""What telemetry is tied to in tests: settings, a control loop that answers, an outbox in memory."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from edge.config.settings import MqttSettings, Settings
+from edge.core.controller_names import CONTROLLERS
+from edge.core.errors import RequestError
+from edge.core.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, TickRecord
+from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
+from edge.tick.orders import Desk, Operation, operate
+from edge.tick.orders_json import to_dict
+
+ROOT = "greenhouse/rig-1"
+
+
+def settings(port: int = 1883, **mqtt: Any) -> Settings:
+    """Defaults, but for the broker."""
+    given = {"enabled": True, "host": "127.0.0.1", "port": port, "rig": "rig-1", **mqtt}
+    return replace(Settings(), mqtt=MqttSettings(**given))
+
+
+def record(seq: int = 1, temp_air: float | None = 24.5, events: tuple[Event, ...] = (), **changes: Any):
+    """One tick with a board that drives what it was sent."""
+    command = Command(heater_duty=0.35)
+    tick = TickRecord(
+        seq=seq,
+        time_s=100.0,
+        utc=1.7e9,
+        step_s=60.0,
+        mode="auto",
+        readings={"temp_air": Reading("temp_air", temp_air, 99.0, Quality.GOOD)},
+        estimate=Estimate(24.4, 0.1, 0.0, 0.1, 21.0, 99.0),
+        reference_c=26.0,
+        decision=Decision(command, "MPC", (24.9, 25.3), {"solve_ms": 1.5}),
+        wanted=command,
+        changes=(),
+        sent=command,
+        echo=Echo(0.35, False, 0.0, False, False, "", 100.1),
+        link_up=True,
+        events=events,
+        ticks_skipped=0,
+        late_s=0.0,
+        decide_ms=2.0,
+    )
+    return replace(tick, **changes)
+
+
+class ControlLoop:
+    """Answers requests as the real one does, without a board."""
+
+    def __init__(self) -> None:
+        self.operation = Operation("MPC")
+        self.trips: tuple[str, ...] = ()
+        self.last_record = record()
+        self.echo: Echo | None = None  # newer than the last tick's
+        self.requests: list[Mapping[str, Any]] = []
+        self.resend: Callable[[int, int], int] = lambda first, last: 0
+
+    def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        if request["do"] != "status":
+            self.requests.append(request)
+        if request["do"] == "resend":
+            return {"ok": True, "queued": self.resend(request["first_seq"], request["last_seq"])}
+        if request["do"] not in ("status", "clear_trip"):
+            try:
+                self.operation = operate(self.operation, request, desk())
+            except RequestError as error:
+                return {"ok": False, "error": str(error)}
+        return {"ok": True, **self.status()}
+
+    def post(self, request: Mapping[str, Any], answered: Callable[[dict[str, Any]], None]) -> None:
+        answered(self.ask(request))
+
+    def status(self) -> dict[str, Any]:
+        return {
+            "operation": to_dict(self.operation),
+            "trips": list(self.trips),
+            "tick": tick_json(self.last_record),
+            "echo": echo_json(self.echo or self.last_record.echo),
+            "link_up": int(self.last_record.link_up),
+            "skill": skill_json(self.last_record.skill),
+            "drift": drift_json(self.last_record.drift),
+        }
+
+
+@dataclass(frozen=True)
+class Row:
+    """One message of an outbox."""
+
+    id: int
+    topic: str
+    payload: str
+
+
+class MemoryOutbox:
+    """An outbox of `count` rows numbered from 1; keeps what was acknowledged."""
+
+    def __init__(self, count: int = 0) -> None:
+        self.rows = {number: row(number) for number in range(1, count + 1)}
+        self.acknowledged: list[int] = []
+
+    def pending(self, limit: int) -> Sequence[Row]:
+        return [self.rows[key] for key in sorted(self.rows)[:limit]]
+
+    def acknowledge(self, ids: Sequence[int]) -> None:
+        for key in ids:
+            del self.rows[key]
+        self.acknowledged.extend(ids)
+
+    def depth(self) -> int:
+        return len(self.rows)
+
+    def resend(self, first_seq: int, last_seq: int) -> int:
+        self.rows.update({number: row(number) for number in range(first_seq, last_seq + 1)})
+        return last_seq - first_seq + 1
+
+
+def row(number: int) -> Row:
+    return Row(number, f"{ROOT}/history", f'{{"history_id":"h1","seq":{number}}}')
+
+
+def desk() -> Desk:
+    return Desk(utc=1.7e9, controllers=CONTROLLERS, reference_min_c=15.0, reference_max_c=38.0)

@@ -1,0 +1,144 @@
+"""The predictive models a daemon works with: those of the active bundle, exchanged between two ticks."""
+
+from collections.abc import Mapping
+
+from edge.app import controllers as registry
+from edge.app.configured_model import configured_model
+from edge.assistant.llm.language_model import LanguageModel
+from edge.bundle.keeper import BundleKeeper
+from edge.bundle.rivals import rival_rows
+from edge.bundle.serving import Serving
+from edge.bundle.store import Loaded
+from edge.config.settings import Settings
+from edge.core.controller import Controller
+from edge.core.controller_names import EXTERNAL, MPC_TWIN, NEED_A_MODEL
+from edge.core.errors import ConfigError
+from edge.core.messages import Command, Decision
+from edge.core.predictor import Columns, Predictor
+from edge.forecasts.conformal import Intervals
+from edge.forecasts.forecasting import Forecasting
+from edge.forecasts.skill import SkillState
+from edge.models.arx import Arx
+from edge.models.pbm import Pbm
+from edge.models.persistence import Persistence
+from edge.tick.estimator import Estimator
+from edge.tick.rig import Forecasts
+from edge.twin.model import Twin
+
+
+class ActiveModels:
+    """Which model estimates and plans, and which only forecast.
+
+    With a bundle the model `control.predictor` of it; with `control.model` that ARX file; with neither the
+    packaged ARX.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        keeper: BundleKeeper | None,
+        state: SkillState,
+        llm: LanguageModel | None = None,
+    ) -> None:
+        """Errors: ConfigError where no model fits the configured step and a controller needs one."""
+        self._names = [name for name in settings.controllers if name != EXTERNAL]  # made of no model
+        control = self._control = settings.control
+        self._keeper = keeper
+        self._llm = llm
+        self._configured = configured_model(control) if keeper is None or control.model else None
+        self._serving = None if keeper is None else keeper.serving
+        self.model, self.linear = self._chosen()
+        if control.controller in MPC_TWIN and self.twin is None:
+            raise ConfigError(
+                f"control.controller: {control.controller} plans with a bundle's twin, there is none"
+            )
+        active, intervals, rivals = self._forecasting_parts()
+        self.forecasting = Forecasting(control.step_s, active, intervals, rivals, state)
+
+    @property
+    def twin(self) -> Twin | None:
+        """The active bundle's; None where it has no physics model."""
+        model = _active(self._serving).get("pbm")
+        return model.twin if isinstance(model, Pbm) else None
+
+    def controllers(self) -> dict[str, Controller]:
+        """All that can decide with these models, by name."""
+        bundle = _bundle(self._serving)
+        policies = {} if bundle is None else bundle.policies
+        predictors = _active(self._serving)
+        parts = registry.Parts(
+            self._control, self.model, self.linear, predictors, policies=policies, llm=self._llm
+        )
+        without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
+        if self.twin is None:
+            without = (*without, *MPC_TWIN)
+        return {name: registry.make(name, parts) for name in self._names if name not in without}
+
+    def versions(self) -> dict[str, str]:
+        """Of every model that forecasts."""
+        return {name: model.version for name, model in self._forecasting_parts()[0].items()}
+
+    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
+        """Take what the keeper serves now, between two ticks, without a bump; what was done, in words."""
+        if self._keeper is None or self._keeper.serving is self._serving:
+            return ""
+        active_before, before = _bundle(self._serving), self.model
+        self._serving = self._keeper.serving
+        kept = ""
+        try:
+            self.model, self.linear = self._chosen()
+        except ConfigError as error:
+            kept = f"; {error}: the one before goes on"
+        self.forecasting.serve(*self._forecasting_parts())
+        if self.model != before:
+            estimator.set_model(self.model)
+        if _bundle(self._serving) is not active_before:  # a new shadow is none of the controllers' business
+            controllers.update(self.controllers())
+        return f"{self.model.name} {self.model.version} estimates and plans{kept}"
+
+    def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
+        """As `Forecasting.tick`; a bundle on trial is judged by the scores."""
+        made = self.forecasting.tick(history, decision, driven, confirmed)
+        serving = self._serving
+        if self._keeper is not None and serving is not None and serving.active and serving.rival:
+            state, active, rival = self.forecasting.state, serving.active.predictors, serving.rival.predictors
+            self._keeper.consider(serving, rival_rows(state, active, rival))
+        return made
+
+    def _chosen(self) -> tuple[Predictor, Predictor]:
+        """The model that estimates and plans, and the linear one that proposes plans to it."""
+        if self._configured is not None:
+            return self._configured, self._configured
+        active = _active(self._serving)
+        linear = active.get("arx") or configured_model(self._control)
+        if self._control.predictor == "arx":
+            return linear, linear
+        model = active.get(self._control.predictor)
+        if model is None:
+            raise ConfigError(f"control.predictor: {self._control.predictor} is not in the active bundle")
+        if not isinstance(linear, Arx):
+            raise ConfigError(
+                f"control.predictor: {model.name} plans from an ARX model's plan, there is none"
+            )
+        return model, linear
+
+    def _forecasting_parts(self) -> tuple[Mapping[str, Predictor], Intervals, Mapping[str, Predictor]]:
+        serving = self._serving
+        if serving is None or serving.active is None:
+            alone = {} if isinstance(self.model, Persistence) else {self.model.name: self.model}
+            return alone, Intervals(), {}
+        active = dict(serving.active.predictors)
+        if self._configured is not None and not isinstance(self._configured, Persistence):
+            active["arx"] = self._configured
+        rivals = {} if serving.rival is None else serving.rival.predictors
+        return active, serving.active.intervals, rivals
+
+
+def _active(serving: Serving | None) -> Mapping[str, Predictor]:
+    bundle = _bundle(serving)
+    return {} if bundle is None else bundle.predictors
+
+
+def _bundle(serving: Serving | None) -> Loaded | None:
+    """The active one."""
+    return None if serving is None else serving.active

@@ -1,0 +1,206 @@
+"""What a configuration names on this machine: is each file, folder, socket and port there and of its kind?
+
+An error would end the daemon or leave a part of it without work. A warning may be right at another moment or
+for another user: a board that is not plugged in, a credential that only systemd hands over.
+"""
+
+import errno
+import getpass
+import os
+import stat
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge.app.configured_model import configured_model
+from edge.config.secrets import read_secret
+from edge.config.settings import BundleSettings, ControlSocketSettings, MqttSettings, Settings
+from edge.core.errors import GreenhouseError
+from edge.formats.input_file import read_file
+from edge.state import state_file
+from edge.tick.reference import make_reference
+
+SOCKET_PATH_MAX = 107  # bytes of a Unix socket's address, unix(7)
+FRESH_NAME = ".4194304"  # `edge.sockets.unix_socket.listen` binds to the path with its process id first
+DATABASE = b"SQLite format 3\0"  # how every database begins, sqlite.org/fileformat.html
+DENIED = os.strerror(errno.EACCES)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A line of text that begins with the key."""
+
+    text: str
+    is_error: bool = True
+
+
+def problems(settings: Settings) -> Iterator[Problem]:
+    """Everything that is wrong with what `settings` name on this machine."""
+    yield from _raised(lambda: configured_model(settings.control))
+    yield from _raised(lambda: make_reference(settings.reference))
+    yield from _port(settings.board.port)
+    yield from _data_file("state_file", Path(settings.state_file), _state_problem)
+    yield from _data_file("history.path", Path(settings.history.path), _history_problem)
+    yield from _socket("control_socket.path", settings.control_socket.path)
+    if settings.external.socket:
+        yield from _socket("external.socket", settings.external.socket)
+    yield from _shared(settings)
+    yield from _bundle(settings.bundle)
+    if settings.drift.diagnose != "never":
+        yield from _folder("drift.reports", settings.drift.reports)
+    if settings.mqtt.enabled:
+        yield from _mqtt(settings.mqtt)
+    if settings.llm.url:
+        yield from _llm(settings)
+
+
+def _raised(check: Callable[[], object]) -> Iterator[Problem]:
+    try:
+        check()
+    except GreenhouseError as error:
+        yield Problem(str(error), DENIED not in str(error))
+
+
+def _secret(name: str, key: str) -> Iterator[Problem]:
+    if name and "/" not in name and not os.environ.get("CREDENTIALS_DIRECTORY"):
+        yield Problem(f"{key}: {name!r} is a systemd credential: only the service can read it", False)
+    elif name:
+        yield from _raised(lambda: read_secret(name, key))
+
+
+def _port(path: str) -> Iterator[Problem]:
+    mode = _mode(path)
+    if not path:
+        yield Problem("board.port: is empty")
+    elif mode is None:
+        yield Problem(f"board.port: {path}: is not there; the daemon waits for it", False)
+    elif not stat.S_ISCHR(mode):
+        yield Problem(f"board.port: {path}: is not a serial port")
+
+
+def _data_file(key: str, path: Path, check: Callable[[Path], str]) -> Iterator[Problem]:
+    """A file that the daemon makes where it is missing."""
+    mode = _mode(path)
+    if mode is None:
+        yield from _place(key, path)
+    elif not stat.S_ISREG(mode):
+        yield Problem(f"{key}: {path}: is {'a folder' if stat.S_ISDIR(mode) else 'not a regular file'}")
+    elif not os.access(path, os.R_OK | os.W_OK):
+        yield Problem(f"{key}: {path}: {DENIED} for the user {_user()}", False)
+    elif problem := check(path):
+        yield Problem(f"{key}: {problem}")
+
+
+def _state_problem(path: Path) -> str:
+    try:
+        state_file.read(path)
+    except state_file.StateFileBroken as error:
+        return str(error)
+    return ""
+
+
+def _history_problem(path: Path) -> str:
+    with path.open("rb") as file:
+        begin = file.read(len(DATABASE))
+    return "" if begin in (b"", DATABASE) else f"{path}: is not an SQLite database"
+
+
+def _socket(key: str, path: str) -> Iterator[Problem]:
+    mode = _mode(path)
+    if not path:
+        yield Problem(f"{key}: is empty")
+    elif len(os.fsencode(path + FRESH_NAME)) > SOCKET_PATH_MAX:
+        yield Problem(f"{key}: {path}: is too long for a Unix socket")
+    elif mode is not None and not stat.S_ISSOCK(mode):
+        yield Problem(f"{key}: {path}: exists and is not a socket")
+    elif mode is None and not Path(path).parent.exists():
+        # The service's RuntimeDirectory= makes this one at its start; nobody makes another.
+        if Path(path).parent != Path(ControlSocketSettings().path).parent:
+            yield Problem(f"{key}: {path}: the folder {Path(path).parent} is missing")
+    elif mode is None:
+        yield from _place(key, Path(path))
+
+
+def _shared(settings: Settings) -> Iterator[Problem]:
+    """One path for two purposes."""
+    named = {
+        "state_file": settings.state_file,
+        "history.path": settings.history.path,
+        "control_socket.path": settings.control_socket.path,
+        "external.socket": settings.external.socket,
+        "board.port": settings.board.port,
+    }
+    seen: dict[str, str] = {}
+    for key, path in named.items():
+        real = os.path.realpath(path) if path else ""
+        if real and real in seen:
+            yield Problem(f"{key}: {path}: is {seen[real]} too")
+        seen[real] = key
+
+
+def _bundle(bundle: BundleSettings) -> Iterator[Problem]:
+    if not bundle.path:
+        return
+    yield from _folder("bundle.path", bundle.path)
+    if (mode := _mode(bundle.trusted_keys)) is not None and not stat.S_ISDIR(mode):
+        yield Problem(f"bundle.trusted_keys: {bundle.trusted_keys}: is not a folder")
+    if bundle.signing_key:
+        yield from _readable("bundle.signing_key", bundle.signing_key)
+
+
+def _mqtt(mqtt: MqttSettings) -> Iterator[Problem]:
+    from edge.mqtt.connection import tls_context  # late: paho
+
+    yield from _secret(mqtt.password_file, "mqtt.password_file")
+    files = {"mqtt.ca": mqtt.ca, "mqtt.client_cert": mqtt.client_cert}
+    missing = [problem for key, path in files.items() if path for problem in _readable(key, path)]
+    yield from missing
+    yield from _secret(mqtt.client_key, "mqtt.client_key")
+    if mqtt.tls and not missing and (not mqtt.client_key or _mode(mqtt.client_key) is not None):
+        yield from _raised(lambda: tls_context(mqtt))
+
+
+def _llm(settings: Settings) -> Iterator[Problem]:
+    from edge.assistant.llm.language_model import open_line
+
+    yield from _secret(settings.llm.key_file, "llm.key_file")
+    yield from _raised(lambda: open_line(settings.llm))
+
+
+def _readable(key: str, path: str) -> Iterator[Problem]:
+    try:
+        read_file(Path(path))
+    except OSError as error:
+        yield Problem(f"{key}: {path}: {error.strerror}", error.errno != errno.EACCES)
+
+
+def _folder(key: str, path: str) -> Iterator[Problem]:
+    mode = _mode(path)
+    if mode is None:
+        yield from _place(key, Path(path))
+    elif not stat.S_ISDIR(mode):
+        yield Problem(f"{key}: {path}: is not a folder")
+
+
+def _place(key: str, path: Path) -> Iterator[Problem]:
+    """Can `path`, which is missing, be made?"""
+    above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    if not above.is_dir():
+        yield Problem(f"{key}: {path}: {above} is not a folder")
+    elif not os.access(above, os.W_OK | os.X_OK):
+        yield Problem(f"{key}: {path}: the user {_user()} cannot write into {above}", False)
+
+
+def _mode(path: str | Path) -> int | None:
+    """Kind and permissions, None where nothing is there or nothing can be seen."""
+    try:
+        return Path(path).stat().st_mode
+    except OSError:
+        return None
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user id without a name
+        return str(os.geteuid())

@@ -1,0 +1,271 @@
+"""Wires a rig together from settings, runs its loop, and takes it apart again."""
+
+import os
+import secrets
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Self
+
+from edge.app.active_models import ActiveModels
+from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
+from edge.app.request_routes import Routes, outbox_of
+from edge.assistant.llm.language_model import LanguageModel, open_language_model
+from edge.assistant.requests.desk import Surroundings, WishDesk
+from edge.assistant.requests.language import settings_from
+from edge.board.board import Board
+from edge.board.serial_port import OpenPort, SerialPort
+from edge.bundle.keeper import BundleKeeper
+from edge.bundle.predictors import loader
+from edge.bundle.proof import Prover
+from edge.bundle.store import Store
+from edge.config.loading import config_hash
+from edge.config.settings import Settings
+from edge.controllers.external import External
+from edge.core.clock import Clock, RealClock, boot_id
+from edge.core.controller import Controller
+from edge.core.errors import ConfigError
+from edge.core.messages import TickRecord
+from edge.core.version import __version__
+from edge.drift.monitor import DriftMonitor, Promise
+from edge.drift.state import drift_keeping, read_memory
+from edge.forecasts.skill_state import read_skill, skill_keeping
+from edge.mqtt.telemetry import Telemetry
+from edge.safety.supervisor import SafetyMemory
+from edge.sockets.control_socket import ControlSocket
+from edge.sockets.external_proposals import ExternalProposals
+from edge.state.state_file import Answered, StateWriter
+from edge.storage import Session, Storage
+from edge.tick.decider import decision_deadline_s
+from edge.tick.estimator import Estimator
+from edge.tick.inbox import Inbox
+from edge.tick.loop import Loop
+from edge.tick.orders import Operation
+from edge.tick.reference import Reference, make_reference, zone_of
+from edge.tick.rig import Rig, SaveState, Sink
+from edge.tick.sensor_health import SensorHealth
+from edge.tick.standing import StateSink, read_standing
+
+REQUESTS_VARIABLE = "GREENHOUSE_DIAGNOSIS"  # folder of requests to the diagnosis's unit, set by the daemon's
+ANSWER_SHARE = 0.9  # of the decision's deadline that a client of `external` may take
+
+
+@dataclass(slots=True)
+class Daemon:
+    """Everything that a running rig holds open. Use as a context manager; `run` blocks until `stop`."""
+
+    settings: Settings
+    clock: Clock
+    after_tick: Callable[[TickRecord], None] = lambda record: None
+    reference: Reference | None = None  # instead of the configured one
+    stop_at_s: float = float("inf")
+    experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
+    more_controllers: Sequence[Controller] = ()  # than those of edge/core/controller_names.py
+    client_wait_s: float = 0.0  # how long to wait for a client at `external.socket` before the first tick
+    open_port: OpenPort = SerialPort  # else a board in this process
+    more_sinks: Sequence[Sink] = ()  # a display
+    config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
+    _stack: ExitStack = field(default_factory=ExitStack)
+    _loop: Loop | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            self._loop = self._wire()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stack.close()
+
+    def run(self) -> None:
+        """Until `stop`, SIGTERM or SIGINT, or the end of the experiment."""
+        assert self._loop is not None
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                before = signal.signal(number, self._on_signal)
+                self._stack.callback(signal.signal, number, before)
+        self._loop.run()
+
+    def stop(self) -> None:
+        """End after the tick that runs; from any thread."""
+        assert self._loop is not None
+        self._loop.stop()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.stop()
+
+    def _wire(self) -> Loop:
+        settings, stack = self.settings, self._stack
+        bundles = self._bundles()
+        skill_file = Path(settings.state_file).with_name("skill.json")
+        llm = self._language_model()
+        models = ActiveModels(settings, bundles, read_skill(skill_file), llm)
+        skill = skill_keeping(lambda: models.forecasting.state, skill_file)
+        stack.callback(skill.close)
+        controllers = models.controllers() | {each.name: each for each in self.more_controllers}
+        if settings.external.socket:
+            external = self._external()
+            controllers[external.name] = external
+        if self.experiment and self.experiment not in controllers:
+            reason = settings.unready(self.experiment)
+            step_s = settings.control.step_s
+            raise ConfigError(f"control: {reason or f'{self.experiment} needs a model for {step_s:g} s'}")
+        standing = read_standing(Path(settings.state_file), settings)
+        if standing.operation.controller not in controllers:  # chosen when the rig had a model
+            chosen = replace(standing.operation, controller=settings.control.controller)
+            standing = replace(standing, operation=chosen)
+        inbox = Inbox()
+        stack.callback(inbox.close)
+        desk = self._desk(inbox, models, llm)
+        routes = Routes(settings, inbox, bundles, desk)
+        # First of all that is shared: where a daemon runs already nothing else is touched.
+        socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post)
+        stack.callback(socket.close)
+        # Only the machine's clock goes on from process to process.
+        boot = boot_id() if isinstance(self.clock, RealClock) else ""
+        session = Session(__version__, config_hash(settings), models.versions(), boot)
+        storage = Storage(settings.history, self.clock, session)
+        first_seq = storage.open()
+        stack.callback(storage.close)
+        state = StateSink(StateWriter(Path(settings.state_file)))
+        stack.callback(state.writer.close)
+        sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else []), *self.more_sinks]
+        drift = self._drift(sinks)
+        nightly = self._nightly(sinks, bundles)
+        show: Callable[[], None] = lambda: None  # noqa: E731
+        if settings.mqtt.enabled:
+            telemetry = Telemetry(settings, routes.ask, inbox.post, lambda: outbox_of(settings))
+            stack.callback(telemetry.close)
+            desk.listeners.append(telemetry.show_proposal)
+            sinks.append(telemetry)
+            show = telemetry.show
+        board = Board(
+            settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port
+        )
+        stack.callback(board.close)
+        stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
+        rig = Rig(
+            settings=settings,
+            clock=self.clock,
+            board=board,
+            sensors=SensorHealth(settings.sensor_health, settings.calibration),
+            estimator=Estimator(
+                settings.estimator, models.model, settings.control.step_s, settings.control.ambient_default_c
+            ),
+            reference=self.reference or make_reference(settings.reference),
+            zone=zone_of(settings.timezone),
+            controllers=controllers,
+            models=models,
+            sinks=sinks,
+            more_events=lambda: [
+                event for part in (storage, bundles, nightly, llm) if part for event in part.events_pending()
+            ],
+            inbox=inbox,
+            save_state=self._save(state, standing.operation),
+            after_tick=self.after_tick,
+            show=show,
+            stop_at_s=self.stop_at_s,
+            drift=drift,
+        )
+        loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
+        stack.callback(loop.close)
+        if standing.broken:
+            loop.note("state.broken", standing.broken)
+        return loop
+
+    def _external(self) -> External:
+        """It stops waiting a little before the one who asks it does, so that its reason is heard."""
+        control = self.settings.control
+        proposals = ExternalProposals(Path(self.settings.external.socket))
+        self._stack.callback(proposals.close)
+        if self.client_wait_s:
+            proposals.wait_for_client(self.client_wait_s)
+        return External(proposals, ANSWER_SHARE * decision_deadline_s(control))
+
+    def _bundles(self) -> BundleKeeper | None:
+        """None where the configuration has no folder for them."""
+        settings = self.settings
+        if not settings.bundle.path:
+            return None
+        keys, step_s = Path(settings.bundle.trusted_keys), settings.control.step_s
+        store = Store(Path(settings.bundle.path), keys, loader(step_s), prove=Prover(keys, step_s))
+        automatic = settings.bundle.auto == "promote"
+        bundles = BundleKeeper(store, self.clock, automatic, settings.bundle.trial_ticks)
+        self._stack.callback(bundles.close)
+        return bundles
+
+    def _language_model(self) -> LanguageModel | None:
+        """None where the configuration has no endpoint."""
+        settings = self.settings
+        if not settings.llm.url:
+            return None
+        budget_file = Path(settings.state_file).with_name("llm_budget.json")
+        model = open_language_model(settings.llm, Path(settings.history.path), budget_file, self.clock.utc)
+        self._stack.callback(model.close)
+        return model
+
+    def _desk(self, inbox: Inbox, models: ActiveModels, llm: LanguageModel | None) -> WishDesk:
+        """Where an operator's wishes are worked on."""
+        model = None if llm is None else partial(settings_from, llm)
+        around = Surroundings(self.settings, model, inbox.ask, lambda: models.twin, self.clock.utc)
+        desk = WishDesk(around)
+        self._stack.callback(desk.close)
+        return desk
+
+    def _drift(self, sinks: list[Sink]) -> DriftMonitor | None:
+        """Watches the running twin, and saves what it knows as one of the sinks."""
+        settings = self.settings
+        if not settings.drift.enabled:
+            return None
+        promise = Promise(settings.control.step_s, settings.drift.false_alarm_days, settings.drift.learn_h)
+        path = Path(settings.state_file).with_name("drift.json")
+        monitor = DriftMonitor(promise, zone_of(settings.timezone), read_memory(path))
+        keeping = drift_keeping(monitor, path)
+        self._stack.callback(keeping.close)
+        sinks.append(keeping)
+        return monitor
+
+    def _nightly(self, sinks: list[Sink], bundles: BundleKeeper | None) -> NightlyDiagnosis | None:
+        """None unless it is configured, and there are bundles whose twin it could diagnose."""
+        settings = self.settings
+        if settings.drift.diagnose == "never" or bundles is None:
+            return None
+        places = Places(
+            Path(settings.history.path),
+            bundles.twin_file,
+            self.config_file,
+            lambda: bundles.serving.rival is not None,
+            Path(folder) if (folder := os.environ.get(REQUESTS_VARIABLE)) else None,
+        )
+        nightly = NightlyDiagnosis(settings.drift, places, self.clock, zone_of(settings.timezone))
+        self._stack.callback(nightly.close)
+        sinks.append(nightly)
+        return nightly
+
+    def _orders(self, standing: Operation) -> Operation:
+        if not self.experiment:
+            return standing
+        return Operation(
+            controller=self.experiment,
+            emergency_stop=standing.emergency_stop,
+            maintenance_until_utc=standing.maintenance_until_utc,
+        )
+
+    def _save(self, state: StateSink, standing: Operation) -> SaveState:
+        """Of orders given in an experiment only stops outlive it."""
+        if not self.experiment:
+            return state.save
+
+        def save(operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
+            until = operation.maintenance_until_utc
+            stop = operation.emergency_stop
+            state.save(replace(standing, emergency_stop=stop, maintenance_until_utc=until), memory, answered)
+
+        return save

@@ -1,0 +1,255 @@
+"""The diagnosis at night: `greenhouse twin diagnose` over the stored history, as a process of its own.
+
+Control never waits for it: it runs at the lowest priority of processor and disk, one at a time, for a limited
+time and with limited memory, and ends with the daemon. On a rig a unit of systemd runs it, see
+`edge.app.diagnosis_request`; elsewhere it is a child. A twin that it finds
+goes no further than the settings say.
+"""
+
+import os
+import queue
+import shutil
+import signal
+import subprocess
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, time, tzinfo
+from pathlib import Path
+from typing import Any
+
+from edge.app.diagnosis_request import GREENHOUSE, LATE, NoUnit, ask
+from edge.config.settings import DriftSettings
+from edge.core.clock import Clock
+from edge.core.messages import DriftState, Event, Severity, TickRecord
+from edge.formats.input_file import read_file
+from edge.formats.strict_json import parse_object
+from edge.tick.reference import seconds_of_day
+
+LATE_MAX_S = 3600.0  # a night whose hour went by while the rig was off, or its clock wrong, is left out
+ADOPT_MAX_S = 600.0
+ROWS_MAX = 6000  # newest of the history: four days of 60 s, which a diagnosis does in 250 MB
+DATA_MAX_BYTES = 400 << 20  # of a child's memory that is its own; the unit has MemoryMax= instead
+REPORTS_KEPT = 30
+LOG = "log.txt"
+_LOWEST = (  # each where the machine has it
+    ("setpriv", "--pdeathsig", "KILL"),  # ends with the thread that started it
+    ("choom", "-n", "1000", "--"),  # the first that the kernel ends when memory runs out
+    ("prlimit", f"--data={DATA_MAX_BYTES}"),
+    ("nice", "-n", "19"),
+    ("ionice", "-t", "-c", "3"),
+)
+_HOW = {"shadow": "--shadow", "activate": "--activate"}  # settings.drift.adopt -> of `twin adopt`
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where a diagnosis finds what it needs.
+
+    twin : file of the running twin, None while none runs
+    config : edge.yaml of this daemon, None where it has none
+    on_trial : a bundle is being compared with the active one: another would end its trial
+    requests : folder in which a unit of systemd looks for requests; None: the diagnosis is a child
+    """
+
+    history: Path
+    twin: Callable[[], Path | None]
+    config: Path | None = None
+    on_trial: Callable[[], bool] = lambda: False
+    requests: Path | None = None
+
+
+class NightlyDiagnosis:
+    """A sink of tick records: a tick at the set hour starts it.
+
+    program : `greenhouse` as words of a command line
+    """
+
+    def __init__(
+        self,
+        settings: DriftSettings,
+        places: Places,
+        clock: Clock,
+        zone: tzinfo | None = None,
+        program: Sequence[str] = GREENHOUSE,
+    ) -> None:
+        self._settings, self._places, self._clock, self._zone = settings, places, clock, zone
+        self._program = (*lowest_priority(), *program)
+        self._before_utc: float | None = None
+        self._told: deque[tuple[str, Severity, str]] = deque()
+        self._jobs: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # names of the reports' folders
+        self._busy = False
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="diagnosis", daemon=True)
+        self._thread.start()
+
+    def write(self, record: TickRecord) -> None:
+        """Start a diagnosis if it is time. Never waits."""
+        before, self._before_utc = self._before_utc, record.utc
+        disagrees = record.drift is not None and record.drift.state is DriftState.DISAGREES
+        if self._busy or not (disagrees or self._settings.diagnose == "always"):
+            return
+        if before is not None and is_due(before, record.utc, self._settings.diagnose_at, self._zone):
+            self._busy = True
+            self._jobs.put(datetime.fromtimestamp(record.utc, self._zone).strftime("%Y-%m-%d_%H%M"))
+
+    def faults(self) -> Mapping[str, str]:
+        """A diagnosis that fails is told as an event; nothing here lasts."""
+        return {}
+
+    def events_pending(self) -> list[Event]:
+        """What was done since the last call. Called by the control thread."""
+        now, utc = self._clock.now(), self._clock.utc()
+        told = [self._told.popleft() for _ in range(len(self._told))]
+        return [Event(key, severity, text, now, utc) for key, severity, text in told]
+
+    def close(self) -> None:
+        """Kill what runs, and end the thread."""
+        with self._lock:
+            self._closing = True
+            if self._process is not None:
+                _kill(self._process)
+        self._jobs.put(None)
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while (name := self._jobs.get()) is not None:
+            try:
+                self._diagnose(Path(self._settings.reports) / name)
+            except _Failed as failure:
+                self._tell("diagnosis.failed", str(failure), Severity.WARNING)
+            except Exception as error:  # a full disk, a bug: told, and the next night tries again
+                self._tell("diagnosis.failed", f"{type(error).__name__}: {error}", Severity.WARNING)
+            self._busy = False
+
+    def _diagnose(self, report: Path) -> None:
+        settings, places = self._settings, self._places
+        twin = places.twin()
+        if twin is None:
+            raise _Failed("no twin runs, so there is none to diagnose")
+        report.mkdir(parents=True, exist_ok=True)
+        prune(report.parent)
+        self._tell("diagnosis.started", f"the diagnosis of the last {settings.diagnose_since_d:g} days began")
+        given = (
+            "--jobs",
+            "1",
+            "--history",
+            places.history,
+            "--since",
+            f"{settings.diagnose_since_d:g}d",
+            "--rows",
+            str(ROWS_MAX),
+            "--twin",
+            twin,
+        )
+        self._call(("diagnose", *given, "--out", report), report / LOG, 60.0 * settings.diagnose_max_min)
+        found = _diagnosis(report / "diagnosis.json")
+        self._tell("diagnosis.done", f"{_in_words(found)}; report: {report}")
+        if found.get("twin_after") and settings.adopt in _HOW:
+            self._adopt(report)
+
+    def _adopt(self, report: Path) -> None:
+        if self._places.on_trial():
+            self._tell("diagnosis.kept", f"a bundle is on trial, so the twin stays in {report}")
+            return
+        config = () if self._places.config is None else ("--config", self._places.config)
+        self._call(("adopt", report, _HOW[self._settings.adopt], *config), report / LOG, ADOPT_MAX_S)
+        self._tell("diagnosis.adopted", _last_line(report / LOG))
+
+    def _call(self, words: Sequence[str | Path], log: Path, patience_s: float) -> None:
+        """Run `greenhouse twin ...` to its end. Errors: _Failed"""
+        code = self._ended(["twin", *map(str, words)], log, patience_s)
+        if code == LATE:
+            raise _Failed(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended")
+        if code != 0:
+            raise _Failed(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
+
+    def _ended(self, words: Sequence[str], log: Path, patience_s: float) -> int | str:
+        """The exit code, below 0 the signal that ended it; LATE. Errors: _Failed"""
+        if self._places.requests is not None:
+            try:
+                return ask(self._places.requests, words, log, patience_s, lambda: self._closing)
+            except NoUnit as error:
+                raise _Failed(str(error)) from None
+        command = [*self._program, *words]
+        with log.open("ab") as out, self._lock:
+            if self._closing:
+                raise _Failed("the daemon ends")
+            # A group of its own, so that what it starts ends with it.
+            process = self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
+            )
+        try:
+            return process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            _kill(process)
+            process.wait()
+            return LATE
+        finally:
+            with self._lock:
+                self._process = None
+
+    def _tell(self, key: str, text: str, severity: Severity = Severity.INFO) -> None:
+        self._told.append((key, severity, text))
+
+
+class _Failed(Exception):
+    """A diagnosis that came to no end; the text is for people."""
+
+
+def is_due(before_utc: float, utc: float, at: time, zone: tzinfo | None) -> bool:
+    """Whether the local time `at` lies between two ticks, and not long ago."""
+    at_s = at.hour * 3600.0 + at.minute * 60.0
+    ago_s = (seconds_of_day(utc, zone) - at_s) % 86400.0
+    return ago_s < min(utc - before_utc, LATE_MAX_S)
+
+
+def lowest_priority() -> tuple[str, ...]:
+    """Words before a command that give it the lowest priority this machine knows."""
+    return tuple(word for words in _LOWEST if shutil.which(words[0]) for word in words)
+
+
+def prune(reports: Path) -> None:
+    """Delete all but the newest reports. Errors: OSError"""
+    folders = sorted(path for path in reports.iterdir() if (path / LOG).exists())
+    for folder in folders[:-REPORTS_KEPT]:
+        shutil.rmtree(folder)
+
+
+def _kill(process: "subprocess.Popen[bytes]") -> None:
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def _diagnosis(path: Path) -> dict[str, Any]:
+    """Errors: _Failed"""
+    try:
+        return parse_object(read_file(path))
+    except (OSError, ValueError) as error:
+        raise _Failed(f"{path}: {error}") from error
+
+
+def _in_words(found: Mapping[str, Any]) -> str:
+    names = [str(effect.get("name")) for effect in found.get("effects") or ()]
+    if names:
+        return f"the diagnosis names {', '.join(names)}"
+    if found.get("verdict") == "nothing_missing":
+        return "the diagnosis finds nothing missing in the twin"
+    on = ", ".join(map(str, found.get("depends_on") or ())) or "nothing it knows"
+    return f"the diagnosis finds no name for what is missing; it depends on {on}"
+
+
+def _cause(code: int | str, said: str) -> str:
+    """The command's last words, and that its memory was limited where that ended it."""
+    if code == -signal.SIGKILL or "MemoryError" in said:
+        return f"it needed more memory than it may have; {said}"
+    return said
+
+
+def _last_line(log: Path) -> str:
+    """Of what the command said, "" where it said nothing."""
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return lines[-1] if lines else ""

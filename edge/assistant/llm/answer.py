@@ -1,0 +1,102 @@
+"""A controller's answer in JSON: what it must look like, and strictly nothing else."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edge.assistant.llm.failure import LlmFailure
+from edge.assistant.llm.wire import Schema
+from edge.core.messages import Command
+from edge.core.names import HEATER_LEVELS
+from edge.core.plain_text import plain
+from edge.formats.strict_json import parse_object
+
+RATIONALE_MAX = 1200  # characters that are kept
+SNAP = 1e-6  # a duty this near a level is that level
+_FENCED = re.compile(r"\s*```(?:json)?\s*\n(?P<json>.*?)\n?\s*```\s*", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Controls and what stands behind them."""
+
+    command: Command
+    rationale: str
+    simulation: str  # id of the simulation it cites, "" without one
+    rounded_from: float | None = None  # the duty as it was said, where it was no level
+
+
+def answer_schema(with_simulation: bool) -> Schema:
+    """The JSON schema of the answer; a strict one lists every property as required."""
+    properties: dict[str, Any] = {
+        "heater_duty": {"type": "number", "minimum": 0, "maximum": 1},
+        "fan_on": {"type": "boolean"},
+        "rationale": {"type": "string"},
+    }
+    if with_simulation:
+        properties["simulation"] = {"type": "string"}
+    return Schema(
+        "controls",
+        {
+            "type": "object",
+            "properties": properties,
+            "required": list(properties),
+            "additionalProperties": False,
+        },
+    )
+
+
+def read_answer(content: str | None, with_simulation: bool) -> Answer:
+    """The answer in a model's last message: one JSON object, alone or in one fence.
+
+    Errors : LlmFailure: malformed, wrong_schema or out_of_range
+    """
+    values = read_object(content)
+    known = ["heater_duty", "fan_on", "rationale", *(["simulation"] if with_simulation else [])]
+    if unknown := sorted(values.keys() - set(known)):
+        raise LlmFailure("wrong_schema", f"unknown key {plain(str(unknown[0]), 40)!r}")
+    if missing := [key for key in known if key not in values and key != "simulation"]:
+        raise LlmFailure("wrong_schema", f"{missing[0]} is missing")
+    said = _number(values, "heater_duty")
+    if not 0.0 <= said <= 1.0:
+        raise LlmFailure("out_of_range", f"heater_duty is {said:g}, not 0 to 1")
+    duty = nearest_level(said)
+    if not isinstance(values["fan_on"], bool):
+        raise LlmFailure("wrong_schema", "fan_on must be true or false")
+    return Answer(
+        command=Command(heater_duty=duty, fan_on=values["fan_on"]),
+        rationale=plain(_text(values, "rationale"), RATIONALE_MAX),
+        simulation=plain(_text(values, "simulation"), 40) if "simulation" in values else "",
+        rounded_from=None if abs(said - duty) <= SNAP else said,
+    )
+
+
+def nearest_level(duty: float) -> float:
+    """The heater duty as the board takes it, in steps of 1/20."""
+    return round(duty * HEATER_LEVELS) / HEATER_LEVELS
+
+
+def read_object(content: str | None) -> Mapping[str, Any]:
+    """One JSON object, alone or in one fence. Errors: LlmFailure: malformed"""
+    if content is None or not content.strip():
+        raise LlmFailure("malformed", "the answer is empty")
+    fenced = _FENCED.fullmatch(content)
+    try:
+        return parse_object(fenced["json"] if fenced else content)
+    except ValueError as error:
+        raise LlmFailure("malformed", f"the answer is no JSON object: {error}") from None
+
+
+def _number(values: Mapping[str, Any], key: str) -> float:
+    """A finite number. Errors: LlmFailure; a bool is not a number."""
+    value = values[key]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise LlmFailure("wrong_schema", f"{key} must be a number")
+    return float(value)
+
+
+def _text(values: Mapping[str, Any], key: str) -> str:
+    if not isinstance(values[key], str):
+        raise LlmFailure("wrong_schema", f"{key} must be text")
+    return str(values[key])

@@ -1,0 +1,111 @@
+"""What a language model may cost on a UTC day: charged before it is spent, corrected by what was counted."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from edge.assistant.llm.failure import LlmFailure
+from edge.assistant.llm.wire import Usage
+from edge.config.settings import LlmSettings
+from edge.state import state_file
+from edge.state.state_file import StateFileBroken, StateWriter
+
+KEPT_EVERY_S = 60.0  # five exchanges a step would be five writes to the card; a kill forgets so much at most
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """Of one UTC day."""
+
+    day: str
+    tokens: int = 0
+    cost: float = 0.0
+    exchanges: int = 0
+
+
+def read_spent(path: Path, today: str) -> Spent:
+    """Of the process before; a file of another day, or one that can't be read, holds nothing of today."""
+    try:
+        values = state_file.read(path) or {}
+        spent = Spent(
+            str(values["day"]), int(values["tokens"]), float(values["cost"]), int(values["exchanges"])
+        )
+    except (StateFileBroken, KeyError, TypeError, ValueError, OverflowError):
+        return Spent(today)
+    sound = spent.tokens >= 0 and spent.exchanges >= 0 and 0.0 <= spent.cost < math.inf
+    return spent if sound and spent.day == today else Spent(today)
+
+
+class Budget:
+    """Of all who ask, from any thread; kept over restarts in a file of its own."""
+
+    def __init__(self, settings: LlmSettings, path: Path, utc: Callable[[], float]) -> None:
+        self._settings = settings
+        self._utc = utc
+        self._lock = threading.Lock()
+        self._spent = read_spent(path, self._today())
+        self._writer = StateWriter(path, KEPT_EVERY_S)
+
+    def charge(self, most: Usage) -> None:
+        """Before an exchange: what it may cost at most. Errors: LlmFailure, over_budget
+
+        Charged at once, so that two who ask at a time can't spend the same tokens.
+        """
+        with self._lock:
+            spent = self._of_today()
+            if reason := self._too_much(spent, most):
+                raise LlmFailure("over_budget", reason)
+            self._keep(spent, most.sent + most.received, self.cost(most), 1)
+
+    def settle(self, most: Usage, used: Usage) -> None:
+        """After an exchange: what was charged for is replaced by what was used."""
+        with self._lock:
+            tokens = used.sent + used.received - most.sent - most.received
+            self._keep(self._of_today(), tokens, self.cost(used) - self.cost(most), 0)
+
+    def cost(self, usage: Usage) -> float:
+        """In the prices' currency."""
+        return 1e-6 * (usage.sent * self._settings.price_in + usage.received * self._settings.price_out)
+
+    @property
+    def spent(self) -> Spent:
+        """So far today."""
+        with self._lock:
+            return self._of_today()
+
+    def close(self) -> None:
+        """Write what waits."""
+        self._writer.close()
+
+    def _too_much(self, spent: Spent, most: Usage) -> str:
+        """ "" where the exchange fits into the day; what is no number does not."""
+        settings = self._settings
+        tokens = spent.tokens + most.sent + most.received
+        if settings.tokens_per_day and not tokens <= settings.tokens_per_day:
+            return f"{spent.tokens} of {settings.tokens_per_day} tokens are spent today"
+        cost = spent.cost + self.cost(most)
+        if settings.cost_per_day and not cost <= settings.cost_per_day:
+            return f"{spent.cost:.4g} of {settings.cost_per_day:g} is spent today"
+        return ""
+
+    def _keep(self, spent: Spent, tokens: int, cost: float, exchanges: int) -> None:
+        # An exchange that went over midnight may give back more than the new day has.
+        self._spent = Spent(
+            spent.day, max(0, spent.tokens + tokens), max(0.0, spent.cost + cost), spent.exchanges + exchanges
+        )
+        self._writer.save(_to_dict(self._spent))
+
+    def _of_today(self) -> Spent:
+        today = self._today()
+        return self._spent if self._spent.day == today else Spent(today)
+
+    def _today(self) -> str:
+        return datetime.fromtimestamp(self._utc(), UTC).date().isoformat()
+
+
+def _to_dict(spent: Spent) -> dict[str, Any]:
+    return {"day": spent.day, "tokens": spent.tokens, "cost": spent.cost, "exchanges": spent.exchanges}

@@ -1,0 +1,187 @@
+"""Any OpenAI-compatible `/chat/completions`: one exchange, with retries, a deadline and a budget."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from edge.assistant.llm.budget import Budget
+from edge.assistant.llm.failure import LlmFailure
+from edge.assistant.llm.interrupt import Interrupt
+from edge.assistant.llm.key_mask import MASK, key_pattern
+from edge.assistant.llm.line import Post, Response, post
+from edge.assistant.llm.wire import (
+    Chat,
+    Dialect,
+    Message,
+    Reply,
+    Schema,
+    ToolSpec,
+    Usage,
+    estimated_tokens,
+    read_document,
+    read_reply,
+    read_usage,
+    to_bytes,
+)
+from edge.config.secrets import Secret
+from edge.config.settings import LlmSettings
+from edge.core.plain_text import plain
+
+PAUSE_MAX_S = 60.0  # a server that wants more than this is left alone
+RETRIED = ("unreachable", "rate_limited", "server_error")
+_REFUSED_KEY = (401, 403)
+
+
+def _pause(stop: Interrupt, seconds: float) -> None:
+    stop.wait(seconds)
+
+
+@dataclass(slots=True)
+class Endpoint:
+    """One server and one model. Safe to be used by several threads.
+
+    line, now, pause : replaced in tests, which never wait
+    """
+
+    settings: LlmSettings
+    budget: Budget
+    key: Secret | None = field(default=None, repr=False)
+    line: Post = post
+    now: Callable[[], float] = time.monotonic
+    pause: Callable[[Interrupt, float], None] = _pause
+    _dialect: Dialect = field(default_factory=Dialect)
+
+    def chat(
+        self,
+        messages: Sequence[Message],
+        tools: Sequence[ToolSpec] = (),
+        temperature: float = 0.0,
+        schema: Schema | None = None,
+        deadline_s: float = math.inf,
+        stop: Interrupt | None = None,
+    ) -> Reply:
+        """One exchange.
+
+        deadline_s : for all of it, retries and their pauses among it
+        stop : ends it at once when fired
+        Errors : LlmFailure
+        """
+        settings, stop = self.settings, stop or Interrupt()
+        chat = Chat(settings.model, messages, settings.answer_tokens, tools, temperature, schema)
+        end_s, tries = self.now() + deadline_s, 0
+        while True:
+            try:
+                return self._exchange(chat, end_s, stop)
+            except _TryAgain as again:
+                tries += 1
+                pause_s = max(settings.backoff_s * 2.0 ** (tries - 1), again.after_s)
+                waits = pause_s <= PAUSE_MAX_S and self.now() + pause_s < end_s
+                if tries > settings.retries or not waits:
+                    raise again.failure from None
+                self.pause(stop, pause_s)
+            if stop.fired:
+                raise LlmFailure("interrupted", "nobody waits for the answer any more")
+
+    def _exchange(self, chat: Chat, end_s: float, stop: Interrupt) -> Reply:
+        """Ask once, or twice where the server refuses a part that it can do without."""
+        dialect = self._dialect
+        response, used = self._send(chat, dialect, end_s, stop)
+        while response.status == 400:
+            simpler = dialect.after_refusal(response.raw.decode())
+            if simpler is None or chat.body(simpler) == chat.body(dialect):
+                break
+            dialect = simpler
+            response, used = self._send(chat, dialect, end_s, stop)
+        self._check(response)
+        self._dialect = dialect
+        return read_reply(read_document(response.raw), used)
+
+    def _send(self, chat: Chat, dialect: Dialect, end_s: float, stop: Interrupt) -> tuple[Response, Usage]:
+        """One request on the line, paid for whatever comes of it."""
+        left_s = end_s - self.now()
+        if not left_s > 0.0:  # NaN lands here too
+            raise LlmFailure("timeout", "the time for this answer is over")
+        body = to_bytes(chat.body(dialect))
+        most = Usage(estimated_tokens(body), chat.answer_tokens, estimated=True)
+        self.budget.charge(most)
+        used = Usage(estimated=True)
+        try:
+            deadline_s = min(self.settings.timeout_s, left_s)
+            response = self._masked(self.line(self._url, body, self._headers(), deadline_s, stop))
+            used = _usage(response, most)
+            return response, used
+        except LlmFailure as failure:
+            if failure.kind in ("timeout", "interrupted", "malformed"):  # the server may well have worked
+                used = Usage(most.sent, 0, estimated=True)
+            if failure.kind in RETRIED:
+                raise _TryAgain(failure) from None
+            raise
+        finally:
+            self.budget.settle(most, used)
+
+    def _check(self, response: Response) -> None:
+        """Errors: LlmFailure, _TryAgain, for all but a 2xx."""
+        status = response.status
+        if 200 <= status < 300:
+            return
+        if status in _REFUSED_KEY:  # what it says may repeat the key
+            raise LlmFailure("refused_key", f"status {status}: llm.key_file is missing or wrong")
+        said = f"status {status}: {plain(response.raw.decode())}"
+        if status == 429:
+            raise _TryAgain(LlmFailure("rate_limited", said), retry_after_s(response.retry_after))
+        if status >= 500:
+            raise _TryAgain(LlmFailure("server_error", said), retry_after_s(response.retry_after))
+        raise LlmFailure("bad_request", said)
+
+    def _masked(self, response: Response) -> Response:
+        """The response as UTF-8 from which the key cannot be read: a server may echo it."""
+        text = response.raw.decode(errors="replace")
+        pattern = None if self.key is None else key_pattern(self.key.value)
+        return replace(response, raw=(text if pattern is None else pattern.sub(MASK, text)).encode())
+
+    @property
+    def _url(self) -> str:
+        return self.settings.url.rstrip("/") + "/chat/completions"
+
+    def _headers(self) -> dict[str, str]:
+        headers = {"Content-Type": "application/json", "Accept": "application/json"}
+        if self.key is not None:
+            headers["Authorization"] = f"Bearer {self.key.value}"
+        return headers
+
+
+class _TryAgain(Exception):
+    """A failure that another attempt may cure, after so many seconds."""
+
+    def __init__(self, failure: LlmFailure, after_s: float = 0.0) -> None:
+        super().__init__(str(failure))
+        self.failure = failure
+        self.after_s = after_s
+
+
+def _usage(response: Response, most: Usage) -> Usage:
+    """As counted by the server, else estimated; an error that says nothing of it has cost nothing."""
+    try:
+        counted = read_usage(read_document(response.raw))
+    except LlmFailure:
+        counted = None
+    if counted is not None:
+        return counted
+    if not 200 <= response.status < 300:
+        return Usage(estimated=True)
+    return Usage(most.sent, estimated_tokens(response.raw), estimated=True)
+
+
+def retry_after_s(text: str) -> float:
+    """Seconds of a Retry-After header; 0 where there is none, inf where it is a date or nonsense.
+
+    A date would need both clocks to agree; the fallback decides meanwhile, and the next question asks anew.
+    """
+    if not text:
+        return 0.0
+    try:
+        seconds = float(text)
+    except ValueError:
+        return math.inf
+    return seconds if seconds >= 0.0 else math.inf

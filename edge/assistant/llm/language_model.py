@@ -1,0 +1,70 @@
+"""The language model of a rig: what all who ask it share. The daemon makes it and closes it."""
+
+import queue
+import ssl
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from edge.assistant.llm.asking import Question
+from edge.assistant.llm.budget import Budget
+from edge.assistant.llm.endpoint import Endpoint
+from edge.assistant.llm.line import Post, post
+from edge.config.secrets import read_secret
+from edge.config.settings import LlmSettings
+from edge.core.errors import ConfigError
+from edge.core.messages import Event
+
+
+@dataclass(slots=True)
+class LanguageModel:
+    """Endpoint, budget, the history it may read, and what is to be told of it."""
+
+    settings: LlmSettings
+    endpoint: Endpoint
+    budget: Budget
+    history: Path
+    utc: Callable[[], float]
+    _events: "queue.SimpleQueue[Event]" = field(default_factory=queue.SimpleQueue)
+    _questions: list[Question[Any]] = field(default_factory=list)
+
+    def tell(self, event: Event) -> None:
+        """Into the next record; from any thread."""
+        self._events.put(event)
+
+    def events_pending(self) -> list[Event]:
+        """What was told since the last call."""
+        return [self._events.get_nowait() for _ in range(self._events.qsize())]
+
+    def under_way(self, question: Question[Any]) -> None:
+        """See to the end of a question at `close`."""
+        self._questions = [each for each in self._questions if not each.wait(0.0)]
+        self._questions.append(question)
+
+    def close(self) -> None:
+        """Drop what is under way and keep what was spent."""
+        for question in self._questions:
+            question.close()
+        self.budget.close()
+
+
+def open_language_model(
+    settings: LlmSettings, history: Path, budget_file: Path, utc: Callable[[], float]
+) -> LanguageModel:
+    """Errors: ConfigError when the key or the authority's certificate can't be read."""
+    key = read_secret(settings.key_file, "llm.key_file") if settings.key_file else None
+    budget = Budget(settings, budget_file, utc)
+    return LanguageModel(settings, Endpoint(settings, budget, key, open_line(settings)), budget, history, utc)
+
+
+def open_line(settings: LlmSettings) -> Post:
+    """How its server is asked. Errors: ConfigError when the authority's certificate can't be read."""
+    if not settings.ca:
+        return post
+    try:
+        ssl.create_default_context(cafile=settings.ca)
+    except OSError as error:
+        raise ConfigError(f"llm.ca: {settings.ca}: {error.strerror or error}") from None
+    return partial(post, ca=settings.ca)

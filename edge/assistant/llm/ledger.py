@@ -1,0 +1,57 @@
+"""What the tools were really asked for one answer, and what they really said."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from edge.assistant.llm.wire import ToolSpec
+
+
+class ToolError(Exception):
+    """A call that can't be carried out; the text goes back to the model."""
+
+
+class Tool(Protocol):
+    """One tool a model may call."""
+
+    @property
+    def spec(self) -> ToolSpec:
+        """As it is offered."""
+        ...
+
+    def call(self, arguments: Mapping[str, Any]) -> Any:
+        """The result, JSON values only. Errors: ToolError"""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One call that a tool has answered."""
+
+    id: str  # given here, e.g. "simulate-2"; what an answer cites
+    tool: str
+    arguments: Mapping[str, Any]
+    result: Any
+
+
+@dataclass(slots=True)
+class Ledger:
+    """The calls of one answer, in order."""
+
+    entries: list[Entry] = field(default_factory=list)
+    errors: int = 0  # calls that went back with an error
+
+    def record(self, tool: str, arguments: Mapping[str, Any], result: Any) -> Entry:
+        """Number and keep a call."""
+        number = 1 + sum(entry.tool == tool for entry in self.entries)
+        entry = Entry(f"{tool}-{number}", tool, arguments, result)
+        self.entries.append(entry)
+        return entry
+
+    def find(self, cited: str) -> Entry | None:
+        """The call with this id."""
+        return next((entry for entry in self.entries if entry.id == cited), None)
+
+    def results(self, tool: str) -> list[Any]:
+        """Of all calls of one tool."""
+        return [entry.result for entry in self.entries if entry.tool == tool]

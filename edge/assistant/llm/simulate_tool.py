@@ -1,0 +1,133 @@
+"""Suggested controls tried on a predictor before one of them is chosen."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from edge.assistant.llm.answer import Answer, nearest_level
+from edge.assistant.llm.failure import LlmFailure
+from edge.assistant.llm.ledger import Ledger, ToolError
+from edge.assistant.llm.wire import ToolSpec
+from edge.controllers.mpc import padded
+from edge.controllers.plan_rollouts import ahead_with_offset, forecast
+from edge.core.controller import Context, Floats
+from edge.core.errors import DataError
+from edge.core.predictor import Predictor
+
+NAME = "simulate"
+SAME_K = 1e-6  # two rollouts of one predictor under the same inputs differ by no more
+
+
+@dataclass(frozen=True, slots=True)
+class Simulator:
+    """A predictor from where the rig stands.
+
+    horizon : longest plan [steps]
+    offset : what the predictor misses per step by the estimator's word [K/step]; 0 for a model that is not
+        the estimator's own
+    """
+
+    predictor: Predictor
+    context: Context
+    horizon: int
+    offset: float = 0.0
+
+    def temperatures(self, controls: Floats) -> Floats:
+        """Air temperature after each of the controls [N, 2]: [N] [°C]. Raises : DataError naming the model"""
+        context, steps = self.context, len(controls)
+        ahead = {**ahead_with_offset(context, steps), "offset": np.full(steps, self.offset)}
+        history = padded(context.history, self.predictor.rows_needed)
+        temps: Floats = forecast(self.predictor, history, controls[None], ahead)[0]
+        return temps
+
+
+class SimulateTool:
+    """`simulate(heater_duty, fan_on)`: one set of controls a call, as many calls as there are exchanges."""
+
+    def __init__(self, simulator: Simulator, targets: Floats) -> None:
+        """`targets` [N >= horizon]: reference after each step [°C]."""
+        self._simulator = simulator
+        self._targets = targets
+        steps, step_s = simulator.horizon, simulator.context.step_s
+        numbers = {"type": "array", "minItems": 1, "maxItems": steps}
+        self.spec = ToolSpec(
+            NAME,
+            f"Predicts the air temperature after each of the next steps of {step_s:g} s when these controls "
+            f"are applied, with the model {simulator.predictor.name}. Both lists have one value per step, "
+            f"1 to {steps}, the first for the step that begins now. Call it once for each set of controls "
+            "that you consider.",
+            {
+                "type": "object",
+                "properties": {
+                    "heater_duty": {**numbers, "items": {"type": "number", "minimum": 0, "maximum": 1}},
+                    "fan_on": {**numbers, "items": {"type": "boolean"}},
+                },
+                "required": ["heater_duty", "fan_on"],
+                "additionalProperties": False,
+            },
+        )
+
+    def call(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """The simulated steps, with the duties as the board would take them. Errors: ToolError"""
+        controls = self._controls(arguments)
+        try:
+            temps = self._simulator.temperatures(controls)
+        except DataError as error:
+            raise ToolError(str(error)) from None
+        errors = np.abs(temps - self._targets[: len(temps)])
+        return {
+            "heater_duty": controls[:, 0].tolist(),
+            "fan_on": [bool(value) for value in controls[:, 1]],
+            "temp_air_c": [round(value, 6) for value in temps.tolist()],
+            "target_c": self._targets[: len(temps)].tolist(),
+            "mean_abs_error_k": round(float(errors.mean()), 4),
+        }
+
+    def _controls(self, arguments: Mapping[str, Any]) -> Floats:
+        duties, fans = (_items(arguments, key, self._simulator.horizon) for key in ("heater_duty", "fan_on"))
+        if arguments.keys() != {"heater_duty", "fan_on"}:
+            raise ToolError("give heater_duty and fan_on, and nothing else")
+        if len(duties) != len(fans):
+            raise ToolError(f"heater_duty has {len(duties)} steps and fan_on {len(fans)}: must be equal")
+        if not all(_is_duty(value) for value in duties):
+            raise ToolError("heater_duty: every value must be a number from 0 to 1")
+        if not all(isinstance(value, bool) for value in fans):
+            raise ToolError("fan_on: every value must be true or false")
+        return np.array([[nearest_level(duty), float(fan)] for duty, fan in zip(duties, fans, strict=True)])
+
+
+def _items(arguments: Mapping[str, Any], key: str, most: int) -> Sequence[Any]:
+    values = arguments.get(key)
+    if not isinstance(values, list) or not 1 <= len(values) <= most:
+        raise ToolError(f"{key}: must be a list of 1 to {most} values")
+    return values
+
+
+def _is_duty(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= 1.0
+
+
+def cited_forecast(answer: Answer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:
+    """The temperatures behind an answer's controls, simulated here once more [°C].
+
+    Errors : LlmFailure: uncited, where no call of this answer is named; unfaithful, where that call began
+        with other controls or its result does not come out again
+    """
+    entry = ledger.find(answer.simulation)
+    if entry is None or entry.tool != NAME:
+        cited = repr(answer.simulation) if answer.simulation else "nothing"
+        raise LlmFailure("uncited", f"the answer cites {cited}, which is no simulation it asked for")
+    result, command = entry.result, answer.command
+    first = (result["heater_duty"][0], result["fan_on"][0])
+    if first != (command.heater_duty, command.fan_on):
+        said = f"heater {command.heater_duty:g}, fan {command.fan_on}"
+        raise LlmFailure(
+            "unfaithful", f"{entry.id} begins with heater {first[0]:g}, fan {first[1]}, not {said}"
+        )
+    controls = np.column_stack([result["heater_duty"], np.array(result["fan_on"], dtype=float)])
+    again = simulator.temperatures(controls)
+    if not np.abs(again - np.array(result["temp_air_c"])).max() <= SAME_K:
+        raise LlmFailure("unfaithful", f"{entry.id} simulated again comes out otherwise")
+    return tuple(again.tolist())

@@ -1,0 +1,231 @@
+"""Where an operator's wish waits for the language model's answer, and the answer for a confirmation.
+
+A wish is worked on in a thread of its own, one at a time: neither the control loop nor the control socket nor
+MQTT waits for a language model. Nothing is applied without `confirm`, and a proposal that nobody confirms is
+forgotten.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from edge.assistant.requests.answer import understood
+from edge.assistant.requests.prediction import predicted
+from edge.assistant.requests.prompt import messages
+from edge.assistant.requests.proposal_id import new_id
+from edge.assistant.requests.words import describe
+from edge.config.settings import Settings
+from edge.core.errors import GreenhouseError, RequestError
+from edge.core.plain_text import plain, shown
+from edge.tick import steering as steerings
+from edge.tick.inbox import is_in_force
+from edge.tick.reference import seconds_of_day, zone_of
+from edge.tick.steering import WORDS_MAX, Steering
+from edge.twin.model import Twin
+
+PROPOSAL_AGE_MAX_S = 900.0
+KEPT = 8  # proposals that can be asked for again
+
+Json = dict[str, Any]
+LanguageModel = Callable[[list[dict[str, str]]], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """One wish and what came of it.
+
+    state : thinking, ready, question (the model asks back), failed, confirmed, undone or expired
+    said : by the language model: what it understood, or its question
+    changes : what would be different, told by the values
+    """
+
+    id: str
+    words: str
+    asked_utc: float
+    state: str = "thinking"
+    steering: Steering | None = None
+    said: str = ""
+    changes: tuple[str, ...] = ()
+    effect: Json | None = None
+    error: str = ""
+
+    def as_json(self) -> Json:
+        """JSON values for the command line and MQTT."""
+        return {
+            "id": self.id,
+            "words": self.words,
+            "state": self.state,
+            "said": self.said,
+            "changes": list(self.changes),
+            "steering": None if self.steering is None else steerings.to_dict(self.steering),
+            "effect": self.effect,
+            "error": self.error,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a desk works with.
+
+    model : messages -> the JSON object that the language model answered; raises GreenhouseError
+    loop : a request to the control loop and its answer
+    twin : the running one, None where there is none
+    """
+
+    settings: Settings
+    model: LanguageModel | None
+    loop: Callable[[Mapping[str, Any]], Json]
+    twin: Callable[[], Twin | None]
+    utc: Callable[[], float]
+
+
+class WishDesk:
+    """Takes `ask`, `proposal`, `confirm` and `undo`; each is answered at once."""
+
+    def __init__(self, around: Surroundings) -> None:
+        self.listeners: list[Callable[[Json], None]] = []  # get each new state; they never wait
+        self._around = around
+        self._zone = zone_of(around.settings.timezone)
+        self._lock = threading.Lock()
+        self._proposals: dict[str, Proposal] = {}
+        self._thread: threading.Thread | None = None
+        self._expiry: threading.Timer | None = None
+
+    def answer(self, request: Mapping[str, Any]) -> Json:
+        """The answer to one request; never raises."""
+        try:
+            match request.get("do"):
+                case "ask":
+                    return self._ask(request.get("words"))
+                case "proposal":
+                    return {"ok": True, "proposal": self._known(request.get("id")).as_json()}
+                case "undo":
+                    return self._undo()
+                case _:
+                    return self._confirm(self._known(request.get("id")))
+        except RequestError as error:
+            return {"ok": False, "error": str(error)}
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Wait for what is under way; a language model that hangs is left behind."""
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+        if self._expiry is not None:
+            self._expiry.cancel()
+
+    def _ask(self, words: object) -> Json:
+        if self._around.model is None:
+            raise RequestError("ask: llm.url is empty: this rig has no language model to ask")
+        if not isinstance(words, str) or not words.strip() or len(words) > WORDS_MAX:
+            raise RequestError(f"ask: say in 1 to {WORDS_MAX} characters what you want")
+        with self._lock:
+            if any(proposal.state == "thinking" for proposal in self._proposals.values()):
+                raise RequestError("ask: the wish before is still being worked on")
+            proposal = Proposal(new_id(), plain(words, WORDS_MAX), self._around.utc())
+            self._keep(proposal)
+            self._thread = threading.Thread(target=self._work, args=(proposal,), name="wish", daemon=True)
+            self._thread.start()
+        return {"ok": True, "proposal": proposal.as_json()}
+
+    def _confirm(self, proposal: Proposal) -> Json:
+        if proposal.state != "ready" or proposal.steering is None:
+            raise RequestError(f"confirm: proposal {proposal.id} cannot be confirmed: {proposal.state}")
+        with self._lock:  # once: a second confirmation is told so
+            if self._proposals[proposal.id].state != "ready":
+                raise RequestError(f"confirm: proposal {proposal.id} has been taken up already")
+            self._keep(replace(proposal, state="confirmed"))
+        answer = self._around.loop({"do": "steer", "steering": steerings.to_dict(proposal.steering)})
+        if is_in_force(answer):
+            self._publish(replace(proposal, state="confirmed"))
+        else:
+            with self._lock:
+                self._keep(proposal)
+        return answer
+
+    def _undo(self) -> Json:
+        standing = self._around.loop({"do": "status"}).get("operation", {}).get("steering")
+        answer = self._around.loop({"do": "undo"})
+        if is_in_force(answer) and standing:
+            with self._lock:
+                # After a restart the desk does not know the proposal that the loop still carried out.
+                proposal = self._proposals.get(standing["id"]) or Proposal(
+                    standing["id"], standing["words"], self._around.utc()
+                )
+                proposal = replace(proposal, state="undone")
+                self._keep(proposal)
+            self._publish(proposal)
+        return answer
+
+    def _known(self, id: object) -> Proposal:
+        with self._lock:
+            proposal = self._proposals.get(str(id))
+            if proposal is None:
+                raise RequestError(f"proposal: there is no {shown(id)}: it was never made or is forgotten")
+            gone_s = self._around.utc() - proposal.asked_utc
+            if proposal.state != "ready" or 0.0 <= gone_s < PROPOSAL_AGE_MAX_S:
+                return proposal
+            proposal = replace(proposal, state="expired")
+            self._keep(proposal)
+        self._publish(proposal)
+        return proposal
+
+    def _keep(self, proposal: Proposal) -> None:
+        self._proposals[proposal.id] = proposal
+        while len(self._proposals) > KEPT:
+            del self._proposals[next(iter(self._proposals))]
+
+    def _work(self, proposal: Proposal) -> None:
+        try:
+            proposal = self._worked_out(proposal)
+        except GreenhouseError as error:
+            proposal = replace(proposal, state="failed", error=str(error))
+        except Exception as error:  # a bug here must not leave the desk thinking for ever
+            proposal = replace(proposal, state="failed", error=f"internal error: {error!r}")
+        with self._lock:
+            self._keep(proposal)
+            if proposal.state == "ready":
+                self._expire_later(proposal.id)
+        self._publish(proposal)
+
+    def _expire_later(self, id: str) -> None:
+        """Publish the expiry at its time, so that no subscriber shows an expired proposal as ready."""
+        if self._expiry is not None:
+            self._expiry.cancel()
+        self._expiry = threading.Timer(PROPOSAL_AGE_MAX_S + 1.0, self.answer, ({"do": "proposal", "id": id},))
+        self._expiry.daemon = True
+        self._expiry.start()
+
+    def _publish(self, proposal: Proposal) -> None:
+        for listener in self.listeners:
+            listener(proposal.as_json())
+
+    def _worked_out(self, proposal: Proposal) -> Proposal:
+        around = self._around
+        status = around.loop({"do": "status"})
+        if not status.get("tick"):
+            raise RequestError("ask: the rig has not made a tick yet")
+        assert around.model is not None
+        document = around.model(messages(proposal.words, self._now(status), around.settings))
+        heard = understood(document, proposal.id, proposal.words, around.utc(), around.settings.reference)
+        if heard.steering is None:
+            return replace(proposal, state="question", said=heard.question)
+        return replace(
+            proposal,
+            state="ready",
+            steering=heard.steering,
+            said=heard.text,
+            changes=tuple(describe(heard.steering, self._zone)),
+            effect=predicted(around.twin(), status, heard.steering, around.settings),
+        )
+
+    def _now(self, status: Json) -> Json:
+        """What the language model is told of the rig."""
+        tick, operation = status["tick"], status["operation"]
+        return {
+            "local_time_s_of_day": round(seconds_of_day(self._around.utc(), self._zone)),
+            "temp_air_c": tick["estimate"]["temp_air_c"],
+            "temp_ambient_c": tick["estimate"]["temp_ambient_c"],
+            "reference_c": tick["reference_c"],
+            "controller": operation["controller"],
+        }

@@ -1,0 +1,68 @@
+"""An open serial port that counts its bytes, so that a simulated board can run in lock-step with it."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import serial
+
+
+class PortGone(Exception):
+    """The port was unplugged, or never there; the text says what the system said."""
+
+
+class WirePort(Protocol):
+    """An open port; `edge.core.clock.Port` is what a clock needs of it."""
+
+    bytes_in: int
+    bytes_out: int
+
+    def fileno(self) -> int: ...
+    def read(self) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+OpenPort = Callable[[str, int], WirePort]  # path, baudrate; raises PortGone
+
+
+class SerialPort:
+    """pyserial without waiting: reads give what is there, writes hand over to the kernel's buffer."""
+
+    def __init__(self, path: str, baudrate: int) -> None:
+        """Open `path`. Errors: PortGone."""
+        self.path = path
+        self.bytes_in = 0
+        self.bytes_out = 0
+        try:
+            # exclusive: two daemons on one line would each believe the other's acknowledgements.
+            self._serial = serial.Serial(path, baudrate, timeout=0, write_timeout=0.5, exclusive=True)
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            raise PortGone(str(error)) from error
+
+    def fileno(self) -> int:
+        """Descriptor to wait on."""
+        return int(self._serial.fileno())
+
+    def read(self) -> bytes:
+        """All bytes that have arrived, maybe none. Errors: PortGone."""
+        try:
+            data = bytes(self._serial.read(4096))
+        except (OSError, TypeError) as error:  # TypeError: pyserial's answer to a port closed meanwhile
+            raise PortGone(str(error)) from error
+        self.bytes_in += len(data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Hand `data` to the kernel. Errors: PortGone, also when the line takes nothing for 0.5 s."""
+        try:
+            self._serial.write(data)
+        except OSError as error:
+            raise PortGone(str(error)) from error
+        self.bytes_out += len(data)
+
+    def close(self) -> None:
+        """Give the port back; a port that is gone is closed already."""
+        try:
+            self._serial.close()
+        except OSError:
+            return

@@ -1,0 +1,43 @@
+"""Events between two ticks, so few of each key that nothing outside can fill the history with them."""
+
+from collections import Counter
+from dataclasses import replace
+
+from edge.core.messages import Event, Severity
+
+_GRAVER = (Severity.INFO, Severity.WARNING, Severity.ALARM)
+
+
+class EventLog:
+    """Keeps the first events of each key whole; one event says how often the key came after these.
+
+    whole : events of a key that are kept before it is counted
+    """
+
+    def __init__(self, whole: int = 1) -> None:
+        self._whole = whole
+        self._events: list[Event] = []
+        self._counts: Counter[str] = Counter()
+        self._last: dict[str, Event] = {}  # of each key that came too often, with the gravest severity
+
+    def add(self, *events: Event) -> None:
+        """Take events in the order in which they happened."""
+        for event in events:
+            self._counts[event.key] += 1
+            if self._counts[event.key] <= self._whole:
+                self._events.append(event)
+            else:
+                before = self._last.get(event.key, event)
+                gravest = max(event.severity, before.severity, key=_GRAVER.index)
+                self._last[event.key] = replace(event, severity=gravest)
+
+    def take(self) -> list[Event]:
+        """The events since the last call."""
+        summaries = [self._summary(event) for event in self._last.values()]
+        events = [*self._events, *summaries]
+        self._events, self._counts, self._last = [], Counter(), {}
+        return events
+
+    def _summary(self, last: Event) -> Event:
+        more = self._counts[last.key] - self._whole
+        return last if more == 1 else replace(last, text=f"{more} more times, the last one: {last.text}")

@@ -1,0 +1,11 @@
+"""Processes of this software that the daemon starts."""
+
+import os
+import sys
+from pathlib import Path
+
+
+def environment() -> dict[str, str]:
+    """This process's environment, in which `python -m edge...` finds the same software and packages."""
+    root = Path(__file__).parents[2]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path[1:]])}

@@ -1,0 +1,122 @@
+"""The twin file that a diagnosis hands on: the effects it names, and where they come from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from edge.core.version import __version__
+from edge.twin.effects.library import EFFECTS, check_names
+from edge.twin.twin_file import Place, TwinFile
+from edge.twin.value import Value
+
+DIGITS = 6  # of a value: the intervals are wider by far
+
+
+@dataclass(frozen=True, slots=True)
+class Added:
+    """An effect that is added.
+
+    parameters : by name, each with its 95 % interval where it has one
+    alternatives : effects that the data can't tell from it
+    log_odds : against the best model without it [nat]
+    """
+
+    name: str
+    parameters: Mapping[str, Value]
+    alternatives: Sequence[str] = ()
+    log_odds: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where a twin comes from.
+
+    data_sha256 : of the runs that it was fitted on
+    before, after : errors of free runs, `{"train": {"rmse_k": 0.4, "mae_k": 0.3}, "test": ...}`, without and
+        with what is added; what is not known is left out
+    created_utc : 2026-07-01T12:00:00Z
+    """
+
+    data_sha256: str
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
+    created_utc: str
+    command: str = "greenhouse twin diagnose"
+    further: Mapping[str, Any] = field(default_factory=dict)
+
+
+def twin_after(
+    file: TwinFile,
+    added: Sequence[Added],
+    origin: Origin,
+    refitted: Mapping[Place, Value] | None = None,
+) -> TwinFile:
+    """`file` with the effects added, most important first, and a provenance that says why.
+
+    refitted : values of `file` that the data have moved, with their intervals
+    Returns : a file whose values are all known, as `edge.models.pbm.read_twin` needs
+    Errors : DataError for an effect or a parameter that the library has not, or a value outside its bounds
+    """
+    for effect in added:
+        check_names(effect.name, effect.parameters)
+    changed = {place: _plain(value) for place, value in (refitted or {}).items()}
+    effects = {name: dict(own) for name, own in file.effects.items()}
+    for effect in added:
+        effects[effect.name] = {
+            item.name: _plain(effect.parameters[item.name]) for item in EFFECTS[effect.name].parameters
+        }
+    result = replace(file, effects=effects, provenance=_provenance(file, added, origin)).with_values(changed)
+    result.twin()  # values that no twin can have are refused here, not on the rig
+    return result
+
+
+def _provenance(file: TwinFile, added: Sequence[Added], origin: Origin) -> dict[str, Any]:
+    return {
+        "added": {
+            effect.name: {
+                **{name: _plain(value).document() for name, value in effect.parameters.items()},
+                "alternatives": list(effect.alternatives),
+                "log_odds": None if effect.log_odds is None else _rounded(effect.log_odds),
+            }
+            for effect in added
+        },
+        "data_sha256": origin.data_sha256,
+        "before": _numbers(origin.before),
+        "after": _numbers(origin.after),
+        "twin_before_sha256": file.twin().sha256,
+        "software": f"greenhouse-twin {__version__}",
+        "created_utc": origin.created_utc,
+        "command": origin.command,
+        **_numbers(origin.further),
+    }
+
+
+def _plain(value: Value) -> Value:
+    """Numbers that YAML knows, of a length that a person reads; inside their interval still."""
+    low, high = (None if bound is None else _rounded(bound) for bound in (value.low, value.high))
+    middle = _rounded(value.value)
+    if low is not None and high is not None:
+        middle = min(max(middle, low), high)
+    return replace(
+        value,
+        value=middle,
+        rel_sd=None if value.rel_sd is None else float(value.rel_sd),
+        low=low,
+        high=high,
+        fit=False,
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{float(value):.{DIGITS}g}")
+
+
+def _numbers(document: Any) -> Any:
+    """The same with plain numbers in place of NumPy's."""
+    if isinstance(document, Mapping):
+        return {str(key): _numbers(item) for key, item in document.items()}
+    if isinstance(document, list | tuple):
+        return [_numbers(item) for item in document]
+    if isinstance(document, bool | str | int) or document is None:
+        return document
+    return _rounded(document)

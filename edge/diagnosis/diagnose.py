@@ -1,0 +1,259 @@
+"""The whole workflow: locate, name, tell rivals apart, add and show."""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.adopted_twin import Added, Origin, twin_after
+from edge.diagnosis.baselines import ONE_MASS, arx_errors
+from edge.diagnosis.formulas import formulas
+from edge.diagnosis.gap import Forecast, alone, errors, floor_squares, forecast
+from edge.diagnosis.given import Given, errors_over, given, with_rooms
+from edge.diagnosis.handed import OPEN, against_adopting
+from edge.diagnosis.innovations import NoiseLevels
+from edge.diagnosis.judged import Judged, judged
+from edge.diagnosis.progress import Progress, Stage
+from edge.diagnosis.runs import DiagnosisRuns, NamedRun
+from edge.diagnosis.search import Search
+from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.verdict import Verdict, interval, intervals, verdict
+from edge.twin.effects.library import EFFECTS
+from edge.twin.twin_file import Place, TwinFile
+from edge.twin.value import Value
+
+Floats = NDArray[np.float64]
+# Shares of the time, and steps, as cases of bench/foreign took them.
+SEARCHED, JUDGED = (0.05, 0.3, 10.0), (0.3, 0.95, 3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """A twin, its noise, and its free runs over the training and the test runs."""
+
+    file: TwinFile
+    levels: NoiseLevels
+    train: tuple[Forecast, ...]
+    test: tuple[Forecast, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """All that was found, before it is written.
+
+    steps : the gap's waterfall, the effects of each and its twin, the first as given
+    against_adopting : why the twin that was found should not be adopted, sentences
+    test_k : errors of free runs over the test runs, `before`, `after` and of each baseline; empty without any
+    """
+
+    data: DiagnosisRuns
+    known: Given
+    search: Search
+    judged: Judged
+    before: Side
+    after: Side
+    steps: tuple[tuple[tuple[str, ...], Side], ...]
+    floor_k: tuple[float | None, float | None]
+    adopted: TwinFile
+    against_adopting: tuple[str, ...]
+    test_k: Mapping[str, float]
+    seconds: float
+
+    @property
+    def is_offered(self) -> bool:
+        """Whether there is a new twin that is worth adopting."""
+        return bool(self.judged.handed.added) and not self.against_adopting
+
+    @property
+    def verdict(self) -> Verdict:
+        """The names that stand."""
+        return self.judged.verdict
+
+
+def diagnose(
+    file: TwinFile, data: DiagnosisRuns, progress: Progress, command: str, jobs: int = 1
+) -> Diagnosis:
+    """From a twin and runs to what it lacks.
+
+    jobs : processes, which change the time and not the answer
+    Errors : DataError for runs that the twin can't be fitted to
+    """
+    begun = time.monotonic()
+    progress("reading the runs, looking for doors and wrong readings", 0.0)
+    prepared = given(file, data)
+    with SideBySide(jobs, prepared.runs.temp.size) as shared:
+        return _diagnosis(prepared, data, progress, command, shared, begun)
+
+
+def _diagnosis(
+    prepared: Given,
+    data: DiagnosisRuns,
+    progress: Progress,
+    command: str,
+    shared: SideBySide,
+    begun: float,
+) -> Diagnosis:
+    shapes = formulas(
+        prepared.runs,
+        prepared.expected,
+        prepared.file.sample_s,
+        prepared.file.geometry["heater_max_w"].value,
+    )
+    terms = {name: term for name, (_, term) in shapes.items()}
+    search = Search(
+        prepared.file,
+        prepared.runs,
+        Stage(progress, *SEARCHED),
+        prepared.terms,
+        terms,
+        len(prepared.doors),
+        shared=shared,
+    )
+    text_shapes = {name: shape for name, (shape, _) in shapes.items()}
+    found = verdict(search, text_shapes)
+    judging = Stage(progress, *JUDGED)
+    result = judged(search, found, prepared, text_shapes, shared, judging, data.test)
+    progress("free runs before and after", JUDGED[1])
+    known = with_rooms(prepared, found.final.fitted.sizes)
+    steps = tuple(_steps(search, result, prepared, data))
+    before, after = steps[0][1], steps[-1][1]
+    train = known.as_fitted()
+    floor = (_floor_k(after, train, after.train, known), _floor_k(after, data.test, after.test, known))
+    origin = Origin(
+        data.data_sha256,
+        {"train": _rounded(errors(before.train)), "test": _rounded(errors(before.test))},
+        {"train": _rounded(errors(after.train)), "test": _rounded(errors(after.test))},
+        datetime.now(UTC).isoformat(timespec="seconds"),
+        command,
+    )
+    test_k = _test_k(result, prepared, data, before, after)
+    return Diagnosis(
+        data,
+        known,
+        search,
+        result,
+        before,
+        after,
+        steps,
+        floor,
+        _adopted(prepared.file, result, origin),
+        against_adopting(
+            result.comparison.tried[frozenset()], result.handed, result.comparison.simple_k, test_k
+        ),
+        test_k,
+        time.monotonic() - begun,
+    )
+
+
+def _steps(
+    search: Search, result: Judged, prepared: Given, data: DiagnosisRuns
+) -> Iterator[tuple[tuple[str, ...], Side]]:
+    """One effect after another, names first, each twin with the values that predict."""
+    names = [item.name for item in result.verdict.effects]
+    sets = [(tuple(names[:count]), frozenset(names[:count])) for count in range(len(names) + 1)]
+    if result.handed.added != sets[-1][1]:
+        sets.append(((*names, *result.provisional), result.handed.added))
+    beside = search.sets.base()
+    for added, key in sets:
+        item = result.comparison.tried[key].fitted
+        wanted = key - {OPEN}
+        beside = search.sets.fitted({wanted: search.sets.as_usual(beside, wanted)})[0]
+        own = with_rooms(prepared, item.sizes)
+        yield added, _side(_settled(item.file, added), beside.fitted.trial.levels, data, own)
+
+
+def _test_k(
+    result: Judged, prepared: Given, data: DiagnosisRuns, before: Side, after: Side
+) -> dict[str, float]:
+    """Errors over the test runs of the twin before and after and of each baseline; none without test runs."""
+    found = {"before": _errors(before.test), "after": _errors(after.test)}
+    for name, item in result.comparison.simple.items():
+        found[name] = [errors_over(data.test, item.fitted, prepared)]
+    rooms = with_rooms(prepared, result.comparison.simple[ONE_MASS].fitted.sizes)
+    for name, arx in result.comparison.arx.items():
+        found[name] = [
+            _arx_errors(arx.weights, run, guess, rooms.room_of(run))
+            for run, guess in zip(data.test, before.test, strict=True)
+        ]
+    missed = {name: np.concatenate([np.empty(0), *errors]) for name, errors in found.items()}
+    known = {name: errors[~np.isnan(errors)] for name, errors in missed.items()}
+    return {name: float(np.sqrt(np.mean(errors**2))) for name, errors in known.items() if len(errors)}
+
+
+def _errors(free: Sequence[Forecast]) -> list[Floats]:
+    return [item.residual for item in free]
+
+
+def _arx_errors(weights: Floats | None, run: NamedRun, guess: Forecast, room_c: Floats) -> Floats:
+    """From the row on that a twin begins from."""
+    arrays = alone(run, guess, room_c)
+    seen = np.zeros(arrays.duty.shape, dtype=bool)
+    seen[:, : guess.start] = True
+    missed = arx_errors(weights, arrays, seen)[0, guess.start :]
+    return np.where(np.isfinite(guess.measured[guess.start + 1 :]), missed, np.nan)
+
+
+def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: Given) -> Side:
+    twin = file.twin()
+
+    def of(named: NamedRun) -> Forecast:
+        return forecast(twin, named, known.room_of(named))
+
+    train, test = known.as_fitted(), data.test
+    return Side(file, levels, tuple(of(item) for item in train), tuple(of(item) for item in test))
+
+
+def _floor_k(
+    side: Side, runs: tuple[NamedRun, ...], free: tuple[Forecast, ...], known: Given
+) -> float | None:
+    """What a right twin's free runs would miss by, over the rows behind their starts."""
+    twin, squares = side.file.twin(), []
+    for named, guess in zip(runs, free, strict=True):
+        seen = np.isfinite(guess.measured)
+        seen[: guess.start + 1] = False
+        if seen.any():
+            single = alone(named, guess, known.room_of(named))
+            squares.append(floor_squares(twin, side.levels, single, seen))
+    if not squares:
+        return None
+    floor_k = float(np.sqrt(np.mean(np.concatenate(squares))))
+    # Heat that noise was taken for may be more than what is left: no twin is below its floor.
+    found = errors(free)
+    return min(floor_k, found["rmse_k"]) if found else floor_k
+
+
+def _settled(fitted: TwinFile, names: Sequence[str]) -> TwinFile:
+    """The twin with values that are known, without what its effects replace."""
+    plain = fitted.with_values({place: Value(value.value) for place, value in fitted.values().items()})
+    gone = _replaced(names)
+    return replace(plain, effects={name: own for name, own in plain.effects.items() if name not in gone})
+
+
+def _replaced(names: Iterable[str]) -> set[str]:
+    return {EFFECTS[name].replaces for name in names} - {""}
+
+
+def _adopted(file: TwinFile, result: Judged, origin: Origin) -> TwinFile:
+    """The twin file to adopt: effects with intervals, and what the runs say of the values that were open."""
+    fitted, names = result.handed.fitted, result.handed.added - {OPEN}
+    gone = _replaced(names)
+    kept = replace(file, effects={name: own for name, own in file.effects.items() if name not in gone})
+    refitted: dict[Place, Value] = {}
+    for i, unknown in enumerate(fitted.free):
+        if unknown.place in kept.values():
+            refitted[unknown.place] = interval(
+                unknown, float(fitted.coordinates[i]), float(fitted.covariance[i, i])
+            )
+    added = [
+        Added(effect.name, effect.parameters, tuple(effect.alternatives), effect.log_odds)
+        for effect in result.verdict.effects
+    ]
+    added += [Added(name, intervals(fitted, name)[0]) for name in result.provisional]
+    return twin_after(kept, added, origin, refitted)
+
+
+def _rounded(found: dict[str, object] | None) -> dict[str, object] | None:
+    return None if found is None else {key: found[key] for key in ("rmse_k", "mae_k")}

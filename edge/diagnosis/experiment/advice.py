@@ -1,0 +1,74 @@
+"""What a person can do beside heater and fan: calibrate a value, let the room's temperature swing."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.experiment.improve import Evaluated
+from edge.diagnosis.experiment.separation import Separation
+from edge.diagnosis.search import RIVAL_NATS
+from edge.twin.twin_file import Place
+
+Floats = NDArray[np.float64]
+SWING_K = 3.0
+WORTH_NATS = 3.0  # that a person's trouble must bring
+SETTLED_NATS = 10.0  # log odds that leave no question
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A value that is known to some percent, calibrated first.
+
+    alone : expected log odds of the pair that is hardest to tell by the runs so far and this value [nat]
+    with_experiment : after the experiment; None where there is none
+    """
+
+    place: Place
+    alone: float
+    with_experiment: float | None
+
+    @property
+    def name(self) -> str:
+        """As the twin file has it: `fan_effectiveness.eps_f`, `geometry.heater_max_w`."""
+        return ".".join(self.place[1:] if self.place[0] == "effects" else self.place)
+
+
+def calibrate_first(
+    found: Separation, pairs: NDArray[np.bool_], chosen: Evaluated | None, expected: float
+) -> Calibration | None:
+    """The value whose calibration brings most, if more is needed and it brings what is worth the trouble.
+
+    pairs : those that the advice is for; expected : log odds without a calibration
+    """
+    if expected >= SETTLED_NATS:
+        return None
+    best = None
+    for place in _uncertain(found):
+        alone = float(found.by_calibration(place)[pairs].min())
+        if best is None or alone > best.alone:
+            both = None
+            if chosen is not None:
+                both = float(found.log_odds(chosen.cool.inputs, exact=place)[pairs].min())
+            best = Calibration(place, alone, both)
+    if best is None or max(best.alone, best.with_experiment or 0.0) < expected + WORTH_NATS:
+        return None
+    return best
+
+
+def _uncertain(found: Separation) -> list[Place]:
+    """Values that are known to some percent, and that all models share."""
+    values = found.models[0].file.values()
+    shared = set.intersection(*({item.place for item in model.free} for model in found.models))
+    return sorted(place for place in shared if values[place].rel_sd is not None)
+
+
+def swung(found: Separation, tried: Evaluated, pairs: NDArray[np.bool_]) -> float | None:
+    """Expected log odds if the room warms by 3 K in the course of it; None where that brings too little.
+
+    pairs : those that are hard to tell without
+    """
+    around = replace(found.around, swing_k=SWING_K)
+    still = tried.log_odds[pairs].min(axis=0).max()
+    moved = float(replace(found, around=around).log_odds(tried.cool.inputs)[pairs].min(axis=0).max())
+    return moved if moved >= max(RIVAL_NATS, 2.0 * still) else None

@@ -1,0 +1,163 @@
+"""The next experiment: what separates the rivals of a diagnosis best within the limits of safety."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.diagnose import Diagnosis
+from edge.diagnosis.experiment.advice import calibrate_first, swung
+from edge.diagnosis.experiment.experiment import Experiment, ProfileRow, Sides
+from edge.diagnosis.experiment.families import candidates
+from edge.diagnosis.experiment.improve import SAME_NATS, Evaluated, cool, evaluated, improved
+from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.experiment.rivals import Pair, Rivals, open_rivals
+from edge.diagnosis.experiment.separation import Separation, separation
+from edge.diagnosis.experiment.sequence import Inputs
+from edge.diagnosis.experiment.surroundings import surroundings
+from edge.diagnosis.search import RIVAL_NATS
+
+LIKELY = 0.05  # share from which on an effect may well be the true one
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def next_experiment(found: Diagnosis, limits: ExperimentLimits) -> Experiment | None:
+    """Of the effects that were named and their rivals; None where none is near."""
+    rivals = open_rivals(found)
+    if rivals is None:
+        return None
+    around = surroundings(found.known.runs, found.known.guessed)
+    plan = separation(rivals, around, limits.row_s(found.known.file.sample_s))
+    return designed(plan, limits)
+
+
+def designed(plan: Separation, limits: ExperimentLimits) -> Experiment:
+    """The experiment that is worth most; one without a profile where none tells anything."""
+    passed = cool(plan, candidates(limits, plan.row_s, _lit(plan)), limits)
+    pairs = plan.rivals.pairs
+    if passed is None:
+        return Experiment(weak=_unordered(pairs, np.ones(len(pairs), dtype=bool)))
+    every = evaluated(plan, passed.strongest())
+    most = every.log_odds.max(axis=1)
+    told = most >= (RIVAL_NATS if (most >= RIVAL_NATS).any() else SAME_NATS)
+    same = _same(pairs, most)
+    if not told.any():
+        return _without_profile(plan, every, same)
+    weights = np.where(told, [pair.weight for pair in pairs], 0.0)
+    weights /= weights.sum()
+    chosen = improved(plan, every.best(weights), weights, limits)
+    return _experiment(plan, chosen, told, same)
+
+
+def _lit(plan: Separation) -> bool:
+    """Whether the light acts by any model, and was recorded."""
+    needs = {column for model in plan.models for column in model.file.twin().needs}
+    return "light" in needs & set(plan.around.columns)
+
+
+def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> Experiment:
+    pairs, log_odds = plan.rivals.pairs, chosen.log_odds[:, 0]
+    settled = _both_ways(pairs, log_odds >= RIVAL_NATS)
+    apart = _likely(pairs, told & settled)
+    if not apart.any():
+        apart = _likely(pairs, told)
+    expected = float(log_odds[apart].min())
+    hard = ~told & ~same
+    return Experiment(
+        profile=_profile(chosen.cool.inputs, _lit(plan)),
+        kind=chosen.cool.candidates[0].what,
+        separates=_sides(pairs, apart, ~settled & ~_either_way(pairs, apart)),
+        expected_log_odds=expected,
+        largest_temp_air_c=float(chosen.cool.highest_c[0]),
+        between={
+            f"{pair.true_name} over {pair.other_name}": float(value)
+            for pair, value in zip(pairs, log_odds, strict=True)
+        },
+        inseparable=_groups(plan.rivals, same),
+        weak=_unordered(pairs, _likely(pairs, ~settled & ~same)),
+        calibration=calibrate_first(plan, apart, chosen, expected),
+        swing_log_odds=swung(plan, chosen, hard) if hard.any() else None,
+    )
+
+
+def _without_profile(plan: Separation, every: Evaluated, same: Mask) -> Experiment:
+    """For models that say the same whatever heater and fan do."""
+    return Experiment(
+        inseparable=_groups(plan.rivals, same),
+        calibration=calibrate_first(plan, same, None, 0.0),
+        swing_log_odds=swung(plan, every, same),
+    )
+
+
+def _likely(pairs: tuple[Pair, ...], which: Mask) -> Mask:
+    """Of these pairs those in which both may well be the true one, if there are such."""
+    shares = {pair.true: pair.share for pair in pairs}
+    both = np.array([min(pair.share, shares[pair.other]) >= LIKELY for pair in pairs])
+    return which & both if (which & both).any() else which
+
+
+def _profile(inputs: Inputs, lit: bool) -> tuple[ProfileRow, ...]:
+    """A row where an input changes, and one at the end."""
+    rows = int(inputs.within[0].sum())
+    columns = np.stack([inputs.wanted[0, :rows], inputs.fan[0, :rows], inputs.light[0, :rows]])
+    changed = np.flatnonzero(np.any(np.diff(columns, axis=1, prepend=-1.0) != 0.0, axis=0))
+    found = [
+        ProfileRow(
+            float(k * inputs.row_s),
+            float(columns[0, k]),
+            float(columns[1, k]),
+            float(columns[2, k]) if lit else None,
+        )
+        for k in changed
+    ]
+    return (*found, ProfileRow(rows * inputs.row_s, 0.0, 0.0, 0.0 if lit else None))
+
+
+def _either_way(pairs: tuple[Pair, ...], holds: Mask) -> Mask:
+    """Whether it holds for a pair, or with the two exchanged."""
+    known = {frozenset((pair.true, pair.other)) for pair, own in zip(pairs, holds, strict=True) if own}
+    return np.array([frozenset((pair.true, pair.other)) in known for pair in pairs])
+
+
+def _both_ways(pairs: tuple[Pair, ...], holds: Mask) -> Mask:
+    """Whether it holds for a pair whichever of the two is the true one."""
+    known = {(pair.true, pair.other) for pair, own in zip(pairs, holds, strict=True) if own}
+    return np.array([{(pair.true, pair.other), (pair.other, pair.true)} <= known for pair in pairs])
+
+
+def _same(pairs: tuple[Pair, ...], most: Floats) -> Mask:
+    """Pairs that no experiment tells anything of, whichever is the true one."""
+    return ~_either_way(pairs, most >= SAME_NATS)
+
+
+def _unordered(pairs: tuple[Pair, ...], which: Mask) -> tuple[tuple[str, str], ...]:
+    chosen = [pair for pair, own in zip(pairs, which, strict=True) if own and pair.true < pair.other]
+    return tuple((pair.true_name, pair.other_name) for pair in chosen)
+
+
+def _sides(pairs: tuple[Pair, ...], apart: Mask, unsaid: Mask) -> tuple[Sides, ...]:
+    """For each effect's place, who is told from whom; names together that are not told from one another."""
+    found = []
+    for place in dict.fromkeys(pair.place for pair in pairs):
+        here = [(pair, own) for pair, own in zip(pairs, apart, strict=True) if pair.place == place]
+        names = dict.fromkeys(name for pair, own in here if own for name in (pair.true_name, pair.other_name))
+        alike = {name: {name} for name in names}
+        for pair, own in zip(pairs, unsaid, strict=True):
+            if own and pair.place == place and {pair.true_name, pair.other_name} <= set(names):
+                alike[pair.true_name].add(pair.other_name)
+        sides = {frozenset(group): tuple(own for own in names if own in group) for group in alike.values()}
+        if len(sides) > 1:
+            found.append(tuple(sides.values()))
+    return tuple(found)
+
+
+def _groups(rivals: Rivals, same: Mask) -> tuple[tuple[str, ...], ...]:
+    """Effects that say the same, those together that are the same as one another."""
+    groups: list[list[str]] = []
+    for one, other in _unordered(rivals.pairs, same):
+        home = next((group for group in groups if one in group or other in group), None)
+        if home is None:
+            groups.append([one, other])
+        else:
+            home.extend(name for name in (one, other) if name not in home)
+    return tuple(tuple(group) for group in groups)

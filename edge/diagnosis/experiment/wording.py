@@ -1,0 +1,80 @@
+"""An experiment in sentences."""
+
+from edge.diagnosis.experiment.experiment import Experiment
+from edge.diagnosis.experiment.independent import calibration, checks
+from edge.diagnosis.report.number_text import duration, nats, odds
+from edge.diagnosis.report.wording import listed
+from edge.diagnosis.search import RIVAL_NATS
+
+
+def why(found: Experiment) -> str:
+    """What it is for, what it is expected to bring, and what it cannot."""
+    return " ".join([*_planned(found), *_same(found), *_weak(found), *_calibrated(found)])
+
+
+def asks(found: Experiment) -> list[str]:
+    """What a person does beside it."""
+    told = []
+    if found.profile:
+        told.append("Begin with the box at rest at the room's temperature, the door shut.")
+    if found.swing_log_odds is not None:
+        told.append(
+            "If you can, let the room warm by 3 K and cool again meanwhile (a window, its heating): "
+            f"what is hard to tell without would then have log odds of {nats(found.swing_log_odds)}."
+        )
+    return told
+
+
+def _planned(found: Experiment) -> list[str]:
+    if not found.profile or found.expected_log_odds is None:
+        return []
+    kind = found.kind[:1].upper() + found.kind[1:]
+    expected = f"expected log odds {nats(found.expected_log_odds)} ({odds(found.expected_log_odds)})"
+    if len(found.separates) > 1 or any(len(sides) > 2 for sides in found.separates):
+        expected += " between the two that are hardest to separate"
+    told = (
+        "separates"
+        if found.expected_log_odds >= RIVAL_NATS
+        else "is best to separate, though it tells little,"
+    )
+    sides = "; ".join(_apart([" or ".join(side) for side in sides]) for sides in found.separates)
+    return [f"{kind}, {duration(found.duration_s)}, {told} {sides}: {expected}."]
+
+
+def _apart(sides: list[str]) -> str:
+    return " from ".join(sides) if len(sides) == 2 else f"{listed(sides)} from one another"
+
+
+def _same(found: Experiment) -> list[str]:
+    return [
+        f"No experiment with heater and fan can tell {listed(group)} apart: they say the same. "
+        f"What would: {_either(checks(group))}."
+        for group in found.inseparable
+    ]
+
+
+def _weak(found: Experiment) -> list[str]:
+    if not found.weak:
+        return []
+    pairs = listed([f"{one} from {other}" for one, other in found.weak])
+    return [f"It can hardly tell {pairs}."]
+
+
+def _calibrated(found: Experiment) -> list[str]:
+    item = found.calibration
+    if item is None:
+        return []
+    how = calibration(item.place)
+    if item.alone >= RIVAL_NATS:
+        return [
+            f"Calibrating {item.name} first ({how}) would settle it by itself: "
+            f"expected log odds {nats(item.alone)} with that value exact."
+        ]
+    return [
+        f"Calibrating {item.name} first ({how}) would make the experiment tell more: "
+        f"expected log odds {nats(item.with_experiment)} with that value exact."
+    ]
+
+
+def _either(words: tuple[str, ...]) -> str:
+    return ", or ".join(words)

@@ -1,0 +1,135 @@
+"""How far a twin's free runs are from what was measured, run by run and together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
+from edge.diagnosis.runs import NamedRun
+from edge.diagnosis.trial import start_of, start_spread
+from edge.formats.run_file import Run, inside_names
+from edge.twin.ensemble import Response, responses
+from edge.twin.linear_steps import linear_steps
+from edge.twin.march import Commands
+from edge.twin.model import Twin
+from edge.twin.recorded import Recorded
+from edge.twin.warm_start import Past, held, state_now
+
+Floats = NDArray[np.float64]
+START_ROWS = 10  # of a run that may be known before the forecast begins
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast:
+    """A free run of a twin over one run.
+
+    start : the row that it begins from, the last measured one of the first rows
+    predicted : [rows] [°C], as measured up to `start`
+    """
+
+    name: str
+    start: int
+    measured: Floats
+    predicted: Floats
+
+    @property
+    def residual(self) -> Floats:
+        """Measured minus predicted behind the start, NaN where not measured."""
+        return (self.measured - self.predicted)[self.start + 1 :]
+
+
+def forecast(twin: Twin, named: NamedRun, room_c: Floats) -> Forecast:
+    """From the first measured rows of a run on, with the inputs that were recorded.
+
+    room_c : the room temperature over each row, [rows]
+    """
+    columns = columns_of(named.run, room_c)
+    temp = columns["temp_air"]
+    start = _start_row(temp, named)
+    known = {name: values for name, values in columns.items() if name != "temp_air"}
+    before = {name: values[: start + 1] for name, values in known.items()}
+    past = Past(
+        temp[: start + 1], before["temp_ambient"], before["heater_duty"], before["fan_on"], conditions=before
+    )
+    ahead = {name: values[None, start:-1] for name, values in known.items()}
+    predicted = twin.rollout(
+        state_now(twin, past),
+        ahead["heater_duty"],
+        ahead["fan_on"],
+        ahead["temp_ambient"],
+        conditions=ahead,
+        before=Commands(past.duty[:-1], past.fan[:-1]),
+    )[0]
+    return Forecast(named.name, start, temp, np.concatenate([held(temp[: start + 1]), predicted]))
+
+
+def columns_of(run: Run, room_c: Floats) -> dict[str, Floats]:
+    """A run's columns by their names inside, inputs and conditions without holes."""
+    columns = {name: np.asarray(values, dtype=np.float64) for name, values in inside_names(run).items()}
+    rows = len(run)
+    columns.setdefault("fan_on", np.zeros(rows))
+    columns["temp_ambient"] = room_c
+    return {name: values if name == "temp_air" else held(values) for name, values in columns.items()}
+
+
+def _start_row(temp: Floats, named: NamedRun) -> int:
+    """The last measured row before the part that a run judges by, or where it has no such part the last one
+    without a hole from the first measured one on, of the first rows."""
+    known = np.isfinite(temp)
+    if named.from_s is not None:
+        before = known & (named.run.columns["time_s"] < named.from_s)
+        if before.any():
+            return int(np.flatnonzero(before)[-1])
+    first = int(known.argmax())
+    row = first
+    while row + 1 < min(first + START_ROWS, len(temp) - 1) and known[row + 1]:
+        row += 1
+    return row
+
+
+def alone(named: NamedRun, guess: Forecast, room_c: Floats) -> Recorded:
+    """One run as arrays, missing temperatures as in its free run."""
+    columns = columns_of(named.run, room_c)
+    temp = np.where(np.isfinite(columns["temp_air"]), columns["temp_air"], guess.predicted)
+    inputs = {name: values[None, :-1] for name, values in columns.items() if name != "temp_air"}
+    return Recorded(temp[None], inputs["heater_duty"], inputs["fan_on"], inputs["temp_ambient"], inputs)
+
+
+def one_step(twin: Twin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
+    """The temperature of each row of one run from all measured before it [rows]; seen : [rows]."""
+    steps = linear_steps(twin, runs)
+    filters = gains([Filtered(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
+    shown = responses([Response(steps, start_of(twin, runs), steps.driven)])
+    error = runs.temp[None, :, 1:] - shown
+    white = whitened(filters, np.array([0]), error, everywhere=True)[0, 0]
+    return np.concatenate([runs.temp[0, :1], runs.temp[0, 1:] - white * filters.sd[:, 0, 0]])
+
+
+def floor_squares(twin: Twin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
+    """Variance of what a free run of the right twin misses by in each measured row of one run [K2].
+
+    Sensor and room noise, unknown heat and mains power, from a start that is known.
+    """
+    steps = linear_steps(twin, runs)
+    known = Filtered(steps, levels, np.zeros(len(steps.states)), twin.step_s)
+    filters = gains([known], np.zeros((1, runs.fan.shape[1]), dtype=bool))
+    return np.asarray(filters.sd[seen[1:], 0, 0] ** 2)
+
+
+def errors(forecasts: Sequence[Forecast]) -> dict[str, Any] | None:
+    """As `gap` has them; None without any measured row to compare with."""
+    every = [(item.name, item.residual[np.isfinite(item.residual)]) for item in forecasts]
+    every = [(name, residual) for name, residual in every if len(residual)]
+    if not every:
+        return None
+    return {
+        **_error(np.concatenate([residual for _, residual in every])),
+        "per_run": {name: _error(residual) for name, residual in every},
+    }
+
+
+def _error(residual: Floats) -> dict[str, float]:
+    return {"rmse_k": float(np.sqrt(np.mean(residual**2))), "mae_k": float(np.mean(np.abs(residual)))}

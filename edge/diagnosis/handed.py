@@ -1,0 +1,252 @@
+"""Twins judged by rows that no fit saw: which one is handed over, and whether it is worth adopting.
+
+Each set of effects has values by least squares over free runs. Of those that predict as well as the best the
+one with the fewest values is handed over (Breiman et al. 1984, Classification and Regression Trees, ch. 3).
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weights, simple_twins
+from edge.diagnosis.candidates import Names
+from edge.diagnosis.folds import block_sums, folds
+from edge.diagnosis.free_fit import fit_values, left_out_errors, rms_k, widened
+from edge.diagnosis.given import Given, errors_over
+from edge.diagnosis.possible import impossible
+from edge.diagnosis.progress import Telling
+from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.trial import Fitted
+from edge.diagnosis.unknowns import Unknown
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+
+Floats = NDArray[np.float64]
+MUCH_BETTER = 0.85  # times the error, for what has no name to be added to a twin
+OPEN = "~open values"  # among effects: what the file is uncertain of, as if nothing were known of it
+NO_WORSE = 1.02  # times the error of free runs without an effect
+CLEARLY = 2.0  # standard errors, where it must be no chance that one of several is better
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """A twin judged by rows that its fit did not see.
+
+    added : effects beside those given; errors : [B, N] of free runs over left-out rows [K], NaN where none
+    """
+
+    added: Names
+    fitted: Fitted
+    errors: Floats
+
+    @property
+    def rmse_k(self) -> float:
+        """Over all rows that were left out."""
+        return rmse(self.errors)
+
+    @property
+    def open_values(self) -> list[tuple[Unknown, float]]:
+        """What was fitted, and its coordinate, without values that another effect replaces."""
+        return list(zip(self.fitted.free, map(float, self.fitted.coordinates), strict=True))
+
+    @property
+    def at_bound(self) -> list[str]:
+        """Values that are as far as they can go."""
+        return [".".join(item.place) for item, x in self.open_values if item.is_at_bound(x)]
+
+    @property
+    def spreads(self) -> list[tuple[Unknown, float, float]]:
+        """What was fitted, its coordinate and the coordinate's sd."""
+        sds = np.sqrt(np.maximum(np.diag(self.fitted.covariance), 0.0))
+        return [(own, x, float(sd)) for (own, x), sd in zip(self.open_values, sds, strict=False)]
+
+
+class Arx(NamedTuple):
+    """weights : of all rows, None of too few; rmse_k : over left-out rows [K]"""
+
+    weights: Floats | None
+    rmse_k: float
+
+
+@dataclass(slots=True, eq=False)
+class Comparison:
+    """Sets of effects over the same left-out rows, each fitted once. noise_k : of a reading"""
+
+    known: Given
+    noise_k: float
+    shared: SideBySide
+    telling: Telling
+    tried: dict[Names, Predicted] = field(default_factory=dict)
+    simple: dict[str, Predicted] = field(default_factory=dict)
+    arx: dict[str, Arx] = field(default_factory=dict)
+
+    def add(self, files: Mapping[Names, TwinFile], below_k: float = np.inf) -> None:
+        """Judge sets that were not yet, those alone that miss by less over the rows that are fitted."""
+        new = {key: file for key, file in files.items() if key not in self.tried}
+        for size in sorted({len(key) for key in new}):
+            # One after another, as each begins near a smaller one.
+            self._add({key: file for key, file in new.items() if len(key) == size}, below_k)
+
+    def _add(self, new: Mapping[Names, TwinFile], below_k: float) -> None:
+        self.telling(f"free runs over left-out rows: {len(new)} twins")
+        fitted = self._fitted(new.values(), [self._near(key) for key in new])
+        kept = [
+            (key, item)
+            for key, item in zip(new, fitted, strict=True)
+            if below_k == np.inf or rms_k(item, self.known.runs) < below_k
+        ]
+        found = self._left_out([item for _, item in kept])
+        for (key, _), (item, errors) in zip(kept, found, strict=True):
+            self.tried[key] = Predicted(key, item, errors)
+
+    def add_simple(self) -> None:
+        """Judge the baselines."""
+        runs = self.known.runs
+        twins = simple_twins(self.known.file, runs)
+        self.telling("simple models")
+        judged = self._left_out(self._fitted(twins.values()))
+        for name, (fitted, errors) in zip(twins, judged, strict=True):
+            self.simple[name] = Predicted(frozenset(), fitted, errors)
+        seen = np.isfinite(runs.temp[:, 1:])
+        for order in ORDERS:
+            errors = np.full(runs.duty.shape, np.nan)
+            for fold in folds(runs):
+                weights = arx_weights(order, runs, seen & ~fold)
+                errors[fold] = arx_errors(weights, runs, seen & ~fold)[fold]
+            self.arx[f"ARX {order}"] = Arx(arx_weights(order, runs, seen), rmse(errors))
+
+    @property
+    def simple_k(self) -> dict[str, float]:
+        """Errors of the baselines over left-out rows [K]."""
+        twins = {name: item.rmse_k for name, item in self.simple.items()}
+        return twins | {name: item.rmse_k for name, item in self.arx.items()}
+
+    def choose(self, names: Names) -> Predicted:
+        """The simplest of those that predict as well as the best, among those with the names that stand.
+
+        What has no name is added only where it is clearly better.
+        """
+        named = self.tried[names]
+        least = NO_WORSE * self.from_start_k(named)
+        others = [
+            item
+            for key, item in self.tried.items()
+            if key == names
+            or (key > names and not self.is_impossible(item) and self.from_start_k(item) <= least)
+        ]
+        best = min(others, key=lambda item: item.rmse_k)
+        if not self.is_better(best, named, CLEARLY):
+            return named
+        near = [item for item in others if not self.is_better(best, item)]
+        return min(near, key=lambda item: (len(item.open_values), item.rmse_k))
+
+    def from_start_k(self, item: Predicted) -> float:
+        """Of free runs over the training runs from their first rows, hidden states at rest [K].
+
+        A body that may begin anywhere is a heat that no input makes: it helps where what was before is seen,
+        and misleads in a run of its own.
+        """
+        return rmse(errors_over(self.known.as_fitted(), item.fitted, self.known))
+
+    def is_impossible(self, item: Predicted) -> bool:
+        """Whether an effect that was added has a value that can't be in this box."""
+        runs, step_s = self.known.runs, self.known.file.sample_s
+        return any(impossible(name, item.fitted, runs, step_s) for name in item.added - {OPEN})
+
+    def is_better(self, item: Predicted, than: Predicted, errors: float = 1.0) -> bool:
+        """Whether free runs of one miss left-out rows by much less, and by so many standard errors."""
+        return item.rmse_k < MUCH_BETTER * than.rmse_k and self.behind(than, item) > errors
+
+    def is_better_throughout(self, item: Predicted, than: Predicted) -> bool:
+        """Whether it is clearly better, in all fifths of the runs but one, and at their ends."""
+        if not self.is_better(item, than, CLEARLY):
+            return False
+        parts = folds(self.known.runs)
+        less = [rmse(item.errors[part]) < rmse(than.errors[part]) for part in parts]
+        return less[-1] and sum(less) >= len(parts) - 1
+
+    def behind(self, item: Predicted, best: Predicted) -> float:
+        """By how many standard errors one misses more than another, blocks of time taken as independent.
+
+        By the logarithm of what each misses in a block: one that runs away in a single one decides nothing.
+        """
+        known = np.isfinite(item.errors) & np.isfinite(best.errors)
+        least = block_sums(np.where(known, self.noise_k**2, 0.0), self.known.runs)
+        own, less = (
+            block_sums(np.where(known, each.errors**2, 0.0), self.known.runs) for each in (item, best)
+        )
+        told = least > 0.0
+        off = np.log((own[told] + least[told]) / (less[told] + least[told]))
+        if len(off) < 2:
+            return 0.0
+        return float(off.mean()) / max(float(off.std(ddof=1)) / float(np.sqrt(len(off))), 1e-12)
+
+    def _near(self, names: Names) -> Fitted | None:
+        """The best twin that was judged with all of these effects but one."""
+        others = [item for key, item in self.tried.items() if key < names and len(names - key) == 1]
+        best = min(others, key=lambda item: item.rmse_k, default=None)
+        return None if best is None else best.fitted
+
+    def _fitted(self, files: Iterable[TwinFile], near: Sequence[Fitted | None] = ()) -> list[Fitted]:
+        rooms = [term for term in self.known.terms if term.of_room]
+        return fit_values(list(files), rooms, self.known.runs, self.noise_k, self.shared, near)
+
+    def _left_out(self, fitted: Sequence[Fitted]) -> list[tuple[Fitted, Floats]]:
+        """With wider intervals, and the errors."""
+        runs = self.known.runs
+        told = left_out_errors(fitted, folds(runs), runs, self.shared)
+        return [(widened(item, sds), errors) for item, (errors, sds) in zip(fitted, told, strict=True)]
+
+
+def opened(file: TwinFile) -> TwinFile:
+    """With uncertain values to be fitted, whatever the file says of them."""
+    return file.with_values(
+        {place: Value(value.value, fit=True) for place, value in file.values().items() if value.rel_sd}
+    )
+
+
+def rmse(errors: Floats) -> float:
+    """Of what is known, infinite where an error is [K]."""
+    known = errors[~np.isnan(errors)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def against_adopting(
+    given: Predicted,
+    handed: Predicted,
+    simple_k: Mapping[str, float],
+    test_k: Mapping[str, float],
+) -> tuple[str, ...]:
+    """Why a twin should not be adopted, sentences; none where it may.
+
+    simple_k : errors of the baselines over left-out rows
+    test_k : the same over test runs, where there are any, and those of the twin `before` and `after`
+    """
+    own_k = handed.rmse_k
+    said = []
+    if not own_k < given.rmse_k:
+        said.append(
+            f"over left-out rows its free runs miss by {own_k:.3g} K, those of the twin as given by "
+            f"{given.rmse_k:.3g} K"
+        )
+    if test_k and not test_k["after"] < test_k["before"]:
+        said.append(
+            f"over the test runs its free runs miss by {test_k['after']:.3g} K, before by "
+            f"{test_k['before']:.3g} K"
+        )
+    if test_k and not test_k["after"] <= test_k[ONE_MASS]:
+        said.append(
+            f"over the test runs a single mass misses by {test_k[ONE_MASS]:.3g} K, this twin by "
+            f"{test_k['after']:.3g} K"
+        )
+    if not own_k <= simple_k[ONE_MASS]:
+        said.append(
+            f"over left-out rows a single mass misses by {simple_k[ONE_MASS]:.3g} K, this twin by "
+            f"{own_k:.3g} K"
+        )
+    if handed.at_bound:
+        said.append(f"a value is as far as it can go: {', '.join(handed.at_bound)}")
+    return tuple(said)

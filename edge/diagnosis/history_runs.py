@@ -1,0 +1,100 @@
+"""Stretches of the rig's own history as training and test runs: the newest part judges."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge.core.errors import DataError
+from edge.diagnosis.pieces import pieces
+from edge.diagnosis.runs import PIECE_ROWS, DiagnosisRuns, diagnosis_runs
+from edge.formats.run_file import Run, cut
+from edge.twin.twin_file import TwinFile
+
+TEST_SHARE = 0.2
+
+
+def history_runs(
+    stretches: Sequence[Run],
+    twin: TwinFile,
+    test_share: float = TEST_SHARE,
+    source: str = "the history",
+    rows_max: int | None = None,
+) -> DiagnosisRuns:
+    """Stretches in the order of time, the last `test_share` of their rows as test runs.
+
+    rows_max : newest rows that are used, as memory and time grow with them; a note says from when on
+
+    A stretch of role test is never fitted on, wherever it lies. Runs are called history_1, history_2, ...; of
+    a stretch in which the room was not measured while others have it nothing is used.
+
+    Errors : DataError where nothing is left to fit on, also for a share that leaves nothing
+    """
+    if not 0.0 <= test_share < 1.0:
+        raise DataError(f"--test-share: {test_share:g} is not in 0..1, 1 left out")
+    parts = [piece for stretch in stretches for piece in pieces(stretch)]
+    usable = [part for part in parts if _measured(part) >= PIECE_ROWS]
+    chosen = _with_room(usable)
+    left_out = len(parts) - len(chosen)
+    if not chosen:
+        raise DataError(f"{source}: no stretch has {PIECE_ROWS} rows with a temperature")
+    every = sum(len(run) for run in chosen)
+    chosen = _newest(chosen, every if rows_max is None else rows_max)
+    notes = []
+    if (rows := sum(len(run) for run in chosen)) < every:
+        begun = f"from {chosen[0].facts['start_utc']} on" if "start_utc" in chosen[0].facts else "the newest"
+        notes.append(
+            f"{rows} of {every} rows of {source} are used, {begun}: more need more memory than is allowed"
+        )
+    train, test = _divide(chosen, test_share)
+    named = [(f"history_{i + 1}", run) for i, run in enumerate([*train, *test])]
+    if left_out:
+        notes.append(
+            f"{left_out} of {len(parts)} stretches of {source} are too short or lack the room temperature"
+        )
+    if not train:
+        raise DataError(f"{source}: only runs of role test, which are never fitted on")
+    return diagnosis_runs(named[: len(train)], named[len(train) :], twin, notes)
+
+
+def _newest(runs: Sequence[Run], rows_max: int) -> list[Run]:
+    """The newest rows of all runs together; the run in which the boundary lies is cut there."""
+    found: list[Run] = []
+    for run in reversed(runs):
+        rows = min(len(run), rows_max)
+        rows_max -= rows
+        if _measured_from(run, len(run) - rows) >= PIECE_ROWS:
+            found.insert(0, cut(run, len(run) - rows, len(run)))
+    return found
+
+
+def _with_room(runs: Sequence[Run]) -> list[Run]:
+    known = [run for run in runs if np.isfinite(run.columns.get("temp_ambient_c", np.nan)).any()]
+    return known or list(runs)
+
+
+def _divide(runs: Sequence[Run], test_share: float) -> tuple[list[Run], list[Run]]:
+    """Training and test; the run in which the boundary lies is cut there."""
+    free = [run for run in runs if not _is_test(run)]
+    left = sum(len(run) for run in free)
+    left -= round(test_share * left)
+    train, test = [], [run for run in runs if _is_test(run)]
+    for run in free:
+        rows = min(left, len(run))
+        left -= rows
+        if rows:
+            train.append(cut(run, 0, rows))
+        if _measured_from(run, rows) >= PIECE_ROWS:
+            test.append(cut(run, rows, len(run)))
+    return train, test
+
+
+def _is_test(run: Run) -> bool:
+    return run.facts.get("role", "").strip().lower() == "test"
+
+
+def _measured(run: Run) -> int:
+    return _measured_from(run, 0)
+
+
+def _measured_from(run: Run, row: int) -> int:
+    return int(np.isfinite(run.columns["temp_air_c"][row:]).sum())

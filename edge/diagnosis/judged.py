@@ -1,0 +1,314 @@
+"""From what the search found to what is said and handed over: by rows that no fit saw."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.candidates import Names, Scored
+from edge.diagnosis.formulas import Shape
+from edge.diagnosis.free_fit import APART_SDS, another, apart, rms_k
+from edge.diagnosis.given import Given, errors_over
+from edge.diagnosis.handed import NO_WORSE, OPEN, Comparison, Predicted, opened, rmse
+from edge.diagnosis.possible import impossible, none_at_all
+from edge.diagnosis.progress import Telling
+from edge.diagnosis.runs import NamedRun
+from edge.diagnosis.search import WORTH_A_LOOK, Search
+from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.standing import HALF, Standing, standing
+from edge.diagnosis.starts import with_usual
+from edge.diagnosis.trial import Fitted
+from edge.diagnosis.verdict import Named, Verdict, _95, intervals, read, unnamed
+from edge.twin.effects.unnamed import UNNAMED_EFFECTS
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+
+Floats = NDArray[np.float64]
+# What most boxes have more or less of: they stand for a name that fails, where they predict clearly better.
+USUAL = ("heater_lag", "soil_mass", "sensor_lag", "imperfect_mixing")
+# What may be added beside those where much is unexplained, so that a twin without a name predicts better.
+UNNAMED = ("constant_heat", "fan_heat", "natural_convection", *UNNAMED_EFFECTS, OPEN)
+MOST_UNNAMED = 2
+FIRST_FEW = 3  # of the search's last round, that are tried too
+LESS_SEEN = 0.97  # times the error over rows that were fitted, for left-out rows to be looked at
+LESS_UNNAMED = 0.7  # times the error, for a term that says nothing of its cause
+EXPLAINED = 2.0  # times a reading's noise: free runs that miss by less lack nothing that matters
+FAR_FROM_NOISE = 10.0  # here something is, whatever the likelihood took it for
+NEVER_MOVED = 0.1  # of a coordinate, that is the same still
+REFUTED_FROM = 1.1  # times the error over test runs without a name
+
+
+@dataclass(frozen=True, slots=True)
+class Doubtful:
+    """An effect that the search found and that does not stand."""
+
+    effect: Named
+    against: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """verdict : with the names that stand; handed : the twin to hand over, perhaps with more than names
+
+    other : the same twin with other values that do as well, None where there are none
+    """
+
+    verdict: Verdict
+    doubtful: tuple[Doubtful, ...]
+    standings: Mapping[str, Standing]
+    comparison: Comparison
+    handed: Predicted
+    other: Fitted | None
+
+    @property
+    def provisional(self) -> tuple[str, ...]:
+        """Effects of the twin that is handed over whose names do not stand."""
+        return tuple(sorted(self.handed.added - {item.name for item in self.verdict.effects} - {OPEN}))
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Other values that do as well, and values of the twin file that the runs contradict, sentences."""
+        told = [] if self.other is None else [_other_values(self.handed.fitted, self.other)]
+        if OPEN not in self.handed.added:
+            return tuple(told)
+        given = self.comparison.known.file.values()
+        told += [
+            f"{'.'.join(item.place)} is {item.value(x):.3g}, where the twin file says "
+            f"{given[item.place].value:.3g} and to {100.0 * (given[item.place].rel_sd or 0.0):.0f} %"
+            for item, x in self.handed.open_values
+            if item.place in given and given[item.place].rel_sd is not None
+            and abs(item.value(x) / given[item.place].value - 1.0) > _95 * (given[item.place].rel_sd or 0.0)
+        ]  # fmt: skip
+        return tuple(told)
+
+
+def judged(
+    search: Search,
+    found: Verdict,
+    known: Given,
+    shapes: Mapping[str, Shape],
+    shared: SideBySide,
+    telling: Telling,
+    tests: Sequence[NamedRun] = (),
+) -> Judged:
+    """Keep the names that stand, and choose the twin. tests : runs that are only judged by"""
+    comparison = Comparison(known, search.sets.base().fitted.trial.levels.sensor_k, shared, telling)
+    effects, doubtful = list(found.effects), list[Doubtful]()
+    every: dict[str, Standing] = {}
+    refused = set[str]()
+    while True:
+        comparison.add(_files(known.file, search, effects))
+        effects, exchanged = _exchanged(search, comparison, effects)
+        doubtful += exchanged
+        names = frozenset(effect.name for effect in effects)
+        whole = scored(search, names)
+        if not names and comparison.tried[names].rmse_k <= EXPLAINED * comparison.noise_k:
+            handed = comparison.tried[names]
+            break
+        if not names:
+            handed = _with_unnamed(search, comparison, comparison.choose(names))
+            if not (more := _thought_of(search, comparison, handed, names, refused)):
+                break
+            effects = list(read(search, scored(search, more)))
+            continue
+        without = {name: search.sets.without(whole, name) for name in names}
+        tries = len(search.candidates.names) + len(search.candidates.formulas)
+        comparison.add(_files(known.file, search, effects))
+        now = standing(whole, without, comparison, tries)
+        every |= now
+        against = {name: item.against for name, item in now.items() if item.against}
+        if not against:
+            handed = _with_unnamed(search, comparison, comparison.choose(names))
+            # With what else is in that twin a name may have become what it can't be.
+            for name in names:
+                said = impossible(name, handed.fitted, known.runs, known.file.sample_s)
+                said += none_at_all(name, handed.fitted)
+                said += _refuted(name, names, comparison, tests)
+                if said:
+                    against[name] = tuple(said)
+        if not against:
+            if not (more := _thought_of(search, comparison, handed, names, refused)):
+                break
+            effects = list(read(search, scored(search, names | more)))
+            continue
+        refused |= against.keys()
+        doubtful += [Doubtful(effect, against[effect.name]) for effect in effects if effect.name in against]
+        effects = [effect for effect in effects if effect.name not in against]
+    comparison.add_simple()
+    text = _said(search, found, tuple(effects), handed, shapes, comparison.noise_k)
+    other = another(handed.fitted, known.runs, comparison.noise_k, shared)
+    return Judged(text, tuple(doubtful), every, comparison, handed, other)
+
+
+def _other_values(found: Fitted, other: Fitted) -> str:
+    own, far = (item.file.values() for item in (found, other))
+    told = [
+        f"{'.'.join(item.place)} {far[item.place].value:.3g} in the place of {own[item.place].value:.3g}"
+        for item in apart(found, other)
+    ]
+    return f"Other values do as well: {', '.join(told)}"
+
+
+def scored(search: Search, names: Names) -> Scored:
+    """A set of names as the likelihood has it."""
+    base = search.sets.base()
+    return search.sets.fitted({names: search.sets.as_usual(base, names)})[0] if names else base
+
+
+def _exchanged(
+    search: Search, comparison: Comparison, effects: list[Named]
+) -> tuple[list[Named], list[Doubtful]]:
+    """With another name in the place of one, where free runs are clearly better with it."""
+    names = frozenset(effect.name for effect in effects)
+    if not names:
+        return effects, []
+    own = comparison.tried[names]
+    others = [
+        item
+        for key, item in comparison.tried.items()
+        if len(key) == len(names) == len(key & names) + 1
+        and key <= set(search.candidates.names)
+        and comparison.is_better(item, own)
+    ]
+    best = min(others, key=lambda item: item.rmse_k, default=None)
+    # Where the likelihood says the opposite, nothing is exchanged.
+    if (
+        best is None
+        or scored(search, best.added).likelihood < scored(search, names).likelihood - WORTH_A_LOOK
+    ):
+        return effects, []
+    (gone,) = names - best.added
+    (placed,) = best.added - names
+    why = (
+        f"free runs miss left-out rows by {own.rmse_k:.3g} K with it, by {best.rmse_k:.3g} K with {placed} "
+        "in its place"
+    )
+    left = [Doubtful(effect, (why,)) for effect in effects if effect.name == gone]
+    return list(read(search, scored(search, best.added))), left
+
+
+def _files(file: TwinFile, search: Search, effects: Iterable[Named]) -> dict[Names, TwinFile]:
+    """Sets to be compared: the names, fewer, more, and another one in the place of each."""
+    names = [effect.name for effect in effects]
+    keys = [frozenset(names[:count]) for count in range(len(names) + 1)]
+    keys += [frozenset(names) - {name} for name in names]
+    usual = [name for name in USUAL if name in search.candidates.names]
+    keys += [frozenset(names) | {other} for other in usual]
+    for effect in effects:
+        rivals = {*usual, *effect.alternatives} - set(names)
+        keys += [frozenset(names) - {effect.name} | {other} for other in rivals]
+    if not names and {"heater_lag", "soil_mass"} <= set(usual):
+        keys.append(frozenset({"heater_lag", "soil_mass"}))
+    return {key: _with(file, key) for key in keys}
+
+
+def _refuted(name: str, names: Names, comparison: Comparison, tests: Sequence[NamedRun]) -> list[str]:
+    """Test runs that are predicted worse with a name."""
+    both = [comparison.tried[names], comparison.tried[names - {name}]]
+    own, less = (rmse(_missed(tests, item.fitted, comparison.known)) for item in both)
+    if not own > REFUTED_FROM * less:
+        return []
+    return [f"free runs miss the test runs by {own:.3g} K with it, by {less:.3g} K without"]
+
+
+def _missed(tests: Sequence[NamedRun], fitted: Fitted, known: Given) -> Floats:
+    """Errors over test runs, without their means where no room was recorded: that may be anything there."""
+    every = [errors_over([test], fitted, known) for test in tests]
+    if known.guessed:
+        every = [item - np.nanmean(item) if np.isfinite(item).any() else item for item in every]
+    return np.concatenate([np.empty(0), *every])
+
+
+def _thought_of(
+    search: Search, comparison: Comparison, handed: Predicted, names: Names, refused: set[str]
+) -> Names:
+    """Effects that the search did not name and that take away most of what free runs missed by."""
+    more = handed.added & set(search.candidates.names) - names - refused
+    refused |= more  # each is thought of once
+    less = comparison.tried[names].rmse_k
+    return frozenset(more) if more and handed.rmse_k < HALF * less else frozenset()
+
+
+def _with_unnamed(search: Search, comparison: Comparison, handed: Predicted) -> Predicted:
+    """With what makes free runs clearly better over left-out rows, whatever it stands for."""
+    file, runs = search.file, comparison.known.runs
+    last = search.rounds[-1].tried[:FIRST_FEW] if search.rounds else ()
+    also = [item.name for item in last if item.name in search.candidates.names]
+    usual = [name for name in USUAL if name in search.candidates.names]
+    possible = [name for name in dict.fromkeys((*usual, *also, *UNNAMED)) if name not in file.effects]
+    if not runs.fan.any() or np.ptp(runs.fan) == 0.0:
+        possible.remove("fan_heat")
+    if not any(value.rel_sd for value in file.values().values()):
+        possible.remove(OPEN)
+    middle_c = float(np.nanmedian(runs.temp))
+    for _ in range(MOST_UNNAMED):
+        if handed.rmse_k <= EXPLAINED * comparison.noise_k:
+            break
+        wanted = [handed.added | {name} for name in possible if name not in handed.added]
+        most_k = LESS_SEEN * rms_k(handed.fitted, runs)
+        comparison.add({key: _with(file, key, middle_c) for key in wanted}, most_k)
+        found = [comparison.tried[key] for key in wanted if key in comparison.tried]
+        least = comparison.from_start_k(handed)
+        best = min(
+            (
+                item
+                for item in found
+                if not item.at_bound
+                and not _is_moved(handed, item)
+                and not comparison.is_impossible(item)
+                and comparison.from_start_k(item) <= NO_WORSE * least
+            ),
+            key=lambda item: item.rmse_k,
+            default=handed,
+        )
+        less = LESS_UNNAMED if best.added & UNNAMED_EFFECTS.keys() - handed.added else 1.0
+        if not comparison.is_better_throughout(best, handed) or best.rmse_k > less * handed.rmse_k:
+            break
+        handed = best
+    return handed
+
+
+def _is_moved(handed: Predicted, item: Predicted) -> bool:
+    """Whether an effect is something else beside what was added: that then stands for it."""
+    there = {own.place: (x, sd) for own, x, sd in item.spreads}
+    for own, x, sd in handed.spreads:
+        is_added = own.place[0] == "effects" and own.place[1] in handed.added
+        other, other_sd = there.get(own.place, (x, sd))  # gone where another effect replaces it
+        if is_added and abs(other - x) > max(APART_SDS * np.hypot(sd, other_sd), NEVER_MOVED):
+            return True
+    return False
+
+
+def _with(file: TwinFile, names: Names, middle_c: float = 0.0) -> TwinFile:
+    """middle_c : of the air, about which a heat without a name may turn"""
+    for name in sorted(names - {OPEN}):
+        file = with_usual(file, name)
+        if "T_x" in file.effects[name]:
+            file = file.with_values({("effects", name, "T_x"): Value(middle_c, fit=True)})
+    return opened(file) if OPEN in names else file
+
+
+def _said(
+    search: Search,
+    found: Verdict,
+    effects: tuple[Named, ...],
+    handed: Predicted,
+    shapes: Mapping[str, Shape],
+    noise_k: float,
+) -> Verdict:
+    """The verdict with the names that stand and the values that are handed over."""
+    valued = tuple(_valued(effect, handed) for effect in effects)
+    if valued:
+        return replace(found, kind="named", effects=valued, depends_on=())
+    if handed.rmse_k <= EXPLAINED * noise_k and not handed.added - {OPEN}:
+        return replace(found, kind="nothing_missing", effects=(), depends_on=(), formula=())
+    too_far = handed.rmse_k > FAR_FROM_NOISE * noise_k
+    if found.effects or (found.kind == "nothing_missing" and (handed.added - {OPEN} or too_far)):
+        return unnamed(search, shapes)
+    return found
+
+
+def _valued(effect: Named, handed: Predicted) -> Named:
+    values, bound = intervals(handed.fitted, effect.name)
+    return replace(effect, parameters=values, at_bound=bound)

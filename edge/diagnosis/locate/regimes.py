@@ -1,0 +1,162 @@
+"""Regimes in which the twin disagrees, by their share of the squared error beyond their share of the rows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.locate.conditions import Condition, conditions
+from edge.diagnosis.locate.residuals import Residuals
+from edge.diagnosis.locate.rows import Rows, rows_of
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+BLOCK_S = 1800.0  # errors further apart go their own ways
+FEWEST_BLOCKS = 5  # with rows of the regime, and
+FEWEST_ROWS = 15  # rows: fewer are not believed
+DRAWS = 400  # of the bootstrap
+SURE_SDS = 3.3  # one-sided 0.0005, for a few hundred regimes tried
+PAIRED = 16  # best single conditions of which pairs are made
+SIMPLER = 0.93  # what a pair's score counts beside a single condition's
+ALIKE = 0.8  # share of the smaller one's error that two regimes have in common: one of them is enough
+MOST = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regime:
+    """Where the twin disagrees.
+
+    where : in words
+    share_of_squared_error : of the free runs, 0..1, with its 95 % interval; share_of_rows : 0..1
+    rmse_k : of the free run there
+    heat_w, heat_w_se : mean residual heat and its standard error, below 0 where the twin gains too much [W]
+    masks : the rows of each run, [N] each
+    """
+
+    where: str
+    share_of_squared_error: float
+    share_low: float
+    share_high: float
+    share_of_rows: float
+    rows: int
+    rmse_k: float
+    heat_w: float
+    heat_w_se: float
+    masks: tuple[Mask, ...]
+
+
+def regimes(runs: Sequence[Residuals]) -> list[Regime]:
+    """The regimes that surely have more of the squared error than of the rows, the most telling first.
+
+    Confidence by a block bootstrap (Künsch 1989, Annals of Statistics 17). [] where the error is spread
+    evenly, or the rows are too few to tell.
+    """
+    rows = rows_of(runs) if runs else None
+    if rows is None or not (rows.error_k**2).sum() > 0.0:
+        return []
+    blocks = _Blocks.of(rows)
+    singles = blocks.believed(conditions(rows))
+    first = sorted(singles, key=blocks.score, reverse=True)
+    pairs = [
+        Condition(f"{a.about} {b.about}", _joined(a, b), a.mask & b.mask)
+        for a, b in combinations([item for item in first[:PAIRED] if blocks.score(item) > 0.0], 2)
+        if a.about != b.about and "run" not in (a.about, b.about)
+    ]
+    scored = [(blocks.score(item), item) for item in singles]
+    scored += [(SIMPLER * blocks.score(item), item) for item in blocks.believed(pairs)]
+    ranked = [item for score, item in sorted(scored, key=lambda s: -s[0]) if score > 0.0]
+    return [blocks.regime(item, runs) for item in _unlike(ranked, rows.error_k**2)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Blocks:
+    """Rows in blocks that are drawn with replacement. begins : first row of each; counts : [DRAWS, blocks]"""
+
+    rows: Rows
+    squared: Floats
+    begins: NDArray[np.intp]
+    counts: Floats
+
+    @classmethod
+    def of(cls, rows: Rows) -> "_Blocks":
+        length = max(5, round(BLOCK_S / rows.step_s))
+        label = rows.run * (rows.row.max() + 1) + rows.row // length
+        begins = np.flatnonzero(np.diff(label, prepend=label[0] - 1))
+        draw = np.random.default_rng(0)  # the same data, the same answer
+        counts = draw.multinomial(len(begins), np.full(len(begins), 1.0 / len(begins)), DRAWS)
+        return cls(rows, rows.error_k**2, begins, counts.astype(np.float64))
+
+    def believed(self, items: list[Condition]) -> list[Condition]:
+        return [
+            item
+            for item in items
+            if item.mask.sum() >= FEWEST_ROWS and (self._sums(item.mask) > 0.0).sum() >= FEWEST_BLOCKS
+        ]
+
+    def score(self, item: Condition) -> float:
+        """How much more of the squared error than of the rows, at the least."""
+        error, rows = self._shares(item.mask)
+        return float((error[0] - rows[0]) - SURE_SDS * (error[1:] - rows[1:]).std())
+
+    def regime(self, item: Condition, runs: Sequence[Residuals]) -> Regime:
+        error, share = self._shares(item.mask)
+        low, high = np.quantile(error[1:], [0.025, 0.975])
+        heat = self._drawn(np.where(item.mask, self.rows.heat_w, 0.0))
+        held = self._drawn(item.mask)
+        mean_w = heat / np.maximum(held, 1.0)
+        count = int(item.mask.sum())
+        return Regime(
+            item.where,
+            float(error[0]),
+            float(low),
+            float(high),
+            float(share[0]),
+            count,
+            float(np.sqrt(self.squared[item.mask].mean())),
+            float(mean_w[0]),
+            float(mean_w[1:][held[1:] > 0.0].std()),
+            tuple(_back(item.mask, self.rows, i, len(run.duty)) for i, run in enumerate(runs)),
+        )
+
+    def _shares(self, mask: Mask) -> tuple[Floats, Floats]:
+        """Of the squared error and of the rows, first as they are, then as drawn, [1 + DRAWS] each."""
+        total, every = self._drawn(self.squared), self._drawn(np.ones_like(self.squared))
+        return self._drawn(np.where(mask, self.squared, 0.0)) / total, self._drawn(mask) / every
+
+    def _drawn(self, values: Floats | Mask) -> Floats:
+        sums = self._sums(values)
+        return np.concatenate([[sums.sum()], self.counts @ sums])
+
+    def _sums(self, values: Floats | Mask) -> Floats:
+        sums: Floats = np.add.reduceat(values.astype(np.float64), self.begins)
+        return sums
+
+
+def _joined(a: Condition, b: Condition) -> str:
+    """What the inputs say before what the temperatures do."""
+    first, second = sorted((a, b), key=lambda item: (item.where.startswith(("in ", "T")), item.where))
+    return f"{first.where} and {second.where}"
+
+
+def _unlike(ranked: list[Condition], squared: Floats) -> list[Condition]:
+    """The first of those that are much alike."""
+    chosen: list[Condition] = []
+    for item in ranked:
+        if len(chosen) == MOST:
+            break
+        if all(_overlap(item.mask, other.mask, squared) < ALIKE for other in chosen):
+            chosen.append(item)
+    return chosen
+
+
+def _overlap(one: Mask, other: Mask, squared: Floats) -> float:
+    return float(squared[one & other].sum() / max(min(squared[one].sum(), squared[other].sum()), 1e-300))
+
+
+def _back(mask: Mask, rows: Rows, run: int, count: int) -> Mask:
+    found = np.zeros(count, dtype=bool)
+    here = rows.run == run
+    found[rows.row[here]] = mask[here]
+    return found

@@ -1,0 +1,189 @@
+"""The diagnosis from Python: `from edge import Run, Twin, diagnose`.
+
+runs = [Run.read("train_1.csv"), Run.read("train_2.csv")]
+found = diagnose(Twin.read("twin.yaml"), runs, tests=[Run.read("test_1.csv")])
+print(found)
+if found.twin is not None:
+    found.twin.write("twin_after.yaml")
+"""
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from edge.core.errors import DataError
+from edge.diagnosis import diagnose as workflow
+from edge.diagnosis.answer import answer, traces
+from edge.diagnosis.diagnose import Diagnosis
+from edge.diagnosis.experiment.design import next_experiment
+from edge.diagnosis.experiment.document import experiment_document
+from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.gap import forecast
+from edge.diagnosis.located import Located, located
+from edge.diagnosis.progress import Progress
+from edge.diagnosis.report.report import PAGE_NAME, write_report
+from edge.diagnosis.report.story import Story
+from edge.diagnosis.report.summary import summary_text
+from edge.diagnosis.runs import NamedRun, diagnosis_runs
+from edge.formats import run_file
+from edge.formats.run_file import OPTION_WITHOUT, REQUIRED, absence_facts
+from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
+
+Floats = NDArray[np.float64]
+NEEDED = [key for key in REQUIRED if key not in OPTION_WITHOUT]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A recording: columns of equal length, named with their units as in a run file."""
+
+    name: str
+    content: run_file.Run
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Run":
+        """From a run file, as `greenhouse data convert` writes it. Errors: DataError with file and line"""
+        return cls(Path(path).name, run_file.read_run(path, OPTION_WITHOUT))
+
+    @classmethod
+    def of(cls, columns: Mapping[str, ArrayLike], name: str = "run", **facts: str) -> "Run":
+        """From arrays.
+
+        columns : `time_s` [s], `temp_air_c` [°C], `heater_duty` [0..1]; `fan_on` [0..1] and `temp_ambient_c`
+            [°C] where they were recorded; NaN is a missing reading
+        facts : `start_utc="2026-07-01T12:00:00Z"`, `role="test"`, ...
+        """
+        arrays = {key: np.asarray(values, dtype=np.float64) for key, values in columns.items()}
+        return cls(name, run_file.Run(arrays, facts, Path(name)))
+
+    def __len__(self) -> int:
+        return len(self.content)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (key, f"{np.nanmin(values):.4g}", f"{np.nanmax(values):.4g}", f"{int(np.isnan(values).sum())}")
+            for key, values in self.content.columns.items()
+        ]
+        return f"<b>{html.escape(self.name)}</b>, {len(self)} rows" + _table(
+            ("column", "least", "most", "missing"), rows
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """What is known of a box, as a twin file says it."""
+
+    file: TwinFile
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Twin":
+        """Errors: DataError naming the file and the key"""
+        return cls(read_twin_file(Path(path)))
+
+    def write(self, path: str | Path) -> None:
+        """Errors: OSError"""
+        write_twin_file(self.file, Path(path))
+
+    def predict(self, run: Run) -> Floats:
+        """A free run from the first rows on, with the inputs that were recorded, [rows] [°C].
+
+        Errors : DataError for a run without a room temperature, or whose rows are not the twin's step apart
+        """
+        content = run_file.resample(run.content, self.file.sample_s)
+        if "temp_ambient_c" not in content.columns:
+            raise DataError(f"{run.name}: temp_ambient_c: missing, a prediction needs it")
+        named = NamedRun(run.name, content, run.content.columns["time_s"])
+        return named.at_rows(forecast(self.file.twin(), named, content.columns["temp_ambient_c"]).predicted)
+
+    def _repr_html_(self) -> str:
+        rows = [(".".join(place), str(value.document())) for place, value in self.file.values().items()]
+        return _table(("value", "is"), rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What a diagnosis found.
+
+    document : as diagnosis.json has it
+    """
+
+    document: Mapping[str, Any]
+    diagnosis: Diagnosis
+    places: Located
+
+    @property
+    def verdict(self) -> str:
+        """`named`, `nothing_missing` or `unknown`."""
+        return str(self.document["verdict"])
+
+    @property
+    def names(self) -> dict[str, float]:
+        """Missing effects and the probability that each is one, most important first."""
+        return {item["name"]: float(item["probability"]) for item in self.document["effects"]}
+
+    @property
+    def twin(self) -> Twin | None:
+        """The new twin, None where none is worth adopting; `document["against_adopting"]` says why."""
+        return Twin(self.diagnosis.adopted) if self.diagnosis.is_offered else None
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the report's page with its pictures and diagnosis.json; the page. Errors: OSError"""
+        where = Path(folder)
+        where.mkdir(parents=True, exist_ok=True)
+        write_report(where, Story(dict(self.document), traces(self.diagnosis, self.places)))
+        return where / PAGE_NAME
+
+    def __str__(self) -> str:
+        return summary_text(dict(self.document))
+
+    def _repr_html_(self) -> str:
+        rows = [(name, f"{probability:.2f}") for name, probability in self.names.items()]
+        return _table(("missing", "probability"), rows) + f"<pre>{html.escape(str(self))}</pre>"
+
+
+def diagnose(
+    twin: Twin,
+    runs: Sequence[Run],
+    tests: Sequence[Run] = (),
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> Found:
+    """Where a twin disagrees with recordings, what is missing, and the twin with it.
+
+    runs : to fit on; tests : to judge by, which may be empty
+    jobs : processes, which change the time and not the answer
+    progress : is told what is done now, and the share that is done by then
+    Errors : DataError naming a run and its column
+    """
+    data = diagnosis_runs(
+        [(run.name, _complete(run)) for run in runs], [(run.name, _complete(run)) for run in tests], twin.file
+    )
+    found = workflow.diagnose(twin.file, data, progress or _silent, "edge.diagnose", jobs)
+    places = located(found)
+    experiment = next_experiment(found, ExperimentLimits())
+    planned = None if experiment is None else experiment_document(experiment)
+    document = answer(found, places, "edge.diagnose", planned)
+    return Found(document, found, places)
+
+
+def _complete(run: Run) -> run_file.Run:
+    """With facts that say what was not recorded; without readings that no sensor can have."""
+    if missing := [key for key in NEEDED if key not in run.content.columns]:
+        raise DataError(f"{run.name}: {missing[0]}: missing")
+    return absence_facts(run.content)
+
+
+def _silent(_: str, __: float) -> None:
+    """Nothing is told."""
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    def line(cells: Sequence[str], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+    return f"<table>{line(heads, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"

@@ -1,0 +1,125 @@
+"""Readings that are wrong on their face, and what a reading was expected to be."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.fitting import fit
+from edge.diagnosis.innovations import Filtered, gains, whitened
+from edge.diagnosis.trial import Fitted, start_of, start_spread
+from edge.twin.ensemble import Response, responses
+from edge.twin.linear_steps import linear_steps
+from edge.twin.recorded import Recorded
+from edge.twin.warm_start import held
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+SPIKE_SDS, SPIKE_K = 6.0, 1.5  # a reading this far from both neighbours, which agree, is no temperature
+MOSTLY_DIFFERENT, BY_CHANCE = 0.5, 1e-4  # shares of readings: that repeat the last; that are called stuck
+LEAST_ROWS = 30  # beside a stretch, that tell how readings usually are
+AFTER_CHANGE = 0.2  # share of a change in one direction alone
+FIRST_AGREE, FIRST_NATS = 0.5, 20.0  # the same of a run's first reading, and what beginning later must gain
+DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
+
+
+def spikes(runs: Recorded) -> Mask:
+    """Single readings farther from both neighbours than any input can make them, [B, N + 1]."""
+    found = np.zeros(runs.temp.shape, dtype=bool)
+    for _ in range(runs.temp.shape[1]):  # the worst first: beside one, a good reading stands out as well
+        more = _worst(np.where(found, np.nan, runs.temp), runs)
+        if not more.any():
+            break
+        found |= more
+    return found
+
+
+def _worst(readings: Floats, runs: Recorded) -> Mask:
+    """Of those that are too far off, the ones that no neighbour exceeds."""
+    before = np.stack([held(row) for row in readings])
+    after = np.stack([held(row[::-1])[::-1] for row in readings])
+    low, high = np.minimum(before[:, :-2], after[:, 2:]), np.maximum(before[:, :-2], after[:, 2:])
+    temp = readings[:, 1:-1]
+    known = np.isfinite(temp)
+    outside = np.maximum(temp - high, low - temp)  # of what lies between its neighbours
+    off = np.where(known, outside, 0.0)
+    usual = 1.4826 * np.median(np.abs(temp - 0.5 * (low + high))[known]) if known.any() else 0.0
+    jump = np.zeros(runs.duty.shape)  # that an input's change might make, there and back
+    for column, most_k in ((runs.duty, DUTY_JUMP_K), (runs.fan, FAN_JUMP_K)):
+        jump += most_k * np.abs(np.diff(column, axis=1, prepend=0.0))
+    into, out = jump[:, :-1], jump[:, 1:]  # only a change and one back make a peak of one row
+    least = max(SPIKE_SDS * usual, SPIKE_K) + np.minimum(into, out) + AFTER_CHANGE * np.maximum(into, out)
+    bent = np.zeros(readings.shape)  # a slope leaves this, so that it ranks neighbours where `off` may not
+    bent[:, 1:-1] = np.where(known, np.abs(temp - 0.5 * (low + high)), 0.0)
+    found = np.zeros(readings.shape, dtype=bool)
+    found[:, 1:-1] = (off > least) & (bent[:, 1:-1] >= np.maximum(bent[:, :-2], bent[:, 2:]))
+    return found
+
+
+def stuck(runs: Recorded) -> Mask:
+    """Readings that repeat for longer than chance lets them, but for the first of each stretch, [B, N + 1].
+
+    Only where readings mostly differ from one row to the next: a coarse or steady sensor repeats itself.
+    """
+    temp = runs.temp
+    same = np.zeros(temp.shape, dtype=bool)
+    same[:, 1:] = temp[:, 1:] == temp[:, :-1]
+    stretches = list(_stretches(same))
+    longest = max((end - first for _, first, end in stretches), default=0)
+    rows = int(np.isfinite(temp).sum())
+    # How often two in a row are the same by chance, the longest stretch left out of the count.
+    usual = (int(same.sum()) - longest + 1.0) / max(rows - longest, 2)
+    found = np.zeros(temp.shape, dtype=bool)
+    if usual > MOSTLY_DIFFERENT or rows - longest < LEAST_ROWS:
+        return found
+    for i, first, end in stretches:
+        if np.log(rows) + (end - first) * np.log(usual) < np.log(BY_CHANCE):
+            found[i, first:end] = True
+    return found
+
+
+def _stretches(same: Mask) -> Iterator[tuple[int, int, int]]:
+    """Run, first row and end of each stretch of rows that are."""
+    for i, row in enumerate(same):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        yield from ((i, int(first), int(end)) for first, end in zip(edges[::2], edges[1::2], strict=True))
+
+
+def wrong_starts(found: Fitted, runs: Recorded) -> Mask:
+    """Runs whose first reading stands alone, and which the twin explains far better begun a row later [B]."""
+    temp = np.stack([held(row[::-1])[::-1] for row in runs.temp[:, :4]])
+    off = np.abs(temp[:, 1] - temp[:, 0])
+    alone = (off > SPIKE_K) & (np.abs(temp[:, 2] - temp[:, 1]) < FIRST_AGREE * off)
+    if not alone.any():
+        return alone
+    later = Recorded(
+        temp=np.concatenate([temp[:, 1:2], runs.temp[:, 2:]], axis=1),
+        duty=runs.duty[:, 1:],
+        fan=runs.fan[:, 1:],
+        ambient=runs.ambient[:, 1:],
+        conditions={name: column[:, 1:] for name, column in runs.conditions.items()},
+    )
+    trial = replace(found.trial, file=found.file, free=())
+    terms = tuple(replace(term, shape=term.shape[1:]) for term in trial.nuisances)
+    [whole], [rest] = fit([trial], runs, 0), fit([replace(trial, nuisances=terms)], later, 0)
+    squares = [(item.innovations**2).sum(axis=1) for item in (whole, rest)]
+    return np.asarray(alone & (0.5 * (squares[0] - squares[1]) > FIRST_NATS))
+
+
+def expected(found: Fitted, runs: Recorded) -> Floats:
+    """Each temperature as the twin expected it from all before, [B, N + 1]: without its reading's noise."""
+    twin = found.file.twin()
+    steps = linear_steps(twin, runs)
+    terms = found.trial.nuisances
+    shown = responses(
+        [Response(steps, start_of(twin, runs), steps.driven), *(term.response(steps) for term in terms)]
+    )
+    for i, term in enumerate(terms):
+        shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
+    measured = runs.measured
+    filters = gains([Filtered(steps, found.trial.levels, start_spread(twin, runs), twin.step_s)], measured)
+    filled = np.where(measured, runs.temp[:, 1:], shown[0])
+    white = whitened(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]
+    predicted = filled - white * filters.sd[:, 0].T
+    return np.concatenate([runs.temp[:, :1], predicted], axis=1)

@@ -1,0 +1,75 @@
+"""Section of the page: the gap in numbers."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from edge.diagnosis.report.markup import Column, folded, paragraph, table, tile
+from edge.diagnosis.report.number_text import DASH, kelvin, percent
+from edge.diagnosis.report.wording import Document, changed, scored, shrink
+
+OPEN_RUNS = 8  # a longer table of runs is folded
+_ROLES = {"train": "training runs", "test": "held-out test runs"}
+
+
+def tiles(document: Document) -> Iterator[str]:
+    """The gap at a glance."""
+    role, gap = scored(document), document["gap"]
+    where = "held out" if role == "test" else "on the training runs"
+    yield '<div class="tiles">'
+    for when, text in _sides(document).items():
+        yield tile(
+            f"{kelvin(gap[when][role]['rmse_k'])} K", f"error{text}, {where}", when if text else "after"
+        )
+    if (floor := gap["noise_floor"][role]) is not None:
+        yield tile(f"{kelvin(floor)} K", "noise floor: what a perfect twin leaves")
+    if changed(document) and (closed := shrink(document, role)) is not None:
+        yield tile(percent(closed), "of the gap closed")
+    yield "</div>"
+
+
+def gap_table(document: Document) -> Iterator[str]:
+    """Errors of free runs, all together."""
+    yield paragraph(
+        "Free runs: the twin is given the inputs and the first temperature, and no other. Held-out test runs"
+        " had no part in any fit or choice."
+    )
+    further = [Column("noise floor [K]"), *([Column("closed")] if changed(document) else [])]
+    rows = [_role_row(document, role) for role in _ROLES]
+    yield from table([Column("", words=True), *_errors(document), *further], rows)
+    if document["gap"]["before"]["test"] is None:
+        yield paragraph("No temperatures of a test run were given to compare with.", "soft")
+
+
+def run_table(document: Document) -> Iterator[str]:
+    """Errors of free runs, run by run."""
+    runs = [row for role in _ROLES for row in _run_rows(document, role)]
+    lines = table([Column("run", words=True), Column("role", words=True), *_errors(document)], runs)
+    yield from lines if len(runs) <= OPEN_RUNS else folded(f"Run by run ({len(runs)} runs)", lines)
+
+
+def _errors(document: Document) -> list[Column]:
+    return [Column(f"{error}{text} [K]") for error in ("RMSE", "MAE") for text in _sides(document).values()]
+
+
+def _sides(document: Document) -> dict[str, str]:
+    """What is told of the gap, and the word for it; where nothing was added before is all there is."""
+    return {"before": " before", "after": " after"} if changed(document) else {"before": ""}
+
+
+def _role_row(document: Document, role: str) -> list[str]:
+    sides = [document["gap"][when][role] or {} for when in _sides(document)]
+    closed = [percent(shrink(document, role))] if changed(document) else []
+    return [_ROLES[role], *_cells(sides), kelvin(document["gap"]["noise_floor"][role]), *closed]
+
+
+def _run_rows(document: Document, role: str) -> list[list[str]]:
+    """A row a run, the largest error first."""
+    sides = [(document["gap"][when][role] or {}).get("per_run", {}) for when in _sides(document)]
+    word = "training" if role == "train" else "held out"
+    names = sorted(sides[0], key=lambda name: -(sides[0][name]["rmse_k"] or 0.0))
+    return [[name, word, *_cells([side.get(name, {}) for side in sides])] for name in names]
+
+
+def _cells(sides: list[Mapping[str, Any]]) -> list[str]:
+    """RMSE of each side, then MAE."""
+    return [kelvin(side.get(key)) if side else DASH for key in ("rmse_k", "mae_k") for side in sides]

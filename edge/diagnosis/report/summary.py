@@ -1,0 +1,132 @@
+"""A diagnosis in some fifteen lines, for the terminal."""
+
+import shlex
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from edge.diagnosis.report.number_text import duration, kelvin, percent, probability
+from edge.diagnosis.report.wording import (
+    Document,
+    beaten,
+    best_simple,
+    cautions,
+    changed,
+    headline,
+    heat_text,
+    listed,
+    meaning,
+    new_twin,
+    parameter_text,
+    scored,
+    shrink,
+    step_names,
+)
+
+COLUMNS = 100  # of a line
+REGIMES = 2
+_ROLES = {"train": "training runs", "test": "held-out test runs"}
+
+
+def summary_text(document: Document, folder: str = "report", page: str | None = None) -> str:
+    """The facts of the report, in its order.
+
+    folder : of the report, for what lies there;  page : its page there, None where none was written
+    """
+    lines = [*_lines(document, folder), *([] if page is None else [f"Report: {Path(folder) / page}"])]
+    return "\n".join(lines) + "\n"
+
+
+def _lines(document: Document, folder: str) -> Iterator[str]:
+    yield from _wrapped(headline(document), "", "  ")
+    for sentence in meaning(document):
+        yield from _wrapped(sentence)
+    yield from _regimes(document)
+    yield from _effects(document)
+    yield from _doubtful(document)
+    yield from _gap_rows(document)
+    for sentence in (*cautions(document), *beaten(document)):
+        yield from _wrapped(sentence)
+    if experiment := document["next_experiment"]:
+        yield from _experiment(experiment, folder)
+    if new_twin(document):
+        yield f"To adopt the new twin: greenhouse twin adopt {shlex.quote(folder)}"
+    for reason in document.get("against_adopting", ()) if changed(document) else ():
+        yield from _wrapped(f"Not to be adopted: {reason}", "")
+    yield f"Took {duration(document['seconds'])}."
+
+
+def _regimes(document: Document) -> Iterator[str]:
+    if document["regimes"]:
+        yield "Where it disagrees, by share of the squared error:"
+    for regime in document["regimes"][:REGIMES]:
+        share = percent(regime["share_of_squared_error"])
+        yield from _wrapped(f"{regime['where']}; there {heat_text(regime)}", f"  {share:>6}  ", " " * 10)
+
+
+def _effects(document: Document) -> Iterator[str]:
+    """What is missing, how sure, and its rivals."""
+    if document["effects"]:
+        yield "What is missing, by how much, and how sure:"
+    for effect in document["effects"]:
+        told = [parameter_text(name, value) for name, value in effect["parameters"].items()]
+        told += [f"{name} is at its bound" for name in effect.get("at_bound", ())]
+        told += [f"probability {probability(effect.get('probability'))}"]
+        if effect["alternatives"]:
+            told += [f"these data cannot tell it from {listed(effect['alternatives'])}"]
+        equation = effect.get("equation", "").rstrip(".")
+        yield from _wrapped(f"{effect['name']}: {equation}".rstrip(": "))
+        yield from _wrapped("; ".join(told), "    ", "    ")
+
+
+def _doubtful(document: Document) -> Iterator[str]:
+    if document.get("doubtful"):
+        yield "What explains these runs too, and does not stand:"
+    for item in document.get("doubtful", ()):
+        yield from _wrapped(f"{item['name']}: {'; '.join(item['against'])}")
+
+
+def _gap_rows(document: Document) -> Iterator[str]:
+    gap = document["gap"]
+    heads = "".join(f"{head:>9}" for head in ("before", "after", "noise", "closed"))
+    yield f"{'RMSE of free runs [K]':<24}{heads}  best simple model"
+    for role, name in _ROLES.items():
+        errors = [(gap[when][role] or {}).get("rmse_k") for when in ("before", "after")]
+        closed = shrink(document, role) if changed(document) else None
+        cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(closed)]
+        simple = best_simple(document, "test_k") if role == "test" else ""
+        yield (f"  {name:<22}" + "".join(f"{cell:>9}" for cell in cells) + f"  {simple}").rstrip()
+    if known := document.get("left_out"):
+        cells = [*map(kelvin, (known["given_k"], known["after_k"])), "", ""]
+        simple = best_simple(document, "simple_k")
+        yield (
+            f"  {'rows left out of fits':<22}" + "".join(f"{cell:>9}" for cell in cells) + f"  {simple}"
+        ).rstrip()
+    steps = document.get("waterfall", [])
+    if len(steps) > 2:
+        role = scored(document)
+        told = zip(step_names(steps), (step[f"{role}_rmse_k"] for step in steps), strict=True)
+        steps_text = ", ".join(f"{name} {kelvin(value)}" for name, value in told)
+        yield from _wrapped(f"Step by step, {_ROLES[role]}: {steps_text}")
+
+
+def _experiment(experiment: dict[str, Any], folder: str) -> Iterator[str]:
+    worded = {key: experiment[key] for key in ("why", "profile") if isinstance(experiment.get(key), str)}
+    yield "Next experiment:"
+    yield from _wrapped(worded.get("why") or ", ".join(f"{key} {value}" for key, value in experiment.items()))
+    if "profile" in worded:
+        profile = shlex.quote(str(Path(folder) / worded["profile"]))
+        yield f"  greenhouse experiment {profile} --out next_run.csv"
+
+
+def _wrapped(text: str, first: str = "  ", further: str = "    ") -> list[str]:
+    """Lines of a sentence; a command is never broken this way. first, further : what lines begin with"""
+    return textwrap.wrap(
+        text,
+        COLUMNS,
+        initial_indent=first,
+        subsequent_indent=further,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

@@ -1,0 +1,71 @@
+"""Section of the page: where the twin disagrees with the measurements, and when."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from edge.diagnosis.report.markup import Bar, Column, bullets, folded, paragraph, table
+from edge.diagnosis.report.number_text import duration, kelvin, number, percent, plus_minus
+from edge.diagnosis.report.wording import Document, where_found
+
+REGIMES = 10
+OPEN_FINDINGS = 3  # more are folded
+
+
+def where_tables(document: Document) -> Iterator[str]:
+    """Findings, regimes, events."""
+    if found := where_found(document):
+        yield bullets(found[:OPEN_FINDINGS])
+    if more := found[OPEN_FINDINGS:]:
+        yield from folded(f"{len(more)} more", [bullets(more)])
+    if document["regimes"]:
+        yield from _regimes(document["regimes"][:REGIMES])
+    else:
+        yield paragraph("No regime has clearly more of the error than its share of the rows.", "soft")
+    if events := document.get("events"):
+        columns = (
+            Column("event", words=True),
+            Column("run", words=True),
+            *map(Column, ("from", "for", "heat [W]")),
+        )
+        rows = [
+            (
+                event["kind"],
+                event["run"],
+                duration(event["from_s"]),
+                duration(event["to_s"] - event["from_s"]),
+                number(event["heat_w"]),
+            )
+            for event in events
+        ]
+        yield from table(columns, rows)
+
+
+def _regimes(regimes: list[Mapping[str, Any]]) -> Iterator[str]:
+    columns = [Column("where", words=True), Column("share of squared error", words=True), Column("heat [W]")]
+    further = {
+        "heat_after_w": "heat after [W]",
+        "rmse_k": "RMSE before [K]",
+        "rmse_after_k": "RMSE after [K]",
+    }
+    known = [key for key in further if any(regime.get(key) is not None for regime in regimes)]
+    rows = [
+        (
+            regime["where"],
+            Bar(regime["share_of_squared_error"], percent(regime["share_of_squared_error"])),
+            plus_minus(regime["heat_w"], regime["heat_w_se"]),
+            *(_further(regime, key) for key in known),
+        )
+        for regime in regimes
+    ]
+    yield from table([*columns, *(Column(further[key]) for key in known)], rows)
+    yield paragraph(
+        "Heat: what the box gains beyond the twin, with its standard error; below 0 the twin gains too much.",
+        "soft",
+    )
+
+
+def _further(regime: Mapping[str, Any], key: str) -> str:
+    if key == "heat_after_w":
+        error = regime.get("heat_after_w_se")
+        return plus_minus(regime.get(key), error) if error else number(regime.get(key), 2)
+    return kelvin(regime.get(key))

@@ -1,0 +1,231 @@
+"""A diagnosis in words: the sentences that the page and the terminal share."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from edge.diagnosis.report.number_text import kelvin, number, percent, plus_minus
+
+Document = Mapping[str, Any]
+
+_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
+_ROLES = {"train": "training runs", "test": "held-out test runs"}
+NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
+CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
+NOTHING = "none"
+CLEARLY_LESS = 0.999  # times an error, for a model to be called better: rounding alone is no difference
+ERROR_SHARE = "squared error"  # what a finding that tells where the error lies has in it
+# What findings have in them that nobody may miss: where test runs go beyond, and a second set of values.
+CAUTIONS = ("in another regime", "Other values do as well")
+WHITE_P = 0.05  # a run's innovations count as white from this p-value on
+
+
+def headline(document: Document) -> str:
+    """The verdict, for a person."""
+    effects = document["effects"]
+    if document["verdict"] == "nothing_missing":
+        return "Nothing is missing: no effect of the library makes the twin better"
+    names = listed([effect_text(effect) for effect in effects])
+    if document["verdict"] == "named":
+        count = _COUNTS[len(effects)] if len(effects) < len(_COUNTS) else str(len(effects))
+        return f"{count} effect{' is' if len(effects) == 1 else 's are'} missing: {names}"
+    besides = f"Besides {names}, something" if effects else "Something"
+    if not (told := dependences(document)):
+        return f"{besides} is missing that has no name here; these data do not tell what it depends on"
+    return f"{besides} is missing that has no name here: it depends on {listed(told)}"
+
+
+def dependences(document: Document) -> list[str]:
+    """What an unknown effect depends on, without the word that says nothing is known of it."""
+    return [name for name in document["depends_on"] if name != NOTHING]
+
+
+def meaning(document: Document) -> list[str]:
+    """What a verdict means that is no name, a sentence or two each."""
+    sentences = []
+    if document["verdict"] == "nothing_missing":
+        sentences.append(
+            "None of the effects that were tried explains these runs better than the twin as it is, beyond"
+            " what chance would bring. The twin needs no change."
+        )
+    if document["verdict"] == "unknown":
+        sentences.append(
+            "What the twin lacks is more than noise, but no name for it stands: the effect that comes nearest"
+            " need not be its cause."
+        )
+        if formula := document.get("formula"):
+            sentences.append(f"The best small formula: {formula_text(formula)}.")
+    return sentences
+
+
+def predicting(document: Document) -> list[str]:
+    """How well the new twin predicts rows that no fit saw, beside simple models of the same rows."""
+    known = document.get("left_out")
+    if not known or not changed(document):
+        return []
+    after = (document["gap"]["after"]["test"] or {}).get("rmse_k")
+    told = [
+        f"Over rows that no fit saw, RMSE of free runs: {kelvin(known['after_k'])} K, the twin as given "
+        f"{kelvin(known['given_k'])} K; {_simple(known['simple_k'])}."
+    ]
+    if known["test_k"]:
+        told.append(f"Over the test runs: {kelvin(after)} K; {_simple(known['test_k'])}.")
+    if provisional := document.get("provisional"):
+        verb = "is" if len(provisional) == 1 else "are"
+        told.append(
+            f"{listed(provisional)} {verb} in the new twin because it predicts better so; that {verb} no"
+            " name for what is missing."
+        )
+    return [*told, *beaten(document)]
+
+
+def beaten(document: Document) -> list[str]:
+    """Where a simpler model predicts better than the new twin, a sentence each."""
+    known = document.get("left_out")
+    if not known or not changed(document):
+        return []
+    told = []
+    after = (document["gap"]["after"]["test"] or {}).get("rmse_k")
+    for where, own, simple in (
+        ("rows that no fit saw", known["after_k"], known["simple_k"]),
+        ("the test runs", after, known["test_k"]),
+    ):
+        less_k = -1.0 if own is None else CLEARLY_LESS * own
+        better = [name for name, error in simple.items() if error is not None and error < less_k]
+        if better:
+            told.append(f"A simpler model predicts {where} better than the new twin: {listed(better)}.")
+    return told
+
+
+def best_simple(document: Document, key: str) -> str:
+    """The baseline with the least error: `0.14 heater lag`; "" where there is none. key : of `left_out`"""
+    errors = document.get("left_out", {}).get(key, {})
+    known = {name: error for name, error in errors.items() if error is not None}
+    best = min(known, key=lambda name: known[name], default=None)
+    return "" if best is None else f"{kelvin(known[best])} {best}"
+
+
+def _simple(errors: Mapping[str, float | None]) -> str:
+    return ", ".join(f"{name} {kelvin(error)}" for name, error in errors.items())
+
+
+def gap_sentence(document: Document) -> str:
+    """Errors of free runs before and after, and the noise floor."""
+    role = scored(document)
+    before, after = (document["gap"][when][role]["rmse_k"] for when in ("before", "after"))
+    floor = document["gap"]["noise_floor"][role]
+    noise = f"; the noise floor is {kelvin(floor)} K" if floor is not None else ""
+    if not changed(document):
+        return f"On the {_ROLES[role]} the twin as it is runs free with an RMSE of {kelvin(before)} K{noise}."
+    closed = shrink(document, role)
+    share = f": {percent(closed)} of the gap is closed" if closed is not None else ""
+    return (
+        f"On the {_ROLES[role]} the RMSE of free runs goes from {kelvin(before)} K"
+        f" to {kelvin(after)} K{noise}{share}."
+    )
+
+
+def gloss(effect: Mapping[str, Any]) -> str:
+    """An effect in plain words, the equation left out: `heater_lag: the element warms up before it heats.`"""
+    plain = effect.get("equation", "").partition(":")[0].rstrip(". ")
+    return f"{effect['name']}: {plain[:1].lower()}{plain[1:]}." if plain else f"{effect['name']}."
+
+
+def where_found(document: Document) -> list[str]:
+    """Findings that tell where, and when, the error lies."""
+    return [text for text in document.get("findings", []) if ERROR_SHARE in text]
+
+
+def noticed(document: Document) -> list[str]:
+    """The other findings: what was left out, and what these runs can't tell."""
+    return [text for text in document.get("findings", []) if ERROR_SHARE not in text]
+
+
+def cautions(document: Document) -> list[str]:
+    """What the reader must know to take the figures for what they are, a sentence each."""
+    return [f"{text}." for text in document.get("findings", []) if any(key in text for key in CAUTIONS)]
+
+
+def heat_text(regime: Mapping[str, Any]) -> str:
+    """A regime's heat: `the twin gains 38 ± 3 W too much`."""
+    heat, error = regime["heat_w"], regime["heat_w_se"]
+    if heat is None:
+        return "the heat is not known"
+    if error and abs(heat) < CLEAR * error:
+        return f"the residual heat is {plus_minus(heat, error)} W, no clear direction"
+    return f"the twin gains {plus_minus(abs(heat), error)} W too {'much' if heat < 0.0 else 'little'}"
+
+
+def changed(document: Document) -> bool:
+    """Whether after is another twin than before."""
+    return bool(document["gap"]["before"] != document["gap"]["after"])
+
+
+def new_twin(document: Document) -> str | None:
+    """File of the twin with the effects added, beside the report; None where nothing was added."""
+    name = document.get("twin_after", "twin.yaml")
+    return str(name) if changed(document) and name else None
+
+
+def scored(document: Document) -> str:
+    """`test` where held-out temperatures are known, else `train`."""
+    gap = document["gap"]
+    known = all(gap[when]["test"] and gap[when]["test"]["rmse_k"] is not None for when in ("before", "after"))
+    return "test" if known else "train"
+
+
+def shrink(document: Document, role: str) -> float | None:
+    """Share of the gap to the noise floor that is closed; None where there is no gap, or it is not known."""
+    gap = document["gap"]
+    floor = gap["noise_floor"][role]
+    before, after = ((gap[when][role] or {}).get("rmse_k") for when in ("before", "after"))
+    if floor is None or before is None or after is None or not before > NO_GAP * floor:
+        return None
+    return min(float((before - after) / (before - floor)), 1.0)  # no twin closes more than the gap
+
+
+def effect_text(effect: Mapping[str, Any]) -> str:
+    """An effect, or a class that the data cannot tell apart: `fan_effectiveness (or short_circuit)`."""
+    rivals = effect["alternatives"]
+    return f"{effect['name']} (or {listed(rivals)})" if rivals else str(effect["name"])
+
+
+def parameter_text(name: str, parameter: Mapping[str, Any]) -> str:
+    """`tau_h = 183 s (95 %: 170 to 197)`."""
+    unit = f" {parameter['unit']}" if parameter["unit"] else ""
+    return f"{name} = {number(parameter['value'])}{unit}{interval_text(parameter)}"
+
+
+def interval_text(parameter: Mapping[str, Any]) -> str:
+    """` (95 %: 170 to 197)`, "" where it is not known."""
+    if parameter["low"] is None or parameter["high"] is None:
+        return ""
+    return f" (95 %: {number(parameter['low'])} to {number(parameter['high'])})"
+
+
+def formula_text(formula: Mapping[str, Any]) -> str:
+    """The formula and its parameters in a line."""
+    parameters = [parameter_text(name, value) for name, value in formula["parameters"].items()]
+    return ", with ".join([formula["text"], *([", ".join(parameters)] if parameters else [])])
+
+
+def white_runs(document: Document, when: str) -> tuple[int, int]:
+    """Runs whose innovations are white, of how many that were tested."""
+    found = document.get("innovations", {}).get(when, {})
+    tested = [one["ljung_box_p"] for one in found.values() if one["ljung_box_p"] is not None]
+    return sum(p >= WHITE_P for p in tested), len(tested)
+
+
+def step_names(waterfall: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What each step of the waterfall changes: `the twin as given`, `+ heater_lag`, `- wall_loss`."""
+    names = []
+    for step, last in zip(waterfall, [None, *waterfall[:-1]], strict=True):
+        had = last["effects"] if last is not None else []
+        added = [f"+ {name}" for name in step["effects"] if name not in had]
+        removed = [f"− {name}" for name in had if name not in step["effects"]]
+        names.append(", ".join(added + removed) or ("the twin as given" if last is None else "fitted anew"))
+    return names
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

@@ -1,0 +1,260 @@
+"""What a diagnosis is made on: recordings read, checked, cut into pieces and brought to the twin's step."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import DataError
+from edge.diagnosis.air_sensors import averaged
+from edge.diagnosis.cannot_tell import cannot_tell
+from edge.diagnosis.pieces import pieces
+from edge.diagnosis.plausible import plausible_run
+from edge.formats.number_table import read_table
+from edge.formats.run_file import Run, cut, data_sha256, refuse_test, resample
+from edge.twin.recorded import CONDITIONS
+from edge.twin.twin_file import TwinFile
+
+USABLE_ROWS = 30  # with a temperature, of all training runs together
+PIECE_ROWS = 5  # with a temperature: in fewer, the start takes all that a piece tells
+FROM_S = "validate_from_s"
+COARSEST = 1.5  # rows of a training run, in steps of the twin
+_COLUMN = {name: key for key, name in CONDITIONS.items()}
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedRun:
+    """A run at the twin's step, under the name that it has in a report.
+
+    rows_s : times of the rows that the recording has in it [s]; the run's own where it was not resampled
+    from_s : when the part begins that a test run judges by [s]; what was before may be known
+    rest_of : the training run that a test run goes on from, where one recording is both
+    """
+
+    name: str  # `run_01.csv`, `run_01.csv (2 of 3)`, `history_1`
+    run: Run
+    rows_s: Floats
+    from_s: float | None = None
+    rest_of: str = ""
+
+    @property
+    def judged(self) -> Run:
+        """The part that a test run judges by."""
+        if self.from_s is None:
+            return self.run
+        begin = int((self.run.columns["time_s"] < self.from_s).sum())
+        return cut(self.run, min(begin, len(self.run) - 1), len(self.run))
+
+    def at_rows(self, values: Floats) -> Floats:
+        """Values [len(run)] of the run's rows at the recording's own rows, [len(rows_s)]."""
+        return np.interp(self.rows_s, self.run.columns["time_s"], values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiagnosisRuns:
+    """Runs to fit on and runs to judge by, which share no row.
+
+    train : at least one; test : may be empty
+    told : what was done to the recordings, sentences
+    cannot_tell : what they don't tell whatever is computed from them, sentences
+    data_sha256 : of the training recordings' numbers as they were read
+    """
+
+    train: tuple[NamedRun, ...]
+    test: tuple[NamedRun, ...]
+    told: tuple[str, ...]
+    cannot_tell: tuple[str, ...]
+    data_sha256: str
+
+
+def read_runs(
+    train: Sequence[Path], test: Sequence[Path], twin: TwinFile, without: Collection[str] = ()
+) -> DiagnosisRuns:
+    """Run files as a diagnosis needs them; `without` as in `read_run`.
+
+    A training run ends where its fact `validate_from_s` says, and is cut where rows are missing for long, and
+    one of more than two days into days. A test run stays whole: it may have temperatures in its first rows
+    only. One with that fact judges from there on and may know what was before: so one recording may train
+    and then test.
+
+    Errors : DataError naming file, line and column: a run of role test to fit on, one file twice, wrong
+        units, time that goes backwards, nothing measured, too few rows, a missing column that the twin needs
+    """
+    if not train:
+        raise DataError("diagnosis: needs at least one training run")
+    paths = [*train, *test]
+    read = [
+        plausible_run(read_table(Path(path)), without, twin.sensor.get("highest_c"), twin.sample_s)
+        for path in paths
+    ]
+    recordings = [run for run, _ in read]
+    for run in recordings[: len(train)]:
+        refuse_test(run)
+    _refuse_twice(recordings[: len(train)], recordings[len(train) :])
+    names = _names(paths)
+    return diagnosis_runs(
+        list(zip(names[: len(train)], recordings[: len(train)], strict=True)),
+        list(zip(names[len(train) :], recordings[len(train) :], strict=True)),
+        twin,
+        tuple(note for _, notes in read for note in notes),
+    )
+
+
+def diagnosis_runs(
+    train: Sequence[tuple[str, Run]],
+    test: Sequence[tuple[str, Run]],
+    twin: TwinFile,
+    told: Sequence[str] = (),
+) -> DiagnosisRuns:
+    """Recordings with their names as a diagnosis needs them. Errors: DataError, as `read_runs`."""
+    sha256 = data_sha256([run for _, run in train])
+    ends = {data_sha256([run]): name for name, run in train}
+    rests = {name: ends.get(data_sha256([run]), "") for name, run in test}
+    train, test, two_sensors = averaged(train, test)
+    fitted = [(name, _until_validation(run)) for name, run in train]
+    _check_columns([run for _, run in fitted], [run for _, run in test], twin)
+    for _, run in fitted:
+        _check_period(run, twin.sample_s)
+    notes = [*told, *two_sensors]
+    training = [piece for name, run in fitted for piece in _training_pieces(name, run, twin.sample_s, notes)]
+    _check_rows([run for _, run in fitted], training, twin.sample_s)
+    runs = [piece.run for piece in training]
+    judging = tuple(_whole(name, run, twin.sample_s, rests[name], notes) for name, run in test)
+    return DiagnosisRuns(
+        tuple(training),
+        judging,
+        tuple(notes),
+        cannot_tell(runs, {item.name: item.judged for item in judging}, len(train)),
+        sha256,
+    )
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """File names, with the folder where two files have one name."""
+    names = [Path(path).name for path in paths]
+    of_name = {name: {path for path in paths if Path(path).name == name} for name in names}
+    return [name if len(of_name[name]) == 1 else str(path) for name, path in zip(names, paths, strict=True)]
+
+
+def _refuse_twice(train: Sequence[Run], test: Sequence[Run]) -> None:
+    """One recording counted twice is evidence that is not there; in training and test it judges itself,
+    unless each has its own part of it."""
+    seen: dict[str, Run] = {}
+    for run in (*train, *test):
+        before = seen.setdefault(data_sha256([run]), run)
+        if before is run:
+            continue
+        shared = any(before is other for other in train) and not any(run is other for other in train)
+        if not shared or FROM_S not in run.facts or before.facts.get(FROM_S) != run.facts[FROM_S]:
+            raise DataError(f"{run.path}: is the same recording as {before.path}")
+
+
+def _until_validation(run: Run) -> Run:
+    """The part that may be fitted on."""
+    if (from_s := _validate_from_s(run)) is None:
+        return run
+    rows = int((run.columns["time_s"] < from_s).sum())
+    if rows == 0:
+        raise DataError(f"{run.path}: {FROM_S}: {run.facts[FROM_S]} leaves no row to fit on")
+    part = cut(run, 0, rows)
+    return replace(part, facts={key: fact for key, fact in part.facts.items() if key != FROM_S})
+
+
+def _validate_from_s(run: Run) -> float | None:
+    text = run.facts.get(FROM_S)
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        raise DataError(f"{run.path}: {FROM_S}: {text!r} is no number") from None
+
+
+def _check_period(run: Run, step_s: float) -> None:
+    """Temperatures between two rows would be interpolated: readings that are none, and lags that are none."""
+    usual_s = float(np.median(np.diff(run.columns["time_s"]))) if len(run) > 1 else 0.0
+    if usual_s > COARSEST * step_s:
+        raise DataError(
+            f"{run.path}: time_s: rows are {usual_s:g} s apart, the twin's step is {step_s:g} s; "
+            f"a twin file with sample_s: {usual_s:g} can be told by them"
+        )
+
+
+def _check_columns(train: Sequence[Run], test: Sequence[Run], twin: TwinFile) -> None:
+    for run in (*train, *test):
+        if not np.isfinite(run.columns["temp_air_c"]).any():
+            raise DataError(f"{run.path}: temp_air_c: nothing was measured, every cell is empty")
+        for column, effect in twin.twin().needs.items():
+            if not _has(run, column):
+                key = "start_utc" if column == "utc" else _COLUMN.get(column, column)
+                raise DataError(f"{run.path}: {key}: missing, the twin's {effect} needs it")
+    rooms = [run for run in (*train, *test) if _has(run, "temp_ambient_c")]
+    if rooms and len(rooms) < len(train) + len(test):
+        without = next(run for run in (*train, *test) if not _has(run, "temp_ambient_c"))
+        raise DataError(f"{without.path}: temp_ambient_c: not known, but {rooms[0].path} has it")
+
+
+def _has(run: Run, column: str) -> bool:
+    if column == "utc":
+        return run.start_utc is not None
+    values = run.columns.get(_COLUMN.get(column, column))
+    return values is not None and bool(np.isfinite(values).any())
+
+
+def _training_pieces(name: str, run: Run, step_s: float, told: list[str]) -> list[NamedRun]:
+    parts = pieces(run, step_s)
+    names = [name if len(parts) == 1 else f"{name} ({i} of {len(parts)})" for i in range(1, len(parts) + 1)]
+    found = [_at_step(of, part, step_s) for of, part in zip(names, parts, strict=True)]
+    kept = [piece for piece in found if _measured(piece.run) >= PIECE_ROWS]
+    if len(parts) == 1 and not kept:
+        count = _measured(found[0].run)
+        told.append(f"{name} is left out: it has {count} temperatures, {PIECE_ROWS} are of use")
+    if len(parts) > 1:
+        short = len(parts) - len(kept)
+        left_out = f", {short} of them too short to be of use" if short else ""
+        told.append(
+            f"{name} is cut into {len(parts)} pieces, where rows are missing or as it lasts for more than "
+            f"two days: what bodies had stored is not known where one begins{left_out}"
+        )
+    _tell_resampled(name, found[0], told)
+    return kept
+
+
+def _whole(name: str, run: Run, step_s: float, rest_of: str, told: list[str]) -> NamedRun:
+    from_s = _validate_from_s(run)
+    if from_s is not None and not (run.columns["time_s"] >= from_s).any():
+        raise DataError(f"{run.path}: {FROM_S}: {from_s:g} leaves no row to test on")
+    piece = _at_step(f"{name} from {from_s:g} s" if rest_of else name, run, step_s)
+    _tell_resampled(name, piece, told)
+    if len(piece.run) < 2:
+        raise DataError(f"{run.path}: reaches over less than one step of {step_s:g} s: nothing to forecast")
+    return replace(piece, from_s=from_s, rest_of=rest_of)
+
+
+def _at_step(name: str, run: Run, step_s: float) -> NamedRun:
+    return NamedRun(name, resample(run, step_s), run.columns["time_s"])
+
+
+def _tell_resampled(name: str, piece: NamedRun, told: list[str]) -> None:
+    if len(piece.rows_s) != len(piece.run):
+        usual_s = float(np.median(np.diff(piece.rows_s))) if len(piece.rows_s) > 1 else 0.0
+        told.append(f"{name} has rows {usual_s:g} s apart and is resampled to the twin's step")
+
+
+def _measured(run: Run) -> int:
+    return int(np.isfinite(run.columns["temp_air_c"]).sum())
+
+
+def _check_rows(recordings: Sequence[Run], training: Sequence[NamedRun], step_s: float) -> None:
+    usable = sum(_measured(piece.run) for piece in training)
+    if usable >= USABLE_ROWS:
+        return
+    raw = sum(_measured(run) for run in recordings)
+    place = f"{recordings[0].path}: " if len(recordings) == 1 else ""
+    finer = f" ({raw} in the recordings; is time_s in seconds?)" if raw >= USABLE_ROWS else ""
+    raise DataError(
+        f"{place}{usable} usable rows of {step_s:g} s{finer}: these data can't tell anything, "
+        f"at least {USABLE_ROWS} are needed"
+    )

@@ -1,0 +1,213 @@
+"""Which effects are missing: a search over sets of named effects, each fitted by maximum likelihood.
+
+Sets are compared by their likelihood less what their effects cost (`edge.diagnosis.candidates`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from edge.diagnosis.candidates import Candidates, Names, Scored
+from edge.diagnosis.progress import Telling
+from edge.diagnosis.refining import AGAIN
+from edge.diagnosis.screening import FORMULAS, Candidate, Screening
+from edge.diagnosis.sets import Sets, best_of
+from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.trial import Term
+from edge.twin.recorded import Recorded
+from edge.twin.twin_file import TwinFile
+
+REFINED = 6  # candidates of a round that get noise levels of their own
+LARGEST_SET = 10
+BEHIND = 0.5  # share of the first one's gain by which another may be behind, to be looked at again
+LARGE_NATS = 200.0  # a gain of which a screening misses much, as other values can't follow
+ROUGHLY = 4  # names that are looked at then, however far they seem
+MIMICS = 3  # names that may be tried on what a formula explains better
+MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
+NEXT_MARGIN = 8.0  # the same beside an effect: what the first leaves a little wrong invites more
+HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a candidate above 0
+# A light body is a capacity of the air, a light wall a loss too: what may be taken apart, and into what.
+TAKEN_APART = {
+    "wall_mass": (("wall_loss", "extra_capacity"), ("wall_mass", "extra_capacity")),
+    "soil_mass": (("soil_mass", "extra_capacity"),),
+}
+RIVAL_NATS = 3.0  # a set as likely as the best within this is its rival
+WORTH_A_LOOK = 12.0  # nats within which a screened rival is fitted with noise levels of its own
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A candidate in a round."""
+
+    name: str
+    gain_nats: float  # over the set that it was added to
+    score_gain: float  # after the penalty
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """One more effect beside a set."""
+
+    beside: Names
+    tried: tuple[Tried, ...]
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """Over one lot of runs: rounds as they were tried."""
+
+    file: TwinFile
+    runs: Recorded
+    progress: Telling
+    nuisances: tuple[Term, ...] = ()
+    formulas: Mapping[str, Term] = field(default_factory=dict)
+    doors: int = 0
+    rounds: list[Round] = field(default_factory=list)
+    shared: SideBySide = field(default_factory=SideBySide)
+    candidates: Candidates = field(init=False)
+    screening: Screening = field(init=False)
+    sets: Sets = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.candidates = Candidates(self.file, self.runs, self.formulas, self.doors)
+        self.screening = Screening(self.candidates, self.runs, self.progress, self.shared)
+        self.sets = Sets(self.candidates, self.progress, self.nuisances, self.shared)
+
+    def penalty(self, name: str) -> float:
+        """Of naming an effect, or of a formula [nats]."""
+        return self.candidates.penalty(name)
+
+    def missing(self) -> Scored:
+        """The set that is worth most: of names, of formulas, or of names with what formulas leave of them.
+
+        Names are sought by themselves first, as a formula can stand for two of them and so end the search.
+        """
+        vague = self.unnamed()
+        named = self._names(vague.score)
+        both = self._pruned(self._extended(named, 1))
+        return max((named, both, vague), key=lambda item: item.score)
+
+    def unnamed(self) -> Scored:
+        """The set of formulas alone that is worth most, the twin as it is given where none is."""
+        return self._extended(self.sets.base(), FORMULAS)
+
+    def _names(self, rival: float) -> Scored:
+        """Names alone: grown one by one and pruned.
+
+        rival : what formulas are worth; a set of several names that is worth less follows what has none
+        """
+        best, seen = self.sets.base(), set[Names]()
+        while len(best.added) < LARGEST_SET and best.added not in seen:
+            if len(best.added) >= MIMICS and best.score < rival:
+                break
+            seen.add(best.added)
+            best = self._pruned(self._next(best))
+        return best
+
+    def _next(self, best: Scored) -> Scored:
+        """A better set: a body taken apart or one more effect; `best` where there is none."""
+        apart = self._apart(best)
+        if apart is not None:
+            return apart
+        grown = best_of(self._grown(best))
+        margin = NEXT_MARGIN if best.added else MARGIN
+        return grown if grown and grown.score >= best.score + margin else best
+
+    def _extended(self, item: Scored, most: int) -> Scored:
+        """A set with up to so many formulas, as far as each is worth it."""
+        for _ in range(most):
+            found = self.screening.formulas_beside(item)
+            grown = best_of(self._looked_at(item, self._promising(found)))
+            if grown is None or grown.score < item.score + MARGIN:
+                break
+            item = grown
+        return item
+
+    def _apart(self, best: Scored) -> Scored | None:
+        """The set with a body that stood for two taken apart, where that explains more."""
+        wanted = {}
+        for name in sorted(best.added & TAKEN_APART.keys()):
+            for parts in TAKEN_APART[name]:
+                key = best.added - {name} | set(parts)
+                if len(key) > len(best.added) and key - best.added <= set(self.candidates.names):
+                    wanted[key] = self.sets.as_usual(best, key)
+        found = best_of(self.sets.fitted(wanted))
+        if found is None:
+            return None
+        margin = NEXT_MARGIN if found.added > best.added else 0.0
+        return found if found.score > best.score + margin else None
+
+    def _grown(self, beside: Scored) -> list[Scored]:
+        """A set with one more effect, those that promise most."""
+        screened = self.screening.beside(beside)
+        self.rounds.append(self._round(beside, screened))
+        return self._looked_at(beside, self._promising([item for item in screened if item.file is not None]))
+
+    def _looked_at(self, beside: Scored, found: Sequence[Candidate]) -> list[Scored]:
+        """Candidates of a screening with noise of their own."""
+        wanted = {beside.added | {item.name}: self.sets.thawed(beside, item) for item in found}
+        return self.sets.fitted(wanted)
+
+    def rivals(self, item: Scored, names: Sequence[str], most: int = REFINED) -> dict[str, list[Scored]]:
+        """For each of some members the sets in which another candidate stands in its place and comes near."""
+        besides = self.sets.as_they_are(item, [(name,) for name in names])
+        places = []
+        for name, beside, screened in zip(
+            names, besides, self.screening.closely_beside(besides), strict=True
+        ):
+            near = self._near(item, name, beside, screened)
+            lent = replace(
+                beside.fitted, file=self.sets.shortened(item, name).file
+            )  # values that a rival lives with too
+            places.append((replace(beside, fitted=lent), near[:most]))
+        return dict(zip(names, self._in_place(item, places), strict=True))
+
+    def _near(
+        self, item: Scored, name: str, beside: Scored, screened: Sequence[Candidate]
+    ) -> list[Candidate]:
+        """Candidates that may explain as much as a member, at the noise of the set."""
+        own = {found.name: found.gain for found in screened}.get(name, item.likelihood - beside.likelihood)
+        others = [found for found in screened if found.name not in item.added]
+        return [
+            found
+            for i, found in enumerate(others)
+            if found.gain >= own - WORTH_A_LOOK + min(self.penalty(found.name) - self.penalty(name), 0.0)
+            or (i < ROUGHLY and own > LARGE_NATS)
+        ]
+
+    def _in_place(
+        self, item: Scored, places: Sequence[tuple[Scored, Sequence[Candidate]]]
+    ) -> list[list[Scored]]:
+        """What is left of a set, with candidates in the place of what is gone; noise from the set's on."""
+        levels = item.fitted.trial.levels
+        trials = [
+            {
+                beside.added | {other.name}: replace(self.sets.thawed(beside, other), levels=levels)
+                for other in found
+            }
+            for beside, found in places
+        ]
+        every = {key: trial for own in trials for key, trial in own.items()}
+        fitted = dict(zip(every, self.sets.fitted(every, AGAIN * len(places)), strict=True))
+        return [[fitted[key] for key in own] for own in trials]
+
+    def _promising(self, screened: Sequence[Candidate]) -> Sequence[Candidate]:
+        """The first, and those not far behind it, as long as they explain something."""
+        worth = [item.gain - self.penalty(item.name) for item in screened]
+        if not worth:
+            return []
+        least = max(worth[0] - max(WORTH_A_LOOK, BEHIND * abs(worth[0])), HOPELESS_NATS)
+        near = [item for item, own in zip(screened, worth, strict=True) if own >= least]
+        return near[:REFINED] or screened[:1]
+
+    def _round(self, beside: Scored, screened: Sequence[Candidate]) -> Round:
+        tried = (Tried(item.name, item.gain, item.gain - self.penalty(item.name)) for item in screened)
+        return Round(beside.added, tuple(tried))
+
+    def _pruned(self, item: Scored) -> Scored:
+        """The set without effects that the others make needless."""
+        while len(item.added) > 1:
+            least = best_of(self.sets.less(item, sorted(item.added)))
+            if least is None or least.score < item.score - NEXT_MARGIN:
+                break
+            item = least
+        return item

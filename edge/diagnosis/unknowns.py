@@ -1,0 +1,115 @@
+"""The numbers of a twin file that a fit may move, in coordinates in which a step of 1 is a large one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.twin.effects.effect import Parameter
+from edge.twin.effects.library import applied
+from edge.twin.fit import GEOMETRY_RANGE
+from edge.twin.twin_file import Place, TwinFile
+from edge.twin.value import Value
+
+Floats = NDArray[np.float64]
+LOG_PRIOR_SD = 2.0  # of what nothing is known but its usual size: a factor of 7 either way
+GEOMETRY_PRIOR_SD = 3.0  # the same for a geometry value that is to be fitted
+LINEAR_PRIOR_SHARE = 0.5  # of the range of a value that may be 0 or negative
+TEMPERATURE_K = 5.0  # of a temperature: its usual value is no measure of how far it may be off
+AT_BOUND = 1e-3  # of the range of a coordinate
+PATH_SD = 0.005  # relative, of a loss that two values in series must give, where it is known as exact
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A number to be found: value = exp(x) where `log`, else scale * x."""
+
+    place: Place
+    low: float
+    high: float
+    log: bool
+    scale: float
+    mean: float  # of its prior, in its coordinate
+    sd: float
+
+    def coordinate(self, value: float) -> float:
+        """Of a value, kept inside the bounds."""
+        inside = min(max(value, self.low), self.high)
+        return float(np.log(inside)) if self.log else inside / self.scale
+
+    def value(self, coordinate: float) -> float:
+        """Inside the bounds, whatever the coordinate."""
+        raw = float(np.exp(min(coordinate, 700.0))) if self.log else coordinate * self.scale
+        return min(max(raw, self.low), self.high)
+
+    def is_at_bound(self, coordinate: float) -> bool:
+        """Whether a fit ended at one of its bounds."""
+        low, high = self.bounds
+        margin = AT_BOUND * min(high - low, 2.0 * self.sd)
+        return not low + margin < coordinate < high - margin
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The lowest and the highest coordinate."""
+        return self.coordinate(self.low), self.coordinate(self.high)
+
+
+def unknowns(file: TwinFile) -> tuple[Unknown, ...]:
+    """What `file` has to be fitted or is uncertain of, without what another effect replaces."""
+    acting = set(applied(file.effects))
+    return tuple(
+        _unknown(file, place, value)
+        for place, value in file.values().items()
+        if (value.fit or value.rel_sd is not None) and (place[0] == "geometry" or place[1] in acting)
+    )
+
+
+def _unknown(file: TwinFile, place: Place, value: Value) -> Unknown:
+    if place[0] == "geometry":
+        low, high = (share * value.value for share in GEOMETRY_RANGE)
+        sd = GEOMETRY_PRIOR_SD if value.rel_sd is None else value.rel_sd
+        return Unknown(place, low, high, True, 1.0, float(np.log(value.value)), sd)
+    parameter = file.usual(place)
+    if parameter.low > 0.0:
+        sd = LOG_PRIOR_SD if value.rel_sd is None else value.rel_sd
+        usual = parameter.start if value.fit else value.value
+        return Unknown(place, parameter.low, parameter.high, True, 1.0, float(np.log(usual)), sd)
+    return _linear(place, value, parameter, file.scale.of(parameter.unit))
+
+
+def _linear(place: Place, value: Value, parameter: Parameter, factor: float) -> Unknown:
+    # A range is never narrower than the table's: in a small box only a small part of it is usual.
+    usual = (parameter.high - parameter.low) * min(1.0, factor)
+    scale = TEMPERATURE_K if parameter.unit == "°C" else abs(parameter.start) or 0.1 * usual
+    if value.rel_sd is None:
+        sd = LINEAR_PRIOR_SHARE * usual
+        return Unknown(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
+    sd = max(abs(value.rel_sd * value.value), 1e-9)
+    return Unknown(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
+
+
+def placed(file: TwinFile, free: Sequence[Unknown], coordinates: Floats) -> TwinFile:
+    """The file with the unknowns at `coordinates`; they stay to be fitted."""
+    values = file.values()
+    return file.with_values(
+        {
+            item.place: Value(item.value(x), rel_sd=values[item.place].rel_sd, fit=values[item.place].fit)
+            for item, x in zip(free, coordinates, strict=True)
+        }
+    )
+
+
+def path_priors(file: TwinFile) -> list[float]:
+    """How far replaced and replacing effects are from what they must agree on, in standard deviations.
+
+    A known `wall_loss` says what the wall's two films give in series: 1/UA = 1/G_in + 1/G_out.
+    """
+    if not {"wall_loss", "wall_mass"} <= set(file.effects):
+        return []
+    known = file.effects["wall_loss"]["UA"]
+    if known.fit or known.value <= 0.0:
+        return []
+    wall = file.effects["wall_mass"]
+    series = 1.0 / (1.0 / wall["G_in"].value + 1.0 / wall["G_out"].value)
+    return [float(np.log(series / known.value)) / (known.rel_sd or PATH_SD)]

@@ -1,0 +1,128 @@
+"""How a settings class says what it allows, and the check that holds it to that.
+
+A section is a frozen dataclass derived from `Section`; each field carries unit, range and meaning in its
+metadata (`number`, `whole`, `text`, ...). The check runs when an object is made, so a value set in code is
+held to the same limits as one from YAML.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from datetime import time
+from typing import Any, NoReturn
+
+from edge.core.errors import ConfigError
+from edge.core.plain_text import shown
+
+TEXT_MAX = 4096  # of a value; the longest path of Linux
+KEY_MAX = 100  # of a misspelt key that is compared with the known ones
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What one key allows. `hard` tells that the upper bound stands in edge/core/hard_limits.py."""
+
+    doc: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    hard: bool = False
+    choices: tuple[Any, ...] = ()
+    pattern: str = ""
+    example: str = ""  # YAML of one item, for lists that are empty by default
+
+
+class SettingError(ConfigError):
+    """A value a section can't have; `key` is relative to that section."""
+
+    def __init__(self, key: str, problem: str) -> None:
+        super().__init__(f"{key}: {problem}")
+        self.key = key
+        self.problem = problem
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Base of all settings. Raises SettingError when made with a value its rules do not allow."""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            problem = value_problem(getattr(self, item.name), item.metadata.get("rule"))
+            if problem:
+                self.refuse(item.name, problem)
+        self.cross_check()
+
+    def cross_check(self) -> None:
+        """What must hold between the values of a section; overridden where something must."""
+
+    def refuse(self, key: str, problem: str) -> NoReturn:
+        """Raise with the place named."""
+        raise SettingError(key, problem)
+
+
+def number(default: float, doc: str, unit: str, low: float, high: float, hard: bool = False) -> Any:
+    """A real number; its key carries the unit."""
+    return _field(default, Rule(doc, unit, low, high, hard))
+
+
+def whole(default: int, doc: str, low: int, high: int, choices: tuple[int, ...] = ()) -> Any:
+    """A whole number."""
+    return _field(default, Rule(doc, "", low, high, choices=choices))
+
+
+def text(default: str, doc: str, choices: tuple[str, ...] = (), pattern: str = "") -> Any:
+    """A string, one of `choices` or wholly matched by `pattern` where given."""
+    return _field(default, Rule(doc, choices=choices, pattern=pattern))
+
+
+def flag(default: bool, doc: str) -> Any:
+    """true or false."""
+    return _field(default, Rule(doc))
+
+
+def clock(default: str, doc: str) -> Any:
+    """A local time of day, "HH:MM"."""
+    return _field(time.fromisoformat(default), Rule(doc, "local time"))
+
+
+def items(doc: str, example: str) -> Any:
+    """A list of sections, empty by default."""
+    return _field((), Rule(doc, example=example))
+
+
+def _field(default: Any, rule: Rule) -> Any:
+    return field(default=default, metadata={"rule": rule})
+
+
+def value_problem(value: object, rule: Rule | None) -> str:
+    """Why `value` breaks `rule`, "" if it does not. Types are checked where YAML is read."""
+    if rule is None:
+        return ""
+    if rule.choices and value not in rule.choices:
+        return f"{shown(value)} is none of {', '.join(str(choice) for choice in rule.choices)}"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return _number_problem(value, rule)
+    if isinstance(value, str) and (len(value) > TEXT_MAX or not value.isprintable()):
+        return f"{shown(value)} is longer than {TEXT_MAX} characters or has some that are not printable"
+    if rule.pattern and isinstance(value, str) and not re.fullmatch(rule.pattern, value):
+        return f"{shown(value)} does not match {rule.pattern}"
+    return ""
+
+
+def _number_problem(value: float, rule: Rule) -> str:
+    if not math.isfinite(value):
+        return f"{value} is not a finite number"
+    if value > rule.high:
+        return f"{value:g} is above the {'hard limit' if rule.hard else 'largest allowed,'} {rule.high:g}"
+    if value < rule.low:
+        return f"{value:g} is below the smallest allowed, {rule.low:g}"
+    return ""
+
+
+def nearest(key: str, known: Iterable[str]) -> str:
+    """A hint for a misspelt key: the nearest known one, or all of them."""
+    names = sorted(known)
+    close = difflib.get_close_matches(key[:KEY_MAX], names, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(names)}"

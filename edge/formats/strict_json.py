@@ -1,0 +1,55 @@
+"""JSON from outside: one object, finite numbers, storable text, bounded depth; only ValueError."""
+
+import json
+import math
+from typing import Any, NoReturn
+
+from edge.core.plain_text import plain, storable
+
+DEPTH_MAX = 64  # far below the recursion limit, so that every value can be written and printed again
+DIGITS_MAX = 300  # of a whole number; one of more does not fit into a float
+
+
+def parse_object(text: bytes | str) -> dict[str, Any]:
+    """The object that `text` is. Errors: ValueError, fit to be shown to the one who sent it."""
+    try:
+        value = _cleaned(json.loads(text, parse_constant=_refuse, parse_float=_float, parse_int=_int), 1)
+    except RecursionError:  # a kilobyte of "[" is enough
+        raise ValueError("nested too deep") from None
+    except UnicodeDecodeError:
+        raise ValueError("not UTF-8") from None
+    except ValueError as error:
+        raise ValueError(plain(str(error))) from None
+    if not isinstance(value, dict):
+        raise ValueError("not a JSON object")
+    return value
+
+
+def _cleaned(value: Any, depth: int) -> Any:
+    """The value with storable texts: "\\ud800" is JSON, and no text that can be stored."""
+    if isinstance(value, str):
+        return storable(value)
+    if isinstance(value, list | dict) and depth > DEPTH_MAX:
+        raise ValueError("nested too deep")
+    if isinstance(value, list):
+        return [_cleaned(item, depth + 1) for item in value]
+    if isinstance(value, dict):
+        return {storable(key): _cleaned(item, depth + 1) for key, item in value.items()}
+    return value
+
+
+def _float(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"{digits} is too large")
+    return value
+
+
+def _int(digits: str) -> int:
+    if len(digits) > DIGITS_MAX:
+        raise ValueError(f"a whole number of {len(digits)} digits")
+    return int(digits)
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is not JSON")

@@ -1,0 +1,129 @@
+"""What the safety supervisor sees, remembers and answers. All frozen; see edge/safety/supervisor.py."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from edge.core.hard_limits import LEASE_S
+from edge.core.messages import Change, Command, Echo, Estimate, Event, Reading
+from edge.core.names import HEATER_MAX_W
+from edge.safety.thermal_supervision import ThermalMemory
+
+HOUR_S = 3600.0
+DAY_S = 86400.0
+HEAT_BUCKET_S = 600.0  # heat is counted in pieces of ten minutes
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyView:
+    """The world at the moment of a decision."""
+
+    readings: Mapping[str, Reading]
+    estimate: Estimate
+    echo: Echo | None
+    link_up: bool
+    emergency_stop: bool
+    maintenance: bool
+    now_s: float
+    utc: float
+    dt_s: float  # how long the command will hold [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Dose:
+    """Water given once. `time_s` is None for one from before a restart: only `utc` is known then."""
+
+    time_s: float | None
+    utc: float
+    length_s: float
+
+    def is_recent(self, now_s: float, utc: float) -> bool:
+        """Within the last 24 hours; a clock set back makes it recent, never forgotten."""
+        age_s = utc - self.utc if self.time_s is None else now_s - self.time_s
+        return not age_s >= DAY_S
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyMemory:
+    """All that safety keeps from one decision to the next."""
+
+    trips: tuple[str, ...] = ()  # latched, in the order of their coming
+    sent: Command = field(default_factory=Command)
+    heater_ramp: float = 0.0  # heater duty allowed by the slew limit, before it is cut to a level
+    time_s: float | None = None  # of the last decision
+    fan_since_s: float | None = None  # when the fan was last switched; None: not since the start
+    heat: tuple[tuple[float, float], ...] = ()  # begin of a piece [s], heat in it [Wh]; the last 24 hours
+    doses: tuple[Dose, ...] = ()
+    thermal: ThermalMemory = field(default_factory=ThermalMemory)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What may be sent, and why it differs from what was wanted."""
+
+    sent: Command
+    changes: tuple[Change, ...]
+    memory: SafetyMemory
+    events: tuple[Event, ...]
+    open_cutoff: bool  # open the second cut-off in the heater's supply, where the board has one
+
+
+def elapsed_s(memory: SafetyMemory, now_s: float, dt_s: float) -> float:
+    """Time the last command has really held: not longer than its lease, not negative [s]."""
+    if memory.time_s is None:
+        return 0.0
+    return max(0.0, min(now_s - memory.time_s, dt_s + LEASE_S))
+
+
+def book_heat(memory: SafetyMemory, now_s: float, dt_s: float) -> SafetyMemory:
+    """Add the heat of the command that has held until now, as if the heater gave its full rated power."""
+    added = memory.sent.heater_duty * HEATER_MAX_W * elapsed_s(memory, now_s, dt_s) / HOUR_S
+    heat = tuple(piece for piece in memory.heat if now_s - piece[0] < DAY_S)
+    if heat and now_s - heat[-1][0] < HEAT_BUCKET_S:
+        heat = (*heat[:-1], (heat[-1][0], heat[-1][1] + added))
+    elif added > 0.0:
+        heat = (*heat, (now_s, added))
+    return replace(memory, heat=heat)
+
+
+def heat_wh(memory: SafetyMemory, now_s: float, window_s: float) -> float:
+    """Heat of the pieces that began within the last `window_s` [Wh]."""
+    return sum(wh for begin_s, wh in memory.heat if now_s - begin_s < window_s)
+
+
+def water_s(memory: SafetyMemory, now_s: float, utc: float) -> float:
+    """Valve time of the last 24 hours [s]."""
+    return sum(dose.length_s for dose in memory.doses if dose.is_recent(now_s, utc))
+
+
+def remember(memory: SafetyMemory, sent: Command, ramp: float, view: SafetyView) -> SafetyMemory:
+    """The memory after `sent` went out."""
+    doses = tuple(dose for dose in memory.doses if dose.is_recent(view.now_s, view.utc))
+    if sent.valve_pulse_s > 0.0:
+        doses = (*doses, Dose(view.now_s, view.utc, sent.valve_pulse_s))
+    switched = sent.fan_on != memory.sent.fan_on
+    return replace(
+        memory,
+        sent=sent,
+        heater_ramp=ramp,
+        time_s=view.now_s,
+        fan_since_s=view.now_s if switched else memory.fan_since_s,
+        doses=doses,
+    )
+
+
+def memory_to_dict(memory: SafetyMemory) -> dict[str, Any]:
+    """What must outlive the process, as JSON values: latched trips and the water of the last day."""
+    return {"trips": list(memory.trips), "doses": [[dose.utc, dose.length_s] for dose in memory.doses]}
+
+
+def memory_from_dict(values: Mapping[str, Any]) -> SafetyMemory:
+    """Inverse of `memory_to_dict`. Errors: KeyError, TypeError, ValueError on what it never wrote."""
+    trips = values["trips"]
+    if not isinstance(trips, list) or not all(isinstance(trip, str) for trip in trips):
+        raise ValueError(f"trips: {trips!r}")
+    doses = tuple(Dose(None, float(utc), float(length_s)) for utc, length_s in values["doses"])
+    if not all(math.isfinite(dose.utc) and 0.0 <= dose.length_s < math.inf for dose in doses):
+        raise ValueError("doses: not times and lengths of 0 or more")
+    return SafetyMemory(trips=tuple(trips), doses=doses)

@@ -1,0 +1,219 @@
+"""The rules of the safety supervisor, one small function each; supervisor.py applies them in order.
+
+A condition returns why it forces an output, "" when it does not. Comparisons are written so that NaN forces.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from edge.config.settings import SafetySettings
+from edge.core.messages import Quality
+from edge.core.names import HEATER_LEVELS, HEATER_MAX_W
+from edge.safety.memory import DAY_S, HOUR_S, SafetyMemory, SafetyView, heat_wh, water_s
+from edge.safety.thermal_supervision import HEATER_STUCK_ON
+
+OVER_TEMPERATURE = "over_temperature"
+HOT_TRIPS = frozenset({OVER_TEMPERATURE, HEATER_STUCK_ON})  # answered with the fan and the cut-off
+CLOCK_SLACK_S = 0.5  # a tick may begin this much early without breaking a relay time
+LED_LEVELS = 100
+VALVE_STEPS_PER_S = 10
+ROUNDING = 1e-9  # 0.3 is 5.999999999999999 levels of 1/20
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What every rule may look at."""
+
+    view: SafetyView
+    memory: SafetyMemory
+    settings: SafetySettings
+    temp_air: float | None  # [°C]; None unless the reading is good and fresh
+
+
+@dataclass(frozen=True, slots=True)
+class Forced:
+    """An output takes `value` while `condition` gives a reason."""
+
+    key: str
+    condition: Callable[[Situation], str]
+    value: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """An output stays at or below what `largest` gives, and above it for this reason."""
+
+    key: str
+    largest: Callable[[Situation], float]
+    reason: str
+
+
+def known(view: SafetyView, signal: str, age_max_s: float) -> float | None:
+    """A measurement to rely on: good, a number, at most `age_max_s` old, not from the future."""
+    reading = view.readings.get(signal)
+    if reading is None or reading.quality is not Quality.GOOD or reading.value is None:
+        return None
+    fresh = -CLOCK_SLACK_S <= view.now_s - reading.time_s <= age_max_s
+    return reading.value if fresh and math.isfinite(reading.value) else None
+
+
+def emergency_stop(s: Situation) -> str:
+    return "emergency stop" if s.view.emergency_stop else ""
+
+
+def maintenance(s: Situation) -> str:
+    return "maintenance: hands may be in the box" if s.view.maintenance else ""
+
+
+def link_down(s: Situation) -> str:
+    return "" if s.view.link_up else "no link to the board"
+
+
+def tripped(s: Situation) -> str:
+    return f"latched: {', '.join(s.memory.trips)}" if s.memory.trips else ""
+
+
+def tripped_hot(s: Situation) -> str:
+    return f"latched: {', '.join(s.memory.trips)}" if HOT_TRIPS.intersection(s.memory.trips) else ""
+
+
+def board_tripped(s: Situation) -> str:
+    echo = s.view.echo
+    return f"the board has tripped: {echo.trip_cause}" if echo is not None and echo.tripped else ""
+
+
+def board_stopped(s: Situation) -> str:
+    echo = s.view.echo
+    return f"stopped on the board: {echo.trip_cause}" if echo is not None and echo.stopped else ""
+
+
+def air_unknown(s: Situation) -> str:
+    return "no fresh good air temperature" if s.temp_air is None else ""
+
+
+def too_hot(s: Situation) -> str:
+    limit = s.settings.temp_air_max_c
+    if s.temp_air is None or s.temp_air < limit:
+        return ""
+    return f"air {s.temp_air:.1f} °C, limit {limit:g} °C"
+
+
+def relay_proof(s: Situation) -> str:
+    return "proof that the heater's relay opens" if s.memory.thermal.proof.running else ""
+
+
+def tank_low(s: Situation) -> str:
+    level = known(s.view, "tank_level", s.settings.reading_age_max_s)
+    if level is not None and level >= s.settings.tank_level_min:
+        return ""
+    return "tank level unknown" if level is None else f"tank level {level:.2f}"
+
+
+def soil_wet(s: Situation) -> str:
+    moisture = known(s.view, "soil_moisture", s.settings.reading_age_max_s)
+    if moisture is not None and moisture < s.settings.soil_moisture_max:
+        return ""
+    return "soil moisture unknown" if moisture is None else f"soil moisture {moisture:.2f}"
+
+
+def relay_hold_s(memory: SafetyMemory, settings: SafetySettings, now_s: float) -> float:
+    """How long the fan's relay must still keep its state, 0 when it is free [s]."""
+    if memory.fan_since_s is None:
+        return 0.0
+    hold_s = settings.fan_min_on_s if memory.sent.fan_on else settings.fan_min_off_s
+    return max(0.0, hold_s - CLOCK_SLACK_S - (now_s - memory.fan_since_s))
+
+
+def held_on(s: Situation) -> str:
+    held = s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
+    return "relay minimum on time" if held else ""
+
+
+def held_off(s: Situation) -> str:
+    held = not s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
+    return "relay minimum off time" if held else ""
+
+
+def energy_duty(
+    memory: SafetyMemory, settings: SafetySettings, now_s: float, dt_s: float, window_s: float
+) -> float:
+    """Heater duty that keeps the heat of one window below its cap through the next `dt_s`, 0..1."""
+    cap_wh = settings.energy_hour_max_wh if window_s == HOUR_S else settings.energy_day_max_wh
+    if cap_wh >= HEATER_MAX_W * window_s / HOUR_S:
+        return 1.0  # no more than the heater can give
+    left_wh = cap_wh - heat_wh(memory, now_s, window_s)
+    full_wh = HEATER_MAX_W * dt_s / HOUR_S
+    return min(1.0, max(0.0, left_wh / full_wh)) if full_wh > 0.0 else 0.0
+
+
+def ramp_duty(s: Situation) -> float:
+    """Heater duty that the slew limit allows now."""
+    last_s = s.memory.time_s
+    passed_s = s.view.dt_s if last_s is None else max(0.0, s.view.now_s - last_s)
+    return s.memory.heater_ramp + s.settings.heater_rise_per_s * passed_s
+
+
+HEATER_OFF = (
+    Forced("heater.emergency_stop", emergency_stop),
+    Forced("heater.maintenance", maintenance),
+    Forced("heater.link_down", link_down),
+    Forced("heater.tripped", tripped),
+    Forced("heater.board_tripped", board_tripped),
+    Forced("heater.air_unknown", air_unknown),
+    Forced("heater.over_temperature", too_hot),
+    Forced("heater.relay_proof", relay_proof),
+)
+HEATER_LIMITS = (
+    Limit("heater.range", lambda s: 1.0, "duty above 1"),
+    Limit("heater.max_duty", lambda s: s.settings.heater_max_duty, "largest duty"),
+    Limit(
+        "heater.energy_hour",
+        lambda s: energy_duty(s.memory, s.settings, s.view.now_s, s.view.dt_s, HOUR_S),
+        "energy cap of the hour",
+    ),
+    Limit(
+        "heater.energy_day",
+        lambda s: energy_duty(s.memory, s.settings, s.view.now_s, s.view.dt_s, DAY_S),
+        "energy cap of the day",
+    ),
+    Limit("heater.slew", ramp_duty, "rises too fast"),
+)
+FAN_FORCED = (
+    Forced("fan.emergency_stop", emergency_stop),
+    Forced("fan.maintenance", maintenance),
+    Forced("fan.board_stopped", board_stopped),
+    Forced("fan.link_down", link_down),
+    Forced("fan.tripped", tripped_hot, 1.0),
+    Forced("fan.over_temperature", too_hot, 1.0),
+    Forced("fan.min_on", held_on, 1.0),
+    Forced("fan.min_off", held_off),
+    Forced("fan.relay_proof", relay_proof),
+)
+FAN_LIMITS = (Limit("fan.range", lambda s: 1.0, "neither on nor off"),)
+LED_OFF = (
+    Forced("led.emergency_stop", emergency_stop),
+    Forced("led.maintenance", maintenance),
+    Forced("led.board_stopped", board_stopped),
+    Forced("led.link_down", link_down),
+    Forced("led.tripped", tripped_hot),
+    Forced("led.over_temperature", too_hot),
+)
+LED_LIMITS = (Limit("led.range", lambda s: s.settings.led_max, "largest LED level"),)
+VALVE_SHUT = (
+    Forced("valve.emergency_stop", emergency_stop),
+    Forced("valve.maintenance", maintenance),
+    Forced("valve.board_stopped", board_stopped),
+    Forced("valve.link_down", link_down),
+    Forced("valve.tank", tank_low),
+    Forced("valve.soil", soil_wet),
+)
+VALVE_LIMITS = (
+    Limit("valve.pulse_max", lambda s: s.settings.valve_pulse_max_s, "longest pulse"),
+    Limit(
+        "valve.day_max",
+        lambda s: max(0.0, s.settings.valve_day_max_s - water_s(s.memory, s.view.now_s, s.view.utc)),
+        "dose of the day",
+    ),
+)
+STEPS = {"heater_duty": HEATER_LEVELS, "led": LED_LEVELS, "valve_pulse": VALVE_STEPS_PER_S, "fan_on": 1}

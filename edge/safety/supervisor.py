@@ -1,0 +1,209 @@
+"""The safety supervisor: pure, and the last before the board for every writer.
+
+Whatever a controller, a model, MQTT or a person wants: what `supervise` returns is a legal command, and every
+difference carries a rule's key and a reason. Limits that YAML cannot widen stand in edge/core/hard_limits.py.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+from edge.config.settings import SafetySettings
+from edge.core.controller import Limits
+from edge.core.errors import RequestError
+from edge.core.messages import Change, Command, Event, Severity
+from edge.safety.memory import (
+    DAY_S,
+    HOUR_S,
+    SafetyMemory,
+    SafetyView,
+    Verdict,
+    book_heat,
+    memory_from_dict,
+    memory_to_dict,
+    remember,
+)
+from edge.safety.rules import (
+    FAN_FORCED,
+    FAN_LIMITS,
+    HEATER_LIMITS,
+    HEATER_OFF,
+    HOT_TRIPS,
+    LED_LIMITS,
+    LED_OFF,
+    OVER_TEMPERATURE,
+    ROUNDING,
+    STEPS,
+    VALVE_LIMITS,
+    VALVE_SHUT,
+    Forced,
+    Limit,
+    Situation,
+    energy_duty,
+    known,
+    relay_hold_s,
+)
+from edge.safety.thermal_supervision import (
+    FAN_NO_EFFECT,
+    GAP_MAX_S,
+    GAP_MAX_STEPS,
+    Finding,
+    Moment,
+    ThermalMemory,
+    look,
+)
+
+__all__ = [
+    "SafetyMemory",
+    "SafetyView",
+    "Verdict",
+    "clear_trip",
+    "memory_from_dict",
+    "memory_to_dict",
+    "planning_limits",
+    "supervise",
+]
+
+CLEAR_BELOW_K = 3.0  # a trip is cleared only when the air is this far below the trip, as on the board
+
+
+def supervise(wanted: Command, view: SafetyView, memory: SafetyMemory, settings: SafetySettings) -> Verdict:
+    """What may be sent of `wanted` now, why it differs, and what to remember."""
+    temp_air = known(view, "temp_air", settings.reading_age_max_s)
+    memory = book_heat(memory, view.now_s, view.dt_s)
+    memory, events = _latch(view, memory, settings, temp_air)
+    situation = Situation(view, memory, settings, temp_air)
+    changes: list[Change] = []
+    ramp = _limited("heater_duty", wanted.heater_duty, HEATER_OFF, HEATER_LIMITS, situation, changes)
+    fan = _limited("fan_on", wanted.fan_on, FAN_FORCED, FAN_LIMITS, situation, changes)
+    led = _limited("led", wanted.led, LED_OFF, LED_LIMITS, situation, changes)
+    pulse = _limited("valve_pulse", wanted.valve_pulse_s, VALVE_SHUT, VALVE_LIMITS, situation, changes)
+    sent = Command(
+        heater_duty=_stepped("heater_duty", ramp, changes),
+        fan_on=_stepped("fan_on", fan, changes) == 1.0,
+        led=_stepped("led", led, changes),
+        valve_pulse_s=_stepped("valve_pulse", pulse, changes),
+    )
+    return Verdict(
+        sent=sent,
+        changes=tuple(changes),
+        memory=remember(memory, sent, ramp, view),
+        events=events,
+        open_cutoff=view.emergency_stop or view.maintenance or not HOT_TRIPS.isdisjoint(memory.trips),
+    )
+
+
+def planning_limits(memory: SafetyMemory, settings: SafetySettings, now_s: float, step_s: float) -> Limits:
+    """What safety will let through in the step that begins now, for a controller that plans."""
+    duty = 0.0 if memory.trips or memory.thermal.proof.running else settings.heater_max_duty
+    for window_s in (HOUR_S, DAY_S):
+        duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s))
+    return Limits(
+        heater_max_duty=duty,
+        fan_hold_steps=math.ceil(relay_hold_s(memory, settings, now_s) / step_s),
+        fan_min_on_steps=max(1, math.ceil(settings.fan_min_on_s / step_s)),
+        fan_min_off_steps=max(1, math.ceil(settings.fan_min_off_s / step_s)),
+        temp_air_max_c=settings.temp_air_max_c,
+    )
+
+
+def clear_trip(memory: SafetyMemory, settings: SafetySettings, temp_air: float | None) -> SafetyMemory:
+    """The memory without its trips. Errors: RequestError while the cause may still be there.
+
+    temp_air : [°C]; None unless good
+    """
+    if not memory.trips:
+        return memory
+    limit = min(settings.temp_air_max_c, settings.temp_trip_c - CLEAR_BELOW_K)
+    if temp_air is None or not temp_air < limit:
+        air = "unknown" if temp_air is None else f"{temp_air:.1f} °C"
+        raise RequestError(f"clear_trip: the air is {air}; it must be below {limit:g} °C")
+    return replace(memory, trips=(), thermal=ThermalMemory())
+
+
+def _latch(
+    view: SafetyView, memory: SafetyMemory, settings: SafetySettings, temp_air: float | None
+) -> tuple[SafetyMemory, tuple[Event, ...]]:
+    """Trips that begin now."""
+    memory, findings = _look(view, memory, temp_air)
+    if temp_air is not None and not temp_air < settings.temp_trip_c:
+        text = f"air {temp_air:.1f} °C, trip at {settings.temp_trip_c:g} °C"
+        findings = (Finding(OVER_TEMPERATURE, text), *findings)
+    new = tuple(finding for finding in findings if finding.trip not in memory.trips)
+    events = tuple(
+        Event(f"safety.{f.trip}", Severity.ALARM, f"{f.text}; no heat until reset", view.now_s, view.utc)
+        for f in new
+    )
+    return replace(memory, trips=memory.trips + tuple(finding.trip for finding in new)), events
+
+
+def _look(
+    view: SafetyView, memory: SafetyMemory, temp_air: float | None
+) -> tuple[SafetyMemory, tuple[Finding, ...]]:
+    """Thermal supervision of the time since the last decision; anew where something is not known."""
+    echo, last_s = view.echo, memory.time_s
+    if temp_air is None or echo is None or last_s is None or not view.link_up:
+        return replace(memory, thermal=ThermalMemory()), ()
+    passed_s = view.now_s - last_s
+    if not 0.0 <= passed_s <= max(GAP_MAX_S, GAP_MAX_STEPS * view.dt_s):
+        return replace(memory, thermal=ThermalMemory()), ()
+    moment = Moment(
+        dt_s=passed_s,
+        temp_air=temp_air,
+        temp_ambient=known(view, "temp_ambient", GAP_MAX_S),
+        heater_duty=echo.heater_duty,
+        fan_on=echo.fan_on,
+        led=echo.led,
+        fan_trusted=FAN_NO_EFFECT not in memory.trips,
+    )
+    thermal, findings = look(memory.thermal, moment)
+    return replace(memory, thermal=thermal), findings
+
+
+def _limited(
+    actuator: str,
+    wanted: float,
+    forced: Iterable[Forced],
+    limits: Iterable[Limit],
+    situation: Situation,
+    changes: list[Change],
+) -> float:
+    """`wanted` after the first rule that forces it, or after all that limit it."""
+    value = _checked(actuator, wanted, changes)
+    for rule in forced:
+        reason = rule.condition(situation)
+        if reason:
+            _note(rule.key, actuator, value, rule.value, reason, changes)
+            return rule.value
+    for limit in limits:
+        largest = limit.largest(situation)
+        if not value <= largest:
+            _note(limit.key, actuator, value, largest, limit.reason, changes)
+            value = largest
+    return value
+
+
+def _checked(actuator: str, wanted: float, changes: list[Change]) -> float:
+    """A number from 0 up; anything else is nothing."""
+    try:
+        value = float(wanted)
+    except (TypeError, ValueError):
+        value = math.nan
+    if 0.0 <= value < math.inf:
+        return value
+    key = f"{actuator.partition('_')[0]}.not_a_number"
+    changes.append(Change(key, actuator, value, 0.0, "not a number from 0 up"))
+    return 0.0
+
+
+def _stepped(actuator: str, value: float, changes: list[Change]) -> float:
+    """`value` cut down to a step the wire can carry."""
+    steps = STEPS[actuator]
+    stepped = math.floor(value * steps + ROUNDING) / steps
+    _note(f"{actuator.partition('_')[0]}.step", actuator, value, stepped, f"steps of 1/{steps}", changes)
+    return stepped
+
+
+def _note(key: str, actuator: str, wanted: float, sent: float, reason: str, changes: list[Change]) -> None:
+    if abs(wanted - sent) > ROUNDING:
+        changes.append(Change(key, actuator, wanted, sent, reason))

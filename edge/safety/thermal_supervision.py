@@ -1,0 +1,235 @@
+"""Does the box answer heater and fan as physics says it must? Names the part at fault when it does not.
+
+No model is used that fitting could spoil: only bounds that every box of this kind keeps (constants below) in
+an energy balance that knows the fan's state. Four questions, each with its own small memory:
+
+- heater on, fan off, and no rise: dead heater, or a fan that runs untold, or a sensor that does not feel it.
+  Alarm once EXPECTED_RISE_K would have come at the least: 14 min at full duty from room temperature, 35 min
+  if it dies while it heats.
+  Nothing is concluded with the fan on, which may carry all heat away (and then nothing can overheat), nor
+  while the air is so warm that the weakest heater would not lift it further.
+- more heat than was ordered: relay stuck on. With the heater off, a balance over SHORT_S after SETTLE_S
+  without switching: 15 to 25 min after the board was told off. Where heater and fan keep switching, a balance
+  over LONG_S: within 2 h while little heat is ordered (while much is, the stuck relay gives what is wanted).
+- fan on while warm, and it stays warm: fan stuck or blocked. COOLING_S after the fan was told on.
+- air colder than the room for COLD_S: one of the two sensors is wrong.
+
+The first, third and fourth need a good room temperature and are silent without one.
+A door left open for longer than the time of the first question looks like a dead heater.
+"""
+
+from dataclasses import dataclass, field, replace
+
+from edge.safety.relay_proof import RelayProof, follow
+
+HEATER_NO_EFFECT = "heater_no_effect"
+HEATER_STUCK_ON = "heater_stuck_on"
+FAN_NO_EFFECT = "fan_no_effect"
+SENSOR_OFFSET = "sensor_offset"
+
+POWER_MIN_W = 75.0  # of 100 W: 10 % low mains is 19 % less heat, and some of it is lost in the supply
+POWER_MAX_W = 110.0
+ELEMENT_LAG_S = 300.0  # slowest ceramic emitter, on and off
+CAPACITY_MAX_J_K = 10000.0  # air, cover, pot of wet soil: 0.2 + 3 + 4.2 kJ/K, and a third more
+CAPACITY_MIN_J_K = 3000.0  # what takes part within minutes: air, inner sheet, part of the rest
+LOSS_MAX_W_K = 10.0  # 1.7 m² of twin-wall sheet at 3.3 W/m²K, and leaks
+LOSS_MIN_W_K = 4.0
+FAN_MIN_W_K = 11.0  # half of the rated 68 m³/h; 1207 J/m³K
+FAN_WEAK_W_K = 8.0  # a fan is called blocked only below a third of its rated flow
+LED_W = 20.0
+OTHER_HEAT_W = 50.0  # sun through a window, a pump, a wall that is still warm: heat that is nobody's fault
+OTHER_HEAT_LONG_W = 30.0  # the same over LONG_S: the walls' part averages out
+OTHER_HEAT_K = 4.0  # what it makes at most with the fan on
+
+EXPECTED_RISE_K = 4.0  # of a working heater at the least; an open door of 4 min hides less than that
+SEEN_RISE_K = 1.0  # a sensor in a working box shows at least this much of it
+SETTLE_S = 300.0  # after switching, heat stored in element and cover moves the air
+SHORT_S = 600.0  # an open door that is closed makes warm walls heat the air for 5 min
+QUIET_S = SETTLE_S + SHORT_S
+LONG_S = 3600.0
+COOLING_S = 300.0
+COOLED_SHARE = 0.3  # of the excess at the start; without a fan it is about 0.2 in COOLING_S
+COLD_K = 4.0  # wet soil cools the air by less
+COLD_S = 1800.0
+GAP_MAX_S = 150.0  # longer without a look, and longer than so many steps: begin anew
+GAP_MAX_STEPS = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What held since the last look, and what is seen now."""
+
+    dt_s: float
+    temp_air: float  # [°C]
+    temp_ambient: float | None  # [°C]; None unless good
+    heater_duty: float  # as the board drives it, 0..1
+    fan_on: bool
+    led: float  # 0..1
+    fan_trusted: bool = True  # False once the fan is known not to work
+
+
+@dataclass(frozen=True, slots=True)
+class Heating:
+    """Heater on, fan off."""
+
+    expected_k: float = 0.0  # least rise so far of a working heater
+    lowest_c: float = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """Integrals since the begin."""
+
+    begin_c: float
+    lowest_c: float
+    seconds: float = 0.0
+    excess_k_s: float = 0.0  # of air over room
+    fan_excess_k_s: float = 0.0  # the same while the fan was on
+    ordered_j: float = 0.0  # most that heater and LED can have given
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalMemory:
+    """All that is kept from look to look."""
+
+    heat: float = 0.0  # heater duty behind the slowest element's lag
+    heating: Heating = Heating()
+    off_s: float = 0.0  # heater off for so long
+    fan_on: bool = False
+    fan_same_s: float = 0.0  # fan unchanged for so long
+    fan_begin_excess_k: float = 0.0  # air over room when the fan was last switched
+    short: Balance | None = None
+    later: Balance | None = None  # the next one, begun half-way: the slow element spoils the first half
+    long: Balance | None = None
+    cold_s: float = 0.0
+    proof: RelayProof = field(default_factory=RelayProof)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A part that does not do what it is told."""
+
+    trip: str
+    text: str
+
+
+def look(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, tuple[Finding, ...]]:
+    """The memory after one more step, and the faults found in it."""
+    memory = _follow_inputs(memory, moment)
+    findings = []
+    for question in (_heater_works, _heat_is_ordered, _fan_works, _sensors_agree):
+        memory, finding = question(memory, moment)
+        if finding is not None:
+            findings.append(finding)
+    quiet = not moment.fan_on and min(memory.off_s, memory.fan_same_s) > QUIET_S
+    proof = follow(memory.proof, moment.dt_s, moment.temp_air, moment.heater_duty > 0.0, moment.fan_on, quiet)
+    return replace(memory, proof=proof), tuple(findings)
+
+
+def _follow_inputs(memory: ThermalMemory, moment: Moment) -> ThermalMemory:
+    share = moment.dt_s / (ELEMENT_LAG_S + moment.dt_s)
+    switched = moment.fan_on != memory.fan_on
+    excess = 0.0 if moment.temp_ambient is None else moment.temp_air - moment.temp_ambient
+    return replace(
+        memory,
+        heat=memory.heat + share * (moment.heater_duty - memory.heat),
+        off_s=memory.off_s + moment.dt_s if moment.heater_duty == 0.0 else 0.0,
+        fan_on=moment.fan_on,
+        fan_same_s=moment.dt_s if switched else memory.fan_same_s + moment.dt_s,
+        fan_begin_excess_k=excess if switched else max(excess, memory.fan_begin_excess_k),
+    )
+
+
+def _heater_works(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+    """Heater on and no rise."""
+    if moment.temp_ambient is None or moment.fan_on or moment.heater_duty == 0.0:
+        return replace(memory, heating=Heating()), None
+    excess = max(0.0, moment.temp_air - moment.temp_ambient)
+    heat_w = POWER_MIN_W * min(memory.heat, moment.heater_duty) - LOSS_MAX_W_K * excess
+    if heat_w <= 0.0:
+        return replace(memory, heating=Heating()), None
+    heating = Heating(
+        memory.heating.expected_k + heat_w * moment.dt_s / CAPACITY_MAX_J_K,
+        min(memory.heating.lowest_c, moment.temp_air),
+    )
+    if heating.expected_k < EXPECTED_RISE_K:
+        return replace(memory, heating=heating), None
+    risen = moment.temp_air - heating.lowest_c
+    if risen >= SEEN_RISE_K:
+        return replace(memory, heating=Heating()), None
+    text = (
+        f"heater on, air risen {risen:.1f} K where {EXPECTED_RISE_K:g} K was the least: "
+        "dead heater, fan stuck on, or the air sensor does not feel it"
+    )
+    return replace(memory, heating=Heating()), Finding(HEATER_NO_EFFECT, text)
+
+
+def _heat_is_ordered(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+    """More heat than was ordered."""
+    settled = memory.off_s >= SETTLE_S and memory.fan_same_s >= SETTLE_S
+    short = _continue(memory.short, moment) if settled else None
+    later = None
+    if short is not None and short.seconds >= SHORT_S / 2.0:
+        later = _continue(memory.later, moment)
+    long: Balance | None = _continue(memory.long, moment)
+    heat_w = 0.0
+    if short is not None and short.seconds >= SHORT_S:
+        heat_w = max(heat_w, unordered_w(short, moment.temp_air) - OTHER_HEAT_W)
+        short, later = later, None
+    if long is not None and long.seconds >= LONG_S:
+        heat_w = max(heat_w, unordered_w(long, moment.temp_air) - OTHER_HEAT_LONG_W)
+        long = None
+    memory = replace(memory, short=short, later=later, long=long)
+    if heat_w <= 0.0:
+        return memory, None
+    text = f"{heat_w:.0f} W or more come in that nobody ordered: heater relay stuck on (or a fan without air)"
+    return memory, Finding(HEATER_STUCK_ON, text)
+
+
+def _continue(balance: Balance | None, moment: Moment) -> Balance:
+    if balance is None:
+        return Balance(moment.temp_air, moment.temp_air)
+    lowest = min(balance.lowest_c, moment.temp_air)
+    room = lowest if moment.temp_ambient is None else moment.temp_ambient
+    excess = (moment.temp_air - room) * moment.dt_s
+    ordered_w = POWER_MAX_W * moment.heater_duty + LED_W * moment.led
+    return Balance(
+        balance.begin_c,
+        lowest,
+        balance.seconds + moment.dt_s,
+        balance.excess_k_s + excess,
+        balance.fan_excess_k_s + (excess if moment.fan_on and moment.fan_trusted else 0.0),
+        balance.ordered_j + ordered_w * moment.dt_s,
+    )
+
+
+def unordered_w(balance: Balance, temp_air: float) -> float:
+    """Heat that came in beside what was ordered, at the least: stored, lost through cover and fan [W]."""
+    change = temp_air - balance.begin_c
+    stored_j = (CAPACITY_MIN_J_K if change > 0.0 else CAPACITY_MAX_J_K) * change
+    lost_j = LOSS_MIN_W_K * balance.excess_k_s + FAN_MIN_W_K * balance.fan_excess_k_s
+    return (stored_j + lost_j - balance.ordered_j) / balance.seconds
+
+
+def _fan_works(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+    """Fan on and no cooling while warm."""
+    if moment.temp_ambient is None or not moment.fan_on or memory.fan_same_s < COOLING_S:
+        return memory, None
+    excess = moment.temp_air - moment.temp_ambient
+    heated = POWER_MAX_W * max(memory.heat, moment.heater_duty) / (FAN_WEAK_W_K + LOSS_MIN_W_K)
+    if excess <= max((1.0 - COOLED_SHARE) * memory.fan_begin_excess_k, heated + OTHER_HEAT_K):
+        return memory, None
+    text = (
+        f"fan on for {memory.fan_same_s:.0f} s, air still {excess:.1f} K above the room: fan stuck or blocked"
+    )
+    return memory, Finding(FAN_NO_EFFECT, text)
+
+
+def _sensors_agree(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+    """Air colder than the room: nothing in the box cools."""
+    cold = moment.temp_ambient is not None and moment.temp_air < moment.temp_ambient - COLD_K
+    memory = replace(memory, cold_s=memory.cold_s + moment.dt_s if cold else 0.0)
+    if memory.cold_s < COLD_S:
+        return memory, None
+    text = f"air {moment.temp_air:.1f} °C, colder than the room for {COLD_S / 60:.0f} min: a sensor is off"
+    return memory, Finding(SENSOR_OFFSET, text)

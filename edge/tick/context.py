@@ -1,0 +1,53 @@
+"""What a controller is told at a tick: history, estimate, reference ahead, limits, an operator's wishes."""
+
+from dataclasses import dataclass
+
+from edge.core.controller import Columns, Context, Limits, Penalty
+from edge.core.messages import Command, Estimate
+from edge.tick.orders import Operation
+from edge.tick.reference import Reference
+from edge.tick.steering_at_work import in_force, limited, penalty_of
+
+REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When a tick is, by every clock that counts [s]."""
+
+    now_s: float
+    utc: float
+    since_start_s: float  # the axis of a reference that is not daily
+    since_midnight_s: float  # local
+    step_s: float
+
+
+def context_of(
+    moment: Moment,
+    operation: Operation,
+    configured: Reference,
+    history: Columns,
+    estimate: Estimate,
+    last_sent: Command,
+    limits: Limits,
+) -> Context:
+    """The context of this tick. limits : what safety will let through"""
+    steering = operation.steering_at(moment.utc)
+    penalty = Penalty()
+    reference = in_force(operation.reference_c, steering, configured)
+    if steering is not None:
+        limits = limited(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_on)
+        penalty = penalty_of(steering)
+    return Context(
+        now_s=moment.now_s,
+        utc=moment.utc,
+        step_s=moment.step_s,
+        history=history,
+        estimate=estimate,
+        reference=reference.ahead(
+            moment.since_start_s, moment.since_midnight_s, moment.step_s, REFERENCE_STEPS
+        ),
+        last_sent=last_sent,
+        limits=limits,
+        penalty=penalty,
+    )

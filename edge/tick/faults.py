@@ -1,0 +1,114 @@
+"""What each failure gets: the one table. The loop, the history and the tests use these rows and no others."""
+
+from dataclasses import dataclass
+
+from edge.core.messages import Severity
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """One thing that can go wrong while the daemon runs, and the answer it gets."""
+
+    key: str  # event key while it lasts; `<key>.over` when it ends
+    severity: Severity
+    what: str
+    answer: str
+
+
+_ROWS = (
+    Failure(
+        "reading.not_good",
+        Severity.ALARM,
+        "the air temperature is not good",
+        "heater off, the estimate goes on by model alone",
+    ),
+    Failure(
+        "estimate.old",
+        Severity.ALARM,
+        "the estimate is too old to plan from",
+        "no controller is asked, the safe command is sent",
+    ),
+    Failure("controller.raised", Severity.WARNING, "the controller raised", "the fallback decides this step"),
+    Failure(
+        "controller.not_a_number",
+        Severity.WARNING,
+        "the controller gave no number",
+        "the fallback decides this step",
+    ),
+    Failure("controller.late", Severity.WARNING, "the controller is late", "the fallback decides this step"),
+    Failure("fallback.failed", Severity.ALARM, "the fallback failed too", "the safe command is sent"),
+    Failure(
+        "board.link_down",
+        Severity.ALARM,
+        "no word from the board",
+        "nothing is sent; the board's lease ends and it turns the heater off; it is greeted until it answers",
+    ),
+    Failure(
+        "board.no_echo",
+        Severity.WARNING,
+        "the board did not confirm the command",
+        "the next renewal asks again; until it answers the heater counts as off",
+    ),
+    Failure(
+        "tick.late",
+        Severity.WARNING,
+        "a tick began late",
+        "the tick runs, the next one keeps to the grid, ticks that were missed are counted",
+    ),
+    Failure(
+        "clock.jumped",
+        Severity.WARNING,
+        "the wall clock jumped",
+        "control goes on by the monotonic clock; daily schedules follow the new time",
+    ),
+    Failure(
+        "history.behind",
+        Severity.WARNING,
+        "the history database takes nothing (full, locked)",
+        "rows wait in a bounded queue, what does not fit is counted, control goes on",
+    ),
+    Failure(
+        "history.replaced",
+        Severity.ALARM,
+        "the history database was corrupt or gone",
+        "it is set aside, a new one is begun, control goes on",
+    ),
+    Failure(
+        "telemetry.offline",
+        Severity.WARNING,
+        "the broker is gone",
+        "messages wait in the outbox on disk and are sent in order when it is back",
+    ),
+    Failure(
+        "telemetry.flooded",
+        Severity.WARNING,
+        "more commands come over MQTT than are carried out",
+        "stop and maintenance have connections of their own, others are refused and counted",
+    ),
+    Failure(
+        "state.unwritten",
+        Severity.WARNING,
+        "standing orders could not be saved",
+        "who gave them is told; they hold until a restart; the file is tried again every 10 s",
+    ),
+    Failure(
+        "bundle.refused",
+        Severity.WARNING,
+        "a bundle of models can't be used",
+        "the one before it serves, else the packaged one",
+    ),
+    Failure(
+        "output.behind",
+        Severity.WARNING,
+        "standard output takes no lines",
+        "lines are counted and left out, control goes on",
+    ),
+    Failure(
+        "state.broken",
+        Severity.ALARM,
+        "the state file can't be read at start",
+        "the rig starts in emergency stop until a person releases it",
+    ),
+)
+
+FAILURES: dict[str, Failure] = {row.key: row for row in _ROWS}

@@ -1,0 +1,474 @@
+"""The control loop: the only file that knows the order of a tick.
+
+    board -> readings -> estimate -> controller -> safety -> board
+                                                        \\-> history, telemetry
+
+`tick` is that arrow; `run` says when to tick; what each failure gets stands in `edge/tick/faults.py`.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from edge.core.allowance import Allowance
+from edge.core.controller import Context
+from edge.core.errors import RequestError
+from edge.core.event_log import EventLog
+from edge.core.hard_limits import LEASE_S
+from edge.core.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
+from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
+from edge.safety.supervisor import (
+    SafetyMemory,
+    SafetyView,
+    Verdict,
+    clear_trip,
+    memory_to_dict,
+    planning_limits,
+    supervise,
+)
+from edge.tick.conditions import Conditions
+from edge.tick.context import Moment, context_of
+from edge.tick.decider import Decider
+from edge.tick.inbox import ORDINARY, Letter, Reply, Request
+from edge.tick.light import led_level
+from edge.tick.order_words import in_words
+from edge.tick.orders import (
+    Desk,
+    Operation,
+    acts_at_once,
+    apply_orders,
+    has_lost_date,
+    is_released,
+    operate,
+    refuse_unknown_keys,
+)
+from edge.tick.orders_json import UTC_MAX, to_dict
+from edge.tick.reference import seconds_of_day
+from edge.tick.rig import Rig
+from edge.tick.water import Watering
+
+ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
+NOT_REACHED = "no link to the board: it obeys as soon as it is back; what it drives now ends with its lease"
+# Each release lets the next stop write the board's EEPROM, which takes 100 000 writes: it lasts 11 months so.
+RELEASES, RELEASE_EVERY_S = 100, 300.0  # at once; at length [s]
+RELEASED_TOO_OFTEN = "released too often: each time wears the board's memory; it stays off, try in 5 minutes"
+START_WAIT_S = 5.0  # for the board, before the first tick
+ORDERS_TOLD = 20  # between two ticks, each with its words; more than a person gives in a minute
+LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
+SINK_FAULTS = (
+    "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused",
+    "output.behind", "telemetry.flooded",
+)  # fmt: skip
+CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
+
+
+class Loop:
+    """State that lives from tick to tick, and nothing else."""
+
+    def __init__(self, rig: Rig, operation: Operation, memory: SafetyMemory, first_seq: int) -> None:
+        self._rig = rig
+        self._operation = operation
+        self._memory = memory
+        self._seq = first_seq
+        self._step_s = rig.settings.control.step_s
+        self._start_s = rig.clock.now()  # of the tick grid, set anew when the board is there
+        self._sent = Command()
+        self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
+        self._jump_s = 0.0  # of the wall clock since the last tick
+        self._releases = Allowance(RELEASES, 1.0 / RELEASE_EVERY_S, rig.clock.now)
+        self._conditions = Conditions()
+        self._events = EventLog(ORDERS_TOLD)
+        self._decider = Decider(rig.controllers, rig.settings.control, self._conditions, self._answer_urgent)
+        self._watering = Watering(rig.settings.watering)
+        self._stopping = False
+        self._shown = self._outputs()  # what was published last
+        self.last_record: TickRecord | None = None
+
+    def run(self) -> None:
+        """Tick on a fixed grid until stopped; then all off, confirmed by a board that still answers."""
+        number = skipped = 0  # number: of the grid point that is next
+        try:
+            self._stop_board()
+            self._wait_for_board()
+            while self._serve_until(self._start_s + number * self._step_s):
+                now = self._rig.clock.now()
+                late_s = now - (self._start_s + number * self._step_s)
+                self.tick(now, late_s, skipped)
+                # Grid points that went by meanwhile are counted and never made up for.
+                following = max(number + 1, math.ceil((self._rig.clock.now() - self._start_s) / self._step_s))
+                skipped, number = following - number - 1, following
+        finally:
+            self._shut_down()
+            self.close()
+
+    def note(self, key: str, detail: str) -> None:
+        """A failure of the table that was found at start."""
+        self._conditions.set(key, True, self._rig.clock.now(), self._rig.clock.utc(), detail)
+
+    def close(self) -> None:
+        """End the decision thread; can be called twice."""
+        self._decider.close()
+
+    def stop(self) -> None:
+        """Ask the loop to end; safe in a signal handler and from any thread."""
+        self._stopping = True
+        self._rig.inbox.ring()
+
+    def tick(self, now: float, late_s: float = 0.0, skipped: int = 0) -> TickRecord:
+        """One step of control: the arrow."""
+        rig, utc = self._rig, self._rig.clock.utc()
+        self._follow_clock()
+        if exchanged := rig.models.exchange(rig.estimator, rig.controllers):
+            self._tell("models.exchanged", Severity.INFO, exchanged, now)
+        readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
+        estimate = rig.estimator.update(readings, now, utc)
+        self._end_steering(now, utc)
+        self._end_maintenance(now, utc)
+        context = self._context(estimate, now, utc)
+        decision, decide_ms = self._decider.decide(self._operation.controller, context)
+        wanted, orders = self._ordered(self._with_light_and_water(decision.command, readings, now, utc), utc)
+        verdict = self._supervise(wanted, readings, estimate, now, utc)
+        echo = self._drive(verdict)
+        rig.estimator.record_sent(self._sent)
+        history, confirmed = rig.estimator.history(), echo is not None
+        forecasts, skill = rig.models.forecast(history, decision, self._sent, confirmed)
+        drift = None
+        if rig.drift is not None:
+            hands_in = self._operation.in_maintenance(utc)
+            drift = rig.drift.tick(rig.models.twin, history, confirmed, hands_in)
+        self._note_conditions(readings, estimate, echo, late_s, now, utc)
+        record = TickRecord(
+            seq=self._seq,
+            time_s=now,
+            utc=utc,
+            step_s=self._step_s,
+            mode="emergency_stop" if self._operation.emergency_stop else self._operation.mode.value,
+            readings=readings,
+            estimate=estimate,
+            reference_c=float(context.reference[0]),
+            decision=decision,
+            wanted=wanted,
+            changes=orders + verdict.changes,
+            sent=verdict.sent,
+            echo=echo,
+            link_up=rig.board.link_up,
+            events=self._take_events(verdict),
+            ticks_skipped=skipped,
+            late_s=late_s,
+            decide_ms=decide_ms,
+            forecasts=forecasts,
+            skill=skill,
+            drift=drift,
+        )
+        self._hand_out(record)
+        return record
+
+    def _context(self, estimate: Estimate, now: float, utc: float) -> Context:
+        rig = self._rig
+        limits = planning_limits(self._memory, rig.settings.safety, now, self._step_s)
+        moment = Moment(now, utc, now - self._start_s, seconds_of_day(utc, rig.zone), self._step_s)
+        history = rig.estimator.history()
+        return context_of(moment, self._operation, rig.reference, history, estimate, self._sent, limits)
+
+    def _end_steering(self, now: float, utc: float) -> None:
+        """What was asked for in words ends by itself, and that is told once."""
+        ended = self._operation.steering
+        if ended is None or self._operation.steering_at(utc) is not None:
+            return
+        self._operation = replace(self._operation, steering=None, before=None)
+        self._rig.save_state(self._operation, self._memory)
+        self._tell("steering.ended", Severity.INFO, f"{ended.id} has ended: {ended.words}", now)
+
+    def _follow_clock(self) -> None:
+        """Set the end of a maintenance with the wall clock: hands are inside for as long as was said."""
+        now, utc = self._rig.clock.now(), self._rig.clock.utc()
+        jump_s = (utc - now) - self._wall_minus_monotonic
+        self._wall_minus_monotonic = utc - now
+        self._jump_s += jump_s
+        until = self._operation.maintenance_until_utc
+        if until is None or abs(jump_s) <= CLOCK_JUMP_S or has_lost_date(until, utc - jump_s):
+            return
+        moved = min(max(until + jump_s, 0.0), UTC_MAX)
+        self._operation = replace(self._operation, maintenance_until_utc=moved)
+        self._rig.save_state(self._operation, self._memory)
+
+    def _end_maintenance(self, now: float, utc: float) -> None:
+        """Release the board when the time is over, also where it ended while no daemon ran."""
+        operation, board = self._operation, self._rig.board
+        if operation.maintenance_until_utc is None or operation.in_maintenance(utc):
+            return
+        if board.in_maintenance:
+            board.end_maintenance()
+            board.serve_until_answered(ECHO_TIMEOUT_S)
+            self._tell("maintenance.ended", Severity.INFO, "maintenance has ended", now)
+
+    def _ordered(self, command: Command, utc: float) -> tuple[Command, tuple[Change, ...]]:
+        return apply_orders(self._operation, command, utc, seconds_of_day(utc, self._rig.zone))
+
+    def _with_light_and_water(
+        self, command: Command, readings: Mapping[str, Reading], now: float, utc: float
+    ) -> Command:
+        """Heater and fan are the controller's, light too where it asks for it; else simple rules decide."""
+        level = led_level(self._rig.settings.lighting, seconds_of_day(utc, self._rig.zone))
+        level = max(level, command.led)
+        return replace(
+            command, led=level, valve_pulse_s=self._watering.pulse(readings.get("soil_moisture"), now)
+        )
+
+    def _supervise(
+        self, wanted: Command, readings: Mapping[str, Reading], estimate: Estimate, now: float, utc: float
+    ) -> Verdict:
+        rig = self._rig
+        view = SafetyView(
+            readings=readings,
+            estimate=estimate,
+            echo=rig.board.echo,
+            link_up=rig.board.link_up,
+            emergency_stop=self._operation.emergency_stop,
+            maintenance=self._operation.in_maintenance(utc),
+            now_s=now,
+            utc=utc,
+            dt_s=self._step_s,
+        )
+        verdict = supervise(wanted, view, self._memory, rig.settings.safety)
+        if memory_to_dict(verdict.memory) != memory_to_dict(self._memory):
+            rig.save_state(self._operation, verdict.memory)
+        self._memory = verdict.memory
+        return verdict
+
+    def _drive(self, verdict: Verdict) -> Echo | None:
+        """Send what safety allows; what the board confirms is what counts from here on."""
+        board = self._rig.board
+        board.drive(verdict.sent, verdict.open_cutoff, self._step_s + LEASE_S)
+        echo = board.serve_until_echo(min(ECHO_TIMEOUT_S, self._step_s / 2)) if board.link_up else None
+        self._watering.given(verdict.sent.valve_pulse_s if board.link_up else 0.0, self._rig.clock.now())
+        self._sent = Command() if echo is None else _driven(echo)
+        return echo
+
+    def _note_conditions(
+        self,
+        readings: Mapping[str, Reading],
+        estimate: Estimate,
+        echo: Echo | None,
+        late_s: float,
+        now: float,
+        utc: float,
+    ) -> None:
+        air = readings.get("temp_air")
+        quality = Quality.ABSENT if air is None else air.quality
+        link_up = self._rig.board.link_up
+        note = self._conditions.set
+        note("reading.not_good", quality is not Quality.GOOD, now, utc, quality.value)
+        note("board.link_down", not link_up, now, utc)
+        note("board.no_echo", link_up and echo is None, now, utc)
+        note("tick.late", late_s > LATE_SHARE * self._step_s, now, utc, f"{late_s:.2f} s")
+        note("clock.jumped", abs(self._jump_s) > CLOCK_JUMP_S, now, utc, f"by {self._jump_s:+.0f} s")
+        self._jump_s = 0.0
+        faults = {key: detail for sink in self._rig.sinks for key, detail in sink.faults().items()}
+        for key in SINK_FAULTS:
+            note(key, key in faults, now, utc, faults.get(key, ""))
+
+    def _take_events(self, verdict: Verdict) -> tuple[Event, ...]:
+        rig = self._rig
+        return (
+            *self._events.take(),
+            *rig.board.take_events(),
+            *self._decider.take_events(),
+            *verdict.events,
+            *(rig.drift.take_events() if rig.drift else ()),
+            *rig.more_events(),
+            *self._conditions.take_events(),
+        )
+
+    def _hand_out(self, record: TickRecord) -> None:
+        self._seq += 1
+        self.last_record = record
+        for sink in self._rig.sinks:
+            sink.write(record)
+        self._shown = self._outputs()
+        self._rig.after_tick(record)
+
+    def _stop_board(self) -> None:
+        """Pass stops of an earlier process on: the link's first requests, before any command."""
+        if self._operation.emergency_stop:
+            self._rig.board.emergency_stop()
+        if self._operation.in_maintenance(self._rig.clock.utc()):
+            self._rig.board.maintain()
+
+    def _wait_for_board(self) -> None:
+        """A first tick without readings would be a tick of alarms: give the board a moment to greet."""
+        board, clock = self._rig.board, self._rig.clock
+        give_up_s = clock.now() + START_WAIT_S
+        while not self._stopping and not (board.link_up and board.has_samples) and clock.now() < give_up_s:
+            self._serve_and_answer(min(give_up_s, clock.now() + 0.1))
+        self._start_s = clock.now()
+
+    def _serve_until(self, tick_s: float) -> bool:
+        """Keep the line alive and answer requests until the tick is due; False when the loop shall end."""
+        while not self._stopping and self._rig.clock.now() < self._rig.stop_at_s:
+            self._serve_and_answer(min(tick_s, self._rig.stop_at_s))
+            if self._rig.clock.now() >= tick_s:
+                return not self._stopping
+        return False
+
+    def _serve_and_answer(self, until_s: float) -> None:
+        self._rig.board.serve(until_s, self._rig.inbox.wake, self._has_news)
+        # One at a time: the line is served, and a stop overtakes, between two of a flood.
+        if (letter := self._rig.inbox.take()) is not None:
+            self._answer(letter)
+        if self._has_news():
+            self._show()
+
+    def _outputs(self) -> tuple[bool, Echo | None]:
+        return self._rig.board.link_up, self._rig.board.echo
+
+    def _has_news(self) -> bool:
+        """True when the board drives something else than was published last."""
+        (link_up, echo), (link_shown, shown) = self._outputs(), self._shown
+        return link_up != link_shown or not (echo is shown or (echo is not None and echo.drives_as(shown)))
+
+    def _show(self) -> None:
+        self._shown = self._outputs()
+        self._rig.show()
+
+    def _answer_urgent(self) -> None:
+        """Obey stop and maintenance while a controller thinks; the tick ends under the new orders."""
+        if (letter := self._rig.inbox.take(ORDINARY)) is not None:  # one: a flood must not hold up the tick
+            self._answer(letter)
+
+    def _answer(self, letter: Letter) -> None:
+        """Carry out a request or refuse it with the reason; a change is answered when it is on disk."""
+        request, warning = letter.request, ""
+        try:
+            match request.get("do"):
+                case "status":
+                    refuse_unknown_keys(request, ())
+                    letter.answer.put({"ok": True, **self.status()})
+                    return
+                case "clear_trip":
+                    refuse_unknown_keys(request, ())
+                    self._clear_trip()
+                case _:
+                    warning = self._order(request)
+        except RequestError as error:
+            letter.answer.put({"ok": False, "error": str(error)})
+            return
+        reply: Reply = {"ok": True, **self.status()} | ({"warning": warning} if warning else {})
+        self._show()
+        # The state writer's thread answers: this one never waits for the disk.
+        self._rig.save_state(
+            self._operation, self._memory, lambda error: letter.answer.put(_as_saved(reply, error))
+        )
+
+    def status(self) -> dict[str, Any]:
+        """Standing orders, the last tick, what the board drives now, the line's counters; as JSON values."""
+        return {
+            "operation": to_dict(self._operation),
+            "since_start_s": self._rig.clock.now() - self._start_s,
+            "trips": list(self._memory.trips),
+            "tick": None if self.last_record is None else tick_json(self.last_record),
+            "skill": {} if self.last_record is None else skill_json(self.last_record.skill),
+            "drift": drift_json(self.last_record.drift if self.last_record else None),
+            "echo": echo_json(self._rig.board.echo),
+            "link_up": int(self._rig.board.link_up),
+            "line": dict(self._rig.board.statistics),
+        }
+
+    def _order(self, request: Request) -> str:
+        """Change the standing orders; return what a person has to know of a stop that is not in force yet."""
+        clock = self._rig.clock
+        self._follow_clock()
+        before = self._operation
+        after = operate(before, request, self._desk())
+        if is_released(before, after) and not self._releases.take():
+            raise RequestError(RELEASED_TOO_OFTEN)
+        self._operation = after
+        warning = self._order_board(request)
+        self._tell("operator.order", Severity.INFO, in_words(request), clock.now())
+        if acts_at_once(before, self._operation):
+            self._act_now()
+        return warning
+
+    def _order_board(self, request: Request) -> str:
+        """Pass a stop or its end on to the board, before anything else; return why it has not confirmed."""
+        board = self._rig.board
+        match request["do"]:
+            case "emergency_stop":
+                board.emergency_stop()
+            case "release_emergency_stop":
+                board.release_stop()
+            case "maintenance" if self._operation.maintenance_until_utc is not None:
+                board.maintain()
+            case "maintenance":
+                board.end_maintenance()
+            case _:
+                return ""
+        if board.serve_until_answered(ECHO_TIMEOUT_S):
+            return ""
+        return "the board has not confirmed it yet" if board.link_up else NOT_REACHED
+
+    def _desk(self) -> Desk:
+        settings = self._rig.settings
+        limits = settings.reference
+        names = tuple(self._rig.controllers)
+        return Desk(
+            self._rig.clock.utc(),
+            names,
+            limits.min_c,
+            limits.max_c,
+            settings.control.controller,
+            settings.unready,
+        )
+
+    def _clear_trip(self) -> None:
+        clock = self._rig.clock
+        self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air())
+        self._rig.board.clear_trip()
+        self._tell("operator.clear_trip", Severity.INFO, "trips cleared", clock.now())
+
+    def _act_now(self) -> None:
+        """The last decision under the new orders, not a step later; told as an event, since it is no tick."""
+        record = self.last_record
+        if record is None:
+            return
+        rig, now, utc = self._rig, self._rig.clock.now(), self._rig.clock.utc()
+        readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
+        command = replace(record.decision.command, led=record.wanted.led)
+        wanted, _ = self._ordered(command, utc)
+        verdict = self._supervise(wanted, readings, record.estimate, now, utc)
+        echo = self._drive(verdict)
+        rig.estimator.record_sent(self._sent)
+        self._events.add(*verdict.events)
+        rules = ", ".join(dict.fromkeys(change.rule for change in verdict.changes)) or "unchanged by safety"
+        driven = verdict.sent if echo is None else echo
+        outputs = f"heater {driven.heater_duty:.2f}, fan {'on' if driven.fan_on else 'off'}"
+        who = "sent at once, not confirmed" if echo is None else "at once, confirmed by the board"
+        self._tell("operator.sent", Severity.INFO, f"{who}: {outputs}; {rules}", now)
+
+    def _temp_air(self) -> float | None:
+        reading = self.last_record.readings.get("temp_air") if self.last_record else None
+        return reading.value if reading is not None and reading.quality is Quality.GOOD else None
+
+    def _shut_down(self) -> None:
+        self._rig.board.drive(Command(), False, LEASE_S)
+        if self._rig.board.link_up:
+            self._rig.board.serve_until_echo(ECHO_TIMEOUT_S)
+
+    def _tell(self, key: str, severity: Severity, text: str, now: float) -> None:
+        self._events.add(Event(key, severity, text, now, self._rig.clock.utc()))
+
+
+def _as_saved(reply: Reply, error: str) -> Reply:
+    """The answer to a change that the disk has taken, or has not."""
+    if not error:
+        return reply
+    return {
+        **reply,
+        "ok": False,
+        "error": f"in force now, but it will not survive a restart: not saved, {error}",
+    }
+
+
+def _driven(echo: Echo) -> Command:
+    return Command(heater_duty=echo.heater_duty, fan_on=echo.fan_on, led=echo.led)

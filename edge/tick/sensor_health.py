@@ -1,0 +1,184 @@
+"""Board samples in, one reading per signal and tick out: checked, averaged, calibrated.
+
+A tick of a minute has 60 samples. The reading is the mean of the good ones of the last AVERAGE_S seconds
+without the lowest and the highest: noise of half a step makes the mean finer than the sensor's 0.1 K steps,
+one wild sample changes nothing, and 5 s is little beside the sensor's own lag. Older samples only add delay.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from edge.config.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
+from edge.core.messages import Command, Quality, Reading
+from edge.core.names import SIGNALS
+
+AVERAGE_S = 5.0
+STALE_PERIODS = 3  # as Quality.STALE
+CONFIRM_SAMPLES = 5  # so many in a row that agree are a step, not a spike
+AIR_RATE_MAX_K_S = 0.1  # no box of this kind warms or cools faster; a gap widens the allowed jump by it
+STUCK_DRIVE_S = (
+    60.0  # 6 kJ more or less than before, counted in full-duty seconds: about 1 K in the whole box
+)
+HOT_DUTY = 0.5  # lifts the box by 11 K at most, and no box comes to rest under more within an hour
+TEMPERATURES = ("temp_air", "temp_ambient")  # light and moisture may jump
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What is remembered of one signal."""
+
+    newest: Reading | None = None  # whatever came last
+    accepted: tuple[Reading, ...] = ()  # good samples of the last AVERAGE_S, and always the last good one
+    suspects: tuple[Reading, ...] = ()  # samples in a row that jumped
+    jumps_s: tuple[float, ...] = ()  # times of the samples of the last AVERAGE_S that jumped
+    stepped: bool = False  # a jump was confirmed since the last reading: true or not, it is worth an alarm
+    still_since_s: float = math.inf  # since when the raw value has been exactly the same
+    still_duty: float = 0.0  # heater duty at that time
+    still_drive_s: float = 0.0  # integral of |duty - still_duty| since then [s]
+    still_hot_s: float = 0.0  # time at HOT_DUTY or more since then [s]
+    told_s: float = math.inf  # up to when both are counted
+
+
+class SensorHealth:
+    """The tracks of all signals."""
+
+    def __init__(self, settings: SensorHealthSettings, calibration: CalibrationSettings) -> None:
+        self._settings = settings
+        self._calibration = calibration
+        self._tracks = {name: Track() for name in SIGNALS}
+
+    def readings(
+        self, samples: Sequence[Mapping[str, Reading]], now: float, driven: Command
+    ) -> dict[str, Reading]:
+        """One reading per signal.
+
+        samples : since the last call, oldest first
+        driven : what the board has driven since the last call
+        """
+        result = {}
+        for name, track in self._tracks.items():
+            new = [sample[name] for sample in samples if name in sample]
+            track = follow(replace(track, stepped=False), new, self._settings)
+            track = watch_stillness(track, now, driven.heater_duty)
+            self._tracks[name] = track
+            result[name] = assess(name, track, now, self._settings, getattr(self._calibration, name))
+        return result
+
+
+def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSettings) -> Track:
+    """The track after more samples, oldest first."""
+    if not samples:
+        return track
+    quiet: list[Reading] = []  # good samples that follow each other without a jump, not yet in the track
+    for sample in samples:
+        if sample_quality(sample) is not Quality.GOOD:
+            continue
+        before = quiet[-1] if quiet else (track.accepted[-1] if track.accepted else None)
+        if before is None or not _jumps(before, sample, settings):
+            quiet.append(sample)
+        else:
+            track, quiet = _suspect(_accept(track, quiet), sample, settings), []
+    return replace(_accept(track, quiet), newest=samples[-1])
+
+
+def sample_quality(sample: Reading) -> Quality:
+    """Quality of one sample by itself: the board's word, then number, then the datasheet's range."""
+    if sample.quality is not Quality.GOOD:
+        return sample.quality
+    if sample.value is None or not math.isfinite(sample.value):
+        return Quality.FAULT
+    signal = SIGNALS[sample.signal]
+    return Quality.GOOD if signal.low <= sample.value <= signal.high else Quality.RANGE
+
+
+def _suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
+    """The track after a sample that jumped from the last accepted one."""
+    jumps_s = (*(t for t in track.jumps_s if sample.time_s - t < AVERAGE_S), sample.time_s)
+    track = replace(track, jumps_s=jumps_s)
+    agree = not track.suspects or not _jumps(track.suspects[-1], sample, settings)
+    suspects = (*track.suspects, sample) if agree else (sample,)
+    if len(suspects) < CONFIRM_SAMPLES:
+        return replace(track, suspects=suspects)
+    return _accepted(replace(track, stepped=True, accepted=()), suspects, sample.time_s)
+
+
+def _accept(track: Track, samples: Sequence[Reading]) -> Track:
+    """The track after good samples in a row that did not jump, none or more."""
+    if not samples:
+        return track
+    before = (track.accepted[-1].value if track.accepted else None, *(sample.value for sample in samples))
+    moves_s = [s.time_s for s, value in zip(samples, before, strict=False) if s.value != value]
+    return _accepted(track, samples, moves_s[-1] if moves_s else None)
+
+
+def _accepted(track: Track, samples: Sequence[Reading], moved_s: float | None) -> Track:
+    """The track with more samples in it; moved_s : when the raw value moved last, None: it stood still."""
+    last_s = samples[-1].time_s
+    recent = tuple(s for s in (*track.accepted, *samples) if last_s - s.time_s < AVERAGE_S)
+    track = replace(track, accepted=recent, suspects=())
+    if moved_s is None:
+        return track
+    return replace(track, still_since_s=moved_s, still_drive_s=0.0, still_hot_s=0.0, told_s=moved_s)
+
+
+def _jumps(before: Reading, sample: Reading, settings: SensorHealthSettings) -> bool:
+    if sample.signal not in TEMPERATURES:
+        return False
+    assert before.value is not None and sample.value is not None  # both are good
+    allowed = settings.air_jump_k + AIR_RATE_MAX_K_S * max(0.0, sample.time_s - before.time_s)
+    return abs(sample.value - before.value) > allowed
+
+
+def watch_stillness(track: Track, now: float, duty: float) -> Track:
+    """Count how much the heat has differed, and how long it was strong, since the raw value last moved."""
+    if track.still_drive_s == 0.0 and track.told_s == track.still_since_s:
+        track = replace(track, still_duty=duty)
+    passed_s = max(0.0, now - track.told_s)
+    drive_s = track.still_drive_s + abs(duty - track.still_duty) * passed_s
+    hot_s = track.still_hot_s + (passed_s if duty >= HOT_DUTY else 0.0)
+    return replace(track, still_drive_s=drive_s, still_hot_s=hot_s, told_s=max(now, track.told_s))
+
+
+def assess(
+    name: str, track: Track, now: float, settings: SensorHealthSettings, calibration: SensorCalibration
+) -> Reading:
+    """The reading of `name` at `now`."""
+    newest, limit_s = track.newest, STALE_PERIODS * settings.sample_period_s
+    if newest is None:
+        return Reading(name, None, -math.inf, Quality.STALE)
+    if not track.accepted or not now - track.accepted[-1].time_s <= limit_s:
+        return _not_good(track, newest, now, limit_s, calibration)
+    value = trimmed_mean([s.value for s in track.accepted if s.value is not None])
+    jumps = sum(1 for t in track.jumps_s if track.accepted[-1].time_s - t < AVERAGE_S)
+    quality = Quality.SPIKE if track.stepped or jumps > len(track.accepted) else Quality.GOOD
+    if name == "temp_air" and _is_stuck(track, now, settings):
+        quality = Quality.STUCK
+    return Reading(name, calibration.gain * value + calibration.offset, track.accepted[-1].time_s, quality)
+
+
+def _not_good(
+    track: Track, newest: Reading, now: float, limit_s: float, calibration: SensorCalibration
+) -> Reading:
+    quality = sample_quality(newest)
+    if quality is Quality.GOOD:
+        quality = Quality.SPIKE  # good by itself but not accepted
+    if quality is not Quality.ABSENT and not now - newest.time_s <= limit_s:
+        quality = Quality.STALE
+    number = newest.value is not None and math.isfinite(newest.value)
+    value = (
+        calibration.gain * newest.value + calibration.offset if number and newest.value is not None else None
+    )
+    return Reading(newest.signal, value, newest.time_s, quality)
+
+
+def _is_stuck(track: Track, now: float, settings: SensorHealthSettings) -> bool:
+    still_s = now - track.still_since_s
+    driven = still_s >= settings.stuck_after_s and track.still_drive_s >= STUCK_DRIVE_S
+    return driven or track.still_hot_s >= 2.0 * settings.stuck_after_s
+
+
+def trimmed_mean(values: Sequence[float]) -> float:
+    """Mean without the lowest and the highest, where there are at least three values."""
+    inner = sorted(values)[1:-1] if len(values) >= 3 else values
+    return math.fsum(inner) / len(inner)

@@ -1,0 +1,112 @@
+"""What an operator asked for in words, as values: a reference by the clock, penalties, constraints, an end.
+
+It never reaches the board: it changes what the controller is asked for, and the fan's rest is an order like
+the operating mode's. Safety stands behind both.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from edge.core.plain_text import plain
+
+DAY_S = 86400.0
+HOURS_MAX = 168.0  # a wish that holds for longer than a week belongs into edge.yaml
+PENALTY_MAX = 100.0
+WORDS_MAX = 500  # of an operator [characters]
+
+
+@dataclass(frozen=True, slots=True)
+class DailyTarget:
+    """From local time `from_s` [s since midnight] on, every day: `reference_c` [°C]."""
+
+    from_s: float
+    reference_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class FanRest:
+    """The fan stays off between two local times [s since midnight]; over midnight where until is first."""
+
+    from_s: float
+    until_s: float
+
+    def left_s(self, since_midnight_s: float) -> float:
+        """How long it still lasts [s]; 0 outside it."""
+        length = (self.until_s - self.from_s) % DAY_S
+        gone = (since_midnight_s - self.from_s) % DAY_S
+        return length - gone if gone < length else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """Standing until `until_utc`; what is None or empty stays as it is configured.
+
+    words : the operator's own
+    heater_penalty, fan_penalty : weights in the cost of controllers that plan (MPC-P has 1), told to an LLM
+    """
+
+    id: str
+    words: str
+    until_utc: float
+    daily: tuple[DailyTarget, ...] = ()
+    heater_penalty: float | None = None
+    fan_penalty: float | None = None
+    heater_max_duty: float | None = None
+    fan_rest: tuple[FanRest, ...] = ()
+
+    def rest_left_s(self, since_midnight_s: float) -> float:
+        """How long the fan has to stay off from now on [s]; 0 where it may run."""
+        return max((rest.left_s(since_midnight_s) for rest in self.fan_rest), default=0.0)
+
+
+def problem(steering: Steering, now_utc: float, min_c: float, max_c: float) -> str:
+    """What an operator may not ask for, "" where all is allowed."""
+    if not now_utc < steering.until_utc <= now_utc + 3600.0 * HOURS_MAX:
+        return f"until: has to lie within the next {HOURS_MAX:g} h"
+    for target in steering.daily:
+        if not (min_c <= target.reference_c <= max_c and 0.0 <= target.from_s < DAY_S):
+            return f"reference: {target.reference_c:g} °C is outside {min_c:g} to {max_c:g} °C"
+    for name, value in (("heater", steering.heater_penalty), ("fan", steering.fan_penalty)):
+        if value is not None and not 0.0 <= value <= PENALTY_MAX:
+            return f"{name}_penalty: {value:g} is not from 0 to {PENALTY_MAX:g}"
+    duty = steering.heater_max_duty
+    if duty is not None and not 0.0 <= duty <= 1.0:
+        return f"heater_max_duty: {duty:g} is not from 0 to 1"
+    return ""
+
+
+def to_dict(steering: Steering) -> dict[str, Any]:
+    """JSON values."""
+    values = asdict(steering)
+    return {**values, "daily": list(values["daily"]), "fan_rest": list(values["fan_rest"])}
+
+
+def from_dict(values: Mapping[str, Any]) -> Steering:
+    """Inverse of `to_dict`. Errors: KeyError, TypeError, ValueError on values it never wrote."""
+    steering = Steering(
+        id=plain(str(values["id"]), 40),
+        words=plain(str(values["words"]), WORDS_MAX),
+        until_utc=_finite(values["until_utc"]),
+        daily=tuple(DailyTarget(**target) for target in values["daily"]),
+        heater_penalty=_or_none(values["heater_penalty"]),
+        fan_penalty=_or_none(values["fan_penalty"]),
+        heater_max_duty=_or_none(values["heater_max_duty"]),
+        fan_rest=tuple(FanRest(**rest) for rest in values["fan_rest"]),
+    )
+    for target in steering.daily:
+        _finite(target.from_s), _finite(target.reference_c)
+    for rest in steering.fan_rest:
+        _finite(rest.from_s), _finite(rest.until_s)
+    return steering
+
+
+def _or_none(value: Any) -> float | None:
+    return None if value is None else _finite(value)
+
+
+def _finite(value: Any) -> float:
+    if isinstance(value, bool) or not math.isfinite(value):
+        raise ValueError(f"{value!r} is no number")
+    return float(value)

@@ -1,1 +1,0 @@
-"""Where a twin and its measurements disagree, what is missing, and whether adding it closes the gap."""

@@ -1,0 +1,68 @@
+"""Named effects of the fan and of how air moves."""
+
+from collections.abc import Mapping
+
+from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.network import Network
+
+
+def fan_effectiveness(network: Network, eps_f: float) -> None:
+    """Share of the rated flow that changes air, against filters and the box's resistance: F -> eps_f F."""
+    network.fan_flow_scale *= eps_f
+
+
+def short_circuit(network: Network, s_sc: float) -> None:
+    """Supply air that leaves before it mixes: F -> (1 - s_sc) F."""
+    network.fan_flow_scale *= 1.0 - s_sc
+
+
+def fan_deadtime(network: Network, d_f: float) -> None:
+    """Time until a command acts: F(t) = F_cmd(t - d_f)."""
+    network.signals.fan_dead_s = d_f
+
+
+def fan_spinup(network: Network, tau_f: float) -> None:
+    """A rotor that takes time: tau_f ds/dt = u_f - s, F = s F_max."""
+    network.signals.fan_lag_s = tau_f
+
+
+def imperfect_mixing(network: Network, F_mix: float) -> None:
+    """Two halves of the air that exchange F_mix: the heater in one, sensor and intake in the other.
+
+    Walls, soil, leaks and other heat have half their share in each.
+    """
+    network.mixing_m3_s = F_mix
+
+
+AIR_EFFECTS: Mapping[str, Effect] = {
+    "fan_effectiveness": Effect(
+        fan_effectiveness,
+        (Parameter("eps_f", "", 0.0, 2.0, 0.8),),
+        "system effect on a fan's rating, AMCA Publication 201",
+        "positive with the fan on, in proportion to T - T_amb",
+    ),
+    "short_circuit": Effect(
+        short_circuit,
+        (Parameter("s_sc", "", 0.0, 1.0, 0.2),),
+        "air change effectiveness, ASHRAE Standard 129",
+        "positive with the fan on, in proportion to T - T_amb",
+    ),
+    "fan_deadtime": Effect(
+        fan_deadtime,
+        (Parameter("d_f", "s", 0.0, 600.0, 20.0),),
+        "transport delay of a first-order-plus-dead-time process, Åström & Hägglund 1995, ch. 2",
+        "positive for one or two rows after the fan goes on in a warm box, negative after it goes off",
+    ),
+    "fan_spinup": Effect(
+        fan_spinup,
+        (Parameter("tau_f", "s", 0.5, 600.0, 20.0),),
+        "rotor inertia to first order, ASHRAE HVAC Systems and Equipment 2016, ch. 21",
+        "positive after the fan goes on in a warm box and negative after it goes off, fading",
+    ),
+    "imperfect_mixing": Effect(
+        imperfect_mixing,
+        (Parameter("F_mix", "m³/s", 1e-4, 1.0, 0.02),),
+        "two-zone model of a room, Sandberg 1981, Building and Environment 16",
+        "the sensor rises late after the heater goes on, and the fan takes out less heat than it should",
+    ),
+}

@@ -1,0 +1,132 @@
+"""Named effects by which heat leaves the box or is stored in it."""
+
+from collections.abc import Mapping
+
+from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.network import AIR, ROOM, Network
+from edge.twin.signals import Floats, Now
+
+STEFAN_BOLTZMANN = 5.670374419e-8  # W/(m² K⁴), CODATA 2018
+KELVIN = 273.15
+_TANGENT_K = 298.15  # where radiation is linearised; what is left over is heat by the temperature
+
+
+def wall_loss(network: Network, UA: float) -> None:
+    """Heat straight through the walls: Q = -UA (T - T_amb)."""
+    network.connect(AIR, ROOM, UA, wall=True)
+
+
+def infiltration(network: Network, F_inf: float) -> None:
+    """Air leaks while the fan is off: Q = -(1 - u_f) rho c_p F_inf (T - T_amb)."""
+    leak_w_k = network.geometry.volumetric_heat_j_m3_k * F_inf
+    network.connect(AIR, ROOM, leak_w_k, -leak_w_k)
+
+
+def wall_mass(network: Network, C_w: float, G_in: float, G_out: float) -> None:
+    """Walls that store heat: C_w dT_w/dt = G_in (T - T_w) - G_out (T_w - T_amb).
+
+    It replaces `wall_loss`: at rest 1/UA = 1/G_in + 1/G_out.
+    """
+    network.add_node("wall", C_w)
+    network.connect(AIR, "wall", G_in)
+    network.connect("wall", ROOM, G_out, wall=True)
+
+
+def soil_mass(network: Network, C_s: float, G_s: float) -> None:
+    """Soil and pots store heat: C_s dT_s/dt = G_s (T - T_s)."""
+    network.add_node("soil", C_s)
+    network.connect(AIR, "soil", G_s)
+
+
+def extra_capacity(network: Network, kC: float) -> None:
+    """Things in close contact with the air: its capacity times kC."""
+    network.air_capacity_scale *= kC
+
+
+def longwave_radiation(network: Network, epsA: float) -> None:
+    """Radiation to the room: Q = -epsA sigma (T^4 - T_amb^4), temperatures in kelvin."""
+    tangent_w_k = 4.0 * epsA * STEFAN_BOLTZMANN * _TANGENT_K**3
+    network.connect(AIR, ROOM, tangent_w_k)
+
+    def beyond_tangent(now: Now) -> Floats:
+        box, room = (now.temp + KELVIN) ** 2, (now.ambient + KELVIN) ** 2
+        fourth = (box - room) * (box + room)  # T^4 - T_amb^4, several times faster than powers
+        return tangent_w_k * (now.temp - now.ambient) - epsA * STEFAN_BOLTZMANN * fourth
+
+    network.heat(beyond_tangent, by_temp=True)
+
+
+def door_opening(network: Network, G_door: float) -> None:
+    """Air exchanged through an open door: Q = -G_door (T - T_amb) in short events.
+
+    The column `door_open`, the share of a step, tells the events where they are known; else it is closed.
+    """
+    network.connect(AIR, ROOM, 0.0, 0.0, G_door)
+    network.signals.door = True
+
+
+def ua_drift(network: Network, ua_drift: float) -> None:
+    """Walls that change, by seals or growth: UA = UA0 (1 + ua_drift day), days since `day0_utc`.
+
+    UA0 is that of `wall_loss`, or G_out of `wall_mass`; it ends at 0.
+    """
+    network.signals.ageing_per_day = ua_drift
+
+
+LOSS_EFFECTS: Mapping[str, Effect] = {
+    "wall_loss": Effect(
+        wall_loss,
+        (Parameter("UA", "W/K", 0.0, 100.0, 4.0),),
+        "thermal transmittance, ISO 6946",
+        "falls with T - T_amb: a warm box is predicted too warm, and ever more with the fan off",
+    ),
+    "infiltration": Effect(
+        infiltration,
+        (Parameter("F_inf", "m³/s", 0.0, 0.05, 0.002),),
+        "sensible infiltration load, ASHRAE Fundamentals 2017, ch. 16",
+        "falls with T - T_amb while the fan is off, and is gone while it runs",
+    ),
+    "wall_mass": Effect(
+        wall_mass,
+        (
+            Parameter("C_w", "J/K", 100.0, 1e6, 5000.0),
+            Parameter("G_in", "W/K", 0.01, 500.0, 10.0),
+            Parameter("G_out", "W/K", 0.01, 500.0, 8.0),
+        ),
+        "two-state lumped wall (TiTe), Bacher & Madsen 2011, Energy and Buildings 43",
+        "negative when the box has just been warmed, positive for the hour after it cools",
+        replaces="wall_loss",
+    ),
+    "soil_mass": Effect(
+        soil_mass,
+        (Parameter("C_s", "J/K", 100.0, 1e6, 10000.0), Parameter("G_s", "W/K", 0.01, 500.0, 3.0)),
+        "medium node (TiTm), Bacher & Madsen 2011, Energy and Buildings 43",
+        "follows the change of T over the last hours, and not the room: negative in the first warm hours, "
+        "positive after they end, zero on average",
+    ),
+    "extra_capacity": Effect(
+        extra_capacity,
+        (Parameter("kC", "", 1.0, 1000.0, 5.0),),
+        "internal heat capacity of a zone, air and furniture, ISO 52016-1",
+        "the predicted temperature jumps where the measured one rises: opposite signs just after each switch",
+    ),
+    "longwave_radiation": Effect(
+        longwave_radiation,
+        (Parameter("epsA", "m²", 0.0, 5.0, 0.3),),
+        "Stefan-Boltzmann law between a small grey body and its surroundings, ISO 6946 annex C",
+        "falls with T - T_amb, a little more than in proportion, and more in a warm room",
+    ),
+    "door_opening": Effect(
+        door_opening,
+        (Parameter("G_door", "W/K", 0.0, 500.0, 20.0),),
+        "single-sided air exchange through an opening, ASHRAE Fundamentals 2017, ch. 16",
+        "drops towards the room for minutes at times that no input tells, and comes back",
+    ),
+    "ua_drift": Effect(
+        ua_drift,
+        (Parameter("ua_drift", "1/d", -0.05, 0.5, 0.01),),
+        "ageing of seals and growth of a canopy, to first order",
+        "falls with T - T_amb, by a slope that changes from day to day",
+        needs=("utc",),
+    ),
+}

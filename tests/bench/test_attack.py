@@ -1,0 +1,45 @@
+"""A short form of `python -m bench.attack`: a few cases of each part, none of which may be violated."""
+
+import itertools
+
+import pytest
+
+from bench.attack import answers, files, floods, payloads, scenarios
+from bench.attack.part import Found, Part
+from bench.support.broker import needs_mosquitto
+
+PATIENT_S = 10.0  # for a stop where tests run beside it: the bench asks for 1 s
+
+
+def violations(part: Part, seed: int, count: int) -> list[str]:
+    found: list[Found] = list(part(seed, count))
+    assert found
+    return [f"{each.name}: {text}" for each in found for text in each.violations]
+
+
+def test_random_faults_kills_and_full_disks_break_no_invariant() -> None:
+    seeds = range(3)
+    assert [text for each in map(scenarios.one, seeds) for text in each.violations] == []
+
+
+def test_evil_answers_of_a_language_model_break_nothing() -> None:
+    assert violations(answers.run, 11, 9) == []
+
+
+def test_hostile_files_are_refused_in_a_few_lines_that_name_them() -> None:
+    assert violations(files.run, 11, 30) == []
+
+
+@needs_mosquitto
+def test_hostile_payloads_from_the_broker_break_nothing() -> None:
+    assert violations(payloads.run, 11, 60) == []
+
+
+@needs_mosquitto
+def test_a_flood_at_either_door_does_not_keep_a_stop_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(floods, "OBEYED_S", PATIENT_S)
+    monkeypatch.setattr(floods, "WARM_UP_S", 0.3)
+    some = {name: floods.FLOODS[name] for name in ("socket: never read", "mqtt: 10 000 at once")}
+    monkeypatch.setattr(floods, "FLOODS", some)
+    trials = len(list(itertools.product(some, ("socket", "mqtt"), floods.STOPS)))
+    assert violations(floods.run, 11, trials // 2) == []

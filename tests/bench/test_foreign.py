@@ -1,0 +1,213 @@
+"""bench/foreign: cases that share nothing with the engine, and their score."""
+
+import argparse
+import ast
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.foreign import cases
+from bench.foreign.box import HOT_ELEMENT_K, Box, Weather, drive
+from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, Case, make_case, seed_of
+from bench.foreign.make import name_of, tasks_of, write_case
+from bench.foreign.score import calibration_error, figures, is_alike, score, text
+from edge.formats.run_file import read_run
+from edge.twin.effects.library import EFFECTS
+from edge.twin.twin_file import read_twin_file
+
+FOLDER = Path(cases.__file__).parent
+ROWS, STEP_S = 800, 10.0
+BOX = Box(volume_m3=0.02, power_w=40.0, loss_w_k=1.0, contents_j_k=300.0)
+RUN = {"wall_s": 10.0, "cpu_s": 10.0}
+
+
+def still(room_c: float = 20.0) -> Weather:
+    return Weather(np.full(ROWS, room_c), np.zeros(ROWS), np.zeros(ROWS), np.ones(ROWS))
+
+
+def heated(box: Box, duty: float = 0.5, fan: float = 0.0) -> np.ndarray:
+    return drive(box, still(), lambda row, _: (duty, fan), STEP_S)[0][:, 0]
+
+
+def test_seeds_that_are_not_burnt_begin_later() -> None:
+    arguments = argparse.Namespace(
+        kinds="null,pair", per_kind=2, seed_from=10, out=Path("out"), split="scored", workers=1
+    )
+    assert [name_of(task) for task in tasks_of(arguments)] == [
+        "case_500010", "case_500011", "case_502010", "case_502011",
+    ]  # fmt: skip
+
+
+def test_the_generator_uses_nothing_of_the_engine() -> None:
+    for path in (FOLDER / "box.py", FOLDER / "weather.py", FOLDER / "cases.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [item.name for item in node.names] if isinstance(node, ast.Import) else []
+            assert not any(name.startswith(("edge", "training", "bench.hidden")) for name in names), path
+
+
+def test_a_box_at_rest_stays_there() -> None:
+    assert heated(BOX, duty=0.0) == pytest.approx(20.0)
+
+
+def test_heat_that_goes_in_is_heat_that_goes_out() -> None:
+    assert heated(BOX)[-1] == pytest.approx(20.0 + 0.5 * 40.0 / 1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("part", "sign"),
+    [
+        ({"flow_m3_s": 0.001}, -1), ({"curve": 0.05}, -1), ({"limit": 0.3}, -1), ({"sag": 0.3}, -1),
+        ({"base_w": 3.0}, 1), ({"fan_w": 3.0}, 1), ({"free_w_k": 0.5}, -1),
+        ({"cutout_c": 30.0, "cutout_gap_k": 2.0}, -1),
+        ({"second_w": 8.0, "second_c": 60.0}, 1),
+    ],
+)  # fmt: skip
+def test_a_part_does_what_its_name_says(part: dict[str, float], sign: int) -> None:
+    box = Box(**{"volume_m3": 0.02, "power_w": 40.0, "loss_w_k": 1.0, "contents_j_k": 300.0, **part})
+    assert sign * (heated(box, fan=1.0)[-1] - heated(BOX, fan=1.0)[-1]) > 0.2
+
+
+@pytest.mark.parametrize(
+    "part",
+    [{"element_s": 120.0}, {"dead_s": 60.0}, {"sensor_s": 90.0}, {"mixing_w_k": 2.0}, {"wall_j_k": 900.0},
+     {"store_j_k": 900.0, "store_w_k": 1.0}, {"melts_j": 4000.0, "melts_c": 30.0, "melts_over_k": 2.0}],
+)  # fmt: skip
+def test_what_stores_or_delays_changes_the_way_and_not_the_end(part: dict[str, float]) -> None:
+    other = heated(Box(volume_m3=0.02, power_w=40.0, loss_w_k=1.0, contents_j_k=300.0, **part))
+    plain = heated(BOX)
+    assert np.abs(other - plain).max() > 0.5
+    assert other[-1] == pytest.approx(plain[-1], abs=1.0)
+
+
+def test_an_element_is_hot_by_its_power() -> None:
+    assert HOT_ELEMENT_K > 100.0
+    assert heated(Box(**{**vars_of(BOX), "element_s": 60.0}))[-1] == pytest.approx(heated(BOX)[-1], abs=0.05)
+
+
+def vars_of(box: Box) -> dict[str, float]:
+    return {"volume_m3": box.volume_m3, "power_w": box.power_w, "loss_w_k": box.loss_w_k,
+            "contents_j_k": box.contents_j_k}  # type: ignore[dict-item]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def few() -> list[Case]:
+    return [make_case("dev", kind, number) for kind in KINDS for number in (900, 901)]
+
+
+def test_a_case_is_the_same_whenever_it_is_made(few: list[Case]) -> None:
+    again = make_case("dev", "null", 900)
+    assert again.truth == few[0].truth
+    for name, log in again.files.items():
+        for key, values in log.columns.items():
+            assert np.array_equal(values, few[0].files[name].columns[key])
+
+
+def test_a_case_is_what_a_stranger_would_hand_over(few: list[Case], tmp_path: Path) -> None:
+    for i, case in enumerate(few):
+        folder = tmp_path / str(i)
+        write_case(case, folder)
+        file = read_twin_file(folder / "twin.yaml")
+        assert not set(case.truth["hidden"]) & set(file.effects)
+        for path in folder.glob("*.csv"):
+            run = read_run(path)
+            assert np.median(np.diff(run.columns["time_s"])) == pytest.approx(file.sample_s)
+            assert np.isfinite(run.columns["temp_air_c"]).all()
+            assert 0.0 <= run.columns["heater_duty"].min() <= run.columns["heater_duty"].max() <= 1.0
+
+
+def test_scored_cases_are_others_than_those_of_development() -> None:
+    seeds = {
+        split: {seed_of(split, kind, i) for kind in KINDS for i in range(1000)} for split in ("dev", "scored")
+    }
+    assert not seeds["dev"] & seeds["scored"]
+
+
+def test_names_are_those_of_the_library() -> None:
+    for names in (*ALIASES, HIDEABLE, *cases.PLACES.values()):
+        assert set(names) <= EFFECTS.keys()
+    words = {"heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "rel_humidity", "time", "none"}
+    assert {word for own in OUTSIDE.values() for word in own} <= words
+
+
+def answer(
+    names: dict[str, float], verdict: str = "named", after: float = 0.1, **more: object
+) -> dict[str, object]:
+    return {
+        "verdict": verdict,
+        "effects": [
+            {"name": name, "probability": probability,
+             "parameters": {"tau_h": {"value": 60.0, "low": 50.0, "high": 70.0}}}
+            for name, probability in names.items()
+        ],
+        "doubtful": [],
+        "depends_on": [],
+        "gap": {"before": {"test": {"rmse_k": 1.0}}, "after": {"test": {"rmse_k": after}}},
+        "left_out": {"given_k": 1.0, "after_k": after, "simple_k": {"one mass": 0.8},
+                     "test_k": {"one mass": 0.8}},
+        "twin_after": "twin.yaml",
+        "against_adopting": [],
+        **more,
+    }  # fmt: skip
+
+
+def truth(
+    kind: str = "single", hidden: dict[str, dict[str, float]] | None = None, outside: str = ""
+) -> dict[str, object]:
+    return {"kind": kind, "hidden": hidden or {}, "outside": outside,
+            "depends_on": list(OUTSIDE.get(outside, ())), "noise_k": 0.05, "step_k": 0.1,
+            "known": {}}  # fmt: skip
+
+
+LAG = {"heater_lag": {"tau_h": 65.0}}
+
+
+def test_a_name_is_right_strictly_or_by_its_class() -> None:
+    strict = score("a", truth(hidden=LAG), answer({"heater_lag": 0.9}), RUN)
+    alike = score("a", truth(hidden=LAG), answer({"sensor_lag": 0.9}), RUN)
+    wrong = score("a", truth(hidden=LAG), answer({"soil_mass": 0.9}), RUN)
+    assert [own.strict for own in (strict, alike, wrong)] == [(True,), (False,), (False,)]
+    assert [own.by_class for own in (strict, alike, wrong)] == [(True,), (True,), (False,)]
+    assert [own.is_exact for own in (strict, alike, wrong)] == [True, True, False]
+    assert strict.covered == (True,)
+    assert is_alike("wall_mass", "soil_mass")
+    assert not is_alike("wall_mass", "heater_lag")
+
+
+def test_one_hidden_effect_makes_one_name_right() -> None:
+    both = score("a", truth(hidden=LAG), answer({"heater_lag": 0.9, "sensor_lag": 0.9}), RUN)
+    assert both.by_class == (True, False)
+    assert not both.is_exact
+
+
+def test_figures_of_a_few_answers() -> None:
+    found = [
+        score("a", truth(hidden=LAG), answer({"heater_lag": 0.97}), RUN),
+        score("b", truth("null"), answer({}, "nothing_missing", 1.0), RUN),
+        score("c", truth("null"), answer({"heater_lag": 0.97}), RUN),
+        score("d", truth("outside", outside="sun"), answer({}, "unknown", 0.4), RUN),
+        score("e", truth(hidden=LAG), None, RUN),
+    ]
+    told = {
+        name: value if isinstance(value, float) else value.value for name, value in figures(found).items()
+    }
+    assert told["first name, strict"] == 0.5
+    assert told["null: something named"] == 0.5
+    assert told["outside: unknown said"] == 1.0
+    assert told["false names (false discovery rate)"] == 0.5
+    assert told["false with probability >= 0.95"] == 0.5
+    assert told["no answer"] == 0.2
+    assert told["outside: half of the gap closed"] == 1.0
+    assert "5 cases" in text(found)
+
+
+def test_what_is_said_is_held_against_what_held() -> None:
+    assert calibration_error([(0.9, True)] * 9 + [(0.9, False)]) == pytest.approx(0.0)
+    assert calibration_error([(0.95, False)] * 4) == pytest.approx(0.95)
+
+
+def test_truth_is_plain_json(few: list[Case]) -> None:
+    for case in few:
+        json.dumps(case.truth, allow_nan=False)

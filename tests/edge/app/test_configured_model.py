@@ -1,0 +1,119 @@
+"""Which predictor a configuration gets, and which is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.__main__ import main
+from edge.app.configured_model import configured_model
+from edge.app.daemon import Daemon
+from edge.config import loading as config
+from edge.config.settings import ControlSettings
+from edge.core.clock import RealClock
+from edge.core.errors import ConfigError, DataError
+from edge.models.arx_file import DEFAULT_PATH, read_arx, write_arx
+from edge.models.persistence import Persistence
+from edge.safety.supervisor import SafetyMemory, memory_to_dict
+from edge.state import state_file
+from edge.tick.orders import Operation
+from edge.tick.orders_json import to_dict
+
+
+def test_the_packaged_model_serves_the_default_step() -> None:
+    assert configured_model(ControlSettings()).version == read_arx(DEFAULT_PATH).version
+
+
+def test_a_model_file_of_ones_own_comes_first(tmp_path: Path) -> None:
+    write_arx(read_arx(DEFAULT_PATH), tmp_path / "own.json", {"source": "a copy"})
+    model = configured_model(ControlSettings(model=str(tmp_path / "own.json")))
+    assert model.version == read_arx(tmp_path / "own.json").version != read_arx(DEFAULT_PATH).version
+
+
+@pytest.mark.parametrize("step_s", [1.0, 59.9, 60.1, 600.0])
+@pytest.mark.parametrize("controller", ["MPC", "MPC-BFGS-P"])
+def test_a_model_for_another_step_is_refused(step_s: float, controller: str) -> None:
+    settings = ControlSettings(step_s=step_s, controller=controller)
+    with pytest.raises(ConfigError, match=rf"made for steps of 60 s, control\.step_s is {step_s:g}"):
+        configured_model(settings)
+
+
+@pytest.mark.parametrize("step_s", [1.0, 59.9, 60.1, 600.0])
+def test_rules_run_at_any_step(step_s: float) -> None:
+    model = configured_model(ControlSettings(step_s=step_s, controller="rules"))
+    assert isinstance(model, Persistence)
+    assert model.step_s == step_s
+
+
+def test_rules_at_the_models_own_step_keep_the_model() -> None:
+    assert configured_model(ControlSettings(controller="rules")).name == "arx"
+
+
+def test_a_named_model_for_another_step_is_refused_even_to_rules() -> None:
+    with pytest.raises(ConfigError, match=r"default_arx\.json is made for steps of 60 s"):
+        configured_model(ControlSettings(step_s=1.0, controller="rules", model=str(DEFAULT_PATH)))
+
+
+def test_a_missing_model_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="none\\.json"):
+        configured_model(ControlSettings(model=str(tmp_path / "none.json")))
+
+
+def test_persistence_forecasts_the_newest_temperature_whatever_the_inputs() -> None:
+    controls = np.random.default_rng(1).random((3, 5, 2))
+    forecast = Persistence(1.0).rollout({"temp_air": np.array([20.0, 24.5])}, controls, {})
+    assert forecast.shape == (3, 5)
+    assert (forecast == 24.5).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("control: {step_s: 5}", "control.model"),
+        ("reference: {kind: csv, csv: /nowhere/profile.csv}", "/nowhere/profile.csv"),
+        ("control: {model: /nowhere/arx.json}", "/nowhere/arx.json"),
+    ],
+)
+def test_check_config_refuses_what_the_daemon_would(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, reason: str
+) -> None:
+    (tmp_path / "edge.yaml").write_text(text)
+    assert main(["check-config", str(tmp_path / "edge.yaml")]) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_check_config_takes_rules_at_another_step(tmp_path: Path) -> None:
+    (tmp_path / "edge.yaml").write_text("control: {step_s: 5, controller: rules}")
+    assert main(["check-config", str(tmp_path / "edge.yaml")]) == 0
+
+
+PLACES = """
+state_file: {folder}/state.json
+control_socket: {{path: {folder}/daemon.sock}}
+history: {{path: {folder}/history.db}}
+board: {{port: {folder}/no-board}}
+control: {{step_s: 5, controller: rules}}
+"""
+
+
+def test_a_controller_chosen_when_there_was_a_model_gives_way_to_the_configured_one(tmp_path: Path) -> None:
+    settings = config.parse(PLACES.format(folder=tmp_path))
+    state = {
+        "operation": to_dict(Operation("MPC", reference_c=27.0)),
+        "safety": memory_to_dict(SafetyMemory()),
+    }
+    state_file.write(tmp_path / "state.json", state)
+    with Daemon(settings, RealClock()) as daemon:
+        assert daemon._loop is not None
+        standing = daemon._loop.status()["operation"]
+    assert standing["controller"] == "rules"
+    assert standing["reference_c"] == 27.0
+
+
+def test_an_experiment_with_a_controller_that_needs_a_model_is_refused(tmp_path: Path) -> None:
+    settings = config.parse(PLACES.format(folder=tmp_path))
+    with (
+        pytest.raises(ConfigError, match="MPC needs a model for 5 s"),
+        Daemon(settings, RealClock(), experiment="MPC"),
+    ):
+        pass

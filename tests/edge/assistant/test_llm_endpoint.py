@@ -1,0 +1,226 @@
+"""llm/endpoint.py and wire.py: whatever a server does, an answer or a failure of a known kind."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from llm_parts import KEY, Line, document, endpoint, ok, says
+
+from edge.assistant.llm.endpoint import retry_after_s
+from edge.assistant.llm.failure import KINDS, LlmFailure
+from edge.assistant.llm.interrupt import Interrupt
+from edge.assistant.llm.line import Response
+from edge.assistant.llm.wire import Schema, ToolSpec, Usage, read_document, read_reply, read_usage
+
+HELLO = [{"role": "user", "content": "hello"}]
+SCHEMA = Schema("answer", {"type": "object"})
+TOOL = ToolSpec("look", "looks", {"type": "object"})
+
+
+def error(status: int, text: str = "no", after: str = "") -> Response:
+    return Response(status, after, json.dumps({"error": {"message": text}}).encode())
+
+
+def failure(folder: Path, line: Line, deadline_s: float = 1000.0, **values: Any) -> LlmFailure:
+    with endpoint(folder, line, **values) as made, pytest.raises(LlmFailure) as caught:
+        made.chat(HELLO, deadline_s=deadline_s)
+    assert caught.value.kind in KINDS
+    return caught.value
+
+
+def test_a_request_has_the_wire_format(tmp_path: Path) -> None:
+    line = Line(says("hi"))
+    with endpoint(tmp_path, line) as made:
+        reply = made.chat(HELLO, [TOOL], temperature=1.0, schema=SCHEMA, deadline_s=5.0)
+        made.chat(HELLO, schema=SCHEMA)
+    assert (reply.content, reply.finish_reason, reply.usage) == ("hi", "stop", Usage(100, 20))
+    body = line.bodies[0]
+    assert body["tools"] == [
+        {
+            "type": "function",
+            "function": {"name": "look", "description": "looks", "parameters": {"type": "object"}},
+        }
+    ]
+    assert body["parallel_tool_calls"] is False
+    assert "response_format" not in body  # many servers can't do both
+    assert (body["temperature"], body["max_tokens"], body["stream"]) == (1.0, 800, False)
+    assert line.bodies[1]["response_format"] == {
+        "type": "json_schema",
+        "json_schema": {"name": "answer", "schema": {"type": "object"}, "strict": True},
+    }
+    assert line.headers[0]["Authorization"] == f"Bearer {KEY}"
+    assert line.deadlines[0] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("status", "kind", "asked"),
+    [
+        (429, "rate_limited", 3),
+        (500, "server_error", 3),
+        (503, "server_error", 3),
+        (401, "refused_key", 1),
+        (403, "refused_key", 1),
+        (400, "bad_request", 1),
+        (404, "bad_request", 1),
+        (302, "bad_request", 1),
+    ],
+)
+def test_every_status_is_a_kind_and_only_what_may_pass_is_tried_again(
+    tmp_path: Path, status: int, kind: str, asked: int
+) -> None:
+    line = Line(error(status))
+    assert failure(tmp_path, line, retries=2).kind == kind
+    assert len(line.bodies) == asked
+    assert line.pauses == [1.0, 2.0][: asked - 1]
+
+
+def test_a_server_that_recovers_is_answered(tmp_path: Path) -> None:
+    line = Line(error(500), LlmFailure("unreachable", "x"), says("hi"))
+    with endpoint(tmp_path, line, retries=2) as made:
+        assert made.chat(HELLO).content == "hi"
+
+
+@pytest.mark.parametrize(("after", "pauses"), [("7", [7.0]), ("0.2", [1.0]), ("60", [60.0])])
+def test_a_pause_is_as_long_as_the_server_asks(tmp_path: Path, after: str, pauses: list[float]) -> None:
+    line = Line(error(429, after=after), says("hi"))
+    with endpoint(tmp_path, line) as made:
+        made.chat(HELLO)
+    assert line.pauses == pauses
+
+
+@pytest.mark.parametrize("after", ["61", "-1", "nan", "inf", "Wed, 21 Oct 2026 07:28:00 GMT", "soon"])
+def test_a_server_that_asks_for_too_much_patience_gets_none(tmp_path: Path, after: str) -> None:
+    line = Line(error(429, after=after))
+    assert failure(tmp_path, line).kind == "rate_limited"
+    assert line.pauses == []
+
+
+def test_no_pause_reaches_beyond_the_deadline(tmp_path: Path) -> None:
+    line = Line(error(500))
+    assert failure(tmp_path, line, deadline_s=3.5, retries=5).kind == "server_error"
+    assert line.pauses == [1.0, 2.0]
+    assert line.deadlines == [3.5, 2.5, 0.5]
+
+
+@pytest.mark.parametrize("deadline_s", [0.0, -1.0, float("nan")])
+def test_without_time_nothing_is_sent(tmp_path: Path, deadline_s: float) -> None:
+    line = Line(says("hi"))
+    with endpoint(tmp_path, line) as made:
+        with pytest.raises(LlmFailure, match="timeout"):
+            made.chat(HELLO, deadline_s=deadline_s)
+        assert made.budget.spent.tokens == 0
+    assert line.bodies == []
+
+
+def test_a_fired_interrupt_ends_the_retries(tmp_path: Path) -> None:
+    stop, line = Interrupt(), Line(error(500))
+    stop.fire()
+    with endpoint(tmp_path, line) as made, pytest.raises(LlmFailure, match="interrupted"):
+        made.chat(HELLO, stop=stop)
+    assert len(line.bodies) == 1
+
+
+def test_a_server_without_response_format_is_asked_without_it_from_then_on(tmp_path: Path) -> None:
+    line = Line(error(400, "response_format is unknown"), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        assert made.chat(HELLO, schema=SCHEMA).content == "{}"
+        made.chat(HELLO, schema=SCHEMA)
+    assert ["response_format" in body for body in line.bodies] == [True, False, False]
+
+
+def test_a_server_that_wants_max_completion_tokens_gets_them(tmp_path: Path) -> None:
+    line = Line(error(400, "use 'max_completion_tokens' instead"), says("hi"))
+    with endpoint(tmp_path, line) as made:
+        made.chat(HELLO)
+        made.chat(HELLO)
+    assert ["max_completion_tokens" in body for body in line.bodies] == [False, True, True]
+
+
+def test_a_request_that_is_refused_either_way_teaches_nothing(tmp_path: Path) -> None:
+    line = Line(error(400, "context too long"), error(400, "context too long"), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        with pytest.raises(LlmFailure, match="bad_request"):
+            made.chat(HELLO, schema=SCHEMA)
+        made.chat(HELLO, schema=SCHEMA)
+    assert "response_format" in line.bodies[2]
+
+
+def test_no_failure_tells_the_key(tmp_path: Path) -> None:
+    for status in (400, 401, 403, 429, 500):
+        line = Line(error(status, f"bad key {KEY}", after="99"))
+        assert KEY not in str(failure(tmp_path, line))
+    with endpoint(tmp_path, Line(says("hi"))) as made:
+        assert KEY not in repr(made)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        ([], "malformed"),
+        ({}, "malformed"),
+        ({"choices": []}, "malformed"),
+        ({"choices": [3]}, "malformed"),
+        ({"choices": [{"message": None}]}, "malformed"),
+        (document({"content": 3}), "malformed"),
+        (document({"content": [{"type": "text", "text": "x"}]}), "malformed"),
+        (document({"content": None, "tool_calls": {}}), "malformed"),
+        (document({"content": None, "tool_calls": [{"id": "a"}]}), "malformed"),
+        (document({"tool_calls": [{"id": "a", "function": {"name": "f", "arguments": {}}}]}), "malformed"),
+        (document({"tool_calls": [{"id": 1, "function": {"name": "f", "arguments": ""}}]}), "malformed"),
+        (document({"content": "{"}, "length"), "truncated"),
+        (document({"content": ""}, "content_filter"), "refusal"),
+        (document({"content": None, "refusal": "no"}), "refusal"),
+    ],
+)
+def test_a_reply_of_another_form_is_a_failure_of_its_kind(tmp_path: Path, value: Any, kind: str) -> None:
+    assert failure(tmp_path, Line(ok(value))).kind == kind
+
+
+@pytest.mark.parametrize("raw", [b"", b"{", b"\xff", b"[" * 100_000, b'{"choices": NaN}', b"null"])
+def test_a_reply_that_is_no_json_object_is_malformed(tmp_path: Path, raw: bytes) -> None:
+    assert failure(tmp_path, Line(Response(200, "", raw))).kind == "malformed"
+
+
+def test_content_may_be_null_and_arguments_no_json(tmp_path: Path) -> None:
+    call = {"id": "a", "type": "function", "function": {"name": "f", "arguments": "{oops"}}
+    line = Line(ok(document({"content": None, "tool_calls": [call]}, "tool_calls")))
+    with endpoint(tmp_path, line) as made:
+        reply = made.chat(HELLO)
+    assert reply.content is None
+    assert reply.tool_calls[0].arguments == "{oops"
+
+
+@pytest.mark.parametrize(
+    "usage", [None, 3, {}, {"prompt_tokens": -1}, {"prompt_tokens": True}, {"prompt_tokens": 10**10}]
+)
+def test_a_count_that_cannot_be_is_none(usage: Any) -> None:
+    assert read_usage({"usage": usage}) is None
+
+
+@pytest.mark.parametrize("text", ["", "0", "3", "2.5"])
+def test_seconds_of_a_header_are_read(text: str) -> None:
+    assert retry_after_s(text) == float(text or 0)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+KEYS = ("content", "refusal", "tool_calls", "function", "id", "name", "arguments")
+MESSAGES = st.dictionaries(st.sampled_from(KEYS), JSON)
+
+
+@hypothesis_settings(suppress_health_check=[HealthCheck.too_slow])
+@given(MESSAGES, JSON, st.sampled_from(["stop", "length", "tool_calls", "content_filter", None]))
+def test_any_reply_is_read_or_refused(message: dict[str, Any], usage: Any, finish: str | None) -> None:
+    whole = read_document(json.dumps(document(message, finish, usage)).encode())  # type: ignore[arg-type]
+    read_usage(whole)
+    try:
+        read_reply(whole, Usage())
+    except LlmFailure as failure:
+        assert failure.kind in KINDS

@@ -1,0 +1,236 @@
+"""edge/bundle/keeper.py: bundles are exchanged while the control thread goes on."""
+
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bundles import Workshop, install, load_nothing
+
+from edge.bundle.keeper import JOBS_WAITING, BundleKeeper
+from edge.bundle.manifest import PACKAGED, Manifest
+from edge.bundle.roles import Roles
+from edge.bundle.store import Load, Store
+from edge.bundle.trial import HorizonScore
+from edge.core.clock import RealClock
+from edge.core.messages import Severity
+from edge.core.predictor import Predictor
+
+TICKS = 10
+
+
+@pytest.fixture
+def workshop(tmp_path: Path) -> Workshop:
+    workshop = Workshop(tmp_path)
+    workshop.signed_folder("packaged", version="0")
+    return workshop
+
+
+def make_store(workshop: Workshop, load: Load = load_nothing) -> Store:
+    return Store(workshop.folder / "store", workshop.trusted, load, workshop.folder / "packaged")
+
+
+@contextmanager
+def keeping(store: Store, automatic: bool = False) -> Iterator[BundleKeeper]:
+    keeper = BundleKeeper(store, RealClock(), automatic, TICKS)
+    try:
+        yield keeper
+    finally:
+        keeper.close()
+
+
+def done(keeper: BundleKeeper, reply: Mapping[str, Any]) -> dict[str, Any]:
+    """The state after the job of `reply`."""
+    assert reply["ok"], reply
+    for _ in range(1000):
+        status = keeper.answer({"action": "status", "job": reply["job"]})
+        if status["job_done"]:
+            return status
+        time.sleep(0.005)
+    raise AssertionError("the job is not done")
+
+
+def rows(active_k: float, rival_k: float, count: int = TICKS) -> list[HorizonScore]:
+    return [HorizonScore("arx", 60.0, count, active_k, rival_k)]
+
+
+def settled(keeper: BundleKeeper) -> None:
+    """All jobs that were posted are done."""
+    done(keeper, keeper.answer({"action": "refresh"}))
+
+
+def test_an_activation_exchanges_what_serves_and_is_told(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    with keeping(store) as keeper:
+        assert keeper.serving.active.name == PACKAGED
+        install(store, workshop.archive("1.0"))
+        assert done(keeper, keeper.answer({"action": "refresh"}))["rival"] == "1.0"
+        packaged = keeper.serving.active
+        status = done(keeper, keeper.answer({"action": "activate", "version": None}))
+        assert (status["active"], status["rival"], status["on_probation"]) == ("1.0", PACKAGED, True)
+        assert keeper.serving.rival is packaged  # what was in memory goes on
+        told = keeper.events_pending()
+        assert [event.key for event in told] == ["bundle.refresh", "bundle.activate"]
+        assert told[1].text == "asked for; 1.0 is active, on probation; packaged runs beside it"
+        assert keeper.events_pending() == []
+    assert store.roles() == Roles("1.0", PACKAGED, on_probation=True)
+
+
+def test_the_control_thread_never_waits_for_models_that_load(workshop: Workshop) -> None:
+    loading, go_on = threading.Event(), threading.Event()
+    go_on.set()
+
+    def slow(folder: Path, manifest: Manifest) -> dict[str, Predictor]:
+        loading.set()
+        assert go_on.wait(20)
+        return {}
+
+    store = make_store(workshop, slow)
+    install(store, workshop.archive("1.0"))
+    with keeping(store) as keeper:
+        go_on.clear()
+        loading.clear()
+        reply = keeper.answer({"action": "activate", "version": None})
+        assert loading.wait(20)
+        # The model is still loading; ticks see the old bundle, scores and requests are taken.
+        assert keeper.serving.active.name == PACKAGED
+        keeper.consider(keeper.serving, rows(0.3, 0.3))
+        status = keeper.answer({"action": "status", "job": reply["job"]})
+        assert (status["active"], status["job_done"]) == (PACKAGED, False)
+        waiting = [keeper.answer({"action": "refresh"}) for _ in range(JOBS_WAITING)]
+        assert waiting[-1] == {"ok": False, "error": "too many requests wait"}
+        go_on.set()
+        assert done(keeper, reply)["active"] == "1.0"
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"action": "fly"}, "action: 'fly' is none of status, activate"),
+        ({}, "action: None is none of"),
+        ({"action": ["activate"]}, "is none of"),
+        ({"action": "activate", "version": 1}, "version: 1 is no version"),
+    ],
+)
+def test_a_request_that_is_none_is_refused(workshop: Workshop, request_, words) -> None:
+    with keeping(make_store(workshop)) as keeper:
+        reply = keeper.answer(request_)
+    assert not reply["ok"]
+    assert words in reply["error"]
+
+
+def test_an_order_that_fails_is_told_and_changes_nothing(workshop: Workshop) -> None:
+    with keeping(make_store(workshop)) as keeper:
+        before = keeper.serving
+        status = done(keeper, keeper.answer({"action": "activate", "version": "9"}))
+        assert status["job_error"] == "bundle 9 is not installed; known: packaged"
+        assert keeper.serving is before
+        told = keeper.events_pending()
+    assert [(event.key, event.severity) for event in told] == [("bundle.failed", Severity.WARNING)]
+
+
+def test_a_bug_in_a_job_does_not_end_the_thread(workshop: Workshop) -> None:
+    broken = False
+
+    def load(folder: Path, manifest: Manifest) -> dict[str, Predictor]:
+        return {"arx": 1 / 0} if broken else {}
+
+    store = make_store(workshop, load)
+    install(store, workshop.archive("1.0"))
+    with keeping(store) as keeper:
+        broken = True
+        assert "ZeroDivisionError" in done(keeper, keeper.answer({"action": "activate"}))["job_error"]
+        broken = False
+        assert done(keeper, keeper.answer({"action": "activate"}))["active"] == "1.0"
+
+
+def test_a_bundle_that_cannot_serve_is_a_fault_while_that_is_so(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    install(store, workshop.archive("1.0"))
+    (store.folder / "1.0" / "arx.json").unlink()
+    with keeping(store) as keeper:
+        assert keeper.faults() == {"bundle.refused": "bundle 1.0: arx.json: is missing"}
+        done(keeper, keeper.answer({"action": "reject"}))
+        assert keeper.faults() == {}
+
+
+# by the scores
+
+
+def test_a_better_shadow_is_activated_and_marked_good(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    install(store, workshop.archive("1.0"))
+    with keeping(store, automatic=True) as keeper:
+        keeper.consider(keeper.serving, rows(0.3, 0.2, TICKS - 1))
+        settled(keeper)
+        assert keeper.serving.active.name == PACKAGED
+        keeper.consider(keeper.serving, rows(0.3, 0.2))
+        settled(keeper)
+        assert store.roles() == Roles("1.0", PACKAGED, on_probation=True)
+        keeper.consider(keeper.serving, rows(0.2, 0.3))
+        settled(keeper)
+        assert store.roles() == Roles("1.0", PACKAGED)
+        told = [event.text for event in keeper.events_pending() if event.key == "bundle.activate"]
+    assert told[0].startswith("errors of 1.0 are 0.667 times those of packaged")
+
+
+def test_a_bundle_that_turns_out_worse_is_rolled_back_and_not_tried_again(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    install(store, workshop.archive("1.0"))
+    with keeping(store, automatic=True) as keeper:
+        done(keeper, keeper.answer({"action": "activate"}))
+        keeper.consider(keeper.serving, rows(0.4, 0.3))
+        settled(keeper)
+        assert store.roles() == Roles(PACKAGED)
+        assert keeper.serving.rival is None
+
+
+def test_a_worse_shadow_runs_no_more(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    install(store, workshop.archive("1.0"))
+    with keeping(store, automatic=True) as keeper:
+        keeper.consider(keeper.serving, rows(0.3, 0.4))
+        settled(keeper)
+        assert store.roles() == Roles(PACKAGED)
+
+
+def test_without_automatic_the_judgement_is_shown_and_nothing_done(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    install(store, workshop.archive("1.0"))
+    with keeping(store) as keeper:
+        keeper.consider(keeper.serving, rows(0.3, 0.2))
+        settled(keeper)
+        assert keeper.answer({"action": "status"})["judgement"]["verdict"] == "promote"
+    assert store.roles() == Roles(PACKAGED, None, "1.0")
+
+
+def test_scores_of_bundles_that_were_exchanged_meanwhile_decide_nothing(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    install(store, workshop.archive("1.0"))
+    with keeping(store, automatic=True) as keeper:
+        old = keeper.serving
+        done(keeper, keeper.answer({"action": "activate"}))
+        keeper.consider(old, rows(0.3, 0.2))
+        settled(keeper)
+        assert store.roles() == Roles("1.0", PACKAGED, on_probation=True)
+
+
+def test_an_automatic_order_that_fails_is_not_repeated_at_each_tick(workshop: Workshop) -> None:
+    store = make_store(workshop)
+    install(store, workshop.archive("1.0"))
+    with keeping(store, automatic=True) as keeper:
+        (store.folder / "1.0" / "arx.json").unlink()
+        serving = keeper.serving
+        for _ in range(3):
+            keeper.consider(serving, rows(0.3, 0.2))
+        for _ in range(200):
+            if told := keeper.events_pending():
+                break
+            time.sleep(0.01)
+        keeper.consider(serving, rows(0.3, 0.2))
+        time.sleep(0.05)
+        told += keeper.events_pending()
+    assert [event.key for event in told] == ["bundle.failed"]

@@ -1,0 +1,312 @@
+"""edge/config/loading.py, settings.py, config_schema.py, strict_yaml.py and the example file."""
+
+import dataclasses
+import math
+import re
+from datetime import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.config import loading as config
+from edge.config.example import document
+from edge.config.settings import CalibrationSettings, SafetySettings, Settings
+from edge.core import hard_limits
+from edge.core.errors import ConfigError
+from edge.core.names import SIGNALS
+from edge.formats.checked import Section
+
+EXAMPLE = Path(__file__).parents[3] / "deploy" / "edge.example.yaml"
+
+
+def refusal(source: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        config.parse(source)
+    return str(caught.value)
+
+
+def leaves(section: Section, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], dataclasses.Field]]:
+    found = []
+    for item in dataclasses.fields(section):
+        value = getattr(section, item.name)
+        found += (
+            leaves(value, (*path, item.name)) if isinstance(value, Section) else [((*path, item.name), item)]
+        )
+    return found
+
+
+LEAVES = leaves(Settings())
+NUMBERS = [
+    (path, item) for path, item in LEAVES if item.type in (float, int) and not item.metadata["rule"].choices
+]
+
+
+def nested(path: tuple[str, ...], value: str) -> str:
+    return "{" + ": {".join(path) + f": {value}" + "}" * len(path)
+
+
+def test_an_empty_file_gives_the_defaults():
+    assert config.parse("") == config.default()
+
+
+def test_the_example_file_is_what_the_settings_say():
+    assert EXAMPLE.read_text() == document(Settings())
+
+
+def test_the_example_file_holds_the_defaults():
+    assert config.load(EXAMPLE) == config.default()
+
+
+@pytest.mark.parametrize(
+    ("path", "item"), LEAVES, ids=lambda value: ".".join(value) if isinstance(value, tuple) else ""
+)
+def test_every_key_says_what_it_is(path, item):
+    rule = item.metadata["rule"]
+    assert rule.doc
+    if item.type is float:
+        assert rule.unit and math.isfinite(rule.low) and math.isfinite(rule.high)
+
+
+def test_a_misspelt_key_is_refused_with_the_nearest_known_one():
+    assert refusal("board: {baudrte: 9600}") == (
+        "edge.yaml: board: unknown key 'baudrte'; did you mean 'baudrate'?"
+    )
+
+
+def test_a_key_like_no_other_is_refused_with_all_known_ones():
+    assert refusal("board: {qqq: 1}") == "edge.yaml: board: unknown key 'qqq'; known keys: baudrate, port"
+
+
+def test_a_value_above_a_hard_limit_is_refused_with_its_place():
+    assert refusal("safety: {temp_air_max_c: 180}") == (
+        "edge.yaml: safety.temp_air_max_c: 180 is above the hard limit 60"
+    )
+
+
+HARD_LIMITS = {  # smallest and largest value as plain numbers: who changes a limit changes this table
+    "safety.temp_air_max_c": (None, 60.0),
+    "safety.temp_trip_c": (None, 65.0),
+    "safety.reading_age_max_s": (None, 60.0),
+    "safety.heater_rise_per_s": (None, 1.0),
+    "safety.valve_pulse_max_s": (None, 10.0),
+    "safety.valve_day_max_s": (None, 600.0),
+    "watering.pulse_s": (None, 10.0),
+    "watering.daily_max_s": (None, 600.0),
+    "control.step_s": (1.0, 600.0),
+    "reference.reference_c": (5.0, 45.0),
+    "reference.min_c": (5.0, 45.0),
+    "reference.max_c": (5.0, 45.0),
+    "calibration.temp_air.offset": (-5.0, 5.0),
+    "calibration.temp_air.gain": (0.9, 1.1),
+}
+
+
+OUT_OF_RANGE = re.compile("(above the hard limit|below the smallest allowed,|beyond the hard limits?) ")
+
+
+@pytest.mark.parametrize("key", HARD_LIMITS)
+def test_a_hard_limit_is_in_its_range_and_a_thousandth_beyond_is_not(key):
+    path = tuple(key.split("."))
+    for limit, step in zip(HARD_LIMITS[key], (-1e-3, 1e-3), strict=True):
+        if limit is not None:
+            assert OUT_OF_RANGE.search(refusal(nested(path, repr(limit + step))))
+            try:
+                config.parse(nested(path, repr(limit)))
+            except ConfigError as error:  # another key may forbid the limit
+                assert not OUT_OF_RANGE.search(str(error))
+
+
+@pytest.mark.parametrize(
+    ("path", "item"), NUMBERS, ids=lambda value: ".".join(value) if isinstance(value, tuple) else ""
+)
+def test_every_number_is_held_to_its_range(path, item):
+    rule = item.metadata["rule"]
+    step = 1 if item.type is int else max(abs(rule.high), abs(rule.low)) * 1e-6
+    place = f"edge.yaml: {'.'.join(path)}: "
+    for outside in (rule.low - step, rule.high + step):
+        assert refusal(nested(path, repr(outside))).startswith(place)
+    for wrong in ("true", "'1'", "[]", "null"):
+        assert refusal(nested(path, wrong)).startswith(place + "must be")
+
+
+@pytest.mark.parametrize("value", [".nan", ".inf", "-.inf"])
+@pytest.mark.parametrize("path", [path for path, item in NUMBERS if item.type is float])
+def test_what_is_not_finite_is_no_number(path, value):
+    assert "is not a finite number" in refusal(nested(path, value))
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True))
+def test_no_value_widens_a_hard_limit(value):
+    try:
+        safety = dataclasses.replace(SafetySettings(), temp_air_max_c=value)
+    except ConfigError:
+        return
+    assert safety.temp_air_max_c <= hard_limits.TEMP_AIR_MAX_C
+
+
+def test_the_lease_and_the_longest_maintenance_are_those_of_the_manual():
+    assert hard_limits.LEASE_S == 10.0
+    assert hard_limits.MAINTENANCE_MAX_MIN / 60.0 == 24.0
+
+
+def test_settings_made_in_code_are_held_to_the_same_limits():
+    with pytest.raises(ConfigError, match="above the hard limit"):
+        SafetySettings(temp_air_max_c=61.0)
+
+
+@pytest.mark.parametrize("path", [path for path, item in LEAVES if item.type is bool])
+@pytest.mark.parametrize("value", ["1", "0", "'true'", "yes", "on", "null"])
+def test_only_true_and_false_are_flags(path, value):
+    assert "must be true or false" in refusal(nested(path, value))
+
+
+@pytest.mark.parametrize("value", ["1.5", "1e3", "'5'", "true"])
+def test_a_whole_number_must_be_one(value):
+    assert "must be a whole number" in refusal(f"control: {{horizon: {value}}}")
+
+
+def test_a_whole_number_will_do_for_a_real_one():
+    settings = config.parse("safety: {temp_air_max_c: 39}")
+    assert settings.safety.temp_air_max_c == 39.0
+    assert type(settings.safety.temp_air_max_c) is float
+
+
+def test_an_exponent_needs_no_point():
+    assert config.parse("safety: {temp_air_max_c: 4e1}").safety.temp_air_max_c == 40.0
+
+
+@pytest.mark.parametrize(
+    ("source", "place"),
+    [
+        ("- a", "the file"),
+        ("word", "the file"),
+        ("board: 3", "board"),
+        ("board: [1]", "board"),
+        ("reference: {steps: 3}", "reference.steps"),
+        ("reference: {steps: {at_s: 0}}", "reference.steps"),
+        ("reference: {steps: [3]}", "reference.steps[0]"),
+    ],
+)
+def test_what_is_no_section_is_refused(source, place):
+    assert refusal(source).startswith(f"edge.yaml: {place}: must ")
+
+
+@pytest.mark.parametrize("source", ["a: [", "\t- x", "a: b: c", "*x", "!!python/object:os.system {}"])
+def test_what_is_no_yaml_is_refused_with_its_line(source):
+    assert "line 1" in refusal(source)
+
+
+def test_a_key_given_twice_is_refused():
+    assert "key 'port' is given twice" in refusal("board: {port: a, port: b}")
+    assert "key 'board' is given twice" in refusal("board: {port: a}\nboard: {baudrate: 9600}")
+
+
+def test_an_empty_section_keeps_its_defaults():
+    assert config.parse("board:\nsafety: ~\n") == config.default()
+
+
+def test_on_and_off_are_keys_and_times_need_no_quotes():
+    lighting = config.parse("lighting: {on: 06:00, off: 22:00}").lighting
+    assert (lighting.on, lighting.off) == (time(6), time(22))
+
+
+@pytest.mark.parametrize("value", ["25:00", "6", "0600Z", "'06:00+01:00'", "true", "''"])
+def test_a_time_of_day_must_be_one(value):
+    assert 'lighting.on: must be "HH:MM"' in refusal(f"lighting: {{on: {value}}}")
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("safety: {temp_trip_c: 40}", "safety.temp_trip_c: must be above temp_air_max_c, 40"),
+        ("safety: {temp_air_max_c: 37}", "reference.max_c: must be below safety.temp_air_max_c, 37"),
+        ("reference: {min_c: 30, max_c: 30}", "reference.min_c: must be below max_c, 30"),
+        ("reference: {reference_c: 39}", "reference.reference_c: 39 is outside min_c..max_c, 15..38"),
+        ("reference: {kind: daily}", "reference.daily: is empty but kind is daily"),
+        ("reference: {kind: csv}", "reference.csv: is empty but kind is csv"),
+        ("reference: {kind: ramp, ramp: {to_c: 10}}", "reference.ramp.to_c: 10 is outside min_c..max_c"),
+        ("reference: {steps: [{at_s: 9}, {at_s: 9}]}", "reference.steps: at_s must rise"),
+        ("reference: {daily: [{at: 06:00}, {at: 06:00}]}", "reference.daily: times must rise"),
+        ("reference: {daily: [{at: 06:00}, {at: 05:59}]}", "reference.daily: times must rise"),
+        ("reference: {daily: [{at: 06:00, reference_c: 14}]}", "daily[0].reference_c: 14 is outside"),
+        ("lighting: {on: 22:00}", "lighting.off: is the same time as on"),
+        ("mqtt: {ca: x}", "mqtt.tls: must be true"),
+        ("mqtt: {client_cert: x}", "mqtt.tls: must be true"),
+        ("mqtt: {tls: true, client_cert: x}", "mqtt.client_key: client_cert and client_key go together"),
+        ("mqtt: {client_key: x}", "mqtt.client_key: client_cert and client_key go together"),
+        ("mqtt: {password_file: x}", "mqtt.username: is empty"),
+        ("mqtt: {rig: 'a/b'}", "mqtt.rig: 'a/b' does not match"),
+        ("mqtt: {topic_prefix: ''}", "mqtt.topic_prefix: '' does not match"),
+        ("history: {retention_days: 5}", "history.downsample_after_days: is more than retention_days, 5"),
+        ("watering: {pulse_s: 5.1}", "watering.pulse_s: is more than safety.valve_pulse_max_s, 5"),
+        ("calibration: {temp_air: {offset: -5.1}}", "temp_air.offset: -5.1 is beyond the hard limit"),
+        ("calibration: {temp_air: {gain: 1.2}}", "calibration.temp_air.gain: 1.2 is beyond the hard limit"),
+        ("control: {controller: mpc}", "control.controller: 'mpc' is none of rules, PID, MPC"),
+        ("board: {baudrate: 12345}", "board.baudrate: 12345 is none of"),
+        ("timezone: Mars/Base", "timezone: 'Mars/Base' is neither"),
+        ("timezone: ../etc", "timezone: '../etc' is neither"),
+    ],
+)  # fmt: skip
+def test_values_that_contradict_each_other_are_refused(source, message):
+    assert message in refusal(source)
+
+
+def test_edges_of_ranges_are_allowed():
+    safety = config.parse("safety: {temp_air_max_c: 60, temp_trip_c: 65}").safety
+    assert (safety.temp_air_max_c, safety.temp_trip_c) == (60.0, 65.0)
+    calibration = config.parse("calibration: {temp_air: {offset: -5, gain: 1.1}}").calibration
+    assert calibration.temp_air.offset == -5.0
+
+
+def test_every_signal_has_a_calibration():
+    assert {item.name for item in dataclasses.fields(CalibrationSettings)} == set(SIGNALS)
+
+
+def test_a_reference_by_the_clock_is_read():
+    source = "reference: {kind: daily, daily: [{at: '06:00', reference_c: 26}, {at: 22:30, reference_c: 20}]}"
+    daily = config.parse(source).reference.daily
+    assert [(point.at, point.reference_c) for point in daily] == [(time(6), 26.0), (time(22, 30), 20.0)]
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"nothing\.yaml: can't be read"):
+        config.load(tmp_path / "nothing.yaml")
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "edge.yaml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="can't be read"):
+        config.load(path)
+
+
+def test_errors_of_a_file_name_that_file(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("safety: {temp_air_max_c: 99}")
+    with pytest.raises(
+        ConfigError, match=r"rig\.yaml: safety\.temp_air_max_c: 99 is above the hard limit 60"
+    ):
+        config.load(path)
+
+
+def test_equal_settings_have_one_hash_however_they_are_written():
+    assert config.config_hash(config.parse("board: {baudrate: 115200}")) == config.config_hash(
+        config.default()
+    )
+
+
+@pytest.mark.parametrize(
+    "source", ["board: {port: x}", "lighting: {on: 06:01}", "reference: {steps: [{at_s: 0}]}"]
+)
+def test_different_settings_have_different_hashes(source):
+    assert config.config_hash(config.parse(source)) != config.config_hash(config.default())
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_settings_or_a_refusal(source):
+    try:
+        assert isinstance(config.parse(source), Settings)
+    except ConfigError as error:
+        assert str(error).startswith("edge.yaml: ")

@@ -1,0 +1,124 @@
+"""`MPC-Twin` and `MPC-Twin-P` as the daemon asks them."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from contexts import context
+
+from edge.app.active_models import ActiveModels
+from edge.app.controllers import Parts, make
+from edge.config.settings import BundleSettings, ControlSettings, Settings
+from edge.controllers.mpc_twin import HORIZON, MpcTwin
+from edge.core.controller import Limits
+from edge.core.errors import ConfigError, DataError, RequestError
+from edge.forecasts.skill import SkillState
+from edge.models.arx_file import read_arx
+from edge.models.pbm import Pbm, read_twin
+from edge.twin.model import Twin
+
+TWINS = {
+    "diagnosed": Path("training/results/paper_case/interpolation/twin.yaml"),
+    "packaged": Path("edge/models/default_bundle/twin.yaml"),
+}
+
+
+@pytest.fixture(params=TWINS)
+def model(request) -> Pbm:
+    return read_twin(TWINS[request.param])
+
+
+def here(**what):
+    made = context(**what)
+    reference = np.full(120, made.reference[0])
+    history = dict(made.history) | {"temp_air_measured": made.history["temp_air"]}
+    return replace(made, reference=reference, history=history)
+
+
+def test_a_cold_box_is_heated_and_a_hot_one_cooled(model):
+    controller = MpcTwin("MPC-Twin-P", model, 1.0)
+    assert controller.decide(here(temp=23.0, reference=27.0)).command.heater_duty > 0.5
+    controller.reset()
+    cooling = controller.decide(here(temp=30.0, reference=24.0)).command
+    assert cooling.fan_on
+    assert cooling.heater_duty < 0.3  # a whole minute of fan is more than is needed
+
+
+def test_the_why_is_json_and_says_what_the_plan_costs(model):
+    decision = MpcTwin("MPC-Twin", model, 0.0).decide(here())
+    why = json.loads(json.dumps(decision.why))
+    assert {
+        "cost",
+        "cost_tracking",
+        "binding",
+        "runner_up",
+        "model",
+        "solve_ms",
+        "disturbance_k",
+    } <= why.keys()
+    assert len(decision.forecast) == len(decision.plan) == HORIZON
+
+
+@pytest.mark.parametrize("duty", [0.0, 0.3, math.nan])
+def test_the_heaters_limit_is_kept(model, duty):
+    limits = Limits(heater_max_duty=duty)
+    command = MpcTwin("MPC-Twin", model, 0.0).decide(here(temp=22.0, reference=35.0, limits=limits)).command
+    assert command.heater_duty <= (0.0 if math.isnan(duty) else duty + 1e-9)
+
+
+def test_a_held_relay_stays_as_it_is(model):
+    limits = Limits(fan_hold_steps=1)
+    assert not MpcTwin("MPC-Twin", model, 0.0).decide(here(temp=30.0, limits=limits)).command.fan_on
+
+
+def test_it_goes_on_from_its_last_state_as_from_the_whole_history(model):
+    """A tick later: one that was asked before knows what one knows that is asked for the first time."""
+    before, now = here(temp=25.0, rows=30), here(temp=25.0, rows=31, now_s=60.0)
+    sent = {key: np.zeros(31) for key in ("heater_duty", "fan_on")}
+    now = replace(now, history={**now.history, **sent})
+    asked, fresh = (MpcTwin("MPC-Twin-P", model, 1.0) for _ in range(2))
+    asked.decide(before)
+    assert asked.decide(now).command == fresh.decide(now).command
+
+
+def test_a_history_without_a_temperature_is_refused(model):
+    blind = here()
+    nothing = {**blind.history, "temp_air_measured": np.full(10, np.nan)}
+    with pytest.raises(DataError, match="no air temperature"):
+        MpcTwin("MPC-Twin", model, 0.0).decide(replace(blind, history=nothing))
+
+
+def test_a_reference_that_ends_too_soon_is_refused(model):
+    with pytest.raises(DataError, match="reference"):
+        MpcTwin("MPC-Twin", model, 0.0).decide(replace(here(), reference=np.full(5, 25.0)))
+
+
+def test_the_registry_makes_it_of_the_bundles_twin():
+    parts = Parts(ControlSettings(), read_arx(), predictors={"pbm": Pbm(Twin())})
+    assert make("MPC-Twin-P", parts).name == "MPC-Twin-P"
+    with pytest.raises(RequestError, match="twin of the active bundle"):
+        make("MPC-Twin", Parts(ControlSettings(), read_arx()))
+
+
+def test_a_rig_without_a_twin_says_so_at_its_start_and_does_without_else():
+    bare = Settings(bundle=BundleSettings(path=""))
+    chosen = replace(bare, control=replace(bare.control, controller="MPC-Twin"))
+    with pytest.raises(ConfigError, match="MPC-Twin plans with a bundle's twin"):
+        ActiveModels(chosen, None, SkillState())
+    others = ActiveModels(bare, None, SkillState()).controllers()
+    assert "MPC-Twin" not in others
+    assert {"rules", "PID", "MPC"} <= others.keys()
+
+
+def test_without_preview_only_the_present_reference_counts(model):
+    now, rising = here(temp=24.0, reference=24.0), np.repeat([24.0, 32.0], [3, 117])
+    coming = replace(now, reference=rising)
+
+    def forecast(what, preview):
+        return MpcTwin("MPC-Twin", model, 0.0, preview).decide(what).forecast
+
+    assert forecast(coming, False) == forecast(now, False) == forecast(now, True)
+    assert forecast(coming, True) != forecast(now, True)

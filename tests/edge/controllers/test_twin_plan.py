@@ -1,0 +1,161 @@
+"""The twin's step as matrices, the state that is followed, and the beam against every plan there is."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.controllers.mixed_integer.problem import FanRules, Problem
+from edge.controllers.twin_plan.beam import KIND_K, Start, _Children, _kept, search
+from edge.controllers.twin_plan.belief import Inputs, begin, corrected, moved
+from edge.controllers.twin_plan.linear_step import linear_step
+from edge.core.names import HEATER_LEVELS
+from edge.models.pbm import read_twin
+from edge.twin.march import Commands
+from edge.twin.model import Twin
+from edge.twin.warm_start import at_rest
+
+DIAGNOSED = Path("training/results/paper_case/interpolation/twin.yaml")
+WALL = {"wall_loss": {"UA": 3.0}, "extra_capacity": {"kC": 5.0}}
+ROOM_C = 21.0
+
+
+@pytest.fixture(scope="module")
+def diagnosed() -> Twin:
+    return read_twin(DIAGNOSED).twin
+
+
+def step_of(twin: Twin, temp: float = 25.0):
+    return linear_step(twin, at_rest(twin, temp, ROOM_C), ROOM_C, {})
+
+
+def test_the_matrices_make_the_twins_own_step(diagnosed):
+    step, rng = step_of(diagnosed), np.random.default_rng(1)
+    state = at_rest(diagnosed, 26.0, ROOM_C) + rng.normal(size=len(diagnosed.states))
+    for fan_before, fan in itertools.product((0, 1), repeat=2):
+        before, now, ambient = 0.35, 0.8, 22.5
+        march = diagnosed.march(
+            Commands(np.array([[now]]), np.array([[float(fan)]])),
+            np.array([[ambient]]),
+            before=Commands(np.array([[before]]), np.array([[float(fan_before)]])),
+        )
+        mode = 2 * fan_before + fan
+        mine = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ambient
+        mine += step.now[mode] * step.share_of(now) + step.late[mode] * step.share_of(before)
+        np.testing.assert_allclose(mine, march.step(0, state[None])[0], atol=1e-9)
+
+
+def test_heat_into_the_air_warms_it():
+    twin = Twin(effects=WALL)
+    step, decay = step_of(twin), 60.0 * 3.0 / twin.system.air_capacity_j_k
+    assert step.heat[0, step.air] == pytest.approx((1.0 - np.exp(-decay)) / decay)  # the loss takes its part
+
+
+def follow(twin: Twin, minutes: int, extra_k: float, holes: bool = False):
+    """A box that is the twin but for a constant heat, followed from its readings."""
+    step, state = step_of(twin), at_rest(twin, 23.0, ROOM_C)
+    belief = begin(twin, 0.0, 23.0, ROOM_C)
+    for k in range(minutes):
+        mode = 0
+        state = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ROOM_C
+        state = state + step.now[mode] * 0.3 + step.heat[mode] * extra_k
+        state = state + step.late[mode] * (0.3 if k else 0.0)
+        inputs = Inputs(0.3, 0, 0.3 if k else 0.0, 0, ROOM_C)
+        belief = moved(belief, twin, step, inputs, 60.0 * (k + 1))
+        belief = corrected(belief, float("nan") if holes and k % 2 else float(state[0]), step.shown)
+    return belief, state
+
+
+@pytest.mark.parametrize("holes", [False, True])
+def test_the_disturbance_is_found(diagnosed, holes):
+    belief, state = follow(diagnosed, 240, 0.1, holes)
+    assert belief.disturbance == pytest.approx(0.1, abs=0.02)
+    assert belief.state[0] == pytest.approx(state[0], abs=0.02)
+
+
+def test_an_open_door_teaches_less_than_its_size(diagnosed):
+    belief, _ = follow(diagnosed, 60, 0.0)
+    little = corrected(belief, belief.state[0] - 0.2, 0).disturbance - belief.disturbance
+    much = corrected(belief, belief.state[0] - 20.0, 0).disturbance - belief.disturbance
+    assert much < 0.0
+    assert much / little < 5.0
+
+
+def problem(reference, levels=HEATER_LEVELS, rules=None, weight=1.0, tail=0, temp_max=60.0) -> Problem:
+    nothing = np.zeros(len(reference))
+    return Problem(
+        nothing, nothing, nothing, np.array(reference), tail, weight, weight, levels,
+        rules or FanRules(), temp_max, 1000.0,
+    )  # fmt: skip
+
+
+def start(twin: Twin, temp: float = 24.0, fan: int = 0) -> Start:
+    return Start(at_rest(twin, temp, ROOM_C), 0.0, ROOM_C, 0, fan)
+
+
+def test_a_wide_beam_finds_the_best_of_all_plans():
+    twin = Twin(effects=WALL)
+    step, goal = step_of(twin), problem([24.5, 26.0], levels=4)
+    found = search(step, goal, start(twin), width=10_000)
+    best = np.inf
+    for options in itertools.product(itertools.product(range(5), (0, 1)), repeat=2):
+        state, fan, cost = start(twin).state, 0, 0.0
+        for k, (level, now) in enumerate(options):
+            mode = 2 * fan + now
+            state = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ROOM_C
+            state = state + step.now[mode] * level / HEATER_LEVELS
+            cost += 10.0 * (state[0] - goal.reference[k]) ** 2 + (level / HEATER_LEVELS) ** 2 + now
+            fan = now
+        best = min(best, cost)
+    assert found.plan.cost == pytest.approx(best, rel=1e-9)
+
+
+def test_a_plan_heats_before_a_step_that_is_still_to_come(diagnosed):
+    reference = [24.0] * 5 + [28.0] * 7
+    found = search(step_of(diagnosed), problem(reference), start(diagnosed), width=300)
+    assert found.plan.levels[:5].max() > 2 * found.plan.levels[0]
+    assert found.runner_up is not None
+    assert found.runner_up.cost >= found.plan.cost
+
+
+def test_a_plan_keeps_the_relays_rules_and_the_heaters_limit(diagnosed):
+    rules = FanRules(on=False, hold=2, min_on=3, min_off=2)
+    goal = problem([22.0] * 8, levels=7, rules=rules)
+    plan = search(step_of(diagnosed), goal, start(diagnosed, 30.0), width=50).plan
+    assert goal.allows(plan.levels, plan.fan)
+    assert plan.fan.any()
+
+
+def test_no_plan_heats_the_air_beyond_its_limit(diagnosed):
+    goal = problem([45.0] * 10, temp_max=30.0)
+    assert search(step_of(diagnosed), goal, start(diagnosed), width=50).air.max() < 30.5
+
+
+def test_the_same_question_gives_the_same_plan(diagnosed):
+    plans = [
+        search(step_of(diagnosed), problem([26.0] * 8), start(diagnosed), width=50).plan for _ in range(2)
+    ]
+    np.testing.assert_array_equal(plans[0].levels, plans[1].levels)
+    np.testing.assert_array_equal(plans[0].fan, plans[1].fan)
+
+
+@pytest.mark.parametrize("width", [3, 60, 10_000])
+def test_the_beam_keeps_the_cheapest_of_each_kind_as_a_sort_of_all_would(width):
+    """Equal costs, forbidden children and both states of the fan included."""
+    rng, shape = np.random.default_rng(width), (50, 2, HEATER_LEVELS + 1)
+    cost = rng.integers(0, 40, shape).astype(float)
+    cost[rng.random(shape) < 0.3] = np.inf
+    stored = KIND_K * rng.integers(-30, 30, shape)
+    nothing = np.zeros((0,), dtype=np.int64)
+    kept = _kept(_Children(cost, stored, np.zeros(0), nothing, nothing), width)
+
+    kinds = {}
+    for place in np.argsort(-cost, axis=None, kind="stable"):
+        if np.isfinite(cost.ravel()[place]):
+            fan = np.unravel_index(place, shape)[1]
+            kinds[round(stored.ravel()[place] / KIND_K), fan] = place
+    all_kinds = np.array([kinds[kind] for kind in sorted(kinds)])
+    cheapest = all_kinds[np.argsort(cost.ravel()[all_kinds], kind="stable")[:width]]
+    expected = all_kinds if len(all_kinds) <= width else cheapest
+    assert kept.tolist() == expected.tolist()

@@ -1,0 +1,300 @@
+"""The experiment that tells rivals apart: what it does, what it keeps to, and that it tells what it says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from designed import (
+    BLOWN,
+    DUTIES,
+    ONE_DUTY,
+    ROOM_C,
+    STILL,
+    Inputs,
+    as_inputs,
+    driven,
+    experiment_of,
+    file_of,
+    fitted,
+    joined,
+    plan_of,
+)
+from diagnosis_examples import named_story
+from safety_cases import NOW, UTC, view
+
+from bench.support.simulated_runs import NOISE, STEP_S
+from edge.config.settings import SafetySettings
+from edge.core.messages import Command
+from edge.diagnosis.diagnosis_document import check_diagnosis
+from edge.diagnosis.experiment.advice import calibrate_first
+from edge.diagnosis.experiment.design import _sides, designed
+from edge.diagnosis.experiment.document import PROFILE, experiment_document, write_profile
+from edge.diagnosis.experiment.experiment import Experiment
+from edge.diagnosis.experiment.families import candidates
+from edge.diagnosis.experiment.improve import cool
+from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.experiment.rivals import Pair, Rivals
+from edge.diagnosis.experiment.separation import separation
+from edge.diagnosis.experiment.sequence import Part, inputs_of
+from edge.diagnosis.experiment.surroundings import surroundings
+from edge.diagnosis.fitting import fit
+from edge.diagnosis.trial import Trial
+from edge.formats.profile_file import read_profile
+from edge.safety.supervisor import SafetyMemory, supervise
+from edge.twin.value import Value
+
+AIR = {"extra_capacity": {"kC": 10.0}}
+BOX = {**AIR, "wall_loss": {"UA": 5.0}}
+LEAKY = {**AIR, "infiltration": {"F_inf": 0.004}}  # 4.8 W/K with the fan off
+SATURATED = {**BOX, "heater_saturation": {"u_sat": 0.45}}
+NO_FAN = [Inputs(DUTIES, STILL), Inputs(DUTIES[::-1].copy(), STILL)]
+HEATER = ("heater_efficiency", "heater_saturation", "heater_sag")
+
+
+@pytest.fixture(scope="module")
+def leak_plan():
+    return plan_of(file_of(AIR), driven(LEAKY, NO_FAN), ("wall_loss", "infiltration"))
+
+
+def test_loss_and_leak_are_told_apart_by_switching_the_fan(leak_plan):
+    found = designed(leak_plan, ExperimentLimits())
+    assert {row.fan_on for row in found.profile} == {0.0, 1.0}
+    assert max(row.heater_duty for row in found.profile) > 0.0
+    assert found.names == ["wall_loss", "infiltration"]
+    assert found.expected_log_odds > 20.0
+    assert "separates wall_loss from infiltration" in experiment_document(found)["why"]
+
+
+def test_efficiency_saturation_and_sag_are_told_apart_by_several_duties():
+    fans = [BLOWN, STILL]
+    runs = driven(SATURATED, [Inputs(ONE_DUTY, fan) for fan in fans])
+    found = experiment_of(file_of(BOX), runs, HEATER)
+    levels = {row.heater_duty for row in found.profile} - {0.0}
+    assert len(levels) >= 3
+    assert min(levels) < 0.45 < max(levels)  # on both sides of where the heater saturates
+    assert set(found.names) == set(HEATER)
+    assert found.expected_log_odds > 20.0
+
+
+def test_a_lagging_heater_and_a_lagging_sensor_are_told_apart_by_the_fan():
+    box = {**BOX, "heater_lag": {"tau_h": 120.0}}
+    found = experiment_of(file_of(BOX), driven(box, NO_FAN), ("heater_lag", "sensor_lag"))
+    assert {row.fan_on for row in found.profile} == {0.0, 1.0}
+    assert found.expected_log_odds > 10.0
+
+
+def test_the_lamp_is_turned_off_where_its_heat_is_in_question():
+    lit = [Inputs(item.duty, item.fan, np.full(len(DUTIES), 1.0)) for item in NO_FAN]
+    runs = driven({**BOX, "led_gain": {"P_led": 4.0}}, lit)
+    found = experiment_of(file_of(BOX), runs, ("led_gain", "constant_heat"))
+    assert 0.0 in {row.light for row in found.profile}  # it was on all the time
+    assert found.expected_log_odds > 5.0
+
+
+def test_fan_effectiveness_and_short_circuit_are_said_to_be_the_same():
+    runs = driven(
+        {**BOX, "fan_effectiveness": {"eps_f": 0.7}}, [Inputs(DUTIES, BLOWN), Inputs(DUTIES, STILL)]
+    )
+    found = experiment_of(file_of(BOX), runs, ("fan_effectiveness", "short_circuit"))
+    document = experiment_document(found)
+    assert found.profile == ()
+    assert "profile" not in document
+    assert document["separates"] == []
+    assert document["expected_log_odds"] is None
+    assert (
+        "No experiment with heater and fan can tell fan_effectiveness and short_circuit apart"
+        in document["why"]
+    )
+    assert "anemometer" in document["why"]
+
+
+def test_an_experiment_that_settles_nothing_still_says_what_it_tells_a_little_of(
+    leak_plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("edge.diagnosis.experiment.design.RIVAL_NATS", 1e6)  # nothing is worth that much
+    found = designed(leak_plan, ExperimentLimits())
+    assert found.names == ["wall_loss", "infiltration"]
+    write_profile(found, tmp_path)
+    assert "to separate wall_loss, infiltration" in (tmp_path / PROFILE).read_text(encoding="utf-8")
+
+
+def test_two_that_are_the_same_are_told_from_a_third_together():
+    runs = driven(SATURATED, [Inputs(ONE_DUTY, BLOWN), Inputs(ONE_DUTY, STILL)])
+    names = ("heater_efficiency", "radiative_split", "heater_saturation")  # without a wall radiation is lost
+    found = experiment_of(file_of(BOX), runs, names)
+    assert found.inseparable == (("heater_efficiency", "radiative_split"),)
+    assert found.separates == ((("heater_efficiency", "radiative_split"), ("heater_saturation",)),)
+    why = experiment_document(found)["why"]
+    assert "heater_efficiency or radiative_split from heater_saturation" in why
+
+
+def test_what_is_expected_is_what_simulated_runs_then_give(leak_plan):
+    """Mean over seeds of the true rival's gain by the new run, both refitted on all runs."""
+    limits = ExperimentLimits(longest_s=1800.0, safety=SafetySettings(heater_max_duty=0.1))
+    runs, found = driven(LEAKY, NO_FAN), designed(leak_plan, limits)
+    gains = []
+    for seed in range(1, 5):
+        together = joined(runs, driven(LEAKY, [as_inputs(found)], seed))
+        before, after = (
+            [fitted(file_of(AIR), given, name).log_likelihood for name in ("infiltration", "wall_loss")]
+            for given in (runs, together)
+        )
+        gains.append((after[0] - after[1]) - (before[0] - before[1]))
+    expected = found.between["infiltration over wall_loss"]
+    assert 2.0 < expected < 60.0  # else the comparison would say little
+    assert 0.5 * expected < np.mean(gains) < 2.0 * expected
+
+
+def test_calibrating_the_fan_is_worth_what_a_fit_with_the_exact_value_then_gives():
+    """A loss in runs in which the fan always runs: a stronger fan explains it nearly as well, within 5 %."""
+    known = {**AIR, "fan_effectiveness": {"eps_f": 0.7}}
+    runs = driven(
+        {**known, "wall_loss": {"UA": 1.2}}, [Inputs(DUTIES, BLOWN), Inputs(DUTIES[::-1].copy(), BLOWN)]
+    )
+    file = file_of(known, {"fan_effectiveness": 0.05})
+    plan = plan_of(file, runs, ("wall_loss", "infiltration"))
+    first = np.array([pair.true == 0 for pair in plan.rivals.pairs])
+    advice = calibrate_first(plan, first, None, 0.0)
+    assert advice is not None
+    assert advice.name == "fan_effectiveness.eps_f"
+    loss, leak = plan.rivals.models
+    truth = loss.file.effects["fan_effectiveness"]["eps_f"].value
+    known_now = leak.file.with_values({("effects", "fan_effectiveness", "eps_f"): Value(truth)})
+    exact = fit([Trial(known_now, NOISE)], runs, 12)[0]
+    own_prior = 0.5 * ((np.log(truth) - np.log(0.7)) / 0.05) ** 2  # that the exact value no longer pays
+    assert advice.alone == pytest.approx(leak.log_likelihood - exact.log_likelihood + own_prior, rel=0.4)
+    assert advice.alone > 3.0
+
+
+def test_no_calibration_is_asked_for_where_the_experiment_leaves_no_question(leak_plan):
+    every = np.ones(2, dtype=bool)
+    assert calibrate_first(leak_plan, every, None, 10.0) is None
+
+
+DRAWS = 8
+
+
+@pytest.mark.parametrize("seed", range(DRAWS))
+def test_the_safety_supervisor_changes_nothing_but_the_rise(leak_plan, seed):
+    """Any limits: what is planned is what is sent, and no rival gets too warm by it."""
+    draw = np.random.default_rng(seed)
+    safety = SafetySettings(
+        temp_air_max_c=float(draw.uniform(26.0, 42.0)),
+        heater_max_duty=float(draw.uniform(0.05, 1.0)),
+        heater_rise_per_s=float(draw.choice([0.05, 0.004, 0.001])),
+        fan_min_on_s=float(draw.choice([0.0, 60.0, 300.0, 900.0])),
+        fan_min_off_s=float(draw.choice([0.0, 61.0, 240.0, 1200.0])),
+        energy_hour_max_wh=float(draw.choice([100.0, 20.0, 6.0])),
+    )
+    limits = ExperimentLimits(safety, longest_s=float(draw.choice([1200.0, 5000.0, 10800.0])))
+    found = designed(leak_plan, limits)
+    assert found.profile
+    assert found.duration_s <= limits.longest_s
+    assert found.largest_temp_air_c <= limits.highest_c == safety.temp_air_max_c - 2.0
+    planned = as_inputs(found)
+    levels = 20.0 * planned.duty
+    assert levels == pytest.approx(np.round(levels), abs=1e-9)  # steps of 0.05
+    duty = limits.sent(planned.duty[None], STEP_S)[0]
+    memory = SafetyMemory()
+    for k in range(len(duty)):
+        at = {"now_s": NOW + STEP_S * k, "utc": UTC + STEP_S * k, "echo": None}
+        seen = view(**at)
+        readings = {name: replace(item, time_s=at["now_s"]) for name, item in seen.readings.items()}
+        wanted = Command(heater_duty=float(planned.duty[k]), fan_on=bool(planned.fan[k]))
+        verdict = supervise(wanted, replace(seen, readings=readings), memory, safety)
+        assert {change.rule for change in verdict.changes} <= {"heater.slew", "heater.step"}
+        assert (verdict.sent.heater_duty, verdict.sent.fan_on) == (
+            pytest.approx(duty[k]),
+            planned.fan[k] == 1.0,
+        )
+        memory = verdict.memory
+    shown = leak_plan.predicted_c(inputs_of([as_parts(planned)], limits, STEP_S))
+    assert shown.max() == pytest.approx(found.largest_temp_air_c)
+
+
+def as_parts(planned: Inputs) -> tuple[Part, ...]:
+    return tuple(
+        Part(1, float(duty), float(fan)) for duty, fan in zip(planned.duty, planned.fan, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("limits", "kept"),
+    [
+        (ExperimentLimits(longest_s=719.0), False),  # 11 rows; 12 are the fewest
+        (ExperimentLimits(longest_s=720.0), True),
+        (ExperimentLimits(safety=SafetySettings(heater_max_duty=0.0)), False),
+        (ExperimentLimits(safety=SafetySettings(heater_max_duty=0.049)), False),  # below the first step
+        (ExperimentLimits(safety=SafetySettings(temp_air_max_c=23.0)), False),  # 21 less the margin of 2 K
+    ],
+)
+def test_an_experiment_needs_time_and_heat(leak_plan, limits, kept):
+    assert (cool(leak_plan, candidates(limits, STEP_S, False), limits) is not None) is kept
+    found = designed(leak_plan, limits)
+    assert bool(found.profile) is kept
+    assert experiment_document(found)["why"]
+
+
+@pytest.mark.parametrize(
+    ("fan", "allowed"),
+    [
+        ([0, 1, 1, 0, 0, 1], True),  # 2 rows on, 2 off
+        ([0, 1, 0, 0, 0, 0], False),  # on for 60 s of 61
+        ([1, 1, 0, 1, 1, 1], False),  # off for 60 s of 61
+        ([0, 0, 0, 0, 0, 1], True),  # the last state may be short: the experiment ends
+        ([1, 1, 1, 0, 0, 1], True),
+    ],
+)
+def test_the_fans_relay_keeps_its_times(fan, allowed):
+    limits = ExperimentLimits(SafetySettings(fan_min_on_s=61.0, fan_min_off_s=61.0))
+    column = np.array([fan], dtype=np.float64)
+    assert limits.allowed(np.zeros_like(column), column, 60.0).tolist() == [allowed]
+
+
+def test_a_row_of_the_plan_is_made_of_whole_control_steps():
+    assert ExperimentLimits(step_s=60.0).row_s(60.0) == 60.0
+    assert ExperimentLimits(step_s=60.0).row_s(10.0) == 60.0
+    assert ExperimentLimits(step_s=10.0).row_s(60.0) == 60.0
+    assert ExperimentLimits(step_s=45.0).row_s(60.0) == 90.0
+
+
+def test_the_document_is_one_of_a_diagnosis_and_the_profile_one_of_an_experiment(leak_plan, tmp_path: Path):
+    found = designed(leak_plan, ExperimentLimits())
+    check_diagnosis({**named_story().document, "next_experiment": experiment_document(found)})
+    write_profile(found, tmp_path)
+    profile = read_profile(tmp_path / PROFILE)
+    assert profile.end_s == found.duration_s
+    assert profile.columns["heater_duty"].tolist() == [row.heater_duty for row in found.profile]
+    assert profile.columns["heater_duty"][-1] == 0.0
+    write_profile(Experiment(), tmp_path)  # of another diagnosis, in the same folder
+    assert not (tmp_path / PROFILE).exists()
+
+
+def test_an_experiment_begins_where_the_box_rests():
+    box = {**BOX, "constant_heat": {"P0": 10.0}}
+    plan = plan_of(file_of(BOX), driven(box, NO_FAN), ("constant_heat", "sensor_bias"))
+    assert plan.start_c == pytest.approx(ROOM_C + 10.0 / 5.0, abs=0.3)  # P0 / UA
+
+
+@pytest.mark.parametrize("told", [[True, False], [False, True], [True, True]])
+def test_what_is_told_one_way_round_only_has_two_sides_too(told: list[bool]) -> None:
+    pairs = (
+        Pair(0, 1, "wall_mass", "wall_loss", "wall_mass", 0.5, 0.5),
+        Pair(1, 0, "wall_loss", "wall_mass", "wall_mass", 0.5, 0.5),
+    )
+    [sides] = _sides(pairs, np.array(told), np.array([False, False]))
+    assert {name for side in sides for name in side} == {"wall_mass", "wall_loss"}
+    assert _sides(pairs, np.array([False, False]), np.array([False, False])) == ()
+
+
+def test_a_rival_of_which_nothing_is_open_is_told_apart_too() -> None:
+    known = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 10.0}}
+    runs, file = driven({**known, "heater_lag": {"tau_h": 200.0}}, [Inputs(DUTIES, STILL)]), file_of(known)
+    (plain,) = fit([Trial(file, NOISE)], runs)
+    assert not plain.free
+    late = fitted(file, runs, "heater_lag")
+    names = ("sensor_lag", "heater_lag")
+    pairs = tuple(Pair(i, 1 - i, names[i], names[1 - i], names[0], 0.5, 1.0) for i in range(2))
+    plan = separation(Rivals((plain, late), pairs), surroundings(runs, False), STEP_S)
+    assert designed(plan, ExperimentLimits()).profile

@@ -1,0 +1,280 @@
+"""edge/diagnosis/given.py, readings.py, room.py and nuisances.py: runs made ready to be explained."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.support.simulated_runs import BOX, NOISE, Floats, changed, diagnosed, known, simulated, twin_file
+from edge.diagnosis.fitting import fit
+from edge.diagnosis.gap import errors, forecast
+from edge.diagnosis.given import Given, given, with_rooms
+from edge.diagnosis.nuisances import CURVATURE_SD, USUAL_LOSS_W_K, still_loss_w_k
+from edge.diagnosis.readings import spikes
+from edge.diagnosis.room import WAYS, between, over_rows, smoothed
+from edge.diagnosis.trial import Trial
+from edge.formats.run_file import Run
+from edge.twin.model import Twin
+from edge.twin.recorded import Recorded
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+
+ROWS = 64
+DOOR_W_K = 20.0
+
+
+def recordings() -> list[Run]:
+    return [simulated(BOX, seed, ROWS) for seed in (1, 2, 3)]
+
+
+def prepared(runs: list[Run], file: TwinFile | None = None) -> Given:
+    return given(file or twin_file(), diagnosed(runs, file=file))
+
+
+def with_readings(run: Run, added: dict[int, float]) -> Run:
+    temp = run.columns["temp_air_c"].copy()
+    for row, more in added.items():
+        temp[row] += more
+    return changed(run, temp_air_c=temp)
+
+
+def opened(run: Run) -> tuple[Run, slice]:
+    """The run of the plain box with its door open for four rows, and which: where it is warmest and no input
+    changes, as what comes with a change may be the change's own."""
+    columns, rows = run.columns, len(run)
+    excess = columns["temp_air_c"] - columns["temp_ambient_c"]
+    moved = sum(np.abs(np.diff(columns[key])) for key in ("heater_duty", "fan_on", "light"))
+    still = np.convolve(moved, np.ones(10), "valid") == 0.0
+    first = int(np.argmax(np.where(still, excess[: len(still)], 0.0))) + 3
+    door = np.zeros((1, rows - 1))
+    door[0, first : first + 4] = 1.0
+    twin = Twin(effects={**BOX, "door_opening": {"G_door": DOOR_W_K}})
+    temp = twin.rollout(
+        columns["temp_air_c"][:1],
+        *(columns[key][None, :-1] for key in ("heater_duty", "fan_on")),
+        columns["temp_ambient_c"][:-1],
+        conditions={"door_open": door},
+    )[0]
+    noise = NOISE.sensor_k * np.random.default_rng(4).standard_normal(rows - 1)
+    measured = np.concatenate([columns["temp_air_c"][:1], temp + noise])
+    return changed(run, temp_air_c=measured), slice(first, first + 4)
+
+
+# what is taken out
+
+
+def test_plain_runs_are_taken_as_they_are() -> None:
+    runs = recordings()
+    found = prepared(runs)
+    assert found.names == ("run_01.csv", "run_02.csv", "run_03.csv")
+    assert (found.wrong, found.doors, found.told, found.guessed) == (0, (), (), False)
+    for i, run in enumerate(runs):
+        assert (found.runs.temp[i] == run.columns["temp_air_c"]).all()
+        assert (found.as_fitted()[i].run.columns["temp_air_c"] == run.columns["temp_air_c"]).all()
+    assert [term.name for term in found.terms] == ["curved loss"]
+
+
+@pytest.mark.parametrize("more", [6.0, -4.0])
+@pytest.mark.parametrize("row", [0, 2, 40, ROWS - 2, ROWS - 1])
+def test_a_reading_that_stands_alone_is_taken_out_wherever_it_is(row: int, more: float) -> None:
+    # Run 1 is heated from its first row on, by 2 K a row at first: its first reading matters most.
+    runs = recordings()
+    found = prepared([with_readings(runs[0], {row: more}), *runs[1:]])
+    taken = np.isnan(found.as_fitted()[0].run.columns["temp_air_c"])
+    assert np.flatnonzero(taken).tolist() == [row]
+    assert found.wrong == 1
+    assert found.told == (
+        "1 temperature of the training runs can't be what the air had and counted as missing",
+    )
+    assert np.isfinite(found.runs.temp[:, 0]).all()
+
+
+def test_several_wrong_readings_are_all_taken_out() -> None:
+    runs = recordings()
+    bad = [with_readings(runs[0], {0: 8.0, 40: 6.0, 60: -4.0}), with_readings(runs[1], {20: 3.0}), runs[2]]
+    found = prepared(bad)
+    taken = [
+        np.flatnonzero(np.isnan(named.run.columns["temp_air_c"])).tolist() for named in found.as_fitted()
+    ]
+    assert taken == [[0, 40, 60], [20], []]
+    assert found.wrong == 4
+    assert found.told[0].startswith("4 temperatures")
+
+
+def test_a_fast_box_that_is_switched_on_and_off_has_no_wrong_readings() -> None:
+    # Bare air warms by 20 K within a row of full heat, and is back two rows later.
+    bare = {"wall_loss": {"UA": 5.0}}
+    duty = np.zeros(ROWS)
+    duty[[0, 10, 30, 31, 50]] = 1.0
+    runs = [changed(simulated(bare, seed, ROWS), heater_duty=duty, fan_on=np.zeros(ROWS)) for seed in (1, 2)]
+    again = []
+    for run in runs:
+        room = run.columns["temp_ambient_c"]
+        temp = Twin(effects=bare).rollout(room[:1], duty[None, :-1], np.zeros((1, ROWS - 1)), room[:-1])[0]
+        again.append(changed(run, temp_air_c=np.concatenate([room[:1], temp])))
+    assert max(run.columns["temp_air_c"][1] for run in again) > 35.0
+    assert prepared(again, twin_file(bare)).wrong == 0
+
+
+def lone(off_k: float, duty: Floats | None = None) -> Recorded:
+    temp = np.full((1, 21), 25.0) + 0.02 * np.random.default_rng(1).standard_normal((1, 21))
+    temp[0, 10] += off_k
+    zeros = np.zeros((1, 20))
+    return Recorded(temp, zeros if duty is None else duty, zeros, np.full((1, 20), 20.0))
+
+
+@pytest.mark.parametrize(("off_k", "is_one"), [(0.5, False), (1.4, False), (1.7, True), (-1.7, True)])
+def test_a_peak_of_one_row_is_a_spike_from_1_5_k_on(off_k: float, is_one: bool) -> None:
+    assert np.argwhere(spikes(lone(off_k))).tolist() == ([[0, 10]] if is_one else [])
+
+
+def test_a_peak_that_a_pulse_of_heat_makes_is_none() -> None:
+    pulse = np.zeros((1, 20))
+    pulse[0, 9] = 1.0
+    assert not spikes(lone(8.0, pulse)).any()
+
+
+def test_a_run_of_nothing_but_holes_has_no_spikes() -> None:
+    runs = lone(5.0)
+    temp = np.full_like(runs.temp, np.nan)
+    temp[0, [0, 20]] = 21.0
+    assert not spikes(replace(runs, temp=temp)).any()
+
+
+# doors
+
+
+def test_a_door_is_found_becomes_a_column_and_is_in_the_free_run() -> None:
+    runs = recordings()
+    first, rows = opened(runs[0])
+    found = prepared([first, *runs[1:]])
+    [door] = found.doors
+    assert (door.run, door.from_row, door.to_row) == ("run_01.csv", rows.start, rows.stop)
+    assert np.flatnonzero(found.runs.conditions["door_open"][0]).tolist() == [*range(rows.start, rows.stop)]
+    assert not found.runs.conditions["door_open"][1:].any()
+    with_door = Twin(effects={**BOX, "door_opening": {"G_door": DOOR_W_K}})
+    named = found.as_fitted()[0]
+    missed = {}
+    for label, twin in (("closed", Twin(effects=BOX)), ("open", with_door)):
+        missed[label] = errors([forecast(twin, named, found.room_of(named))])
+    assert missed["open"] is not None
+    assert missed["closed"] is not None
+    assert missed["open"]["rmse_k"] < 0.5 * missed["closed"]["rmse_k"]
+
+
+def test_a_door_that_was_recorded_is_kept_beside_one_that_was_found() -> None:
+    runs = recordings()
+    first, rows = opened(runs[0])
+    door = np.zeros(ROWS)
+    door[5:8] = 1.0
+    listed = [changed(run, door_open=door if run is runs[1] else np.zeros(ROWS)) for run in runs[1:]]
+    found = prepared([changed(first, door_open=np.zeros(ROWS)), *listed])
+    assert found.runs.conditions["door_open"][0, rows].all()
+    assert np.flatnonzero(found.runs.conditions["door_open"][1]).tolist() == [5, 6, 7]
+
+
+# the room
+
+
+def test_where_no_room_was_recorded_each_run_has_its_own() -> None:
+    rooms, runs = (17.0, 21.0, 25.0), []
+    noise = NOISE.sensor_k * np.random.default_rng(6).standard_normal(ROWS)
+    for run, room in zip(recordings(), rooms, strict=True):
+        duty, fan = (run.columns[key][None, :-1] for key in ("heater_duty", "fan_on"))
+        temp = Twin(effects=BOX).rollout(np.array([room]), duty, fan, room)[0]
+        runs.append(changed(run, temp_air_c=np.append(room, temp) + noise, temp_ambient_c=None))
+    found = prepared(runs)
+    assert found.guessed
+    assert [term.name for term in found.terms] == [f"room of run {i}" for i in (1, 2, 3)]
+    [best] = fit([Trial(found.file, NOISE, found.terms)], found.runs, 1)
+    fitted = with_rooms(found, best.sizes)
+    assert fitted.runs.ambient[:, 0] == pytest.approx(rooms, abs=3.3 * best.size_sds.max())
+    for named, room in zip(fitted.as_fitted(), rooms, strict=True):
+        assert fitted.room_of(named) == pytest.approx(np.full(ROWS, room), abs=3.3 * best.size_sds.max())
+    # A run that had no part begins at rest here, as those did: its room is its first temperature.
+    other = diagnosed(runs[:1]).train[0]
+    fresh = replace(other, name="test.csv")
+    assert fitted.room_of(fresh)[0] == pytest.approx(runs[0].columns["temp_air_c"][0], abs=0.5)
+    assert fitted.room_of(fresh).shape == (ROWS,)
+
+
+def test_a_recorded_room_is_smoothed_and_goes_to_test_runs_the_same_way() -> None:
+    runs = recordings()
+    found = prepared(runs)
+    assert found.room in WAYS
+    for i, named in enumerate(found.as_fitted()):
+        assert found.room_of(named)[:-1] == pytest.approx(found.runs.ambient[i], abs=0.05)
+
+
+def wandering(noise_k: float) -> tuple[Floats, Floats]:
+    draw = np.random.default_rng(2)
+    true = 20.0 + np.cumsum(0.02 * draw.standard_normal((3, 300)), axis=1)
+    return true, true + noise_k * draw.standard_normal(true.shape)
+
+
+@pytest.mark.parametrize("noise_k", [0.05, 0.3])
+def test_a_room_seen_through_noise_is_seen_better_by_its_neighbours(noise_k: float) -> None:
+    true, measured = wandering(noise_k)
+    # A level that wanders by 0.02 K a row is known by some noise / 0.02 rows: a good third of the noise.
+    assert np.std(smoothed(measured) - true) < 0.6 * noise_k
+
+
+def test_a_room_that_is_known_exactly_or_stands_still_stays_as_it_is() -> None:
+    true, _ = wandering(0.0)
+    assert smoothed(true) == pytest.approx(true, abs=0.02)
+    still = np.full((2, 50), 21.5)
+    assert (smoothed(still) == still).all()
+    short = np.array([[20.0, 25.0, 21.0]])
+    assert (smoothed(short) == short).all()
+
+
+def test_between_two_readings_the_room_is_half_way() -> None:
+    assert between(np.array([[20.0, 22.0, 23.0]])).tolist() == [[21.0, 22.5, 23.0]]
+    assert over_rows(np.full((1, 30), 21.0), "between").tolist() == [[21.0] * 30]
+
+
+# days and losses
+
+
+def test_days_are_counted_from_the_first_run_unless_the_file_says() -> None:
+    runs = recordings()
+    later = [changed(run, facts={"start_utc": f"2026-07-0{3 - i}T08:00:00Z"}) for i, run in enumerate(runs)]
+    assert prepared(later).file.day0_utc == 1782892800.0  # 2026-07-01 08:00 UTC, the third run's
+    assert prepared(later, replace(twin_file(), day0_utc=1.0)).file.day0_utc == 1.0
+    timeless = [replace(run, facts={}) for run in runs]
+    assert prepared(timeless).file.day0_utc is None
+
+
+@pytest.mark.parametrize(
+    ("effects", "loss_w_k"),
+    [
+        (BOX, 4.0),
+        ({"wall_mass": {"C_w": 6000.0, "G_in": 9.0, "G_out": 7.2}}, 4.0),  # 1 / (1/9 + 1/7.2)
+        ({"infiltration": {"F_inf": 0.002}}, 1.2 * 1005.0 * 0.002),
+        ({"wall_loss": {"UA": 4.0}, "sensor_lag": {"tau_s": 60.0}, "heater_lag": {"tau_h": 60.0}}, 4.0),
+        ({"soil_mass": {"C_s": 5000.0, "G_s": 2.0}}, 0.0),  # nothing leaves the box
+        ({}, 0.0),
+    ],
+)
+def test_the_loss_of_a_still_box(effects: dict[str, dict[str, float]], loss_w_k: float) -> None:
+    assert still_loss_w_k(Twin(effects=effects)) == pytest.approx(loss_w_k, rel=1e-6)
+
+
+def test_a_loss_may_bend_by_a_few_percent_of_what_it_is_or_usually_is() -> None:
+    [term] = prepared(recordings()).terms
+    assert term.sd == pytest.approx(CURVATURE_SD * 4.0)
+    lossless = TwinFile(effects=known({"extra_capacity": {"kC": 10.0}}))
+    [usual] = prepared(recordings(), lossless).terms  # its loss is what it lacks
+    assert usual.sd == pytest.approx(CURVATURE_SD * USUAL_LOSS_W_K)
+    uncertain = twin_file().with_values({("effects", "wall_loss", "UA"): Value(4.0, rel_sd=0.1)})
+    assert len(prepared(recordings(), uncertain).terms) == 1
+
+
+def test_what_a_temperature_was_expected_to_be_has_none_of_its_noise() -> None:
+    runs = recordings()
+    found = prepared(runs)
+    noise = found.runs.temp[:, 1:] - found.expected[:, 1:]
+    ahead = np.std(noise)
+    assert 0.9 * NOISE.sensor_k < ahead < 2.0 * NOISE.sensor_k
+    assert np.isfinite(found.expected).all()
+    assert (found.expected[:, 0] == found.runs.temp[:, 0]).all()

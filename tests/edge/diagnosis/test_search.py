@@ -1,0 +1,172 @@
+"""edge/diagnosis/search.py: sets of effects by what they are worth, on runs with one or two hidden."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bench.support.simulated_runs import BOX, Effects, changed, search_over, simulated, twin_file
+from edge.diagnosis import candidates as module
+from edge.diagnosis.candidates import Scored
+from edge.diagnosis.search import RIVAL_NATS, Search
+from edge.formats.run_file import Run
+from edge.twin.effects.library import USUAL_EFFECTS
+from edge.twin.value import Value
+
+# Enough to be mistaken for each other, few enough to be fast; test_twin_diagnose.py tries them all.
+CANDIDATES = (
+    *("wall_loss", "infiltration", "soil_mass", "extra_capacity", "heater_lag", "heater_deadtime"),
+    *("heater_efficiency", "fan_effectiveness", "short_circuit", "sensor_lag", "constant_heat", "led_gain"),
+)
+HIDDEN: Effects = {
+    "heater_lag": {"tau_h": 200.0},
+    "infiltration": {"F_inf": 0.0015},
+    "soil_mass": {"C_s": 8000.0, "G_s": 2.0},
+    "fan_effectiveness": {"eps_f": 0.8},
+}
+RUNS, ROWS = 4, 60  # time goes with the rows of a run, not with how many there are
+LAG, LAG_AND_LEAK, WEAK_FAN = ("heater_lag",), ("heater_lag", "infiltration"), ("fan_effectiveness",)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_candidates() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "USUAL_EFFECTS", {name: USUAL_EFFECTS[name] for name in CANDIDATES})
+        yield
+
+
+def runs_with(hidden: Effects, first_seed: int = 1) -> list[Run]:
+    return [simulated({**BOX, **hidden}, first_seed + i, ROWS) for i in range(RUNS)]
+
+
+@cache
+def searched(names: tuple[str, ...] = (), first_seed: int = 1) -> tuple[Search, Scored]:
+    """With these effects hidden; kept, as a search does not change what it has found."""
+    search, _ = search_over(runs_with({name: HIDDEN[name] for name in names}, first_seed))
+    return search, search.missing()
+
+
+@pytest.mark.parametrize("first_seed", [1, 11])
+def test_nothing_is_added_where_nothing_is_missing(first_seed: int) -> None:
+    assert searched(first_seed=first_seed)[1].added == frozenset()
+
+
+@pytest.mark.parametrize("names", [LAG, ("soil_mass",), LAG_AND_LEAK], ids=" and ".join)
+def test_what_is_hidden_is_found_and_nothing_else(names: tuple[str, ...]) -> None:
+    search, best = searched(names)
+    assert best.added == set(names)
+    assert best.score > search.sets.base().score
+    for name in names:
+        found = best.fitted.file.effects[name]
+        values = {key: value.value for key, value in found.items()}
+        assert values == pytest.approx(dict(HIDDEN[name]), rel=0.15)
+
+
+def test_a_heat_that_no_effect_gives_is_a_formula_not_a_name() -> None:
+    runs = [simulated(BOX, seed, ROWS, further=lambda u, fan, _: 15.0 * u * fan) for seed in range(1, 5)]
+    search, shapes = search_over(runs)
+    best = search.missing()
+    assert best.added == {"~u fan"}
+    place = [term.name for term in best.fitted.trial.nuisances].index("~u fan")
+    assert abs(best.fitted.sizes[place] - 15.0) < 3.3 * best.fitted.size_sds[place]
+    assert shapes["~u fan"].unit == "W"
+
+
+# rivals
+
+
+def likelihoods(sets: Sequence[Scored]) -> dict[str, float]:
+    return {" ".join(sorted(item.added)): item.likelihood for item in sets}
+
+
+def test_two_names_of_one_flow_are_as_likely_as_each_other() -> None:
+    # eps_f is 1 - s_sc: no data ever tell them apart.
+    search, best = searched(WEAK_FAN)
+    [own] = best.added
+    [other] = {"fan_effectiveness", "short_circuit"} - {own}
+    near = likelihoods(search.rivals(best, [own])[own])
+    assert near.pop(other) == pytest.approx(best.likelihood, abs=0.1)
+    assert all(value < best.likelihood - RIVAL_NATS for value in near.values())
+
+
+def test_a_leak_looks_like_a_loss_where_the_fan_never_runs() -> None:
+    runs = [simulated(BOX, seed, ROWS, fan=False) for seed in range(1, 5)]
+    search, _ = search_over(runs, twin_file({"extra_capacity": {"kC": 10.0}}))
+    best = search.missing()
+    [own] = best.added
+    [other] = {"wall_loss", "infiltration"} - {own}
+    assert likelihoods(search.rivals(best, [own])[own])[other] == pytest.approx(best.likelihood, abs=0.1)
+
+
+# what may be missing
+
+
+def test_candidates_are_what_the_file_has_not_and_the_runs_have_columns_for() -> None:
+    search, _ = searched()
+    assert set(search.candidates.names) == set(CANDIDATES) - set(BOX)
+    dark, _ = search_over([changed(run, light=None) for run in runs_with({})])
+    assert set(search.candidates.names) - set(dark.candidates.names) == {"led_gain"}
+
+
+def test_a_door_is_a_candidate_only_where_one_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "USUAL_EFFECTS", USUAL_EFFECTS)
+    search, _ = searched()
+    assert "door_opening" not in search.candidates.names
+    opened = {**search.runs.conditions, "door_open": np.zeros_like(search.runs.duty)}
+    runs = replace(search.runs, conditions=opened)
+    assert "door_opening" in Search(search.file, runs, search.progress).candidates.names
+
+
+def test_a_loss_that_a_wall_replaces_is_no_candidate() -> None:
+    wall = {"wall_mass": {"C_w": 5000.0, "G_in": 10.0, "G_out": 8.0}}
+    search, _ = searched()
+    assert "wall_loss" not in Search(twin_file(wall), search.runs, search.progress).candidates.names
+
+
+def test_what_has_more_values_or_more_rivals_has_to_explain_more() -> None:
+    search, _ = searched()
+    values, candidates = 0.5 * np.log(search.candidates.rows), np.log(len(search.candidates.names))
+    assert search.penalty("heater_lag") == pytest.approx(values + candidates)
+    assert search.penalty("soil_mass") == pytest.approx(2.0 * values + candidates)
+    # Of the three values of a wall the known loss gives one.
+    assert search.penalty("wall_mass") == pytest.approx(2.0 * values + candidates)
+    rows = search.runs.duty.shape[1]
+    with_doors = replace(search.candidates, doors=3)
+    assert with_doors.penalty("door_opening") == pytest.approx(
+        search.penalty("door_opening") + 3 * np.log(6.0 * rows)
+    )
+    assert with_doors.penalty("heater_lag") == search.penalty("heater_lag")
+    assert search.penalty("~u fan") > values + np.log(len(search.formulas))
+
+
+def test_rounds_tell_what_was_tried_the_most_promising_first() -> None:
+    search, _ = searched(LAG)
+    first = search.rounds[0]
+    assert first.beside == frozenset()
+    assert first.tried[0].name == "heater_lag"
+    worth = [item.score_gain for item in first.tried]
+    assert worth == sorted(worth, reverse=True)
+    assert set(search.candidates.names) <= {item.name for item in first.tried}
+    for item in first.tried:
+        assert item.score_gain == pytest.approx(item.gain_nats - search.penalty(item.name))
+
+
+def test_a_set_that_was_fitted_is_not_fitted_again() -> None:
+    search, best = searched(LAG)
+    assert search.sets.base() is search.sets.base()
+    assert search.sets.without(best, "heater_lag") is search.sets.base()
+
+
+def test_an_uncertain_value_keeps_its_prior_through_the_search() -> None:
+    file = twin_file({**BOX, "fan_effectiveness": {"eps_f": 0.8}})
+    loose = file.with_values({("effects", "fan_effectiveness", "eps_f"): Value(0.8, rel_sd=0.05)})
+    hidden = {name: HIDDEN[name] for name in (*WEAK_FAN, *LAG)}
+    search, _ = search_over(runs_with(hidden), loose)
+    best = search.missing()
+    assert best.added == {"heater_lag"}
+    [own] = [item for item in best.fitted.free if item.place[1] == "fan_effectiveness"]
+    [given] = [item for item in search.sets.base().fitted.free if item.place[1] == "fan_effectiveness"]
+    assert (own.mean, own.sd) == (given.mean, given.sd)
+    assert own.mean * own.scale == pytest.approx(0.8)

@@ -1,0 +1,100 @@
+"""edge/twin/effects/unnamed.py: bounded heat without a name, and what it is for."""
+
+import numpy as np
+import pytest
+
+from bench.support.simulated_runs import NOISE, diagnosed, silent, simulated, twin_file
+from edge.diagnosis.candidates import Candidates
+from edge.diagnosis.diagnose import diagnose
+from edge.diagnosis.handed import OPEN, Predicted, opened
+from edge.diagnosis.judged import _is_moved
+from edge.diagnosis.trial import Fitted, Trial
+from edge.diagnosis.unknowns import Unknown
+from edge.twin.effects.library import EFFECTS
+from edge.twin.effects.unnamed import UNNAMED_EFFECTS
+from edge.twin.model import Twin
+from edge.twin.recorded import Recorded
+from edge.twin.value import Value
+
+BASE = {"wall_loss": {"UA": 5.0}, "extra_capacity": {"kC": 4.0}}
+HEAT = {"unnamed_heat": {"P_x": 20.0, "T_x": 30.0, "w_x": 1.0}}
+CUT = {"unnamed_cut": {"f_x": 1.0, "T_x": 30.0, "w_x": 0.5}}
+ROWS = 600
+
+
+def settled_c(effects: dict[str, dict[str, float]], duty: float) -> float:
+    """Where the air ends, from a room of 20 °C."""
+    commands = np.full((1, ROWS), duty)
+    temps = Twin(effects=effects).rollout(np.array([20.0]), commands, np.zeros((1, ROWS)), 20.0)
+    assert np.isfinite(temps).all()
+    return float(temps[0, -1])
+
+
+def test_heat_comes_while_the_box_is_cool() -> None:
+    assert settled_c(BASE | HEAT, 0.0) == pytest.approx(24.0, abs=0.1)  # 20 W through 5 W/K
+    assert settled_c(BASE | HEAT, 1.0) == pytest.approx(40.0, abs=0.1)  # warm: none
+
+
+def test_a_cut_takes_the_heater_from_a_warm_box() -> None:
+    assert settled_c(BASE | CUT, 0.2) == pytest.approx(24.0, abs=0.1)
+    assert settled_c(BASE | CUT, 1.0) == pytest.approx(30.0, abs=1.0)
+
+
+@pytest.mark.parametrize("temp_c", [-200.0, 0.0, 30.0, 1000.0])
+def test_it_is_bounded_wherever_the_box_goes(temp_c: float) -> None:
+    twin = Twin(effects=BASE | HEAT)
+    heat_w = twin.signals.heat_w(np.array([temp_c]), np.array([20.0]), {}, by_temp=True)
+    assert 0.0 <= float(np.asarray(heat_w)[0]) <= 20.0
+
+
+def test_a_march_of_single_steps_is_the_rollout() -> None:
+    duty, fan = np.array([[0.0, 1.0, 1.0, 1.0, 0.2, 0.0]]), np.zeros((1, 6))
+    twin = Twin(effects=BASE | CUT)
+    whole = twin.rollout(np.array([28.0]), duty, fan, 20.0)[0]
+    state, single = np.array([28.0]), []
+    for u in duty[0]:
+        state = twin.advance(state, 20.0, u, 0.0)
+        single.append(state[0])
+    assert np.array(single) == pytest.approx(whole)
+
+
+def test_values_that_the_runs_contradict_are_opened_and_that_is_said() -> None:
+    runs = [simulated({"wall_loss": {"UA": 9.0}, "extra_capacity": {"kC": 10.0}}, seed) for seed in (1, 2, 3)]
+    wrong = {("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)}
+    file = twin_file().with_values(wrong)
+    found = diagnose(file, diagnosed(runs, file=file), silent, "")
+    fitted = found.adopted.effects["wall_loss"]["UA"]
+    assert fitted.value == pytest.approx(9.0, rel=0.1) or found.verdict.kind == "named"
+    if OPEN in found.judged.handed.added:
+        assert any("wall_loss.UA is" in line for line in found.judged.told)
+
+
+def test_opened_values_are_adopted_like_any_other() -> None:
+    file = twin_file().with_values({("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)})
+    assert opened(file).to_fit() == [("effects", "wall_loss", "UA")]
+
+
+def test_it_is_never_offered_as_a_name() -> None:
+    runs = Recorded(np.full((1, 41), 20.0), np.zeros((1, 40)), np.zeros((1, 40)), np.full((1, 40), 20.0), {})
+    assert set(UNNAMED_EFFECTS) <= EFFECTS.keys()
+    assert not set(UNNAMED_EFFECTS) & set(Candidates(twin_file(), runs, {}).names)
+
+
+def predicted(added: set[str], places: dict[tuple[str, str, str], float], sd: float = 0.1) -> Predicted:
+    """A twin of which no more is told than its values."""
+    free = tuple(Unknown(place, 1e-3, 1e3, True, 1.0, 0.0, 1.0) for place in places)
+    file, coordinates = twin_file(), np.array(list(places.values()))
+    fitted = Fitted(
+        Trial(file, NOISE), file, free, coordinates, 0.0, sd**2 * np.eye(len(free)), np.zeros((1, 1)),
+        np.empty(0), np.empty(0),
+    )  # fmt: skip
+    return Predicted(frozenset(added), fitted, np.zeros((1, 1)))
+
+
+def test_a_name_that_becomes_something_else_beside_a_term_is_moved() -> None:
+    lag, loss = ("effects", "heater_lag", "tau_h"), ("effects", "wall_loss", "UA")
+    named = predicted({"heater_lag"}, {loss: 1.0, lag: 5.0})
+    assert not _is_moved(named, predicted({"heater_lag", "x"}, {loss: 3.0, lag: 5.2}))
+    assert _is_moved(named, predicted({"heater_lag", "x"}, {loss: 1.0, lag: 6.0}))
+    # where a wall that stores heat replaces the loss, there is no loss to compare
+    assert not _is_moved(named, predicted({"heater_lag", "wall_mass"}, {lag: 5.0}))

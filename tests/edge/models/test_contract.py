@@ -1,0 +1,173 @@
+"""What an ONNX file has to promise, and what becomes of one that does not keep it."""
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from onnx import TensorProto
+from onnx_files import TWIN, document_of, graph_of, write_onnx
+
+from edge.core.errors import DataError
+from edge.models.contract import parse_contract
+from edge.models.ham import read_ham
+from edge.models.lstm import read_lstm
+from training.onnx_graph import Graph, real
+
+VALID = document_of("lstm")
+BOX = VALID["validity"]
+ONE_STEP, TWO_STEPS = VALID["golden"][1], VALID["golden"][0]
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(DataError) as caught:
+        read_lstm(path, 60.0)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+    return text.removeprefix(f"{path}: ")
+
+
+def golden_with(key: str, value: Any) -> list[Any]:
+    return [TWO_STEPS | {key: value}]
+
+
+def test_a_file_that_keeps_its_contract_is_read(tmp_path: Path) -> None:
+    model = read_lstm(write_onnx(tmp_path / "lstm.onnx"), 60.0)
+    assert (model.name, model.kind, model.step_s, model.rows_needed) == ("lstm", "lstm", 60.0, 3)
+    assert model.validity["temp_air_c"] == (0.0, 40.0)
+    assert model.contract.facts["software"] == {"torch": "2.13.0"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"contract": 2}, "contract: 2 is not 1"),
+        ({"kind": "arx"}, "kind: 'arx' is none of lstm, ham, ham_guarded"),
+        ({"features": ["temp_air", "fan_on", "heater_duty"]}, "features: ['temp_air', 'fan_on', "),
+        ({"features": ["temp_air", "heater_duty"]}, "features: ['temp_air', 'heater_duty'] is not"),
+        ({"units": VALID["units"] | {"temp_air": "K"}}, "units: "),
+        ({"units": VALID["units"] | {"heater_duty": "%"}}, "units: "),
+        ({"sample_s": 10.0}, "sample_s: made for steps of 10 s, the rig's are 60 s"),
+        ({"sample_s": 0}, "sample_s: 0 is not a number above 0"),
+        ({"sample_s": "60"}, "sample_s: '60' is not a number above 0"),
+        ({"sample_s": True}, "sample_s: True is not a number above 0"),
+        ({"window": 0}, "window: 0 is not a number of rows from 1 to 120"),
+        ({"window": 121}, "window: 121 is not a number of rows from 1 to 120"),
+        ({"window": 3.0}, "window: 3.0 is not"),
+        ({"window": 4}, "golden[0].window: shape (3, 3), not (4, 3)"),
+        ({"validity": {**BOX, "temp_air_c": [30.0, 20.0]}}, "validity.temp_air_c: [30.0, 20.0] is not"),
+        ({"validity": {**BOX, "temp_air_c": [20.0]}}, "validity.temp_air_c: [20.0] is not"),
+        ({"validity": {**BOX, "temp_air_c": None}}, "validity.temp_air_c: not numbers"),
+        ({"validity": {**BOX, "temp_air": [0, 1]}}, "validity: does not bound exactly temp_air_c"),
+        ({"validity": []}, "validity: does not bound exactly"),
+        ({"tolerance": {"step_k": 1e-4, "rollout_k": 2e-3}}, "tolerance.rollout_k: 0.002 K is more than"),
+        ({"tolerance": {"step_k": 2e-4, "rollout_k": 1e-3}}, "tolerance.step_k: 0.0002 K is more than"),
+        ({"tolerance": {"rollout_k": 1e-3}}, "tolerance.step_k: None is not a number above 0"),
+        ({"tolerance": 1e-3}, "tolerance: is no object"),
+        ({"golden": []}, "golden: no rollouts"),
+        ({"golden": [ONE_STEP]}, "golden: no rollout of more than one step"),
+        ({"golden": [None]}, "golden[0]: is no object"),
+        ({"golden": golden_with("temps", [[20.5, "x"]])}, "golden[0].temps: not numbers in 2 dimensions"),
+        ({"golden": golden_with("temps", [20.5, 20.75])}, "golden[0].temps: not numbers in 2 dimensions"),
+        ({"golden": golden_with("temps", [[20.5]])}, "golden[0].controls: shape (1, 2, 2), not (1, 1, 2)"),
+        ({"golden": golden_with("controls", None)}, "golden[0].controls: not numbers in 3 dimensions"),
+        ({"extra": 1}, "extra: unknown key"),
+    ],
+)  # fmt: skip
+def test_a_contract_that_does_not_fit_is_refused_with_its_key(
+    changed: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    assert refusal(write_onnx(tmp_path / "lstm.onnx", changed=changed)).startswith(message)
+
+
+@pytest.mark.parametrize("key", sorted(VALID))
+def test_no_key_of_the_contract_may_be_missing(key: str) -> None:
+    with pytest.raises(DataError, match=f"^{key}: "):
+        parse_contract(json.dumps({name: value for name, value in VALID.items() if name != key}))
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"contract": NaN}', "[" * 100_000])
+def test_metadata_that_are_no_object_are_refused(text: str, tmp_path: Path) -> None:
+    assert refusal(write_onnx(tmp_path / "lstm.onnx", text=text)).startswith("greenhouse_contract: ")
+
+
+@pytest.mark.parametrize(
+    ("which", "missed_k", "is_refused"),
+    [(0, 0.9e-3, False), (0, 1.1e-3, True), (1, 0.9e-4, False), (1, 1.1e-4, True)],
+)
+def test_golden_vectors_hold_to_1e_3_over_a_rollout_and_1e_4_over_a_step(
+    which: int, missed_k: float, is_refused: bool, tmp_path: Path
+) -> None:
+    goldens = copy.deepcopy(VALID["golden"])
+    goldens[which]["temps"][0][-1] += missed_k
+    path = write_onnx(tmp_path / "lstm.onnx", changed={"golden": goldens})
+    if is_refused:
+        assert refusal(path).startswith(f"golden[{which}].temps: missed by ")
+    else:
+        read_lstm(path, 60.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "missed"),
+    [(0.1001, "0.004 K"), (np.nan, "nan K"), (np.inf, "inf K")],  # 2 steps of 20 °C * 1e-4
+)
+def test_a_graph_with_another_weight_misses_the_golden_vectors(
+    share: float, missed: str, tmp_path: Path
+) -> None:
+    graph = graph_of("ham")
+    scalars = [item for item in graph.graph.initializer if item.data_type == TensorProto.FLOAT]
+    assert len(scalars) == 1  # the tenth of the room temperature
+    scalars[0].raw_data = np.float32(share).tobytes()
+    with pytest.raises(DataError, match=rf"ham\.onnx: golden\[0\]\.temps: missed by {missed}, 0\.001 K is"):
+        read_ham(write_onnx(tmp_path / "ham.onnx", "ham", graph=graph), TWIN)
+
+
+def test_a_graph_that_can_not_run_is_refused(tmp_path: Path) -> None:
+    graph = Graph()
+    reshaped = graph.op("Reshape", "controls", graph.integers(7, 11))
+    used = graph.op("Add", graph.op("ReduceSum", "window"), graph.op("ReduceSum", "offset"))
+    graph.give("temps", graph.op("Add", reshaped, used))
+    inputs = [real("window", [3, 3]), real("controls", ["B", "N", 2]), real("offset", ["N"])]
+    model = graph.model("broken", inputs, [real("temps", ["B", "N"])])
+    assert refusal(write_onnx(tmp_path / "lstm.onnx", graph=model)).startswith("golden[0]: cannot be run: ")
+
+
+def test_inputs_and_outputs_have_to_be_those_of_the_contract(tmp_path: Path) -> None:
+    path = tmp_path / "lstm.onnx"
+    assert refusal(write_onnx(path, graph=graph_of("lstm", window_input="rows"))).startswith(
+        "inputs: {'rows'"
+    )
+    assert refusal(write_onnx(path, graph=graph_of("lstm", output="temp"))).startswith(
+        "outputs: ['temp'] are not ['temps']"
+    )
+    assert refusal(write_onnx(path, graph=graph_of("ham_guarded"))).startswith("inputs: ")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(share: float, tmp_path: Path) -> None:
+    path = write_onnx(tmp_path / "lstm.onnx")
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    refusal(path)
+
+
+def test_what_is_no_onnx_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lstm.onnx"
+    path.write_text("not a model")
+    assert refusal(path).startswith("not an ONNX file that can be run: ")
+    assert refusal(tmp_path / "none.onnx").startswith("cannot be read: ")
+    assert refusal(tmp_path).startswith("cannot be read: ")
+
+
+def test_an_onnx_file_without_a_contract_is_refused(tmp_path: Path) -> None:
+    message = refusal(write_onnx(tmp_path / "lstm.onnx", text=""))
+    assert message.startswith("greenhouse_contract: missing in the metadata")
+
+
+def test_one_kind_of_model_is_not_read_as_another(tmp_path: Path) -> None:
+    assert refusal(write_onnx(tmp_path / "ham.onnx", "ham")) == "kind: 'ham' is none of lstm"
+    with pytest.raises(DataError, match=r"lstm\.onnx: kind: 'lstm' is none of ham, ham_guarded"):
+        read_ham(write_onnx(tmp_path / "lstm.onnx"), TWIN)

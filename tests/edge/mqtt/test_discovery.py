@@ -1,0 +1,160 @@
+import json
+import re
+from dataclasses import replace
+
+import pytest
+from home_assistant import check_device, check_topic
+
+from bench.support.mqtt_rig import ROOT, ControlLoop, settings
+from edge.assistant.requests.desk import Proposal
+from edge.assistant.requests.proposal_id import new_id
+from edge.config.settings import ControlSettings, LlmSettings, ReferenceSettings, Settings
+from edge.core.controller_names import LLM
+from edge.mqtt import discovery, states
+from edge.mqtt.commands import parse
+from edge.mqtt.topics import Topics
+
+CONFIGURED = settings()
+PAYLOAD = discovery.device(CONFIGURED)
+COMPONENTS = PAYLOAD["components"]
+STATE = states.state(ControlLoop().status(), {"ticks_late": 0, "ticks_skipped": 0, "outbox_depth": 0})
+
+
+def test_the_payload_is_what_home_assistant_accepts():
+    check_topic(Topics.of(CONFIGURED.mqtt).discovery)
+    check_device(json.loads(json.dumps(PAYLOAD, allow_nan=False)))
+
+
+@pytest.mark.parametrize("rig", ["a", "Rig_2", "GREENHOUSE-1", "-x-", "x" * 64, "-"])
+def test_it_stays_so_for_every_name_a_rig_can_have(rig):
+    configured = settings(rig=rig)
+    check_topic(Topics.of(configured.mqtt).discovery)
+    check_device(discovery.device(configured))
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda payload: payload.update(dev={}),
+        lambda payload: payload["device"].update(identifiers=[]),
+        lambda payload: payload["origin"].pop("name"),
+        lambda payload: payload["components"]["climate"].update(object_id="x"),
+        lambda payload: payload["components"]["climate"]["preset_modes"].append("none"),
+        lambda payload: payload["components"]["climate"].update(device_class="temperature"),
+        lambda payload: payload["components"]["temp_air"].update(unit_of_measurement="degC"),
+        lambda payload: payload["components"]["fan"].update(unique_id="rig-1_climate"),
+        lambda payload: payload["components"]["clear_trip"].pop("command_topic"),
+        lambda payload: payload.update(state_topic="greenhouse/rig-1/state"),  # the texts would inherit it
+    ],
+)
+def test_the_checker_can_fail(spoil):
+    payload = json.loads(json.dumps(PAYLOAD))
+    spoil(payload)
+    with pytest.raises((AssertionError, KeyError)):
+        check_device(payload)
+
+
+def test_the_climate_has_what_the_rig_can_do():
+    climate = COMPONENTS["climate"]
+    assert climate["modes"] == ["off", "heat", "fan_only", "auto"]
+    assert climate["fan_modes"] == ["auto", "on", "off"]
+    assert climate["preset_modes"] == list(CONFIGURED.controllers)
+    bounds = (CONFIGURED.reference.min_c, CONFIGURED.reference.max_c)
+    assert (climate["min_temp"], climate["max_temp"]) == bounds
+
+
+def test_a_rig_offers_language_models_where_it_has_one():
+    def offered(rig: Settings) -> set[str]:
+        return set(discovery.device(rig)["components"]["climate"]["preset_modes"])
+
+    with_one = replace(CONFIGURED, llm=LlmSettings(url="http://localhost/v1", model="m"))
+    assert not offered(CONFIGURED) & set(LLM)
+    assert offered(with_one) >= set(LLM)
+
+
+def test_all_shown_on_the_state_topic_is_in_the_state():
+    keys = {
+        key
+        for component in COMPONENTS.values()
+        for name, template in component.items()
+        if name.endswith("_template") and component.get("state_topic", ROOT + "/state") == ROOT + "/state"
+        for key in re.findall(r"value_json\.(\w+)", template)
+    }
+    assert keys
+    assert keys <= STATE.keys()
+
+
+def test_every_value_a_climate_can_be_sent_is_a_command():
+    climate = COMPONENTS["climate"]
+    offered = [
+        *((climate["mode_command_topic"], mode) for mode in climate["modes"]),
+        *((climate["fan_mode_command_topic"], mode) for mode in climate["fan_modes"]),
+        *((climate["preset_mode_command_topic"], mode) for mode in climate["preset_modes"]),
+        (climate["temperature_command_topic"], str(climate["min_temp"])),
+        (climate["temperature_command_topic"], str(climate["max_temp"])),
+    ]
+    for topic, payload in offered:
+        assert parse_topic(topic, payload)
+
+
+def test_a_cleared_preset_asks_for_the_configured_controller():
+    # Home Assistant offers "none" beside the presets and sends it to clear one.
+    topic = COMPONENTS["climate"]["preset_mode_command_topic"]
+    assert parse_topic(topic, "none") == {"do": "set_controller", "name": None}
+
+
+def test_every_button_switch_and_number_ends_in_a_command():
+    for component in COMPONENTS.values():
+        topic = component.get("command_topic")
+        match component["platform"]:
+            case "button":
+                assert parse_topic(topic, component["payload_press"])
+            case "switch":
+                assert parse_topic(topic, component["payload_on"])
+                assert parse_topic(topic, component["payload_off"])
+            case "number":
+                for value in (component["min"], component["max"]):
+                    text = component["command_template"].replace("{{ value / 100 }}", str(value / 100))
+                    assert parse_topic(topic, text)
+
+
+def test_wishes_are_switched_off_where_there_is_no_language_model():
+    def enabled(rig: Settings) -> set[bool]:
+        components = discovery.device(rig)["components"]
+        return {components[key]["enabled_by_default"] for key in ("ask", "proposal", "confirm", "undo")}
+
+    assert enabled(CONFIGURED) == {False}
+    assert enabled(replace(CONFIGURED, llm=LlmSettings(url="http://localhost/v1", model="m"))) == {True}
+
+
+def test_a_proposals_id_can_be_typed_and_nothing_else():
+    confirm = COMPONENTS["confirm"]
+    assert re.fullmatch(confirm["pattern"], new_id())
+    assert not re.fullmatch(confirm["pattern"], "yes")
+    assert parse_topic(confirm["command_topic"], "c0ffee") == {"do": "confirm", "id": "c0ffee"}
+    assert parse_topic(COMPONENTS["ask"]["command_topic"], "keep 26")["words"] == "keep 26"
+
+
+def test_what_the_proposal_shows_is_in_a_proposal():
+    assert COMPONENTS["proposal"]["value_template"] == "{{ value_json.state }}"
+    assert Proposal("c0ffee", "keep 26", 0.0).as_json()["state"] == "thinking"
+
+
+def test_sensors_expire_after_three_steps():
+    slow = replace(CONFIGURED, control=replace(ControlSettings(), step_s=60.0))
+    quick = replace(CONFIGURED, control=replace(ControlSettings(), step_s=1.0))
+    assert discovery.device(slow)["components"]["temp_air"]["expire_after"] == 180
+    assert discovery.device(quick)["components"]["temp_air"]["expire_after"] == 30
+
+
+def test_ids_stay_the_same_when_only_the_settings_change():
+    other = replace(CONFIGURED, reference=ReferenceSettings(min_c=18.0))
+    ids = {key: component["unique_id"] for key, component in COMPONENTS.items()}
+    again = discovery.device(other)["components"]
+    assert ids == {key: component["unique_id"] for key, component in again.items()}
+
+
+def parse_topic(topic: str, payload: str):
+    root, _, what = topic.rpartition("/")
+    assert root == f"{ROOT}/set"
+    return parse(what, payload.encode(), CONFIGURED.reference)

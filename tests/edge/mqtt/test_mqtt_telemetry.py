@@ -1,0 +1,349 @@
+import json
+import math
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing, contextmanager
+from dataclasses import replace
+
+import pytest
+
+from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings
+from edge.__main__ import main
+from edge.core.errors import ConfigError, RequestError
+from edge.core.messages import Echo, Event, Severity
+from edge.mqtt import connection, telemetry
+from edge.mqtt.telemetry import Telemetry
+from edge.mqtt.topics import Topics
+from edge.sockets.control_socket import ControlSocket
+
+pytestmark = needs_mosquitto
+AVAILABILITY, STATE, REPLY, EVENT = (f"{ROOT}/{name}" for name in ("availability", "state", "reply", "event"))
+DISCOVERY, HISTORY = "homeassistant/device/rig-1/config", f"{ROOT}/history"
+
+
+@pytest.fixture(autouse=True)
+def quick_reconnect(monkeypatch):
+    monkeypatch.setattr(connection, "RECONNECT_MIN_S", 0.1)
+    monkeypatch.setattr(connection, "RECONNECT_MAX_S", 0.2)
+    monkeypatch.setattr(telemetry, "POLL_S", 0.05)
+
+
+@pytest.fixture
+def broker(tmp_path):
+    with Broker(tmp_path) as running:
+        yield running
+
+
+@contextmanager
+def running(port, loop=None, outbox=None, **mqtt):
+    outbox = outbox or MemoryOutbox()
+    loop = loop or ControlLoop()
+    own = Telemetry(settings(port, **mqtt), loop.ask, loop.post, lambda: outbox)
+    try:
+        yield own
+    finally:
+        own.close()
+
+
+def test_a_tick_is_published_with_discovery_and_availability(broker):
+    with Listener(broker.port) as listener, running(broker.port) as own:
+        own.write(record())
+        wait_for(lambda: listener.payloads(STATE) and listener.payloads(f"{ROOT}/forecast"))
+        assert listener.objects(STATE)[-1]["temp_air_c"] == 24.5
+        assert listener.objects(f"{ROOT}/decision")[-1]["controller"] == "MPC"
+        assert listener.objects(f"{ROOT}/forecast")[-1]["forecast_c"] == [24.9, 25.3]
+        assert listener.payloads(AVAILABILITY) == [b"online"]
+        assert listener.objects(DISCOVERY)[-1]["components"]["climate"]
+        assert not own.faults()
+
+
+def test_a_late_subscriber_finds_all_that_is_retained(broker):
+    with running(broker.port) as own:
+        own.write(record())
+        with Listener(broker.port) as listener:
+            wanted = {AVAILABILITY, STATE, f"{ROOT}/decision", f"{ROOT}/forecast", DISCOVERY}
+            wanted |= {f"{ROOT}/forecasts", f"{ROOT}/skill", f"{ROOT}/drift"}
+            wait_for(lambda: wanted <= {message.topic for message in listener.heard})
+
+
+def test_replies_events_and_proposals_are_not_retained(broker):
+    moment = Event("test.one", Severity.ALARM, "too hot", 0.0, 1.7e9)
+    with running(broker.port) as own:
+        with Listener(broker.port) as listener:
+            wait_for(lambda: not own.faults())
+            listener.send(f"{ROOT}/set/temperature", "28.5")
+            own.write(record(events=(moment,)))
+            own.show_proposal({"state": "ready"})
+            wait_for(lambda: all(listener.payloads(topic) for topic in (REPLY, EVENT, f"{ROOT}/proposal")))
+        with Listener(broker.port, name="late") as late:
+            allowed = set(Topics.of(settings(broker.port).mqtt).retained)
+            wait_for(lambda: allowed <= {message.topic for message in late.heard})
+            assert {message.topic for message in late.heard} == allowed
+
+
+def test_a_message_with_a_value_that_json_lacks_is_not_published(broker):
+    with Listener(broker.port) as listener, running(broker.port) as own:
+        wait_for(lambda: not own.faults())
+        own.show_proposal({"reference_c": math.nan})
+        own.show_proposal({"reference_c": 24.0})
+        wait_for(lambda: listener.payloads(f"{ROOT}/proposal"))
+        assert listener.payloads(f"{ROOT}/proposal") == [b'{"reference_c":24.0}']
+
+
+def test_closing_says_offline(broker):
+    with Listener(broker.port) as listener:
+        with running(broker.port) as own:
+            wait_for(lambda: not own.faults())
+        wait_for(lambda: listener.payloads(AVAILABILITY) == [b"online", b"offline"])
+
+
+def test_the_last_will_speaks_for_a_killed_process(broker):
+    program = (
+        "from bench.support.mqtt_rig import *; from edge.mqtt.telemetry import Telemetry; import time;"
+        "loop = ControlLoop();"
+        f"t = Telemetry(settings({broker.port}), loop.ask, loop.post, MemoryOutbox); time.sleep(60)"
+    )
+    with Listener(broker.port) as listener:
+        process = subprocess.Popen([sys.executable, "-c", program])
+        try:
+            wait_for(lambda: listener.payloads(AVAILABILITY) == [b"online"])
+        finally:
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+        wait_for(lambda: listener.payloads(AVAILABILITY)[-1] == b"offline")
+
+
+def test_a_broker_that_is_down_at_the_start_is_waited_for(tmp_path):
+    broker = Broker(tmp_path)
+    with running(broker.port) as own:
+        own.write(record())
+        wait_for(lambda: "can't be reached" in own.faults().get("telemetry.offline", ""))
+        with broker, Listener(broker.port) as listener:
+            wait_for(lambda: listener.objects(STATE))
+            wait_for(lambda: not own.faults())
+
+
+def test_online_and_discovery_come_again_after_every_reconnection(broker):
+    with running(broker.port) as own:
+        own.write(record())
+        wait_for(lambda: not own.faults())
+        broker.kill()
+        wait_for(own.faults)
+        broker.start()
+        with Listener(broker.port) as listener:
+            wanted = {AVAILABILITY, DISCOVERY, STATE}
+            wait_for(lambda: wanted <= {message.topic for message in listener.heard})
+            wait_for(lambda: listener.payloads(AVAILABILITY)[-1] == b"online")
+
+
+def test_home_assistant_is_told_everything_again_when_it_starts(broker):
+    with Listener(broker.port) as listener, running(broker.port) as own:
+        own.write(record())
+        wait_for(lambda: listener.payloads(STATE))
+        listener.heard.clear()
+        listener.send("homeassistant/status", "offline")
+        listener.send("homeassistant/status", "online")
+
+        def order() -> list[str]:  # a state sent before may still be on its way
+            return [message.topic for message in listener.heard if message.topic in (DISCOVERY, STATE)]
+
+        wait_for(lambda: order()[-2:] == [DISCOVERY, STATE])
+
+
+def test_a_command_reaches_the_loop_and_is_answered_and_shown_at_once(broker):
+    loop = ControlLoop()
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        wait_for(lambda: not own.faults())
+        listener.send(f"{ROOT}/set/temperature", "28.5")
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "temperature", "ok": True}])
+        assert loop.requests == [{"do": "set_reference", "reference_c": 28.5}]
+        wait_for(lambda: listener.objects(STATE)[-1]["reference_c"] == 28.5)
+
+
+def test_an_order_of_another_door_and_a_change_of_the_pins_are_shown_between_two_ticks(broker):
+    loop = ControlLoop()
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        own.write(record())
+        wait_for(lambda: listener.objects(STATE) and listener.objects(STATE)[-1]["heater_duty"] == 0.35)
+        loop.operation = replace(loop.operation, emergency_stop=True)
+        loop.echo = Echo(0.0, False, 0.0, False, True, "emergency_stop", 101.0)
+        own.show()
+        wait_for(lambda: listener.objects(STATE)[-1]["emergency_stop"] == 1)
+        shown = listener.objects(STATE)[-1]
+        assert (shown["heater_duty"], shown["fan_on"], shown["action"]) == (0.0, 0, "off")
+
+
+def test_what_a_stop_that_is_not_on_disk_or_not_on_the_board_answers_reaches_the_sender(broker):
+    loop = ControlLoop()
+    hints = {"ok": False, "error": "in force now, but it will not survive a restart", "warning": "no link"}
+    ask = loop.ask
+    loop.ask = lambda request: ask(request) | (hints if request["do"] == "emergency_stop" else {})
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        wait_for(lambda: not own.faults())
+        listener.send(f"{ROOT}/set/emergency_stop", "PRESS")
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "emergency_stop", **hints}])
+
+
+def test_a_malformed_command_is_answered_with_its_error_and_an_event(broker):
+    loop = ControlLoop()
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        wait_for(lambda: not own.faults())
+        for payload in ("nan", b"\xff\x00", "x" * 5000):
+            listener.send(f"{ROOT}/set/temperature", payload)
+        wait_for(lambda: len(listener.objects(REPLY)) == 3)
+        assert {answer["ok"] for answer in listener.objects(REPLY)} == {False}
+        wait_for(lambda: len(listener.objects(EVENT)) == 3)
+        assert listener.objects(EVENT)[0]["key"] == "mqtt.bad_command"
+        assert loop.requests == []
+
+
+def test_what_the_loop_refuses_is_answered_with_its_reason(broker):
+    loop = ControlLoop()
+    loop.ask = lambda request: {"ok": False, "error": "still too hot"}
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        wait_for(lambda: not own.faults())
+        listener.send(f"{ROOT}/set/clear_trip", "PRESS")
+        wait_for(
+            lambda: (
+                listener.objects(REPLY) == [{"command": "clear_trip", "ok": False, "error": "still too hot"}]
+            )
+        )
+
+
+def test_a_retained_command_never_acts(broker):
+    loop = ControlLoop()
+    with Listener(broker.port) as listener:
+        listener.send(f"{ROOT}/set/mode", "off", retain=True)
+        with running(broker.port, loop) as own:
+            wait_for(lambda: not own.faults())
+            # The broker hands the retained message over before this later one.
+            listener.send(f"{ROOT}/set/mode", "heat")
+            wait_for(lambda: listener.objects(REPLY))
+            assert loop.requests == [{"do": "set_mode", "mode": "heat"}]
+
+
+def test_a_command_given_while_the_rig_was_away_never_acts(broker):
+    loop = ControlLoop()
+    with Listener(broker.port) as listener:
+        with running(broker.port, loop) as own:
+            wait_for(lambda: not own.faults())
+        listener.send(f"{ROOT}/set/mode", "off")
+        with running(broker.port, loop) as own:
+            wait_for(lambda: not own.faults())
+            listener.send(f"{ROOT}/set/mode", "heat")
+            wait_for(lambda: listener.objects(REPLY))
+            assert loop.requests == [{"do": "set_mode", "mode": "heat"}]
+
+
+def test_events_of_a_tick_are_published_one_by_one(broker):
+    events = tuple(Event(f"test.{n}", Severity.ALARM, "too hot", 0.0, 1.7e9) for n in range(3))
+    with Listener(broker.port) as listener, running(broker.port) as own:
+        own.write(record(events=events))
+        wait_for(lambda: len(listener.objects(EVENT)) == 3)
+        assert [event["key"] for event in listener.objects(EVENT)] == ["test.0", "test.1", "test.2"]
+
+
+def test_ticks_that_were_late_or_skipped_are_counted(broker):
+    with Listener(broker.port) as listener, running(broker.port) as own:
+        wait_for(lambda: not own.faults())
+        own.write(record(late_s=6.0))  # of a step of 60 s: on the limit
+        own.write(record(late_s=6.1, ticks_skipped=2))
+        own.write(record(ticks_skipped=1))
+        wait_for(lambda: listener.objects(STATE) and listener.objects(STATE)[-1]["ticks_skipped"] == 3)
+        assert listener.objects(STATE)[-1]["ticks_late"] == 1
+
+
+def test_a_resend_command_fills_the_outbox_again(broker):
+    outbox, loop = MemoryOutbox(3), ControlLoop()
+    loop.resend = outbox.resend
+    with Listener(broker.port) as listener, running(broker.port, loop, outbox) as own:
+        wait_for(lambda: not outbox.rows)
+        listener.send(f"{ROOT}/set/resend", json.dumps({"first_seq": 2, "last_seq": 3}))
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "resend", "ok": True, "queued": 2}])
+        wait_for(lambda: [row["seq"] for row in listener.objects(HISTORY)] == [1, 2, 3, 2, 3])
+        assert not own.faults()
+
+
+def test_a_slow_loop_holds_up_neither_the_network_nor_the_control_thread(broker):
+    loop = ControlLoop()
+    loop.ask = lambda request: {"ok": False, "error": "the control loop did not answer within 10 s"}
+    with Listener(broker.port) as listener, running(broker.port, loop, MemoryOutbox(10)) as own:
+        own.write(record())
+        wait_for(lambda: len(listener.objects(HISTORY)) == 10)
+        assert listener.payloads(STATE) == []
+
+
+def test_a_bug_is_told_and_takes_neither_commands_nor_the_outbox_away(broker):
+    loop, outbox = ControlLoop(), MemoryOutbox()
+    answer = loop.ask
+    loop.ask = lambda request: answer(request) if request["do"] != "status" else 1 / 0
+    with Listener(broker.port) as listener, running(broker.port, loop, outbox) as own:
+        own.write(record())
+        wait_for(lambda: "ZeroDivisionError" in str(own.faults()))
+        listener.send(f"{ROOT}/set/emergency_stop", "PRESS")
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "emergency_stop", "ok": True}])
+        assert loop.operation.emergency_stop
+        outbox.resend(1, 3)
+        wait_for(lambda: outbox.depth() == 0)
+
+
+def test_an_outbox_that_cannot_be_read_is_told_and_tried_again(broker):
+    outbox = MemoryOutbox(3)
+    pending = outbox.pending
+
+    def locked(limit):
+        raise sqlite3.OperationalError("database is locked")
+
+    outbox.pending = locked
+    with running(broker.port, outbox=outbox) as own:
+        wait_for(lambda: "database is locked" in str(own.faults()))
+        outbox.pending = pending
+        wait_for(lambda: not own.faults())
+        wait_for(lambda: outbox.depth() == 0)
+
+
+def test_remove_takes_everything_retained_away(broker):
+    with running(broker.port) as own:
+        own.write(record())
+        wait_for(lambda: not own.faults())
+    telemetry.remove(settings(broker.port))
+    with Listener(broker.port) as listener:
+        listener.send("end", "")
+        wait_for(lambda: listener.heard and listener.heard[-1].topic == "end")
+        assert [message.topic for message in listener.heard] == ["end"]
+
+
+def test_remove_says_when_there_is_no_broker(tmp_path):
+    with pytest.raises(RequestError, match="took no message"):
+        telemetry.remove(settings(Broker(tmp_path).port), timeout_s=0.2)
+
+
+@pytest.mark.parametrize("host", ["", "a..b", "x" * 70])
+def test_a_host_that_is_no_name_is_refused_at_the_start(host):
+    with pytest.raises(ConfigError, match=r"mqtt\.host"):
+        connection.make_client(settings(host=host).mqtt)
+
+
+def test_the_command_takes_a_rig_off_the_broker(broker, tmp_path, capsys):
+    config = tmp_path / "edge.yaml"
+    config.write_text(
+        f"control_socket: {{path: {tmp_path}/control.sock}}\n"
+        f"mqtt: {{enabled: true, host: 127.0.0.1, port: {broker.port}, rig: rig-1}}\n"
+    )
+    with Listener(broker.port, "homeassistant/#") as listener:
+        listener.send("homeassistant/device/rig-1/config", "{}", retain=True)
+        assert main(["forget-discovery", "--config", str(config)]) == 0
+        wait_for(lambda: listener.payloads("homeassistant/device/rig-1/config") == [b"{}", b""])
+    assert "rig-1: taken off" in capsys.readouterr().out
+
+
+def test_the_command_refuses_while_the_daemon_runs(tmp_path, capsys):
+    config, socket = tmp_path / "edge.yaml", tmp_path / "control.sock"
+    config.write_text(f"control_socket: {{path: {socket}}}\n")
+    with closing(ControlSocket(socket, lambda request: {"ok": True}, lambda *_: None)):
+        assert main(["forget-discovery", "--config", str(config)]) == 2
+    assert "stop it first" in capsys.readouterr().err

@@ -1,0 +1,822 @@
+"""edge/safety/supervisor.py, rules.py, memory.py: edges, what is no number, and any input at all."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safety_cases import (
+    FULL,
+    NOT_NUMBERS,
+    NOW,
+    UTC,
+    echo,
+    judge,
+    only_change,
+    reading,
+    rules,
+    view,
+)
+
+from edge.config.settings import SafetySettings
+from edge.core.errors import RequestError
+from edge.core.messages import Command, Quality, Reading, Severity
+from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, water_s
+from edge.safety.relay_proof import RelayProof
+from edge.safety.rules import energy_duty
+from edge.safety.supervisor import (
+    SafetyMemory,
+    clear_trip,
+    memory_from_dict,
+    memory_to_dict,
+    planning_limits,
+    supervise,
+)
+from edge.safety.thermal_supervision import ThermalMemory
+
+LIMITS = SafetySettings()
+HEAT = Command(heater_duty=1.0)
+FAN = Command(fan_on=True)
+WATER = Command(valve_pulse_s=2.0)
+
+
+def test_what_is_safe_is_sent_as_it_was_wanted():
+    wanted = Command(heater_duty=0.55, fan_on=True, led=0.37, valve_pulse_s=1.3)
+    verdict = judge(wanted)
+    assert verdict.sent == wanted
+    assert verdict.changes == () and verdict.events == ()
+    assert not verdict.open_cutoff
+
+
+def test_nothing_wanted_is_nothing_sent_without_a_reason_even_in_a_bad_world():
+    verdict = judge(Command(), view(air=None, soil=None, tank=None, link_up=False))
+    assert verdict.sent == Command()
+    assert verdict.changes == ()
+
+
+# Numbers
+
+
+@pytest.mark.parametrize("wanted", [math.nan, math.inf, -math.inf, None, "full", -0.05, -1e-9])
+def test_a_duty_that_is_no_number_from_0_up_is_off(wanted):
+    verdict = judge(Command(heater_duty=wanted))
+    assert verdict.sent.heater_duty == 0.0
+    change = only_change(verdict, "heater_duty")
+    assert (change.rule, change.sent) == ("heater.not_a_number", 0.0)
+
+
+@pytest.mark.parametrize("wanted", [math.nan, math.inf, -math.inf, None, "on", -1.0])
+def test_led_fan_and_valve_that_are_no_numbers_are_off(wanted):
+    verdict = judge(Command(fan_on=wanted, led=wanted, valve_pulse_s=wanted))
+    assert verdict.sent == Command()
+    assert {change.rule for change in verdict.changes} == {
+        "fan.not_a_number", "led.not_a_number", "valve.not_a_number",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sent", "rule"),
+    [
+        (0.0, 0.0, []),
+        (0.05, 0.05, []),
+        (0.049, 0.0, ["heater.step"]),
+        (0.3 + 1e-12, 0.3, []),
+        (6 * 0.05, 0.3, []),  # 0.30000000000000004
+        (0.1 + 0.2 - 1e-12, 0.3, []),
+        (0.299, 0.25, ["heater.step"]),
+        (0.999, 0.95, ["heater.step"]),
+        (1.0, 1.0, []),
+        (1.05, 1.0, ["heater.range"]),
+        (20.0, 1.0, ["heater.range"]),
+    ],
+)
+def test_a_duty_is_cut_down_to_steps_of_a_twentieth(wanted, sent, rule):
+    verdict = judge(Command(heater_duty=wanted))
+    assert verdict.sent.heater_duty == sent
+    assert rules(verdict, "heater_duty") == rule
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sent"), [(0.0, 0.0), (0.37, 0.37), (0.379, 0.37), (1.0, 1.0), (1.01, 1.0)]
+)
+def test_led_moves_in_hundredths(wanted, sent):
+    assert judge(Command(led=wanted)).sent.led == sent
+
+
+@pytest.mark.parametrize(
+    ("wanted", "on"), [(True, True), (False, False), (1, True), (0, False), (0.5, False), (2.0, True)]
+)
+def test_a_fan_is_on_or_off(wanted, on):
+    assert judge(Command(fan_on=wanted)).sent.fan_on is on
+
+
+# Heater needs a fresh good air temperature
+
+
+@pytest.mark.parametrize("value", NOT_NUMBERS)
+def test_no_number_means_no_heat(value):
+    verdict = judge(HEAT, view(air=value))
+    assert verdict.sent.heater_duty == 0.0
+    assert only_change(verdict, "heater_duty").rule == "heater.air_unknown"
+
+
+@pytest.mark.parametrize("quality", [quality for quality in Quality if quality is not Quality.GOOD])
+def test_a_reading_that_is_not_good_means_no_heat(quality):
+    seen = view(air=reading("temp_air", 20.0, quality=quality))
+    assert rules(judge(HEAT, seen), "heater_duty") == ["heater.air_unknown"]
+
+
+@pytest.mark.parametrize(
+    ("age_s", "duty"),
+    [(0.0, 1.0), (9.99, 1.0), (10.0, 1.0), (10.01, 0.0), (1e9, 0.0), (-0.5, 1.0), (-0.51, 0.0),
+     (math.nan, 0.0), (math.inf, 0.0), (-math.inf, 0.0)],
+)  # fmt: skip
+def test_an_old_reading_means_no_heat(age_s, duty):
+    assert judge(HEAT, view(air=reading("temp_air", 20.0, age_s))).sent.heater_duty == duty
+
+
+def test_a_box_without_a_reading_means_no_heat():
+    assert judge(HEAT, replace(view(), readings={})).sent.heater_duty == 0.0
+
+
+def test_without_an_air_temperature_the_fan_is_as_wanted():
+    assert judge(FAN, view(air=None)).sent.fan_on is True
+    assert judge(Command(), view(air=None)).sent.fan_on is False
+
+
+# Over-temperature
+
+
+@pytest.mark.parametrize(
+    ("air", "hot"),
+    [(39.9, False), (39.99999, False), (40.0, True), (40.00001, True), (42.9, True), (-30.0, False)],
+)
+def test_at_the_limit_the_heater_goes_off_and_the_fan_on(air, hot):
+    verdict = judge(FULL, view(air=air))
+    assert verdict.sent.heater_duty == (0.0 if hot else 1.0)
+    assert verdict.sent.fan_on is hot
+    assert verdict.sent.led == (0.0 if hot else 1.0)
+    assert verdict.memory.trips == ()
+    if hot:
+        assert rules(verdict, "heater_duty") == ["heater.over_temperature"]
+        assert rules(verdict, "fan_on") == ["fan.over_temperature"]
+        assert rules(verdict, "led") == ["led.over_temperature"]
+        assert only_change(verdict, "heater_duty").reason == f"air {air:.1f} °C, limit 40 °C"
+
+
+@pytest.mark.parametrize(
+    ("air", "trips"), [(42.99999, ()), (43.0, ("over_temperature",)), (79.0, ("over_temperature",))]
+)
+def test_at_the_trip_it_latches(air, trips):
+    verdict = judge(FULL, view(air=air))
+    assert verdict.memory.trips == trips
+    assert [event.key for event in verdict.events] == [f"safety.{trip}" for trip in trips]
+    assert all(event.severity is Severity.ALARM for event in verdict.events)
+    assert verdict.open_cutoff is bool(trips)
+
+
+def test_a_latched_trip_outlasts_its_cause_and_is_told_once():
+    hot = judge(FULL, view(air=43.0))
+    later = judge(FULL, view(air=22.0), hot.memory)
+    assert later.sent == Command(fan_on=True, valve_pulse_s=2.0)
+    assert later.memory.trips == ("over_temperature",)
+    assert later.events == () and later.open_cutoff
+    assert rules(later, "heater_duty") == ["heater.tripped"]
+    assert rules(later, "fan_on") == ["fan.tripped"]
+    assert rules(later, "led") == ["led.tripped"]
+    again = judge(FULL, view(air=50.0), later.memory)
+    assert again.memory.trips == ("over_temperature",) and again.events == ()
+
+
+@pytest.mark.parametrize(
+    "trip", ["heater_no_effect", "fan_no_effect", "sensor_offset", "one of a later version"]
+)
+def test_a_trip_that_is_not_hot_takes_only_the_heat(trip):
+    verdict = judge(FULL, memory=SafetyMemory(trips=(trip,)))
+    assert verdict.sent == replace(FULL, heater_duty=0.0)
+    assert not verdict.open_cutoff
+
+
+def test_a_proof_of_the_relay_holds_heat_and_fan_back():
+    running = RelayProof(since_s=1.0, running_s=0.0)
+    memory = SafetyMemory(time_s=NOW - 60.0, thermal=ThermalMemory(proof=running))
+    verdict = judge(Command(heater_duty=1.0, fan_on=True, led=0.5), memory=memory)
+    assert verdict.sent == Command(led=0.5)
+    assert rules(verdict, "heater_duty") == ["heater.relay_proof"]
+    assert rules(verdict, "fan_on") == ["fan.relay_proof"]
+    assert planning_limits(memory, LIMITS, NOW, 60.0).heater_max_duty == 0.0
+
+
+def test_a_stuck_relay_is_answered_with_fan_and_cutoff():
+    verdict = judge(FULL, memory=SafetyMemory(trips=("heater_stuck_on",)))
+    assert (verdict.sent.heater_duty, verdict.sent.fan_on, verdict.open_cutoff) == (0.0, True, True)
+
+
+@pytest.mark.parametrize(("air", "clears"), [(39.99, True), (40.0, False), (None, False), (math.nan, False)])
+def test_a_trip_is_cleared_only_when_its_cause_is_gone(air, clears):
+    memory = SafetyMemory(trips=("over_temperature", "fan_no_effect"))
+    if clears:
+        assert clear_trip(memory, LIMITS, air).trips == ()
+    else:
+        with pytest.raises(RequestError, match="the air is"):
+            clear_trip(memory, LIMITS, air)
+
+
+def test_a_high_trip_is_cleared_only_below_the_limit_of_the_air():
+    limits, memory = SafetySettings(temp_trip_c=50.0), SafetyMemory(trips=("over_temperature",))
+    assert clear_trip(memory, limits, 39.99).trips == ()
+    with pytest.raises(RequestError, match="below 40 °C"):
+        clear_trip(memory, limits, 40.0)
+
+
+@pytest.mark.parametrize(("air", "clears"), [(38.49, True), (38.5, False)])
+def test_a_low_trip_is_cleared_3_k_below_it(air, clears):
+    limits = SafetySettings(temp_trip_c=41.5)
+    memory = SafetyMemory(trips=("over_temperature",))
+    if clears:
+        assert clear_trip(memory, limits, air).trips == ()
+    else:
+        with pytest.raises(RequestError):
+            clear_trip(memory, limits, air)
+
+
+def test_clearing_nothing_needs_no_air():
+    assert clear_trip(SafetyMemory(), LIMITS, None) == SafetyMemory()
+
+
+# Link, board, emergency stop, maintenance
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ({"emergency_stop": True}, "emergency_stop"),
+        ({"maintenance": True}, "maintenance"),
+        ({"link_up": False}, "link_down"),
+    ],
+)
+def test_all_is_off(change, rule):
+    held_on = SafetyMemory(sent=FAN, fan_since_s=NOW - 1.0, time_s=NOW - 60.0)
+    verdict = judge(replace(FULL, fan_on=True), view(air=41.0, **change), held_on)
+    assert verdict.sent == Command()
+    for actuator, name in (
+        ("heater_duty", "heater"),
+        ("fan_on", "fan"),
+        ("led", "led"),
+        ("valve_pulse", "valve"),
+    ):
+        assert rules(verdict, actuator) == [f"{name}.{rule}"]
+
+
+STOPPED = [{"emergency_stop": True}, {"maintenance": True}] + [
+    {"echo": echo(cause=cause)} for cause in ("emergency_stop", "maintenance", "storage_damaged")
+]
+FAN_HELD = [
+    {"memory": SafetyMemory(trips=("over_temperature",))},
+    {"memory": SafetyMemory(trips=("heater_stuck_on",))},
+    {"air": 44.0},
+    {"air": 60.0},
+    {"memory": SafetyMemory(sent=Command(fan_on=True), fan_since_s=NOW - 1.0, time_s=NOW - 1.0)},
+]
+
+
+@pytest.mark.parametrize("change", STOPPED)
+@pytest.mark.parametrize("held", FAN_HELD)
+def test_no_rule_starts_or_holds_the_fan_while_hands_may_be_in_the_greenhouse(change, held):
+    wanted = replace(FULL, fan_on=True)
+    seen = view(air=held.get("air", 25.0))
+    assert judge(wanted, seen, held.get("memory")).sent.fan_on  # without the stop these all do
+    assert judge(wanted, replace(seen, **change), held.get("memory")).sent == Command()
+
+
+def test_the_fan_cools_again_after_a_stop_while_the_trip_stands():
+    stopped = judge(FULL, view(emergency_stop=True), SafetyMemory(trips=("over_temperature",)))
+    after = judge(FULL, view(echo=echo(cause="over_temperature"), now_s=NOW + 1.0), stopped.memory)
+    assert not stopped.sent.fan_on and after.sent.fan_on
+
+
+@pytest.mark.parametrize(
+    ("change", "opens"),
+    [({"emergency_stop": True}, True), ({"maintenance": True}, True), ({"link_up": False}, False)],
+)
+def test_stop_and_maintenance_open_the_cutoff(change, opens):
+    assert judge(FULL, view(**change)).open_cutoff is opens
+
+
+@pytest.mark.parametrize("cause", ["emergency_stop", "maintenance", "storage_damaged"])
+def test_a_board_that_was_stopped_is_sent_nothing(cause):
+    verdict = judge(replace(FULL, fan_on=True), view(air=41.0, echo=echo(cause=cause)))
+    assert verdict.sent == Command()
+    for actuator, name in (("fan_on", "fan"), ("led", "led"), ("valve_pulse", "valve")):
+        change = only_change(verdict, actuator)
+        assert (change.rule, change.reason) == (f"{name}.board_stopped", f"stopped on the board: {cause}")
+
+
+def test_a_tripped_board_gets_no_heat():
+    verdict = judge(FULL, view(echo=echo(cause="over_temperature")))
+    assert verdict.sent == replace(FULL, heater_duty=0.0)
+    assert only_change(verdict, "heater_duty").reason == "the board has tripped: over_temperature"
+
+
+def test_a_board_that_has_not_answered_yet_may_be_told():
+    assert judge(FULL, view(echo=None)).sent == FULL
+
+
+# Heater: largest duty, slew, energy
+
+
+@pytest.mark.parametrize(("largest", "sent"), [(0.0, 0.0), (0.5, 0.5), (0.52, 0.5), (1.0, 1.0)])
+def test_the_largest_duty_holds(largest, sent):
+    assert judge(HEAT, heater_max_duty=largest).sent.heater_duty == sent
+
+
+def second(duty: float, memory: SafetyMemory, now: float, rise: float) -> SafetyMemory:
+    air = Reading("temp_air", 25.0, now, Quality.GOOD)
+    seen = replace(view(now_s=now, dt_s=1.0), readings={"temp_air": air})
+    return supervise(Command(heater_duty=duty), seen, memory, SafetySettings(heater_rise_per_s=rise)).memory
+
+
+@pytest.mark.parametrize(("rise", "seconds"), [(0.05, 20), (0.1, 10), (0.02, 50), (1.0, 1)])
+def test_the_duty_rises_no_faster_than_the_slew_limit(rise, seconds):
+    memory, duties = SafetyMemory(), []
+    for step in range(seconds + 2):
+        memory = second(1.0, memory, NOW + step, rise)
+        duties.append(memory.sent.heater_duty)
+    assert duties == sorted(duties)
+    assert all(duty <= rise * (step + 1) + 1e-9 for step, duty in enumerate(duties))
+    assert duties[seconds - 1] == pytest.approx(1.0, abs=0.05)
+    assert duties[-1] == 1.0
+
+
+def test_ticks_that_come_a_little_early_still_let_the_duty_rise():
+    memory = SafetyMemory()
+    for step in range(30):
+        memory = second(1.0, memory, NOW + 0.98 * step, 0.05)
+    assert memory.sent.heater_duty == 1.0
+
+
+def test_a_fall_is_free_and_a_rise_begins_again_from_there():
+    memory = SafetyMemory(sent=HEAT, heater_ramp=1.0, time_s=NOW - 1.0)
+    memory = second(0.2, memory, NOW, 0.05)
+    assert memory.sent.heater_duty == 0.2
+    assert second(1.0, memory, NOW + 1.0, 0.05).sent.heater_duty == 0.25
+
+
+def test_a_forced_off_heater_rises_from_nothing():
+    before = SafetyMemory(sent=HEAT, heater_ramp=1.0, time_s=NOW - 1.0)
+    stopped = judge(HEAT, view(emergency_stop=True, dt_s=1.0), before).memory
+    assert second(1.0, stopped, NOW + 1.0, 0.05).sent.heater_duty == 0.05
+
+
+def test_time_that_runs_backwards_allows_no_rise():
+    before = SafetyMemory(sent=Command(heater_duty=0.2), heater_ramp=0.2, time_s=NOW + 50.0)
+    verdict = judge(HEAT, memory=before)
+    assert verdict.sent.heater_duty == 0.2
+    assert rules(verdict, "heater_duty") == ["heater.slew"]
+
+
+def test_heat_is_booked_as_it_was_sent():
+    memory = SafetyMemory(sent=Command(heater_duty=0.5), time_s=NOW - 60.0)
+    assert heat_wh(book_heat(memory, NOW, 60.0), NOW, 3600.0) == pytest.approx(100.0 * 0.5 / 60.0)
+
+
+@pytest.mark.parametrize(
+    ("last_s", "counted_s"),
+    [(NOW - 70.0, 70.0), (NOW - 71.0, 70.0), (NOW - 9e9, 70.0), (NOW, 0.0), (NOW + 5.0, 0.0), (None, 0.0)],
+)
+def test_heat_is_booked_no_longer_than_its_lease(last_s, counted_s):
+    memory = SafetyMemory(sent=HEAT, time_s=last_s)
+    assert heat_wh(book_heat(memory, NOW, 60.0), NOW, 3600.0) == pytest.approx(counted_s / 36.0)
+
+
+def test_time_that_runs_backwards_takes_no_heat_off():
+    memory = SafetyMemory(sent=HEAT, time_s=NOW + 5.0, heat=((NOW - 10.0, 3.0),))
+    assert book_heat(memory, NOW, 60.0).heat == memory.heat
+
+
+def heated(hours: float, **limits: float) -> tuple[list[float], SafetyMemory]:
+    """Duties sent in each minute while full heat is wanted all the time."""
+    memory, duties = SafetyMemory(), []
+    for minute in range(round(60 * hours)):
+        now = NOW + 60.0 * minute
+        air = Reading("temp_air", 25.0, now, Quality.GOOD)
+        seen = replace(view(now_s=now, utc=UTC + now, echo=None), readings={"temp_air": air})
+        verdict = supervise(HEAT, seen, memory, SafetySettings(**limits))
+        memory = verdict.memory
+        duties.append(verdict.sent.heater_duty)
+    return duties, memory
+
+
+def test_the_default_caps_leave_an_hour_of_full_heat_alone():
+    assert set(heated(3.0)[0]) == {1.0}
+
+
+def test_the_hour_cap_holds_in_every_hour():
+    duties, _ = heated(5.0, energy_hour_max_wh=40.0)
+    heat = [100.0 * duty / 60.0 for duty in duties]
+    assert (
+        max(sum(heat[k : k + 60]) for k in range(len(heat) - 60)) <= 40.0 * 7 / 6 + 1e-6
+    )  # pieces of 10 min
+    assert sum(heat) > 0.9 * 5 * 40.0 * 6 / 7
+    assert sum(heat[:60]) == pytest.approx(40.0, abs=0.1)
+
+
+def test_the_day_cap_holds_through_the_day():
+    duties, memory = heated(24.0, energy_day_max_wh=500.0)
+    assert sum(duties) * 100.0 / 60.0 == pytest.approx(500.0, abs=0.1)
+    assert heat_wh(memory, NOW + DAY_S - 60.0, DAY_S) <= 500.0 + 1e-6
+
+
+def test_a_used_up_cap_names_itself():
+    full_hour = SafetyMemory(heat=((NOW - 100.0, 40.0),))
+    assert rules(judge(HEAT, memory=full_hour, energy_hour_max_wh=40.0), "heater_duty") == [
+        "heater.energy_hour"
+    ]
+    assert rules(judge(HEAT, memory=full_hour, energy_day_max_wh=40.0), "heater_duty") == [
+        "heater.energy_day"
+    ]
+
+
+@pytest.mark.parametrize(("age_s", "duty"), [(3599.0, 0.0), (3600.0, 1.0)])
+def test_heat_of_an_hour_ago_counts_no_more(age_s, duty):
+    memory = SafetyMemory(heat=((NOW - age_s, 40.0),))
+    assert judge(HEAT, memory=memory, energy_hour_max_wh=40.0).sent.heater_duty == duty
+
+
+def test_heat_is_kept_in_pieces_of_ten_minutes_for_a_day():
+    memory = SafetyMemory(sent=HEAT, time_s=NOW - 36.0, heat=((NOW - DAY_S, 7.0), (NOW - 599.9, 2.0)))
+    assert book_heat(memory, NOW, 60.0).heat == ((NOW - 599.9, 3.0),)
+    memory = replace(memory, heat=((NOW - DAY_S + 0.1, 7.0), (NOW - 600.0, 2.0)))
+    assert book_heat(memory, NOW, 60.0).heat == (*memory.heat, (NOW, 1.0))
+
+
+def test_a_heater_that_is_off_books_nothing():
+    assert book_heat(SafetyMemory(time_s=NOW - 60.0), NOW, 60.0).heat == ()
+
+
+@pytest.mark.parametrize(
+    ("cap_wh", "dt_s", "duty"),
+    [(100.0, 60.0, 1.0), (99.9, 60.0, 1.0), (31.0, 60.0, 0.6), (30.0, 60.0, 0.0), (29.0, 60.0, 0.0),
+     (31.0, 0.0, 0.0)],
+)  # fmt: skip
+def test_the_duty_left_is_what_the_cap_leaves(cap_wh, dt_s, duty):
+    memory = SafetyMemory(heat=((NOW - 100.0, 30.0),))
+    limits = SafetySettings(energy_hour_max_wh=cap_wh)
+    assert energy_duty(memory, limits, NOW, dt_s, 3600.0) == pytest.approx(duty)
+
+
+# Fan relay
+
+
+@pytest.mark.parametrize(
+    ("held_s", "fan"), [(0.0, True), (59.4, True), (59.5, False), (60.0, False), (1e9, False)]
+)
+def test_the_relay_stays_on_its_minimum_time(held_s, fan):
+    memory = SafetyMemory(sent=FAN, fan_since_s=NOW - held_s, time_s=NOW - 1.0)
+    verdict = judge(Command(), memory=memory)
+    assert verdict.sent.fan_on is fan
+    assert rules(verdict, "fan_on") == (["fan.min_on"] if fan else [])
+
+
+@pytest.mark.parametrize(("held_s", "fan"), [(0.0, False), (59.4, False), (59.5, True), (1e9, True)])
+def test_the_relay_stays_off_its_minimum_time(held_s, fan):
+    memory = SafetyMemory(fan_since_s=NOW - held_s, time_s=NOW - 1.0)
+    verdict = judge(FAN, memory=memory)
+    assert verdict.sent.fan_on is fan
+    assert rules(verdict, "fan_on") == ([] if fan else ["fan.min_off"])
+
+
+@pytest.mark.parametrize(("fan", "wanted"), [(True, False), (False, True)])
+def test_each_relay_state_has_its_own_time(fan, wanted):
+    memory = SafetyMemory(sent=Command(fan_on=fan), fan_since_s=NOW - 100.0)
+    own = {"fan_min_on_s" if fan else "fan_min_off_s": 101.0}
+    other = {"fan_min_off_s" if fan else "fan_min_on_s": 101.0}
+    assert judge(Command(fan_on=wanted), memory=memory, **own).sent.fan_on is fan
+    assert judge(Command(fan_on=wanted), memory=memory, **other).sent.fan_on is wanted
+
+
+def test_safety_forces_the_fan_on_within_its_minimum_off_time():
+    memory = SafetyMemory(fan_since_s=NOW - 1.0, time_s=NOW - 1.0)
+    assert judge(Command(), view(air=40.0), memory).sent.fan_on is True
+
+
+def test_at_the_start_the_relay_is_free():
+    assert judge(FAN).sent.fan_on is True
+
+
+def test_relay_time_counts_from_the_last_switching():
+    memory = judge(FAN).memory
+    assert memory.fan_since_s == NOW
+    assert judge(FAN, view(now_s=NOW + 5.0), memory).memory.fan_since_s == NOW
+
+
+# Valve
+
+
+@pytest.mark.parametrize(
+    ("tank", "water"),
+    [(0.1, 2.0), (0.0999, 0.0), (0.0, 0.0), (1.0, 2.0), *((bad, 0.0) for bad in NOT_NUMBERS)],
+)
+def test_no_water_without_a_known_level_in_the_tank(tank, water):
+    verdict = judge(WATER, view(tank=tank))
+    assert verdict.sent.valve_pulse_s == water
+    assert rules(verdict, "valve_pulse") == ([] if water else ["valve.tank"])
+
+
+@pytest.mark.parametrize(
+    ("soil", "water"),
+    [(0.7999, 2.0), (0.8, 0.0), (1.0, 0.0), (0.0, 2.0), *((bad, 0.0) for bad in NOT_NUMBERS)],
+)
+def test_no_water_into_wet_or_unknown_soil(soil, water):
+    verdict = judge(WATER, view(soil=soil))
+    assert verdict.sent.valve_pulse_s == water
+    assert rules(verdict, "valve_pulse") == ([] if water else ["valve.soil"])
+
+
+@pytest.mark.parametrize("signal", ["tank", "soil"])
+def test_an_old_water_reading_gives_no_water(signal):
+    name = {"tank": "tank_level", "soil": "soil_moisture"}[signal]
+    assert judge(WATER, view(**{signal: reading(name, 0.5, 10.0)})).sent.valve_pulse_s == 2.0
+    assert judge(WATER, view(**{signal: reading(name, 0.5, 10.1)})).sent.valve_pulse_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sent"), [(0.1, 0.1), (0.09, 0.0), (4.99, 4.9), (5.0, 5.0), (5.1, 5.0), (1e9, 5.0)]
+)
+def test_a_pulse_is_bounded(wanted, sent):
+    assert judge(Command(valve_pulse_s=wanted)).sent.valve_pulse_s == sent
+
+
+@pytest.mark.parametrize(
+    ("given_s", "sent"), [(0.0, 2.0), (58.0, 2.0), (59.0, 1.0), (60.0, 0.0), (99.0, 0.0)]
+)
+def test_the_dose_of_the_day_is_bounded(given_s, sent):
+    memory = SafetyMemory(doses=(Dose(NOW - 100.0, UTC - 100.0, given_s),))
+    verdict = judge(WATER, memory=memory)
+    assert verdict.sent.valve_pulse_s == sent
+    assert rules(verdict, "valve_pulse") == ([] if sent == 2.0 else ["valve.day_max"])
+
+
+@pytest.mark.parametrize(("age_s", "sent"), [(DAY_S - 1.0, 0.0), (DAY_S, 2.0), (-50.0, 0.0)])
+def test_water_counts_for_a_day(age_s, sent):
+    running = SafetyMemory(doses=(Dose(NOW - age_s, 0.0, 60.0),))
+    assert judge(WATER, memory=running).sent.valve_pulse_s == sent
+    restarted = SafetyMemory(doses=(Dose(None, UTC - age_s, 60.0),))
+    assert judge(WATER, memory=restarted).sent.valve_pulse_s == sent
+
+
+def test_what_is_given_is_remembered_and_what_is_old_forgotten():
+    memory = SafetyMemory(doses=(Dose(NOW - DAY_S, UTC - DAY_S, 9.0),))
+    after = judge(WATER, memory=memory).memory
+    assert after.doses == (Dose(NOW, UTC, 2.0),)
+    assert water_s(after, NOW, UTC) == 2.0
+
+
+def test_no_pulse_is_no_dose():
+    assert judge(Command()).memory.doses == ()
+    assert len(judge(Command(valve_pulse_s=0.1)).memory.doses) == 1
+
+
+def test_the_valve_works_while_the_heater_is_tripped():
+    assert judge(WATER, memory=SafetyMemory(trips=("over_temperature",))).sent.valve_pulse_s == 2.0
+
+
+# Thermal supervision: what it is shown
+
+WATCHED = ThermalMemory(off_s=100.0)
+
+
+@pytest.mark.parametrize(
+    ("passed_s", "dt_s", "goes_on"),
+    [(60.0, 60.0, True), (0.0, 60.0, True), (-0.01, 60.0, False), (0.5, 1.0, True), (150.0, 60.0, True),
+     (150.1, 60.0, False), (150.0, 1.0, True), (150.1, 1.0, False), (1500.0, 600.0, True),
+     (1500.1, 600.0, False), (math.nan, 60.0, False)],
+)  # fmt: skip
+def test_thermal_supervision_goes_on_over_short_gaps_only(passed_s, dt_s, goes_on):
+    memory = SafetyMemory(time_s=NOW - passed_s, thermal=WATCHED)
+    thermal = judge(Command(), view(dt_s=dt_s), memory).memory.thermal
+    assert thermal.off_s == (pytest.approx(100.0 + passed_s) if goes_on else 0.0)
+
+
+@pytest.mark.parametrize("unknown", [{"air": None}, {"echo": None}, {"link_up": False}])
+def test_thermal_supervision_begins_anew_where_something_is_not_known(unknown):
+    memory = SafetyMemory(time_s=NOW - 60.0, thermal=WATCHED)
+    assert judge(Command(), view(**unknown), memory).memory.thermal == ThermalMemory()
+
+
+def test_thermal_supervision_begins_with_the_second_decision():
+    assert judge(Command(), view(), SafetyMemory(thermal=WATCHED)).memory.thermal == ThermalMemory()
+
+
+def risen(minutes: int, memory: SafetyMemory) -> SafetyMemory:
+    """The board says that heater is off and fan on while the air stays 3.8 K above the room."""
+    for minute in range(minutes):
+        now = NOW + 60.0 * minute
+        seen = view(air=24.8, now_s=now, echo=echo(fan=True))
+        fresh = {name: replace(value, time_s=now) for name, value in seen.readings.items()}
+        memory = judge(Command(), replace(seen, readings=fresh), memory).memory
+    return memory
+
+
+def test_a_relay_that_is_stuck_on_latches():
+    memory = risen(30, SafetyMemory(trips=("sensor_offset",)))
+    assert "heater_stuck_on" in memory.trips and memory.trips[0] == "sensor_offset"
+    assert judge(HEAT, memory=memory).open_cutoff
+
+
+def test_a_fan_known_not_to_work_is_no_proof_of_heat():
+    assert "heater_stuck_on" not in risen(30, SafetyMemory(trips=("fan_no_effect",))).trips
+
+
+def test_clearing_a_trip_begins_thermal_supervision_anew():
+    cleared = clear_trip(SafetyMemory(trips=("heater_stuck_on",), thermal=WATCHED), LIMITS, 25.0)
+    assert cleared.thermal == ThermalMemory()
+
+
+# LED
+
+
+@pytest.mark.parametrize(("largest", "sent"), [(0.0, 0.0), (0.4, 0.4), (1.0, 1.0)])
+def test_the_led_is_bounded(largest, sent):
+    assert judge(Command(led=1.0), led_max=largest).sent.led == sent
+
+
+# What a change says
+
+
+def test_a_change_says_what_was_wanted_and_what_was_sent():
+    change = only_change(judge(Command(heater_duty=0.8), heater_max_duty=0.5), "heater_duty")
+    assert (change.rule, change.wanted, change.sent, change.reason) == (
+        "heater.max_duty", 0.8, 0.5, "largest duty",
+    )  # fmt: skip
+
+
+# Planning
+
+
+def test_with_nothing_in_the_way_a_controller_may_plan_all():
+    limits = planning_limits(SafetyMemory(), LIMITS, NOW, 60.0)
+    assert (limits.heater_max_duty, limits.fan_hold_steps, limits.fan_min_on_steps) == (1.0, 0, 1)
+    assert limits.temp_air_max_c == 40.0
+
+
+@pytest.mark.parametrize(
+    ("step_s", "held_s", "hold", "minimum"),
+    [
+        (60.0, 0.0, 1, 1),
+        (60.0, 59.5, 0, 1),
+        (60.0, 60.0, 0, 1),
+        (60.0, 3600.0, 0, 1),
+        (1.0, 0.0, 60, 60),
+        (1.0, 30.0, 30, 60),
+        (45.0, 0.0, 2, 2),
+        (600.0, 0.0, 1, 1),
+    ],
+)
+def test_a_controller_knows_how_long_the_relay_is_held(step_s, held_s, hold, minimum):
+    memory = SafetyMemory(sent=FAN, fan_since_s=NOW - held_s)
+    limits = planning_limits(memory, LIMITS, NOW, step_s)
+    assert (limits.fan_hold_steps, limits.fan_min_on_steps, limits.fan_min_off_steps) == (
+        hold,
+        minimum,
+        minimum,
+    )
+
+
+def test_a_relay_without_minimum_times_lasts_one_step():
+    limits = planning_limits(SafetyMemory(), SafetySettings(fan_min_on_s=0.0, fan_min_off_s=0.0), NOW, 60.0)
+    assert (limits.fan_min_on_steps, limits.fan_min_off_steps) == (1, 1)
+
+
+def test_a_controller_knows_the_largest_duty():
+    assert planning_limits(SafetyMemory(trips=("x",)), LIMITS, NOW, 60.0).heater_max_duty == 0.0
+    assert (
+        planning_limits(SafetyMemory(), SafetySettings(heater_max_duty=0.4), NOW, 60.0).heater_max_duty == 0.4
+    )
+    used = SafetyMemory(heat=((NOW - 100.0, 39.0),))
+    limits = planning_limits(used, SafetySettings(energy_hour_max_wh=40.0), NOW, 60.0)
+    assert limits.heater_max_duty == pytest.approx(0.6)  # 1 Wh in a minute
+
+
+# Over a restart
+
+
+def test_trips_and_water_outlive_the_process():
+    memory = SafetyMemory(trips=("over_temperature", "fan_no_effect"), doses=(Dose(NOW, UTC, 2.0),))
+    again = memory_from_dict(json.loads(json.dumps(memory_to_dict(memory))))
+    assert again == SafetyMemory(trips=memory.trips, doses=(Dose(None, UTC, 2.0),))
+
+
+@pytest.mark.parametrize("length_s", [0.0, 0.1, 1.0])
+def test_a_dose_of_any_length_is_read_again(length_s):
+    assert memory_from_dict({"trips": [], "doses": [[UTC, length_s]]}).doses == (Dose(None, UTC, length_s),)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{}, {"trips": []}, {"trips": "x", "doses": []}, {"trips": [1], "doses": []}, {"trips": [], "doses": [1]},
+     {"trips": [], "doses": [["x", 1]]}, {"trips": [], "doses": [[1, 2, 3]]}, {"trips": None, "doses": []},
+     *({"trips": [], "doses": [dose]} for dose in
+       ([math.nan, 2.0], [math.inf, 2.0], [UTC, math.nan], [UTC, math.inf], [UTC, -0.1]))],
+)  # fmt: skip
+def test_a_memory_nobody_wrote_is_refused(values):
+    with pytest.raises((KeyError, TypeError, ValueError)):
+        memory_from_dict(values)
+
+
+# Anything at all
+
+numbers = st.one_of(
+    st.none(),
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.floats(0.0, 1.2),
+    st.floats(36.0, 44.0),
+    st.integers(-3, 50),
+)
+duties = st.sampled_from([k / 20 for k in range(21)])
+readings_strategy = st.builds(
+    lambda value, age_s, quality: (value, age_s, quality),
+    numbers,
+    st.one_of(st.floats(-1.0, 12.0), st.floats(allow_nan=True)),
+    st.sampled_from([Quality.GOOD, Quality.GOOD, *Quality]),
+)
+views = st.builds(
+    lambda air, soil, tank, room, link, stop, maintenance, answered, duty, fan, cause, dt: view(
+        air=reading("temp_air", *air),
+        soil=reading("soil_moisture", *soil),
+        tank=reading("tank_level", *tank),
+        room=reading("temp_ambient", *room),
+        link_up=link,
+        emergency_stop=stop,
+        maintenance=maintenance,
+        echo=echo(duty, fan, cause) if answered else None,
+        dt_s=dt,
+    ),
+    *(readings_strategy,) * 4,
+    *(st.booleans(),) * 4,
+    duties,
+    st.booleans(),
+    st.sampled_from(["", "", "over_temperature", "emergency_stop", "maintenance"]),
+    st.floats(0.01, 600.0),
+)
+commands = st.builds(Command, numbers, st.one_of(st.booleans(), numbers), numbers, numbers)
+memories = st.builds(
+    SafetyMemory,
+    trips=st.sampled_from([(), (), ("over_temperature",), ("fan_no_effect", "heater_stuck_on")]),
+    sent=st.builds(Command, duties, st.booleans(), duties),
+    heater_ramp=st.floats(0.0, 1.0),
+    time_s=st.one_of(st.none(), st.floats(0.0, 2.0 * NOW)),
+    fan_since_s=st.one_of(st.none(), st.floats(0.0, 2.0 * NOW)),
+    heat=st.lists(st.tuples(st.floats(0.0, NOW), st.floats(0.0, 20.0)), max_size=3).map(tuple),
+    doses=st.lists(
+        st.builds(Dose, st.one_of(st.none(), st.floats(0.0, NOW)), st.floats(0.0, UTC), st.floats(0.0, 30.0)),
+        max_size=3,
+    ).map(tuple),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(commands, views, memories)
+def test_whatever_comes_in_a_legal_command_comes_out(wanted, seen, memory):
+    verdict = supervise(wanted, seen, memory, LIMITS)
+    sent, air = verdict.sent, seen.readings["temp_air"]
+    assert sent.heater_duty * 20 == round(sent.heater_duty * 20) and 0.0 <= sent.heater_duty <= 1.0
+    assert type(sent.fan_on) is bool
+    assert 0.0 <= sent.led <= 1.0 and 0.0 <= sent.valve_pulse_s <= LIMITS.valve_pulse_max_s
+    fresh = air.quality is Quality.GOOD and air.value is not None and math.isfinite(air.value)
+    fresh = fresh and -0.5 <= seen.now_s - air.time_s <= LIMITS.reading_age_max_s
+    if not fresh or not air.value < LIMITS.temp_air_max_c:
+        assert sent.heater_duty == 0.0
+    stopped = seen.echo is not None and seen.echo.stopped
+    if seen.emergency_stop or seen.maintenance or stopped or not seen.link_up:
+        assert sent == Command()
+    elif fresh and air.value >= LIMITS.temp_air_max_c:
+        assert sent.fan_on
+    if verdict.memory.trips:
+        assert sent.heater_duty == 0.0
+    assert set(memory.trips) <= set(verdict.memory.trips)
+    assert (
+        sum(d.length_s for d in verdict.memory.doses if d.is_recent(NOW, UTC))
+        <= max(LIMITS.valve_day_max_s, water_s(memory, NOW, UTC)) + 1e-6
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(commands, views, memories)
+def test_what_differs_says_why_and_the_answer_is_always_the_same(wanted, seen, memory):
+    verdict = supervise(wanted, seen, memory, LIMITS)
+    assert supervise(wanted, seen, memory, LIMITS) == verdict or any(
+        change.wanted != change.wanted for change in verdict.changes
+    )  # NaN is not equal to itself
+    changed = {change.actuator for change in verdict.changes}
+    for actuator, before, after in (
+        ("heater_duty", wanted.heater_duty, verdict.sent.heater_duty),
+        ("fan_on", wanted.fan_on, verdict.sent.fan_on),
+        ("led", wanted.led, verdict.sent.led),
+        ("valve_pulse", wanted.valve_pulse_s, verdict.sent.valve_pulse_s),
+    ):
+        if before is None or not abs(before - after) <= 1e-9:
+            assert actuator in changed
+    assert all(change.reason and "." in change.rule for change in verdict.changes)

@@ -1,0 +1,66 @@
+"""`external` in the daemon: a client drives the virtual rig, and the fallback does when it is gone."""
+
+import json
+import socket
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import ExternalSettings
+from edge.core.messages import TickRecord
+
+ANSWERED = 3
+
+
+def client(path: Path) -> threading.Thread:
+    """Proposes 0.2 for ANSWERED ticks, then goes away."""
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    connection.connect(str(path))
+
+    def run() -> None:
+        with connection, connection.makefile("rb") as lines:
+            for _ in range(ANSWERED):
+                tick = json.loads(lines.readline())["tick"]
+                answer = {"tick": tick, "heater_duty": 0.2, "fan_on": False}
+                connection.sendall(json.dumps(answer).encode() + b"\n")
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread
+
+
+def test_a_client_drives_the_rig_and_the_fallback_when_it_has_gone(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path, config.default())
+    where = tmp_path / "external.sock"
+    settings = replace(
+        settings,
+        control=replace(settings.control, controller="external"),
+        external=ExternalSettings(str(where)),
+    )
+    ticks: list[TickRecord] = []
+
+    def after_tick(record: TickRecord) -> None:
+        ticks.append(record)
+        if len(ticks) == ANSWERED + 2:
+            daemon.stop()
+
+    with virtual_rig(tmp_path, seed=1) as rig:
+        clock = SimClock(rig.control)
+        try:
+            with Daemon(settings, clock, after_tick) as daemon:
+                thread = client(where)
+                daemon.run()
+                thread.join()
+        finally:
+            clock.close()
+    assert [tick.decision.controller for tick in ticks] == ["external"] * ANSWERED + ["MPC"] * 2
+    assert all(tick.sent.heater_duty == 0.2 for tick in ticks[:ANSWERED])
+    assert [tick.decision.why.get("failure", "") for tick in ticks[ANSWERED:]] == ["controller.raised"] * 2
+    told = [event.text for tick in ticks for event in tick.events if event.key == "controller.error"]
+    assert len(told) == 2
+    assert "external: RequestError: " in told[0]
+    assert not where.exists()

@@ -1,0 +1,92 @@
+"""Floods of the control socket against the whole daemon: a stop is not held up, ticks go on."""
+
+import contextlib
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.support.daemon_process import DaemonProcess
+from bench.support.virtual_board import VirtualBoard, virtual_board
+
+# Behind a flood it would wait for minutes; how long it does wait: `python -m bench attack`.
+HELD_UP_S = 10.0
+FLOOD = """
+import socket, sys, threading, time
+path, line = sys.argv[1], sys.argv[2].encode() + b"\\n"
+def pour():
+    while True:
+        try:
+            with socket.socket(socket.AF_UNIX) as guest:
+                guest.connect(path)
+                threading.Thread(target=drink, args=(guest,), daemon=True).start()
+                while True:
+                    guest.sendall(line * 50)
+        except OSError:
+            time.sleep(0.01)
+def drink(guest):
+    try:
+        while guest.recv(65536): pass
+    except OSError: pass
+for _ in range(40):
+    threading.Thread(target=pour, daemon=True).start()
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="gh-") as name:  # socket paths must be short
+        yield Path(name)
+
+
+@pytest.fixture
+def board(folder: Path) -> Iterator[VirtualBoard]:
+    with virtual_board(folder, "--real-time") as running:
+        yield running
+
+
+@pytest.mark.parametrize(
+    "request_", [{"do": "status"}, {"do": "set_manual", "heater_duty": 0.1}, {"do": "why"}, {"do": "ask"}]
+)
+def test_a_stop_in_a_flood_of_other_requests_is_not_held_up(
+    folder: Path, board: VirtualBoard, request_: dict[str, object]
+) -> None:
+    with DaemonProcess(folder) as daemon:
+        flood = subprocess.Popen([sys.executable, "-c", FLOOD, str(daemon.socket), json.dumps(request_)])
+        try:
+            time.sleep(1.0)
+            waits = []
+            for what, values in (("emergency_stop", {}), ("maintenance", {"minutes": 5})) * 3:
+                begun = time.monotonic()
+                answer = daemon.ask(what, **values)
+                waits.append(time.monotonic() - begun)
+                assert answer["ok"], answer
+                time.sleep(0.5)
+            assert max(waits) < HELD_UP_S, waits
+        finally:
+            flood.kill()
+            flood.wait()
+        assert daemon.ask("status")["operation"]["emergency_stop"]
+        daemon.wait_ticks(1)
+
+
+def test_clients_that_send_half_a_line_or_never_read_do_not_hold_up_a_stop(
+    folder: Path, board: VirtualBoard
+) -> None:
+    with DaemonProcess(folder) as daemon, contextlib.ExitStack() as stack:
+        for number in range(200):
+            guest = stack.enter_context(socket.socket(socket.AF_UNIX))
+            guest.connect(str(daemon.socket))
+            guest.settimeout(5.0)
+            with contextlib.suppress(OSError):  # its place was needed
+                guest.sendall(b'{"do": ' if number % 2 else b'{"do": "status"}\n' * 20)
+        begun = time.monotonic()
+        assert daemon.ask("emergency_stop")["ok"]
+        assert time.monotonic() - begun < HELD_UP_S

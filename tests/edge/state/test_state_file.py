@@ -1,0 +1,109 @@
+"""edge/state/state_file.py: standing orders survive, whole or not at all."""
+
+import queue
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.state.state_file import ANSWERS_MAX, StateFileBroken, StateWriter, read, write
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    write(path, {"mode": "off"})
+    write(path, {"mode": "heat"})
+    assert read(path) == {"mode": "heat"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state.json"]
+
+
+def test_nothing_written_is_none(tmp_path: Path) -> None:
+    assert read(tmp_path / "state.json") is None
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "\x00\xff", '{"a": 1'])
+def test_a_broken_file_is_told_with_its_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "state.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(StateFileBroken, match=r"state\.json"):
+        read(path)
+
+
+def test_the_writer_ends_with_the_newest_values(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    writer = StateWriter(path)
+    for number in range(50):
+        writer.save({"number": number})
+    writer.close()
+    assert read(path) == {"number": 49}
+
+
+def test_a_write_that_fails_is_counted_and_the_next_one_tried(tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "state.json"
+    writer = StateWriter(path)
+    writer.save({"number": 1})
+    writer.close()
+    assert writer.failures == 1
+    assert "missing" in writer.last_error
+
+
+def test_an_answer_comes_when_the_values_are_on_disk_and_not_before(tmp_path, monkeypatch):
+    path, may_write, answers = tmp_path / "state.json", threading.Event(), queue.SimpleQueue()
+
+    def slowly(path: Path, values: dict[str, Any]) -> None:
+        may_write.wait(5.0)
+        write(path, values)
+
+    monkeypatch.setattr("edge.state.state_file.write", slowly)
+    writer = StateWriter(path)
+    for number in (1, 2, 3):  # one of these is never written; all are answered by a newer one on disk
+        writer.save({"number": number}, lambda error: answers.put((error, read(path)["number"])))
+    time.sleep(0.05)
+    assert answers.empty()
+    may_write.set()
+    found = [answers.get(timeout=5.0) for _ in range(3)]
+    writer.close()
+    assert all(error == "" for error, _ in found)
+    assert all(on_disk >= number for number, (_, on_disk) in zip((1, 2, 3), found, strict=True))
+
+
+def test_a_failed_write_is_answered_with_its_reason_and_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setattr("edge.state.state_file.RETRY_S", 0.02)
+    path, answers = tmp_path / "missing" / "state.json", queue.SimpleQueue()
+    writer = StateWriter(path)
+    writer.save({"number": 1}, answers.put)
+    assert "missing" in answers.get(timeout=5.0)
+    path.parent.mkdir()
+    deadline = time.monotonic() + 5.0
+    while writer.last_error and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert read(path) == {"number": 1} and answers.empty()
+    writer.close()
+
+
+def test_answers_that_wait_for_a_disk_that_hangs_are_bounded_and_each_is_given(tmp_path, monkeypatch):
+    may_write = threading.Event()
+    monkeypatch.setattr("edge.state.state_file.write", lambda path, values: may_write.wait(5.0))
+    writer = StateWriter(tmp_path / "state.json")
+    answers: list[str] = []
+    for n in range(ANSWERS_MAX + 50):
+        writer.save({"n": n}, answers.append)
+    assert 48 <= answers.count("the disk does not answer") <= 50
+    may_write.set()
+    writer.close()
+    assert len(answers) == ANSWERS_MAX + 50
+
+
+def test_a_card_is_spared_and_the_newest_is_written_at_the_end(tmp_path, monkeypatch):
+    written: list[int] = []
+    monkeypatch.setattr("edge.state.state_file.write", lambda path, values: written.append(values["n"]))
+    writer = StateWriter(tmp_path / "state.json", pause_s=60.0)
+    for n in range(50):
+        writer.save({"n": n})
+        time.sleep(0.002)
+    assert len(written) == 1
+    writer.close()
+    assert len(written) == 2
+    assert written[-1] == 49

@@ -1,0 +1,175 @@
+"""edge/tick/orders.py: what a person may ask, and what it does to a command."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from edge.core.errors import RequestError
+from edge.core.messages import Command
+from edge.tick import steering as steerings
+from edge.tick.orders import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, operate
+from edge.tick.orders_json import from_dict, to_dict
+from edge.tick.steering import DailyTarget, FanRest, Steering
+
+DESK = Desk(utc=1000.0, controllers=("MPC", "rules"), reference_min_c=15.0, reference_max_c=38.0)
+AUTO = Operation(controller="MPC")
+NIGHT = Steering(
+    id="a",
+    words="20 at night, spare the fan",
+    until_utc=1000.0 + 3600.0,
+    daily=(DailyTarget(6 * 3600.0, 26.0), DailyTarget(22 * 3600.0, 20.0)),
+    fan_penalty=5.0,
+    fan_rest=(FanRest(22 * 3600.0, 6 * 3600.0),),
+)
+WANTED = Command(heater_duty=0.4, fan_on=True, led=0.5)
+
+
+def ask(**request: object) -> Operation:
+    return operate(AUTO, request, DESK)
+
+
+def test_auto_leaves_the_controllers_command_alone() -> None:
+    assert apply_orders(AUTO, WANTED) == (WANTED, ())
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"),
+    [
+        (Mode.HEAT, Command(0.4, False, 0.5)),
+        (Mode.FAN_ONLY, Command(0.0, True, 0.5)),
+        (Mode.OFF, Command(0.0, False, 0.5)),
+    ],
+)
+def test_a_mode_takes_away_what_it_does_not_allow(mode: Mode, expected: Command) -> None:
+    sent, changes = apply_orders(Operation("MPC", mode=mode), WANTED)
+    assert sent == expected
+    assert {change.rule for change in changes} == {"operator.orders"}
+
+
+def test_manual_sends_the_persons_command_whatever_the_controller_wants() -> None:
+    operation = ask(do="set_manual", heater_duty=0.52, fan_on=0)
+    sent, _ = apply_orders(operation, WANTED)
+    assert operation.mode is Mode.MANUAL
+    assert sent == Command(0.5, False, 0.0)  # 0.52 is cut to the next lower twentieth
+
+
+@pytest.mark.parametrize("fan_mode", [FanMode.ON, FanMode.OFF])
+def test_the_fan_switch_overrules_the_controller(fan_mode: FanMode) -> None:
+    sent, _ = apply_orders(Operation("MPC", fan_mode=fan_mode), Command())
+    assert sent.fan_on is (fan_mode is FanMode.ON)
+
+
+@pytest.mark.parametrize("value", [None, "26", True, math.nan, math.inf, -math.inf, 14.99, 38.01, [26], {}])
+def test_a_reference_that_is_no_number_in_range_is_refused(value: object) -> None:
+    if value is None:
+        assert ask(do="set_reference", reference_c=None).reference_c is None
+        return
+    with pytest.raises(RequestError, match="reference_c"):
+        ask(do="set_reference", reference_c=value)
+
+
+@pytest.mark.parametrize("value", [15, 15.0, 26.5, 38.0])
+def test_a_reference_at_or_inside_the_limits_is_taken(value: float) -> None:
+    assert ask(do="set_reference", reference_c=value).reference_c == value
+
+
+@pytest.mark.parametrize("duty", [-0.01, 1.01, math.nan, "1", None, True])
+def test_a_manual_duty_outside_0_to_1_is_refused(duty: object) -> None:
+    with pytest.raises(RequestError, match="heater_duty"):
+        ask(do="set_manual", heater_duty=duty)
+
+
+def test_an_unknown_controller_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(RequestError, match="MPC, rules"):
+        ask(do="set_controller", name="PID")
+
+
+def test_an_unknown_request_names_the_nearest() -> None:
+    with pytest.raises(RequestError, match="did you mean 'set_mode'"):
+        ask(do="set_mod")
+    for junk in (None, 5, [], {}):
+        with pytest.raises(RequestError, match="unknown request"):
+            ask(do=junk)
+
+
+def test_maintenance_expires_by_itself() -> None:
+    operation = ask(do="maintenance", minutes=30)
+    assert operation.in_maintenance(1000.0)
+    assert operation.in_maintenance(1000.0 + 1799.0)
+    assert not operation.in_maintenance(1000.0 + 1800.0)
+
+
+def test_a_clock_that_lost_the_date_does_not_end_maintenance() -> None:
+    operation = ask(do="maintenance", minutes=30)
+    assert operation.in_maintenance(1000.0 - 10 * 86400.0)
+
+
+def test_maintenance_may_last_a_whole_day_and_ends_after_it() -> None:
+    operation = ask(do="maintenance", minutes=24 * 60)
+    assert operation.in_maintenance(1000.0)
+    assert operation.in_maintenance(1000.0 + 86399.0)
+    assert not operation.in_maintenance(1000.0 + 86400.0)
+
+
+@pytest.mark.parametrize("minutes", [-1, 1440.1, 1441, math.nan, "30", None])
+def test_maintenance_of_no_sane_length_is_refused(minutes: object) -> None:
+    with pytest.raises(RequestError, match="minutes"):
+        ask(do="maintenance", minutes=minutes)
+
+
+def test_zero_minutes_end_maintenance() -> None:
+    assert operate(ask(do="maintenance", minutes=5), {"do": "maintenance", "minutes": 0}, DESK) == AUTO
+
+
+def test_orders_survive_the_state_file() -> None:
+    operation = AUTO
+    for request in (
+        {"do": "set_mode", "mode": "heat"},
+        {"do": "set_fan_mode", "fan_mode": "on"},
+        {"do": "set_reference", "reference_c": 26.0},
+        {"do": "set_controller", "name": "rules"},
+        {"do": "set_manual", "heater_duty": 0.25, "led": 1.0},
+        {"do": "emergency_stop"},
+        {"do": "maintenance", "minutes": 3},
+        {"do": "steer", "steering": steerings.to_dict(NIGHT)},
+        {"do": "steer", "steering": steerings.to_dict(replace(NIGHT, id="b", daily=()))},
+    ):
+        operation = operate(operation, request, DESK)
+        assert from_dict(to_dict(operation)) == operation
+    assert operation.emergency_stop
+
+
+@pytest.mark.parametrize("key", sorted(to_dict(AUTO).keys() - {"steering", "before"}))
+def test_a_state_with_a_missing_key_is_told(key: str) -> None:
+    values = to_dict(AUTO)
+    del values[key]
+    with pytest.raises(KeyError):
+        from_dict(values)
+
+
+def test_every_order_has_a_test_of_its_effect() -> None:
+    changed = {
+        "set_mode": {"mode": "off"},
+        "set_fan_mode": {"fan_mode": "off"},
+        "set_reference": {"reference_c": 20.0},
+        "set_controller": {"name": "rules"},
+        "set_manual": {"heater_duty": 1.0},
+        "emergency_stop": {},
+        "maintenance": {"minutes": 1},
+        "steer": {"steering": steerings.to_dict(NIGHT)},
+    }
+    for name, values in changed.items():
+        assert ask(do=name, **values) != AUTO
+    stopped = ask(do="emergency_stop")
+    assert operate(stopped, {"do": "release_emergency_stop"}, DESK) == AUTO
+    assert operate(ask(do="steer", steering=steerings.to_dict(NIGHT)), {"do": "undo"}, DESK) == AUTO
+    assert set(ORDERS) == {*changed, "release_emergency_stop", "undo"}
+
+
+def test_the_controller_none_is_the_configured_one():
+    desk = Desk(0.0, ("MPC", "PID"), 10.0, 35.0, configured_controller="MPC")
+    changed = operate(Operation(controller="PID"), {"do": "set_controller", "name": None}, desk)
+    assert changed.controller == "MPC"
+    with pytest.raises(RequestError):
+        operate(changed, {"do": "set_controller"}, desk)

@@ -1,0 +1,276 @@
+"""edge/tick/sensor_health.py."""
+
+import math
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.config.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
+from edge.core.messages import Command, Quality, Reading
+from edge.core.names import SIGNALS
+from edge.tick.sensor_health import CONFIRM_SAMPLES, SensorHealth, Track, follow, trimmed_mean
+
+OFF = Command()
+
+
+def air(value: float | None, time_s: float, quality: Quality = Quality.GOOD) -> dict[str, Reading]:
+    return {"temp_air": Reading("temp_air", value, time_s, quality)}
+
+
+def health(**calibration: SensorCalibration) -> SensorHealth:
+    return SensorHealth(SensorHealthSettings(), CalibrationSettings(**calibration))
+
+
+def after(values: list[float | None], sensors: SensorHealth | None = None, start_s: float = 0.0) -> Reading:
+    """The reading at the time of the last of these samples, one a second."""
+    samples = [air(value, start_s + second) for second, value in enumerate(values)]
+    now = start_s + len(values) - 1
+    return (sensors or health()).readings(samples, now, OFF)["temp_air"]
+
+
+def test_before_any_sample_every_signal_is_stale_without_a_number():
+    readings = health().readings([], 0.0, OFF)
+    assert set(readings) == set(SIGNALS)
+    assert all(r.quality is Quality.STALE and r.value is None for r in readings.values())
+
+
+def test_a_first_good_sample_is_a_good_reading():
+    assert after([23.4]) == Reading("temp_air", 23.4, 0.0, Quality.GOOD)
+
+
+def test_a_reading_is_the_mean_of_the_last_seconds():
+    assert after([30.0] * 3 + [24.0 + 0.1 * k for k in range(60)]).value == pytest.approx(29.7)
+
+
+def test_noise_of_half_a_step_makes_the_mean_finer_than_the_step():
+    noise = random.Random(1)
+    errors = []
+    sensors = health()
+    for tick in range(200):
+        true = 24.0 + 0.001 * tick
+        values = [round(true + noise.gauss(0.0, 0.06), 1) for _ in range(5)]
+        reading = after(values, sensors, start_s=60.0 * tick)
+        errors.append(reading.value - true)
+    assert math.sqrt(sum(e * e for e in errors) / len(errors)) < 0.05  # a single one: 0.067
+
+
+@pytest.mark.parametrize(
+    ("age_s", "quality"),
+    [
+        (0.0, Quality.GOOD),
+        (2.99, Quality.GOOD),
+        (3.0, Quality.GOOD),
+        (3.01, Quality.STALE),
+        (1e9, Quality.STALE),
+    ],
+)
+def test_a_sample_older_than_three_periods_is_stale(age_s, quality):
+    sensors = health()
+    reading = sensors.readings([air(24.0, 100.0)], 100.0 + age_s, OFF)["temp_air"]
+    assert (reading.quality, reading.value, reading.time_s) == (quality, 24.0, 100.0)
+
+
+def test_a_slower_board_has_later_stale_readings():
+    sensors = SensorHealth(SensorHealthSettings(sample_period_s=10.0), CalibrationSettings())
+    assert sensors.readings([air(24.0, 0.0)], 30.0, OFF)["temp_air"].quality is Quality.GOOD
+    assert sensors.readings([], 30.1, OFF)["temp_air"].quality is Quality.STALE
+
+
+@pytest.mark.parametrize(
+    ("value", "quality"),
+    [
+        (-20.0, Quality.GOOD),
+        (80.0, Quality.GOOD),
+        (-20.01, Quality.RANGE),
+        (80.01, Quality.RANGE),
+        (1e9, Quality.RANGE),
+        (math.nan, Quality.FAULT),
+        (math.inf, Quality.FAULT),
+        (-math.inf, Quality.FAULT),
+        (None, Quality.FAULT),
+    ],
+)
+def test_a_number_no_sensor_can_give_is_no_measurement(value, quality):
+    assert after([value]).quality is quality
+
+
+@pytest.mark.parametrize("quality", [Quality.FAULT, Quality.STALE, Quality.RANGE, Quality.ABSENT])
+def test_the_boards_word_stands(quality):
+    reading = health().readings([air(24.0, 0.0, quality)], 0.0, OFF)["temp_air"]
+    assert reading.quality is quality
+
+
+def test_an_absent_sensor_stays_absent():
+    sensors = health()
+    sensors.readings([air(None, 0.0, Quality.ABSENT)], 0.0, OFF)
+    assert sensors.readings([], 1000.0, OFF)["temp_air"].quality is Quality.ABSENT
+
+
+def test_one_bad_sample_among_good_ones_changes_nothing():
+    sensors = health()
+    samples = [air(24.0, 0.0), air(24.2, 1.0), air(None, 2.0, Quality.FAULT)]
+    assert sensors.readings(samples, 2.0, OFF)["temp_air"].quality is Quality.GOOD
+
+
+def test_a_sensor_that_dies_is_bad_after_three_periods_at_the_latest():
+    sensors = health()
+    samples = [air(24.0, 0.0), *(air(math.nan, float(k)) for k in range(1, 5))]
+    assert sensors.readings(samples, 4.0, OFF)["temp_air"].quality is Quality.FAULT
+
+
+def test_a_spike_changes_nothing():
+    reading = after([24.0] * 5 + [50.0] + [24.0])
+    assert (reading.value, reading.quality) == (24.0, Quality.GOOD)
+
+
+def test_spikes_that_do_not_agree_are_never_believed():
+    noise = random.Random(2)
+    reading = after([24.0] + [noise.uniform(-20.0, 80.0) for _ in range(60)])
+    assert reading.quality is Quality.SPIKE
+
+
+def test_a_true_step_is_accepted_after_a_few_samples_and_told_once():
+    sensors = health()
+    assert after([24.0] + [34.0] * (CONFIRM_SAMPLES - 1), sensors).quality is Quality.SPIKE
+    told = sensors.readings([air(34.0, 5.0)], 5.0, OFF)["temp_air"]
+    assert (told.value, told.quality) == (34.0, Quality.SPIKE)
+    assert sensors.readings([air(34.0, 6.0)], 6.0, OFF)["temp_air"].quality is Quality.GOOD
+
+
+def test_a_step_within_a_long_control_step_is_told_too():
+    sensors = health()
+    assert after([24.0] * 30 + [29.0] * 30, sensors).quality is Quality.SPIKE
+    assert after([29.0] * 60, sensors, start_s=60.0).quality is Quality.GOOD
+
+
+@pytest.mark.parametrize("jump_k", [2.05, -2.05])
+def test_a_change_the_box_can_make_is_no_spike(jump_k):
+    assert after([24.0, 24.0 + jump_k]).quality is Quality.GOOD
+
+
+def test_after_a_gap_more_change_is_possible():
+    sensors = health()
+    after([24.0], sensors)
+    reading = sensors.readings([air(32.0, 100.0)], 100.0, OFF)["temp_air"]
+    assert (reading.value, reading.quality) == (32.0, Quality.GOOD)
+
+
+def test_light_may_jump():
+    sensors = health()
+    for second, value in enumerate((0.0, 1.0, 0.0)):
+        sample = {"light": Reading("light", value, float(second), Quality.GOOD)}
+        assert sensors.readings([sample], float(second), OFF)["light"].quality is Quality.GOOD
+
+
+def minutes(sensors: SensorHealth, start: int, values: list[float], duty: float) -> Quality:
+    """A tick a minute; the quality at the end."""
+    for minute, value in enumerate(values, start):
+        now = 60.0 * minute
+        quality = sensors.readings([air(value, now)], now, Command(heater_duty=duty))["temp_air"].quality
+    return quality
+
+
+def test_a_sensor_that_stands_still_while_heat_comes_is_stuck():
+    sensors = health()
+    assert minutes(sensors, 0, [24.0, 24.0], duty=0.0) is Quality.GOOD
+    assert minutes(sensors, 2, [24.0] * 8, duty=0.5) is Quality.GOOD  # nine minutes
+    assert minutes(sensors, 10, [24.0], duty=0.5) is Quality.STUCK  # ten
+
+
+def test_a_sensor_that_stands_still_under_strong_heat_that_does_not_change_is_stuck():
+    sensors = health()
+    assert minutes(sensors, 0, [29.0] * 20, duty=1.0) is Quality.GOOD
+    assert minutes(sensors, 20, [29.0], duty=1.0) is Quality.STUCK
+
+
+@pytest.mark.parametrize(("duty", "quality"), [(0.5, Quality.STUCK), (0.45, Quality.GOOD)])
+def test_heat_that_can_do_no_harm_may_leave_the_sensor_still(duty, quality):
+    assert minutes(health(), 0, [29.0] * 120, duty=duty) is quality
+
+
+def test_one_step_of_the_sensor_frees_it():
+    sensors = health()
+    minutes(sensors, 0, [24.0, 24.0], duty=0.0)
+    assert minutes(sensors, 2, [24.0] * 20, duty=0.5) is Quality.STUCK
+    assert minutes(sensors, 22, [24.1], duty=0.5) is Quality.GOOD
+
+
+def test_a_quiet_sensor_in_a_box_at_rest_is_not_stuck():
+    sensors = health()
+    assert minutes(sensors, 0, [24.0] * 600, duty=0.3) is Quality.GOOD
+
+
+def test_a_little_change_of_heat_need_not_move_the_sensor():
+    sensors = health()
+    minutes(sensors, 0, [24.0, 24.0], duty=0.3)
+    assert minutes(sensors, 2, [24.0], duty=0.8) is Quality.GOOD  # 30 full-duty seconds
+    assert minutes(sensors, 3, [24.0] * 100, duty=0.3) is Quality.GOOD
+
+
+def test_a_noisy_sensor_in_steps_of_a_tenth_is_never_stuck():
+    noise = random.Random(3)
+    sensors = health()
+    values = [round(24.0 + noise.gauss(0.0, 0.06), 1) for _ in range(600)]
+    for start in range(0, 600, 60):
+        assert (
+            minutes(sensors, start, values[start : start + 60], duty=float(start % 120 == 0)) is Quality.GOOD
+        )
+
+
+def test_calibration_multiplies_then_adds():
+    sensors = health(temp_air=SensorCalibration(offset=-0.5, gain=1.02))
+    assert after([25.0], sensors).value == pytest.approx(25.0)
+
+
+def test_the_range_is_that_of_the_sensor_not_of_the_calibrated_value():
+    sensors = health(temp_air=SensorCalibration(offset=5.0))
+    assert after([79.0], sensors).quality is Quality.GOOD
+
+
+@pytest.mark.parametrize(
+    ("values", "mean"),
+    [([1.0], 1.0), ([1.0, 2.0], 1.5), ([1.0, 2.0, 90.0], 2.0), ([0.0, 1.0, 2.0, 90.0], 1.5)],
+)
+def test_the_trimmed_mean_leaves_out_the_outermost(values, mean):
+    assert trimmed_mean(values) == mean
+
+
+samples_strategy = st.lists(
+    st.tuples(
+        st.none() | st.floats(allow_nan=True, allow_infinity=True) | st.floats(-25.0, 85.0),
+        st.sampled_from(list(Quality)),
+        st.floats(0.0, 30.0),
+    ),
+    max_size=30,
+)
+
+
+@given(samples_strategy, st.floats(0.0, 5.0))
+def test_a_good_reading_is_always_a_fresh_number_of_the_sensors_range(samples, wait_s):
+    now, sensors, series = 0.0, health(), []
+    for value, quality, gap_s in samples:
+        now += gap_s
+        series.append(air(value, now, quality))
+    reading = sensors.readings(series, now + wait_s, OFF)["temp_air"]
+    if reading.quality is Quality.GOOD:
+        assert reading.value is not None and -20.0 <= reading.value <= 80.0
+        assert now + wait_s - reading.time_s <= 3.0
+    else:
+        assert reading.value is None or math.isfinite(reading.value)
+
+
+SOME_VALUES = st.sampled_from([None, math.nan, 20.0, 20.0, 20.1, 20.1, 24.0, 24.1, 30.0, 200.0])
+
+
+@given(st.lists(st.tuples(SOME_VALUES, st.sampled_from([0.5, 1.0, 1.0, 6.0])), max_size=40))
+def test_samples_taken_together_leave_the_track_of_samples_taken_one_by_one(steps):
+    settings, now, samples = SensorHealthSettings(), 0.0, []
+    for value, after_s in steps:
+        now += after_s
+        samples.append(air(value, now)["temp_air"])
+    one_by_one = Track()
+    for sample in samples:
+        one_by_one = follow(one_by_one, [sample], settings)
+    assert repr(follow(Track(), samples, settings)) == repr(one_by_one)  # NaN differs from itself

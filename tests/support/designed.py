@@ -1,0 +1,136 @@
+"""Rivals fitted to simulated runs without a search, and experiments designed between them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.support.simulated_runs import NOISE, STEP_S, coloured
+from edge.diagnosis.experiment.design import designed
+from edge.diagnosis.experiment.experiment import Experiment
+from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.experiment.rivals import Pair, Rivals
+from edge.diagnosis.experiment.separation import Separation, separation
+from edge.diagnosis.experiment.surroundings import surroundings
+from edge.diagnosis.fitting import fit
+from edge.diagnosis.innovations import NoiseLevels
+from edge.diagnosis.starts import with_effect
+from edge.diagnosis.trial import Fitted, Trial
+from edge.twin.geometry import Geometry
+from edge.twin.model import Twin
+from edge.twin.recorded import Recorded
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+from edge.twin.warm_start import at_rest
+
+Floats = NDArray[np.float64]
+Effects = Mapping[str, Mapping[str, float]]
+ROOM_C = 21.0
+ROWS = 120
+STILL, BLOWN = np.zeros(ROWS), np.ones(ROWS)
+DUTIES = np.repeat([0.1, 0.4, 0.0, 0.3, 0.5, 0.2], ROWS // 6)
+ONE_DUTY = np.repeat([0.0, 0.6, 0.0, 0.6], ROWS // 4)
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Of one run, a value a row."""
+
+    duty: Floats
+    fan: Floats
+    light: Floats | None = None
+
+
+def file_of(effects: Effects, uncertain: Mapping[str, float] | None = None) -> TwinFile:
+    """A file that knows these effects, exactly but for those of which it says how well."""
+    rel_sd = uncertain or {}
+    return TwinFile(
+        effects={
+            name: {key: Value(value, rel_sd=rel_sd.get(name)) for key, value in own.items()}
+            for name, own in effects.items()
+        },
+        sensor={"quantisation_k": 0.0, "noise_sd_k": NOISE.sensor_k},
+        nuisance={"heater_power_run_sd": NOISE.power_share, "heat_noise_sd_w": NOISE.heat_w},
+    )
+
+
+def driven(
+    effects: Effects,
+    inputs: Sequence[Inputs],
+    seed: int = 0,
+    noise: NoiseLevels = NOISE,
+    start_c: float = ROOM_C,
+) -> Recorded:
+    """Runs of a box with these effects, from rest."""
+    draw = np.random.default_rng(seed)
+    twin, rows = Twin(Geometry(), effects, STEP_S), len(inputs[0].duty)
+    duty, fan = (np.stack([getattr(item, name) for item in inputs]) for name in ("duty", "fan"))
+    lit = inputs[0].light is not None
+    light = {"light": np.stack([item.light for item in inputs if item.light is not None])} if lit else {}
+    power = duty * (1.0 + noise.power_share * draw.standard_normal((len(duty), 1)))
+    heat_w = np.stack([coloured(draw, rows, noise) for _ in inputs])
+    start = at_rest(twin, np.full(len(duty), start_c), np.full(len(duty), ROOM_C))
+    source = heat_w / twin.system.air_capacity_j_k
+    room = np.full((len(duty), rows), ROOM_C)
+    shown = twin.rollout(start, power, fan, room, source=source, conditions=light)
+    shown = np.concatenate([np.full((len(duty), 1), start_c), shown], axis=1)
+    return Recorded(shown + noise.sensor_k * draw.standard_normal(shown.shape), duty, fan, room, light)
+
+
+def fitted(file: TwinFile, runs: Recorded, name: str) -> Fitted:
+    """With one more effect, at its likeliest."""
+    trials = [Trial(start, NOISE) for start in with_effect(file, name)]
+    return max(fit(trials, runs, 12), key=lambda item: item.log_likelihood)
+
+
+def plan_of(file: TwinFile, runs: Recorded, names: Sequence[str]) -> Separation:
+    """To separate the effects of these names, each as likely as another."""
+    pairs = tuple(
+        Pair(i, j, names[i], names[j], names[0], 1.0 / len(names), 1.0)
+        for i, j in permutations(range(len(names)), 2)
+    )
+    rivals = Rivals(tuple(fitted(file, runs, name) for name in names), pairs)
+    return separation(rivals, surroundings(runs, False), STEP_S)
+
+
+def experiment_of(
+    file: TwinFile, runs: Recorded, names: Sequence[str], limits: ExperimentLimits | None = None
+) -> Experiment:
+    """The experiment that is designed between these effects."""
+    return designed(plan_of(file, runs, names), limits or ExperimentLimits())
+
+
+def as_inputs(experiment: Experiment) -> Inputs:
+    """The profile, a value a row."""
+    rows = round(experiment.duration_s / STEP_S)
+    at = (
+        np.searchsorted([row.time_s for row in experiment.profile], STEP_S * np.arange(rows), side="right")
+        - 1
+    )
+    chosen = [experiment.profile[i] for i in at]
+    light = None if chosen[0].light is None else np.array([row.light or 0.0 for row in chosen])
+    return Inputs(
+        np.array([row.heater_duty for row in chosen]), np.array([row.fan_on for row in chosen]), light
+    )
+
+
+def joined(runs: Recorded, later: Recorded) -> Recorded:
+    """All runs, the shorter ones filled up with what was not measured."""
+    rows = max(runs.duty.shape[1], later.duty.shape[1])
+
+    def filled(own: Recorded) -> Recorded:
+        missing = ((0, 0), (0, rows - own.duty.shape[1]))
+        columns = {name: np.pad(getattr(own, name), missing) for name in ("duty", "fan")}
+        ambient = np.pad(own.ambient, missing, mode="edge")
+        return replace(
+            own, temp=np.pad(own.temp, missing, constant_values=np.nan), ambient=ambient, **columns
+        )
+
+    one, other = filled(runs), filled(later)
+    together = (
+        np.concatenate([getattr(one, name), getattr(other, name)])
+        for name in ("temp", "duty", "fan", "ambient")
+    )
+    return Recorded(*together)

@@ -1,0 +1,237 @@
+"""A loop wired to a board, a clock and controllers of a few lines each; time moves when a test says so."""
+
+import math
+import queue
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from edge.config import loading as config
+from edge.config.settings import Settings
+from edge.core.controller import Context
+from edge.core.messages import Command, Decision, Echo, Event, Quality, Reading, TickRecord
+from edge.models.arx_file import read_arx
+from edge.safety.supervisor import SafetyMemory
+from edge.state.state_file import Answered
+from edge.tick.estimator import Estimator
+from edge.tick.inbox import Inbox, Letter, Reply
+from edge.tick.loop import Loop
+from edge.tick.orders import Operation
+from edge.tick.reference import make_reference
+from edge.tick.rig import NoForecasts, Rig
+from edge.tick.sensor_health import SensorHealth
+
+UTC_0 = 1_750_000_000.0
+
+
+@dataclass
+class FakeClock:
+    now_s: float = 0.0
+    utc_offset: float = UTC_0
+
+    def now(self) -> float:
+        return self.now_s
+
+    def utc(self) -> float:
+        return self.now_s + self.utc_offset
+
+    def wait(self, port: object, wake: int | None, until_s: float) -> None:
+        self.now_s = max(self.now_s, until_s)
+
+
+@dataclass
+class FakeBoard:
+    """Reports `temp_air` every second with `quality`; confirms every command unless told not to."""
+
+    clock: FakeClock
+    temp_air: float | None = 22.0
+    quality: Quality = Quality.GOOD
+    link_up: bool = True
+    confirms: bool = True
+    tripped: bool = False
+    echo: Echo | None = None
+    driven: list[tuple[Command, bool, float]] = field(default_factory=list)
+    commanded: Command = field(default_factory=Command)
+    stopped: bool = False
+    maintained: bool = False
+    stops: int = 0
+    cleared: int = 0
+    _sampled_s: float = -1.0
+
+    @property
+    def has_samples(self) -> bool:
+        return self.link_up
+
+    @property
+    def statistics(self) -> Mapping[str, int]:
+        return {}
+
+    def take_samples(self) -> list[Mapping[str, Reading]]:
+        samples = []
+        while self.link_up and self._sampled_s + 1.0 <= self.clock.now_s:
+            self._sampled_s += 1.0
+            samples.append(
+                {
+                    "temp_air": Reading("temp_air", self.temp_air, self._sampled_s, self.quality),
+                    "temp_ambient": Reading("temp_ambient", 21.0, self._sampled_s, Quality.GOOD),
+                }
+            )
+        return samples
+
+    def take_events(self) -> list[Event]:
+        return []
+
+    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
+        self.driven.append((command, cutoff_open, valid_s))
+        if self.link_up and self.confirms:
+            self.commanded = command
+            self._say()
+
+    def _say(self) -> None:
+        cause = "emergency_stop" if self.stopped else "maintenance" if self.maintained else ""
+        command = Command() if cause else self.commanded
+        duty = 0.0 if self.tripped else command.heater_duty
+        tripped = self.tripped or bool(cause)
+        self.echo = Echo(duty, command.fan_on, command.led, False, tripped, cause, self.clock.now_s)
+
+    def serve(
+        self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
+    ) -> None:
+        self.clock.wait(None, wake, until_s)
+
+    def serve_until_echo(self, timeout_s: float) -> Echo | None:
+        return self.echo if self.confirms else None
+
+    def serve_until_answered(self, timeout_s: float) -> bool:
+        if self.link_up and self.confirms:
+            self._say()
+        return self.link_up and self.confirms
+
+    @property
+    def in_maintenance(self) -> bool:
+        return self.maintained
+
+    def emergency_stop(self) -> None:
+        self.stops += 1
+        self.stopped = True
+
+    def release_stop(self) -> None:
+        self.stopped = False
+
+    def maintain(self) -> None:
+        self.maintained = True
+
+    def end_maintenance(self) -> None:
+        self.maintained = False
+
+    def clear_trip(self) -> None:
+        self.cleared += 1
+
+
+@dataclass
+class Wants:
+    """A controller that always wants the same."""
+
+    name: str = "wants"
+    command: Command = field(default_factory=lambda: Command(heater_duty=0.5))
+    error: Exception | None = None
+    hang_s: float = 0.0
+    asked: int = 0
+    resets: int = 0
+
+    def decide(self, context: Context) -> Decision:
+        self.asked += 1
+        if self.error is not None:
+            raise self.error
+        time.sleep(self.hang_s)
+        return Decision(self.command, self.name)
+
+    def reset(self) -> None:
+        self.resets += 1
+
+
+@dataclass
+class FakeSink:
+    records: list[TickRecord] = field(default_factory=list)
+    ill: dict[str, str] = field(default_factory=dict)
+
+    def write(self, record: TickRecord) -> None:
+        self.records.append(record)
+
+    def faults(self) -> Mapping[str, str]:
+        return self.ill
+
+
+@dataclass
+class LoopRig:
+    """All the parts, and a loop that ticks when told."""
+
+    clock: FakeClock = field(default_factory=FakeClock)
+    chosen: Wants = field(default_factory=lambda: Wants("MPC"))
+    fallback: Wants = field(default_factory=lambda: Wants("rules", Command(heater_duty=0.1)))
+    sink: FakeSink = field(default_factory=FakeSink)
+    inbox: Inbox = field(default_factory=Inbox)
+    saved: list[Operation] = field(default_factory=list)
+    save_answers: list[Answered] = field(default_factory=list)  # that wait for a disk
+    disk_works: bool = True
+    shown: list[Echo | None] = field(default_factory=list)
+    settings: Settings = field(default_factory=config.default)
+
+    def __post_init__(self) -> None:
+        self.board = FakeBoard(self.clock)
+        self.settings = replace(
+            self.settings,
+            safety=replace(self.settings.safety, heater_rise_per_s=1.0),
+            control=replace(self.settings.control, decision_deadline_s=0.1),
+        )
+        model = read_arx()
+        control = self.settings.control
+        rig = Rig(
+            settings=self.settings,
+            clock=self.clock,
+            board=self.board,
+            sensors=SensorHealth(self.settings.sensor_health, self.settings.calibration),
+            estimator=Estimator(self.settings.estimator, model, control.step_s, control.ambient_default_c),
+            reference=make_reference(self.settings.reference),
+            zone=None,
+            controllers={"MPC": self.chosen, "rules": self.fallback},
+            models=NoForecasts(),
+            sinks=[self.sink],
+            more_events=list,
+            inbox=self.inbox,
+            save_state=self._save,
+            show=lambda: self.shown.append(self.board.echo),
+        )
+        self.rig = rig
+        self.loop = Loop(rig, Operation("MPC"), SafetyMemory(), first_seq=1)
+
+    def tick(self, after_s: float = 60.0) -> TickRecord:
+        """Let time pass, then tick."""
+        self.clock.now_s += after_s
+        return self.loop.tick(self.clock.now_s)
+
+    def ask(self, request: Mapping[str, Any]) -> Reply:
+        """The answer to a request that the disk takes; {} while it waits for the disk."""
+        answers: queue.SimpleQueue[Reply] = queue.SimpleQueue()
+        self.loop._answer(Letter(request, answers))
+        return {} if answers.empty() else answers.get()
+
+    def _save(self, operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
+        self.saved.append(operation)
+        if answered is not None:
+            self.save_answers.append(answered)
+            if self.disk_works:
+                self.save_answers.pop()("")
+
+    def events(self) -> list[str]:
+        return [event.key for record in self.sink.records for event in record.events]
+
+    def close(self) -> None:
+        self.inbox.close()
+        self.loop.close()
+
+
+def is_safe(command: Command) -> bool:
+    """Nothing that heats or waters."""
+    return command.heater_duty == 0.0 and command.valve_pulse_s == 0.0 and not math.isnan(command.led)

@@ -1,0 +1,162 @@
+"""Runs of the comparison: a board in this process is one behind a line, and a kept run is not repeated."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from contexts import context
+
+from edge.app.controllers import Parts, make
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.config import loading as config
+from edge.config.settings import ControlSettings
+from edge.core.errors import DataError
+from edge.models.arx_file import read_arx
+from training.control import job as control_job
+from training.control import runner
+from training.control.board_in_process import InProcessBoard, make_device
+from training.control.closed_loop import closed_loop
+from training.control.job import Job, is_kept, keep, read, run
+from training.control.rig import entries
+
+LENGTH_S = 900.0
+SETTINGS = (
+    "{timezone: UTC, control: {controller: rules}, drift: {enabled: false}, reference: {reference_c: 25}}"
+)
+
+
+@pytest.fixture(scope="module")
+def near(tmp_path_factory):
+    settings = settings_in(tmp_path_factory.mktemp("near"), config.parse(SETTINGS, "test"))
+    board = InProcessBoard(make_device(3))
+    return closed_loop(
+        settings, board, lambda: board.device.plant.truth(board.device.now_ms), LENGTH_S, board.open
+    )
+
+
+def test_the_board_in_this_process_is_the_one_behind_a_line(near, tmp_path):
+    settings = settings_in(tmp_path, config.parse(SETTINGS, "test"))
+    with virtual_rig(tmp_path, 3) as rig:
+        clock = SimClock(rig.control)
+        try:
+            far = closed_loop(settings, clock, lambda: clock.truth()["chamber"], LENGTH_S)
+        finally:
+            clock.close()
+    for name in near.columns.keys() - {"solve_ms"}:
+        np.testing.assert_array_equal(near.columns[name], far.columns[name], err_msg=name)
+    assert near.changes == far.changes
+
+
+def test_a_run_has_a_row_for_every_minute(near):
+    assert len(near.columns["time_s"]) == LENGTH_S / 60.0
+    assert near.columns["heater_duty"].max() == 1.0
+    assert near.instead == {}
+
+
+def test_a_kept_run_comes_back(near, tmp_path):
+    job = Job(entries()["rules"], "tuning_1", 101)
+    keep(job, near, tmp_path)
+    back = read(job, tmp_path)
+    np.testing.assert_array_equal(back.columns["true_air_c"], near.columns["true_air_c"])
+    assert (back.changes, back.instead, back.tokens) == (near.changes, near.instead, near.tokens)
+
+
+def test_a_kept_run_with_other_settings_is_another_run(near, tmp_path):
+    job = Job(entries()["MPC"], "tuning_1", 101)
+    keep(job, near, tmp_path)
+    other = replace(job, entry=replace(job.entry, control={"horizon": 5}))
+    assert is_kept(job, tmp_path)
+    assert not is_kept(other, tmp_path)
+    with pytest.raises(DataError, match="tuning_1"):
+        read(other, tmp_path)
+
+
+def test_a_run_of_another_policy_is_another_run(tmp_path, monkeypatch):
+    for name in ("rl-off", "rl-off-p"):
+        (tmp_path / f"{name}.onnx").write_bytes(b"first")
+    monkeypatch.setattr(control_job, "PACKAGED_FOLDER", tmp_path)
+    job, other = (Job(entries()[name], "tuning_1", 101) for name in ("RL-Off", "RL-Off-P"))
+    before = job.sha256(), other.sha256()
+    (tmp_path / "rl-off.onnx").write_bytes(b"second")
+    assert (job.sha256() != before[0], other.sha256() == before[1]) == (True, True)
+
+
+def test_what_is_kept_is_not_run_again(near, tmp_path, monkeypatch):
+    job = Job(entries()["rules"], "tuning_1", 101)
+    keep(job, near, tmp_path)
+    monkeypatch.setattr(runner.subprocess, "Popen", lambda *words, **more: pytest.fail("it was run"))
+    runner.run_all([job], tmp_path, workers=1)
+
+
+def test_a_run_that_fails_says_why(tmp_path):
+    with pytest.raises(Exception, match="no_such_reference"):
+        runner.run_all([Job(entries()["rules"], "no_such_reference", 1)], tmp_path, workers=1)
+
+
+def test_a_comparison_that_is_ended_leaves_no_run_behind(tmp_path):
+    words = ["compare", "--controllers", "rules", "--references", "tuning_2", "--seeds", "101"]
+    folders = [word for name in ("runs", "results", "images") for word in (f"--{name}", str(tmp_path / name))]
+    with subprocess.Popen([sys.executable, "-m", "training", *words, *folders]) as comparison:
+        give_up_s = time.monotonic() + 60.0
+        while not (started := _children(comparison.pid)) and time.monotonic() < give_up_s:
+            time.sleep(0.05)
+        comparison.terminate()
+        assert comparison.wait(20.0) == 130
+    assert len(started) == 1
+    assert not Path(f"/proc/{started[0]}").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_the_middle_of_a_start_leaves_no_run_behind(number, tmp_path, monkeypatch):
+    started = []
+
+    def popen(words, **more):
+        started.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], **more))
+        os.kill(os.getpid(), number)
+        return started[0]
+
+    monkeypatch.setattr(runner, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3, PIPE=-1))
+    handler = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt):
+        runner.run_all([Job(entries()["rules"], "tuning_1", 101)], tmp_path, workers=1)
+    assert started[0].returncode == -signal.SIGTERM
+    assert signal.getsignal(number) is handler
+    assert started[0].stderr.closed
+
+
+def _children(pid: int) -> list[int]:
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_the_twins_controller_runs_with_the_diagnosed_twin(tmp_path, monkeypatch):
+    """A quarter of an hour of the whole daemon with a signed bundle of its own."""
+    monkeypatch.setattr("training.control.job.FOLDER", tmp_path)
+    (tmp_path / "short.csv").write_text("time_s,reference_c\n0,24\n900,24\n")
+    log = run(Job(entries()["MPC-Twin-P"], "short", 101))
+    assert log.instead == {}
+    assert abs(log.columns["sensor_air_c"][-1] + 0.4 - 24.0) < 0.7
+
+
+def test_a_variant_is_another_run_with_a_controller_of_its_own(tmp_path):
+    known = entries()
+    hashes = {Job(known[name], "reference_1", 1).sha256() for name in ("MPC-BFGS", "MPC-BFGS/unbounded")}
+    assert len(hashes) == 2
+    made = {
+        name: control_job._instead(Job(known[name], "reference_1", 1), tmp_path)
+        for name in ("MPC-BFGS", "MPC-BFGS/unbounded", "rules/tuned")
+    }
+    assert made["MPC-BFGS"] is None  # the daemon's own
+    cold = context(26.0, 27.0)
+    daemons = {name: make(name, Parts(ControlSettings(), read_arx())) for name in ("MPC-BFGS", "rules")}
+    assert made["MPC-BFGS/unbounded"].decide(cold).command != daemons["MPC-BFGS"].decide(cold).command
+    near = context(25.7, 26.0)
+    assert made["rules/tuned"].decide(near).command.heater_duty == 1.0
+    assert daemons["rules"].decide(near).command.heater_duty == 0.0
