@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from training.control.clairvoyant import KIND_K, WIDTH, best_plan
 from training.control.draw_references import FOLDER
-from training.control.job import Job, course_of, fresh_chamber
+from training.control.job import ComparisonJob, course_of, fresh_chamber
 from training.control.rig import entries
 from training.report_table import Table, as_text
 
@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=int, default=ALL_MIN, help="of the reference, from its start")
     told = parser.parse_args()
     rows = [
-        _row(Job(entries()[limit], reference, told.seed), told.minutes)
+        _row(ComparisonJob(entries()[limit], reference, told.seed), told.minutes)
         for reference in told.references
         for limit in told.limits
     ]
@@ -39,7 +39,7 @@ def main() -> None:
     )
 
 
-def _row(job: Job, minutes: int) -> tuple[str, ...]:
+def _row(job: ComparisonJob, minutes: int) -> tuple[str, ...]:
     course = course_of(job)
     assert course is not None
     course = replace(course, reference=course.reference[:minutes])

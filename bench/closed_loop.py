@@ -25,7 +25,7 @@ _NODE_BUDGET = 20_000
 
 
 @dataclass(slots=True)
-class Episode:
+class RecordedEpisode:
     """The box and what was recorded of it so far."""
 
     state: Floats  # air, cover [°C]
@@ -38,7 +38,7 @@ class Episode:
 class Policy(Protocol):
     """Chooses the command for the next step."""
 
-    def __call__(self, episode: Episode, reference: float) -> Command:
+    def __call__(self, episode: RecordedEpisode, reference: float) -> Command:
         """May note its forecast in the episode."""
         ...
 
@@ -46,7 +46,7 @@ class Policy(Protocol):
 def by_model(controller: Mpc | MpcBfgs) -> Policy:
     """A controller as the loop would ask it, with a disturbance estimate from its forecast errors."""
 
-    def policy(episode: Episode, reference: float) -> Command:
+    def policy(episode: RecordedEpisode, reference: float) -> Command:
         if episode.forecast is not None:
             episode.offset += OFFSET_GAIN * (episode.temps[-1] - episode.forecast)
         inputs = np.array(episode.inputs).reshape(-1, 2)
@@ -75,7 +75,7 @@ def policies(model: Arx, excess: Arx, horizon: int, weight: float) -> dict[str, 
 def closed_loop_cost(policy: Policy, weight: float, references: int, seed: int) -> float:
     """Cost of an episode of reference steps: the planner's own stage cost, with what the box really does."""
     box, rng = TwoNodeBox(), np.random.default_rng([seed, 7])
-    episode, cost = Episode(np.full(2, ROOM_C), [ROOM_C], []), 0.0
+    episode, cost = RecordedEpisode(np.full(2, ROOM_C), [ROOM_C], []), 0.0
     for reference in np.repeat(rng.uniform(*REFERENCES_C, size=references), STEPS_PER_REFERENCE):
         command = policy(episode, float(reference))
         duty, fan = command.heater_duty, float(command.fan_on)

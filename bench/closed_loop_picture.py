@@ -19,7 +19,7 @@ PLANS_AT_MIN = (-1, 3, 12, 24)  # after the change: plans that are shown
 AIR, REFERENCE, ROOM, PLAN = "#c0392b", "black", "#2874a6", "#1e8449"
 
 
-class Drawn(Protocol):
+class DayColumns(Protocol):
     """The columns of a day, and its plans."""
 
     @property
@@ -30,7 +30,7 @@ class Drawn(Protocol):
     def plans(self) -> Sequence[Sequence[float]]: ...
 
 
-def draw(day: Drawn, out: Path) -> None:
+def draw(day: DayColumns, out: Path) -> None:
     """Draw the day, and the plans around its largest step up and its largest step down."""
     import matplotlib
     from matplotlib.figure import Figure
@@ -49,19 +49,19 @@ def draw(day: Drawn, out: Path) -> None:
         figure.savefig(out, dpi=110)
 
 
-def _hours(day: Drawn) -> NDArray[np.float64]:
+def _hours(day: DayColumns) -> NDArray[np.float64]:
     time_s = day.columns["time_s"]
     return np.asarray((time_s - time_s[0]) / 3600.0)
 
 
-def _temperatures(axis: "Axes", day: Drawn, width: float) -> None:
+def _temperatures(axis: "Axes", day: DayColumns, width: float) -> None:
     hours, columns = _hours(day), day.columns
     axis.step(hours, columns["reference_c"], "--", where="post", color=REFERENCE, lw=1.6, label="reference")
     axis.plot(hours, columns["temp_air_c"], color=AIR, lw=width, label="air")
     axis.grid(alpha=0.3)
 
 
-def _day(axes: Mapping[str, "Axes"], day: Drawn) -> None:
+def _day(axes: Mapping[str, "Axes"], day: DayColumns) -> None:
     hours, columns = _hours(day), day.columns
     _temperatures(axes["day"], day, 1.3)
     axes["day"].plot(hours, columns["temp_ambient_c"], color=ROOM, lw=1.2, label="room")
@@ -82,7 +82,7 @@ def _day(axes: Mapping[str, "Axes"], day: Drawn) -> None:
         axes[name].tick_params(labelbottom=name == "heater")
 
 
-def _moment(axis: "Axes", day: Drawn, row: int, title: str) -> None:
+def _moment(axis: "Axes", day: DayColumns, row: int, title: str) -> None:
     """What was measured around a row, and what the controller expected at some of its steps."""
     hours, columns = _hours(day), day.columns
     step_h = float(np.median(np.diff(hours)))

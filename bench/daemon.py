@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.default_daemon import SETTINGS, Memory, cost, memory_of
+from bench.default_daemon import SETTINGS, ProcessMemory, cost, memory_of
 from bench.support.broker import Broker, wait_for
 from bench.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import virtual_board
@@ -40,9 +40,9 @@ PACKAGES = {
     "python, numpy": "import numpy",
     "python, scipy.optimize, sqlite_utils": "import scipy.optimize, sqlite_utils",
     "daemon's code, default bundle loaded": (
-        "import edge.app.daemon; from pathlib import Path; from edge.bundle.store import Store; "
+        "import edge.app.daemon; from pathlib import Path; from edge.bundle.store import BundleStore; "
         "from edge.bundle.predictors import loader; "
-        "kept = Store(Path('/nonexistent'), Path('/nonexistent'), loader(60.0)).load('packaged')"
+        "kept = BundleStore(Path('/nonexistent'), Path('/nonexistent'), loader(60.0)).load('packaged')"
     ),
 }
 
@@ -55,7 +55,7 @@ class Lateness:
     peer_ms: Sequence[float]
 
 
-def memory_with(imports: str) -> Memory:
+def memory_with(imports: str) -> ProcessMemory:
     """Of an interpreter that has imported this and does nothing."""
     program = f"{imports}\nprint(flush=True)\ninput()"
     with subprocess.Popen(

@@ -10,7 +10,7 @@ import argparse
 from edge.config.settings import LlmSettings
 from training.control.comparison import STAND_IN_MODEL
 from training.control.figures import decision_time
-from training.control.job import Job, run
+from training.control.job import ComparisonJob, run
 from training.control.rig import SPARING, entries
 from training.llm_stand_in.server import StandIn
 from training.report_table import Table, as_text
@@ -29,7 +29,7 @@ def main() -> None:
     with StandIn() as stand_in:
         llm = LlmSettings(url=stand_in.url, model=STAND_IN_MODEL)
         found = {
-            name: decision_time(run(Job(entries()[name], REFERENCE, SEED, llm)))
+            name: decision_time(run(ComparisonJob(entries()[name], REFERENCE, SEED, llm)))
             for name in dict.fromkeys((PEER, *names))
         }
     peer_ms = found[PEER].median_ms

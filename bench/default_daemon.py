@@ -36,7 +36,7 @@ control: {{controller: {controller}}}
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class ProcessMemory:
     """Memory of one process [MB]: resident, its share of shared pages, private alone, highest resident."""
 
     rss: float
@@ -49,14 +49,14 @@ class Memory:
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class DaemonCost:
     """Cost of one daemon.
 
     cpu_ms : CPU time of all threads per tick [ms]
     threads : alive at the end
     """
 
-    memory: Memory
+    memory: ProcessMemory
     cpu_ms: float
     threads: int
 
@@ -73,16 +73,16 @@ class TimedClock(SimClock):
         self.own_s += time.thread_time() - began
 
 
-def memory_of(pid: str) -> Memory:
+def memory_of(pid: str) -> ProcessMemory:
     """Read the kernel's sums over all mappings."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
     lines += [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if "VmHWM" in line]
     kb = {line.split(":")[0]: int(line.split()[1]) for line in lines}
     private = kb["Private_Clean"] + kb["Private_Dirty"]
-    return Memory(kb["Rss"] / 1024, kb["Pss"] / 1024, private / 1024, kb["VmHWM"] / 1024)
+    return ProcessMemory(kb["Rss"] / 1024, kb["Pss"] / 1024, private / 1024, kb["VmHWM"] / 1024)
 
 
-def cost(controller: str, broker_port: int, ticks: int, is_first_start: bool = False) -> Cost:
+def cost(controller: str, broker_port: int, ticks: int, is_first_start: bool = False) -> DaemonCost:
     """Run a daemon for `ticks` after its warm-up, and return what it took.
 
     is_first_start : the daemon makes its history; else there is an empty one, as after a restart
@@ -93,14 +93,14 @@ def cost(controller: str, broker_port: int, ticks: int, is_first_start: bool = F
         options = [controller, folder, str(broker_port), str(ticks)]
         program = [sys.executable, "-m", "bench.default_daemon", *options]
         found = json.loads(subprocess.run(program, stdout=subprocess.PIPE, check=True).stdout)
-    return Cost(Memory(**found.pop("memory")), **found)
+    return DaemonCost(ProcessMemory(**found.pop("memory")), **found)
 
 
 def measured_here(controller: str, folder: Path, broker_port: int, ticks: int) -> dict[str, Any]:
-    """Run the daemon in this process and return its `Cost` as a dictionary."""
+    """Run the daemon in this process and return its `DaemonCost` as a dictionary."""
     settings = config.parse(SETTINGS.format(folder=folder, port=broker_port, controller=controller), "bench")
     began = ended = (0.0, 0.0)
-    memory, threads = Memory(0.0, 0.0, 0.0, 0.0), 0
+    memory, threads = ProcessMemory(0.0, 0.0, 0.0, 0.0), 0
     with closing(TimedClock(folder / "board.sock")) as clock:
 
         def look(record: TickRecord) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from bench.history_year import head
 from bench.support.simulated_runs import simulated
 from edge.app.nightly_diagnosis import ROWS_MAX
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.storage.file import connect
 from edge.twin.twin_file import read_twin_file
 
@@ -33,7 +33,7 @@ CASES = {  # name: stuck readings, effects that the twin lacks
 }
 
 
-def recorded(days: float, stuck: int, lacking: dict[str, dict[str, float]]) -> Run:
+def recorded(days: float, stuck: int, lacking: dict[str, dict[str, float]]) -> RecordedRun:
     """A run of 60 s steps."""
     own = read_twin_file(TWIN).effects.items()
     effects = {name: {key: value.value for key, value in values.items()} for name, values in own}
@@ -44,7 +44,7 @@ def recorded(days: float, stuck: int, lacking: dict[str, dict[str, float]]) -> R
     return run
 
 
-def write_history(path: Path, run: Run) -> None:
+def write_history(path: Path, run: RecordedRun) -> None:
     """The run as ticks of one session."""
     columns = {key: values.tolist() for key, values in run.columns.items()}
     seqs = range(1, len(run) + 1)

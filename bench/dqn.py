@@ -23,14 +23,14 @@ import numpy as np
 from torch import nn
 
 from edge.core.errors import DataError
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.reference import rk45_rollout
 from edge.twin.twin_file import read_twin_file
 from training.datasets import training_runs
 from training.models import NETWORK_FILE, TWIN_FILE
 from training.rl.boxes import START_ROWS, World
 from training.rl.command import POLICIES
-from training.rl.episodes import Drawn
+from training.rl.episodes import DrawnEpisodes
 from training.rl.kept import FOLDERS, WEIGHTS_FILE, read_record
 from training.rl.models import Floats, Indices, StepModel, TwinModel
 from training.rl.play import play
@@ -56,7 +56,7 @@ BARE = 100  # steps before the first update while a share of a training is timed
 class Rk45Twin(TwinModel):
     """The twin as the paper solves it: box by box, with SciPy's defaults."""
 
-    def __init__(self, twin: Twin) -> None:
+    def __init__(self, twin: BoxTwin) -> None:
         super().__init__([twin], "rk45")
         self._twin = twin
 
@@ -79,7 +79,7 @@ def paper_model() -> StepModel:
 
 def world(model: StepModel) -> World:
     """Where both ways learn."""
-    return World(model, Drawn(training_runs("interpolation"), START_ROWS), WEIGHTS[VARIANT])
+    return World(model, DrawnEpisodes(training_runs("interpolation"), START_ROWS), WEIGHTS[VARIANT])
 
 
 def steps_per_cpu_s(model: StepModel, settings: DqnSettings) -> float:

@@ -12,15 +12,15 @@ from statistics import median
 
 import numpy as np
 
-from bench.drift_box import UTC_0, Box, Chances, heat_for, switching, ticks, with_fan
+from bench.drift_box import UTC_0, Chances, DriftBox, heat_for, switching, ticks, with_fan
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.core.predictor import Floats
 from edge.drift import evidence, noise
 from edge.drift.evidence import Evidence
 from edge.drift.monitor import DriftMonitor, Promise
-from edge.drift.regimes import CELLS, Situation, situation
+from edge.drift.regimes import CELLS, StepSituation, situation
 from edge.models.pbm import read_twin
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 STEP_S = 60.0
 TICKS_A_DAY = 1440
@@ -79,7 +79,7 @@ def simulate(
     learn = round(promise.learn_h * 3600.0 / STEP_S)
     seen, sums = Evidence.none(0.0, (paths,)), noise.nothing_learnt((paths,))
     weights = [noise.cautious((paths,))] * CELLS
-    past, slow = noise.Past(np.zeros(paths), np.zeros(paths)), np.zeros(paths)
+    past, slow = noise.InnovationPast(np.zeros(paths), np.zeros(paths)), np.zeros(paths)
     count, first, change = 0, np.full(paths, np.nan), np.full(paths, np.nan)
     for k, now in enumerate(_situations(round(days * TICKS_A_DAY), seed)):
         slow = colour.phi * slow + np.sqrt(1.0 - colour.phi**2) * _drawn(random, colour.degrees, paths)
@@ -101,7 +101,7 @@ def simulate(
     return Alarms(count, first[np.isfinite(first)], change[np.isfinite(first)])
 
 
-def _situations(count: int, seed: int) -> Iterator[Situation]:
+def _situations(count: int, seed: int) -> Iterator[StepSituation]:
     inputs = switching(count + 1, seed)
     duty, fan = np.array([item.duty for item in inputs]), np.array([item.fan for item in inputs])
     temp = np.empty(count + 1)
@@ -134,10 +134,12 @@ def false_alarms(paths: int, days: float, promise: Promise) -> None:
         )
 
 
-def first_alarm(change: Box, believed: Twin, promise: Promise, heat_w: float, seed: int) -> Alarm | None:
+def first_alarm(
+    change: DriftBox, believed: BoxTwin, promise: Promise, heat_w: float, seed: int
+) -> Alarm | None:
     """Of one box that changes after CHANGE_H and is then watched for a day."""
     begin = round(CHANGE_H * 3600.0 / STEP_S)
-    same = Box(believed)
+    same = DriftBox(believed)
     told = ticks(
         DriftMonitor(promise),
         believed,
@@ -156,11 +158,11 @@ def delays(boxes: int, promise: Promise) -> None:
     """A row for each change, and for none."""
     twin = read_twin(PACKAGED_FOLDER / "twin.yaml").twin
     changes = {
-        "none": Box(twin),
-        "heat that lifts the resting box by 0.5 K": Box(twin, heat_w=heat_for(twin, 0.5)),
-        "heat that lifts it by 1 K": Box(twin, heat_w=heat_for(twin, 1.0)),
-        "heat that lifts it by 2 K": Box(twin, heat_w=heat_for(twin, 2.0)),
-        "fan at half its effect": Box(with_fan(twin, 0.5)),
+        "none": DriftBox(twin),
+        "heat that lifts the resting box by 0.5 K": DriftBox(twin, heat_w=heat_for(twin, 0.5)),
+        "heat that lifts it by 1 K": DriftBox(twin, heat_w=heat_for(twin, 1.0)),
+        "heat that lifts it by 2 K": DriftBox(twin, heat_w=heat_for(twin, 2.0)),
+        "fan at half its effect": DriftBox(with_fan(twin, 0.5)),
     }
     print(
         "\n| change | heat noise | told in a day | after, median [min] | begin off by, median [min] | where |"

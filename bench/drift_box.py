@@ -8,7 +8,7 @@ import numpy as np
 from edge.core.messages import Drift
 from edge.core.predictor import Floats
 from edge.drift.monitor import DriftMonitor
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
 
 ROWS = 120  # of the history that a monitor sees, as the estimator's
@@ -26,14 +26,14 @@ class Chances:
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
+class TickInputs:
     """One tick's."""
 
     duty: float
     fan: float
 
 
-def switching(ticks: int, seed: int) -> list[Inputs]:
+def switching(ticks: int, seed: int) -> list[TickInputs]:
     """Heater and fan as a thermostat might drive them: each stays a while, then changes."""
     random = np.random.default_rng(seed)
     found, duty, fan = [], 0.3, 0.0
@@ -42,24 +42,24 @@ def switching(ticks: int, seed: int) -> list[Inputs]:
             duty = float(random.choice([0.0, 0.0, 0.2, 0.4, 0.7]))
         if random.random() < 1.0 / 15.0:
             fan = 1.0 - fan
-        found.append(Inputs(duty, fan))
+        found.append(TickInputs(duty, fan))
     return found
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class DriftBox:
     """What is really there at a tick: the physics, further heat [W], and the sensor's bias [K]."""
 
-    twin: Twin
+    twin: BoxTwin
     heat_w: float = 0.0
     bias_k: float = 0.0
 
 
 def ticks(
     monitor: DriftMonitor,
-    believed: Twin,
-    box: Callable[[int], Box],
-    inputs: list[Inputs],
+    believed: BoxTwin,
+    box: Callable[[int], DriftBox],
+    inputs: list[TickInputs],
     seed: int = 0,
     chances: Chances = Chances(),
     columns: Callable[[dict[str, Floats], int], None] = lambda rows, k: None,
@@ -87,21 +87,21 @@ def ticks(
         state = here.twin.advance(state, ROOM_C, inputs[k].duty, inputs[k].fan, source)
 
 
-def with_fan(twin: Twin, share: float) -> Twin:
+def with_fan(twin: BoxTwin, share: float) -> BoxTwin:
     """The same box with a fan that moves so much of the air it moved."""
     effects = {name: dict(values) for name, values in twin.effects.items()}
     effects["fan_effectiveness"]["eps_f"] *= share
     return replace(twin, effects=effects)
 
 
-def heat_for(twin: Twin, lift_k: float) -> float:
+def heat_for(twin: BoxTwin, lift_k: float) -> float:
     """Constant heat into the air that moves the resting box by `lift_k` while the fan is off [W]."""
     effects = twin.effects["wall_mass"]
     loss_w_k = 1.0 / (1.0 / effects["G_in"] + 1.0 / effects["G_out"])
     return loss_w_k * lift_k
 
 
-def _rows(inputs: list[Inputs], step_s: float) -> dict[str, Floats]:
+def _rows(inputs: list[TickInputs], step_s: float) -> dict[str, Floats]:
     count = len(inputs)
     time_s = step_s * np.arange(count)
     return {

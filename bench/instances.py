@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.two_node_box import TwoNodeBox
-from edge.controllers.mixed_integer.problem import Problem
+from edge.controllers.mixed_integer.problem import PlanningProblem
 from edge.controllers.mpc import planning_problem
-from edge.core.controller import Context, Limits
+from edge.core.controller import Context, ControlLimits
 from edge.core.messages import Command, Estimate
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models.arx import Arx, FanInput
-from edge.models.fit_arx import Fit, fit_arx
+from edge.models.fit_arx import ArxFit, fit_arx
 
 Floats = NDArray[np.float64]
 STEP_S = 60.0
@@ -42,7 +42,7 @@ def drive(box: TwoNodeBox, inputs: Floats, room: float) -> tuple[Floats, Floats]
     return temps, state
 
 
-def fitted_model(seed: int, fan_input: FanInput = "on") -> Fit:
+def fitted_model(seed: int, fan_input: FanInput = "on") -> ArxFit:
     """The ARX model of order 3, ambient as an input."""
     rng, box = np.random.default_rng(seed), TwoNodeBox()
     runs = []
@@ -58,11 +58,11 @@ def fitted_model(seed: int, fan_input: FanInput = "on") -> Fit:
             "heater_duty": inputs[:, 0],
             "fan_on": inputs[:, 1],
         }
-        runs.append(Run(columns))
+        runs.append(RecordedRun(columns))
     return fit_arx(runs[:12], runs[12:], STEP_S, [(3, 3)], fan_input)
 
 
-def instances(model: Arx, count: int, horizon: int, weight: float, seed: int) -> Iterator[Problem]:
+def instances(model: Arx, count: int, horizon: int, weight: float, seed: int) -> Iterator[PlanningProblem]:
     """Problems as they come up: an hour of random inputs, then any reference; the same for every horizon."""
     box = TwoNodeBox()
     for number in range(count):
@@ -88,4 +88,4 @@ def box_context(
         "fan_on": np.append(inputs[:, 1], np.nan),
     }
     estimate = Estimate(float(temps[-1]), 0.0, offset, None, room, now_s)
-    return Context(now_s, now_s, STEP_S, history, estimate, np.full(60, reference), last, Limits())
+    return Context(now_s, now_s, STEP_S, history, estimate, np.full(60, reference), last, ControlLimits())

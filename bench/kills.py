@@ -26,7 +26,7 @@ from typing import Any
 
 import yaml
 
-from bench.attack.part import Found
+from bench.attack.part import TrialResult
 from bench.support.broker import MOSQUITTO, Broker, Listener, wait_for
 from bench.support.virtual_board import VirtualBoard, die_with_parent, virtual_board
 from edge.app.daemon import Daemon
@@ -53,7 +53,7 @@ PINS = ("heater_relay", "fan", "led", "valve")
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class KillPlan:
     """One kill, as its seed has drawn it. Times in s, `_real` in our time, else simulated."""
 
     order: str  # "emergency_stop" or "maintenance"
@@ -66,13 +66,13 @@ class Plan:
     again_after_real_s: float | None  # a second kill, during the start
 
 
-def plan(random_: random.Random, doors: Sequence[str]) -> Plan:
+def plan(random_: random.Random, doors: Sequence[str]) -> KillPlan:
     """Draw one kill."""
 
     def chance(of: str) -> bool:
         return random_.random() < SHARES[of]
 
-    return Plan(
+    return KillPlan(
         order=random_.choice(("emergency_stop", "maintenance")),
         door=random_.choice(doors),
         unplugged_s=random_.uniform(5.0, 40.0) if chance("unplugged") else 0.0,
@@ -144,7 +144,7 @@ def _live(config_file: Path, control: Path, fsync_real_s: float) -> None:
         daemon.run()
 
 
-class Rig:
+class KilledRig:
     """A virtual board and the daemon that is killed."""
 
     def __init__(self, folder: Path, board: VirtualBoard, listener: Listener | None, port: int) -> None:
@@ -222,7 +222,7 @@ def _configuration(folder: Path, port: int) -> dict[str, Any]:
 
 
 @contextmanager
-def rig_in(folder: Path, core: str) -> Iterator[Rig]:
+def rig_in(folder: Path, core: str) -> Iterator[KilledRig]:
     """A running board and a broker where mosquitto is installed; no daemon yet."""
     with ExitStack() as stack:
         options = ("--core", core, "--fan-safe-on", "--with", "heater_cutoff")
@@ -232,12 +232,12 @@ def rig_in(folder: Path, core: str) -> Iterator[Rig]:
             broker = stack.enter_context(Broker(folder))
             port = broker.port
             listener = stack.enter_context(Listener(port, f"{RIG}/+"))
-        rig = Rig(folder, board, listener, port)
+        rig = KilledRig(folder, board, listener, port)
         stack.callback(rig.close)
         yield rig
 
 
-def one_kill(rig: Rig, drawn: Plan) -> list[str]:
+def one_kill(rig: KilledRig, drawn: KillPlan) -> list[str]:
     """Carry out one kill with a daemon whose actuators move; the violations."""
     still_from = _stop(rig, drawn)
     if isinstance(still_from, str):
@@ -263,7 +263,7 @@ def one_kill(rig: Rig, drawn: Plan) -> list[str]:
     return found + _release(rig, drawn)
 
 
-def _stop(rig: Rig, drawn: Plan) -> dict[str, float] | str:
+def _stop(rig: KilledRig, drawn: KillPlan) -> dict[str, float] | str:
     """Give the order; from when on each pin must be off [simulated s], or why it was not acknowledged."""
     unplugged_at_s = _now(rig)
     if drawn.unplugged_s:
@@ -284,7 +284,7 @@ def _request(order: str) -> dict[str, Any]:
     return {"do": order, "minutes": 600} if order == "maintenance" else {"do": order}
 
 
-def _release(rig: Rig, drawn: Plan) -> list[str]:
+def _release(rig: KilledRig, drawn: KillPlan) -> list[str]:
     """End the stop; now the actuators must move again."""
     before = _now(rig)
     if drawn.order == "maintenance":
@@ -300,27 +300,27 @@ def _release(rig: Rig, drawn: Plan) -> list[str]:
     return []
 
 
-def _resting(rig: Rig, since_s: float) -> list[str]:
+def _resting(rig: KilledRig, since_s: float) -> list[str]:
     last = rig.board.truth()["last_on_s"]
     return [pin for pin in PINS if pin != "valve" and not (last[pin] or 0.0) > since_s]
 
 
-def _moved(rig: Rig, still_from: Mapping[str, float]) -> list[str]:
+def _moved(rig: KilledRig, still_from: Mapping[str, float]) -> list[str]:
     last = rig.board.truth()["last_on_s"]
     late = {pin: (last[pin] or 0.0) - still_from[pin] for pin in PINS}
     return [f"{pin} on {late_s:.1f} s after it had to be off" for pin, late_s in late.items() if late_s > 0.0]
 
 
-def _now(rig: Rig) -> float:
+def _now(rig: KilledRig) -> float:
     return float(rig.board.truth()["time_s"])
 
 
-def _advance(rig: Rig, duration_s: float) -> None:
+def _advance(rig: KilledRig, duration_s: float) -> None:
     """Let time pass for a board without a host."""
     rig.board.ask(advance_to_s=_now(rig) + duration_s)
 
 
-def trials(seed: int, count: int, core: str = "python") -> Iterator[tuple[Plan, Found]]:
+def trials(seed: int, count: int, core: str = "python") -> Iterator[tuple[KillPlan, TrialResult]]:
     """Each kill with what was wrong after it; all in one rig."""
     with tempfile.TemporaryDirectory(prefix="gh-kills-") as name, rig_in(Path(name), core) as rig:
         rig.restart()
@@ -328,10 +328,10 @@ def trials(seed: int, count: int, core: str = "python") -> Iterator[tuple[Plan, 
         wait_for(lambda: not _resting(rig, 0.0), "the actuators move")
         for number in range(count):
             drawn = plan(random.Random(f"{seed}/{number}"), rig.doors)
-            yield drawn, Found(f"{seed}/{number}: {drawn}", 1, one_kill(rig, drawn))
+            yield drawn, TrialResult(f"{seed}/{number}: {drawn}", 1, one_kill(rig, drawn))
 
 
-def attack(seed: int, count: int) -> Iterator[Found]:
+def attack(seed: int, count: int) -> Iterator[TrialResult]:
     """The kills as a part of `python -m bench.attack`."""
     for _, found in trials(seed, count):
         yield found
@@ -357,7 +357,7 @@ def run(kills: int, seed: int, core: str, say: Callable[[str], None] = print) ->
     return violations
 
 
-def _kinds(drawn: Plan) -> list[tuple[str, str]]:
+def _kinds(drawn: KillPlan) -> list[tuple[str, str]]:
     return [
         ("order", drawn.order),
         ("door", drawn.door),

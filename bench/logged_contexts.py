@@ -40,7 +40,7 @@ def logged_contexts(controller: str, model: Predictor, seed: int, hours: float) 
         (folder / "chamber.yaml").write_text(CHAMBER_YAML)
         settings = settings_in(folder, config.parse(DAY_YAML, "logged_contexts"))
         settings = replace(settings, control=replace(settings.control, controller=controller))
-        logger = Logger(registry.make(controller, registry.Parts(settings.control, model)))
+        logger = Logger(registry.make(controller, registry.ControllerParts(settings.control, model)))
         with virtual_rig(folder, seed, ("--chamber", str(folder / "chamber.yaml"))) as rig:
             clock = SimClock(rig.control)
             try:

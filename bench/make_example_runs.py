@@ -50,7 +50,7 @@ UNSURE = {"fan_effectiveness": 0.02}  # relative standard deviation
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class ExampleRecording:
     """A run file: its length, and the seed of its profile and of its virtual board."""
 
     name: str
@@ -60,8 +60,8 @@ class Recording:
 
 
 RECORDINGS = (
-    *(Recording(f"train_{number}.csv", "train", 120, number) for number in range(1, 5)),
-    Recording("test_1.csv", "test", 150, 5),
+    *(ExampleRecording(f"train_{number}.csv", "train", 120, number) for number in range(1, 5)),
+    ExampleRecording("test_1.csv", "test", 150, 5),
 )
 
 
@@ -107,7 +107,7 @@ def _value(effect: str, value: float) -> object:
     return {"value": rounded, "rel_sd": UNSURE[effect]} if effect in UNSURE else rounded
 
 
-def _record(recording: Recording, chamber: Path, path: Path) -> None:
+def _record(recording: ExampleRecording, chamber: Path, path: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="greenhouse-example-") as temporary:
         profile, raw = Path(temporary) / "profile.csv", Path(temporary) / path.name
         write_table(profile, _profile(recording), {})
@@ -122,7 +122,7 @@ def _record(recording: Recording, chamber: Path, path: Path) -> None:
     write_run(replace(run, columns=columns, facts=facts), path)
 
 
-def _profile(recording: Recording) -> Mapping[str, np.ndarray]:
+def _profile(recording: ExampleRecording) -> Mapping[str, np.ndarray]:
     """A rest, so that all of the box is as warm as the room; then heater and fan switch at random."""
     random = np.random.default_rng(recording.seed)
     duty = _held(random, recording.minutes, (8, 25), (0.0, 0.15, 0.3, 0.45, 0.6))

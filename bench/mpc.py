@@ -20,7 +20,7 @@ import numpy as np
 from bench import closed_loop, peers
 from bench.instances import fitted_model, instances
 from bench.random_plants import random_problems, ranges
-from edge.controllers.mixed_integer.problem import Problem
+from edge.controllers.mixed_integer.problem import PlanningProblem
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 
@@ -28,30 +28,30 @@ HORIZONS = (5, 10, 20, 30)
 RANDOM_HORIZONS = (10, 20)
 _NO_BUDGET = 10**9  # here the time box alone ends a search
 _LONG_S = 2.0
-Method = Callable[[Problem], tuple[float, float, bool]]  # cost, lower bound, proven
+Method = Callable[[PlanningProblem], tuple[float, float, bool]]  # cost, lower bound, proven
 
 
 def ours(box_s: float) -> Method:
     """The planner of `MPC` inside a time box."""
 
-    def method(problem: Problem) -> tuple[float, float, bool]:
+    def method(problem: PlanningProblem) -> tuple[float, float, bool]:
         solution = solve(problem, _NO_BUDGET, TimeBox(box_s, wall_s=np.inf))
         return solution.plan.cost, solution.bound, solution.proven
 
     return method
 
 
-def peer(answer: Callable[[Problem], peers.Answer]) -> Method:
+def peer(answer: Callable[[PlanningProblem], peers.Answer]) -> Method:
     """A peer; its plan is priced by the same function as ours."""
 
-    def method(problem: Problem) -> tuple[float, float, bool]:
+    def method(problem: PlanningProblem) -> tuple[float, float, bool]:
         levels, fan, proven = answer(problem)
         return float(problem.cost(levels, fan)), 0.0, proven
 
     return method
 
 
-def compare(problems: list[Problem], methods: dict[str, Method]) -> list[str]:
+def compare(problems: list[PlanningProblem], methods: dict[str, Method]) -> list[str]:
     """One line per method; says so when a bound lies above a known plan."""
     costs: dict[str, list[float]] = {}
     bounds: dict[str, list[float]] = {}
@@ -120,7 +120,7 @@ def one_plant(methods: dict[str, Method], options: argparse.Namespace) -> None:
     print_closed_loop(fit.model, excess.model, options.references, options.seed)
 
 
-def print_table(title: str, problems: list[Problem], methods: dict[str, Method]) -> None:
+def print_table(title: str, problems: list[PlanningProblem], methods: dict[str, Method]) -> None:
     """Print one comparison."""
     heads = f"{'cost':>10} {'proven%':>7} {'median ms':>9} {'p99 ms':>9} {'max ms':>9}"
     print(f"\n{title}\n{'':22} {heads}", flush=True)

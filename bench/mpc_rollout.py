@@ -36,7 +36,7 @@ from edge.core.predictor import Predictor
 from edge.models.arx import Arx
 from edge.models.arx_file import read_arx
 from edge.models.pbm import Pbm
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 _FOREVER_S = 1e9
 _MANY = 100  # times the rollouts
@@ -45,7 +45,7 @@ _BUDGETS = (100, 200, 400)
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class PlannerRow:
     """One way to plan, on all instances."""
 
     name: str
@@ -61,16 +61,16 @@ def predictors(arx: Arx) -> dict[str, Predictor]:
     if manifest.exists():
         found |= load_predictors(PACKAGED_FOLDER, parse_manifest(manifest.read_bytes()), arx.step_s)
     for name in ("loss and capacity", "wall, lag, capacity"):
-        found[f"twin: {name}"] = Pbm(Twin(effects=TWINS[name]))
+        found[f"twin: {name}"] = Pbm(BoxTwin(effects=TWINS[name]))
     return found
 
 
-def rows(model: Predictor, arx: Arx, contexts: Sequence[Context], settings: MpcSettings) -> list[Row]:
+def rows(model: Predictor, arx: Arx, contexts: Sequence[Context], settings: MpcSettings) -> list[PlannerRow]:
     """The linear planner's plan applied to `model`, then searches of growing budget."""
     found = []
     for budget in (0, *_BUDGETS):
         controller = MpcRollout("MPC", model, arx, settings, budget)
-        row = Row("ARX-MPC's plan" if budget == 0 else f"search, {budget} rollouts", [], [], [])
+        row = PlannerRow("ARX-MPC's plan" if budget == 0 else f"search, {budget} rollouts", [], [], [])
         for context in contexts:
             controller.reset()  # each instance alone
             begun = time.process_time()
@@ -100,7 +100,7 @@ def best_known(model: Predictor, arx: Arx, context: Context, settings: MpcSettin
     return search.best.plan.cost
 
 
-def table(found: list[Row], known: Sequence[float]) -> list[str]:
+def table(found: list[PlannerRow], known: Sequence[float]) -> list[str]:
     """A line per row."""
     linear = np.array(found[0].costs)
     best = np.min([known, *(row.costs for row in found)], axis=0)

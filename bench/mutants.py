@@ -34,7 +34,7 @@ NOTICED, TIMED_OUT, SURVIVED = "noticed", "timed out", "survived"
 
 
 @dataclass(frozen=True, slots=True)
-class Mutant:
+class FileMutant:
     """One changed place of one file."""
 
     path: Path  # from the root of the tree
@@ -52,7 +52,7 @@ def module_files(package: str, root: Path) -> list[Path]:
     return [path.relative_to(root) for path in found]
 
 
-def mutants_of(path: Path, root: Path) -> Iterator[Mutant]:
+def mutants_of(path: Path, root: Path) -> Iterator[FileMutant]:
     """Every change of one file; decorators, annotations and formatted strings stay as they are."""
     source = (root / path).read_text(encoding="utf-8")
     tree = ast.parse(source)
@@ -64,7 +64,7 @@ def mutants_of(path: Path, root: Path) -> Iterator[Mutant]:
         for kind, changed in changes(node):
             is_default = kind == "constant" and id(node) in defaults
             text = _replaced(source, node, changed)
-            yield Mutant(path, "keyword default" if is_default else kind, node.lineno, text)
+            yield FileMutant(path, "keyword default" if is_default else kind, node.lineno, text)
 
 
 def _left_alone(tree: ast.AST) -> Iterator[int]:
@@ -154,13 +154,13 @@ def run_tests(tree: Path, tests: Sequence[Path], limit_s: float | None = None) -
     return SURVIVED if done.returncode == 0 else NOTICED, "\n".join(done.stdout.splitlines()[-15:])
 
 
-def draw(package: str, seed: int, count: int, root: Path) -> tuple[int, list[Mutant]]:
+def draw(package: str, seed: int, count: int, root: Path) -> tuple[int, list[FileMutant]]:
     """How many changes there are, and `count` of them by `seed`, each with equal chance."""
     everything = [mutant for path in module_files(package, root) for mutant in mutants_of(path, root)]
     return len(everything), random.Random(seed).sample(everything, min(count, len(everything)))
 
 
-def difference(mutant: Mutant, root: Path) -> str:
+def difference(mutant: FileMutant, root: Path) -> str:
     """The changed lines, with one line around them."""
     before = (root / mutant.path).read_text(encoding="utf-8").splitlines()
     lines = difflib.unified_diff(before, mutant.text.splitlines(), lineterm="", n=1)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Problem, lower_toeplitz
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, PlanningProblem, lower_toeplitz
 from edge.controllers.mpc_bfgs import rounded_bfgs
 from edge.core.names import HEATER_LEVELS
 
@@ -12,13 +12,13 @@ Answer = tuple[Ints, Ints, bool]  # heater levels, fan, proven optimal
 _REGULARISATION = 1e-6  # daqp needs a positive definite Hessian
 
 
-def scipy_bfgs(problem: Problem) -> Answer:
+def scipy_bfgs(problem: PlanningProblem) -> Answer:
     """Return the paper's plan: L-BFGS-B within the bounds, rounded."""
     levels, fan, _ = rounded_bfgs(problem)
     return levels, fan, False
 
 
-def daqp_rounded(problem: Problem, limit_s: float) -> Answer:
+def daqp_rounded(problem: PlanningProblem, limit_s: float) -> Answer:
     """daqp with a binary fan; its continuous heater is rounded to the grid."""
     import daqp
 
@@ -37,7 +37,7 @@ def daqp_rounded(problem: Problem, limit_s: float) -> Answer:
     return levels, np.rint(inputs[n:]).astype(np.int64), False
 
 
-def scip(problem: Problem, limit_s: float) -> Answer:
+def scip(problem: PlanningProblem, limit_s: float) -> Answer:
     """SCIP on the whole mixed-integer quadratic problem, heater levels as integers."""
     from pyscipopt import Model, quicksum
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import FanRules, Problem
+from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
 
 Floats = NDArray[np.float64]
 STEP_MIN = 1.0
@@ -29,13 +29,13 @@ def ranges() -> str:
     return "; ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in RANGES.items())
 
 
-def random_problems(count: int, horizon: int, weight: float, seed: int) -> Iterator[Problem]:
+def random_problems(count: int, horizon: int, weight: float, seed: int) -> Iterator[PlanningProblem]:
     """Draw `count` problems; the same plants and starts for every horizon and weight."""
     for number in range(count):
         yield _problem(np.random.default_rng([seed, number]), horizon, weight)
 
 
-def _problem(rng: np.random.Generator, horizon: int, weight: float) -> Problem:
+def _problem(rng: np.random.Generator, horizon: int, weight: float) -> PlanningProblem:
     """A heater that warms the air, each of first order; the fan cools the air linearly."""
     air_min, heater_min = (np.exp(rng.uniform(*np.log(RANGES[name]))) for name in list(RANGES)[:2])
     heater_late, fan_late = (int(rng.integers(low, high + 1)) for low, high in list(RANGES.values())[2:4])
@@ -46,7 +46,7 @@ def _problem(rng: np.random.Generator, horizon: int, weight: float) -> Problem:
     pulse = heater_min / (heater_min - air_min) * (by_heater - by_air)
     step = 1.0 - (air_min * by_air - heater_min * by_heater) / (air_min - heater_min)
     free = room + rise * (above * by_air + stored * pulse)
-    return Problem(
+    return PlanningProblem(
         free=free[1:],
         heater=_late(rise * np.diff(step), heater_late),
         fan=_late(-fall * np.diff(1.0 - by_air), fan_late),

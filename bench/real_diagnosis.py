@@ -22,11 +22,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.real_diagnosis_logs import LOG_SETS, RULES, Logs, LogSet, Part, one_mass, read_logs, write_case
+from bench.real_diagnosis_logs import LOG_SETS, RULES, LogPart, Logs, LogSet, one_mass, read_logs, write_case
 from bench.real_diagnosis_plate import Heated, Plate, heated, plate_of
 from edge.core.errors import DataError
 from edge.diagnosis.diagnose import Diagnosis, Side, diagnose
-from edge.diagnosis.gap import Forecast, errors, forecast
+from edge.diagnosis.gap import RunForecast, errors, forecast
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun, read_runs
 from edge.twin.network import HEATER
 from edge.twin.twin_file import read_twin_file
@@ -45,7 +45,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class LogResult:
     """given : the one mass as it fits best; steps : the workflow's waterfall, its first the one mass again
 
     plate : None where the verdict could not be checked on one
@@ -63,14 +63,14 @@ class Result:
         return [after.text for before, after in pairs if after.test_k > before.test_k]
 
 
-def measured(folder: Path, log_set: LogSet, logs: Logs) -> Result:
+def measured(folder: Path, log_set: LogSet, logs: Logs) -> LogResult:
     """One case from files to figures. Errors: DataError"""
     train, test, twin = write_case(folder, log_set, logs)
     file = read_twin_file(twin)
     data = read_runs(train, test, file)
     found = diagnose(file, data, lambda _, __: None, "")
     steps = tuple(_step(names, side) for names, side in found.steps)
-    return Result(found, _given(log_set, data), steps, _plate(found, logs, log_set))
+    return LogResult(found, _given(log_set, data), steps, _plate(found, logs, log_set))
 
 
 def _given(log_set: LogSet, data: DiagnosisRuns) -> Step:
@@ -78,7 +78,7 @@ def _given(log_set: LogSet, data: DiagnosisRuns) -> Step:
     fit = one_mass(log_set, [named.run for named in data.train])
     twin, room = fit.file.twin(), fit.ambient_c.value if fit.ambient_c else np.nan
 
-    def free(runs: Sequence[NamedRun]) -> list[Forecast]:
+    def free(runs: Sequence[NamedRun]) -> list[RunForecast]:
         return [forecast(twin, named, np.full(len(named.run), room)) for named in runs]
 
     return Step("one mass, least squares over free runs", _rmse(free(data.train)), _rmse(free(data.test)))
@@ -89,7 +89,7 @@ def _step(names: tuple[str, ...], side: Side) -> Step:
     return Step(text, _rmse(side.train), _rmse(side.test))
 
 
-def _rmse(free: Sequence[Forecast]) -> float:
+def _rmse(free: Sequence[RunForecast]) -> float:
     found = errors(free)
     return float("nan") if found is None else float(found["rmse_k"])
 
@@ -107,7 +107,11 @@ def _plate(found: Diagnosis, logs: Logs, log_set: LogSet) -> Plate | None:
 
 
 def _heated(
-    found: Diagnosis, runs: Sequence[NamedRun], free: Sequence[Forecast], parts: Sequence[Part], plate: str
+    found: Diagnosis,
+    runs: Sequence[NamedRun],
+    free: Sequence[RunForecast],
+    parts: Sequence[LogPart],
+    plate: str,
 ) -> list[Heated]:
     twin = found.after.file.twin()
     return [
@@ -118,7 +122,7 @@ def _heated(
     ]
 
 
-def lines_of(folder: str, rule: str, logs: Logs, result: Result) -> list[str]:
+def lines_of(folder: str, rule: str, logs: Logs, result: LogResult) -> list[str]:
     """The table of a case."""
     verdict = result.diagnosis.verdict
     what = "parts" if logs.train is logs.test else "runs"

@@ -7,9 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from edge.core.errors import DataError
-from edge.formats.run_file import OPTION_WITHOUT, Run, absence_facts, cut, read_run, resample, write_run
+from edge.formats.run_file import (
+    OPTION_WITHOUT,
+    RecordedRun,
+    absence_facts,
+    cut,
+    read_run,
+    resample,
+    write_run,
+)
 from edge.twin.effects.library import EFFECTS
-from edge.twin.fit import Fit, fit_twin
+from edge.twin.fit import TwinFit, fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from edge.twin.value import Value
 
@@ -21,14 +29,14 @@ TOLD = ("time_s", "temp_air_c", "heater_duty")  # the plate's and the second hea
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class LogPart:
     """A recording with all that was measured.
 
     name : of its run file; judged_from_s : what is before trains, the rest is held out [s]; None: it is whole
     """
 
     name: str
-    run: Run
+    run: RecordedRun
     judged_from_s: float | None = None
 
 
@@ -36,11 +44,11 @@ class Part:
 class Logs:
     """train, test : recordings; the same ones where each is divided"""
 
-    train: tuple[Part, ...]
-    test: tuple[Part, ...]
+    train: tuple[LogPart, ...]
+    test: tuple[LogPart, ...]
 
 
-Rule = Callable[[Sequence[tuple[str, Run]]], Logs]
+Rule = Callable[[Sequence[tuple[str, RecordedRun]]], Logs]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,18 +76,18 @@ LOG_SETS = {
 }
 
 
-def first_part(runs: Sequence[tuple[str, Run]]) -> Logs:
+def first_part(runs: Sequence[tuple[str, RecordedRun]]) -> Logs:
     """The first FIRST_SHARE of the rows of each run trains, the rest is held out."""
     parts = tuple(
-        Part(f"{name}.csv", run, float(run.columns["time_s"][round(FIRST_SHARE * len(run))]))
+        LogPart(f"{name}.csv", run, float(run.columns["time_s"][round(FIRST_SHARE * len(run))]))
         for name, run in runs
     )
     return Logs(parts, parts)
 
 
-def first_runs(runs: Sequence[tuple[str, Run]]) -> Logs:
+def first_runs(runs: Sequence[tuple[str, RecordedRun]]) -> Logs:
     """The first FIRST_RUNS by name, which begins with the date, train; later ones are held out."""
-    parts = [Part(f"{name}.csv", run) for name, run in runs]
+    parts = [LogPart(f"{name}.csv", run) for name, run in runs]
     return Logs(tuple(parts[:FIRST_RUNS]), tuple(parts[FIRST_RUNS:]))
 
 
@@ -111,14 +119,14 @@ def write_case(folder: Path, log_set: LogSet, logs: Logs) -> tuple[list[Path], l
     return train, test, twin
 
 
-def _until(part: Part) -> Run:
+def _until(part: LogPart) -> RecordedRun:
     """What of a recording trains."""
     if part.judged_from_s is None:
         return part.run
     return cut(part.run, 0, int((part.run.columns["time_s"] < part.judged_from_s).sum()))
 
 
-def _written(folder: Path, parts: Sequence[Part], role: str) -> list[Path]:
+def _written(folder: Path, parts: Sequence[LogPart], role: str) -> list[Path]:
     paths = []
     for part in parts:
         columns = {name: part.run.columns[name] for name in TOLD}
@@ -130,7 +138,7 @@ def _written(folder: Path, parts: Sequence[Part], role: str) -> list[Path]:
     return paths
 
 
-def one_mass(log_set: LogSet, runs: Sequence[Run]) -> Fit:
+def one_mass(log_set: LogSet, runs: Sequence[RecordedRun]) -> TwinFit:
     """The twin that loses heat and has one mass, by least squares over its free runs, with one room.
 
     There is no fan: that of heated_box stirs the air inside and never stops, tclab has none.
@@ -145,7 +153,7 @@ def one_mass(log_set: LogSet, runs: Sequence[Run]) -> Fit:
     )
 
 
-def given_twin(log_set: LogSet, runs: Sequence[Run]) -> TwinFile:
+def given_twin(log_set: LogSet, runs: Sequence[RecordedRun]) -> TwinFile:
     """The one mass, its two values still to be fitted, from where it fits best."""
     file = one_mass(log_set, runs).file
     values = {

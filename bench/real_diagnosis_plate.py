@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.gap import Forecast
-from edge.twin.model import Twin
+from edge.diagnosis.gap import RunForecast
+from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
-from edge.twin.warm_start import Past, state_now
+from edge.twin.warm_start import PastColumns, state_now
 
 Floats = NDArray[np.float64]
 
@@ -36,12 +36,12 @@ class Plate(NamedTuple):
     explained: float
 
 
-def heated(twin: Twin, free: Forecast, duty: Floats, room_c: Floats, plate_c: Floats) -> Heated:
+def heated(twin: BoxTwin, free: RunForecast, duty: Floats, room_c: Floats, plate_c: Floats) -> Heated:
     """The states of a free run, fan off. duty, room_c, plate_c : [rows] of its run"""
     start, heater = free.start, twin.states.index(HEATER)
     plate_c, duty = plate_c[: len(free.measured)], duty[: len(free.measured)]
     off = np.zeros(start + 1)
-    known = Past(free.measured[: start + 1], room_c[: start + 1], duty[: start + 1], off)
+    known = PastColumns(free.measured[: start + 1], room_c[: start + 1], duty[: start + 1], off)
     state = state_now(twin, known)
     states = []
     for k in range(start, len(duty) - 1):

@@ -16,7 +16,7 @@ import numpy as np
 from edge.app.replay import Series, decisions_digest, replay, score
 from edge.commands.replay import settings_for, skill_table
 from edge.core.messages import TickRecord
-from edge.formats.run_file import OPTION_WITHOUT, Run, read_run
+from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, read_run
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx
 
@@ -27,7 +27,7 @@ TRAINING, VALIDATION = 5, 3  # runs in the order of their dates; the rest is onl
 SOURCE = "ESPerimentino PID, repository grobx/unimi-embedded-project, CC BY 4.0"
 
 
-def split(paths: Sequence[Path]) -> tuple[list[Run], list[Run], list[Run]]:
+def split(paths: Sequence[Path]) -> tuple[list[RecordedRun], list[RecordedRun], list[RecordedRun]]:
     """Training, validation and test runs, by date: what comes later is not known when a model is fitted."""
     runs = [read_run(path, OPTION_WITHOUT) for path in sorted(paths)]
     end = TRAINING + VALIDATION
@@ -66,7 +66,7 @@ def main() -> None:
     draw(replays[0], model, test[0], arguments.images / "real_logs.png")
 
 
-def draw(records: Sequence[TickRecord], model: Arx, run: Run, path: Path) -> None:
+def draw(records: Sequence[TickRecord], model: Arx, run: RecordedRun, path: Path) -> None:
     """Measured temperature with forecasts of 5 minutes from every third minute, and the inputs below."""
     from matplotlib.figure import Figure
 

@@ -22,7 +22,7 @@ import yaml
 
 from bench.hidden_effects.chamber_box import BASE, THIN_WALLS, Settings
 from bench.hidden_effects.chamber_calibration import calibrate
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan
+from bench.hidden_effects.chamber_runs import LEAD_ROWS, RunPlan
 from edge.formats.number_table import write_table
 from edge.tick.sensor_health import AVERAGE_S
 from edge.twin.twin_file import TwinFile, write_twin_file
@@ -35,7 +35,7 @@ Columns = tuple[np.ndarray[Any, np.dtype[np.float64]], np.ndarray[Any, np.dtype[
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class AliasCase:
     """A box, what of it the twin knows, and what the first runs do.
 
     box : settings of the chamber without what is hidden; hidden : the effect, and its settings
@@ -58,7 +58,7 @@ def _stairs(levels: Sequence[float], rows: int) -> np.ndarray[Any, np.dtype[np.f
 
 ELEMENT: Settings = {"effects.heater_lag": 1.0, "heater.capacity_j_k": 40.0}  # evens out the relay's windows
 _CASES = (
-    Case(
+    AliasCase(
         "a leak, in runs in which the fan never runs",
         ("longwave_radiation", "extra_capacity", "heater_lag"),
         {
@@ -73,7 +73,7 @@ _CASES = (
         (_stairs([0.1, 0.45, 0.0, 0.35, 0.6, 0.2], 25), np.zeros(150)),
         (1, 2, 3, 11),
     ),
-    Case(
+    AliasCase(
         "a heater that gives half its power at most, in runs that know one duty",
         ("wall_loss", "extra_capacity", "heater_lag"),
         {
@@ -89,10 +89,10 @@ _CASES = (
         (4, 5, 6, 12),
     ),
 )
-CASES: Mapping[str, Case] = {case.hidden: case for case in _CASES}
+CASES: Mapping[str, AliasCase] = {case.hidden: case for case in _CASES}
 
 
-def twin_of(case: Case, late_s: float = 0.0) -> TwinFile:
+def twin_of(case: AliasCase, late_s: float = 0.0) -> TwinFile:
     """What is known of the box, calibrated on quiet runs of one in which nothing is hidden.
 
     late_s : by which readings are older than the rows they stand in
@@ -109,12 +109,12 @@ def twin_of(case: Case, late_s: float = 0.0) -> TwinFile:
     )
 
 
-def quiet_plan(seed: int) -> Plan:
+def quiet_plan(seed: int) -> RunPlan:
     """Two hours in which heater and fan switch at random, to calibrate a twin on."""
     random = np.random.default_rng(seed)
     duty, fan = np.repeat(random.uniform(0.0, 0.7, 12), 10), np.repeat(random.integers(0, 2, 12), 10)
     before = np.zeros(LEAD_ROWS)
-    return Plan(
+    return RunPlan(
         np.concatenate([before, duty]),
         np.concatenate([before, fan.astype(np.float64)]),
         np.zeros(LEAD_ROWS + len(duty)),
@@ -135,7 +135,7 @@ def chamber_document(settings: Mapping[str, float]) -> dict[str, dict[str, float
     return document
 
 
-def resolve(case: Case, folder: Path) -> list[str]:
+def resolve(case: AliasCase, folder: Path) -> list[str]:
     """The whole chain; lines of the table."""
     twin, chamber = folder / "twin.yaml", folder / "chamber.yaml"
     write_twin_file(twin_of(case, AVERAGE_S / 2.0), twin)  # a reading is the mean of the seconds before it
@@ -195,7 +195,7 @@ def _told(when: str, found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _measured(case: Case, before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+def _measured(case: AliasCase, before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """Whether the class is resolved, to what."""
     names = [effect["name"] for effect in after["effects"]]
     left = [name for effect in after["effects"] for name in effect["alternatives"]]

@@ -22,16 +22,16 @@ import onnxruntime
 import torch
 
 from edge.core.predictor import Columns, Floats, Predictor
-from edge.formats.run_file import Run, inside_names
+from edge.formats.run_file import RecordedRun, inside_names
 from edge.models.arx_file import read_arx
 from edge.models.contract import keys
 from edge.models.pbm import Pbm
 from edge.models.validity import box_of
 from edge.twin.effects.library import EFFECTS
 from edge.twin.geometry import Geometry
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from training.datasets import training_runs
-from training.export import Facts, export
+from training.export import ExportFacts, export
 from training.ham import STEP_S, HamNet
 from training.ham_guarded import GuardedHamNet
 from training.lstm import WINDOW, LstmNet
@@ -50,7 +50,7 @@ def networks() -> dict[str, Network]:
     torch.manual_seed(0)
     mean, scale = torch.tensor([28.0, 22.0, 50.0, 0.009]), torch.tensor([4.0, 1.0, 30.0, 0.009])
     effects = {name: {item.name: item.start for item in EFFECTS[name].parameters} for name in FITTED.effects}
-    guarded = GuardedHamNet(TwinStep.of(Twin(effects=effects)))
+    guarded = GuardedHamNet(TwinStep.of(BoxTwin(effects=effects)))
     guarded.low.copy_(torch.tensor([20.0, 18.0, 0.0, 0.0]))
     guarded.high.copy_(torch.tensor([40.0, 26.0, 1.0, 1.0]))
     guarded.mean.copy_(torch.tensor([28.0, 22.0, 0.5, 0.5]))
@@ -61,17 +61,17 @@ def networks() -> dict[str, Network]:
     }
 
 
-def past_and_coming(run: Run) -> tuple[Columns, Columns]:
+def past_and_coming(run: RecordedRun) -> tuple[Columns, Columns]:
     """The first rows of a run as history, and the room temperature of the coming steps."""
     columns = inside_names(run)
     history = {name: values[:WINDOW] for name, values in columns.items()}
     return history, {"temp_ambient": columns["temp_ambient"][WINDOW - 1 : WINDOW - 1 + HORIZON]}
 
 
-def ways(network: Network, run: Run, folder: Path) -> dict[str, Way]:
+def ways(network: Network, run: RecordedRun, folder: Path) -> dict[str, Way]:
     """The three ways of one network, from the same rows of `run`."""
     history, ahead = past_and_coming(run)
-    facts = Facts("bench", 0, "", box_of([run.columns], keys("ham")), {}, _twin_sha256(network))
+    facts = ExportFacts("bench", 0, "", box_of([run.columns], keys("ham")), {}, _twin_sha256(network))
     graph = export(network, facts, run, folder / "model.onnx")
     eager = {LstmNet: LstmPredictor, HamNet: HamPredictor, GuardedHamNet: GuardedHamPredictor}[type(network)]
     stepped = _lstm_steps if isinstance(network, LstmNet) else _ham_steps

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from edge.twin.effects.library import Effects
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.reference import rk45_rollout
 from edge.twin.warm_start import at_rest
 
@@ -34,7 +34,7 @@ TWINS: dict[str, Effects] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TwinRow:
     """A twin's times for one step [us], and how far RK45's default tolerances are off [K]."""
 
     rk45_us: float
@@ -58,9 +58,9 @@ def least_s(call: Callable[[], object], repeats: int) -> float:
     return min(times)
 
 
-def measure(effects: Effects, repeats: int) -> Row:
+def measure(effects: Effects, repeats: int) -> TwinRow:
     """Time one twin."""
-    twin, random = Twin(effects=effects), np.random.default_rng(1)
+    twin, random = BoxTwin(effects=effects), np.random.default_rng(1)
     start = at_rest(twin, 24.0, AMBIENT_C)
     exact_us = []
     for batch in BATCHES:
@@ -76,7 +76,7 @@ def measure(effects: Effects, repeats: int) -> Row:
     default = rk45_rollout(twin, start, duty, fan, ambient)[:, 0]
     tight = rk45_rollout(twin, start, duty, fan, ambient, rtol=1e-10, atol=1e-10)[:, 0]
     seconds = least_s(lambda: rk45_rollout(twin, start, duty, fan, ambient), max(1, repeats // 10))
-    return Row(
+    return TwinRow(
         1e6 * seconds / RK45_STEPS,
         exact_us,
         float(np.abs(exact - tight).max()),

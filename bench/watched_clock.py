@@ -31,7 +31,7 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class TimedRequest:
     """A person's request over the control socket, and when."""
 
     at_s: float
@@ -45,10 +45,12 @@ class WatchedClock:
         self,
         board: SimClock,
         socket: Path,
-        orders: Sequence[Order],
+        orders: Sequence[TimedRequest],
         period_s: float = 1.0,
         on_look: Callable[[Look], None] = lambda look: None,
-        on_reply: Callable[[float, Order, Mapping[str, Any]], None] = lambda given_s, order, reply: None,
+        on_reply: Callable[[float, TimedRequest, Mapping[str, Any]], None] = lambda given_s, order, reply: (
+            None
+        ),
     ) -> None:
         self.looks: list[Look] = []
         self._on_look, self._on_reply = on_look, on_reply
@@ -79,13 +81,13 @@ class WatchedClock:
         if wake is not None and self._orders and self.now() >= self._orders[0].at_s:
             self._give(self._orders.pop(0), wake)
 
-    def _give(self, order: Order, wake: int) -> None:
+    def _give(self, order: TimedRequest, wake: int) -> None:
         """Simulated time stands still until the order is in the daemon's inbox."""
         threading.Thread(target=self._ask, args=(self.now(), order)).start()
         arrived, _, _ = select.select([wake], [], [], ARRIVAL_S)
         assert arrived, f"{order} did not reach the daemon"
 
-    def _ask(self, given_s: float, order: Order) -> None:
+    def _ask(self, given_s: float, order: TimedRequest) -> None:
         self.replies.append(request(self._socket, order.request))
         self._on_reply(given_s, order, self.replies[-1])
 

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 from edge.core.version import __version__
 
 if TYPE_CHECKING:
-    from edge.diagnosis.python import Found, Run, Twin, diagnose
+    from edge.diagnosis.python import DiagnosisResult, Run, Twin, diagnose
 
-__all__ = ["Found", "Run", "Twin", "__version__", "diagnose"]
+__all__ = ["DiagnosisResult", "Run", "Twin", "__version__", "diagnose"]
 
 
 def __getattr__(name: str) -> Any:

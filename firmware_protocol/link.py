@@ -15,7 +15,7 @@ from firmware_protocol.errors import DecodeError, LocalProtocolError
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.link_events import (
     BoardReset,
-    Echo,
+    LinkEcho,
     LinkEvent,
     LinkLost,
     LinkUp,
@@ -45,8 +45,17 @@ from firmware_protocol.messages import (
 )
 
 __all__ = [
-    "BoardReset", "Echo", "Link", "LinkEvent", "LinkLost", "LinkUp", "Nonsense", "Refused", "Report",
-    "RequestTimedOut", "VersionRefused",
+    "BoardReset",
+    "Link",
+    "LinkEcho",
+    "LinkEvent",
+    "LinkLost",
+    "LinkUp",
+    "Nonsense",
+    "Refused",
+    "Report",
+    "RequestTimedOut",
+    "VersionRefused",
 ]  # fmt: skip
 
 GREET_S = 1.0  # between two greetings
@@ -191,7 +200,7 @@ class Link:
             case Hello():
                 return self._take_hello(header, message, now)
             case StateEcho() if header.ack == 0:
-                return [Echo(message, None)]
+                return [LinkEcho(message, None)]
             case StateEcho() | ErrorMessage():
                 return self._take_answer(header, message, now)
         return []
@@ -242,7 +251,7 @@ class Link:
             self._send_waiting(now)
             return refused
         self._send_waiting(now)
-        return [Echo(answer, request.message)]
+        return [LinkEcho(answer, request.message)]
 
     def _stale(self) -> list[LinkEvent]:
         self._counts["stale"] += 1

@@ -42,7 +42,7 @@ class Report:
 
 
 @dataclass(frozen=True, slots=True)
-class Echo:
+class LinkEcho:
     """What the board drives; `request` is the one it answers, None when it was sent unasked."""
 
     state: StateEcho
@@ -72,5 +72,5 @@ class Nonsense:
 
 
 LinkEvent = (
-    LinkUp | LinkLost | BoardReset | VersionRefused | Report | Echo | Refused | RequestTimedOut | Nonsense
+    LinkUp | LinkLost | BoardReset | VersionRefused | Report | LinkEcho | Refused | RequestTimedOut | Nonsense
 )

@@ -20,10 +20,10 @@ CAN = CAN and subprocess.run([*ALONE, "true"], capture_output=True).returncode =
 LOAD = """
 import time
 from pathlib import Path
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 from edge.bundle.predictors import loader
 nowhere = Path("/nonexistent")
-models = Store(nowhere, nowhere, loader(60.0)).load("packaged")
+models = BundleStore(nowhere, nowhere, loader(60.0)).load("packaged")
 assert {"lstm", "ham"} <= set(models.predictors) and models.policies
 time.sleep(2.0)  # time for a thread in the background to look its server up
 """

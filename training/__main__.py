@@ -11,7 +11,7 @@ from edge.core.errors import GreenhouseError
 from training.rl import command as rl
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
-    from training.study import Job, Regime
+    from training.study import Regime, TrainingJob
 
 OUT = Path("out/training")
 LOGS = Path("out/tensorboard")
@@ -234,15 +234,15 @@ def _train(arguments: argparse.Namespace) -> int:
 
 def _jobs(
     families: Mapping[str, Sequence[str]], regimes: Sequence["Regime"], seeds: Sequence[int], options: str
-) -> Iterator["Job"]:
+) -> Iterator["TrainingJob"]:
     from training.models import SEEDED
-    from training.study import Job
+    from training.study import TrainingJob
 
     for family, names in families.items():
         for name, regime in itertools.product(names, regimes):
             for seed in seeds if name in SEEDED else (0,):
                 command = f"greenhouse-train {family} --regime {regime} --seeds {seed}{options}"
-                yield Job(name, regime, seed, command)
+                yield TrainingJob(name, regime, seed, command)
 
 
 def _line(record: Mapping[str, Any]) -> str:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.core.predictor import Floats
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models.pbm import Pbm
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from training import ham_guarded, pbm
 from training.datasets import training_runs
 from training.pairs import split_all, stretches
@@ -112,12 +112,12 @@ def bases(seeds: Sequence[int] = SEEDS) -> list[Base]:
     return found
 
 
-def _hybrid(runs: Sequence[Run], twin: Twin, seed: int) -> ham_guarded.GuardedHamNet:
+def _hybrid(runs: Sequence[RecordedRun], twin: BoxTwin, seed: int) -> ham_guarded.GuardedHamNet:
     network, _ = ham_guarded.train(runs, twin, seed, ham_guarded.GuardedHamSettings())
     return network
 
 
-def _rows(runs: Sequence[Run]) -> dict[str, Floats]:
+def _rows(runs: Sequence[RecordedRun]) -> dict[str, Floats]:
     """Steps with PAST_ROWS known duties before them, by column; `past` [n, PAST_ROWS], the others [n]."""
     found: dict[str, list[Floats]] = {}
     for temp, ambient, duty, fan in stretches(runs):

@@ -20,7 +20,7 @@ from edge.core.predictor import Predictor
 from edge.forecasts.adaptive import tracked
 from edge.forecasts.conformal import CLAIMED, Interval, Intervals, half_width, write_intervals
 from edge.forecasts.scorer import PERSISTENCE
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from training import fresh_runs
 from training.forecast_errors import PROCESSES, Errors, Load, errors_of, predictors_in
 
@@ -33,7 +33,7 @@ TRAINED_TO_C = 36.9  # hottest reading of the training runs
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CoverageRow:
     """One predictor at one horizon; shares of the measurements that were inside."""
 
     predictor: str
@@ -78,7 +78,7 @@ def main(words: Sequence[str] | None = None) -> None:
     (given.results / "coverage.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def calibrate(runs: Sequence[Run], load: Load, processes: int = PROCESSES) -> Intervals:
+def calibrate(runs: Sequence[RecordedRun], load: Load, processes: int = PROCESSES) -> Intervals:
     """Half widths per predictor and horizon. Errors: DataError for a test run: it calibrates nothing."""
     for run in runs:
         if run.facts.get("role") != "calibrate":
@@ -94,7 +94,7 @@ def calibrate(runs: Sequence[Run], load: Load, processes: int = PROCESSES) -> In
     return Intervals(rows, {"command": "python -m training.coverage", "seeds": f"{seeds[0]}..{seeds[-1]}"})
 
 
-def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) -> list[Row]:
+def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) -> list[CoverageRow]:
     """What the intervals hold in both regimes, by predictor and horizon."""
     rows = []
     for interval in intervals.rows:
@@ -102,7 +102,7 @@ def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) 
         inside, outside = (np.concatenate(errors[key]) for errors in (interpolation, extrapolation))
         hot = outside[outside[:, 1] > TRAINED_TO_C]
         rows.append(
-            Row(
+            CoverageRow(
                 *key,
                 width,
                 float(np.abs(inside[:, 0]).mean()),
@@ -116,7 +116,7 @@ def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) 
     return rows
 
 
-def table(rows: Sequence[Row], predictors: Mapping[str, Predictor]) -> str:
+def table(rows: Sequence[CoverageRow], predictors: Mapping[str, Predictor]) -> str:
     """The figures as text."""
     lines = [
         f"Prediction intervals: {CLAIMED:.0%} claimed, seen on runs that neither trained nor calibrated",
@@ -142,7 +142,7 @@ def table(rows: Sequence[Row], predictors: Mapping[str, Predictor]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _note(row: Row) -> str:
+def _note(row: CoverageRow) -> str:
     low, high = SEEN
     return "" if low <= row.interpolation <= high else f" not {low:.0%}..{high:.0%}"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run, cut, data_sha256, read_run, refuse_test
+from edge.formats.run_file import RecordedRun, cut, data_sha256, read_run, refuse_test
 
 __all__ = ["Split", "data_sha256", "refuse_test", "regimes_of", "split", "test_run", "training_runs"]
 
@@ -21,11 +21,11 @@ TRAIN_SHARE = 0.8  # of a run's rows, where the run does not say it
 class Split:
     """Whole runs or parts of them; each part begins at time 0 and knows nothing of the other."""
 
-    train: list[Run]
-    validate: list[Run]
+    train: list[RecordedRun]
+    validate: list[RecordedRun]
 
 
-def training_runs(regime: str) -> list[Run]:
+def training_runs(regime: str) -> list[RecordedRun]:
     """The training runs in order: all of them, or for "extrapolation" those that stay low from end to end.
 
     Errors : DataError for another regime, and where there are no runs
@@ -40,13 +40,13 @@ def training_runs(regime: str) -> list[Run]:
     return [run for run in runs if regime in regimes_of(run)]
 
 
-def regimes_of(run: Run) -> tuple[str, ...]:
+def regimes_of(run: RecordedRun) -> tuple[str, ...]:
     """The regimes whose models are trained on this training run. A missing reading counts as hot."""
     low = bool((run.columns["temp_air_c"] <= EXTRAPOLATION_MAX_C).all())
     return REGIMES if low else REGIMES[:1]
 
 
-def test_run(scenario: int) -> Run:
+def test_run(scenario: int) -> RecordedRun:
     """The run of scenario 1 to 6, for judging alone. Errors: DataError."""
     if scenario not in SCENARIOS:
         raise DataError(f"scenario: {scenario!r} is none of {SCENARIOS.start} to {SCENARIOS.stop - 1}")
@@ -58,7 +58,7 @@ def test_run(scenario: int) -> Run:
     return run
 
 
-def split(run: Run) -> Split:
+def split(run: RecordedRun) -> Split:
     """The run cut in time, training part first: where its `validate_from_s` says, else at 80 % of its rows.
 
     A run of role validate is one whole validation part. No row is in both parts, so no window or step of one
@@ -74,7 +74,7 @@ def split(run: Run) -> Split:
     return Split([_part(run, 0, first, "train")], [_part(run, first, len(run), "validate")])
 
 
-def _first_validation_row(run: Run) -> int:
+def _first_validation_row(run: RecordedRun) -> int:
     text = run.facts.get("validate_from_s")
     if text is None:
         return int(TRAIN_SHARE * len(run))
@@ -84,7 +84,7 @@ def _first_validation_row(run: Run) -> int:
         raise DataError(f"{run.path}: validate_from_s: {text!r} is no number") from None
 
 
-def _part(run: Run, begin: int, end: int, role: str) -> Run:
+def _part(run: RecordedRun, begin: int, end: int, role: str) -> RecordedRun:
     """Rows begin to end - 1 as a run of their own."""
     part = cut(run, begin, end)
     facts = {key: value for key, value in part.facts.items() if key != "validate_from_s"} | {"role": role}

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
-from firmware_protocol.virtual_board.profiles.record import SAMPLE_S, ProfileRow, drive, write
+from firmware_protocol.virtual_board.profiles.record import SAMPLE_S, RecordedRow, drive, write
 
 FOLDER = Path(__file__).parent / "data" / "profiles"
 LEAD_IN_MIN, RECORDED_MIN = 40, 212
@@ -23,7 +23,7 @@ Minutes = tuple[int, int]  # shortest and longest
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ProfilePlan:
     """What one test profile is meant to do.
 
     One minute of fan takes more than half of the box's excess over the room, so a fan that blew at any time
@@ -46,7 +46,7 @@ class Plan:
 
 
 PLANS = (
-    Plan(
+    ProfilePlan(
         "heater mostly on, fan frequent",
         range_c=(25.5, 30.3),
         board_seeds=(25, 72),
@@ -60,7 +60,7 @@ PLANS = (
         fan_from_c=29.9,
         fan_minutes=12,
     ),
-    Plan(
+    ProfilePlan(
         "sparse long heating, fan rare",
         range_c=(25.4, 30.0),
         board_seeds=(46, 52),
@@ -74,7 +74,7 @@ PLANS = (
         fan_from_c=29.5,
         fan_minutes=2,
     ),
-    Plan(
+    ProfilePlan(
         "heater and fan both intermittent",
         range_c=(25.0, 33.3),
         board_seeds=(17, 67),
@@ -92,13 +92,13 @@ PLANS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class ProfileCandidate:
     """Inputs minute by minute and what the boxes measured while recorded."""
 
-    rows: list[ProfileRow]
+    rows: list[RecordedRow]
     ranges_c: list[tuple[float, float]]  # lowest and highest, one pair per board seed
 
-    def fits(self, plan: Plan) -> bool:
+    def fits(self, plan: ProfilePlan) -> bool:
         """Whether every box met both ends, and the fan blew often enough."""
         ends = all(
             abs(seen - wanted) <= TOLERANCE_K
@@ -111,7 +111,7 @@ class Candidate:
 class _Hand:
     """Switches heater and fan at random, within the plan."""
 
-    def __init__(self, plan: Plan, seed: int) -> None:
+    def __init__(self, plan: ProfilePlan, seed: int) -> None:
         self._plan, self._rng = plan, random.Random(seed)
         self._duty, self._heater_min = 0.0, 0  # what holds, and minutes it holds on
         self._fan, self._fan_min = 1, 0
@@ -141,7 +141,7 @@ def path_of(profile: int) -> Path:
     return FOLDER / f"test_{profile}.csv"
 
 
-def draw(plan: Plan, seed: int) -> Candidate:
+def draw(plan: ProfilePlan, seed: int) -> ProfileCandidate:
     """A candidate: the lead-in at one duty, then heater and fan by `_Hand`; the last row with all off."""
 
     def readings() -> list[float]:
@@ -152,19 +152,19 @@ def draw(plan: Plan, seed: int) -> Candidate:
     parameters, effects = load()
     bias_k = effects.sensor_bias * parameters.sensors.air_bias_k
     boxes = [Chamber(parameters, effects, board) for board in plan.board_seeds]
-    rows: list[ProfileRow] = []
+    rows: list[RecordedRow] = []
     seen: list[list[float]] = []
     for minute in range(LEAD_IN_MIN + RECORDED_MIN):
         inputs = (plan.lead_in_duty, 0)
         if minute >= LEAD_IN_MIN:
             seen.append(readings())
             inputs = hand.inputs(seen[-1])
-        rows.append(ProfileRow(SAMPLE_S * minute, *inputs))
+        rows.append(RecordedRow(SAMPLE_S * minute, *inputs))
         for box in boxes:
             drive(box, SAMPLE_S, rows[-1])
     seen.append(readings())
-    rows.append(ProfileRow(SAMPLE_S * len(rows), 0.0, 0))
-    return Candidate(rows, [(min(temps), max(temps)) for temps in zip(*seen, strict=True)])
+    rows.append(RecordedRow(SAMPLE_S * len(rows), 0.0, 0))
+    return ProfileCandidate(rows, [(min(temps), max(temps)) for temps in zip(*seen, strict=True)])
 
 
 def main() -> None:

@@ -22,8 +22,8 @@ from training.report import report
 from training.report_pictures import MODELS, bars_picture, radar_picture, scenario_picture
 from training.report_table import as_text
 from training.report_tables import Evaluation, costs_table, tables
-from training.resources import Cost, costs
-from training.scores import Score, Scored, scored, swapped
+from training.resources import ModelCost, costs
+from training.scores import ScoredRun, TrainingScore, scored, swapped
 from training.study import SCENARIOS
 from training.trained import Kept, read_trained, unguarded
 
@@ -69,9 +69,9 @@ def json_of(figures: Evaluation) -> str:
     return "{\n" + ",\n".join(lists) + "\n}\n"
 
 
-def pictures_of(found: Sequence[Scored], cost: Sequence[Cost]) -> dict[str, bytes]:
+def pictures_of(found: Sequence[ScoredRun], cost: Sequence[ModelCost]) -> dict[str, bytes]:
     """PNG by file name without its ending."""
-    scores: list[Score] = [one.score for one in found]
+    scores: list[TrainingScore] = [one.score for one in found]
     pictures = {}
     for regime, numbers in SCENARIOS.items():
         for number in numbers:
@@ -129,7 +129,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _write(
-    figures: Evaluation, found: Sequence[Scored], trainings: Sequence[Kept], arguments: argparse.Namespace
+    figures: Evaluation, found: Sequence[ScoredRun], trainings: Sequence[Kept], arguments: argparse.Namespace
 ) -> None:
     cost = costs(trainings)
     cost_text = "\n".join([COMMAND, "", *as_text(costs_table(cost))])
@@ -152,7 +152,7 @@ def _controllers(results: Path) -> str:
 
 
 def _files(
-    figures: Evaluation, found: Sequence[Scored], cost: Sequence[Cost], controllers: str
+    figures: Evaluation, found: Sequence[ScoredRun], cost: Sequence[ModelCost], controllers: str
 ) -> dict[str, bytes]:
     """All that follows from the figures, and from costs that were measured."""
     pictures = pictures_of(found, cost)
@@ -164,7 +164,7 @@ def _files(
     }
 
 
-def _check(figures: Evaluation, found: Sequence[Scored], arguments: argparse.Namespace) -> int:
+def _check(figures: Evaluation, found: Sequence[ScoredRun], arguments: argparse.Namespace) -> int:
     """0 where the kept files come out again; costs are taken as they were kept.
 
     On the machine that made them every byte must be the same. Elsewhere, or with a tolerance, only figures
@@ -177,7 +177,7 @@ def _check(figures: Evaluation, found: Sequence[Scored], arguments: argparse.Nam
     found_in = [_part(name, kept.get(name), now[name], _allowed(name, same, arguments)) for name in now]
     difference = next((one for one in found_in if one), "")
     if not difference and same and not arguments.tolerance:
-        cost = [Cost(**row) for row in _json(results / "cost.json")]
+        cost = [ModelCost(**row) for row in _json(results / "cost.json")]
         difference = _first_file(
             _files(figures, found, cost, _controllers(results)), results, arguments.images
         )

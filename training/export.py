@@ -17,13 +17,13 @@ from onnx import ModelProto
 
 from edge.core.errors import DataError, GreenhouseError
 from edge.core.predictor import Predictor
-from edge.formats.run_file import Run, inside_names
+from edge.formats.run_file import RecordedRun, inside_names
 from edge.models import contract
 from edge.models.ham import read_ham
 from edge.models.lstm import read_lstm
 from edge.models.onnx_predictor import OnnxPredictor
 from edge.models.validity import box_of
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from training.datasets import training_runs
 from training.ham import HamNet
 from training.ham_graph import ham_rollout
@@ -43,7 +43,7 @@ _SCALERS = ("mean", "scale", "target_mean", "target_scale", "source_mean", "sour
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class ExportFacts:
     """What a network does not know of itself.
 
     validity : lowest and highest value of each column in its training data, as `edge.models.validity.box_of`
@@ -60,7 +60,7 @@ class Facts:
     sample_s: float = 60.0
 
 
-def export(network: Network, facts: Facts, run: Run, path: Path) -> OnnxPredictor:
+def export(network: Network, facts: ExportFacts, run: RecordedRun, path: Path) -> OnnxPredictor:
     """Write `network` to `path`, prove it, and return what the rig will run.
 
     run : the golden vectors are forecasts of it: the whole run from its first rows, some shorter
@@ -104,7 +104,7 @@ def _parts(network: Network) -> tuple[str, int, ModelProto, Predictor]:
     raise TypeError(f"{type(network).__name__} has no graph")
 
 
-def golden_vectors(eager: Predictor, features: Sequence[str], run: Run) -> list[dict[str, Any]]:
+def golden_vectors(eager: Predictor, features: Sequence[str], run: RecordedRun) -> list[dict[str, Any]]:
     """Rollouts of the network itself: the whole run, single steps all over it, and a batch; JSON values."""
     columns = {name: values for name, values in inside_names(run).items() if name in contract.FEATURES["ham"]}
     if any(not np.isfinite(values).all() for values in columns.values()):
@@ -148,13 +148,13 @@ def export_study(folder: Path, path: Path) -> OnnxPredictor:
 
 
 def study_facts(
-    network: Network, facts: Mapping[str, Any], result: Mapping[str, Any], runs: Sequence[Run]
-) -> Facts:
+    network: Network, facts: Mapping[str, Any], result: Mapping[str, Any], runs: Sequence[RecordedRun]
+) -> ExportFacts:
     """What a training has recorded, for `export`; facts of the file of weights, result of the record."""
     columns = [run.columns for run in split_all(runs).train]
     # The paper's hybrid corrects the bare physics model; ours says which twin it corrects.
-    twin = Twin().sha256 if isinstance(network, HamNet) else facts.get("twin_sha256", "")
-    return Facts(
+    twin = BoxTwin().sha256 if isinstance(network, HamNet) else facts.get("twin_sha256", "")
+    return ExportFacts(
         command=facts["command"],
         seed=facts["seed"],
         data_sha256=facts["data_sha256"],

@@ -19,7 +19,7 @@ Predict = Callable[[Tensor], Tensor]  # features of a batch -> scaled target
 Note = Callable[[str, float, int], None]  # name, value, epoch
 
 
-class Settings(Protocol):
+class NetworkSettings(Protocol):
     """What the loop needs of a model's settings."""
 
     @property
@@ -64,7 +64,7 @@ def fit(
     predict: Predict,
     train: Pairs,
     validate: Pairs,
-    settings: Settings,
+    settings: NetworkSettings,
     seed: int,
     log: Path | None = None,
 ) -> Progress:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.settings import Settings
-from edge.core.messages import Command, Quality, Reading
+from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.core.predictor import Predictor
 from edge.forecasts.scorer import Scorer
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models.arx_file import read_arx
 from edge.models.ham import read_ham
 from edge.models.lstm import read_lstm
@@ -41,7 +41,7 @@ def predictors_in(folder: Path | None) -> dict[str, Predictor]:
     return found
 
 
-def errors_of(runs: Sequence[Run], load: Load, processes: int = PROCESSES) -> Errors:
+def errors_of(runs: Sequence[RecordedRun], load: Load, processes: int = PROCESSES) -> Errors:
     """Residuals (measured minus forecast) [K] and what was measured [°C], of every tick, by run in order.
 
     load : makes the predictors, once in each process: an ONNX session can't be handed over
@@ -56,7 +56,7 @@ def errors_of(runs: Sequence[Run], load: Load, processes: int = PROCESSES) -> Er
     return {key: [found.get(key, np.empty((0, 2))) for found in by_run] for key in keys}
 
 
-def errors_of_run(run: Run, predictors: Mapping[str, Predictor]) -> dict[tuple[str, int], Floats]:
+def errors_of_run(run: RecordedRun, predictors: Mapping[str, Predictor]) -> dict[tuple[str, int], Floats]:
     """The same for one run, a row per scored forecast in the order of time.
 
     The estimator runs with the predictor "arx", as the daemon's does; the inputs are those recorded.
@@ -75,12 +75,12 @@ def errors_of_run(run: Run, predictors: Mapping[str, Predictor]) -> dict[tuple[s
     return {key: np.array(rows) for key, rows in found.items()}
 
 
-def _readings(run: Run, row: int, time_s: float) -> dict[str, Reading]:
+def _readings(run: RecordedRun, row: int, time_s: float) -> dict[str, Reading]:
     readings = {}
     for name, signal in SIGNALS.items():
         value = run.columns[signal.key][row] if signal.key in run.columns else np.nan
         known = bool(np.isfinite(value))
-        quality = Quality.GOOD if known else Quality.ABSENT
+        quality = ReadingQuality.GOOD if known else ReadingQuality.ABSENT
         readings[name] = Reading(name, float(value) if known else None, time_s, quality)
     return readings
 
@@ -90,5 +90,5 @@ def _begin(load: Load) -> None:
     _predictors = load()
 
 
-def _errors_of_run(run: Run) -> dict[tuple[str, int], Floats]:
+def _errors_of_run(run: RecordedRun) -> dict[tuple[str, int], Floats]:
     return errors_of_run(run, _predictors)

@@ -13,22 +13,22 @@ from typing import Literal
 
 import numpy as np
 
-from edge.formats.run_file import Run, read_run, write_run
+from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.tick.sensor_health import AVERAGE_S, trimmed_mean
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
-from firmware_protocol.virtual_board.profiles.generate import PLANS, Plan, draw
-from firmware_protocol.virtual_board.profiles.record import SAMPLE_S, WINDOW_S, ProfileRow, drive
+from firmware_protocol.virtual_board.profiles.generate import PLANS, SequencePlan, draw
+from firmware_protocol.virtual_board.profiles.record import SAMPLE_S, WINDOW_S, RecordedRow, drive
 
 Kind = Literal["calibration", "interpolation", "extrapolation"]
 COUNTS: dict[Kind, int] = {"calibration": 100, "interpolation": 100, "extrapolation": 30}
 FIRST_SEEDS: dict[Kind, int] = {"calibration": 1000, "interpolation": 2000, "extrapolation": 3000}
 ROLES: dict[Kind, str] = {"calibration": "calibrate", "interpolation": "test", "extrapolation": "test"}
-HOTTER = Plan(212, (0.70, 1.00), 0.20, 0.15, (8, 30), (39.0, 45.0))  # training ends at 36.9 degC
+HOTTER = SequencePlan(212, (0.70, 1.00), 0.20, 0.15, (8, 30), (39.0, 45.0))  # training ends at 36.9 degC
 PROCESSES = 2
 
 
-def runs(kind: Kind, folder: Path, count: int | None = None) -> list[Run]:
+def runs(kind: Kind, folder: Path, count: int | None = None) -> list[RecordedRun]:
     """All runs of one kind, read from `folder` where they were made before, else made and kept there."""
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(FIRST_SEEDS[kind], FIRST_SEEDS[kind] + (COUNTS[kind] if count is None else count))
@@ -49,7 +49,7 @@ def keep(task: tuple[Kind, int, Path]) -> None:
     beside.replace(path)
 
 
-def make_run(kind: Kind, seed: int) -> Run:
+def make_run(kind: Kind, seed: int) -> RecordedRun:
     """The first candidate of this seed whose highest reading lies in its plan's band, on the board `seed`."""
     plan = HOTTER if kind == "extrapolation" else PLANS[seed % len(PLANS)]
     rng = random.Random(seed)
@@ -60,7 +60,7 @@ def make_run(kind: Kind, seed: int) -> Run:
             return _run(rows, readings, {"role": ROLES[kind], "kind": kind, "seed": str(seed)})
 
 
-def measure(rows: Sequence[ProfileRow], seed: int, stop_above_c: float = np.inf) -> list[dict[str, float]]:
+def measure(rows: Sequence[RecordedRow], seed: int, stop_above_c: float = np.inf) -> list[dict[str, float]]:
     """The readings at each row's time, up to the first that is hotter than `stop_above_c`."""
     parameters, effects = load()
     chamber = Chamber(parameters, effects, seed)
@@ -73,7 +73,7 @@ def measure(rows: Sequence[ProfileRow], seed: int, stop_above_c: float = np.inf)
     return readings
 
 
-def _last_window(chamber: Chamber, row: ProfileRow) -> dict[str, float]:
+def _last_window(chamber: Chamber, row: RecordedRow) -> dict[str, float]:
     """The last PWM window of a row, second by second, and the reading at its end."""
     samples = []
     for second in range(1, WINDOW_S + 1):
@@ -84,14 +84,16 @@ def _last_window(chamber: Chamber, row: ProfileRow) -> dict[str, float]:
     return {key: trimmed_mean([sample[key] for sample in samples]) for key in samples[0]}
 
 
-def _run(rows: Sequence[ProfileRow], readings: Sequence[dict[str, float]], facts: dict[str, str]) -> Run:
+def _run(
+    rows: Sequence[RecordedRow], readings: Sequence[dict[str, float]], facts: dict[str, str]
+) -> RecordedRun:
     inputs = {
         "time_s": np.array([row.time_s for row in rows], dtype=np.float64),
         "heater_duty": np.array([row.heater_duty for row in rows]),
         "fan_on": np.array([row.fan_on for row in rows], dtype=np.float64),
     }
     measured = {key: np.array([reading[key] for reading in readings]) for key in readings[0]}
-    return Run(inputs | measured, facts)
+    return RecordedRun(inputs | measured, facts)
 
 
 def _path(kind: Kind, seed: int, folder: Path) -> Path:

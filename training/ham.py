@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.geometry import Geometry
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.pairs import Transitions, split_all, transitions
@@ -139,7 +139,7 @@ def source_network(hidden: int, dropout: float) -> nn.Sequential:
 
 
 def train(
-    runs: Sequence[Run], seed: int, settings: HamSettings, log: Path | None = None
+    runs: Sequence[RecordedRun], seed: int, settings: HamSettings, log: Path | None = None
 ) -> tuple[HamNet, Progress]:
     """The network fitted on the training parts of `runs`, stopped by their validation parts.
 

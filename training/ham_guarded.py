@@ -17,8 +17,8 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from edge.formats.run_file import Run
-from edge.twin.model import Twin
+from edge.formats.run_file import RecordedRun
+from edge.twin.model import BoxTwin
 from training.datasets import Split
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.ham import DROPOUT, HIDDEN, source_network
@@ -104,7 +104,11 @@ class GuardedHamNet(nn.Module):
 
 
 def train(
-    runs: Sequence[Run], twin: Twin, seed: int, settings: GuardedHamSettings, log: Path | None = None
+    runs: Sequence[RecordedRun],
+    twin: BoxTwin,
+    seed: int,
+    settings: GuardedHamSettings,
+    log: Path | None = None,
 ) -> tuple[GuardedHamNet, Progress]:
     """The network fitted on the training parts of `runs`, stopped by their validation parts.
 
@@ -115,7 +119,7 @@ def train(
 
 
 def train_on(
-    parts: Split, twin: Twin, seed: int, settings: GuardedHamSettings, log: Path | None = None
+    parts: Split, twin: BoxTwin, seed: int, settings: GuardedHamSettings, log: Path | None = None
 ) -> tuple[GuardedHamNet, Progress]:
     """`train`, on runs that are divided already."""
     make_deterministic(seed)
@@ -135,7 +139,7 @@ def train_on(
 
 
 @torch.no_grad()
-def _steps(network: GuardedHamNet, runs: Sequence[Run]) -> tuple[Tensor, Tensor, Tensor]:
+def _steps(network: GuardedHamNet, runs: Sequence[RecordedRun]) -> tuple[Tensor, Tensor, Tensor]:
     """Features [n, 4], the r that reaches the next measurement [n], and (T, T_amb, duty, fan) [n, 4]."""
     features, sources, here = [], [], []
     for stretch in stretches(runs):

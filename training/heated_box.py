@@ -15,12 +15,12 @@ import torch
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats, Predictor
-from edge.formats.run_file import OPTION_WITHOUT, Run, inside_names, read_run, resample
+from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, inside_names, read_run, resample
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx
 from edge.models.pbm import Pbm
 from edge.twin.effects.library import EFFECTS
-from edge.twin.fit import Fit, fit_twin
+from edge.twin.fit import TwinFit, fit_twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from training import ham_guarded, lstm
@@ -53,11 +53,11 @@ class Data:
     """Runs at STEP_S: what trains, what validates, what is only forecast."""
 
     parts: Split
-    test: list[Run]
+    test: list[RecordedRun]
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class FittedBox:
     """A fitted one: its predictor, and the room that was fitted with it [°C]."""
 
     predictor: Pbm
@@ -112,11 +112,13 @@ def lines(data: Data, seeds: Sequence[int] = SEEDS) -> list[str]:
     return ["greenhouse-train heated-box", "", *as_text(Table(title, heads, cells, note))]
 
 
-def _rows(data: Data, arx: Arx, mass: Box, lag: Box, seeds: Sequence[int]) -> dict[str, list[Floats]]:
+def _rows(
+    data: Data, arx: Arx, mass: FittedBox, lag: FittedBox, seeds: Sequence[int]
+) -> dict[str, list[Floats]]:
     """By model, MAE at each horizon by seed."""
     by_mass, by_lag = (_parts_with_room(data.parts, box.ambient_c) for box in (mass, lag))
 
-    def scores(predictor: Predictor, box: Box = mass) -> Floats:
+    def scores(predictor: Predictor, box: FittedBox = mass) -> Floats:
         return maes(predictor, data.test, box.ambient_c)
 
     return {
@@ -131,7 +133,7 @@ def _rows(data: Data, arx: Arx, mass: Box, lag: Box, seeds: Sequence[int]) -> di
     }
 
 
-def fit_box(runs: Sequence[Run], effects: Sequence[str]) -> Box:
+def fit_box(runs: Sequence[RecordedRun], effects: Sequence[str]) -> FittedBox:
     """Capacity, gain (by the loss at a given power) and room of the box, and more with more effects."""
     values = {
         name: {item.name: Value(item.start, fit=True) for item in EFFECTS[name].parameters}
@@ -145,10 +147,10 @@ def fit_box(runs: Sequence[Run], effects: Sequence[str]) -> Box:
     if fit.ambient_c is None:
         raise DataError("heated box: no room was fitted")
     twin = fit.file.twin()
-    return Box(Pbm(twin), fit.ambient_c.value, _text(fit, twin.system.air_capacity_j_k))
+    return FittedBox(Pbm(twin), fit.ambient_c.value, _text(fit, twin.system.air_capacity_j_k))
 
 
-def _text(fit: Fit, air_capacity_j_k: float) -> str:
+def _text(fit: TwinFit, air_capacity_j_k: float) -> str:
     """Gain, time constants, room; which of two constants is the air's its temperature can't tell."""
     named = {place[-1]: item.value for place, item in fit.estimates.items()}
     constants = [air_capacity_j_k / named["UA"]] + [named[key] for key in ("tau_h",) if key in named]
@@ -158,12 +160,12 @@ def _text(fit: Fit, air_capacity_j_k: float) -> str:
     return f"gain {HEATER_W / named['UA']:.1f} K, time constant {minutes} min, {room}{bound}"
 
 
-def maes(predictor: Predictor, runs: Sequence[Run], ambient_c: float) -> Floats:
+def maes(predictor: Predictor, runs: Sequence[RecordedRun], ambient_c: float) -> Floats:
     """MAE at HORIZONS_S [K], over all rows of all runs from which that far was measured."""
     return _errors(runs, lambda run: _forecasts(predictor, run, ambient_c))
 
 
-def _persistence(runs: Sequence[Run]) -> Floats:
+def _persistence(runs: Sequence[RecordedRun]) -> Floats:
     steps = _steps()
     return _errors(
         runs,
@@ -171,7 +173,7 @@ def _persistence(runs: Sequence[Run]) -> Floats:
     )
 
 
-def _errors(runs: Sequence[Run], forecast: Callable[[Run], Sequence[Floats]]) -> Floats:
+def _errors(runs: Sequence[RecordedRun], forecast: Callable[[RecordedRun], Sequence[Floats]]) -> Floats:
     missed: dict[int, list[float]] = {step: [] for step in _steps()}
     for run in runs:
         measured = run.columns["temp_air_c"]
@@ -182,7 +184,7 @@ def _errors(runs: Sequence[Run], forecast: Callable[[Run], Sequence[Floats]]) ->
     return np.array([np.nanmean(found) for found in missed.values()])
 
 
-def _forecasts(predictor: Predictor, run: Run, ambient_c: float) -> list[Floats]:
+def _forecasts(predictor: Predictor, run: RecordedRun, ambient_c: float) -> list[Floats]:
     columns: Mapping[str, Floats] = inside_names(_with_room(run, ambient_c))
     found = []
     for now in _starts(run):
@@ -193,7 +195,7 @@ def _forecasts(predictor: Predictor, run: Run, ambient_c: float) -> list[Floats]
     return found
 
 
-def _starts(run: Run) -> range:
+def _starts(run: RecordedRun) -> range:
     return range(START_ROWS - 1, len(run) - 1)
 
 
@@ -206,7 +208,7 @@ def _lstm(parts: Split, seed: int, increment: bool) -> Predictor:
     return LstmPredictor(lstm.train_on(parts, seed, settings)[0])
 
 
-def _ham(parts: Split, box: Box, seed: int, guarded: bool) -> Predictor:
+def _ham(parts: Split, box: FittedBox, seed: int, guarded: bool) -> Predictor:
     settings = ham_guarded.GuardedHamSettings()
     network, _ = ham_guarded.train_on(parts, box.predictor.twin, seed, settings)
     if not guarded:
@@ -221,15 +223,15 @@ def _parts_with_room(parts: Split, ambient_c: float) -> Split:
     )
 
 
-def _at_step(run: Run) -> Run:
+def _at_step(run: RecordedRun) -> RecordedRun:
     """At STEP_S, with a fan that never changes."""
     found = resample(run, STEP_S)
     return replace(found, columns={**found.columns, "fan_on": np.zeros(len(found))})
 
 
-def _with_room(run: Run, ambient_c: float) -> Run:
+def _with_room(run: RecordedRun, ambient_c: float) -> RecordedRun:
     return replace(run, columns={**run.columns, "temp_ambient_c": np.full(len(run), ambient_c)})
 
 
-def _as(run: Run, role: str) -> Run:
+def _as(run: RecordedRun, role: str) -> RecordedRun:
     return replace(run, facts={**run.facts, "role": role})

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models.arx import FanInput
-from edge.models.fit_arx import Fit, fit_arx
+from edge.models.fit_arx import ArxFit, fit_arx
 from training.pairs import split_all
 from training.rollout import START_ROWS
 
@@ -25,7 +25,7 @@ class LinearSettings:
 WITH_AMBIENT = LinearSettings(fan_input="excess", with_ambient=True)
 
 
-def train(runs: Sequence[Run], settings: LinearSettings) -> Fit:
+def train(runs: Sequence[RecordedRun], settings: LinearSettings) -> ArxFit:
     """The model fitted on the training parts, its orders chosen on the validation parts.
 
     Errors : DataError for a test run

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from training.datasets import Split
 from training.fit_network import Pairs, Progress, fit, make_deterministic
 from training.pairs import split_all, windows
@@ -88,7 +88,7 @@ class LstmNet(nn.Module):
 
 
 def train(
-    runs: Sequence[Run], seed: int, settings: LstmSettings, log: Path | None = None
+    runs: Sequence[RecordedRun], seed: int, settings: LstmSettings, log: Path | None = None
 ) -> tuple[LstmNet, Progress]:
     """The network fitted on the training parts of `runs`, stopped by their validation parts.
 

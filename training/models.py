@@ -10,9 +10,9 @@ from torch import nn
 
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
-from edge.formats.run_file import Run, data_sha256
+from edge.formats.run_file import RecordedRun, data_sha256
 from edge.models.arx_file import write_arx
-from edge.models.fit_arx import FREE_RUN_STEPS, Fit
+from edge.models.fit_arx import FREE_RUN_STEPS, ArxFit
 from edge.models.pbm import Pbm
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
@@ -26,7 +26,9 @@ from training.weights import save_network
 NETWORK_FILE, TWIN_FILE, ARX_FILE = "network.pt", "twin.yaml", "arx.json"
 
 
-def _linear(settings: linear.LinearSettings, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def _linear(
+    settings: linear.LinearSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
+) -> Trained:
     fit = linear.train(runs, settings)
     progress = {
         "p": len(fit.model.temp),
@@ -37,7 +39,7 @@ def _linear(settings: linear.LinearSettings, runs: Sequence[Run], seed: int, log
     return Trained(fit.model, asdict(settings), progress, partial(_save_linear, fit))
 
 
-def _save_linear(fit: Fit, out: Path, facts: Mapping[str, Any]) -> None:
+def _save_linear(fit: ArxFit, out: Path, facts: Mapping[str, Any]) -> None:
     scores = {
         "rows": fit.rows,
         "one_step_rmse_k": fit.one_step_rmse_k,
@@ -48,7 +50,7 @@ def _save_linear(fit: Fit, out: Path, facts: Mapping[str, Any]) -> None:
     write_arx(fit.model, out / ARX_FILE, {**facts, **scores})
 
 
-def _pbm(settings: pbm.PbmSettings, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def _pbm(settings: pbm.PbmSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
     file = pbm.train(runs, settings)
     return Trained(Pbm(file.twin()), asdict(settings), {}, partial(_save_twin, file))
 
@@ -57,18 +59,18 @@ def _save_twin(file: TwinFile, out: Path, facts: Mapping[str, Any]) -> None:
     write_twin_file(replace(file, provenance=dict(facts)), out / TWIN_FILE)
 
 
-def _lstm(settings: lstm.LstmSettings, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def _lstm(settings: lstm.LstmSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
     network, progress = lstm.train(runs, seed, settings, log)
     return _trained(LstmPredictor(network), network, settings, progress)
 
 
-def _ham(settings: ham.HamSettings, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def _ham(settings: ham.HamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
     network, progress = ham.train(runs, seed, settings, log)
     return _trained(HamPredictor(network), network, settings, progress)
 
 
 def _guarded(
-    settings: ham_guarded.GuardedHamSettings, runs: Sequence[Run], seed: int, log: Path | None
+    settings: ham_guarded.GuardedHamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
 ) -> Trained:
     file = pbm.train(runs, pbm.FITTED)
     network, progress = ham_guarded.train(runs, file.twin(), seed, settings, log)
@@ -92,12 +94,12 @@ def over(file: TwinFile) -> Mapping[str, Train]:
     return {TWIN_GIVEN: partial(_given, file), HAM_GIVEN: partial(_guarded_given, file)}
 
 
-def _given(file: TwinFile, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def _given(file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
     known = _known(file, runs)
     return Trained(Pbm(known.twin()), {}, _origin(file, runs), partial(_save_given, known))
 
 
-def _guarded_given(file: TwinFile, runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def _guarded_given(file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
     settings = ham_guarded.GuardedHamSettings()
     known = _known(file, runs)
     network, progress = ham_guarded.train(runs, known.twin(), seed, settings, log)
@@ -110,11 +112,11 @@ def _guarded_given(file: TwinFile, runs: Sequence[Run], seed: int, log: Path | N
     return replace(trained, progress={**trained.progress, **_origin(file, runs)}, save=save)
 
 
-def _known(file: TwinFile, runs: Sequence[Run]) -> TwinFile:
+def _known(file: TwinFile, runs: Sequence[RecordedRun]) -> TwinFile:
     return fit_twin(file, split_all(runs).train).file if file.to_fit() else file
 
 
-def _origin(file: TwinFile, runs: Sequence[Run]) -> dict[str, Any]:
+def _origin(file: TwinFile, runs: Sequence[RecordedRun]) -> dict[str, Any]:
     """Whether the twin knows only these runs: one that was fitted on others may have seen what judges it."""
     told = file.provenance.get("data_sha256")
     return {"twin_data_sha256": told, "twin_is_of_these_runs": told == data_sha256(runs)}

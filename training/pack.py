@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.bundle.manifest import MANIFEST, SIGNATURE
-from edge.bundle.sign import POLICY_FILES, Facts, build_bundle, generate_key, sign_folder
+from edge.bundle.sign import POLICY_FILES, ManifestFacts, build_bundle, generate_key, sign_folder
 from edge.models.arx_file import DEFAULT_PATH
 from training.datasets import data_sha256, training_runs
 from training.export import export_study
@@ -30,7 +30,7 @@ REPORT = "report.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class BundleParts:
     """Where each file of the bundle comes from."""
 
     lstm: Path
@@ -47,7 +47,7 @@ def gather(out: Path, folder: Path, hybrid_name: str = HYBRID) -> dict[str, Any]
     found = records(out)
     _empty(folder)
     seeds = {name: best_seed(found, name, REGIME) for name in ("lstm", hybrid_name)}
-    parts = Parts(
+    parts = BundleParts(
         **{kind: _folder(out, name, seeds) for kind, name in (("lstm", "lstm"), ("hybrid", hybrid_name))}
     )
     shutil.copyfile(DEFAULT_PATH, folder / "arx.json")
@@ -90,10 +90,10 @@ def add_policies(policies: Path, folder: Path) -> None:
     (folder / REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
-def facts(version: str) -> Facts:
+def facts(version: str) -> ManifestFacts:
     """Of a bundle that is made now from the recorded runs."""
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    return Facts(version, created, data_sha256(training_runs(REGIME)), software=versions())
+    return ManifestFacts(version, created, data_sha256(training_runs(REGIME)), software=versions())
 
 
 def pack_file(folder: Path, version: str, out: Path, key: Path) -> None:

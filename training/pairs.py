@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from training.datasets import Split, split
 
 Floats = NDArray[np.float64]
@@ -24,13 +24,13 @@ class Transitions:
     following: Floats  # [°C], one step later
 
 
-def split_all(runs: Sequence[Run]) -> Split:
+def split_all(runs: Sequence[RecordedRun]) -> Split:
     """All training parts and all validation parts. Errors: DataError for a test run."""
     splits = [split(run) for run in runs]
     return Split([part for one in splits for part in one.train], [p for one in splits for p in one.validate])
 
 
-def transitions(runs: Sequence[Run]) -> Transitions:
+def transitions(runs: Sequence[RecordedRun]) -> Transitions:
     """Every pair of rows in which nothing is missing."""
     return Transitions(
         *np.concatenate(
@@ -39,7 +39,7 @@ def transitions(runs: Sequence[Run]) -> Transitions:
     )
 
 
-def windows(runs: Sequence[Run], length: int) -> tuple[Floats, Floats]:
+def windows(runs: Sequence[RecordedRun], length: int) -> tuple[Floats, Floats]:
     """Windows [n, length, 3] of (T, u_h, u_f) and the temperature one step later [n] [°C]."""
     inputs: list[Floats] = []
     following: list[Floats] = []
@@ -51,7 +51,7 @@ def windows(runs: Sequence[Run], length: int) -> tuple[Floats, Floats]:
     return np.array(inputs).reshape(-1, length, 3), np.array(following)
 
 
-def stretches(runs: Sequence[Run]) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
+def stretches(runs: Sequence[RecordedRun]) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
     """Columns (T, T_amb, duty, fan) of two or more rows that follow each other with nothing missing."""
     for run in runs:
         table = np.stack([run.columns[name] for name in INPUTS])

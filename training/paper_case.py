@@ -21,8 +21,8 @@ from training.paper_case_chamber import Real, real_effects
 from training.paper_case_models import Improved, diagnose, forecasts, improved
 from training.paper_case_picture import waterfall_picture
 from training.paper_case_tables import text_of
-from training.rollout import Errors
-from training.scores import Score
+from training.rollout import RolloutErrors
+from training.scores import TrainingScore
 from training.study import SCENARIOS, Regime, versions
 
 COMMAND = "greenhouse-train paper-case"
@@ -42,7 +42,7 @@ class PaperCase:
     versions: Mapping[str, str]
     left_out: Mapping[str, Sequence[str]]
     chamber: tuple[Real, ...]
-    scores: tuple[Score, ...]
+    scores: tuple[TrainingScore, ...]
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -93,14 +93,20 @@ def json_of(figures: PaperCase) -> str:
     return "{\n" + ",\n".join(f"{json.dumps(key)}: {text}" for key, text in parts.items()) + "\n}\n"
 
 
-def read_scores(path: Path) -> list[Score]:
+def read_scores(path: Path) -> list[TrainingScore]:
     """The scores in evaluation.json or paper_case.json. Errors: DataError"""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["scores"]
     except (OSError, ValueError, KeyError) as error:
         raise DataError(f"{path}: no figures of a comparison: {error}") from error
     return [
-        Score(**{**row, "free_run": Errors(**row["free_run"]), "one_step": Errors(**row["one_step"])})
+        TrainingScore(
+            **{
+                **row,
+                "free_run": RolloutErrors(**row["free_run"]),
+                "one_step": RolloutErrors(**row["one_step"]),
+            }
+        )
         for row in rows
     ]
 

@@ -13,7 +13,7 @@ from edge.twin.effects.library import USUAL_EFFECTS
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, load
 from firmware_protocol.virtual_board.effects import Effects
-from firmware_protocol.virtual_board.profiles.record import ProfileRow, paths, read, record
+from firmware_protocol.virtual_board.profiles.record import RecordedRow, paths, read, record
 
 DISTURBANCES = ("sensor_noise", "sensor_step", "ambient_diurnal", "ambient_wander", "power_run_variation",
                 "power_wander")  # fmt: skip
@@ -58,7 +58,7 @@ class Real:
     candidate: bool
 
 
-def real_effects(rows: Sequence[ProfileRow] | None = None) -> tuple[Real, ...]:
+def real_effects(rows: Sequence[RecordedRow] | None = None) -> tuple[Real, ...]:
     """The effects that are switched on, those that show most first. rows : instead of the profile's"""
     parameters, effects = load()
     applied = rows if rows is not None else read(paths()[PROFILE - 1])[1]
@@ -82,7 +82,7 @@ def _size(name: str, parameters: ChamberParameters) -> tuple[str, float | None, 
     return symbol, value(parameters), unit
 
 
-def _shown(parameters: ChamberParameters, effects: Effects, rows: Sequence[ProfileRow]) -> Floats:
+def _shown(parameters: ChamberParameters, effects: Effects, rows: Sequence[RecordedRow]) -> Floats:
     """The sensors' difference of air and room at each row [K]."""
     run = record(Chamber(parameters, effects, PROFILE), rows)
     return np.array([row["temp_air_c"] - row["temp_ambient_c"] for row in run])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models.pbm import Pbm
 from edge.twin.effects.library import applied
 from edge.twin.fit import fit_twin
@@ -19,8 +19,8 @@ from edge.twin.value import Value
 from training.datasets import data_sha256, test_run, training_runs
 from training.models import HAM_GIVEN, over
 from training.pairs import split_all
-from training.scores import Score, scored
-from training.study import SCENARIOS, Job, Regime, validity
+from training.scores import TrainingScore, scored
+from training.study import SCENARIOS, Regime, TrainingJob, validity
 from training.trained import Kept, unguarded
 from training.twin_step import beyond_a_graph
 
@@ -80,7 +80,7 @@ def improved(regime: Regime, folder: Path) -> Improved:
 
 def forecasts(
     twin: Improved, seeds: Sequence[int], out: Path, scenarios: Sequence[int] | None = None
-) -> list[Score]:
+) -> list[TrainingScore]:
     """The twin and the hybrids over it on the regime's scenarios, or on those in `scenarios`.
 
     out : where the networks are left
@@ -88,7 +88,9 @@ def forecasts(
     return [one.score for one in scored(_kept(twin, seeds, out), scenarios)]
 
 
-def _improved(regime: Regime, file: TwinFile, document: Mapping[str, Any], runs: Sequence[Run]) -> Improved:
+def _improved(
+    regime: Regime, file: TwinFile, document: Mapping[str, Any], runs: Sequence[RecordedRun]
+) -> Improved:
     left_out = tuple(name for name in applied(file.effects) if name in beyond_a_graph(file.twin()))
     if not left_out:
         return Improved(regime, len(runs), file, file, (), document)
@@ -110,7 +112,7 @@ def _kept(twin: Improved, seeds: Sequence[int], out: Path) -> Iterator[Kept]:
     train = over(twin.held)[HAM_GIVEN]
     for seed in seeds:
         trained = train(runs, seed, None)
-        folder = Job(HAM, twin.regime, seed, "").folder(out)
+        folder = TrainingJob(HAM, twin.regime, seed, "").folder(out)
         folder.mkdir(parents=True, exist_ok=True)
         trained.save(folder, {"seed": seed, **record})
         kept = Kept(HAM_GUARDED, twin.regime, seed, trained.predictor, record, folder)
@@ -118,7 +120,7 @@ def _kept(twin: Improved, seeds: Sequence[int], out: Path) -> Iterator[Kept]:
         yield kept
 
 
-def _paths(runs: Sequence[Run]) -> list[str]:
+def _paths(runs: Sequence[RecordedRun]) -> list[str]:
     return [_named(run.path) for run in runs]
 
 

@@ -10,7 +10,7 @@ from training.paper_case_chamber import Real
 from training.paper_case_models import HAM, HAM_GUARDED, TWIN, TWIN_HELD, Improved
 from training.report_table import Table, as_text
 from training.report_tables import LABELS, spread
-from training.scores import Score
+from training.scores import TrainingScore
 from training.study import SCENARIOS, Regime
 
 Twins = Mapping[Regime, Improved]
@@ -28,12 +28,12 @@ NAMES: Mapping[str, str] = {
 }
 
 
-def text_of(chamber: Sequence[Real], twins: Twins, scores: Sequence[Score]) -> str:
+def text_of(chamber: Sequence[Real], twins: Twins, scores: Sequence[TrainingScore]) -> str:
     """All tables. scores : of the models of the comparison too"""
     return "\n".join(line for table in tables(chamber, twins, scores) for line in as_text(table)) + "\n"
 
 
-def tables(chamber: Sequence[Real], twins: Twins, scores: Sequence[Score]) -> Iterator[Table]:
+def tables(chamber: Sequence[Real], twins: Twins, scores: Sequence[TrainingScore]) -> Iterator[Table]:
     """In the order in which they are read."""
     yield _named(chamber, twins)
     yield _sizes(chamber, twins)
@@ -138,7 +138,9 @@ def _interval(effect: Mapping[str, Any] | None, key: str) -> str:
     return f"{number(one['value'])} ({number(one['low'])} to {number(one['high'])})"
 
 
-def _errors(twins: Twins, scores: Sequence[Score], title: str, value: Callable[[Score], float]) -> Table:
+def _errors(
+    twins: Twins, scores: Sequence[TrainingScore], title: str, value: Callable[[TrainingScore], float]
+) -> Table:
     heads = ["model"]
     for numbers in SCENARIOS.values():
         heads += [*(f"scenario {number}" for number in numbers), "mean"]
@@ -162,7 +164,7 @@ def _errors(twins: Twins, scores: Sequence[Score], title: str, value: Callable[[
 
 
 def _cells(
-    scores: Sequence[Score], model: str, regime: Regime, value: Callable[[Score], float]
+    scores: Sequence[TrainingScore], model: str, regime: Regime, value: Callable[[TrainingScore], float]
 ) -> Iterator[str]:
     columns = []
     for scenario in SCENARIOS[regime]:
@@ -172,7 +174,7 @@ def _cells(
         yield spread(column) if column.size else "-"
 
 
-def _outside(scores: Sequence[Score]) -> Table:
+def _outside(scores: Sequence[TrainingScore]) -> Table:
     rows = []
     for model, label in NAMES.items():
         mine = [s for s in scores if s.model == model and s.regime == "extrapolation"]
@@ -187,7 +189,7 @@ def _outside(scores: Sequence[Score]) -> Table:
     return Table("Extrapolation, inside and outside the training range", heads, tuple(rows), note)
 
 
-def _worth(scores: Sequence[Score]) -> Table:
+def _worth(scores: Sequence[TrainingScore]) -> Table:
     """What the improved base is worth to the hybrid, seed by seed."""
     rows = []
     for regime in SCENARIOS:
@@ -201,7 +203,7 @@ def _worth(scores: Sequence[Score]) -> Table:
     return Table("What the improved PBM is worth to the hybrid", heads, tuple(rows))
 
 
-def _by_seed(scores: Sequence[Score], model: str, regime: Regime) -> dict[int, float]:
+def _by_seed(scores: Sequence[TrainingScore], model: str, regime: Regime) -> dict[int, float]:
     mine = [score for score in scores if score.model == model and score.regime == regime]
     return {
         seed: float(np.mean([score.free_run.mae_k for score in mine if score.seed == seed]))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import EFFECTS
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile
@@ -25,7 +25,7 @@ ONE_MASS = PbmSettings(effects=("extra_capacity", "wall_loss", "fan_effectivenes
 FITTED = PbmSettings(effects=("extra_capacity", "wall_mass", "heater_lag", "fan_effectiveness"))
 
 
-def train(runs: Sequence[Run], settings: PbmSettings) -> TwinFile:
+def train(runs: Sequence[RecordedRun], settings: PbmSettings) -> TwinFile:
     """The twin with its effects fitted on the training parts of `runs`.
 
     Errors : DataError for a test run

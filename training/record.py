@@ -14,14 +14,14 @@ from pathlib import Path
 
 from edge.__main__ import main as greenhouse
 from edge.core.errors import GreenhouseError
-from edge.formats.run_file import Run, read_run, write_run
+from edge.formats.run_file import RecordedRun, read_run, write_run
 from firmware_protocol.virtual_board.profiles.record import paths
 from training.datasets import REGIMES, RUNS, TRAIN_SHARE, regimes_of
 from training.draw_profiles import PLANS, path_of
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class TrainingRecording:
     """One run: what is applied to which box, and what it is for."""
 
     name: str
@@ -31,10 +31,10 @@ class Recording:
     facts: Mapping[str, str]
 
 
-def recordings() -> list[Recording]:
+def recordings() -> list[TrainingRecording]:
     """The 15 training runs, sequence n on board n, and the 6 scenarios."""
     training = [
-        Recording(path.stem.replace("profile", "run"), path, number, "train", {})
+        TrainingRecording(path.stem.replace("profile", "run"), path, number, "train", {})
         for number, path in enumerate(paths(), start=1)
     ]
     return training + [
@@ -44,13 +44,13 @@ def recordings() -> list[Recording]:
     ]
 
 
-def _scenario(scenario: int, number: int, half: int) -> Recording:
+def _scenario(scenario: int, number: int, half: int) -> TrainingRecording:
     facts = {"scenario": str(scenario), "regime": REGIMES[half]}
     seed = PLANS[number - 1].board_seeds[half]
-    return Recording(f"scenario_{scenario}", path_of(number), seed, "test", facts)
+    return TrainingRecording(f"scenario_{scenario}", path_of(number), seed, "test", facts)
 
 
-def record(recording: Recording, path: Path, minutes: float | None = None) -> Run:
+def record(recording: TrainingRecording, path: Path, minutes: float | None = None) -> RecordedRun:
     """Record a run into the file `path`: its whole profile or the first minutes. Errors: GreenhouseError."""
     with tempfile.TemporaryDirectory(prefix="greenhouse-record-") as folder:
         raw = Path(folder) / path.name
@@ -67,7 +67,7 @@ def record(recording: Recording, path: Path, minutes: float | None = None) -> Ru
     return run
 
 
-def _use(recording: Recording, run: Run) -> dict[str, str]:
+def _use(recording: TrainingRecording, run: RecordedRun) -> dict[str, str]:
     """Facts on what the run is for."""
     if recording.role == "test":
         return dict(recording.facts)
@@ -91,7 +91,7 @@ def main() -> int:
     return 1 if arguments.check and differing else 0
 
 
-def _kept(recording: Recording, folder: Path, check: bool) -> bool:
+def _kept(recording: TrainingRecording, folder: Path, check: bool) -> bool:
     """Whether the file kept is what was recorded now; without `check` it is from then on."""
     new, kept = folder / f"{recording.name}.csv", RUNS / f"{recording.name}.csv"
     record(recording, new)

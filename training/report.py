@@ -6,10 +6,10 @@ from html import escape
 from pathlib import Path
 
 from training.report_beyond import beyond
-from training.report_findings import Finding, findings
+from training.report_findings import ReportFinding, findings
 from training.report_table import as_html
 from training.report_tables import Evaluation, costs_table, tables
-from training.resources import Cost
+from training.resources import ModelCost
 
 TITLE = "Predictive models of the greenhouse, compared"
 _STYLE = """
@@ -25,7 +25,7 @@ _CLASSES = {"holds": "holds", "holds in part": "part", "does not hold": "not"}
 
 
 def report(
-    found: Evaluation, costs: Sequence[Cost], pictures: Mapping[str, bytes], controllers: str = ""
+    found: Evaluation, costs: Sequence[ModelCost], pictures: Mapping[str, bytes], controllers: str = ""
 ) -> str:
     """The page. pictures : PNG by file name without its ending, in order; controllers : their part, HTML"""
     return "\n".join([*_lines(found, costs, pictures), *_part(controllers), _END]) + "\n"
@@ -42,7 +42,7 @@ def _part(controllers: str) -> list[str]:
     return [_BEGIN, controllers.rstrip("\n")] if controllers else []
 
 
-def _lines(found: Evaluation, costs: Sequence[Cost], pictures: Mapping[str, bytes]) -> Iterator[str]:
+def _lines(found: Evaluation, costs: Sequence[ModelCost], pictures: Mapping[str, bytes]) -> Iterator[str]:
     yield f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{TITLE}</title>'
     yield f"<style>{_STYLE}</style></head><body><h1>{TITLE}</h1>"
     yield "<p>Made by <code>greenhouse-train evaluate</code> from the recorded runs and the kept weights of"
@@ -61,7 +61,7 @@ def _lines(found: Evaluation, costs: Sequence[Cost], pictures: Mapping[str, byte
         yield f'<p><img alt="{escape(name)}" src="data:image/png;base64,{data}"></p>'
 
 
-def _findings(found: Sequence[Finding]) -> Iterator[str]:
+def _findings(found: Sequence[ReportFinding]) -> Iterator[str]:
     yield "<table class=words><tr><th>the paper</th><th>on the virtual rig</th></tr>"
     for one in found:
         verdict = f'<b class="{_CLASSES[one.verdict]}">{one.verdict}</b>'

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from training.report_tables import LABELS, Evaluation, regime_means, spread
-from training.resources import Cost
-from training.scores import Score, maes, orders
+from training.resources import ModelCost
+from training.scores import TrainingScore, maes, orders
 from training.study import SCENARIOS, Regime
 from training.trained import PAPER
 
@@ -18,7 +18,7 @@ PAPERS_ORDER = ("ham", "lstm", "linear", "pbm")
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ReportFinding:
     """paper : what it says; here : what is so here, and why."""
 
     paper: str
@@ -26,7 +26,7 @@ class Finding:
     here: str
 
 
-def findings(found: Evaluation, costs: Sequence[Cost]) -> list[Finding]:
+def findings(found: Evaluation, costs: Sequence[ModelCost]) -> list[ReportFinding]:
     """In the paper's order. Verdicts are worked out from the figures, not written down."""
     scores = found.scores
     return [
@@ -43,7 +43,7 @@ def findings(found: Evaluation, costs: Sequence[Cost]) -> list[Finding]:
     ]
 
 
-def _order(scores: Sequence[Score]) -> Finding:
+def _order(scores: Sequence[TrainingScore]) -> ReportFinding:
     counted = {regime: orders(scores, regime).most_common() for regime in SCENARIOS}
     same = sum(count for found in counted.values() for order, count in found if order == PAPERS_ORDER)
     total = sum(count for found in counted.values() for _, count in found)
@@ -51,7 +51,7 @@ def _order(scores: Sequence[Score]) -> Finding:
         f"{regime}: " + ", ".join(f"{_named(order)} in {count} of 5 seeds" for order, count in found)
         for regime, found in counted.items()
     )
-    return Finding(
+    return ReportFinding(
         "The order by error is HAM, LSTM, Linear, PBM, HAM and LSTM close to each other.",
         _verdict(same, total),
         f"Best first, {listed}. In interpolation LSTM ({_mean(scores, 'lstm', IN)} K) and Linear "
@@ -60,9 +60,9 @@ def _order(scores: Sequence[Score]) -> Finding:
     )
 
 
-def _pbm_is_last(scores: Sequence[Score]) -> Finding:
+def _pbm_is_last(scores: Sequence[TrainingScore]) -> ReportFinding:
     last = [order[-1] == "pbm" for regime in SCENARIOS for order in orders(scores, regime).elements()]
-    return Finding(
+    return ReportFinding(
         "The PBM is the poorest, for its assumptions.",
         _verdict(sum(last), len(last)),
         f"{_mean(scores, 'pbm', IN)} and {_mean(scores, 'pbm', OUT)} K. It has no loss through the walls and "
@@ -75,18 +75,18 @@ def _pbm_is_last(scores: Sequence[Score]) -> Finding:
     )
 
 
-def _pbm_is_rigid(scores: Sequence[Score]) -> Finding:
+def _pbm_is_rigid(scores: Sequence[TrainingScore]) -> ReportFinding:
     means = [float(regime_means(scores, "pbm", regime).mean()) for regime in SCENARIOS]
-    return Finding(
+    return ReportFinding(
         "The PBM's error is the same in extrapolation: it knows no training data.",
         _verdict(int(abs(means[1] / means[0] - 1.0) < 0.05), 1),
         f"{means[0]:.1f} and {means[1]:.1f} K; the rest is the test runs' own difference.",
     )
 
 
-def _lstm_is_precise(scores: Sequence[Score]) -> Finding:
+def _lstm_is_precise(scores: Sequence[TrainingScore]) -> ReportFinding:
     first = [order[0] == "lstm" for order in orders(scores, IN).elements()]
-    return Finding(
+    return ReportFinding(
         "The LSTM is superior in all interpolation scenarios.",
         _verdict(sum(first), len(first)),
         f"Best of the four in {sum(first)} of {len(first)} seeds, by the mean of scenarios 1 to 3. By "
@@ -97,14 +97,14 @@ def _lstm_is_precise(scores: Sequence[Score]) -> Finding:
     )
 
 
-def _lstm_costs(costs: Sequence[Cost]) -> Finding:
+def _lstm_costs(costs: Sequence[ModelCost]) -> ReportFinding:
     four = {cost.model: cost for cost in costs if cost.model in PAPER}
     lstm, ham = four["lstm"], four["ham"]
     dearest = [
         max(four.values(), key=lambda cost: cost.train_s) is lstm,
         max(four.values(), key=lambda cost: cost.running_kib) is lstm,
     ]
-    return Finding(
+    return ReportFinding(
         "The LSTM has the highest training time and memory, the PBM next to none, the HAM far less than the "
         "LSTM.",
         _verdict(sum(dearest), 2),
@@ -115,7 +115,7 @@ def _lstm_costs(costs: Sequence[Cost]) -> Finding:
     )
 
 
-def _ham_is_balanced(scores: Sequence[Score], found: Evaluation) -> Finding:
+def _ham_is_balanced(scores: Sequence[TrainingScore], found: Evaluation) -> ReportFinding:
     ham, lstm = (regime_means(scores, model, IN) for model in ("ham", "lstm"))
     near = int((ham <= 1.25 * lstm).sum())
     room, air, past = found.unexplained
@@ -133,14 +133,14 @@ def _ham_is_balanced(scores: Sequence[Score], found: Evaluation) -> Finding:
         f"{spread(np.array(walls.hybrid_mae_k))} with one for the walls; the twin of that last row alone "
         f"has {walls.alone_mae_k:.3f}."
     )
-    return Finding(
+    return ReportFinding(
         "HAM comes close to the LSTM's accuracy at a far lower cost: the best balance.",
         _verdict(near, len(ham)),
         f"The paper's HAM has {spread(ham)} K here, the LSTM {spread(lstm)} K." + evidence,
     )
 
 
-def _data_driven_deteriorate(scores: Sequence[Score]) -> Finding:
+def _data_driven_deteriorate(scores: Sequence[TrainingScore]) -> ReportFinding:
     models = ("linear", "lstm", "ham")
     worse = [
         bool(regime_means(scores, model, OUT).mean() > regime_means(scores, model, IN).mean())
@@ -155,7 +155,7 @@ def _data_driven_deteriorate(scores: Sequence[Score]) -> Finding:
     listed = ", ".join(
         f"{LABELS[model]} {_mean(scores, model, IN)} to {_mean(scores, model, OUT)} K" for model in models
     )
-    return Finding(
+    return ReportFinding(
         "In extrapolation Linear, LSTM and HAM all deteriorate.",
         _verdict(sum(worse), len(models)),
         f"{listed}. The LSTM most: it saturates at what it was trained on. In scenario {last} its hottest "
@@ -164,13 +164,13 @@ def _data_driven_deteriorate(scores: Sequence[Score]) -> Finding:
     )
 
 
-def _scenario_5(scores: Sequence[Score]) -> Finding:
+def _scenario_5(scores: Sequence[TrainingScore]) -> ReportFinding:
     models = ("linear", "lstm", "ham")
     middle = [maes(scores, model, OUT).mean(axis=0) for model in models]
     hardest = sum(int(row[1] == row.max()) for row in middle)
     shares = {score.scenario: score.outside for score in scores if score.regime == OUT}
     listed = ", ".join(f"{share:.0%}" for _, share in sorted(shares.items()))
-    return Finding(
+    return ReportFinding(
         "Scenario 5 with its sparse inputs is the hardest to extrapolate; scenario 6 is a little easier.",
         _verdict(hardest, len(models)),
         "Here it is the easiest for every model but the bare PBM. Long rests bring the box back into the "
@@ -178,10 +178,10 @@ def _scenario_5(scores: Sequence[Score]) -> Finding:
     )
 
 
-def _linear_when_sparse(scores: Sequence[Score]) -> Finding:
+def _linear_when_sparse(scores: Sequence[TrainingScore]) -> ReportFinding:
     rows = [maes(scores, "linear", regime).mean(axis=0) for regime in SCENARIOS]
     sparse = sum(int(row[1] == row.min()) for row in rows)
-    return Finding(
+    return ReportFinding(
         "The Linear model does better when the inputs are sparse, worse when they change all the time.",
         _verdict(sparse, len(rows)),
         f"{rows[0][1]:.2f} K in scenario 2, {rows[0][0]:.2f} and {rows[0][2]:.2f} K in 1 and 3; "
@@ -191,9 +191,9 @@ def _linear_when_sparse(scores: Sequence[Score]) -> Finding:
     )
 
 
-def _ham_beats_lstm_at_times(scores: Sequence[Score]) -> Finding:
+def _ham_beats_lstm_at_times(scores: Sequence[TrainingScore]) -> ReportFinding:
     ham, lstm = (maes(scores, model, OUT).mean(axis=0) for model in ("ham", "lstm"))
-    return Finding(
+    return ReportFinding(
         "In extrapolation HAM is better than the LSTM in certain cases, its physics being a prior.",
         _verdict(int((ham < lstm).sum()), len(ham), some="holds"),
         f"By scenario, HAM to LSTM: {_beside(scores, 'ham', 'lstm', OUT)}. A prior that heats 33 K a minute "
@@ -208,16 +208,16 @@ def _verdict(count: int, of: int, some: Verdict = "holds in part") -> Verdict:
     return "holds" if count == of else some
 
 
-def _mean(scores: Sequence[Score], model: str, regime: Regime) -> str:
+def _mean(scores: Sequence[TrainingScore], model: str, regime: Regime) -> str:
     return spread(regime_means(scores, model, regime))
 
 
-def _beside(scores: Sequence[Score], one: str, other: str, regime: Regime) -> str:
+def _beside(scores: Sequence[TrainingScore], one: str, other: str, regime: Regime) -> str:
     pairs = zip(*(maes(scores, model, regime).mean(axis=0) for model in (one, other)), strict=True)
     return ", ".join(f"{a:.2f} to {b:.2f} K" for a, b in pairs)
 
 
-def _one_step(scores: Sequence[Score], model: str, regime: Regime) -> float:
+def _one_step(scores: Sequence[TrainingScore], model: str, regime: Regime) -> float:
     mine = [score for score in scores if score.model == model and score.regime == regime]
     return float(np.mean([score.one_step.mae_k for score in mine]))
 

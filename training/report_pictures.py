@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from edge.core.predictor import Floats
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from training.report_tables import LABELS
-from training.resources import Cost
+from training.resources import ModelCost
 from training.rollout import START_ROWS
-from training.scores import Score, by_seed, maes
+from training.scores import TrainingScore, by_seed, maes
 from training.study import SCENARIOS, Regime
 from training.trained import OURS, PAPER
 
@@ -36,7 +36,7 @@ INNERMOST = 0.15  # of the radar's radius, so that a best model still has an are
 AXES = ("error,\ninterpolation", "error,\nextrapolation", "training time", "memory")
 
 
-def scenario_picture(run: Run, forecasts: Mapping[str, Sequence[Floats]], title: str) -> bytes:
+def scenario_picture(run: RecordedRun, forecasts: Mapping[str, Sequence[Floats]], title: str) -> bytes:
     """Temperature measured and predicted, fan, heater, stacked.
 
     forecasts : by model, free runs [rows - START_ROWS] of its seeds [°C]: mean as a line, range as a band
@@ -62,7 +62,7 @@ def scenario_picture(run: Run, forecasts: Mapping[str, Sequence[Floats]], title:
     return _png(figure)
 
 
-def bars_picture(scores: Sequence[Score], regime: Regime) -> bytes:
+def bars_picture(scores: Sequence[TrainingScore], regime: Regime) -> bytes:
     """Free-run MAE by model and scenario on a logarithmic axis; whiskers from the best to the worst seed."""
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -89,7 +89,7 @@ def bars_picture(scores: Sequence[Score], regime: Regime) -> bytes:
     return _png(figure)
 
 
-def radar_picture(scores: Sequence[Score], costs: Sequence[Cost]) -> bytes:
+def radar_picture(scores: Sequence[TrainingScore], costs: Sequence[ModelCost]) -> bytes:
     """Error, training time and memory of the paper's four and of our hybrid; the smaller the better."""
     shown = (*PAPER, "ham_guarded")
     by_model = {cost.model: cost for cost in costs}

@@ -9,8 +9,8 @@ import numpy as np
 from edge.core.predictor import Floats
 from training.ablation import EXCESS_K, Base, ByExcess, Unexplained
 from training.report_table import Table
-from training.resources import Cost
-from training.scores import Score, Swapped, maes, orders
+from training.resources import ModelCost
+from training.scores import Swapped, TrainingScore, maes, orders
 from training.study import SCENARIOS, Regime
 from training.trained import OURS, PAPER, UNGUARDED
 
@@ -33,7 +33,7 @@ MODELS = (*PAPER, *OURS, UNGUARDED)
 class Evaluation:
     """All figures that the same weights and runs give again."""
 
-    scores: tuple[Score, ...]
+    scores: tuple[TrainingScore, ...]
     unexplained: tuple[Unexplained, ...]
     bases: tuple[Base, ...]
     swapped: tuple[Swapped, ...]
@@ -56,7 +56,7 @@ def tables(found: Evaluation) -> list[Table]:
     ]
 
 
-def costs_table(costs: Sequence[Cost]) -> Table:
+def costs_table(costs: Sequence[ModelCost]) -> Table:
     """What the models cost; the only figures that differ from one evaluation to the next."""
     heads = (
         "model", "training [s]", "peak [MiB]", "loaded [KiB]", "running [KiB]",
@@ -82,7 +82,7 @@ def costs_table(costs: Sequence[Cost]) -> Table:
         "see. Edge: a fresh process without torch that loads the model (networks as ONNX) and forecasts; "
         "latency of one call for 1 and for 42 sequences of 20 steps, median of 50."
     )
-    return Table("Cost", heads, tuple(rows), note)
+    return Table("ModelCost", heads, tuple(rows), note)
 
 
 def spread(values: Floats) -> str:
@@ -91,7 +91,7 @@ def spread(values: Floats) -> str:
     return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1):.3f}"
 
 
-def _errors(scores: Sequence[Score], title: str, value: Callable[[Score], float]) -> Table:
+def _errors(scores: Sequence[TrainingScore], title: str, value: Callable[[TrainingScore], float]) -> Table:
     heads = ["model"]
     for numbers in SCENARIOS.values():
         heads += [*(f"scenario {number}" for number in numbers), "mean"]
@@ -110,13 +110,17 @@ def _errors(scores: Sequence[Score], title: str, value: Callable[[Score], float]
 
 
 def _by_seed(
-    scores: Sequence[Score], model: str, regime: Regime, scenario: int, value: Callable[[Score], float]
+    scores: Sequence[TrainingScore],
+    model: str,
+    regime: Regime,
+    scenario: int,
+    value: Callable[[TrainingScore], float],
 ) -> Floats:
     mine = [s for s in scores if (s.model, s.regime, s.scenario) == (model, regime, scenario)]
     return np.array([value(score) for score in sorted(mine, key=lambda score: score.seed)])
 
 
-def _orders(scores: Sequence[Score], regime: Regime) -> Table:
+def _orders(scores: Sequence[TrainingScore], regime: Regime) -> Table:
     counted = orders(scores, regime).most_common()
     seeds = sum(count for _, count in counted)
     rows = tuple(
@@ -125,7 +129,7 @@ def _orders(scores: Sequence[Score], regime: Regime) -> Table:
     return Table(f"Order of the paper's four, {regime}", ("best first", "seeds"), rows)
 
 
-def _outside(scores: Sequence[Score]) -> Table:
+def _outside(scores: Sequence[TrainingScore]) -> Table:
     regime: Regime = "extrapolation"
     rows = []
     for model in MODELS:
@@ -147,7 +151,7 @@ def _outside(scores: Sequence[Score]) -> Table:
     return Table("Extrapolation, inside and outside the training range", heads, tuple(rows), note)
 
 
-def _bias(scores: Sequence[Score]) -> Table:
+def _bias(scores: Sequence[TrainingScore]) -> Table:
     heads = ("model", *(f"scenario {number}" for numbers in SCENARIOS.values() for number in numbers))
     rows = tuple(
         (
@@ -200,6 +204,6 @@ def _bases(rows: Sequence[Base]) -> Table:
     return Table("What the hybrid stands on: MAE [K]", ("base", "states", "alone", "corrected"), cells, note)
 
 
-def regime_means(scores: Sequence[Score], model: str, regime: Regime) -> Floats:
+def regime_means(scores: Sequence[TrainingScore], model: str, regime: Regime) -> Floats:
     """Mean free-run MAE of the regime by seed [K]."""
     return np.asarray(maes(scores, model, regime).mean(axis=1))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pympler import asizeof
 
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import read_twin_file
 from training.export import export_study
 from training.models import ARX_FILE, NETWORK_FILE, TWIN_FILE
@@ -28,7 +28,7 @@ KIB = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class ModelCost:
     """Of one model, as deployed: the seed that validates best, trained on all runs.
 
     train_s, train_peak_mib : mean over the seeds; the peak is the whole process's, torch in it
@@ -52,20 +52,20 @@ class Cost:
     edge_batch_ms: float
 
 
-def costs(trainings: Sequence[Kept], rows: int = 213) -> list[Cost]:
+def costs(trainings: Sequence[Kept], rows: int = 213) -> list[ModelCost]:
     """One per model; rows : of the free run that counts as running."""
     models = list(dict.fromkeys(kept.model for kept in trainings))
     with tempfile.TemporaryDirectory() as folder:
         return [_cost(model, trainings, rows, Path(folder)) for model in models]
 
 
-def _cost(model: str, trainings: Sequence[Kept], rows: int, folder: Path) -> Cost:
+def _cost(model: str, trainings: Sequence[Kept], rows: int, folder: Path) -> ModelCost:
     mine = [kept for kept in trainings if kept.model == model and kept.regime == REGIME]
     seed = best_seed([kept.record for kept in mine], model, REGIME)
     kept = next(one for one in mine if one.seed == seed)
     weights = _weights_bytes(kept.folder)
     edge = _edge(kept, folder)
-    return Cost(
+    return ModelCost(
         model,
         train_s=fmean(one.record["wall_s"] for one in mine),
         train_peak_mib=fmean(one.record["peak_rss_mib"] for one in mine),
@@ -113,4 +113,4 @@ def _edge_model(kept: Kept, folder: Path) -> tuple[str, ...]:
     if kept.model.startswith("lstm"):
         return "lstm", str(file)
     own = kept.folder / TWIN_FILE
-    return "ham", str(file), (read_twin_file(own).twin() if own.exists() else Twin()).sha256
+    return "ham", str(file), (read_twin_file(own).twin() if own.exists() else BoxTwin()).sha256

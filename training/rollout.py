@@ -7,13 +7,13 @@ import numpy as np
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats, Predictor
-from edge.formats.run_file import Run, inside_names
+from edge.formats.run_file import RecordedRun, inside_names
 
 START_ROWS = 10  # the paper's window: every model begins from these, whatever it needs of them
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class RolloutErrors:
     """What a forecast misses by, predicted minus measured [K]."""
 
     mae_k: float
@@ -23,7 +23,7 @@ class Errors:
     rows: int
 
 
-def free_run(predictor: Predictor, run: Run) -> Floats:
+def free_run(predictor: Predictor, run: RecordedRun) -> Floats:
     """Temperatures [rows - START_ROWS] [°C] from row START_ROWS on, none of them measured.
 
     The run's inputs and its room temperature are given, its air temperature after the first rows is not.
@@ -34,7 +34,7 @@ def free_run(predictor: Predictor, run: Run) -> Floats:
     return _forecast(predictor, run, START_ROWS - 1, rows - 1)
 
 
-def one_step(predictor: Predictor, run: Run) -> Floats:
+def one_step(predictor: Predictor, run: RecordedRun) -> Floats:
     """Temperatures [rows - START_ROWS] [°C], each from measurements up to the row before."""
     steps = [
         _forecast(predictor, run, now, now + 1, first=now + 1 - START_ROWS)
@@ -43,7 +43,7 @@ def one_step(predictor: Predictor, run: Run) -> Floats:
     return np.concatenate(steps)
 
 
-def errors(predicted: Floats, run: Run) -> Errors:
+def errors(predicted: Floats, run: RecordedRun) -> RolloutErrors:
     """Errors of `free_run` or `one_step`, over the rows where the temperature was measured.
 
     Errors : DataError where the prediction is not finite, or nothing was measured
@@ -55,7 +55,7 @@ def errors(predicted: Floats, run: Run) -> Errors:
     missed = missed[np.isfinite(missed)]
     if not missed.size:
         raise DataError(f"{run.path}: temp_air_c: nothing measured after row {START_ROWS}")
-    return Errors(
+    return RolloutErrors(
         mae_k=float(np.abs(missed).mean()),
         rmse_k=float(np.sqrt((missed**2).mean())),
         bias_k=float(missed.mean()),
@@ -64,12 +64,12 @@ def errors(predicted: Floats, run: Run) -> Errors:
     )
 
 
-def mean_free_run_mae(predictor: Predictor, runs: Sequence[Run]) -> float:
+def mean_free_run_mae(predictor: Predictor, runs: Sequence[RecordedRun]) -> float:
     """Mean over the runs of the MAE of their free runs [K]."""
     return float(np.mean([errors(free_run(predictor, run), run).mae_k for run in runs]))
 
 
-def _forecast(predictor: Predictor, run: Run, now: int, last: int, first: int = 0) -> Floats:
+def _forecast(predictor: Predictor, run: RecordedRun, now: int, last: int, first: int = 0) -> Floats:
     columns = inside_names(run)
     history = {name: values[first : now + 1] for name, values in columns.items()}
     ahead = {name: values[now:last] for name, values in columns.items()}

@@ -9,7 +9,7 @@ import numpy as np
 from edge.core.errors import DataError
 from edge.core.predictor import Floats
 from training.datasets import data_sha256, test_run, training_runs
-from training.rollout import START_ROWS, Errors, errors, free_run, one_step
+from training.rollout import START_ROWS, RolloutErrors, errors, free_run, one_step
 from training.study import SCENARIOS, Regime
 from training.trained import PAPER, Kept
 
@@ -17,7 +17,7 @@ TEMP = "temp_air_c"
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class TrainingScore:
     """One training on one test run.
 
     mae_inside_k, mae_outside_k : of the free run where the measured temperature was inside the range of the
@@ -30,8 +30,8 @@ class Score:
     regime: Regime
     seed: int
     scenario: int
-    free_run: Errors
-    one_step: Errors
+    free_run: RolloutErrors
+    one_step: RolloutErrors
     mae_inside_k: float | None
     mae_outside_k: float | None
     outside: float
@@ -40,14 +40,14 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredRun:
     """A score, and the free run [rows - START_ROWS] [°C] that it is of."""
 
-    score: Score
+    score: TrainingScore
     forecast: Floats
 
 
-def scored(trainings: Iterable[Kept], scenarios: Sequence[int] | None = None) -> list[Scored]:
+def scored(trainings: Iterable[Kept], scenarios: Sequence[int] | None = None) -> list[ScoredRun]:
     """All of `trainings` on the test runs of their regimes, or on those of them that are in `scenarios`.
 
     Errors : DataError for a training on other runs than those that are recorded here
@@ -81,7 +81,7 @@ def swapped(trainings: Iterable[Kept], model: str) -> list[Swapped]:
     ]
 
 
-def maes(scores: Iterable[Score], model: str, regime: Regime) -> Floats:
+def maes(scores: Iterable[TrainingScore], model: str, regime: Regime) -> Floats:
     """Free-run MAE [seeds, 3] by seed and scenario [K]; [0, 3] where the model wasn't scored."""
     mine = [score for score in scores if score.model == model and score.regime == regime]
     rows = [
@@ -91,7 +91,7 @@ def maes(scores: Iterable[Score], model: str, regime: Regime) -> Floats:
     return np.array(rows).reshape(-1, len(SCENARIOS[regime]))
 
 
-def by_seed(scores: Iterable[Score], model: str, regime: Regime, seeds: int) -> Floats:
+def by_seed(scores: Iterable[TrainingScore], model: str, regime: Regime, seeds: int) -> Floats:
     """Mean free-run MAE of the regime by seed [seeds]; a model without seeds has the same for each [K]."""
     means = maes(scores, model, regime).mean(axis=1)
     if len(means) not in (1, seeds):
@@ -100,7 +100,7 @@ def by_seed(scores: Iterable[Score], model: str, regime: Regime, seeds: int) -> 
 
 
 def orders(
-    scores: Sequence[Score], regime: Regime, models: Sequence[str] = PAPER
+    scores: Sequence[TrainingScore], regime: Regime, models: Sequence[str] = PAPER
 ) -> Counter[tuple[str, ...]]:
     """How many seeds have which order of the models, best first."""
     seeds = max(len(maes(scores, model, regime)) for model in models)
@@ -108,12 +108,14 @@ def orders(
     return Counter(tuple(sorted(models, key=lambda model: columns[model][seed])) for seed in range(seeds))
 
 
-def mean_of(scores: Iterable[Score], model: str, regime: Regime, value: Callable[[Score], float]) -> float:
+def mean_of(
+    scores: Iterable[TrainingScore], model: str, regime: Regime, value: Callable[[TrainingScore], float]
+) -> float:
     """Mean of a figure over seeds and scenarios."""
     return float(np.mean([value(s) for s in scores if s.model == model and s.regime == regime]))
 
 
-def _scored(kept: Kept, scenario: int) -> Scored:
+def _scored(kept: Kept, scenario: int) -> ScoredRun:
     run = test_run(scenario)
     forecast = free_run(kept.predictor, run)
     measured = run.columns[TEMP][START_ROWS:]
@@ -121,7 +123,7 @@ def _scored(kept: Kept, scenario: int) -> Scored:
     missed = np.abs(forecast - measured)
     known = np.isfinite(measured)
     outside = known & ((measured < low) | (measured > high))
-    score = Score(
+    score = TrainingScore(
         model=kept.model,
         regime=kept.regime,
         seed=kept.seed,
@@ -134,7 +136,7 @@ def _scored(kept: Kept, scenario: int) -> Scored:
         hottest_c=float(forecast.max()),
         hottest_measured_c=float(np.nanmax(measured)),
     )
-    return Scored(score, forecast)
+    return ScoredRun(score, forecast)
 
 
 def _mean(values: Floats) -> float | None:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from edge.core.predictor import Predictor
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from training.datasets import data_sha256, test_run, training_runs
 from training.pairs import INPUTS, split_all, stretches
 from training.peak_memory import peak_rss_mib, reset_peak
@@ -37,11 +37,11 @@ class Trained:
     save: Callable[[Path, Mapping[str, Any]], None]  # into a folder, with facts for the file
 
 
-Train = Callable[[Sequence[Run], int, Path | None], Trained]  # training runs, seed, folder of the log
+Train = Callable[[Sequence[RecordedRun], int, Path | None], Trained]  # training runs, seed, folder of the log
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class TrainingJob:
     """One training to be done."""
 
     name: str  # of the model, as in `training.models.MODELS`
@@ -54,7 +54,7 @@ class Job:
         return root / self.name / self.regime / f"seed_{self.seed}"
 
 
-def study(job: Job, train: Train, out: Path, log: Path | None) -> dict[str, Any]:
+def study(job: TrainingJob, train: Train, out: Path, log: Path | None) -> dict[str, Any]:
     """Train once, forecast every test run of the regime, save model and record; the record as JSON values.
 
     out, log : folders under which the job has its own, for its files and for TensorBoard (None for no log)
@@ -94,7 +94,7 @@ def score(predictor: Predictor, scenario: int) -> dict[str, dict[str, float]]:
     }
 
 
-def validity(runs: Sequence[Run]) -> dict[str, list[float]]:
+def validity(runs: Sequence[RecordedRun]) -> dict[str, list[float]]:
     """Lowest and highest value of each input in the training parts, by border key."""
     columns = np.concatenate([np.stack(stretch) for stretch in stretches(split_all(runs).train)], axis=1)
     return {key: [float(row.min()), float(row.max())] for key, row in zip(INPUTS, columns, strict=True)}

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from edge.core.errors import DataError
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.signals import Signals
 from edge.twin.warm_start import at_rest, drift, spread
 
@@ -49,7 +49,7 @@ class TwinStep(nn.Module):
             self.register_buffer(name, torch.zeros(shape))
 
     @classmethod
-    def of(cls, twin: Twin) -> "TwinStep":
+    def of(cls, twin: BoxTwin) -> "TwinStep":
         """The same physics as `twin`; between fan off and on the matrices are interpolated.
 
         Errors : DataError for a twin whose inputs do not act as they are: late, bent, or more than these
@@ -119,12 +119,12 @@ class TwinStep(nn.Module):
         return matrix @ covariance @ matrix.transpose(1, 2) + unknown
 
 
-def beyond_a_graph(twin: Twin) -> list[str]:
+def beyond_a_graph(twin: BoxTwin) -> list[str]:
     """The effects of a twin that make it more than one matrix per fan speed and a room that is shifted."""
     return [
         name
         for name, values in twin.effects.items()
-        if not _held(Twin(twin.geometry, {name: values}, twin.step_s).signals)
+        if not _held(BoxTwin(twin.geometry, {name: values}, twin.step_s).signals)
     ]
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bench.attack import nasty
-from bench.attack.part import Found, main_of
+from bench.attack.part import TrialResult, main_of
 from edge.app.daemon import Daemon
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
@@ -83,11 +83,11 @@ class EvilServer(StandIn):
         return Sending(raw, int(rng.choice([200, 200, 200, 200, 500, 429, 302, 204])), headers)
 
 
-def run(seed: int, count: int) -> Iterator[Found]:
+def run(seed: int, count: int) -> Iterator[TrialResult]:
     """One run of each architecture, `count` answers in all."""
     for number, controller in enumerate(CONTROLLERS):
         ticks = -(-count // len(CONTROLLERS))
-        yield Found(
+        yield TrialResult(
             f"{controller}, seed {seed + number}", ticks, _violations(controller, seed + number, ticks)
         )
 

@@ -21,14 +21,14 @@ import numpy as np
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from onnx import TensorProto, helper
 
-from bench.attack.part import Found, main_of
+from bench.attack.part import TrialResult, main_of
 from edge.bundle.archive import open_archive
 from edge.bundle.manifest import MANIFEST, SIGNATURE
 from edge.bundle.predictors import loader
-from edge.bundle.proof import Limits, Prover
+from edge.bundle.proof import ProofLimits, Prover
 from edge.bundle.roles import activated
-from edge.bundle.sign import Facts, build_bundle, generate_key, sign_folder
-from edge.bundle.store import PACKAGED_FOLDER, Store
+from edge.bundle.sign import ManifestFacts, build_bundle, generate_key, sign_folder
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.core.errors import DataError, RequestError
 from edge.models import policy_contract as contract
 from edge.models.onnx_policy import INPUT, OUTPUT
@@ -36,7 +36,7 @@ from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
 
 ACTIVE = "1.0"
-LIMITS = Limits(cpu_s=4, wall_s=20.0)
+LIMITS = ProofLimits(cpu_s=4, wall_s=20.0)
 HANG_S = 30  # per bundle; the prover's limit is the longest that may be waited for
 Files = dict[str, bytes]
 JSON_VALUES = (
@@ -111,7 +111,7 @@ ENDLESS = loop_graph(2**62, 1)
 GREEDY = loop_graph(1, 2**31)
 
 
-class Rig:
+class BundleRig:
     """A store with an active bundle, and the key that the rig trusts."""
 
     def __init__(self, folder: Path) -> None:
@@ -121,7 +121,7 @@ class Rig:
         self.key, self.other_key = folder / "key.pem", folder / "other.pem"
         shutil.move(generate_key(self.key), self.trusted)
         generate_key(self.other_key)
-        self.store = Store(
+        self.store = BundleStore(
             folder / "store", self.trusted, loader(60.0), prove=Prover(self.trusted, 60.0, LIMITS)
         )
         self.models = folder / "models"
@@ -136,7 +136,7 @@ class Rig:
 
     def build(self, out: Path, version: str, key: Path | None = None) -> bytes:
         """A sound archive."""
-        facts = Facts(version=version, created_utc="2026-07-01T12:00:00Z", data_sha256="d" * 64)
+        facts = ManifestFacts(version=version, created_utc="2026-07-01T12:00:00Z", data_sha256="d" * 64)
         build_bundle(self.models, out, facts, key or self.key)
         return out.read_bytes()
 
@@ -221,7 +221,7 @@ def evil_yaml(chance: random.Random) -> bytes:
     )
 
 
-def evil_archive(rig: Rig, chance: random.Random, version: str) -> tuple[str, bytes]:
+def evil_archive(rig: BundleRig, chance: random.Random, version: str) -> tuple[str, bytes]:
     """The kind of evil, and the archive."""
     archive = rig.build(rig.folder / "sound.zip", version)
     files = unpacked(archive)
@@ -229,40 +229,40 @@ def evil_archive(rig: Rig, chance: random.Random, version: str) -> tuple[str, by
     return kind, MAKE[kind](rig, chance, archive, files)
 
 
-def _names(rig: Rig, chance: random.Random, archive: bytes, files: Files) -> bytes:
+def _names(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
     name = chance.choice(
         ["../roles.json", "/etc/passwd", "a/b", ".hidden", "x" * 300, "arx.json", "\u202e", "roles.json"]
     )
     return packed([*files.items(), (name, b"x")])
 
 
-def _onnx(rig: Rig, chance: random.Random, archive: bytes, files: Files) -> bytes:
+def _onnx(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
     name = chance.choice(["lstm.onnx", "rl-off.onnx"])
     return packed(rig.signed({**files, name: flipped(files[name], chance, 0.001)}, _keep))
 
 
 def _graph(graph: bytes) -> "Make":
-    def make(rig: Rig, chance: random.Random, archive: bytes, files: Files) -> bytes:
+    def make(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
         return packed(rig.signed({**files, "rl-off.onnx": graph}, _keep))
 
     return make
 
 
-def _other_key(rig: Rig, chance: random.Random, archive: bytes, files: Files) -> bytes:
+def _other_key(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
     folder = rig.folder / "foreign"
     shutil.copytree(rig.models, folder)
-    sign_folder(folder, Facts("9.0", "2026-07-01T12:00:00Z", "d" * 64), rig.other_key)
+    sign_folder(folder, ManifestFacts("9.0", "2026-07-01T12:00:00Z", "d" * 64), rig.other_key)
     content = {path.name: path.read_bytes() for path in folder.iterdir()}
     shutil.rmtree(folder)
     return packed(content)
 
 
-def _older(rig: Rig, chance: random.Random, archive: bytes, files: Files) -> bytes:
+def _older(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
     older = chance.choice(["0.1", "0.9.9", "alpha", "0", "00.99-rc1"])
     return packed(rig.signed(files, lambda document: document.update(version=older)))
 
 
-def _manifest(rig: Rig, chance: random.Random, archive: bytes, files: Files) -> bytes:
+def _manifest(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
     def change(document: dict[str, Any]) -> None:
         changed = evil_json(json.dumps(document).encode(), chance)
         with suppress(ValueError, RecursionError):
@@ -274,7 +274,7 @@ def _manifest(rig: Rig, chance: random.Random, archive: bytes, files: Files) -> 
     return packed(rig.signed(files, change))
 
 
-Make = Callable[[Rig, random.Random, bytes, Files], bytes]
+Make = Callable[[BundleRig, random.Random, bytes, Files], bytes]
 MAKE: dict[str, Make] = {
     "flipped bytes": lambda rig, chance, archive, files: flipped(archive, chance, 0.01),
     "cut": lambda rig, chance, archive, files: archive[: chance.randrange(len(archive))],
@@ -328,7 +328,7 @@ def time_limit(seconds: int) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def attempt(rig: Rig, seed: int) -> tuple[str, str, str]:
+def attempt(rig: BundleRig, seed: int) -> tuple[str, str, str]:
     """Install the bundle of this seed. Returns : its kind, the outcome, the violation ("" without one)"""
     kind, archive = evil_archive(rig, random.Random(seed), f"2.{seed}")
     try:
@@ -346,13 +346,13 @@ def attempt(rig: Rig, seed: int) -> tuple[str, str, str]:
     return kind, outcome, ""
 
 
-def run(seed: int, count: int) -> Iterator[Found]:
+def run(seed: int, count: int) -> Iterator[TrialResult]:
     """One bundle of each seed into one store; afterwards the active bundle still loads."""
     with tempfile.TemporaryDirectory(prefix="gh-") as folder:
-        rig = Rig(Path(folder))
+        rig = BundleRig(Path(folder))
         for number in range(seed, seed + count):
             kind, outcome, violation = attempt(rig, number)
-            yield Found(f"{kind}, seed {number}: {outcome}", 1, [violation] if violation else [])
+            yield TrialResult(f"{kind}, seed {number}: {outcome}", 1, [violation] if violation else [])
         rig.store.load(ACTIVE)
 
 

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.attack import nasty
-from bench.attack.part import Found, main_of
+from bench.attack.part import TrialResult, main_of
 from edge import __main__ as greenhouse
 from edge.bundle.archive import pack
 from edge.bundle.store import PACKAGED_FOLDER
@@ -84,7 +84,7 @@ def honest_run() -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class InputKind:
     """A kind of input: its honest content, what damages it, and the commands that read it.
 
     In a command FILE is the damaged file, FOLDER a folder of its own with the honest ones.
@@ -210,7 +210,7 @@ def _harm(rng: np.random.Generator, connection: sqlite3.Connection) -> None:
 
 VERIFY, INSTALL = "bundle --config FOLDER/rig.yaml verify", "bundle --config FOLDER/rig.yaml install"
 KINDS = (
-    Kind(
+    InputKind(
         "settings",
         lambda: document(Settings()).encode(),
         _yaml,
@@ -219,7 +219,7 @@ KINDS = (
             "bundle --config FILE list",
         ),
     ),
-    Kind(
+    InputKind(
         "run",
         honest_run,
         _csv,
@@ -232,19 +232,19 @@ KINDS = (
             "twin diagnose FILE --twin FOLDER/fit.yaml --out FOLDER/report --json-only --jobs 1",
         ),
     ),
-    Kind(
+    InputKind(
         "reference",
         lambda: b"# record_from_s: 60\ntime_s,reference_c\n0,24\n600,26\n1200,22\n",
         _csv,
         ("check-config FOLDER/csv.yaml",),
     ),
-    Kind(
+    InputKind(
         "profile",
         lambda: PROFILE,
         _csv,
         ("experiment FILE --out FILE/none",),
     ),
-    Kind(
+    InputKind(
         "twin",
         lambda: TWIN,
         _yaml,
@@ -255,19 +255,19 @@ KINDS = (
             "twin adopt FILE --to FOLDER/adopted.yaml",
         ),
     ),
-    Kind(
+    InputKind(
         "report",
         lambda: b'{"effects": ["wall_loss"], "twin_after": "twin.yaml"}',
         _json,
         ("twin adopt FOLDER --to FOLDER/adopted.yaml",),
     ),
-    Kind(
+    InputKind(
         "arx",
         DEFAULT_PATH.read_bytes,
         _json,
         ("replay FOLDER/run.csv --model FILE --controller rules", "check-config FOLDER/model.yaml"),
     ),
-    Kind(
+    InputKind(
         "history",
         _history,
         _database,
@@ -278,8 +278,8 @@ KINDS = (
             "twin diagnose --history FILE --twin FOLDER/fit.yaml --out FOLDER/report --json-only --jobs 1",
         ),
     ),
-    Kind("bundle", _bundle, _zip, (f"{VERIFY} FILE", f"{INSTALL} FILE")),
-    Kind(
+    InputKind("bundle", _bundle, _zip, (f"{VERIFY} FILE", f"{INSTALL} FILE")),
+    InputKind(
         "key",
         (PACKAGED_FOLDER.parent / "default_bundle.pub").read_bytes,
         _zip,
@@ -295,7 +295,7 @@ PLACES = {
 }
 
 
-def run(seed: int, count: int) -> Iterator[Found]:
+def run(seed: int, count: int) -> Iterator[TrialResult]:
     """A case of each seed: one damaged file, one command."""
     bundle = _bundle()
     for number in range(seed, seed + count):
@@ -312,7 +312,7 @@ def run(seed: int, count: int) -> Iterator[Found]:
                 .replace("FOLDER", str(folder))
                 .split()
             )
-            yield Found(
+            yield TrialResult(
                 f"seed {number}, {what} as {kind.name}: {' '.join(words)}",
                 1,
                 _violations(words, folder, path),
@@ -333,7 +333,7 @@ def _honest(folder: Path, bundle: bytes) -> None:
         (folder / name).write_bytes(content)
 
 
-def _place(rng: np.random.Generator, path: Path, kind: Kind) -> str:
+def _place(rng: np.random.Generator, path: Path, kind: InputKind) -> str:
     """Put something hostile at `path`; returns in a word what."""
     special = int(rng.integers(20))
     if special == 0:

@@ -20,7 +20,7 @@ from typing import Any
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
-from bench.attack.part import Found, main_of
+from bench.attack.part import TrialResult, main_of
 from bench.support.broker import Broker, Listener
 from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import VirtualBoard, virtual_board
@@ -133,7 +133,7 @@ STOPS = {
 }
 
 
-def run(seed: int, count: int) -> Iterator[Found]:
+def run(seed: int, count: int) -> Iterator[TrialResult]:
     """`count` stops: each flood, door and kind of stop in a drawn order, again and again."""
     trials = [(flood, door, stop) for flood in FLOODS for door in ("socket", "mqtt") for stop in STOPS]
     random.Random(seed).shuffle(trials)
@@ -148,10 +148,12 @@ def run(seed: int, count: int) -> Iterator[Found]:
             for flood, door, stop in itertools.islice(itertools.cycle(trials), count):
                 name = f"{flood}, {stop} by {door}"
                 if not _heat(board, daemon):
-                    yield Found(name, 1, ["heater and fan are not on after the release of the stop before"])
+                    yield TrialResult(
+                        name, 1, ["heater and fan are not on after the release of the stop before"]
+                    )
                     continue
                 took_s = stopped_after(flood, door, stop, board, daemon, sender, broker.port)
-                yield Found(name, 1, _slow(took_s, daemon))
+                yield TrialResult(name, 1, _slow(took_s, daemon))
 
 
 def stopped_after(

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bench.attack.plan import Life, Plan
-from bench.watched_clock import Look, Order, WatchedClock, look_at
+from bench.attack.plan import AttackPlan, Life
+from bench.watched_clock import Look, TimedRequest, WatchedClock, look_at
 from edge.app.daemon import Daemon
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
@@ -32,7 +32,7 @@ GIVE_UP_S = 300.0  # real time for one life: beyond, the daemon hangs
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class AnsweredOrder:
     """An order that was answered, and when it was given."""
 
     time_s: float
@@ -58,13 +58,13 @@ class Lived:
 class Outcome:
     """All that is known of one scenario."""
 
-    plan: Plan
+    plan: AttackPlan
     looks: tuple[Look, ...]
-    given: tuple[Given, ...]
+    given: tuple[AnsweredOrder, ...]
     lives: tuple[Lived, ...]
 
 
-def run(plan: Plan, folder: Path) -> Outcome:
+def run(plan: AttackPlan, folder: Path) -> Outcome:
     """Every life of the plan, one after the other, in `folder`."""
     script, box = folder / "faults.yaml", folder / "chamber.yaml"
     script.write_text(yaml.safe_dump([dict(fault) for fault in plan.faults]))
@@ -72,7 +72,7 @@ def run(plan: Plan, folder: Path) -> Outcome:
     options = ("--core", plan.core, "--faults", str(script), "--chamber", str(box))
     settings = settings_in(folder, config.parse(yaml.safe_dump(dict(plan.settings)), "attack"))
     looks: list[Look] = []
-    given: list[Given] = []
+    given: list[AnsweredOrder] = []
     lives: list[Lived] = []
     begin_s = 0.0
     with virtual_rig(folder, plan.seed, options) as rig:
@@ -85,7 +85,9 @@ def run(plan: Plan, folder: Path) -> Outcome:
     return Outcome(plan, tuple(looks), tuple(given), tuple(lives))
 
 
-def _live(life: Life, begin_s: float, plan: Plan, settings: Settings, control: Path, notes: Path) -> int:
+def _live(
+    life: Life, begin_s: float, plan: AttackPlan, settings: Settings, control: Path, notes: Path
+) -> int:
     """One life in a process of its own; its exit code."""
     sys.stdout.flush()
     child = os.fork()
@@ -103,7 +105,7 @@ def _live(life: Life, begin_s: float, plan: Plan, settings: Settings, control: P
 
 
 def _be_the_daemon(
-    life: Life, begin_s: float, plan: Plan, settings: Settings, control: Path, notes: Path
+    life: Life, begin_s: float, plan: AttackPlan, settings: Settings, control: Path, notes: Path
 ) -> None:
     """In the child; does not return."""
     code = 1
@@ -122,7 +124,7 @@ def _be_the_daemon(
 
 
 def _daemon(
-    life: Life, begin_s: float, plan: Plan, settings: Settings, control: Path, notes: "_Notes"
+    life: Life, begin_s: float, plan: AttackPlan, settings: Settings, control: Path, notes: "_Notes"
 ) -> None:
     end_s = begin_s + life.length_s
     orders = [order for order in plan.orders if begin_s <= order.at_s < end_s]
@@ -170,7 +172,7 @@ class _Notes:
                 float(self._rng.uniform(0.0, 0.01)), os.kill, (os.getpid(), signal.SIGKILL)
             ).start()
 
-    def reply(self, given_s: float, order: Order, reply: Mapping[str, Any]) -> None:
+    def reply(self, given_s: float, order: TimedRequest, reply: Mapping[str, Any]) -> None:
         kept = {key: reply[key] for key in ("ok", "error", "warning") if key in reply}
         self._write("given", [given_s, order.request, kept])
 
@@ -201,7 +203,7 @@ def _read(
     settings: Settings,
     code: int,
     looks: list[Look],
-    given: list[Given],
+    given: list[AnsweredOrder],
 ) -> Lived:
     seqs: list[int] = []
     end_s = begin_s
@@ -209,7 +211,7 @@ def _read(
         if kind == "tick":
             seqs.append(values[0])
         elif kind == "given":
-            given.append(Given(*values))
+            given.append(AnsweredOrder(*values))
         else:
             time_s, air, pin, heat, fan, cutoff, on = values
             end_s = time_s

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class TrialResult:
     """One trial: its name with its seed, how many cases it stands for, and what was wrong, in words."""
 
     name: str
@@ -14,7 +14,7 @@ class Found:
     violations: Sequence[str]
 
 
-Part = Callable[[int, int], Iterator[Found]]
+Part = Callable[[int, int], Iterator[TrialResult]]
 
 
 def report(part: Part, seed: int, count: int, what: str) -> int:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bench.attack import nasty
-from bench.attack.part import Found, main_of
+from bench.attack.part import TrialResult, main_of
 from bench.support.broker import Broker, Listener, wait_for
 from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import VirtualBoard, virtual_board
@@ -31,7 +31,7 @@ WORDS = ("PRESS", "auto", "heat", "off", "manual", "fan_only", "on", "24", "35.5
 TOPICS = tuple(each for each in COMMANDS if each not in ("emergency_stop", "maintenance"))
 
 
-def run(seed: int, count: int) -> Iterator[Found]:
+def run(seed: int, count: int) -> Iterator[TrialResult]:
     """Batches of payloads; after each the daemon is looked at."""
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory(prefix="gh-payload-") as name:
@@ -49,9 +49,9 @@ def run(seed: int, count: int) -> Iterator[Found]:
                     topic, payload = _message(rng)
                     sender.client.publish(f"{RIG}/set/{topic}", payload, qos=int(rng.integers(3)))
                     time.sleep(PAUSE_S)
-                yield Found(f"payloads {first} to {first + size - 1}", size, _look(daemon, before))
+                yield TrialResult(f"payloads {first} to {first + size - 1}", size, _look(daemon, before))
             sender.send(f"{RIG}/set/emergency_stop", "PRESS")
-            yield Found("the stop afterwards", 0, _still_on(board))
+            yield TrialResult("the stop afterwards", 0, _still_on(board))
 
 
 def _still_on(board: VirtualBoard) -> list[str]:

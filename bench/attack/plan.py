@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.watched_clock import Order
+from bench.watched_clock import TimedRequest
 from firmware_protocol.virtual_board.fault_table import KINDS, Choice, Number
 
 SILENT = ("mute", "unplug", "other_protocol")  # line faults after which the board surely hears nothing valid
@@ -43,7 +43,7 @@ class Life:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class AttackPlan:
     """Everything that is drawn. Times in s of simulated time since the board's start."""
 
     seed: int
@@ -52,7 +52,7 @@ class Plan:
     chamber: Mapping[str, Any]
     lives: tuple[Life, ...]
     faults: tuple[Mapping[str, Any], ...]
-    orders: tuple[Order, ...]
+    orders: tuple[TimedRequest, ...]
 
     @property
     def end_s(self) -> float:
@@ -60,7 +60,7 @@ class Plan:
         return sum(life.length_s + life.dead_s for life in self.lives)
 
 
-def draw(seed: int) -> Plan:
+def draw(seed: int) -> AttackPlan:
     """The scenario of one seed; the same at every call."""
     rng = np.random.default_rng(seed)
     # The last one has room on its disk and ends in good order: by then everything is stored or reported.
@@ -69,7 +69,7 @@ def draw(seed: int) -> Plan:
         replace(_life(rng), killed=False, file_max=None),
     )
     end_s = sum(life.length_s + life.dead_s for life in lives)
-    return Plan(
+    return AttackPlan(
         seed=seed,
         core="c" if rng.random() < 0.3 else "python",
         settings=_settings(rng),
@@ -124,10 +124,10 @@ def _value(rng: np.random.Generator, key: str, parameter: Number | Choice) -> fl
     return round(float(rng.uniform(low, high)), 3)
 
 
-def _orders(rng: np.random.Generator, end_s: float) -> list[Order]:
+def _orders(rng: np.random.Generator, end_s: float) -> list[TimedRequest]:
     """Among them at least one stop, so that every scenario tests one."""
     kinds = [str(rng.choice(STOPS)), *(str(kind) for kind in rng.choice(ORDERS, rng.integers(0, 6)))]
-    return [Order(round(float(rng.uniform(5.0, end_s)), 2), _request(rng, kind)) for kind in kinds]
+    return [TimedRequest(round(float(rng.uniform(5.0, end_s)), 2), _request(rng, kind)) for kind in kinds]
 
 
 ORDERS = (

@@ -8,26 +8,26 @@ from pathlib import Path
 
 from bench.attack.invariants import violations
 from bench.attack.lives import run as live
-from bench.attack.part import Found, main_of
+from bench.attack.part import TrialResult, main_of
 from bench.attack.plan import draw
 
 WORKERS = os.cpu_count() or 1
 
 
-def run(seed: int, count: int) -> Iterator[Found]:
+def run(seed: int, count: int) -> Iterator[TrialResult]:
     """Each scenario with its violations, in the order of the seeds."""
     with ProcessPoolExecutor(min(WORKERS, count)) as pool:
         yield from pool.map(one, range(seed, seed + count))
 
 
-def one(seed: int) -> Found:
+def one(seed: int) -> TrialResult:
     """One scenario."""
     with tempfile.TemporaryDirectory(prefix="gh-attack-") as name:
         try:
             found = violations(live(draw(seed), Path(name)))
         except Exception as error:
             found = [f"the scenario itself failed: {error!r}"]
-    return Found(f"seed {seed}", 1, found)
+    return TrialResult(f"seed {seed}", 1, found)
 
 
 if __name__ == "__main__":

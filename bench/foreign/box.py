@@ -20,7 +20,7 @@ FASTEST_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class ForeignBox:
     """Numbers, or one a box [P]; 0 where a part is not there.
 
     store, wall : bodies, the wall between two halves of its resistance
@@ -57,7 +57,7 @@ class Box:
     melts_over_k: float = 1.0
     lid_w_k: float = 0.0
 
-    def less(self, hidden: dict[str, float]) -> "Box":
+    def less(self, hidden: dict[str, float]) -> "ForeignBox":
         """Without what some numbers of it do."""
         usual = {item.name: item.default for item in fields(self)}
         return replace(self, **{name: usual[name] for name in hidden})
@@ -78,7 +78,7 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
-class Weather:
+class BoxWeather:
     """What happens to a box, one number a row: the room, heat of others, open share of the lid, the mains."""
 
     room_c: Floats
@@ -95,7 +95,9 @@ def air_kg_m3(temp_c: float | Floats) -> float | Floats:
     return PRESSURE_PA / (AIR_J_KG * (273.15 + temp_c))
 
 
-def drive(box: Box, weather: Weather, control: Control, step_s: float) -> tuple[Floats, Floats, Floats]:
+def drive(
+    box: ForeignBox, weather: BoxWeather, control: Control, step_s: float
+) -> tuple[Floats, Floats, Floats]:
     """From rest in its room. Returns: what the sensor shows without noise [rows, P], duty and fan [rows]"""
     rows = len(weather.room_c)
     parts = max(1, int(np.ceil(step_s / max(QUICKEST_SHARE * box.quickest_s(), FASTEST_S))))

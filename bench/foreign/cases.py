@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from bench.foreign.box import AIR_J_KG_K, Box, Weather, air_kg_m3, drive
+from bench.foreign.box import AIR_J_KG_K, BoxWeather, ForeignBox, air_kg_m3, drive
 from bench.foreign.weather import DRIVES, draw_control, draw_weather, sun_w, visits_w
 
 Floats = NDArray[np.float64]
@@ -54,7 +54,7 @@ OUTSIDE = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Log:
+class ForeignLog:
     """Columns of one recording, and when the part begins that is judged; None: it is whole."""
 
     columns: Mapping[str, Floats]
@@ -62,19 +62,19 @@ class Log:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
+class ForeignCase:
     """files : by name; twin : what the owner believes, as YAML; truth : as JSON"""
 
-    files: Mapping[str, Log]
+    files: Mapping[str, ForeignLog]
     twin: Mapping[str, Any]
     truth: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class DrawnBox:
     """hidden : by effect, fields of the box; fan : exhaust, stirring or none"""
 
-    box: Box
+    box: ForeignBox
     tau_s: float
     step_s: float
     fan: str
@@ -88,7 +88,7 @@ def seed_of(split: str, kind: str, number: int) -> int:
     return FIRST_SEEDS[split] + SEEDS_PER_KIND * list(KINDS).index(kind) + number
 
 
-def make_case(split: str, kind: str, number: int) -> Case:
+def make_case(split: str, kind: str, number: int) -> ForeignCase:
     """Errors: RuntimeError where no draw shows what is hidden."""
     seed = seed_of(split, kind, number)
     rng = np.random.default_rng([7_777, seed])
@@ -100,7 +100,7 @@ def make_case(split: str, kind: str, number: int) -> Case:
     raise RuntimeError(f"foreign: {split} {kind} {number}: nothing in {ATTEMPTS} draws shows what is hidden")
 
 
-def _attempt(rng: Generator, kind: str, number: int) -> Case | None:
+def _attempt(rng: Generator, kind: str, number: int) -> ForeignCase | None:
     names = _names(rng, kind, number)
     outside = list(OUTSIDE)[number % len(OUTSIDE)] if kind == "outside" else ""
     drawn = _draw_box(rng, names, outside)
@@ -134,7 +134,7 @@ def _attempt(rng: Generator, kind: str, number: int) -> Case | None:
         return None
     has_room = rng.random() > 1.0 / 3.0
     files = _files(rng, drawn, runs, noise_k, step_k, has_room)
-    return Case(
+    return ForeignCase(
         files, _believed(rng, drawn), _truth(drawn, outside, shown, noise_k, step_k, files, control_kind)
     )
 
@@ -149,7 +149,7 @@ def _names(rng: Generator, kind: str, number: int) -> tuple[str, ...]:
     return first, str(rng.choice(rest))
 
 
-def _draw_box(rng: Generator, names: tuple[str, ...], outside: str) -> Drawn:
+def _draw_box(rng: Generator, names: tuple[str, ...], outside: str) -> DrawnBox:
     volume = float(np.exp(rng.uniform(np.log(5e-4), 0.0)))
     loss = 6.0 * volume ** (2.0 / 3.0) * float(rng.uniform(0.6, 6.0))
     power = float(np.clip(loss * rng.uniform(8.0, 60.0), 2.0, 500.0))
@@ -161,16 +161,16 @@ def _draw_box(rng: Generator, names: tuple[str, ...], outside: str) -> Drawn:
     if outside == "fan_heat" and fan == "none":
         fan = "stirring"
     flow = float(rng.uniform(0.5, 3.0)) * loss / (1.15 * AIR_J_KG_K) if fan == "exhaust" else 0.0
-    box = Box(volume, power, loss, contents, flow_m3_s=flow, curve=float(rng.uniform(0.0, 0.02)))
+    box = ForeignBox(volume, power, loss, contents, flow_m3_s=flow, curve=float(rng.uniform(0.0, 0.02)))
     step_s = float(rng.choice(steps))
     hidden = {name: _strength(rng, name, box, tau, air + contents, step_s) for name in names}
     for fields in hidden.values():
         box = replace(box, **fields)
-    return Drawn(box, tau, step_s, fan, hidden)
+    return DrawnBox(box, tau, step_s, fan, hidden)
 
 
 def _strength(
-    rng: Generator, name: str, box: Box, tau: float, stores: float, step_s: float
+    rng: Generator, name: str, box: ForeignBox, tau: float, stores: float, step_s: float
 ) -> dict[str, float]:
     loss, power, u = float(box.loss_w_k), float(box.power_w), rng.uniform
     return {
@@ -188,7 +188,7 @@ def _strength(
     }[name]()  # fmt: skip
 
 
-def _library_values(name: str, fields: Mapping[str, float], box: Box) -> dict[str, float]:
+def _library_values(name: str, fields: Mapping[str, float], box: ForeignBox) -> dict[str, float]:
     """The same in the words of the library, where they mean the same."""
     loss = float(box.loss_w_k)
     own = dict(fields)
@@ -207,14 +207,14 @@ def _library_values(name: str, fields: Mapping[str, float], box: Box) -> dict[st
     return found.get(name, {})
 
 
-def _rows(rng: Generator, drawn: Drawn) -> list[int]:
+def _rows(rng: Generator, drawn: DrawnBox) -> list[int]:
     """Of each recording: one or several, the last one judged by."""
     total = int(np.clip(drawn.tau_s * rng.uniform(15.0, 40.0) / drawn.step_s, 240, 1500))
     count = int(rng.integers(1, 5))
     return [max(120, round(total / count))] * count
 
 
-def _with_outside(rng: Generator, box: Box, name: str, rise_k: float) -> Box:
+def _with_outside(rng: Generator, box: ForeignBox, name: str, rise_k: float) -> ForeignBox:
     power, stores = float(box.power_w), float(box.contents_j_k)
     if name == "second_heater":
         return replace(
@@ -234,7 +234,7 @@ def _with_outside(rng: Generator, box: Box, name: str, rise_k: float) -> Box:
     return box
 
 
-def _disturbed(rng: Generator, weather: Weather, outside: str, kind: str, drawn: Drawn) -> Weather:
+def _disturbed(rng: Generator, weather: BoxWeather, outside: str, kind: str, drawn: DrawnBox) -> BoxWeather:
     rows, power = len(weather.room_c), float(drawn.box.power_w)
     heat, lid = weather.heat_w, weather.lid
     if outside == "sun":
@@ -251,12 +251,12 @@ def _disturbed(rng: Generator, weather: Weather, outside: str, kind: str, drawn:
     return replace(weather, heat_w=heat, lid=lid)
 
 
-def _shown_k(box: Box, fields: Mapping[str, float], drawn: Drawn, runs: list[Any]) -> float:
+def _shown_k(box: ForeignBox, fields: Mapping[str, float], drawn: DrawnBox, runs: list[Any]) -> float:
     """What of an effect no other loss and capacity can stand for, root mean square of the first run [K]."""
     return _left_k(box.less(dict(fields)), drawn, runs)
 
 
-def _shown_outside_k(plain: Box, box: Box, drawn: Drawn, runs: list[Any]) -> float:
+def _shown_outside_k(plain: ForeignBox, box: ForeignBox, drawn: DrawnBox, runs: list[Any]) -> float:
     quiet = []
     for weather, *rest in runs:
         calm = np.zeros(len(weather.room_c))
@@ -264,7 +264,7 @@ def _shown_outside_k(plain: Box, box: Box, drawn: Drawn, runs: list[Any]) -> flo
     return _left_k(plain, drawn, runs, quiet)
 
 
-def _left_k(less: Box, drawn: Drawn, runs: list[Any], others: list[Any] | None = None) -> float:
+def _left_k(less: ForeignBox, drawn: DrawnBox, runs: list[Any], others: list[Any] | None = None) -> float:
     weather, _, duty, fan = (others or runs)[0]
     losses, stores = (grid.ravel() for grid in np.meshgrid(GRID, GRID))
     many = replace(less, loss_w_k=less.loss_w_k * losses, contents_j_k=less.contents_j_k * stores)
@@ -274,8 +274,8 @@ def _left_k(less: Box, drawn: Drawn, runs: list[Any], others: list[Any] | None =
 
 
 def _files(
-    rng: Generator, drawn: Drawn, runs: list[Any], noise_k: float, step_k: float, has_room: bool
-) -> dict[str, Log]:
+    rng: Generator, drawn: DrawnBox, runs: list[Any], noise_k: float, step_k: float, has_room: bool
+) -> dict[str, ForeignLog]:
     files = {}
     drifts = rng.random() < 0.3
     for i, (weather, shown, duty, fan) in enumerate(runs):
@@ -297,11 +297,13 @@ def _files(
             columns["temp_ambient_c"] = np.round((weather.room_c + rng.normal(0.0, 0.08, rows)) / 0.25) * 0.25
         alone = len(runs) == 1
         role = "train" if alone or i < len(runs) - 1 else "test"
-        files[f"{role}_{i + 1:02}.csv"] = Log(columns, float(time_s[round(0.65 * rows)]) if alone else None)
+        files[f"{role}_{i + 1:02}.csv"] = ForeignLog(
+            columns, float(time_s[round(0.65 * rows)]) if alone else None
+        )
     return files
 
 
-def _believed(rng: Generator, drawn: Drawn) -> dict[str, Any]:
+def _believed(rng: Generator, drawn: DrawnBox) -> dict[str, Any]:
     """The owner's twin: either guesses, wrong by 30 %, or a fit from starts that are wrong by 10 times."""
     box = drawn.box
     air = 1.2 * 1005.0 * float(box.volume_m3)
@@ -336,8 +338,8 @@ def _believed(rng: Generator, drawn: Drawn) -> dict[str, Any]:
 
 
 def _truth(
-    drawn: Drawn, outside: str, shown: Mapping[str, float], noise_k: float, step_k: float,
-    files: Mapping[str, Log], control: str,
+    drawn: DrawnBox, outside: str, shown: Mapping[str, float], noise_k: float, step_k: float,
+    files: Mapping[str, ForeignLog], control: str,
 ) -> dict[str, Any]:  # fmt: skip
     air = 1.2 * 1005.0 * float(drawn.box.volume_m3)
     order = sorted(drawn.hidden, key=lambda name: -shown[name])

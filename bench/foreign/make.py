@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from bench.foreign.cases import FIRST_SEEDS, KINDS, Case, Log, make_case, seed_of
+from bench.foreign.cases import FIRST_SEEDS, KINDS, ForeignCase, ForeignLog, make_case, seed_of
 from edge.core.errors import DataError
 
 Task = tuple[Path, str, str, int]
@@ -68,7 +68,7 @@ def _make(task: Task) -> str:
     return name_of(task)
 
 
-def write_case(case: Case, folder: Path) -> None:
+def write_case(case: ForeignCase, folder: Path) -> None:
     """What the workflow is given. Errors: OSError"""
     folder.mkdir(parents=True, exist_ok=True)
     for name, log in case.files.items():
@@ -77,7 +77,7 @@ def write_case(case: Case, folder: Path) -> None:
     (folder / "twin.yaml").write_text(text, encoding="utf-8")
 
 
-def write_text(name: str, log: Log) -> str:
+def write_text(name: str, log: ForeignLog) -> str:
     """A run file."""
     lines = [f"# role: {name.partition('_')[0]}"]
     if log.judged_from_s is not None:

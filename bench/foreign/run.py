@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.foreign.make import add_place, name_of, tasks_of
-from bench.hidden_effects.run_cases import LIMIT_S, OURS, Task, is_done, run_all
+from bench.hidden_effects.run_cases import LIMIT_S, OURS, SolverTask, is_done, run_all
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -18,7 +18,7 @@ def main(words: Sequence[str] | None = None) -> int:
     wanted = []
     for task in tasks_of(arguments):
         folder = task[0] / "cases" / name_of(task)
-        wanted.append(Task(OURS, folder, answer_of(task[0], name_of(task)), arguments.limit_s))
+        wanted.append(SolverTask(OURS, folder, answer_of(task[0], name_of(task)), arguments.limit_s))
     run_all([task for task in wanted if arguments.again or not is_done(task)], arguments.workers)
     return 0
 

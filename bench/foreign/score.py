@@ -28,7 +28,7 @@ NEAR_BEST, NEAR_SIMPLE = 1.02, 1.10
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredAnswer:
     """One answer. statements : probability and whether it is true, of every name that was given one
 
     ratio_given, ratio_simple : test error over that of the fitted twin as given, and of the best baseline
@@ -70,19 +70,19 @@ def is_alike(name: str, other: str) -> bool:
 
 def score(
     name: str, truth: Mapping[str, Any], found: Mapping[str, Any] | None, run: Mapping[str, Any]
-) -> Scored:
+) -> ScoredAnswer:
     """found : diagnosis.json, None where there is none"""
     hidden, outside = tuple(truth["hidden"]), truth["outside"]
     seconds = {"wall_s": run["wall_s"], "cpu_s": run["cpu_s"]}
     if found is None:
-        return Scored(name, truth["kind"], hidden, outside, "failed", **seconds)
+        return ScoredAnswer(name, truth["kind"], hidden, outside, "failed", **seconds)
     names = tuple(item["name"] for item in found["effects"])
     tests = found["left_out"]["test_k"] | _gaps(found)
     after = tests.get("after", math.nan)
     simple = min((tests[key] for key in tests if key not in ("before", "after")), default=math.nan)
     floor = math.hypot(truth["noise_k"], truth["step_k"] / math.sqrt(12.0))
     gap = tests.get("before", math.nan) - floor
-    return Scored(
+    return ScoredAnswer(
         name,
         truth["kind"],
         hidden,
@@ -147,7 +147,7 @@ def _covered(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[boo
             yield own["low"] is not None and own["low"] <= true <= own["high"]
 
 
-def figures(cases: Sequence[Scored]) -> dict[str, Share | float]:
+def figures(cases: Sequence[ScoredAnswer]) -> dict[str, Share | float]:
     """Every figure of the table."""
     single, pair, outside = (_of(cases, kind) for kind in ("single", "pair", "outside"))
     library = [*single, *pair]
@@ -212,7 +212,7 @@ def bins(statements: Sequence[tuple[float, bool]]) -> dict[tuple[float, float], 
     return found
 
 
-def _of(cases: Sequence[Scored], kind: str) -> list[Scored]:
+def _of(cases: Sequence[ScoredAnswer], kind: str) -> list[ScoredAnswer]:
     return [case for case in cases if case.kind == kind]
 
 
@@ -220,7 +220,7 @@ def _quantile(values: Sequence[float], level: float) -> float:
     return sorted(values)[max(0, math.ceil(level * len(values)) - 1)] if values else math.nan
 
 
-def read_scored(task: Any) -> Scored | None:
+def read_scored(task: Any) -> ScoredAnswer | None:
     """None where the case has not been run."""
     root, name = task[0], name_of(task)
     folder = answer_of(root, name)
@@ -232,7 +232,7 @@ def read_scored(task: Any) -> Scored | None:
     return score(name, truth, found, json.loads((folder / "run.json").read_text(encoding="utf-8")))
 
 
-def text(cases: Sequence[Scored]) -> str:
+def text(cases: Sequence[ScoredAnswer]) -> str:
     """The table, the reliability of what was said, and a line a case that went wrong."""
     lines = [f"{len(cases)} cases"]
     for name, value in figures(cases).items():
@@ -270,7 +270,7 @@ def main(words: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _line(case: Scored) -> str:
+def _line(case: ScoredAnswer) -> str:
     told = "+".join(
         name if strict else f"({name})" if own else f"!{name}"
         for name, strict, own in zip(case.named, case.strict, case.by_class, strict=True)

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from bench.foreign.box import Control, Weather
+from bench.foreign.box import BoxWeather, Control
 
 Floats = NDArray[np.float64]
 HOUR_S, DAY_S = 3600.0, 86_400.0
 DRIVES = ("steps", "thermostat", "timer", "climb")
 
 
-def draw_weather(rng: Generator, rows: int, step_s: float, power_w: float, usual_c: float) -> Weather:
+def draw_weather(rng: Generator, rows: int, step_s: float, power_w: float, usual_c: float) -> BoxWeather:
     """A room with a day, airing and a radiator; a heat that walks; a mains that steps."""
     time_s = step_s * np.arange(rows) + rng.uniform(0.0, DAY_S)
     room = usual_c + rng.uniform(-1.5, 1.5) + rng.uniform(0.2, 2.5) * np.sin(2.0 * np.pi * time_s / DAY_S)
@@ -25,7 +25,7 @@ def draw_weather(rng: Generator, rows: int, step_s: float, power_w: float, usual
     mains = np.ones(rows)
     for at in np.flatnonzero(rng.random(rows) < step_s / (3.0 * HOUR_S)):
         mains[at:] = 1.0 + rng.uniform(-0.02, 0.02)
-    return Weather(room, walk, np.zeros(rows), mains)
+    return BoxWeather(room, walk, np.zeros(rows), mains)
 
 
 def _sawtooth(time_s: Floats, size_k: float, period_s: float) -> Floats:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.twin_file import TwinFile
 
 GENERATOR_VERSION = 3  # cases of another version are made anew
@@ -92,13 +92,13 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class HiddenCase:
     """All of a case. train, test : whole runs by file name; true_twin : None where none is true."""
 
     truth: Truth
     twin: TwinFile
-    train: Mapping[str, Run]
-    test: Mapping[str, Run]
+    train: Mapping[str, RecordedRun]
+    test: Mapping[str, RecordedRun]
     true_twin: TwinFile | None
 
 

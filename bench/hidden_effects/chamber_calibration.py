@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from bench.hidden_effects.chamber_box import BASE, QUIET, Settings
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan, drive
+from bench.hidden_effects.chamber_runs import LEAD_ROWS, RunPlan, drive
 from bench.hidden_effects.draw_readings import run_of
 from edge.twin.effects.library import EFFECTS
 from edge.twin.fit import fit_twin
@@ -36,7 +36,7 @@ DIRECT: Mapping[str, Mapping[str, str]] = {
 }
 
 
-class Calibration(NamedTuple):
+class ChamberCalibration(NamedTuple):
     """Parameters by effect, and the error of free runs with them [K]."""
 
     effects: dict[str, dict[str, float]]
@@ -53,11 +53,11 @@ def read_off(names: Sequence[str], settings: Settings) -> dict[str, dict[str, fl
     }
 
 
-def calibrate(names: Sequence[str], settings: Settings, plans: Sequence[Plan]) -> Calibration:
+def calibrate(names: Sequence[str], settings: Settings, plans: Sequence[RunPlan]) -> ChamberCalibration:
     """All parameters of these effects, from quiet runs of a chamber that has them and no other."""
     direct = read_off(names, settings)
     if set(names) <= set(direct):
-        return Calibration(direct, 0.0)
+        return ChamberCalibration(direct, 0.0)
     file = TwinFile(
         effects={
             name: {
@@ -75,4 +75,4 @@ def calibrate(names: Sequence[str], settings: Settings, plans: Sequence[Plan]) -
         runs.append(run_of({**shown, **commands}, "train", plan.day, plan.hour))
     fit = fit_twin(file, runs)
     effects = {name: {key: item.value for key, item in own.items()} for name, own in fit.file.effects.items()}
-    return Calibration(effects, fit.rmse_k)
+    return ChamberCalibration(effects, fit.rmse_k)

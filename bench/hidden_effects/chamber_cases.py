@@ -3,23 +3,23 @@
 import numpy as np
 from numpy.random import Generator
 
-from bench.hidden_effects.cases import SIZES_K, SUITES, Case, RunTruth, Truth, case_id, seed_of
+from bench.hidden_effects.cases import SIZES_K, SUITES, HiddenCase, RunTruth, Truth, case_id, seed_of
 from bench.hidden_effects.chamber_box import OUTSIDE, SETTINGS, Settings
-from bench.hidden_effects.chamber_calibration import Calibration, calibrate, read_off
-from bench.hidden_effects.chamber_hide import Box, draw_pair, hide, hide_all, hide_outside
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, Driven, Plan, drive, quiet_c
+from bench.hidden_effects.chamber_calibration import ChamberCalibration, calibrate, read_off
+from bench.hidden_effects.chamber_hide import ChamberBox, draw_pair, hide, hide_all, hide_outside
+from bench.hidden_effects.chamber_runs import LEAD_ROWS, DrivenRun, RunPlan, drive, quiet_c
 from bench.hidden_effects.declare import declared, draw_knowledge
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS, draw_inputs, draw_surroundings
 from bench.hidden_effects.draw_readings import FIRST_DAY, Sensing, draw_sensing, read_temps, run_of
 from bench.hidden_effects.write_case import listed, listed_or_missing
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 CALIBRATION_ROWS, CALIBRATION_RUNS = 120, 2
 LIT = {"led_gain", "evapotranspiration"}
 ATTEMPTS = 80
 
 
-def make_case(split: str, kind: str, number: int) -> Case:
+def make_case(split: str, kind: str, number: int) -> HiddenCase:
     """The case of this number within its kind. Errors: RuntimeError if no box comes out as wanted."""
     seed = seed_of(split, kind, number)
     rng = np.random.default_rng([SUITES.index("chamber"), seed])
@@ -32,18 +32,18 @@ def make_case(split: str, kind: str, number: int) -> Case:
     raise RuntimeError(f"chamber: {split} {kind} {number}: no box in {ATTEMPTS} draws")
 
 
-def _draw_plans(rng: Generator, hard: bool) -> tuple[list[Plan], int]:
+def _draw_plans(rng: Generator, hard: bool) -> tuple[list[RunPlan], int]:
     """Runs in time's order, and how many of them, the last ones, are tests."""
     trains, tests = (2, 1) if hard else (int(rng.integers(4, 6)), 2)
     shortest, longest = (100, 180) if hard else (150, 210)
     return _plans(rng, [int(rng.integers(shortest, longest + 1)) for _ in range(trains + tests)]), tests
 
 
-def _plans(rng: Generator, rows: list[int]) -> list[Plan]:
+def _plans(rng: Generator, rows: list[int]) -> list[RunPlan]:
     around = draw_surroundings(rng)
     inputs, (days, hours) = draw_inputs(rng, around, rows)
     return [
-        Plan(
+        RunPlan(
             duty=inputs.duty[BEFORE_ROWS - LEAD_ROWS : BEFORE_ROWS + count, b],
             fan=inputs.fan[BEFORE_ROWS - LEAD_ROWS : BEFORE_ROWS + count, b],
             light=inputs.light[BEFORE_ROWS - LEAD_ROWS : BEFORE_ROWS + count, b],
@@ -56,7 +56,7 @@ def _plans(rng: Generator, rows: list[int]) -> list[Plan]:
     ]
 
 
-def _draw_box(rng: Generator, plans: list[Plan], kind: str, number: int) -> Box | None:
+def _draw_box(rng: Generator, plans: list[RunPlan], kind: str, number: int) -> ChamberBox | None:
     """Effects take turns, so that each is hidden as often as another."""
     first = list(SETTINGS)[number % len(SETTINGS)]
     if kind == "outside":
@@ -68,9 +68,9 @@ def _draw_box(rng: Generator, plans: list[Plan], kind: str, number: int) -> Box 
     return hide(rng, plans, draw_pair(rng, first) if kind == "pair" else (first,), SIZES_K[kind])
 
 
-def _calibrated(rng: Generator, box: Box) -> Calibration:
+def _calibrated(rng: Generator, box: ChamberBox) -> ChamberCalibration:
     if not box.known:
-        return Calibration({}, 0.0)
+        return ChamberCalibration({}, 0.0)
     rows = [CALIBRATION_ROWS] * CALIBRATION_RUNS
     plans = [plan.shortened(CALIBRATION_ROWS) for plan in _plans(rng, rows)]
     return calibrate(box.known, box.calibration, plans)
@@ -78,14 +78,14 @@ def _calibrated(rng: Generator, box: Box) -> Calibration:
 
 def _case(
     rng: Generator,
-    plans: list[Plan],
+    plans: list[RunPlan],
     tests: int,
-    box: Box,
-    known: Calibration,
+    box: ChamberBox,
+    known: ChamberCalibration,
     split: str,
     kind: str,
     seed: int,
-) -> Case:
+) -> HiddenCase:
     sensing = draw_sensing(rng, kind == "hard")
     heat_w = float(rng.uniform(0.5, 1.5))
     settings = _disturbed(box, heat_w)
@@ -127,7 +127,7 @@ def _case(
         },
     )
     day0_utc = FIRST_DAY.timestamp() + 3600.0 * plans[0].hour
-    return Case(
+    return HiddenCase(
         truth,
         declared(rng, known.effects, draw_knowledge(rng, kind == "weak"), sensing, nuisance, day0_utc),
         {f"train_{b + 1:02}.csv": runs[b] for b in range(first_test)},
@@ -136,13 +136,15 @@ def _case(
     )
 
 
-def _disturbed(box: Box, heat_w: float) -> Settings:
+def _disturbed(box: ChamberBox, heat_w: float) -> Settings:
     """The box among its disturbances; where those are what is hidden they stay as they are."""
     hidden_noise = box.outside is not None and box.outside.name == "heat_noise"
     return box.settings if hidden_noise else {**box.settings, "events.heat_noise_w": heat_w}
 
 
-def _run(rng: Generator, plan: Plan, found: Driven, sensing: Sensing, lit: bool, role: str) -> Run:
+def _run(
+    rng: Generator, plan: RunPlan, found: DrivenRun, sensing: Sensing, lit: bool, role: str
+) -> RecordedRun:
     columns = {
         "temp_air_c": read_temps(rng, found.clean_c, sensing, role),
         "temp_ambient_c": found.shown["temp_ambient_c"],

@@ -18,7 +18,7 @@ from bench.hidden_effects.chamber_box import (
     draw_sign,
 )
 from bench.hidden_effects.chamber_calibration import read_off
-from bench.hidden_effects.chamber_runs import Plan, believed_c
+from bench.hidden_effects.chamber_runs import RunPlan, believed_c
 from bench.hidden_effects.equations_box import are_alike
 from bench.hidden_effects.equations_inputs import Floats
 from bench.hidden_effects.equations_search import strength_for
@@ -39,7 +39,7 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class ChamberBox:
     """Settings of a box, what of it is hidden, and the settings of a box without that, for a calibration."""
 
     known: tuple[str, ...]
@@ -49,7 +49,9 @@ class Box:
     outside: Hidden | None = None
 
 
-def hide(rng: Generator, plans: Sequence[Plan], names: tuple[str, ...], wanted: Range) -> Box | None:
+def hide(
+    rng: Generator, plans: Sequence[RunPlan], names: tuple[str, ...], wanted: Range
+) -> ChamberBox | None:
     """A random box in which these effects are hidden, each of a size in `wanted`; None if it is not."""
     known, base = draw_known_box(rng, set(names))
     own: dict[str, Settings] = {}
@@ -61,7 +63,7 @@ def hide(rng: Generator, plans: Sequence[Plan], names: tuple[str, ...], wanted: 
     return _checked(known, base, own, plans, wanted)
 
 
-def hide_outside(rng: Generator, plans: Sequence[Plan], name: str, wanted: Range) -> Box | None:
+def hide_outside(rng: Generator, plans: Sequence[RunPlan], name: str, wanted: Range) -> ChamberBox | None:
     """A random box with an effect of the chamber that no library knows."""
     known, base = draw_known_box(rng, {name})
     found = _sized(rng, OUTSIDE[name][0], base, plans, wanted)
@@ -71,10 +73,10 @@ def hide_outside(rng: Generator, plans: Sequence[Plan], name: str, wanted: Range
     if box is None:
         return None
     effect = Hidden(name, {key: float(value) for key, value in found.items()}, box.hidden[0].size_k)
-    return Box(known, box.settings, base, (), effect)
+    return ChamberBox(known, box.settings, base, (), effect)
 
 
-def hide_all(rng: Generator, plans: Sequence[Plan], wanted: Range) -> Box | None:
+def hide_all(rng: Generator, plans: Sequence[RunPlan], wanted: Range) -> ChamberBox | None:
     """A random box of 3 to 6 effects of which nothing is known."""
     names = ["wall_loss" if rng.random() < 0.5 else "wall_mass", "extra_capacity"]
     odds = np.array(list(BARE_OPTIONAL.values()))
@@ -132,7 +134,7 @@ def _merged(own: dict[str, Settings]) -> Settings:
 
 
 def _sized(
-    rng: Generator, setting: Setting, base: Settings, plans: Sequence[Plan], wanted: Range
+    rng: Generator, setting: Setting, base: Settings, plans: Sequence[RunPlan], wanted: Range
 ) -> Settings | None:
     """The effect at a strength that does what is wanted on a few rows."""
     few = [plan.shortened(GRID_ROWS) for plan in plans[-GRID_RUNS:]]
@@ -147,9 +149,9 @@ def _checked(
     known: tuple[str, ...],
     base: Settings,
     own: dict[str, Settings],
-    plans: Sequence[Plan],
+    plans: Sequence[RunPlan],
     wanted: Range,
-) -> Box | None:
+) -> ChamberBox | None:
     """The box if each hidden effect matters as wanted beside the others, over the last runs."""
     settings, last = {**base, **_merged(own)}, plans[-CHECKED_RUNS:]
     whole = _runs(settings, last) if own else np.zeros(0)
@@ -162,10 +164,10 @@ def _checked(
         if not wanted[0] <= size <= wanted[1]:
             return None
         found.append(Hidden(name, true.get(name, {}), round(size, 4)))
-    return Box(known, settings, base, tuple(sorted(found, key=lambda item: -item.size_k)))
+    return ChamberBox(known, settings, base, tuple(sorted(found, key=lambda item: -item.size_k)))
 
 
-def _runs(settings: Settings, plans: Sequence[Plan]) -> Floats:
+def _runs(settings: Settings, plans: Sequence[RunPlan]) -> Floats:
     return np.concatenate([believed_c(settings, plan) for plan in plans])
 
 

@@ -15,7 +15,7 @@ COLUMNS = ("temp_air_c", "temp_ambient_c", "light", "rel_humidity_pct")
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RunPlan:
     """A run before it is driven.
 
     duty, fan, light : [LEAD_ROWS + rows], those before the first row included
@@ -31,7 +31,7 @@ class Plan:
     room_c: float
     seed: int
 
-    def shortened(self, rows: int) -> "Plan":
+    def shortened(self, rows: int) -> "RunPlan":
         """The first rows of it, begun at rest."""
         cut = [column[: LEAD_ROWS + rows].copy() for column in (self.duty, self.fan, self.light)]
         for column in cut[:2]:
@@ -46,7 +46,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
+class DrivenRun:
     """Columns of a run, one number a row.
 
     shown : what the sensors show; clean_c : the air's without noise and steps
@@ -58,7 +58,7 @@ class Driven:
     start: Mapping[str, float]
 
 
-def drive(settings: Mapping[str, float], plan: Plan) -> Driven:
+def drive(settings: Mapping[str, float], plan: RunPlan) -> DrivenRun:
     """Run the chamber through a plan."""
     begun_h = (plan.first - LEAD_ROWS) * STEP_S / 3600.0
     there = {
@@ -80,15 +80,15 @@ def drive(settings: Mapping[str, float], plan: Plan) -> Driven:
             clean.append(chamber.truth()["temp_sensor_c"] + bias_k + drift_k_s * chamber.time_s)
         chamber.step(STEP_S, plan.duty[k], bool(plan.fan[k]), plan.light[k], False)
     columns = {name: np.array([row[name] for row in shown]) for name in COLUMNS}
-    return Driven(columns, np.array(clean), start)
+    return DrivenRun(columns, np.array(clean), start)
 
 
-def quiet_c(settings: Mapping[str, float], plan: Plan) -> Floats:
+def quiet_c(settings: Mapping[str, float], plan: RunPlan) -> Floats:
     """What the air's sensor would show without noise, steps and disturbances."""
     return drive({**settings, **QUIET}, plan).clean_c
 
 
-def believed_c(settings: Mapping[str, float], plan: Plan) -> Floats:
+def believed_c(settings: Mapping[str, float], plan: RunPlan) -> Floats:
     """The same as one would have it who believes the room's sensor: its offset does nothing to the air."""
     switch, offset_k = (
         settings.get(key, 0.0) for key in ("effects.ambient_offset", "sensors.ambient_offset_k")

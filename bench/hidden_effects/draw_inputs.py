@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from bench.hidden_effects.equations_inputs import Floats, Inputs
+from bench.hidden_effects.equations_inputs import ColumnInputs, Floats
 
 REST_ROWS = 15  # off before the first recorded row, so that no command is under way
 BEFORE_ROWS = 90  # simulated before it
@@ -14,7 +14,7 @@ MINUTE_S, DAY_S = 60.0, 86400.0
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class DrawnSurroundings:
     """How the room and the light behave in all runs of a case.
 
     room_c : mean of all; wander_k, wander_min : sd and correlation time of the room within a run
@@ -31,9 +31,9 @@ class Surroundings:
     heat_tau_min: float
 
 
-def draw_surroundings(rng: Generator) -> Surroundings:
+def draw_surroundings(rng: Generator) -> DrawnSurroundings:
     """Of one case."""
-    return Surroundings(
+    return DrawnSurroundings(
         room_c=rng.uniform(19.0, 23.0),
         wander_k=rng.uniform(0.5, 0.9),
         wander_min=rng.uniform(60.0, 120.0),
@@ -45,7 +45,9 @@ def draw_surroundings(rng: Generator) -> Surroundings:
     )
 
 
-def draw_inputs(rng: Generator, around: Surroundings, rows: Sequence[int]) -> tuple[Inputs, Floats]:
+def draw_inputs(
+    rng: Generator, around: DrawnSurroundings, rows: Sequence[int]
+) -> tuple[ColumnInputs, Floats]:
     """Inputs of runs of so many rows, one column each, and when each begins [days since the first, hours].
 
     A column begins BEFORE_ROWS before its first row; those after its last are padding.
@@ -59,12 +61,12 @@ def draw_inputs(rng: Generator, around: Surroundings, rows: Sequence[int]) -> tu
     stacked = {name: np.stack([column[name] for column in columns], axis=1) for name in columns[0]}
     elapsed_h = (np.arange(steps)[:, None] - BEFORE_ROWS) / 60.0
     since_first = days + (hours - hours[0]) / 24.0
-    return Inputs(**stacked, hour=(hours + elapsed_h) % 24.0, day=since_first + elapsed_h / 24.0), np.stack(
-        [days, hours]
-    )
+    return ColumnInputs(
+        **stacked, hour=(hours + elapsed_h) % 24.0, day=since_first + elapsed_h / 24.0
+    ), np.stack([days, hours])
 
 
-def _column(rng: Generator, around: Surroundings, steps: int, hour: float) -> dict[str, Floats]:
+def _column(rng: Generator, around: DrawnSurroundings, steps: int, hour: float) -> dict[str, Floats]:
     duty, fan = _commands(rng, steps)
     room = around.room_c + rng.normal(0.0, 0.8)
     hours = np.arange(steps + 1) / 60.0

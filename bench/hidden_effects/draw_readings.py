@@ -8,7 +8,7 @@ from numpy.random import Generator
 
 from bench.hidden_effects.cases import GIVEN_ROWS, STEP_S
 from bench.hidden_effects.equations_inputs import Floats
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 FIRST_DAY = datetime(2026, 3, 2, tzinfo=UTC)
 HUMIDITY_NOISE_PCT, AMBIENT_NOISE_K, AMBIENT_STEP_K = 0.4, 0.05, 0.1
@@ -61,15 +61,15 @@ def stepped(values: Floats, step: float) -> Floats:
     return np.round(np.round(values / step) * step, 6)
 
 
-def run_of(columns: dict[str, Floats], role: str, day: float, hour: float) -> Run:
+def run_of(columns: dict[str, Floats], role: str, day: float, hour: float) -> RecordedRun:
     """A run file's content that begins on this day at this hour."""
     rows = len(columns["temp_air_c"])
     start = FIRST_DAY + timedelta(days=float(day), seconds=round(3600.0 * float(hour)))
     facts = {"start_utc": start.strftime("%Y-%m-%dT%H:%M:%SZ"), "role": role}
-    return Run({"time_s": STEP_S * np.arange(rows), **columns}, facts)
+    return RecordedRun({"time_s": STEP_S * np.arange(rows), **columns}, facts)
 
 
-def as_given(run: Run) -> Run:
+def as_given(run: RecordedRun) -> RecordedRun:
     """A test run as the workflow gets it: temperatures in the first rows only."""
     temps = run.columns["temp_air_c"].copy()
     temps[GIVEN_ROWS:] = np.nan

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.hidden_effects.equations_inputs import Bend, Floats, Inputs, Now
+from bench.hidden_effects.equations_inputs import Bend, ColumnInputs, Floats, OutsideConditions
 
 HEAT_J_M3_K = 1.2 * 1005.0  # of air
 AIR_J_K = HEAT_J_M3_K * 0.15
@@ -31,7 +31,7 @@ NEUTRAL = {
 
 
 def simulate(
-    parameters: Mapping[str, Floats], inputs: Inputs, step_s: float = 60.0, bend: Bend | None = None
+    parameters: Mapping[str, Floats], inputs: ColumnInputs, step_s: float = 60.0, bend: Bend | None = None
 ) -> tuple[Floats, Floats]:
     """What the sensor shows at each row, and all states there.
 
@@ -56,7 +56,7 @@ def _part_s(p: Mapping[str, Floats]) -> float:
     return min(longest_s, SHARE_OF_FASTEST * float(np.min(times)))
 
 
-class _Acting(NamedTuple):
+class _StepInputs(NamedTuple):
     """What is constant over a part of a step, each [B]."""
 
     k: int
@@ -72,7 +72,9 @@ class _Acting(NamedTuple):
 class _March:
     """One simulation."""
 
-    def __init__(self, p: dict[str, Floats], inputs: Inputs, step_s: float, parts: int, bend: Bend) -> None:
+    def __init__(
+        self, p: dict[str, Floats], inputs: ColumnInputs, step_s: float, parts: int, bend: Bend
+    ) -> None:
         self.p, self.inputs, self.bend = p, inputs, bend
         self.step_s, self.parts, self.part_s = step_s, parts, step_s / parts
         self.has = {name: bool((values != NEUTRAL[name]).any()) for name, values in p.items()}
@@ -102,7 +104,7 @@ class _March:
             readings.append(self._shown(k, self.parts - 1, states))
         return np.array(readings), np.array(kept)
 
-    def _acting(self, k: int, j: int, room: Floats, air: Floats) -> _Acting:
+    def _acting(self, k: int, j: int, room: Floats, air: Floats) -> _StepInputs:
         p, inputs, bend = self.p, self.inputs, self.bend
         duty, speed = self.duty[k, j], self.speed[k, j]
         supply = np.minimum(duty, p["u_sat"])
@@ -114,9 +116,9 @@ class _March:
             flow = flow * bend.flow(self._now(k, duty, speed, air, room))
         ageing = np.maximum(1.0 + p["ua_drift"] * inputs.day[k], 0.0)
         heat_w = p["P0"] + p["P_led"] * inputs.light[k] + inputs.heat_w[k]
-        return _Acting(k, duty, speed, room, wanted_w, flow, ageing, heat_w)
+        return _StepInputs(k, duty, speed, room, wanted_w, flow, ageing, heat_w)
 
-    def _part(self, acting: _Acting, states: Floats) -> Floats:
+    def _part(self, acting: _StepInputs, states: Floats) -> Floats:
         """RK4 over one part; an element and a sensor without lag follow at once."""
         h, states = self.part_s, states.copy()
         states[4] = np.where(self.lagged, states[4], acting.wanted_w)
@@ -128,7 +130,7 @@ class _March:
         after[5] = np.where(self.slow_sensor, after[5], after[0])
         return after
 
-    def _slopes(self, acting: _Acting, x: Floats) -> Floats:
+    def _slopes(self, acting: _StepInputs, x: Floats) -> Floats:
         """dx/dt of STATES."""
         p, room = self.p, acting.room
         air, upper, wall, soil, element, sensor = x
@@ -155,7 +157,7 @@ class _March:
         out[5] = (air - sensor) * self.per_sensor_s
         return out
 
-    def _heat_by_air(self, acting: _Acting, air: Floats) -> Floats | float:
+    def _heat_by_air(self, acting: _StepInputs, air: Floats) -> Floats | float:
         """Heat into the air that its temperature has a part in [W]."""
         k, p, heat_w = acting.k, self.p, 0.0
         if self.has["k_e"]:
@@ -165,7 +167,7 @@ class _March:
             heat_w = heat_w + self.bend.heat_w(self._now(k, acting.duty, acting.speed, air, acting.room))
         return heat_w
 
-    def _lost(self, acting: _Acting, temp: Floats, wall: Floats, soil: Floats) -> Floats:
+    def _lost(self, acting: _StepInputs, temp: Floats, wall: Floats, soil: Floats) -> Floats:
         """Heat to bodies and the room, were all the air at this temperature [W]."""
         p, excess = self.p, temp - acting.room
         straight = p["UA"] * acting.ageing * self._curve(excess)
@@ -183,10 +185,10 @@ class _March:
             return 1.0
         return 1.0 + self.p["ua_curve"] * (excess - CURVE_AT_K) / 10.0
 
-    def _now(self, k: int, duty: Floats, fan: Floats, air: Floats, room: Floats) -> Now:
+    def _now(self, k: int, duty: Floats, fan: Floats, air: Floats, room: Floats) -> OutsideConditions:
         i = self.inputs
         columns = (i.light[k], i.rel_humidity[k], i.hour[k], i.day[k], i.chance[k], self.fan_hours[k])
-        return Now(air, room, duty, fan, *columns)
+        return OutsideConditions(air, room, duty, fan, *columns)
 
     def _shown(self, k: int, j: int, states: Floats) -> Floats:
         shown = states[5] + self.p["bias"]

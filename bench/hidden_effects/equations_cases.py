@@ -7,7 +7,7 @@ from datetime import timedelta
 import numpy as np
 from numpy.random import Generator
 
-from bench.hidden_effects.cases import SIZES_K, SUITES, Case, RunTruth, Truth, case_id, seed_of
+from bench.hidden_effects.cases import SIZES_K, SUITES, HiddenCase, RunTruth, Truth, case_id, seed_of
 from bench.hidden_effects.declare import declared, draw_knowledge, exact
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS
 from bench.hidden_effects.draw_readings import (
@@ -22,7 +22,7 @@ from bench.hidden_effects.draw_readings import (
 from bench.hidden_effects.equations import STATES, simulate
 from bench.hidden_effects.equations_box import LIT, STRENGTHS
 from bench.hidden_effects.equations_hide import (
-    Box,
+    EquationsBox,
     Scene,
     draw_pair,
     draw_scene,
@@ -35,13 +35,13 @@ from bench.hidden_effects.equations_inputs import Floats
 from bench.hidden_effects.equations_outside import OUTSIDE
 from bench.hidden_effects.equations_search import quiet
 from bench.hidden_effects.write_case import listed, listed_or_missing
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 CURVE_ODDS, CURVE = 0.75, (0.02, 0.04)  # of a loss that grows with the difference, share per 10 K
 ATTEMPTS = 80
 
 
-def make_case(split: str, kind: str, number: int) -> Case:
+def make_case(split: str, kind: str, number: int) -> HiddenCase:
     """The case of this number within its kind. Errors: RuntimeError if no box comes out as wanted."""
     seed = seed_of(split, kind, number)
     rng = np.random.default_rng([SUITES.index("equations"), seed])
@@ -53,7 +53,7 @@ def make_case(split: str, kind: str, number: int) -> Case:
     raise RuntimeError(f"equations: {split} {kind} {number}: no box in {ATTEMPTS} draws")
 
 
-def _draw_box(rng: Generator, scene: Scene, kind: str, number: int) -> Box | None:
+def _draw_box(rng: Generator, scene: Scene, kind: str, number: int) -> EquationsBox | None:
     """Effects take turns, so that each is hidden as often as another."""
     first = list(STRENGTHS)[number % len(STRENGTHS)]
     if kind == "outside":
@@ -66,7 +66,7 @@ def _draw_box(rng: Generator, scene: Scene, kind: str, number: int) -> Box | Non
     return hide(rng, scene, names, SIZES_K[kind])
 
 
-def _case(rng: Generator, scene: Scene, box: Box, split: str, kind: str, seed: int) -> Case:
+def _case(rng: Generator, scene: Scene, box: EquationsBox, split: str, kind: str, seed: int) -> HiddenCase:
     sensing = draw_sensing(rng, kind == "hard")
     curve = float(rng.uniform(*CURVE)) if rng.random() < CURVE_ODDS else 0.0
     clean, _ = simulate(_parameters(box, scene, curve), scene.inputs, bend=box.bend)
@@ -108,7 +108,7 @@ def _case(rng: Generator, scene: Scene, box: Box, split: str, kind: str, seed: i
     )
     day0_utc = (FIRST_DAY + timedelta(hours=float(scene.starts[1, 0]))).timestamp()
     has_drift = "ua_drift" in box.true
-    return Case(
+    return HiddenCase(
         truth,
         declared(rng, box.known, draw_knowledge(rng, kind == "weak"), sensing, nuisance, day0_utc),
         {f"train_{i:02}.csv": runs[b] for i, b in enumerate(trains, start=1)},
@@ -117,12 +117,12 @@ def _case(rng: Generator, scene: Scene, box: Box, split: str, kind: str, seed: i
     )
 
 
-def _parameters(box: Box, scene: Scene, curve: float) -> Mapping[str, Floats]:
+def _parameters(box: EquationsBox, scene: Scene, curve: float) -> Mapping[str, Floats]:
     count = len(scene.rows)
     return {name: np.full(count, value) for name, value in {**flat(box.true), "ua_curve": curve}.items()}
 
 
-def _needs_light(box: Box) -> bool:
+def _needs_light(box: EquationsBox) -> bool:
     words = OUTSIDE[box.outside.name].depends_on if box.outside else ()
     return bool({"light", "rel_humidity"} & set(words)) or any(name in box.true for name in LIT)
 
@@ -132,7 +132,7 @@ def _recorded(scene: Scene, b: int, values: Floats) -> Floats:
     return values[BEFORE_ROWS : BEFORE_ROWS + scene.rows[b]]
 
 
-def _run(rng: Generator, scene: Scene, b: int, clean: Floats, sensing: Sensing, lit: bool) -> Run:
+def _run(rng: Generator, scene: Scene, b: int, clean: Floats, sensing: Sensing, lit: bool) -> RecordedRun:
     inputs, role = scene.inputs, "test" if b in scene.tests else "train"
     columns = {
         "temp_air_c": read_temps(rng, _recorded(scene, b, clean), sensing, role),

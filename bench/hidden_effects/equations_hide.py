@@ -7,7 +7,7 @@ import numpy as np
 from numpy.random import Generator
 
 from bench.hidden_effects.cases import Hidden
-from bench.hidden_effects.draw_inputs import Surroundings, draw_inputs, draw_surroundings
+from bench.hidden_effects.draw_inputs import DrawnSurroundings, draw_inputs, draw_surroundings
 from bench.hidden_effects.equations_box import (
     BARE_OPTIONAL,
     STRENGTHS,
@@ -19,7 +19,7 @@ from bench.hidden_effects.equations_box import (
     series,
     sized,
 )
-from bench.hidden_effects.equations_inputs import Bend, Floats, Inputs
+from bench.hidden_effects.equations_inputs import Bend, ColumnInputs, Floats
 from bench.hidden_effects.equations_outside import OUTSIDE
 from bench.hidden_effects.equations_search import quiet, rms_k, strength_for, variants
 
@@ -32,10 +32,10 @@ Range = tuple[float, float]
 class Scene:
     """Runs of a case before anything is simulated: inputs, rows and starts [day, hour] of each column."""
 
-    inputs: Inputs
+    inputs: ColumnInputs
     rows: tuple[int, ...]
     starts: Floats
-    around: Surroundings
+    around: DrawnSurroundings
     tests: tuple[int, ...]  # columns
 
     def size_k(self, difference: Floats, columns: tuple[int, ...] | None = None) -> Floats:
@@ -45,7 +45,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class EquationsBox:
     """A box, and what of it is hidden; `outside` with its bend where that is what is hidden."""
 
     known: Effects
@@ -84,7 +84,7 @@ def without(effects: Effects, name: str) -> Effects:
     return {**left, "wall_loss": {"UA": series(effects[name])}} if name == "wall_mass" else left
 
 
-def hide(rng: Generator, scene: Scene, names: tuple[str, ...], wanted: Range) -> Box | None:
+def hide(rng: Generator, scene: Scene, names: tuple[str, ...], wanted: Range) -> EquationsBox | None:
     """A random box in which these effects are hidden, each of a size in `wanted`; None if it is not."""
     others = {name: draw_others(rng, name) for name in names}
     known = draw_box(rng, others)
@@ -102,7 +102,7 @@ def hide(rng: Generator, scene: Scene, names: tuple[str, ...], wanted: Range) ->
 
 def _checked(
     scene: Scene, known: Effects, true: Effects, names: tuple[str, ...], wanted: Range
-) -> Box | None:
+) -> EquationsBox | None:
     """The box if each hidden effect matters as wanted beside the others, also in the tests alone."""
     boxes = [true, *(without(true, name) for name in names)]
     shown, _ = variants(quiet(scene.inputs), [flat(box) for box in boxes])
@@ -113,10 +113,10 @@ def _checked(
     if not np.all(in_tests > 0.5 * wanted[0]):
         return None
     found = [Hidden(name, true[name], round(float(size), 4)) for name, size in zip(names, sizes, strict=True)]
-    return Box(known, true, tuple(sorted(found, key=lambda item: -item.size_k)))
+    return EquationsBox(known, true, tuple(sorted(found, key=lambda item: -item.size_k)))
 
 
-def hide_outside(rng: Generator, scene: Scene, name: str, wanted: Range) -> Box | None:
+def hide_outside(rng: Generator, scene: Scene, name: str, wanted: Range) -> EquationsBox | None:
     """A random box with an effect that no library knows."""
     row, known = OUTSIDE[name], draw_box(rng, {})
     further, grid = row.draw_further(rng), np.geomspace(row.low, row.high, GRID)
@@ -133,10 +133,12 @@ def hide_outside(rng: Generator, scene: Scene, name: str, wanted: Range) -> Box 
         return None
     size = round(float(scene.size_k(shown[1] - shown[0])), 4)
     parameters = {"strength": strength, "further": further}
-    return Box(known, known, (), Hidden(name, parameters, size), row.bend(np.array(strength), further))
+    return EquationsBox(
+        known, known, (), Hidden(name, parameters, size), row.bend(np.array(strength), further)
+    )
 
 
-def hide_all(rng: Generator, scene: Scene, wanted: Range) -> Box | None:
+def hide_all(rng: Generator, scene: Scene, wanted: Range) -> EquationsBox | None:
     """A random box of 3 to 6 effects of the usual sizes, of which nothing is known."""
     names = ["wall_loss" if rng.random() < 0.5 else "wall_mass", "extra_capacity"]
     optional = list(BARE_OPTIONAL)

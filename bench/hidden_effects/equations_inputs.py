@@ -10,7 +10,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
+class ColumnInputs:
     """What acts on B columns in N steps, each [N, B].
 
     duty, fan : commands; ambient : the room as its sensor would show it, without noise [°C], [N + 1, B]
@@ -30,14 +30,14 @@ class Inputs:
     heat_w: Floats
     chance: Floats
 
-    def columns(self, which: Sequence[int]) -> "Inputs":
+    def columns(self, which: Sequence[int]) -> "ColumnInputs":
         """Some of the columns, also the same one many times."""
         chosen = {name: getattr(self, name)[:, which] for name in self.__slots__}
-        return Inputs(**chosen)
+        return ColumnInputs(**chosen)
 
 
 @dataclass(frozen=True, slots=True)
-class Now:
+class OutsideConditions:
     """What an outside effect may look at, each [B]."""
 
     air: Floats
@@ -56,7 +56,7 @@ class Now:
 class Bend:
     """What an effect outside the library does; None: not that."""
 
-    heat_w: Callable[[Now], Floats] | None = None  # into the air
-    power: Callable[[Now], Floats] | None = None  # factor on the heater
-    flow: Callable[[Now], Floats] | None = None  # factor on the fan
-    reading: Callable[[Now], Floats] | None = None  # added to what the sensor shows
+    heat_w: Callable[[OutsideConditions], Floats] | None = None  # into the air
+    power: Callable[[OutsideConditions], Floats] | None = None  # factor on the heater
+    flow: Callable[[OutsideConditions], Floats] | None = None  # factor on the fan
+    reading: Callable[[OutsideConditions], Floats] | None = None  # added to what the sensor shows

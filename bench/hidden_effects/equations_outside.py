@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from bench.hidden_effects.equations_inputs import Bend, Floats, Now
+from bench.hidden_effects.equations_inputs import Bend, Floats, OutsideConditions
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Outside:
 def sun_by_hour(peak_w: Floats, noon: float) -> Bend:
     """Sun through a window for four hours of the day, which no light sensor sees."""
 
-    def heat(now: Now) -> Floats:
+    def heat(now: OutsideConditions) -> Floats:
         return peak_w * np.clip(1.0 - ((now.hour - noon) / 2.0) ** 2, 0.0, None)
 
     return Bend(heat_w=heat)
@@ -71,7 +71,7 @@ def sensor_sees_heater(kelvin: Floats, _: float) -> Bend:
 def square_loss(watts: Floats, _: float) -> Bend:
     """Loss by the square of the difference, at 10 K."""
 
-    def heat(now: Now) -> Floats:
+    def heat(now: OutsideConditions) -> Floats:
         excess = now.air - now.room
         return -watts * excess * np.abs(excess) / 100.0
 
@@ -96,7 +96,7 @@ def chance_heat(watts: Floats, _: float) -> Bend:
 def fan_when_warm(share: Floats, above_c: float) -> Bend:
     """A flap that is stuck in a cool box: the fan moves less air below a temperature."""
 
-    def flow(now: Now) -> Floats:
+    def flow(now: OutsideConditions) -> Floats:
         return 1.0 - share / (1.0 + np.exp(np.clip((now.air - above_c) / 0.4, -50.0, 50.0)))
 
     return Bend(flow=flow)

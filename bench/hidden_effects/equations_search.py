@@ -8,18 +8,20 @@ from numpy.random import Generator
 
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS
 from bench.hidden_effects.equations import NEUTRAL, simulate
-from bench.hidden_effects.equations_inputs import Bend, Floats, Inputs
+from bench.hidden_effects.equations_inputs import Bend, ColumnInputs, Floats
 
 MARGIN = 0.15
 Parameters = Mapping[str, float]
 
 
-def quiet(inputs: Inputs) -> Inputs:
+def quiet(inputs: ColumnInputs) -> ColumnInputs:
     """The same without heat noise and with the mains as rated."""
     return replace(inputs, power=np.ones_like(inputs.power), heat_w=np.zeros_like(inputs.heat_w))
 
 
-def variants(inputs: Inputs, boxes: Sequence[Parameters], bend: Bend | None = None) -> tuple[Floats, Floats]:
+def variants(
+    inputs: ColumnInputs, boxes: Sequence[Parameters], bend: Bend | None = None
+) -> tuple[Floats, Floats]:
     """The same runs in several boxes: readings [V, N + 1, B] and states [V, N + 1, S, B]."""
     count = inputs.duty.shape[1]
     names = sorted({name for box in boxes for name in box})

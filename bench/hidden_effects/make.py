@@ -12,7 +12,7 @@ from bench.hidden_effects.cases import FIRST_SEEDS, KINDS, SUITES, case_id, seed
 from bench.hidden_effects.write_case import folders, is_made, write_case
 
 
-class Task(NamedTuple):
+class MakeTask(NamedTuple):
     """One case to be made."""
 
     root: Path
@@ -51,7 +51,7 @@ def make(arguments: argparse.Namespace) -> int:
         print(f"there is no kind {unknown[0]!r}; there are {', '.join(KINDS)}")
         return 2
     tasks = [
-        Task(arguments.out, arguments.suite, arguments.split, kind, arguments.seed_from + number)
+        MakeTask(arguments.out, arguments.suite, arguments.split, kind, arguments.seed_from + number)
         for kind in kinds
         for number in range(arguments.per_kind or KINDS[kind])
     ]
@@ -63,7 +63,7 @@ def make(arguments: argparse.Namespace) -> int:
     return 0 if made else 1
 
 
-def _make_all(tasks: Sequence[Task], workers: int) -> bool:
+def _make_all(tasks: Sequence[MakeTask], workers: int) -> bool:
     """Whether each could be made."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -81,7 +81,7 @@ def _told(made: Iterable[tuple[bool, str]]) -> bool:
     return good
 
 
-def _make_one(task: Task) -> tuple[bool, str]:
+def _make_one(task: MakeTask) -> tuple[bool, str]:
     """Make and write a case; whether it could be, and a line that says so without telling what is hidden."""
     begun = time.perf_counter()
     if task.suite == "equations":

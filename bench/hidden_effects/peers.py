@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.peers_regression import Columns, Regression, columns, forecast, regression
+from bench.hidden_effects.peers_regression import Columns, OneStepRegression, columns, forecast, regression
 from bench.hidden_effects.peers_sindy import sindy
 from bench.hidden_effects.peers_stepwise import stepwise
 from bench.hidden_effects.peers_terms import TERMS
 from edge.formats.run_file import read_run
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import read_twin_file
 
 Floats = NDArray[np.float64]
-PEERS: Mapping[str, Callable[[Regression], Sequence[int]]] = {"stepwise": stepwise, "pysindy": sindy}
+PEERS: Mapping[str, Callable[[OneStepRegression], Sequence[int]]] = {"stepwise": stepwise, "pysindy": sindy}
 _95 = 1.959964
 
 
@@ -49,7 +49,7 @@ def diagnose(peer: str, folder: Path) -> dict[str, Any]:
     }
 
 
-def read_case(folder: Path) -> tuple[Twin, list[Columns], dict[str, Columns]]:
+def read_case(folder: Path) -> tuple[BoxTwin, list[Columns], dict[str, Columns]]:
     """The declared twin, training runs, and test runs by file name. Errors: DataError."""
     file = read_twin_file(folder / "twin.yaml")
     twin = file.twin()
@@ -58,7 +58,7 @@ def read_case(folder: Path) -> tuple[Twin, list[Columns], dict[str, Columns]]:
     return twin, train, tests
 
 
-def coefficients(found: Regression, chosen: Sequence[int]) -> tuple[Floats, Floats]:
+def coefficients(found: OneStepRegression, chosen: Sequence[int]) -> tuple[Floats, Floats]:
     """Least squares on the chosen terms, and standard deviations [W per unit of each]."""
     if not chosen:
         return np.zeros(0), np.zeros(0)
@@ -69,7 +69,7 @@ def coefficients(found: Regression, chosen: Sequence[int]) -> tuple[Floats, Floa
     return values, np.sqrt(variance * np.diag(np.linalg.pinv(design.T @ design)))
 
 
-def _named(index: int, value: float, sd: float, twin: Twin) -> dict[str, Any]:
+def _named(index: int, value: float, sd: float, twin: BoxTwin) -> dict[str, Any]:
     term = TERMS[index]
     parameters = {}
     if term.parameter:

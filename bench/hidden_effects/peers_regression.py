@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.hidden_effects.cases import GIVEN_ROWS
-from bench.hidden_effects.peers_terms import TERMS, Row
-from edge.formats.run_file import Run, resample
+from bench.hidden_effects.peers_terms import TERMS, TermColumns
+from edge.formats.run_file import RecordedRun, resample
 from edge.twin.effects.signal import vapour_deficit_kpa
 from edge.twin.march import Commands, March
-from edge.twin.model import Twin
-from edge.twin.warm_start import Past, at_rest, held, state_now
+from edge.twin.model import BoxTwin
+from edge.twin.warm_start import PastColumns, at_rest, held, state_now
 
 Floats = NDArray[np.float64]
 SLOW_S = 3600.0  # memory of a body that is guessed
@@ -21,7 +21,7 @@ _RUNAWAY_C = (-50.0, 150.0)  # a correction that runs away ends here, without ov
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Regression:
+class OneStepRegression:
     """One-step misses of M rows. miss : [M] [K]; terms : [M, len(TERMS)]; gain : [M], what 1 W does [K/W]"""
 
     miss: Floats
@@ -45,17 +45,17 @@ class Columns:
     def conditions(self) -> dict[str, Floats]:
         return {"light": self.light, "rel_humidity": self.rel_humidity, "utc": self.utc}
 
-    def rows(self, temp: Floats, before: Floats, slow_c: Floats, day0: float, k: slice | int) -> Row:
+    def rows(self, temp: Floats, before: Floats, slow_c: Floats, day0: float, k: slice | int) -> TermColumns:
         """Rows k as terms see them, with these temperatures."""
         earlier = np.concatenate([[0], np.arange(len(self.duty) - 1)])[k]
-        return Row(
+        return TermColumns(
             temp, before, slow_c, self.ambient[k], self.duty[k], self.duty[earlier], self.fan[k],
             self.fan[earlier], self.light[k], vapour_deficit_kpa(temp, self.rel_humidity[k]),
             (self.utc[k] - day0) / DAY_S,
         )  # fmt: skip
 
 
-def columns(run: Run, step_s: float) -> Columns:
+def columns(run: RecordedRun, step_s: float) -> Columns:
     """Columns that were not recorded are 0; humidity is 50 %."""
     found = resample(run, step_s).columns
     rows = len(found["time_s"])
@@ -73,13 +73,13 @@ def columns(run: Run, step_s: float) -> Columns:
     )  # fmt: skip
 
 
-def regression(twin: Twin, runs: Sequence[Columns], day0: float) -> Regression:
+def regression(twin: BoxTwin, runs: Sequence[Columns], day0: float) -> OneStepRegression:
     """One-step misses of the twin, its air set to the measurement at every row, its other states carried."""
     parts = [_one_run(twin, run, day0) for run in runs]
-    return Regression(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return OneStepRegression(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _one_run(twin: Twin, run: Columns, day0: float) -> tuple[Floats, Floats, Floats]:
+def _one_run(twin: BoxTwin, run: Columns, day0: float) -> tuple[Floats, Floats, Floats]:
     shown, temp = _one_step(twin, run), held(run.temp)
     usable = np.isfinite(run.temp[1:]) & np.isfinite(run.temp[:-1])
     before = np.concatenate([temp[:1], temp[:-1]])
@@ -96,13 +96,13 @@ def _slow(temp: Floats, step_s: float) -> Floats:
     return slow
 
 
-def _gain(twin: Twin, fan: Floats) -> Floats:
+def _gain(twin: BoxTwin, fan: Floats) -> Floats:
     """What 1 W into the air over a step does to what the sensor shows after it [K/W]."""
     off, on = twin.off_on.drive[:, 0, 2] / twin.system.air_capacity_j_k
     return np.asarray(off + fan * (on - off))
 
 
-def _one_step(twin: Twin, run: Columns) -> Floats:
+def _one_step(twin: BoxTwin, run: Columns) -> Floats:
     """What the sensor should show after each row [N - 1]."""
     march = _march(twin, run)
     known = np.flatnonzero(np.isfinite(run.temp))
@@ -117,7 +117,7 @@ def _one_step(twin: Twin, run: Columns) -> Floats:
     return shown
 
 
-def forecast(twin: Twin, run: Columns, coefficients: Mapping[str, float], day0: float) -> Floats:
+def forecast(twin: BoxTwin, run: Columns, coefficients: Mapping[str, float], day0: float) -> Floats:
     """The run from its first known rows, corrected at every step by the chosen terms; [N] [°C].
 
     coefficients : by effect of TERMS [W per unit of the term]
@@ -142,15 +142,17 @@ def forecast(twin: Twin, run: Columns, coefficients: Mapping[str, float], day0: 
     return np.clip(shown, *_RUNAWAY_C)
 
 
-def _march(twin: Twin, run: Columns) -> March:
+def _march(twin: BoxTwin, run: Columns) -> March:
     commands = Commands(run.duty[None], run.fan[None])
     return twin.march(commands, run.ambient[None], conditions={k: v[None] for k, v in run.conditions.items()})
 
 
-def _start(twin: Twin, run: Columns, first: int) -> Floats:
+def _start(twin: BoxTwin, run: Columns, first: int) -> Floats:
     rows = slice(0, first + 1)
     conditions = {name: values[rows] for name, values in run.conditions.items()}
-    return state_now(twin, Past(run.temp[rows], run.ambient[rows], run.duty[rows], run.fan[rows], conditions))
+    return state_now(
+        twin, PastColumns(run.temp[rows], run.ambient[rows], run.duty[rows], run.fan[rows], conditions)
+    )
 
 
 def bic(left: Floats, terms: int) -> float:

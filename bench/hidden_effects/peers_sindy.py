@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.peers_regression import Regression
+from bench.hidden_effects.peers_regression import OneStepRegression
 from bench.hidden_effects.peers_terms import TERMS
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ _NAMES = [term.effect for term in TERMS]
 _STRAIGHT, _LEAK, _BLOWN = (_NAMES.index(name) for name in ("wall_loss", "infiltration", "fan_effectiveness"))
 
 
-def sindy(found: Regression) -> list[int]:
+def sindy(found: OneStepRegression) -> list[int]:
     """Indices of the chosen terms, the largest first."""
     heat_w = found.miss / found.gain
     size = np.sqrt((found.terms**2).mean(axis=0))

@@ -3,13 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.peers_regression import Regression, bic
+from bench.hidden_effects.peers_regression import OneStepRegression, bic
 
 Floats = NDArray[np.float64]
 MOST_TERMS = 6
 
 
-def stepwise(found: Regression) -> list[int]:
+def stepwise(found: OneStepRegression) -> list[int]:
     """Indices of the chosen terms, in the order of their choice."""
     design = found.terms * found.gain[:, None]
     chosen: list[int] = []

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 Floats = NDArray[np.float64]
 _BENDS_ABOVE = 0.6  # duty
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TermColumns:
     """Columns at one row or at many; slow_c : the air's mean of the last hour; *_before : a row earlier."""
 
     temp: Floats
@@ -47,47 +47,48 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class TermParameter:
     """of : its value from the term's coefficient, in proportion but for a constant."""
 
     name: str
     unit: str
-    of: Callable[[float, Twin], float]
+    of: Callable[[float, BoxTwin], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class PeerTerm:
     """heat : the term [unit]; its coefficient [W per unit] tells the effect's parameter, if there is one."""
 
     effect: str
-    heat: Callable[[Row], Floats]
-    parameter: Parameter | None = None
+    heat: Callable[[TermColumns], Floats]
+    parameter: TermParameter | None = None
 
 
-def _exhaust_w_k(twin: Twin) -> float:
+def _exhaust_w_k(twin: BoxTwin) -> float:
     return twin.geometry.volumetric_heat_j_m3_k * twin.geometry.fan_max_m3_s
 
 
-TERMS: tuple[Term, ...] = (
-    Term("wall_loss", lambda r: r.excess, Parameter("UA", "W/K", lambda c, t: -c)),
-    Term("infiltration", lambda r: (1.0 - r.fan) * r.excess,
-         Parameter("F_inf", "m³/s", lambda c, t: -c / t.geometry.volumetric_heat_j_m3_k)),
-    Term("fan_effectiveness", lambda r: r.fan * r.excess,
-         Parameter("eps_f", "", lambda c, t: 1.0 - c / _exhaust_w_k(t))),
-    Term("longwave_radiation", lambda r: r.excess**2),
-    Term("heater_efficiency", lambda r: r.duty,
-         Parameter("eta", "", lambda c, t: 1.0 + c / t.geometry.heater_max_w)),
-    Term("heater_sag", lambda r: r.duty**2, Parameter("sag", "", lambda c, t: -c / t.geometry.heater_max_w)),
-    Term("heater_saturation", lambda r: np.maximum(r.duty - _BENDS_ABOVE, 0.0)),
-    Term("heater_lag", lambda r: r.duty - r.duty_before),
-    Term("fan_spinup", lambda r: (r.fan - r.fan_before) * r.excess),
-    Term("extra_capacity", lambda r: r.temp - r.temp_before),
-    Term("soil_mass", lambda r: r.temp - r.slow_c),
-    Term("wall_mass", lambda r: r.slow_c - r.ambient),
-    Term("constant_heat", lambda r: np.ones_like(r.temp), Parameter("P0", "W", lambda c, t: c)),
-    Term("ambient_offset", lambda r: r.fan),
-    Term("led_gain", lambda r: r.light, Parameter("P_led", "W", lambda c, t: c)),
-    Term("evapotranspiration", lambda r: (0.4 + 0.6 * r.light) * r.deficit_kpa,
-         Parameter("k_e", "W/kPa", lambda c, t: -c)),
-    Term("ua_drift", lambda r: r.day * r.excess),
+TERMS: tuple[PeerTerm, ...] = (
+    PeerTerm("wall_loss", lambda r: r.excess, TermParameter("UA", "W/K", lambda c, t: -c)),
+    PeerTerm("infiltration", lambda r: (1.0 - r.fan) * r.excess,
+         TermParameter("F_inf", "m³/s", lambda c, t: -c / t.geometry.volumetric_heat_j_m3_k)),
+    PeerTerm("fan_effectiveness", lambda r: r.fan * r.excess,
+         TermParameter("eps_f", "", lambda c, t: 1.0 - c / _exhaust_w_k(t))),
+    PeerTerm("longwave_radiation", lambda r: r.excess**2),
+    PeerTerm("heater_efficiency", lambda r: r.duty,
+         TermParameter("eta", "", lambda c, t: 1.0 + c / t.geometry.heater_max_w)),
+    PeerTerm("heater_sag", lambda r: r.duty**2,
+         TermParameter("sag", "", lambda c, t: -c / t.geometry.heater_max_w)),
+    PeerTerm("heater_saturation", lambda r: np.maximum(r.duty - _BENDS_ABOVE, 0.0)),
+    PeerTerm("heater_lag", lambda r: r.duty - r.duty_before),
+    PeerTerm("fan_spinup", lambda r: (r.fan - r.fan_before) * r.excess),
+    PeerTerm("extra_capacity", lambda r: r.temp - r.temp_before),
+    PeerTerm("soil_mass", lambda r: r.temp - r.slow_c),
+    PeerTerm("wall_mass", lambda r: r.slow_c - r.ambient),
+    PeerTerm("constant_heat", lambda r: np.ones_like(r.temp), TermParameter("P0", "W", lambda c, t: c)),
+    PeerTerm("ambient_offset", lambda r: r.fan),
+    PeerTerm("led_gain", lambda r: r.light, TermParameter("P_led", "W", lambda c, t: c)),
+    PeerTerm("evapotranspiration", lambda r: (0.4 + 0.6 * r.light) * r.deficit_kpa,
+         TermParameter("k_e", "W/kPa", lambda c, t: -c)),
+    PeerTerm("ua_drift", lambda r: r.day * r.excess),
 )  # fmt: skip

@@ -34,7 +34,7 @@ LIMIT_S = 600.0
 _KEPT_CHARACTERS = 4000  # of standard error
 
 
-class Task(NamedTuple):
+class SolverTask(NamedTuple):
     """One solver on one case."""
 
     solver: str
@@ -53,7 +53,9 @@ def main(words: Sequence[str] | None = None) -> int:
     results = arguments.results / arguments.suite / arguments.split
     jobs = max(1, processors() // arguments.workers)  # of one diagnosis
     tasks = [
-        Task(solver, folder, results / solver / folder.name, arguments.limit_s, arguments.pictures, jobs)
+        SolverTask(
+            solver, folder, results / solver / folder.name, arguments.limit_s, arguments.pictures, jobs
+        )
         for folder, _ in cases_of(arguments)
         for solver in _solvers(arguments.solvers)
     ]
@@ -73,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--again", action="store_true", help="also what has an answer")
 
 
-def run_all(tasks: Sequence[Task], workers: int) -> None:
+def run_all(tasks: Sequence[SolverTask], workers: int) -> None:
     """Run the tasks side by side, a line for each."""
     if not tasks:
         return
@@ -88,7 +90,7 @@ def run_all(tasks: Sequence[Task], workers: int) -> None:
             print(f"{number}/{len(tasks)} {done.result()}", flush=True)
 
 
-def run_one(task: Task) -> str:
+def run_one(task: SolverTask) -> str:
     """Run one task and write what came of it; a line that says so."""
     task.out.mkdir(parents=True, exist_ok=True)
     (task.out / "diagnosis.json").unlink(missing_ok=True)
@@ -114,7 +116,7 @@ def _import_pysindy(solvers: set[str]) -> None:
         importlib.import_module("pysindy")
 
 
-def _diagnosis(task: Task) -> dict[str, Any]:
+def _diagnosis(task: SolverTask) -> dict[str, Any]:
     train, tests = (sorted(task.folder.glob(f"{role}_*.csv")) for role in ("train", "test"))
     tests = tests or train  # each divided in time
     command = [
@@ -144,7 +146,7 @@ def _diagnosis(task: Task) -> dict[str, Any]:
     }
 
 
-def _peer(task: Task) -> dict[str, Any]:
+def _peer(task: SolverTask) -> dict[str, Any]:
     begun_s, cpu_s, stderr = time.perf_counter(), time.process_time(), ""
     try:
         write_document(task.out / "diagnosis.json", diagnose(task.solver, task.folder))
@@ -166,7 +168,7 @@ def case_sha256(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def is_done(task: Task) -> bool:
+def is_done(task: SolverTask) -> bool:
     """Whether it has an answer of its present files."""
     path = task.out / "run.json"
     if not path.exists():

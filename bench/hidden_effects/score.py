@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.hidden_effects.score_case import Scored
+from bench.hidden_effects.score_case import ScoredCase
 from bench.hidden_effects.wilson import Share, share
 
 SHRUNK = 0.9
@@ -34,7 +34,7 @@ IN_LIBRARY = ("single", "pair", "weak", "hard", "bare")
 Figure = Share | float
 
 
-def figures(cases: Sequence[Scored]) -> dict[str, Figure]:
+def figures(cases: Sequence[ScoredCase]) -> dict[str, Figure]:
     """Every figure, shares of no case included; a number of no case is NaN."""
     hidden = [case for case in cases if case.kind in IN_LIBRARY]
     single, pair, bare, outside = (_of(cases, kind) for kind in ("single", "pair", "bare", "outside"))
@@ -70,17 +70,17 @@ def figures(cases: Sequence[Scored]) -> dict[str, Figure]:
     }  # fmt: skip
 
 
-def _told(cases: Iterable[Scored]) -> Share:
+def _told(cases: Iterable[ScoredCase]) -> Share:
     pairs = [pair for case in cases for pair in zip(case.told, case.shows, strict=True)]
     return share(told for told, shows in pairs if shows)
 
 
-def _found_shown(cases: Iterable[Scored]) -> Share:
+def _found_shown(cases: Iterable[ScoredCase]) -> Share:
     pairs = [pair for case in cases for pair in zip(case.found, case.shows, strict=True)]
     return share(found for found, shows in pairs if shows)
 
 
-def by_effect(cases: Iterable[Scored]) -> dict[str, Share]:
+def by_effect(cases: Iterable[ScoredCase]) -> dict[str, Share]:
     """Single hidden effects: first name true; outside the library: unknown said."""
     answers: dict[str, list[bool]] = {}
     for case in cases:
@@ -91,19 +91,19 @@ def by_effect(cases: Iterable[Scored]) -> dict[str, Share]:
     return {name: share(answers[name]) for name in sorted(answers)}
 
 
-def by_kind(cases: Sequence[Scored]) -> dict[str, dict[str, Figure]]:
+def by_kind(cases: Sequence[ScoredCase]) -> dict[str, dict[str, Figure]]:
     """What can be said of every kind that hides effects of the library."""
     kinds = [kind for kind in IN_LIBRARY if _of(cases, kind)]
     return {kind: _of_kind(_of(cases, kind)) for kind in kinds}
 
 
-def shrinks(cases: Iterable[Scored]) -> list[float]:
+def shrinks(cases: Iterable[ScoredCase]) -> list[float]:
     """Of the cases that had a gap."""
     found = [case.errors.shrink for case in cases if case.errors]
     return [shrunk for shrunk in found if shrunk is not None]
 
 
-def _of_kind(cases: Sequence[Scored]) -> dict[str, Figure]:
+def _of_kind(cases: Sequence[ScoredCase]) -> dict[str, Figure]:
     return {
         "first_right": share(case.first_right for case in cases),
         "exact": share(case.exact for case in cases),
@@ -115,7 +115,7 @@ def _of_kind(cases: Sequence[Scored]) -> dict[str, Figure]:
     }
 
 
-def _of(cases: Sequence[Scored], kind: str) -> list[Scored]:
+def _of(cases: Sequence[ScoredCase], kind: str) -> list[ScoredCase]:
     return [case for case in cases if case.kind == kind]
 
 
@@ -128,7 +128,7 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if values else math.nan
 
 
-def document(solvers: Mapping[str, Sequence[Scored]], facts: Mapping[str, Any]) -> dict[str, Any]:
+def document(solvers: Mapping[str, Sequence[ScoredCase]], facts: Mapping[str, Any]) -> dict[str, Any]:
     """Everything as JSON has it; infinity and NaN are null."""
     return {
         **facts,

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.hidden_effects.cases import Hidden, Truth
-from bench.hidden_effects.score_fit import Fit, fit
-from bench.hidden_effects.score_noise import Noise
+from bench.hidden_effects.score_fit import LikelihoodFit, fit
+from bench.hidden_effects.score_noise import ReadingNoise
 from bench.hidden_effects.score_rivals import sieve, unknown
 from bench.hidden_effects.score_structure import Structure, structure
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.effects.further import FURTHER_EFFECTS
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS, applied
 from edge.twin.recorded import Recorded, recorded
@@ -40,7 +40,7 @@ KEPT_NATS = 10.0  # rivals further behind are not written down
 SECOND_LOOK_NATS = 20.0  # rivals further behind after one pass get no second
 OUTLIER_SD = 6.0
 _TRUTH_PASSES = 6
-_FIRST_NOISE = Noise(0.1, 0.1, 20.0)
+_FIRST_NOISE = ReadingNoise(0.1, 0.1, 20.0)
 _WITHOUT_A_COLUMN = ("door_opening",)  # the runs don't say when the door was open
 
 
@@ -76,7 +76,7 @@ class AliasClass:
         return self.gain_nats is None or self.gain_nats >= ALIAS_NATS
 
 
-def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[Run]) -> tuple[AliasClass, ...]:
+def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[RecordedRun]) -> tuple[AliasClass, ...]:
     """The class of each hidden effect of a case, in the truth's order. Errors: DataError as of `recorded`."""
     if all(item.name in _WITHOUT_A_COLUMN for item in truth.hidden):
         return tuple(AliasClass(item.name) for item in truth.hidden)
@@ -89,7 +89,7 @@ def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[Run]) -> tuple[Al
     return tuple(_class(item, whole, found) for item in truth.hidden)
 
 
-def _without_outliers(truth: Structure, found: Fit) -> Recorded:
+def _without_outliers(truth: Structure, found: LikelihoodFit) -> Recorded:
     residual = truth.residual(found.scaled)
     usual = 1.4826 * np.median(np.abs(residual[truth.measured]))  # sd of a normal distribution
     temp = truth.data.temp.copy()
@@ -97,7 +97,7 @@ def _without_outliers(truth: Structure, found: Fit) -> Recorded:
     return replace(truth.data, temp=temp)
 
 
-def _class(hidden: Hidden, truth: Structure, found: Fit) -> AliasClass:
+def _class(hidden: Hidden, truth: Structure, found: LikelihoodFit) -> AliasClass:
     if hidden.name in _WITHOUT_A_COLUMN:
         return AliasClass(hidden.name)
     nothing = _fit_near(truth.other(_others(truth, hidden.name)), {}, truth, found)
@@ -125,7 +125,7 @@ def _places(name: str) -> list[Place]:
     return [("effects", name, item.name) for item in EFFECTS[name].parameters]
 
 
-def _fit_near(rival: Structure, own: Mapping[Place, float], truth: Structure, found: Fit) -> float:
+def _fit_near(rival: Structure, own: Mapping[Place, float], truth: Structure, found: LikelihoodFit) -> float:
     """Log likelihood of a structure, begun at its own scaled parameters and the true fit of the others."""
     others = truth.values(found.scaled)
     begun = [
@@ -161,7 +161,7 @@ def _with(file: TwinFile, hidden: tuple[Hidden, ...]) -> TwinFile:
 
 
 def cached_classes(
-    cache: Path, key: str, truth: Truth, file: TwinFile, runs: Sequence[Run]
+    cache: Path, key: str, truth: Truth, file: TwinFile, runs: Sequence[RecordedRun]
 ) -> tuple[AliasClass, ...]:
     """The classes as they were once computed for this key, else computed and written to `cache`."""
     key = f"{METHOD_VERSION}:{key}"

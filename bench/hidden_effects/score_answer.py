@@ -18,7 +18,7 @@ MOST_ALTERNATIVES = 5  # more is no answer
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
+class NamedEffect:
     """An effect of an answer. intervals : low and high by parameter, NaN where there is none."""
 
     name: str
@@ -31,17 +31,17 @@ class Named:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class DiagnosisAnswer:
     """A diagnosis. before, after : predictions of test runs by file name, NaN where there is none [°C]."""
 
     verdict: str
-    effects: tuple[Named, ...]
+    effects: tuple[NamedEffect, ...]
     depends_on: tuple[str, ...]
     before: Mapping[str, Floats]
     after: Mapping[str, Floats]
 
 
-def read_answer(path: Path) -> Answer:
+def read_answer(path: Path) -> DiagnosisAnswer:
     """The diagnosis in a file. Errors: DataError naming the file, for none or one that is no diagnosis."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -50,7 +50,7 @@ def read_answer(path: Path) -> Answer:
         raise DataError(f"{path}: no diagnosis: {error!r}") from error
 
 
-def answer(document: Mapping[str, Any]) -> Answer:
+def answer(document: Mapping[str, Any]) -> DiagnosisAnswer:
     """The answer of a document. Errors: ValueError, KeyError, TypeError, AttributeError where it is none."""
     verdict = document["verdict"]
     if verdict not in VERDICTS:
@@ -59,7 +59,7 @@ def answer(document: Mapping[str, Any]) -> Answer:
     if verdict == "named" and not effects:
         raise ValueError("the verdict is 'named', but no effect is")
     predictions = document["predictions"]
-    return Answer(
+    return DiagnosisAnswer(
         verdict,
         tuple(_named(item) for item in effects),
         tuple(document["depends_on"]),
@@ -68,12 +68,12 @@ def answer(document: Mapping[str, Any]) -> Answer:
     )
 
 
-def _named(document: Mapping[str, Any]) -> Named:
+def _named(document: Mapping[str, Any]) -> NamedEffect:
     intervals = {
         key: (_number(item.get("low")), _number(item.get("high")))
         for key, item in document["parameters"].items()
     }
-    return Named(document["name"], tuple(document["alternatives"]), intervals)
+    return NamedEffect(document["name"], tuple(document["alternatives"]), intervals)
 
 
 def _series(values: list[float | None]) -> Floats:

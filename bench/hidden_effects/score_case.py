@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from bench.hidden_effects.cases import GIVEN_ROWS, RunTruth, Truth
 from bench.hidden_effects.score_aliases import AliasClass
-from bench.hidden_effects.score_answer import Answer, Named
+from bench.hidden_effects.score_answer import DiagnosisAnswer, NamedEffect
 
 Floats = NDArray[np.float64]
 CLEARLY_IN_NATS, CLEARLY_OUT_NATS = 2.0, 6.0
@@ -35,7 +35,7 @@ COUNTED_DEPENDENCES = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class FreeRunErrors:
     """Of free runs over the test runs together, RMSE [K]."""
 
     before_k: float
@@ -57,7 +57,7 @@ class Errors:
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredCase:
     """What an answer is worth.
 
     failed : no answer at all; then everything else is wrong
@@ -87,7 +87,7 @@ class Scored:
     shows: tuple[bool, ...] = ()
     covered: Mapping[str, bool] = field(default_factory=dict)
     dependence: bool | None = None
-    errors: Errors | None = None
+    errors: FreeRunErrors | None = None
     seconds: float = math.nan
     cpu_s: float = math.nan
 
@@ -95,10 +95,10 @@ class Scored:
 def score(
     truth: Truth,
     classes: Sequence[AliasClass],
-    given: Answer | None,
+    given: DiagnosisAnswer | None,
     seconds: float = math.nan,
     cpu_s: float = math.nan,
-) -> Scored:
+) -> ScoredCase:
     """The answer's worth; None: there is none. seconds, cpu_s : by the clock, and of processors."""
     hidden = tuple(item.name for item in truth.hidden)
     outside = truth.outside.name if truth.outside else ""
@@ -107,7 +107,7 @@ def score(
     names = given.effects if given else ()
     true = [item for item in matched if item is not None]
     first = names[0] if names else None
-    return Scored(
+    return ScoredCase(
         truth.id,
         truth.kind,
         hidden,
@@ -133,10 +133,10 @@ def score(
     )  # fmt: skip
 
 
-def _matched(classes: Sequence[AliasClass], names: Sequence[Named]) -> list[Named | None]:
+def _matched(classes: Sequence[AliasClass], names: Sequence[NamedEffect]) -> list[NamedEffect | None]:
     """The name that finds each hidden effect: exact ones first, then as many by class as can be."""
     left = [item for item in names if not item.hedges]
-    found: list[Named | None] = []
+    found: list[NamedEffect | None] = []
     for own in classes:
         exact = next((item for item in left if item.name == own.effect), None)
         found.append(exact)
@@ -149,17 +149,17 @@ def _matched(classes: Sequence[AliasClass], names: Sequence[Named]) -> list[Name
     return found
 
 
-def _told(named: Named) -> frozenset[str]:
+def _told(named: NamedEffect) -> frozenset[str]:
     return frozenset({named.name, *named.alternatives})
 
 
-def _is_honest(own: AliasClass, named: Named | None) -> bool:
+def _is_honest(own: AliasClass, named: NamedEffect | None) -> bool:
     if named is None:
         return False
     return own.within(CLEARLY_IN_NATS) <= _told(named) <= own.up_to(CLEARLY_OUT_NATS)
 
 
-def _covered(truth: Truth, names: Sequence[Named]) -> dict[str, bool]:
+def _covered(truth: Truth, names: Sequence[NamedEffect]) -> dict[str, bool]:
     covered = {}
     named = {item.name: item for item in reversed(names)}  # the first of two of one name
     for hidden in truth.hidden:
@@ -172,7 +172,7 @@ def _covered(truth: Truth, names: Sequence[Named]) -> dict[str, bool]:
     return covered
 
 
-def _dependence(truth: Truth, given: Answer | None) -> bool | None:
+def _dependence(truth: Truth, given: DiagnosisAnswer | None) -> bool | None:
     if not truth.depends_on:
         return None
     if given is None or given.verdict != "unknown":
@@ -180,7 +180,7 @@ def _dependence(truth: Truth, given: Answer | None) -> bool | None:
     return bool(set(given.depends_on[:COUNTED_DEPENDENCES]) & set(truth.depends_on))
 
 
-def errors(tests: Mapping[str, RunTruth], given: Answer | None) -> Errors | None:
+def errors(tests: Mapping[str, RunTruth], given: DiagnosisAnswer | None) -> FreeRunErrors | None:
     """Before, after and at the floor; None where there is nothing to predict."""
     measured = [np.array([math.nan if x is None else x for x in own.measured_c]) for own in tests.values()]
     floor = [np.asarray(own.undisturbed_c) for own in tests.values()]
@@ -199,6 +199,6 @@ def errors(tests: Mapping[str, RunTruth], given: Answer | None) -> Errors | None
 
     before = {} if given is None else given.before
     after = {} if given is None else given.after
-    return Errors(
+    return FreeRunErrors(
         rmse([before.get(name) for name in tests]), rmse([after.get(name) for name in tests]), rmse(floor)
     )

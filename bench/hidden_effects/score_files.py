@@ -17,8 +17,8 @@ from typing import Any
 from bench.hidden_effects.run_cases import SOLVERS, case_sha256
 from bench.hidden_effects.score import document, write_document
 from bench.hidden_effects.score_aliases import AliasClass, cached_classes
-from bench.hidden_effects.score_answer import Answer, read_answer
-from bench.hidden_effects.score_case import Scored, score
+from bench.hidden_effects.score_answer import DiagnosisAnswer, read_answer
+from bench.hidden_effects.score_case import ScoredCase, score
 from bench.hidden_effects.score_truth import CasePaths, add_place, cases_of, read_truth
 from bench.hidden_effects.table import markdown, text
 from edge.core.errors import DataError
@@ -77,9 +77,9 @@ def _all_classes(
     return found
 
 
-def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any], place: Path) -> Scored:
+def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any], place: Path) -> ScoredCase:
     """The worth of the answer in a place; of a run that failed there is none, whatever lies there."""
-    given: Answer | None = None
+    given: DiagnosisAnswer | None = None
     if took["exit"] == 0:
         try:
             given = read_answer(place / "diagnosis.json")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.score_noise import Noise, Whitener, likeliest, log_likelihood, whitener
+from bench.hidden_effects.score_noise import ReadingNoise, Whitener, likeliest, log_likelihood, whitener
 from bench.hidden_effects.score_structure import Structure
 
 Floats = NDArray[np.float64]
@@ -14,15 +14,15 @@ _MOST_EVALUATIONS = 25
 _WORTH_NATS = 0.1  # that a further pass must bring
 
 
-class Fit(NamedTuple):
+class LikelihoodFit(NamedTuple):
     """log_likelihood : at the best values, without the constant; scaled : [p]"""
 
     log_likelihood: float
     scaled: Floats
-    noise: Noise
+    noise: ReadingNoise
 
 
-def fit(problem: Structure, start: Floats, noise: Noise, passes: int) -> Fit:
+def fit(problem: Structure, start: Floats, noise: ReadingNoise, passes: int) -> LikelihoodFit:
     """The likeliest values from `start`, [p], then the likeliest noise, and so on while it helps.
 
     passes : at most
@@ -38,7 +38,7 @@ def fit(problem: Structure, start: Floats, noise: Noise, passes: int) -> Fit:
         best -= 0.5 * float((problem.priors(scaled) ** 2).sum())
         if best - before < _WORTH_NATS:
             break
-    return Fit(best, scaled, noise)
+    return LikelihoodFit(best, scaled, noise)
 
 
 def stacked(white: Floats, moved: Floats) -> Floats:

@@ -17,7 +17,7 @@ _LEAST_SHARE, _START_ROWS = 0.3, (3.0, 60.0)  # of a start
 _MOST_EVALUATIONS = 80
 
 
-class Noise(NamedTuple):
+class ReadingNoise(NamedTuple):
     """white_k : w; wandering_k : a [K]; rows : over which the wandering falls to 1/e, -1 / log(phi)."""
 
     white_k: float
@@ -50,7 +50,7 @@ class Whitener(NamedTuple):
         return np.moveaxis(innovations, 0, 2)
 
 
-def whitener(noise: Noise, measured: NDArray[np.bool_]) -> Whitener:
+def whitener(noise: ReadingNoise, measured: NDArray[np.bool_]) -> Whitener:
     """The filter for runs with these rows measured, [B, N]."""
     phi, gain, variance = noise.phi, np.zeros(measured.shape), np.ones(measured.shape)
     known = np.full(len(measured), noise.wandering_k**2)  # variance of the wandering before each row
@@ -63,7 +63,9 @@ def whitener(noise: Noise, measured: NDArray[np.bool_]) -> Whitener:
     return Whitener(phi, gain, scale, float(np.log(variance[measured]).sum()))
 
 
-def log_likelihood(noise: Noise, residual: Floats, response: Floats, measured: NDArray[np.bool_]) -> float:
+def log_likelihood(
+    noise: ReadingNoise, residual: Floats, response: Floats, measured: NDArray[np.bool_]
+) -> float:
     """Of the residuals [B, N], with q unknowns of every run integrated out; without the constant.
 
     response : [B, q, N], what one standard deviation of each unknown does: states at the start, mains
@@ -78,16 +80,18 @@ def log_likelihood(noise: Noise, residual: Floats, response: Floats, measured: N
     return -0.5 * float((own**2).sum() - explained + spread)
 
 
-def likeliest(start: Noise, residual: Floats, response: Floats, measured: NDArray[np.bool_]) -> Noise:
+def likeliest(
+    start: ReadingNoise, residual: Floats, response: Floats, measured: NDArray[np.bool_]
+) -> ReadingNoise:
     """The noise under which the residuals are likeliest, by the simplex of Nelder & Mead from `start`.
 
     From a start that hardly wanders, or over hardly any rows, no small step leads away: it is moved first.
     """
     from scipy.optimize import minimize
 
-    def noise(logs: Floats) -> Noise:
+    def noise(logs: Floats) -> ReadingNoise:
         white, wandering, rows = np.exp(np.clip(logs, -20.0, 20.0))
-        return Noise(
+        return ReadingNoise(
             max(float(white), LEAST_SD_K),
             max(float(wandering), LEAST_SD_K),
             float(np.clip(rows, 0.2, _LONGEST_ROWS)),

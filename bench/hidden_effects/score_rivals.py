@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.score_fit import Fit, stacked
+from bench.hidden_effects.score_fit import LikelihoodFit, stacked
 from bench.hidden_effects.score_noise import Whitener, whitener
 from bench.hidden_effects.score_structure import Structure, structure
 from edge.twin.effects.library import EFFECTS
@@ -68,7 +68,7 @@ class Sieve:
         return _nats(left) - self.truth_nats > HOPELESS_NATS + _HOPELESS_SHARE * explained
 
 
-def sieve(truth: Structure, fit: Fit, effect: str) -> Sieve:
+def sieve(truth: Structure, fit: LikelihoodFit, effect: str) -> Sieve:
     """The sieve for the rivals of `effect`, from the fit of the true structure."""
     others = [i for i, item in enumerate(truth.unknowns) if item.place[:2] != ("effects", effect)]
     whiten = whitener(fit.noise, truth.measured)
@@ -104,7 +104,7 @@ def unknown(name: str, file: TwinFile, truth: Mapping[str, float] | None = None)
     return {key: Value((truth or {}).get(key, start), fit=True) for key, start in starts.items()}
 
 
-def _without(truth: Structure, fit: Fit, effect: str) -> Structure:
+def _without(truth: Structure, fit: LikelihoodFit, effect: str) -> Structure:
     file = truth.file
     exact = {place: Value(value.value) for place, value in file.values().items()}
     found = {place: Value(value) for place, value in truth.values(fit.scaled).items()}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bench.hidden_effects.equations import CURVE_AT_K
 from edge.twin.effects.library import EFFECTS, applied
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import Place, TwinFile
@@ -33,7 +33,7 @@ _BODY_START_K, _HEATER_START_W = 1.0, 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Unknown:
+class SoughtValue:
     """A value to be found: by its logarithm if it is positive, else in units of its start."""
 
     place: Place
@@ -75,7 +75,7 @@ class Structure:
 
     file: TwinFile
     data: Recorded
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[SoughtValue, ...]
     middle: Floats  # the measured temperature in the middle of each step, [B, N]
     mains_sd: float = 0.0  # of the heater's power from run to run, share
     curve: float = 0.0  # by which the walls' loss grows per 10 K, share
@@ -97,7 +97,7 @@ class Structure:
     def values(self, scaled: Floats) -> dict[Place, float]:
         return {item.place: item.value(float(x)) for item, x in zip(self.unknowns, scaled, strict=True)}
 
-    def twin(self, scaled: Floats, mains: float = 1.0) -> Twin:
+    def twin(self, scaled: Floats, mains: float = 1.0) -> BoxTwin:
         """The twin of these values; mains : the heater's power, share of its own."""
         file = self.file.with_values({place: Value(value) for place, value in self.values(scaled).items()})
         if mains != 1.0:
@@ -141,11 +141,11 @@ class Structure:
         at_rest_w_k = inner * outer / (inner + outer)
         return [(at_rest_w_k / known.value - 1.0) / (known.rel_sd or _SURE_REL_SD)]
 
-    def _rest(self, twin: Twin) -> Floats:
+    def _rest(self, twin: BoxTwin) -> Floats:
         first = zip(self.data.temp[:, 0], self.data.ambient[:, 0], strict=True)
         return np.stack([at_rest(twin, float(temp), float(room)) for temp, room in first])
 
-    def _missed(self, twin: Twin, start: Floats) -> Floats:
+    def _missed(self, twin: BoxTwin, start: Floats) -> Floats:
         data = self.data
         heat_w = self._bent_w(twin)
         source = heat_w / twin.system.air_capacity_j_k
@@ -154,7 +154,7 @@ class Structure:
         predicted = twin.rollout(start, data.duty, data.fan, data.ambient, source, conditions=conditions)
         return np.where(self.measured, data.temp[:, 1:] - predicted, 0.0)
 
-    def _bent_w(self, twin: Twin) -> Floats:
+    def _bent_w(self, twin: BoxTwin) -> Floats:
         """Heat that is not in proportion to the temperature, at the measured one [B, N]."""
         data = self.data
         bent = twin.signals.heat_w(self.middle, data.ambient, data.conditions, by_temp=True)
@@ -180,18 +180,18 @@ def structure(file: TwinFile, data: Recorded, mains_sd: float = 0.0, curve: floa
             continue
         low, high = _range(place, value.value)
         prior_sd = np.inf if value.rel_sd is None else abs(value.rel_sd * value.value)
-        unknowns.append(Unknown(place, value.value, low, high, prior_sd))
+        unknowns.append(SoughtValue(place, value.value, low, high, prior_sd))
     temp = np.stack([held(values) for values in data.temp])
     return Structure(file, data, tuple(unknowns), 0.5 * (temp[:, :-1] + temp[:, 1:]), mains_sd, curve)
 
 
-def _start_sd(twin: Twin) -> Floats:
+def _start_sd(twin: BoxTwin) -> Floats:
     """How far each state may be from rest [n]; cases begin near it, with the heater off or nearly so."""
     hidden = [_HEATER_START_W if name == HEATER else _BODY_START_K for name in twin.states[1:]]
     return np.array([twin.noise.sensor_k, *hidden])
 
 
-def _unbent(twin: Twin) -> Twin:
+def _unbent(twin: BoxTwin) -> BoxTwin:
     """The twin without heat that depends on its temperature."""
     straight = copy.copy(twin)
     heats = [heat for heat in twin.signals.heats if not heat.by_temp]

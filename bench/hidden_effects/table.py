@@ -12,7 +12,7 @@ Document = Mapping[str, Any]
 Rows = list[list[str]]
 
 
-class Line(NamedTuple):
+class TableLine(NamedTuple):
     """A row of the first table. met : whether a value meets the target, None where there is none."""
 
     figure: str
@@ -30,31 +30,31 @@ def _most(value: float) -> Callable[[float], bool]:
 
 
 LINES = (
-    Line("naming", "one effect: first name right", "0.97", _least(0.97)),
-    Line("exact_single", "one effect: exact set", "0.93", _least(0.93)),
-    Line("exact_pair", "two effects: exact set", "0.90", _least(0.90)),
-    Line("weak", "weak: first name right", "0.85", _least(0.85)),
-    Line("hard", "hard logs: first name right", "0.85", _least(0.85)),
-    Line("bare_found", "bare PBM: share found", "0.90", _least(0.90)),
-    Line("bare_true", "bare PBM: share of named that are true", "1.00", _least(1.0)),
-    Line("shown", "hidden effects that the runs show at all"),
-    Line("found_shown", "of these found: one or two effects, weak, hard"),
-    Line("bare_found_shown", "of these found: bare PBM"),
-    Line("false_alarms", "nothing missing: false alarms", "<= 0.03", _most(0.03)),
-    Line("unknown", "outside the library: says unknown", "0.90", _least(0.90)),
-    Line("dependence", "outside the library: true dependence", "0.85", _least(0.85)),
-    Line("unknown_wrongly", "unknown said wrongly", "<= 0.03", _most(0.03)),
-    Line("told", "alias class told honestly", "0.90", _least(0.90)),
-    Line("told_rivals", "the same, of effects that have rivals"),
-    Line("coverage", "95 % intervals that cover", "0.92..0.98", lambda found: 0.92 <= found <= 0.98),
-    Line("shrink", "gap shrink 0.9 or more", "0.95", _least(0.95)),
-    Line("shrink_mean", "gap shrink, mean (below 0 as 0)"),
-    Line("ratio_median", "RMSE after / noise floor, median", "1.02", _most(1.02)),
-    Line("ratio_p90", "RMSE after / noise floor, p90", "1.25", _most(1.25)),
-    Line("seconds_median", "seconds per case, median", "5", _most(5.0)),
-    Line("seconds_worst", "seconds per case, worst", "60", _most(60.0)),
-    Line("cpu_median", "seconds of processors, median"),
-    Line("failed", "no answer at all"),
+    TableLine("naming", "one effect: first name right", "0.97", _least(0.97)),
+    TableLine("exact_single", "one effect: exact set", "0.93", _least(0.93)),
+    TableLine("exact_pair", "two effects: exact set", "0.90", _least(0.90)),
+    TableLine("weak", "weak: first name right", "0.85", _least(0.85)),
+    TableLine("hard", "hard logs: first name right", "0.85", _least(0.85)),
+    TableLine("bare_found", "bare PBM: share found", "0.90", _least(0.90)),
+    TableLine("bare_true", "bare PBM: share of named that are true", "1.00", _least(1.0)),
+    TableLine("shown", "hidden effects that the runs show at all"),
+    TableLine("found_shown", "of these found: one or two effects, weak, hard"),
+    TableLine("bare_found_shown", "of these found: bare PBM"),
+    TableLine("false_alarms", "nothing missing: false alarms", "<= 0.03", _most(0.03)),
+    TableLine("unknown", "outside the library: says unknown", "0.90", _least(0.90)),
+    TableLine("dependence", "outside the library: true dependence", "0.85", _least(0.85)),
+    TableLine("unknown_wrongly", "unknown said wrongly", "<= 0.03", _most(0.03)),
+    TableLine("told", "alias class told honestly", "0.90", _least(0.90)),
+    TableLine("told_rivals", "the same, of effects that have rivals"),
+    TableLine("coverage", "95 % intervals that cover", "0.92..0.98", lambda found: 0.92 <= found <= 0.98),
+    TableLine("shrink", "gap shrink 0.9 or more", "0.95", _least(0.95)),
+    TableLine("shrink_mean", "gap shrink, mean (below 0 as 0)"),
+    TableLine("ratio_median", "RMSE after / noise floor, median", "1.02", _most(1.02)),
+    TableLine("ratio_p90", "RMSE after / noise floor, p90", "1.25", _most(1.25)),
+    TableLine("seconds_median", "seconds per case, median", "5", _most(5.0)),
+    TableLine("seconds_worst", "seconds per case, worst", "60", _most(60.0)),
+    TableLine("cpu_median", "seconds of processors, median"),
+    TableLine("failed", "no answer at all"),
 )
 KIND_COLUMNS = {
     "first_right": "first name", "exact": "exact set", "told": "alias class", "coverage": "intervals",
@@ -109,7 +109,7 @@ def _figures(content: Document) -> Rows:
     return rows
 
 
-def _met(line: Line, solvers: Mapping[str, Any]) -> str:
+def _met(line: TableLine, solvers: Mapping[str, Any]) -> str:
     value = _value(solvers[OURS]["figures"][line.figure]) if OURS in solvers else None
     if line.met is None or value is None:
         return ""

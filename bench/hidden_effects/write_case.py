@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.hidden_effects.cases import GENERATOR_VERSION, Case
+from bench.hidden_effects.cases import GENERATOR_VERSION, HiddenCase
 from bench.hidden_effects.draw_readings import as_given
 from edge.formats.run_file import write_run
 from edge.twin.twin_file import write_twin_file
 
 
-def write_case(case: Case, root: Path) -> None:
+def write_case(case: HiddenCase, root: Path) -> None:
     """Write all files under `root`; the truth last, so that a case with a truth is whole. Errors: OSError."""
     given, truth = folders(root, case.truth.suite, case.truth.split)
     folder = given / case.truth.id

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bench.foreign.cases import Log
+from bench.foreign.cases import ForeignLog
 from bench.foreign.make import write_text
 from bench.foreign.score import is_alike
-from bench.hidden_effects.run_cases import LIMIT_S, OURS, Task, run_all
+from bench.hidden_effects.run_cases import LIMIT_S, OURS, SolverTask, run_all
 from bench.real_truth.logs import LOGS, Columns, RealLog, texts
 from edge.core.errors import DataError
 
@@ -57,7 +57,7 @@ def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -
             lines.append(f"{log.name}: left out: {error}")
             continue
         with redirect_stdout(sys.stderr):  # how far it is; the table is what is printed
-            run_all([Task(OURS, folder, answer, LIMIT_S, jobs=2)], 1)
+            run_all([SolverTask(OURS, folder, answer, LIMIT_S, jobs=2)], 1)
         path = answer / "diagnosis.json"
         run = json.loads((answer / "run.json").read_text(encoding="utf-8"))
         if not path.exists():
@@ -81,7 +81,7 @@ def write(log: RealLog, folder: Path, files: Sequence[str]) -> None:
         time_s = columns["time_s"]
         judged = None if log.whole else float(time_s[round(TRAINS * len(time_s))])
         name = f"{role}_{i + 1:02}.csv"
-        (folder / name).write_text(write_text(name, Log(columns, judged)), encoding="utf-8")
+        (folder / name).write_text(write_text(name, ForeignLog(columns, judged)), encoding="utf-8")
     (folder / "twin.yaml").write_text(yaml.safe_dump(_twin(log, runs[0]), sort_keys=False), encoding="utf-8")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from edge.config.settings import MqttSettings, Settings
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
-from edge.core.messages import Command, Decision, Echo, Estimate, Event, Quality, Reading, TickRecord
+from edge.core.messages import Command, Decision, Echo, Estimate, Event, Reading, ReadingQuality, TickRecord
 from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
 from edge.tick.orders import Desk, Operation, operate
 from edge.tick.orders_json import to_dict
@@ -30,7 +30,7 @@ def record(seq: int = 1, temp_air: float | None = 24.5, events: tuple[Event, ...
         utc=1.7e9,
         step_s=60.0,
         mode="auto",
-        readings={"temp_air": Reading("temp_air", temp_air, 99.0, Quality.GOOD)},
+        readings={"temp_air": Reading("temp_air", temp_air, 99.0, ReadingQuality.GOOD)},
         estimate=Estimate(24.4, 0.1, 0.0, 0.1, 21.0, 99.0),
         reference_c=26.0,
         decision=Decision(command, "MPC", (24.9, 25.3), {"solve_ms": 1.5}),
@@ -86,7 +86,7 @@ class ControlLoop:
 
 
 @dataclass(frozen=True)
-class Row:
+class OutboxRow:
     """One message of an outbox."""
 
     id: int
@@ -101,7 +101,7 @@ class MemoryOutbox:
         self.rows = {number: row(number) for number in range(1, count + 1)}
         self.acknowledged: list[int] = []
 
-    def pending(self, limit: int) -> Sequence[Row]:
+    def pending(self, limit: int) -> Sequence[OutboxRow]:
         return [self.rows[key] for key in sorted(self.rows)[:limit]]
 
     def acknowledge(self, ids: Sequence[int]) -> None:
@@ -117,8 +117,8 @@ class MemoryOutbox:
         return last_seq - first_seq + 1
 
 
-def row(number: int) -> Row:
-    return Row(number, f"{ROOT}/history", f'{{"history_id":"h1","seq":{number}}}')
+def row(number: int) -> OutboxRow:
+    return OutboxRow(number, f"{ROOT}/history", f'{{"history_id":"h1","seq":{number}}}')
 
 
 def desk() -> Desk:

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.formulas import Shape, formulas
+from edge.diagnosis.formulas import FormulaShape, formulas
 from edge.diagnosis.given import given
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs
 from edge.diagnosis.search import Search
 from edge.diagnosis.side_by_side import SideBySide
-from edge.formats.run_file import Run
-from edge.twin.model import Twin
+from edge.formats.run_file import RecordedRun
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
@@ -53,7 +53,7 @@ def simulated(
     noise: NoiseLevels = NOISE,
     further: Heat | None = None,
     fan: bool = True,
-) -> Run:
+) -> RecordedRun:
     """From rest at the room: duty in steps of 10 to 25 rows, the fan now and then, a room that swings 1.5 K.
 
     further : a heat that the library has no effect for; fan : False for one that never runs
@@ -64,7 +64,7 @@ def simulated(
     light = _stairs(draw, rows, (20, 40), [0.0, 0.5, 1.0])
     time_s = STEP_S * np.arange(rows)
     room = 21.0 + 1.5 * np.sin(2.0 * np.pi * time_s / 7200.0 + seed)
-    twin = Twin(effects=effects, step_s=STEP_S)
+    twin = BoxTwin(effects=effects, step_s=STEP_S)
     power = duty * (1.0 + noise.power_share * draw.standard_normal())
     heat_w = coloured(draw, rows, noise)
     temp = _run(twin, power, blown, room, heat_w, light)
@@ -80,7 +80,7 @@ def simulated(
         "light": light,
     }
     facts = {"role": "train", "start_utc": "2026-07-01T08:00:00Z"}
-    return Run(columns, facts, Path(f"run_{seed:02d}.csv"))
+    return RecordedRun(columns, facts, Path(f"run_{seed:02d}.csv"))
 
 
 def coloured(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats:
@@ -92,15 +92,17 @@ def coloured(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats
     return fresh
 
 
-def diagnosed(runs: Sequence[Run], test: Sequence[Run] = (), file: TwinFile | None = None) -> DiagnosisRuns:
+def diagnosed(
+    runs: Sequence[RecordedRun], test: Sequence[RecordedRun] = (), file: TwinFile | None = None
+) -> DiagnosisRuns:
     """Runs as a diagnosis needs them, by their file names."""
     train, later = ([(str(run.path), run) for run in some] for some in (runs, test))
     return diagnosis_runs(train, later, file or twin_file())
 
 
 def search_over(
-    runs: Sequence[Run], file: TwinFile | None = None, shared: SideBySide | None = None
-) -> tuple[Search, dict[str, Shape]]:
+    runs: Sequence[RecordedRun], file: TwinFile | None = None, shared: SideBySide | None = None
+) -> tuple[Search, dict[str, FormulaShape]]:
     """A search as a diagnosis begins it, and the formulas in it."""
     file = file or twin_file()
     known = given(file, diagnosed(runs, file=file))
@@ -110,7 +112,9 @@ def search_over(
     return search, {name: shape for name, (shape, _) in found.items()}
 
 
-def changed(run: Run, facts: Mapping[str, str] | None = None, **columns: Floats | None) -> Run:
+def changed(
+    run: RecordedRun, facts: Mapping[str, str] | None = None, **columns: Floats | None
+) -> RecordedRun:
     """The run with some columns replaced (None: without it) and some facts added."""
     found = {**run.columns, **columns}
     kept = {name: values for name, values in found.items() if values is not None}
@@ -124,7 +128,7 @@ def _stairs(draw: np.random.Generator, rows: int, lengths: tuple[int, int], leve
     return np.concatenate(parts)[:rows]
 
 
-def _run(twin: Twin, power: Floats, fan: Floats, room: Floats, heat_w: Floats, light: Floats) -> Floats:
+def _run(twin: BoxTwin, power: Floats, fan: Floats, room: Floats, heat_w: Floats, light: Floats) -> Floats:
     start = at_rest(twin, room[0], room[0])
     later = twin.rollout(
         start,

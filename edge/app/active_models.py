@@ -23,7 +23,7 @@ from edge.models.pbm import Pbm
 from edge.models.persistence import Persistence
 from edge.tick.estimator import Estimator
 from edge.tick.rig import Forecasts
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 
 class ActiveModels:
@@ -56,7 +56,7 @@ class ActiveModels:
         self.forecasting = Forecasting(control.step_s, active, intervals, rivals, state)
 
     @property
-    def twin(self) -> Twin | None:
+    def twin(self) -> BoxTwin | None:
         """The active bundle's; None where it has no physics model."""
         model = _active(self._serving).get("pbm")
         return model.twin if isinstance(model, Pbm) else None
@@ -66,7 +66,7 @@ class ActiveModels:
         bundle = _bundle(self._serving)
         policies = {} if bundle is None else bundle.policies
         predictors = _active(self._serving)
-        parts = registry.Parts(
+        parts = registry.ControllerParts(
             self._control, self.model, self.linear, predictors, policies=policies, llm=self._llm
         )
         without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()

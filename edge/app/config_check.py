@@ -27,14 +27,14 @@ DENIED = os.strerror(errno.EACCES)
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class ConfigProblem:
     """A line of text that begins with the key."""
 
     text: str
     is_error: bool = True
 
 
-def problems(settings: Settings) -> Iterator[Problem]:
+def problems(settings: Settings) -> Iterator[ConfigProblem]:
     """Everything that is wrong with what `settings` name on this machine."""
     yield from _raised(lambda: configured_model(settings.control))
     yield from _raised(lambda: make_reference(settings.reference))
@@ -54,41 +54,41 @@ def problems(settings: Settings) -> Iterator[Problem]:
         yield from _llm(settings)
 
 
-def _raised(check: Callable[[], object]) -> Iterator[Problem]:
+def _raised(check: Callable[[], object]) -> Iterator[ConfigProblem]:
     try:
         check()
     except GreenhouseError as error:
-        yield Problem(str(error), DENIED not in str(error))
+        yield ConfigProblem(str(error), DENIED not in str(error))
 
 
-def _secret(name: str, key: str) -> Iterator[Problem]:
+def _secret(name: str, key: str) -> Iterator[ConfigProblem]:
     if name and "/" not in name and not os.environ.get("CREDENTIALS_DIRECTORY"):
-        yield Problem(f"{key}: {name!r} is a systemd credential: only the service can read it", False)
+        yield ConfigProblem(f"{key}: {name!r} is a systemd credential: only the service can read it", False)
     elif name:
         yield from _raised(lambda: read_secret(name, key))
 
 
-def _port(path: str) -> Iterator[Problem]:
+def _port(path: str) -> Iterator[ConfigProblem]:
     mode = _mode(path)
     if not path:
-        yield Problem("board.port: is empty")
+        yield ConfigProblem("board.port: is empty")
     elif mode is None:
-        yield Problem(f"board.port: {path}: is not there; the daemon waits for it", False)
+        yield ConfigProblem(f"board.port: {path}: is not there; the daemon waits for it", False)
     elif not stat.S_ISCHR(mode):
-        yield Problem(f"board.port: {path}: is not a serial port")
+        yield ConfigProblem(f"board.port: {path}: is not a serial port")
 
 
-def _data_file(key: str, path: Path, check: Callable[[Path], str]) -> Iterator[Problem]:
+def _data_file(key: str, path: Path, check: Callable[[Path], str]) -> Iterator[ConfigProblem]:
     """A file that the daemon makes where it is missing."""
     mode = _mode(path)
     if mode is None:
         yield from _place(key, path)
     elif not stat.S_ISREG(mode):
-        yield Problem(f"{key}: {path}: is {'a folder' if stat.S_ISDIR(mode) else 'not a regular file'}")
+        yield ConfigProblem(f"{key}: {path}: is {'a folder' if stat.S_ISDIR(mode) else 'not a regular file'}")
     elif not os.access(path, os.R_OK | os.W_OK):
-        yield Problem(f"{key}: {path}: {DENIED} for the user {_user()}", False)
+        yield ConfigProblem(f"{key}: {path}: {DENIED} for the user {_user()}", False)
     elif problem := check(path):
-        yield Problem(f"{key}: {problem}")
+        yield ConfigProblem(f"{key}: {problem}")
 
 
 def _state_problem(path: Path) -> str:
@@ -105,23 +105,23 @@ def _history_problem(path: Path) -> str:
     return "" if begin in (b"", DATABASE) else f"{path}: is not an SQLite database"
 
 
-def _socket(key: str, path: str) -> Iterator[Problem]:
+def _socket(key: str, path: str) -> Iterator[ConfigProblem]:
     mode = _mode(path)
     if not path:
-        yield Problem(f"{key}: is empty")
+        yield ConfigProblem(f"{key}: is empty")
     elif len(os.fsencode(path + FRESH_NAME)) > SOCKET_PATH_MAX:
-        yield Problem(f"{key}: {path}: is too long for a Unix socket")
+        yield ConfigProblem(f"{key}: {path}: is too long for a Unix socket")
     elif mode is not None and not stat.S_ISSOCK(mode):
-        yield Problem(f"{key}: {path}: exists and is not a socket")
+        yield ConfigProblem(f"{key}: {path}: exists and is not a socket")
     elif mode is None and not Path(path).parent.exists():
         # The service's RuntimeDirectory= makes this one at its start; nobody makes another.
         if Path(path).parent != Path(ControlSocketSettings().path).parent:
-            yield Problem(f"{key}: {path}: the folder {Path(path).parent} is missing")
+            yield ConfigProblem(f"{key}: {path}: the folder {Path(path).parent} is missing")
     elif mode is None:
         yield from _place(key, Path(path))
 
 
-def _shared(settings: Settings) -> Iterator[Problem]:
+def _shared(settings: Settings) -> Iterator[ConfigProblem]:
     """One path for two purposes."""
     named = {
         "state_file": settings.state_file,
@@ -134,21 +134,21 @@ def _shared(settings: Settings) -> Iterator[Problem]:
     for key, path in named.items():
         real = os.path.realpath(path) if path else ""
         if real and real in seen:
-            yield Problem(f"{key}: {path}: is {seen[real]} too")
+            yield ConfigProblem(f"{key}: {path}: is {seen[real]} too")
         seen[real] = key
 
 
-def _bundle(bundle: BundleSettings) -> Iterator[Problem]:
+def _bundle(bundle: BundleSettings) -> Iterator[ConfigProblem]:
     if not bundle.path:
         return
     yield from _folder("bundle.path", bundle.path)
     if (mode := _mode(bundle.trusted_keys)) is not None and not stat.S_ISDIR(mode):
-        yield Problem(f"bundle.trusted_keys: {bundle.trusted_keys}: is not a folder")
+        yield ConfigProblem(f"bundle.trusted_keys: {bundle.trusted_keys}: is not a folder")
     if bundle.signing_key:
         yield from _readable("bundle.signing_key", bundle.signing_key)
 
 
-def _mqtt(mqtt: MqttSettings) -> Iterator[Problem]:
+def _mqtt(mqtt: MqttSettings) -> Iterator[ConfigProblem]:
     from edge.mqtt.connection import tls_context  # late: paho
 
     yield from _secret(mqtt.password_file, "mqtt.password_file")
@@ -160,35 +160,35 @@ def _mqtt(mqtt: MqttSettings) -> Iterator[Problem]:
         yield from _raised(lambda: tls_context(mqtt))
 
 
-def _llm(settings: Settings) -> Iterator[Problem]:
+def _llm(settings: Settings) -> Iterator[ConfigProblem]:
     from edge.assistant.llm.language_model import open_line
 
     yield from _secret(settings.llm.key_file, "llm.key_file")
     yield from _raised(lambda: open_line(settings.llm))
 
 
-def _readable(key: str, path: str) -> Iterator[Problem]:
+def _readable(key: str, path: str) -> Iterator[ConfigProblem]:
     try:
         read_file(Path(path))
     except OSError as error:
-        yield Problem(f"{key}: {path}: {error.strerror}", error.errno != errno.EACCES)
+        yield ConfigProblem(f"{key}: {path}: {error.strerror}", error.errno != errno.EACCES)
 
 
-def _folder(key: str, path: str) -> Iterator[Problem]:
+def _folder(key: str, path: str) -> Iterator[ConfigProblem]:
     mode = _mode(path)
     if mode is None:
         yield from _place(key, Path(path))
     elif not stat.S_ISDIR(mode):
-        yield Problem(f"{key}: {path}: is not a folder")
+        yield ConfigProblem(f"{key}: {path}: is not a folder")
 
 
-def _place(key: str, path: Path) -> Iterator[Problem]:
+def _place(key: str, path: Path) -> Iterator[ConfigProblem]:
     """Can `path`, which is missing, be made?"""
     above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
     if not above.is_dir():
-        yield Problem(f"{key}: {path}: {above} is not a folder")
+        yield ConfigProblem(f"{key}: {path}: {above} is not a folder")
     elif not os.access(above, os.W_OK | os.X_OK):
-        yield Problem(f"{key}: {path}: the user {_user()} cannot write into {above}", False)
+        yield ConfigProblem(f"{key}: {path}: the user {_user()} cannot write into {above}", False)
 
 
 def _mode(path: str | Path) -> int | None:

@@ -19,7 +19,7 @@ from edge.models.pbm import Pbm
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class ControllerParts:
     """What controllers are made of.
 
     model : estimates, and MPC and MPC-P plan with it
@@ -37,7 +37,7 @@ class Parts:
     policies: Mapping[str, OnnxPolicy] = field(default_factory=dict)
 
 
-def make(name: str, parts: Parts) -> Controller:
+def make(name: str, parts: ControllerParts) -> Controller:
     """The controller called `name`. Raises : RequestError for a name there is not, with the nearest one"""
     if name not in names.CONTROLLERS:
         raise RequestError(f"controller: there is no {name!r}; {nearest(name, names.CONTROLLERS)}")
@@ -62,7 +62,7 @@ def _pid() -> Controller:
     return Pid()
 
 
-def _mpc_twin(name: str, parts: Parts) -> Controller:
+def _mpc_twin(name: str, parts: ControllerParts) -> Controller:
     from edge.controllers.mpc_twin import MpcTwin  # late: only a rig with a twin has it
 
     model = parts.predictors.get("pbm")
@@ -71,7 +71,7 @@ def _mpc_twin(name: str, parts: Parts) -> Controller:
     return MpcTwin(name, model, parts.control.effort_weight(name), parts.control.twin_preview)
 
 
-def _mpc(name: str, parts: Parts) -> Controller:
+def _mpc(name: str, parts: ControllerParts) -> Controller:
     settings, model = parts.control, parts.model
     arx = model if parts.linear is None else parts.linear
     if not isinstance(arx, Arx):
@@ -97,7 +97,7 @@ def _mpc(name: str, parts: Parts) -> Controller:
     return MpcRollout(name, model, arx, mpc, settings.rollout_budget)
 
 
-def _llm(name: str, parts: Parts) -> Controller:
+def _llm(name: str, parts: ControllerParts) -> Controller:
     from edge.assistant.llm.controller import LlmController  # late: most rigs have no language model
     from edge.assistant.llm.proposal import Architecture
 
@@ -111,7 +111,7 @@ def _llm(name: str, parts: Parts) -> Controller:
     return LlmController(name, parts.llm, architecture, deadline_s, missing)
 
 
-def _assisting(assistance: str, parts: Parts) -> tuple[Predictor | None, str]:
+def _assisting(assistance: str, parts: ControllerParts) -> tuple[Predictor | None, str]:
     """The predictor that a variant simulates with, and why there is none where it needs one."""
     if assistance in ("", "sql"):
         return None, ""

@@ -16,14 +16,14 @@ from edge.app.active_models import ActiveModels
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.app.request_routes import Routes, outbox_of
 from edge.assistant.llm.language_model import LanguageModel, open_language_model
-from edge.assistant.requests.desk import Surroundings, WishDesk
+from edge.assistant.requests.desk import DeskParts, WishDesk
 from edge.assistant.requests.language import settings_from
 from edge.board.board import Board
 from edge.board.serial_port import OpenPort, SerialPort
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 from edge.config.loading import config_hash
 from edge.config.settings import Settings
 from edge.controllers.external import External
@@ -195,7 +195,7 @@ class Daemon:
         if not settings.bundle.path:
             return None
         keys, step_s = Path(settings.bundle.trusted_keys), settings.control.step_s
-        store = Store(Path(settings.bundle.path), keys, loader(step_s), prove=Prover(keys, step_s))
+        store = BundleStore(Path(settings.bundle.path), keys, loader(step_s), prove=Prover(keys, step_s))
         automatic = settings.bundle.auto == "promote"
         bundles = BundleKeeper(store, self.clock, automatic, settings.bundle.trial_ticks)
         self._stack.callback(bundles.close)
@@ -214,7 +214,7 @@ class Daemon:
     def _desk(self, inbox: Inbox, models: ActiveModels, llm: LanguageModel | None) -> WishDesk:
         """Where an operator's wishes are worked on."""
         model = None if llm is None else partial(settings_from, llm)
-        around = Surroundings(self.settings, model, inbox.ask, lambda: models.twin, self.clock.utc)
+        around = DeskParts(self.settings, model, inbox.ask, lambda: models.twin, self.clock.utc)
         desk = WishDesk(around)
         self._stack.callback(desk.close)
         return desk

@@ -12,10 +12,10 @@ from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
 from edge.core.clock import Clock
 from edge.core.errors import DataError, GreenhouseError
-from edge.core.messages import Quality, TickRecord
+from edge.core.messages import ReadingQuality, TickRecord
 from edge.core.version import __version__
 from edge.formats.profile_file import Profile
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.storage.runs import export_run, name_run
 from edge.tick.reference import Reference
 from edge.tick.standing import read_standing
@@ -44,7 +44,7 @@ class Experiment:
 
 
 @dataclass(slots=True)
-class Course:
+class ExperimentCourse:
     """What happened, tick by tick.
 
     record_from_s : since the first tick, when the run begins
@@ -70,7 +70,9 @@ class Course:
             self.changes.update(dict.fromkeys((change.rule for change in record.changes), 1))
 
 
-def run_experiment(experiment: Experiment, settings: Settings, clock: Clock) -> tuple[Run, Course]:
+def run_experiment(
+    experiment: Experiment, settings: Settings, clock: Clock
+) -> tuple[RecordedRun, ExperimentCourse]:
     """Apply a profile to the rig of `settings` and return what the history holds of it.
 
     Ends with the profile, or early on SIGINT and SIGTERM: the run's notes tell. The run begins after the
@@ -79,7 +81,7 @@ def run_experiment(experiment: Experiment, settings: Settings, clock: Clock) -> 
         and for a stop before the run has begun
     """
     settings = _checked(experiment, settings)
-    course = Course(experiment.profile.record_from_s)
+    course = ExperimentCourse(experiment.profile.record_from_s)
     daemon: Daemon
 
     def after_tick(record: TickRecord) -> None:
@@ -158,12 +160,12 @@ def _reference(profile: Profile) -> Reference | None:
 
 def _has_air_temperature(record: TickRecord) -> bool:
     reading = record.readings.get("temp_air")
-    return reading is not None and reading.quality is Quality.GOOD
+    return reading is not None and reading.quality is ReadingQuality.GOOD
 
 
 def _recorded(
-    experiment: Experiment, settings: Settings, first: TickRecord, last: TickRecord, course: Course
-) -> Run:
+    experiment: Experiment, settings: Settings, first: TickRecord, last: TickRecord, course: ExperimentCourse
+) -> RecordedRun:
     """The run as the history holds it."""
     profile = experiment.profile
     facts = {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge.core.errors import RequestError
 from edge.core.messages import Event, Severity
 from edge.diagnosis.report.picture import time_axis
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ def plot_history(path: str | Path, since_utc: float | None, until_utc: float | N
     plot_run(run, out, events_between(path, start_utc, start_utc + float(run.columns["time_s"][-1])))
 
 
-def plot_run(run: Run, out: str | Path, events: Sequence[Event] = ()) -> None:
+def plot_run(run: RecordedRun, out: str | Path, events: Sequence[Event] = ()) -> None:
     """A picture of a run; the ending of `out` says which kind (.png, .svg, .pdf).
 
     events : placed by their `utc`, and so only for a run that says when it began
@@ -56,7 +56,7 @@ def plot_run(run: Run, out: str | Path, events: Sequence[Event] = ()) -> None:
         raise RequestError(f"{out}: {error}") from error
 
 
-def _draw(run: Run, events: Sequence[Event]) -> "Figure":
+def _draw(run: RecordedRun, events: Sequence[Event]) -> "Figure":
     """Panels above one another with one time axis, and the events' texts below them."""
     from matplotlib.figure import Figure
 
@@ -95,7 +95,7 @@ def _draw(run: Run, events: Sequence[Event]) -> "Figure":
     return figure
 
 
-def _draw_temperatures(axes: "Axes", run: Run, time: Floats) -> None:
+def _draw_temperatures(axes: "Axes", run: RecordedRun, time: Floats) -> None:
     if "reference_c" in run.columns:
         axes.step(
             time, run.columns["reference_c"], "--", where="post", color="black", lw=1.2, label="reference"
@@ -127,7 +127,7 @@ def _draw_heater(axes: "Axes", time: Floats, duty: Floats) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.93), frameon=False)
 
 
-def _draw_events(panels: list["Axes"], run: Run, events: Sequence[Event], divisor: float) -> None:
+def _draw_events(panels: list["Axes"], run: RecordedRun, events: Sequence[Event], divisor: float) -> None:
     """A line through all panels for each event; above them the numbers of the listed ones."""
     start_utc = run.start_utc or 0.0
     for event in events:
@@ -178,7 +178,7 @@ def _event_lines(events: Sequence[Event]) -> list[tuple[str, str]]:
     return lines
 
 
-def _unit(run: Run) -> tuple[float, str]:
+def _unit(run: RecordedRun) -> tuple[float, str]:
     length_s = float(run.columns["time_s"][-1])
     return time_axis(length_s)
 

@@ -18,11 +18,11 @@ from edge.controllers.mpc_rollout import MpcRollout
 from edge.core.controller import Context, Controller
 from edge.core.controller_names import MPC, MPC_TWIN, PID, RULES
 from edge.core.errors import DataError
-from edge.core.messages import Decision, Quality, TickRecord
+from edge.core.messages import Decision, ReadingQuality, TickRecord
 from edge.core.names import SIGNALS
 from edge.core.predictor import Predictor
 from edge.forecasts.rollout import ahead_of
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.formats.tick_json import tick_json
 from edge.models.pbm import Pbm
 from edge.safety.supervisor import SafetyMemory
@@ -77,7 +77,7 @@ class Replayed:
 
 
 def replay(
-    run: Run,
+    run: RecordedRun,
     settings: Settings,
     model: Predictor,
     fan_always_on: bool,
@@ -128,7 +128,7 @@ def _controller(
     # Nobody waits for a replay: only nodes bound its searches, unless they were cut short when recorded.
     unhurried = replace(settings.control, time_box_ms=TIME_BOX_MAX_MS)
     predictors = {} if twin is None else {"pbm": twin}
-    controller = registry.make(name, registry.Parts(unhurried, model, predictors=predictors))
+    controller = registry.make(name, registry.ControllerParts(unhurried, model, predictors=predictors))
     return Replayed(controller, node_limits) if isinstance(controller, Mpc | MpcRollout) else controller
 
 
@@ -234,7 +234,7 @@ def score(records: Sequence[TickRecord], model: Predictor, horizons_s: Sequence[
 
 def _good(record: TickRecord, name: str) -> float:
     reading = record.readings.get(name)
-    good = reading is not None and reading.quality is Quality.GOOD and reading.value is not None
+    good = reading is not None and reading.quality is ReadingQuality.GOOD and reading.value is not None
     return float(reading.value) if good and reading is not None and reading.value is not None else math.nan
 
 

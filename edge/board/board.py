@@ -12,7 +12,7 @@ from edge.board.serial_port import OpenPort, PortGone, SerialPort, WirePort
 from edge.core.clock import Clock
 from edge.core.event_log import EventLog
 from edge.core.hard_limits import LEASE_S
-from edge.core.messages import Command, Echo, Event, Quality, Reading, Severity
+from edge.core.messages import Command, Echo, Event, Reading, ReadingQuality, Severity
 from edge.core.names import HEATER_LEVELS, SIGNALS
 from firmware_protocol import link as wire
 from firmware_protocol import messages as wire_messages
@@ -23,11 +23,11 @@ REOPEN_S = 1.0  # between two tries to open a missing port
 SAMPLES_KEPT = 600  # reports between two ticks; more are dropped, oldest first
 
 _QUALITY = {
-    wire_messages.Quality.GOOD: Quality.GOOD,
-    wire_messages.Quality.STALE: Quality.STALE,
-    wire_messages.Quality.RANGE: Quality.RANGE,
-    wire_messages.Quality.FAULT: Quality.FAULT,
-    wire_messages.Quality.ABSENT: Quality.ABSENT,
+    wire_messages.Quality.GOOD: ReadingQuality.GOOD,
+    wire_messages.Quality.STALE: ReadingQuality.STALE,
+    wire_messages.Quality.RANGE: ReadingQuality.RANGE,
+    wire_messages.Quality.FAULT: ReadingQuality.FAULT,
+    wire_messages.Quality.ABSENT: ReadingQuality.ABSENT,
 }
 
 _VALUES = attrgetter(*(signal.key for signal in SIGNALS.values()))
@@ -46,7 +46,7 @@ STANDING = (wire_messages.EmergencyStop, wire_messages.Maintenance)
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
+class DriveOrder:
     """What the board is told to do, and until when without a new decision."""
 
     command: Command
@@ -68,7 +68,7 @@ class Board:
         self._port: WirePort | None = None
         self._open_at_s = clock.now()
         self._open_failed = False
-        self._driven: Driven | None = None
+        self._driven: DriveOrder | None = None
         self._renew_at_s = float("inf")
         self._asked: wire_messages.CommandMessage | None = None  # the newest command, until it is confirmed
         self._orders: dict[str, LatchOrder] = {}  # by latch: the newest; all but stops until answered
@@ -111,7 +111,7 @@ class Board:
     def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
         """Send a decision; its lease is renewed for `valid_s` from now, and never longer."""
         now = self._clock.now()
-        self._driven = Driven(command, cutoff_open, now + valid_s)
+        self._driven = DriveOrder(command, cutoff_open, now + valid_s)
         self._asked = None
         if self.link_up:
             self._send_command(now)
@@ -258,7 +258,7 @@ class Board:
                 case wire.Report(report):
                     self._samples.append(_readings(report, now))
                     del self._samples[:-SAMPLES_KEPT]
-                case wire.Echo(state, request):
+                case wire.LinkEcho(state, request):
                     self._take_echo(state, request, now)
                 case _:
                     self._tell_link(event)
@@ -322,7 +322,7 @@ def _readable(descriptor: int) -> bool:
     return bool(select.select([descriptor], [], [], 0)[0])
 
 
-def _message(driven: Driven, parts: Capability, lease_s: float) -> wire_messages.CommandMessage:
+def _message(driven: DriveOrder, parts: Capability, lease_s: float) -> wire_messages.CommandMessage:
     """The command without what this board does not have: it refuses one that drives a missing part whole."""
     command = driven.command
     return wire_messages.CommandMessage(

@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from edge.core.messages import Command, Echo, Event, Quality, Reading
+from edge.core.messages import Command, Echo, Event, Reading, ReadingQuality
 from edge.core.names import SIGNALS
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 
 class ReplayClock:
@@ -37,7 +37,7 @@ class RecordedBoard:
     step_s : control step, over which the recorded inputs are averaged into one echo
     """
 
-    def __init__(self, run: Run, clock: ReplayClock, step_s: float, fan_always_on: bool) -> None:
+    def __init__(self, run: RecordedRun, clock: ReplayClock, step_s: float, fan_always_on: bool) -> None:
         self._times = run.columns["time_s"]
         self._clock = clock
         self._step_s = step_s
@@ -128,7 +128,11 @@ class RecordedBoard:
             column = self._signals.get(name)
             value = math.nan if column is None else float(column[row])
             quality = (
-                Quality.ABSENT if column is None else Quality.GOOD if math.isfinite(value) else Quality.FAULT
+                ReadingQuality.ABSENT
+                if column is None
+                else ReadingQuality.GOOD
+                if math.isfinite(value)
+                else ReadingQuality.FAULT
             )
             number = value if math.isfinite(value) else None
             sample[name] = Reading(name, number, float(self._times[row]), quality)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from edge.bundle.manifest import TWIN, Manifest
-from edge.bundle.sign import Facts, sign_folder
-from edge.bundle.store import Store
+from edge.bundle.sign import ManifestFacts, sign_folder
+from edge.bundle.store import BundleStore
 from edge.core.errors import DataError, RequestError
 from edge.core.version import __version__
 from edge.formats.input_file import read_file
@@ -40,7 +40,7 @@ def is_adopted(version: str | None) -> bool:
     return version is not None and _SUFFIX.search(version) is not None
 
 
-def with_twin(store: Store, twin: Path, created_utc: str, key: Path, folder: Path) -> Adopted:
+def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folder: Path) -> Adopted:
     """Fill the empty `folder` with the active bundle's models and `twin`, signed.
 
     The same twin on the same bundle gives the same manifest, so adopting it twice installs it once.
@@ -70,7 +70,7 @@ def with_twin(store: Store, twin: Path, created_utc: str, key: Path, folder: Pat
     shutil.copyfile(twin, folder / TWIN)
     _note(folder / REPORT, {"from": before.version, "left_out": list(dropped)})
     version = f"{_SUFFIX.sub('', before.version)[:_BASE_CHARS]}-twin-{new.sha256[:8]}"
-    facts = Facts(
+    facts = ManifestFacts(
         version,
         str(file.provenance.get("created_utc", created_utc)),
         _data_sha256(file, before),

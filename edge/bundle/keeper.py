@@ -16,8 +16,8 @@ from typing import Any
 from edge.bundle.manifest import TWIN
 from edge.bundle.orders import ACTIONS, carry_out
 from edge.bundle.serving import Serving, choose
-from edge.bundle.store import Loaded, Store
-from edge.bundle.trial import HorizonScore, Judgement, Scores, Verdict, judge
+from edge.bundle.store import BundleStore, Loaded
+from edge.bundle.trial import HorizonScore, Judgement, Scores, TrialVerdict, judge
 from edge.core.clock import Clock
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event, Severity, TickRecord
@@ -27,10 +27,10 @@ JOBS_REMEMBERED = 32
 JOBS_WAITING = 8
 ERROR_MAX = 400  # characters of what is said of a job that failed
 _FOLLOWS = {
-    Verdict.PROMOTE: "activate",
-    Verdict.REJECT: "reject",
-    Verdict.MARK_GOOD: "mark-good",
-    Verdict.ROLL_BACK: "rollback",
+    TrialVerdict.PROMOTE: "activate",
+    TrialVerdict.REJECT: "reject",
+    TrialVerdict.MARK_GOOD: "mark-good",
+    TrialVerdict.ROLL_BACK: "rollback",
 }
 
 
@@ -49,7 +49,7 @@ class BundleKeeper:
     trial_ticks : scored forecasts per horizon before a bundle on trial is judged
     """
 
-    def __init__(self, store: Store, clock: Clock, automatic: bool, trial_ticks: int) -> None:
+    def __init__(self, store: BundleStore, clock: Clock, automatic: bool, trial_ticks: int) -> None:
         self._store, self._clock = store, clock
         self._automatic, self._trial_ticks = automatic, trial_ticks
         self.serving: Serving = choose(store)

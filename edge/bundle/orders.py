@@ -4,29 +4,29 @@ from collections.abc import Callable
 from functools import partial
 
 from edge.bundle.roles import Roles, activated, marked_good, rejected
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 from edge.core.errors import RequestError
 
-Action = Callable[[Store, str | None], Roles]
+Action = Callable[[BundleStore, str | None], Roles]
 
 
-def _activate(store: Store, version: str | None) -> Roles:
+def _activate(store: BundleStore, version: str | None) -> Roles:
     return store.change(partial(activated, version=version))
 
 
-def _roll_back(store: Store, version: str | None) -> Roles:
+def _roll_back(store: BundleStore, version: str | None) -> Roles:
     return store.roll_back()
 
 
-def _mark_good(store: Store, version: str | None) -> Roles:
+def _mark_good(store: BundleStore, version: str | None) -> Roles:
     return store.change(marked_good)
 
 
-def _reject(store: Store, version: str | None) -> Roles:
+def _reject(store: BundleStore, version: str | None) -> Roles:
     return store.change(rejected)
 
 
-def _refresh(store: Store, version: str | None) -> Roles:
+def _refresh(store: BundleStore, version: str | None) -> Roles:
     return store.roles()
 
 
@@ -40,7 +40,7 @@ ACTIONS: dict[str, Action] = {
 }
 
 
-def carry_out(store: Store, action: str, version: str | None) -> Roles:
+def carry_out(store: BundleStore, action: str, version: str | None) -> Roles:
     """Do one of ACTIONS. Errors: RequestError, DataError; nothing has changed then."""
     if action not in ACTIONS:
         raise RequestError(f"action: {action!r} is none of {', '.join(ACTIONS)}")

@@ -18,7 +18,7 @@ from edge.core.plain_text import plain
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ProofLimits:
     """What proving a bundle may take; the packaged one takes 1 s and 80 MB."""
 
     cpu_s: int = 60  # a single-board computer needs a tenth of it
@@ -26,7 +26,7 @@ class Limits:
     memory: int = 300 << 20  # beside the daemon within the unit's MemoryMax= [bytes]
 
 
-LIMITS = Limits()
+LIMITS = ProofLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Prover:
 
     keys: Path
     step_s: float
-    limits: Limits = LIMITS
+    limits: ProofLimits = LIMITS
 
     def __call__(self, folder: Path) -> None:
         """Load the bundle in `folder` with all of its models. Errors: DataError with what is wrong"""
@@ -78,18 +78,18 @@ REFUSED = 3  # exit code: the reason is on stdout
 def main(task: str) -> int:
     """Prove what the JSON object `task` names, within its limits."""
     values = json.loads(task)
-    limits = Limits(**values["limits"])
+    limits = ProofLimits(**values["limits"])
     resource.setrlimit(resource.RLIMIT_CPU, (limits.cpu_s, limits.cpu_s))
     resource.setrlimit(resource.RLIMIT_DATA, (limits.memory, limits.memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with suppress(OSError):  # not where root acts as the store's owner
         Path("/proc/self/oom_score_adj").write_text("1000")  # where memory runs short this process ends first
     from edge.bundle.predictors import loader
-    from edge.bundle.store import Store  # after the limits
+    from edge.bundle.store import BundleStore  # after the limits
 
     folder = Path(values["folder"])
     try:
-        Store(folder.parent, Path(values["keys"]), loader(values["step_s"])).load_folder(folder)
+        BundleStore(folder.parent, Path(values["keys"]), loader(values["step_s"])).load_folder(folder)
     except DataError as error:
         print(error)
         return REFUSED

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from edge.bundle.manifest import PACKAGED
 from edge.bundle.roles import Roles
-from edge.bundle.store import Loaded, Store
+from edge.bundle.store import BundleStore, Loaded
 from edge.core.errors import DataError, RequestError
 
 
@@ -19,7 +19,7 @@ class Serving:
     problems: tuple[str, ...] = ()  # bundles that should serve and can't, with the reason
 
 
-def choose(store: Store, loaded: Mapping[str, Loaded] | None = None) -> Serving:
+def choose(store: BundleStore, loaded: Mapping[str, Loaded] | None = None) -> Serving:
     """The active bundle; where it is damaged the previous one, where that is too the packaged one.
 
     loaded : bundles that are in memory already, by name: they are not read again

@@ -44,7 +44,7 @@ PUBLIC_SUFFIX = ".pub"
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class ManifestFacts:
     """What a manifest says that can't be read off the files."""
 
     version: str
@@ -81,7 +81,7 @@ def generate_key(path: Path) -> Path:
     return public
 
 
-def sign_folder(folder: Path, facts: Facts, key: Path) -> Manifest:
+def sign_folder(folder: Path, facts: ManifestFacts, key: Path) -> Manifest:
     """Write manifest.json and manifest.sig for all files of `folder`, over older ones.
 
     Errors : DataError for a missing twin, a wrong fact or a file that is no private key
@@ -109,7 +109,7 @@ def sign_folder(folder: Path, facts: Facts, key: Path) -> Manifest:
     return manifest
 
 
-def build_bundle(folder: Path, out: Path, facts: Facts, key: Path) -> Manifest:
+def build_bundle(folder: Path, out: Path, facts: ManifestFacts, key: Path) -> Manifest:
     """The files of `folder` as a signed archive `out`; the folder stays. Errors: DataError, OSError"""
     with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
         copy = Path(temporary)

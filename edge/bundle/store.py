@@ -55,7 +55,7 @@ class Loaded:
     policies: Mapping[str, OnnxPolicy] = field(default_factory=dict)  # by controller
 
 
-class Store:
+class BundleStore:
     """Bundles under one folder. Every change checks the bundle that it is about, wholly, before.
 
     keys : folder of trusted public keys

@@ -35,7 +35,7 @@ class Scores:
     rows: Sequence[HorizonScore]
 
 
-class Verdict(Enum):
+class TrialVerdict(Enum):
     """What follows from the scores; the values are what the log says."""
 
     WAIT = "goes on"
@@ -49,7 +49,7 @@ class Verdict(Enum):
 class Judgement:
     """A verdict and its reason."""
 
-    verdict: Verdict
+    verdict: TrialVerdict
     why: str
 
 
@@ -62,7 +62,7 @@ def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
         is neither better nor clearly worse goes on; an active bundle is kept unless it is worse.
     """
     if waiting := _unscored(scores, ticks):
-        return Judgement(Verdict.WAIT, waiting)
+        return Judgement(TrialVerdict.WAIT, waiting)
     ratios = [_ratio(row, on_probation) for row in scores.rows]
     mean = math.exp(sum(math.log(ratio) for ratio in ratios) / len(ratios))
     most, row = max(zip(ratios, scores.rows, strict=True), key=lambda pair: pair[0])
@@ -73,10 +73,10 @@ def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
     )
     worse = mean > WORSE or most > WORSE_ONCE
     if on_probation:
-        return Judgement(Verdict.ROLL_BACK if worse else Verdict.MARK_GOOD, why)
+        return Judgement(TrialVerdict.ROLL_BACK if worse else TrialVerdict.MARK_GOOD, why)
     if worse:
-        return Judgement(Verdict.REJECT, why)
-    return Judgement(Verdict.PROMOTE if mean <= 1.0 else Verdict.WAIT, why)
+        return Judgement(TrialVerdict.REJECT, why)
+    return Judgement(TrialVerdict.PROMOTE if mean <= 1.0 else TrialVerdict.WAIT, why)
 
 
 def _unscored(scores: Scores, ticks: int) -> str:

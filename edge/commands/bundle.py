@@ -18,7 +18,7 @@ from edge.bundle.orders import carry_out
 from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
 from edge.bundle.roles import Roles
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
@@ -85,11 +85,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def store_of(settings: Settings, keys: Path | None = None) -> Store:
+def store_of(settings: Settings, keys: Path | None = None) -> BundleStore:
     """The rig's store. keys: other trusted ones than the configured"""
     trusted = keys or Path(settings.bundle.trusted_keys)
     step_s = settings.control.step_s
-    return Store(Path(settings.bundle.path), trusted, loader(step_s), prove=Prover(trusted, step_s))
+    return BundleStore(Path(settings.bundle.path), trusted, loader(step_s), prove=Prover(trusted, step_s))
 
 
 def settings_of(path: Path | None) -> Settings:
@@ -99,7 +99,7 @@ def settings_of(path: Path | None) -> Settings:
     return config.load(path or CONFIG)
 
 
-def _verify(store: Store, source: Path) -> None:
+def _verify(store: BundleStore, source: Path) -> None:
     with open_archive(source) as archive, _told_of(source):
         manifest = store.verify(archive)
     print(
@@ -108,12 +108,12 @@ def _verify(store: Store, source: Path) -> None:
     )
 
 
-def _install(store: Store, settings: Settings, source: Path, allow_older: bool) -> None:
+def _install(store: BundleStore, settings: Settings, source: Path, allow_older: bool) -> None:
     with open_archive(source) as archive, _told_of(source):
         install(store, settings, archive, allow_older)
 
 
-def install(store: Store, settings: Settings, archive: BinaryIO, allow_older: bool = False) -> None:
+def install(store: BundleStore, settings: Settings, archive: BinaryIO, allow_older: bool = False) -> None:
     """Take a bundle in to run in shadow, and tell who serves now. Errors: DataError, RequestError
 
     allow_older : the operator's word for a version below the newest that was installed
@@ -128,7 +128,7 @@ def install(store: Store, settings: Settings, archive: BinaryIO, allow_older: bo
         print_serving(reply)
 
 
-def change(store: Store, settings: Settings, action: str, version: str | None) -> None:
+def change(store: BundleStore, settings: Settings, action: str, version: str | None) -> None:
     """One of `edge.bundle.orders.ACTIONS`, by the daemon where one runs. Errors: DataError, RequestError"""
     reply = _ask(settings, action, version)
     if reply is not None:
@@ -147,7 +147,7 @@ def _key(path: Path) -> int:
     return 0
 
 
-def _list(store: Store) -> None:
+def _list(store: BundleStore) -> None:
     roles = store.roles()
     for name in [PACKAGED, *store.versions()]:
         words = [word for word, role in _roles_in_words(roles).items() if role == name]

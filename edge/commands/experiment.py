@@ -22,7 +22,7 @@ from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
 from edge.formats.input_file import YAML, read_text
 from edge.formats.profile_file import Profile, read_profile
-from edge.formats.run_file import Run, absence_facts, write_run
+from edge.formats.run_file import RecordedRun, absence_facts, write_run
 from edge.formats.strict_yaml import parse_yaml
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
@@ -149,7 +149,7 @@ def _virtual_facts(arguments: argparse.Namespace) -> dict[str, str]:
     return {"rig": "virtual board", "seed": str(arguments.seed), **chamber}
 
 
-def _range(run: Run) -> str:
+def _range(run: RecordedRun) -> str:
     from math import isnan
 
     temps = [value for value in run.columns["temp_air_c"].tolist() if not isnan(value)]

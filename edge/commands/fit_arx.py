@@ -8,10 +8,10 @@ from typing import Literal
 from edge.commands.numbers import number
 from edge.commands.output import writing
 from edge.core.hard_limits import STEP_MAX_S
-from edge.formats.run_file import Run, read_run
+from edge.formats.run_file import RecordedRun, read_run
 from edge.models.arx import FanInput
 from edge.models.arx_file import write_arx
-from edge.models.fit_arx import Fit, fit_arx, provenance
+from edge.models.fit_arx import ArxFit, fit_arx, provenance
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def print_scores(fit: Fit) -> None:
+def print_scores(fit: ArxFit) -> None:
     """Free-run error of every pair of orders; the chosen one is marked."""
     chosen = (len(fit.model.temp), len(fit.model.heater))
     print(" p  q  free-run RMSE [K]")
@@ -70,7 +70,10 @@ def print_scores(fit: Fit) -> None:
 
 
 def _provenance(
-    fit: Fit, training: Sequence[Run], validation: Sequence[Run], arguments: argparse.Namespace
+    fit: ArxFit,
+    training: Sequence[RecordedRun],
+    validation: Sequence[RecordedRun],
+    arguments: argparse.Namespace,
 ) -> dict[str, object]:
     """As `fit_arx.provenance`, by file names: where the files lay says nothing to others."""
     options = f" --fan {arguments.fan}" * bool(arguments.fan) + " --no-ambient" * arguments.no_ambient

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from edge.commands.output import writing
 from edge.core.errors import RequestError
-from edge.twin.new_file import CONDUCTIVITY_W_M_K, Box, check, text
+from edge.twin.new_file import CONDUCTIVITY_W_M_K, BoxDescription, check, text
 from edge.twin.twin_file import FAN_ROLES, read_twin_file
 
 NUMBER = r"(\d+\.?\d*|\.\d+)"
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     """0. Errors: RequestError for numbers that can't be, DataError for a file that can't be written"""
     if arguments.file.exists() and not arguments.force:
         raise RequestError(f"{arguments.file}: is there already; --force replaces it")
-    box = Box(
+    box = BoxDescription(
         arguments.volume_m3,
         arguments.heater_w,
         arguments.fan,

@@ -19,7 +19,7 @@ from edge.commands.output import writing
 from edge.core.errors import DataError, RequestError
 from edge.diagnosis.plausible import plausible_run
 from edge.formats.number_table import print_table, read_table
-from edge.formats.run_file import OPTION_WITHOUT, Run, inside_names, resample, write_run
+from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, inside_names, resample, write_run
 from edge.models.pbm import Pbm, read_twin
 from edge.twin.warm_start import held
 
@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class SimulationErrors:
     """What a free run misses by [K], over the rows that were forecast and measured; NaN without any."""
 
     rmse_k: float
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def simulate(pbm: Pbm, run: Run, start_rows: int = START_ROWS) -> Run:
+def simulate(pbm: Pbm, run: RecordedRun, start_rows: int = START_ROWS) -> RecordedRun:
     """The run with a column `predicted_c`, empty in the rows that it starts from.
 
     run : at the twin's step, with room temperature and fan
@@ -122,18 +122,18 @@ def simulate(pbm: Pbm, run: Run, start_rows: int = START_ROWS) -> Run:
     )
 
 
-def errors(simulated: Run) -> Errors:
+def errors(simulated: RecordedRun) -> SimulationErrors:
     """Of the free run in a run's `predicted_c`."""
     missed = simulated.columns[PREDICTED] - simulated.columns["temp_air_c"]
     missed = missed[np.isfinite(missed)]
     if not len(missed):
-        return Errors(np.nan, np.nan, 0)
-    return Errors(float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).mean()), len(missed))
+        return SimulationErrors(np.nan, np.nan, 0)
+    return SimulationErrors(float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).mean()), len(missed))
 
 
 def _recorded(
     path: Path, step_s: float, ambient_c: float | None, fan_always_on: bool, without: Collection[str]
-) -> Run:
+) -> RecordedRun:
     """The run at the twin's step with all that a free run needs."""
     run, told = plausible_run(read_table(path), without)
     for note in told:
@@ -168,7 +168,7 @@ def _outs(runs: Sequence[Path], out: Path | None) -> list[Path | None]:
     return list(outs)
 
 
-def _write(simulated: Run, out: Path | None) -> None:
+def _write(simulated: RecordedRun, out: Path | None) -> None:
     if out is None:
         print_table(sys.stdout, simulated.columns, simulated.facts)
         return
@@ -180,7 +180,7 @@ def _facts(twin: Path, pbm: Pbm) -> dict[str, str]:
     return {"twin": twin.name, "twin_sha256": pbm.twin.sha256}
 
 
-def _table(results: Mapping[str, Errors]) -> list[str]:
+def _table(results: Mapping[str, SimulationErrors]) -> list[str]:
     width = max(len(name) for name in results)
     lines = [f"{'free run':{width}}   rows  rmse_k   mae_k"]
     for name, of_run in results.items():

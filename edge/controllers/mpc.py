@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.controllers.mixed_integer.problem import FanRules, Ints, Problem
+from edge.controllers.mixed_integer.problem import FanRules, Ints, PlanningProblem
 from edge.controllers.mixed_integer.solver import Solution, solve
 from edge.controllers.mixed_integer.time_box import WALL_FACTOR, TimeBox
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
@@ -99,7 +99,7 @@ class Mpc:
 
 def planning_problem(
     context: Context, model: Arx, weight: float, horizon: int, preview: bool, tail: int = 0
-) -> Problem:
+) -> PlanningProblem:
     """The context as a planning problem.
 
     tail : steps after the horizon that count too, at the duty that would hold the reference and with the fan
@@ -125,7 +125,7 @@ def planning_problem(
     if model.fan_input == "excess":
         fan = fan * (0.5 * (context.history["temp_air"][-1] + reference[0]) - estimate.temp_ambient)
     hottest = (free + np.cumsum(np.maximum(heater, 0.0))).max()
-    return Problem(
+    return PlanningProblem(
         free=free,
         heater=heater,
         fan=fan,

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.controllers.mixed_integer.problem import Ints, Problem, lower_toeplitz
+from edge.controllers.mixed_integer.problem import Ints, PlanningProblem, lower_toeplitz
 from edge.controllers.mpc import planning_problem
 from edge.controllers.plan_why import cost_split
 from edge.core.controller import Context, Floats
@@ -61,7 +61,7 @@ class MpcBfgs:
         return Decision(command, self.name, tuple(temps.tolist()), why)
 
 
-def rounded_bfgs(problem: Problem, bounded: bool = True) -> tuple[Ints, Ints, int]:
+def rounded_bfgs(problem: PlanningProblem, bounded: bool = True) -> tuple[Ints, Ints, int]:
     """Return heater levels and fan [N] of the continuous optimum, rounded, and the iterations it took.
 
     bounded : search within the bounds (L-BFGS-B), else without any (BFGS); the answer is clipped to them

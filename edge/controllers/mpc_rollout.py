@@ -3,7 +3,7 @@
 import time
 from typing import Any
 
-from edge.controllers.mixed_integer.problem import Plan, Problem
+from edge.controllers.mixed_integer.problem import Plan, PlanningProblem
 from edge.controllers.mpc import MpcSettings, Previous, planning_problem, shifted
 from edge.controllers.plan_rollouts import PlanRollouts, plan_rollouts
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
@@ -68,7 +68,7 @@ class MpcRollout:
         forecast = tuple(best.temps[: problem.horizon].tolist())
         return Decision(first_command(best.plan), self.name, forecast, why, planned(best.plan))
 
-    def _last(self, problem: Problem, context: Context) -> list[Plan]:
+    def _last(self, problem: PlanningProblem, context: Context) -> list[Plan]:
         """The last plan as seen from now, where it is allowed."""
         last = shifted(self._previous, context)
         if last is None or len(last[0]) != problem.horizon or not problem.allows(*last):

@@ -4,11 +4,11 @@ import time
 
 import numpy as np
 
-from edge.controllers.mixed_integer.problem import Problem
+from edge.controllers.mixed_integer.problem import PlanningProblem
 from edge.controllers.mpc import LIMIT_WEIGHT
 from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
-from edge.controllers.twin_plan.beam import Found, Start, relay, search
-from edge.controllers.twin_plan.belief import Belief, Inputs, begin, corrected, moved
+from edge.controllers.twin_plan.beam import BeamResult, PlanStart, relay, search
+from edge.controllers.twin_plan.belief import Belief, StepInputs, begin, corrected, moved
 from edge.controllers.twin_plan.linear_step import LinearStep, linear_step
 from edge.core.controller import Context, Floats, goal_ahead
 from edge.core.errors import DataError
@@ -47,13 +47,13 @@ class MpcTwin:
         self._belief = None
 
     def decide(self, context: Context) -> Decision:
-        """The first step of the cheapest plan found. Errors: DataError as the twin and `Problem` have them"""
+        """Return the first step of the cheapest plan found. Errors: DataError of twin or problem"""
         begun = time.perf_counter()
         belief, step = self._follow(context)
         goal = _goal(context, self._weight, self._preview)
         last = context.last_sent
         level = round(last.heater_duty * HEATER_LEVELS)
-        start = Start(
+        start = PlanStart(
             belief.state, belief.disturbance, context.estimate.temp_ambient, level, int(last.fan_on)
         )
         found = search(step, goal, start, WIDTH)
@@ -101,19 +101,19 @@ class MpcTwin:
         return self._step
 
 
-def _inputs(context: Context, row: int) -> Inputs:
+def _inputs(context: Context, row: int) -> StepInputs:
     """Of the step that begins at a row of the history, what is not known being off."""
     history, before = context.history, max(row - 1, 0)
     duty, fan = np.nan_to_num(history["heater_duty"]), np.nan_to_num(history["fan_on"])
     ambient = float(history["temp_ambient"][row])
-    return Inputs(float(duty[row]), int(fan[row]), float(duty[before]), int(fan[before]), ambient)
+    return StepInputs(float(duty[row]), int(fan[row]), float(duty[before]), int(fan[before]), ambient)
 
 
-def _goal(context: Context, weight: float, preview: bool) -> Problem:
+def _goal(context: Context, weight: float, preview: bool) -> PlanningProblem:
     """What a plan shall reach and keep; how the box answers is the twin's to say."""
     limits, asked, steps = context.limits, context.penalty, HORIZON + TAIL
     nothing: Floats = np.zeros(steps)
-    return Problem(
+    return PlanningProblem(
         free=nothing,
         heater=nothing,
         fan=nothing,
@@ -134,6 +134,6 @@ def _goal(context: Context, weight: float, preview: bool) -> Problem:
     )
 
 
-def _padded_air(found: Found, goal: Problem) -> Floats:
+def _padded_air(found: BeamResult, goal: PlanningProblem) -> Floats:
     """Air over horizon and tail; over the tail as if the reference were met, so that it costs nothing."""
     return np.concatenate([found.air, goal.reference[goal.horizon :]])

@@ -4,13 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.polish import Local
-from edge.controllers.mixed_integer.problem import Plan, Problem
+from edge.controllers.mixed_integer.problem import Plan, PlanningProblem
 
 Ints = NDArray[np.int64]
 _LEVELS_MORE = (1, -1, 2, -2, 5, -5)
 
 
-def small_moves(problem: Problem, local: Local, count: int) -> list[Plan]:
+def small_moves(problem: PlanningProblem, local: Local, count: int) -> list[Plan]:
     """At most `count` allowed plans one move from the known one, the cheapest by `local` first."""
     heated, switched = _heater_plans(local.levels, problem.heater_levels), _fan_plans(local.fan)
     levels = np.concatenate([heated, np.broadcast_to(local.levels, switched.shape)])

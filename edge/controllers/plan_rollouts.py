@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge.controllers.mixed_integer.problem import Ints, Problem
+from edge.controllers.mixed_integer.problem import Ints, PlanningProblem
 from edge.controllers.mpc import LIMIT_WEIGHT, padded
 from edge.core.controller import Columns, Context, Floats
 from edge.core.errors import DataError
@@ -28,7 +28,7 @@ class PlanRollouts:
     model: Predictor
     history: Columns
     ahead: Columns
-    goal: Problem
+    goal: PlanningProblem
     held: float
 
     def temperatures(self, levels: Ints, fan: Ints) -> Floats:
@@ -43,7 +43,7 @@ class PlanRollouts:
         return forecast(self.model, self.history, controls, self.ahead)
 
 
-def plan_rollouts(context: Context, model: Predictor, linear: Problem, held: float) -> PlanRollouts:
+def plan_rollouts(context: Context, model: Predictor, linear: PlanningProblem, held: float) -> PlanRollouts:
     """The plans of a context.
 
     linear : the linear planner's problem for it, of which reference, weights and limits are taken

@@ -1,12 +1,12 @@
 """What a planning controller says of its plan: costs, constraints, the next best, the first command."""
 
-from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
+from edge.controllers.mixed_integer.problem import Ints, Plan, PlanningProblem
 from edge.core.controller import Floats
 from edge.core.messages import Command
 from edge.core.names import HEATER_LEVELS
 
 
-def cost_split(problem: Problem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
+def cost_split(problem: PlanningProblem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
     """What a plan's cost is made of."""
     heater = float(problem.heater_weight * (duty**2).sum())
     fan_cost = float(problem.fan_weight * fan.sum())
@@ -19,7 +19,7 @@ def cost_split(problem: Problem, duty: Floats, fan: Ints, temps: Floats) -> dict
     }
 
 
-def binding(problem: Problem, plan: Plan, temps: Floats) -> list[str]:
+def binding(problem: PlanningProblem, plan: Plan, temps: Floats) -> list[str]:
     """The constraints that shape the plan, those of the first step first."""
     rules, found = problem.fan_rules, []
     if plan.levels[0] == problem.heater_levels:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.polish import Local, neighbours
-from edge.controllers.mixed_integer.problem import Plan, Problem
+from edge.controllers.mixed_integer.problem import Plan, PlanningProblem
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.plan_moves import small_moves
@@ -56,7 +56,7 @@ class Meter:
         self.rollouts += rollouts
         self.spent += 0 if self.fired else rollouts
 
-    def linear_plan(self, problem: Problem, node_budget: int, warm: tuple[Ints, Ints] | None) -> Plan:
+    def linear_plan(self, problem: PlanningProblem, node_budget: int, warm: tuple[Ints, Ints] | None) -> Plan:
         """The exact planner's plan for a linear problem, its nodes counted."""
         left = None if self.node_limit is None else self.node_limit - self.spent
         solution = solve(problem, node_budget, self.time_box, left, warm)
@@ -167,7 +167,7 @@ class RolloutSearch:
         return replace(plan, cost=self._costs[_key(plan)])
 
 
-def _linear_problem(goal: Problem, local: Local) -> Problem:
+def _linear_problem(goal: PlanningProblem, local: Local) -> PlanningProblem:
     """The picture as the exact planner takes it: one response for all steps, the mean of theirs."""
     n, steps = goal.horizon, len(goal.reference)
 

@@ -15,7 +15,7 @@ Columns = Mapping[str, Floats]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ControlLimits:
     """What the safety supervisor will let through now; a controller plans inside it."""
 
     heater_max_duty: float = 1.0
@@ -52,7 +52,7 @@ class Context:
     estimate: Estimate
     reference: Floats
     last_sent: Command
-    limits: Limits
+    limits: ControlLimits
     penalty: Penalty = field(default_factory=Penalty)
 
 

@@ -10,7 +10,7 @@ from edge.core.plain_text import plain
 EVENT_TEXT_MAX = 1000  # characters: a rationale's claims, and an exception of any library
 
 
-class Quality(Enum):
+class ReadingQuality(Enum):
     """How far a number can be trusted. Only GOOD ones reach a controller or allow heating."""
 
     GOOD = "good"
@@ -29,7 +29,7 @@ class Reading:
     signal: str  # a key of edge.core.names.SIGNALS
     value: float | None  # in the signal's unit; None when there is no number
     time_s: float  # host monotonic time of the sample
-    quality: Quality
+    quality: ReadingQuality
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ UNPACKED_MAX = 256 << 20  # of a spreadsheet, which is a zip archive [bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class FileLayout:
     """How a file is to be read. header_line : 1 for the first line, 0 where the file has none"""
 
     delimiter: str
@@ -37,7 +37,7 @@ class Cells:
     """names : of the columns; rows : their texts; lines : of the file, the line of each row"""
 
     path: Path
-    layout: Layout
+    layout: FileLayout
     names: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
@@ -67,7 +67,7 @@ def number(cell: str, decimal: str) -> float | None:
     return float(text) if NUMBER.fullmatch(text) else None
 
 
-def read_cells(path: Path, layout: Layout | None = None) -> Cells:
+def read_cells(path: Path, layout: FileLayout | None = None) -> Cells:
     """Read a file, in the layout given or in the one that it seems to have.
 
     Errors : DataError naming file and line; RequestError for a spreadsheet without openpyxl
@@ -77,14 +77,14 @@ def read_cells(path: Path, layout: Layout | None = None) -> Cells:
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from error
     if content.startswith(b"PK\x03\x04"):
-        return _cells(path, Layout("", ".", 1, "xlsx"), _sheet(path, content))
+        return _cells(path, FileLayout("", ".", 1, "xlsx"), _sheet(path, content))
     text, encoding = _text(path, content)
     if layout is None:
         delimiter = _delimiter(text)
         records = _records(path, text, delimiter)
         if not any(number(cell, ",") is not None for _, row in records for cell in row):
             raise DataError(f"{path}: no line holds a number")
-        layout = Layout(delimiter, _decimal(records, delimiter), _header(records), encoding)
+        layout = FileLayout(delimiter, _decimal(records, delimiter), _header(records), encoding)
     return _cells(path, layout, _records(path, text, layout.delimiter))
 
 
@@ -182,7 +182,7 @@ def _header(records: Sequence[tuple[int, list[str]]]) -> int:
     return 0
 
 
-def _cells(path: Path, layout: Layout, records: Sequence[tuple[int, list[str]]]) -> Cells:
+def _cells(path: Path, layout: FileLayout, records: Sequence[tuple[int, list[str]]]) -> Cells:
     """The rows under the header, which are as wide as it. Errors: DataError"""
     below = [(line, row) for line, row in records if line > layout.header_line]
     head = next((row for line, row in records if line == layout.header_line), None)

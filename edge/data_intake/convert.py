@@ -14,7 +14,7 @@ from edge.data_intake.cells import Cells, is_missing, number, read_cells
 from edge.data_intake.mapping import LogMap, Source
 from edge.data_intake.times import read_times
 from edge.data_intake.units import INPUTS, SHARES, UNITS, truth
-from edge.formats.run_file import ABSENT, Run, read_run, write_run
+from edge.formats.run_file import ABSENT, RecordedRun, read_run, write_run
 
 Floats = NDArray[np.float64]
 FEWEST_ROWS = 2
@@ -104,9 +104,11 @@ def _held(cells: Cells, column: str, values: Floats) -> Floats:
     return values[np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))]
 
 
-def _run(path: Path, mapping: LogMap, time_s: Floats, columns: Mapping[str, Floats], absolute: bool) -> Run:
+def _run(
+    path: Path, mapping: LogMap, time_s: Floats, columns: Mapping[str, Floats], absolute: bool
+) -> RecordedRun:
     facts = {"notes": f"from {plain(path.name, 200)}"}
     if absolute:
         facts["start_utc"] = datetime.fromtimestamp(float(time_s[0]), UTC).isoformat(timespec="milliseconds")
     facts |= dict.fromkeys((name for name in mapping.absent if name not in columns), ABSENT)
-    return Run({"time_s": np.round(time_s - time_s[0], DIGITS), **columns}, facts)
+    return RecordedRun({"time_s": np.round(time_s - time_s[0], DIGITS), **columns}, facts)

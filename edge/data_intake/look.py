@@ -23,7 +23,7 @@ NUMERIC = 0.9  # share of the cells of a column that are numbers or words like o
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class LogColumn:
     """For a person: what stands in a column. meaning : ours and its unit, "" for one that is left out"""
 
     name: str
@@ -42,7 +42,7 @@ class Looked:
     """
 
     mapping: LogMap
-    columns: tuple[Column, ...]
+    columns: tuple[LogColumn, ...]
     rows: int
     step_s: float
     time_s: Floats
@@ -139,7 +139,7 @@ def _columns(
     return found, absent
 
 
-def _column(cells: Cells, name: str, values: Floats, mapping: LogMap) -> Column:
+def _column(cells: Cells, name: str, values: Floats, mapping: LogMap) -> LogColumn:
     texts = cells.column(name)
     example = next((text for text in texts if not is_missing(text)), "")
     meaning = "time" if name == mapping.time else ""
@@ -150,4 +150,4 @@ def _column(cells: Cells, name: str, values: Floats, mapping: LogMap) -> Column:
     low, high = (
         (float(known.min()), float(known.max())) if len(known) and name != mapping.time else (None, None)
     )
-    return Column(name, example, low, high, sum(map(is_missing, texts)), meaning)
+    return LogColumn(name, example, low, high, sum(map(is_missing, texts)), meaning)

@@ -9,7 +9,7 @@ import yaml
 
 from edge.core.errors import DataError
 from edge.core.plain_text import shown
-from edge.data_intake.cells import Layout
+from edge.data_intake.cells import FileLayout
 from edge.data_intake.times import KINDS, zone_of
 from edge.data_intake.units import BY_TARGET, TARGETS, UNITS
 from edge.formats.checked import nearest
@@ -36,7 +36,7 @@ class Source:
 class LogMap:
     """time : column, or "" for rows at `period_s`; guesses : by place (`columns.fan_on`), why"""
 
-    layout: Layout
+    layout: FileLayout
     time: str
     time_format: str
     zone: str
@@ -113,7 +113,7 @@ def _log_map(document: Any) -> LogMap:
         raise DataError(f"time.repeated: {shown(repeated)} is none of refuse, first, last")
     columns, absent = _columns(sections["columns"])
     header_line = int(number("file.header_line", file["header_line"]))
-    layout = Layout(str(file["delimiter"]), str(file["decimal"]), header_line, str(file["encoding"]))
+    layout = FileLayout(str(file["delimiter"]), str(file["decimal"]), header_line, str(file["encoding"]))
     return LogMap(
         layout,
         str(time.get("column", "")),

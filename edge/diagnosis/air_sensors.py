@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 SECOND = "temp_air_second_c"
 MUCH_K = 0.5  # farther apart while it heats than while it does not: more than two sensors of one air
 
-Named = tuple[str, Run]
+Named = tuple[str, RecordedRun]
 
 
 def averaged(train: Sequence[Named], test: Sequence[Named]) -> tuple[list[Named], list[Named], list[str]]:
@@ -28,11 +28,11 @@ def averaged(train: Sequence[Named], test: Sequence[Named]) -> tuple[list[Named]
     )
 
 
-def _apart(run: Run) -> np.ndarray:
+def _apart(run: RecordedRun) -> np.ndarray:
     return np.asarray(run.columns.get(SECOND, np.full(len(run), np.nan)) - run.columns["temp_air_c"])
 
 
-def _mean(run: Run) -> Run:
+def _mean(run: RecordedRun) -> RecordedRun:
     """Where one of them has no reading the other one stands for it, as far off as it usually is."""
     first, second, apart = run.columns["temp_air_c"], run.columns[SECOND], _apart(run)
     half_k = 0.5 * float(np.nanmedian(apart))
@@ -42,7 +42,7 @@ def _mean(run: Run) -> Run:
     return replace(run, columns={**kept, "temp_air_c": air})
 
 
-def _told(runs: Sequence[Run]) -> str:
+def _told(runs: Sequence[RecordedRun]) -> str:
     apart = np.concatenate([_apart(run) for run in runs])
     heats = np.concatenate([run.columns["heater_duty"] > 0.0 for run in runs])
     known = np.isfinite(apart)

@@ -15,7 +15,7 @@ from edge.diagnosis.located import Located
 from edge.diagnosis.report.story import Trace
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.search import Round
-from edge.diagnosis.verdict import Coefficient, Named, interval
+from edge.diagnosis.verdict import Coefficient, MissingEffect, interval
 from edge.twin.effects.library import EFFECTS
 from edge.twin.value import Value
 
@@ -67,7 +67,7 @@ def answer(
     return {key: _plain(value) for key, value in document.items()}
 
 
-def _effect(item: Named, found: Diagnosis) -> dict[str, Any]:
+def _effect(item: MissingEffect, found: Diagnosis) -> dict[str, Any]:
     effect = EFFECTS[item.name]
     return {
         "name": item.name,
@@ -97,7 +97,7 @@ def _values(found: Diagnosis) -> dict[str, Any]:
     return own
 
 
-def _told_of(item: Named, found: Diagnosis) -> dict[str, float]:
+def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float]:
     """What rows that no fit saw say of a name."""
     standing = found.judged.standings[item.name]
     return {

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.diagnosis.trial import Fitted, Term
+from edge.diagnosis.trial import Fitted, SizedTerm
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
@@ -23,7 +23,7 @@ FORMULA_NATS = 4.0  # by which a formula must be better than a name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scored:
+class ScoredSet:
     """A set of effects beside those that were known, at its best.
 
     likelihood : nats, noise levels' prior included; score : less the penalty
@@ -44,7 +44,7 @@ class Candidates:
 
     file: TwinFile
     runs: Recorded
-    formulas: Mapping[str, Term]
+    formulas: Mapping[str, SizedTerm]
     doors: int = 0
 
     @property

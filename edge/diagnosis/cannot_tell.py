@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 SMALL_EXCESS_K = 2.0  # air over room: less, and losses drown in noise
 STEADY_ROOM_K = 0.5
@@ -18,7 +18,9 @@ WHAT = {"temp_air_c": "the air", "temp_ambient_c": "the room"}
 Floats = NDArray[np.float64]
 
 
-def cannot_tell(runs: Sequence[Run], tests: Mapping[str, Run], sources: int) -> tuple[str, ...]:
+def cannot_tell(
+    runs: Sequence[RecordedRun], tests: Mapping[str, RecordedRun], sources: int
+) -> tuple[str, ...]:
     """Sentences.
 
     runs : what is fitted on, at least one; tests : what is judged by, by name
@@ -29,7 +31,7 @@ def cannot_tell(runs: Sequence[Run], tests: Mapping[str, Run], sources: int) -> 
     return (*found, *(sentence for sentences in beyond for sentence in sentences))
 
 
-def _beyond(name: str, test: Run, runs: Sequence[Run]) -> Iterable[str]:
+def _beyond(name: str, test: RecordedRun, runs: Sequence[RecordedRun]) -> Iterable[str]:
     """Where a test run goes to what no training run shows: an error there tells less of what is missing."""
     ran, runs_now = (_levels(own, "fan_on") or {0.0} for own in (runs, [test]))
     if max(ran) == 0.0 < max(runs_now):
@@ -68,7 +70,7 @@ def _trials(has_test: bool, sources: int) -> Iterable[str]:
         yield "there is no test run: nothing shows the gap on data that had no part in the choice"
 
 
-def _heater(runs: Sequence[Run]) -> Iterable[str]:
+def _heater(runs: Sequence[RecordedRun]) -> Iterable[str]:
     levels = _levels(runs, "heater_duty")
     if not any(level > 0.0 for level in levels):
         yield "the heater never heats: no effect of the heater, and no scale of the heat, can be told"
@@ -84,7 +86,7 @@ def _heater(runs: Sequence[Run]) -> Iterable[str]:
         )
 
 
-def _fan(runs: Sequence[Run]) -> Iterable[str]:
+def _fan(runs: Sequence[RecordedRun]) -> Iterable[str]:
     levels = _levels(runs, "fan_on")
     if _moves(runs, "fan_on"):
         return
@@ -101,7 +103,7 @@ def _fan(runs: Sequence[Run]) -> Iterable[str]:
         )
 
 
-def _room(runs: Sequence[Run]) -> Iterable[str]:
+def _room(runs: Sequence[RecordedRun]) -> Iterable[str]:
     rooms = [known for run in runs if len(known := _known(run, "temp_ambient_c"))]
     if not rooms:
         yield (
@@ -121,7 +123,7 @@ def _room(runs: Sequence[Run]) -> Iterable[str]:
         yield f"the air was never more than {highest:.1f} K from the room: losses can hardly be told"
 
 
-def _rest(runs: Sequence[Run]) -> Iterable[str]:
+def _rest(runs: Sequence[RecordedRun]) -> Iterable[str]:
     if max(float(run.columns["time_s"][-1]) for run in runs) < SHORT_S:
         yield (
             "no run lasts an hour: slow bodies (wall_mass, soil_mass) can hardly be told from extra_capacity"
@@ -139,19 +141,19 @@ def _rest(runs: Sequence[Run]) -> Iterable[str]:
         yield "the runs began within one day: ua_drift can hardly be told"
 
 
-def _levels(runs: Sequence[Run], key: str) -> set[float]:
+def _levels(runs: Sequence[RecordedRun], key: str) -> set[float]:
     return {float(value) for run in runs for value in np.unique(_known(run, key))}
 
 
-def _moves(runs: Sequence[Run], key: str) -> bool:
+def _moves(runs: Sequence[RecordedRun], key: str) -> bool:
     """Whether it changes within a run: from run to run much else changes too."""
     return any(np.ptp(known) > 0.0 for run in runs if len(known := _known(run, key)))
 
 
-def _known(run: Run, key: str) -> Floats:
+def _known(run: RecordedRun, key: str) -> Floats:
     values = run.columns.get(key, np.empty(0))
     return values[np.isfinite(values)]
 
 
-def _has_room(run: Run) -> bool:
+def _has_room(run: RecordedRun) -> bool:
     return "temp_ambient_c" in run.columns

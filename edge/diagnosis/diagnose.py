@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from edge.diagnosis.adopted_twin import Added, Origin, twin_after
 from edge.diagnosis.baselines import ONE_MASS, arx_errors
 from edge.diagnosis.formulas import formulas
-from edge.diagnosis.gap import Forecast, alone, errors, floor_squares, forecast
-from edge.diagnosis.given import Given, errors_over, given, with_rooms
+from edge.diagnosis.gap import RunForecast, alone, errors, floor_squares, forecast
+from edge.diagnosis.given import PreparedRuns, errors_over, given, with_rooms
 from edge.diagnosis.handed import OPEN, against_adopting
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.judged import Judged, judged
@@ -20,7 +20,7 @@ from edge.diagnosis.progress import Progress, Stage
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.search import Search
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.verdict import Verdict, interval, intervals, verdict
+from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -36,8 +36,8 @@ class Side:
 
     file: TwinFile
     levels: NoiseLevels
-    train: tuple[Forecast, ...]
-    test: tuple[Forecast, ...]
+    train: tuple[RunForecast, ...]
+    test: tuple[RunForecast, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ class Diagnosis:
     """
 
     data: DiagnosisRuns
-    known: Given
+    known: PreparedRuns
     search: Search
     judged: Judged
     before: Side
@@ -68,7 +68,7 @@ class Diagnosis:
         return bool(self.judged.handed.added) and not self.against_adopting
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> DiagnosisVerdict:
         """The names that stand."""
         return self.judged.verdict
 
@@ -89,7 +89,7 @@ def diagnose(
 
 
 def _diagnosis(
-    prepared: Given,
+    prepared: PreparedRuns,
     data: DiagnosisRuns,
     progress: Progress,
     command: str,
@@ -149,7 +149,7 @@ def _diagnosis(
 
 
 def _steps(
-    search: Search, result: Judged, prepared: Given, data: DiagnosisRuns
+    search: Search, result: Judged, prepared: PreparedRuns, data: DiagnosisRuns
 ) -> Iterator[tuple[tuple[str, ...], Side]]:
     """One effect after another, names first, each twin with the values that predict."""
     names = [item.name for item in result.verdict.effects]
@@ -166,7 +166,7 @@ def _steps(
 
 
 def _test_k(
-    result: Judged, prepared: Given, data: DiagnosisRuns, before: Side, after: Side
+    result: Judged, prepared: PreparedRuns, data: DiagnosisRuns, before: Side, after: Side
 ) -> dict[str, float]:
     """Errors over the test runs of the twin before and after and of each baseline; none without test runs."""
     found = {"before": _errors(before.test), "after": _errors(after.test)}
@@ -183,11 +183,11 @@ def _test_k(
     return {name: float(np.sqrt(np.mean(errors**2))) for name, errors in known.items() if len(errors)}
 
 
-def _errors(free: Sequence[Forecast]) -> list[Floats]:
+def _errors(free: Sequence[RunForecast]) -> list[Floats]:
     return [item.residual for item in free]
 
 
-def _arx_errors(weights: Floats | None, run: NamedRun, guess: Forecast, room_c: Floats) -> Floats:
+def _arx_errors(weights: Floats | None, run: NamedRun, guess: RunForecast, room_c: Floats) -> Floats:
     """From the row on that a twin begins from."""
     arrays = alone(run, guess, room_c)
     seen = np.zeros(arrays.duty.shape, dtype=bool)
@@ -196,10 +196,10 @@ def _arx_errors(weights: Floats | None, run: NamedRun, guess: Forecast, room_c: 
     return np.where(np.isfinite(guess.measured[guess.start + 1 :]), missed, np.nan)
 
 
-def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: Given) -> Side:
+def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: PreparedRuns) -> Side:
     twin = file.twin()
 
-    def of(named: NamedRun) -> Forecast:
+    def of(named: NamedRun) -> RunForecast:
         return forecast(twin, named, known.room_of(named))
 
     train, test = known.as_fitted(), data.test
@@ -207,7 +207,7 @@ def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: Given
 
 
 def _floor_k(
-    side: Side, runs: tuple[NamedRun, ...], free: tuple[Forecast, ...], known: Given
+    side: Side, runs: tuple[NamedRun, ...], free: tuple[RunForecast, ...], known: PreparedRuns
 ) -> float | None:
     """What a right twin's free runs would miss by, over the rows behind their starts."""
     twin, squares = side.file.twin(), []

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.innovations import Gains, whitened
+from edge.diagnosis.innovations import FilterGains, whitened
 from edge.diagnosis.linearised import (
     Linearised,
-    State,
+    TrialState,
     begun_from,
     cost,
     difference,
@@ -25,9 +25,9 @@ from edge.diagnosis.linearised import (
     nominal,
     prior_cost,
 )
-from edge.diagnosis.trial import Fitted, Term, Trial, start_of
+from edge.diagnosis.trial import Fitted, SizedTerm, Trial, start_of
 from edge.diagnosis.unknowns import placed
-from edge.twin.ensemble import Response, responses
+from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.recorded import Recorded
 
 Floats = NDArray[np.float64]
@@ -72,7 +72,7 @@ def glance(trials: Sequence[Trial], runs: Recorded) -> list[tuple[Trial, float]]
     ]
 
 
-def _improve(states: list[State], owners: Indices, filters: Gains, runs: Recorded) -> None:
+def _improve(states: list[TrialState], owners: Indices, filters: FilterGains, runs: Recorded) -> None:
     """One step of each, the better of a bold and a careful one. owners : their places among the filters"""
     linear = linearise(states, owners, filters, runs)
     for state, found in zip(states, linear, strict=True):
@@ -94,16 +94,16 @@ def _improve(states: list[State], owners: Indices, filters: Gains, runs: Recorde
         state.damping = max(state.damping * (1.0 if careful else BOLDER), LEAST_DAMPING)
 
 
-def slopes(found: Fitted, runs: Recorded) -> list[Term]:
+def slopes(found: Fitted, runs: Recorded) -> list[SizedTerm]:
     """What moves with a fitted twin, as terms of a twin beside it: its unknowns, frozen where they are."""
-    state = State(found.trial, found.free, found.coordinates)
+    state = TrialState(found.trial, found.free, found.coordinates)
     twin, steps = nominal(state, state.x, runs)
-    wanted = [Response(steps, start_of(twin, runs), steps.driven)]
+    wanted = [EnsembleRun(steps, start_of(twin, runs), steps.driven)]
     for other, moved in neighbours(state, runs):
-        wanted.append(Response(moved, start_of(other, runs), moved.driven))
+        wanted.append(EnsembleRun(moved, start_of(other, runs), moved.driven))
     shown = responses(wanted)
     return [
-        Term(
+        SizedTerm(
             ".".join(item.place),
             ((shown[1 + j] - shown[0]) / difference(item, x)).T,
             item.sd,
@@ -114,7 +114,7 @@ def slopes(found: Fitted, runs: Recorded) -> list[Term]:
     ]
 
 
-def gains_of(trial: Trial, terms: Sequence[Term], runs: Recorded) -> Floats:
+def gains_of(trial: Trial, terms: Sequence[SizedTerm], runs: Recorded) -> Floats:
     """What one more term brings a trial whose unknowns stand still, for each of `terms` [nats]."""
     state = begun_from(replace(trial, nuisances=(*trial.nuisances, *terms), free=()))
     filters = filters_of([state], runs, runs.measured)
@@ -127,7 +127,7 @@ def gains_of(trial: Trial, terms: Sequence[Term], runs: Recorded) -> Floats:
     return np.asarray(0.5 * left**2 / size)
 
 
-def _moved(state: State, found: Linearised, damping: float) -> Floats:
+def _moved(state: TrialState, found: Linearised, damping: float) -> Floats:
     """The unknowns after a damped step, inside their bounds; nuisances follow on their own."""
     p = len(state.free)
     normal = found.normal + damping * np.diag(np.diag(found.normal))
@@ -141,17 +141,17 @@ def _moved(state: State, found: Linearised, damping: float) -> Floats:
 
 def _costs(
     tried: list[Floats],
-    states: list[State],
+    states: list[TrialState],
     owners: Indices,
     linear: list[Linearised],
-    filters: Gains,
+    filters: FilterGains,
     runs: Recorded,
 ) -> Floats:
     """What the next place of each state would cost, by the terms from where it stands."""
     wanted = []
     for state, x in zip(states, tried, strict=True):
         twin, steps = nominal(state, x, runs)
-        wanted.append(Response(steps, start_of(twin, runs), steps.driven))
+        wanted.append(EnsembleRun(steps, start_of(twin, runs), steps.driven))
     white = whitened(filters, owners, np.nan_to_num(runs.temp[:, 1:]) - responses(wanted))
     costs = np.empty(len(tried))
     for j, (state, x, found) in enumerate(zip(states, tried, linear, strict=True)):
@@ -162,7 +162,7 @@ def _costs(
     return costs
 
 
-def _finished(states: list[State], runs: Recorded, measured: NDArray[np.bool_]) -> list[Fitted]:
+def _finished(states: list[TrialState], runs: Recorded, measured: NDArray[np.bool_]) -> list[Fitted]:
     filters = filters_of(states, runs, measured)
     linear = linearise(states, np.arange(len(states)), filters, runs)
     found = []

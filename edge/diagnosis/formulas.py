@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.nuisances import middle
-from edge.diagnosis.trial import Term
+from edge.diagnosis.trial import SizedTerm
 from edge.twin.model import DAY_S
 from edge.twin.recorded import Recorded
 from edge.twin.scale import USUAL_HEATER_W
@@ -30,7 +30,7 @@ PREFIX = "~"  # of a formula's name among effects
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class FormulaShape:
     """Q = a * text, or an error of the reading; a in `unit`.
 
     depends_on : as in diagnosis.json, strongest first
@@ -46,8 +46,8 @@ class Shape:
 
 def _shape(
     text: str, unit: str, depends_on: str, of: Callable[[Columns], Floats], needs: str = "", **more: bool
-) -> Shape:
-    return Shape(text, unit, tuple(depends_on.split()), of, tuple(needs.split()), **more)
+) -> FormulaShape:
+    return FormulaShape(text, unit, tuple(depends_on.split()), of, tuple(needs.split()), **more)
 
 
 def _sun(first: int, hours: int) -> Callable[[Columns], Floats]:
@@ -60,7 +60,7 @@ def _sun(first: int, hours: int) -> Callable[[Columns], Floats]:
 
 def shapes(
     warm: float = 28.0, hot: float = 32.0, usual: float = 25.0, room: float = 20.0
-) -> tuple[Shape, ...]:
+) -> tuple[FormulaShape, ...]:
     """All that are tried. warm, hot, usual, room : temperatures from which some of them count [°C]"""
     return (
         _shape("u fan", "W", "heater_duty fan_on", lambda c: c["u"] * c["fan"]),
@@ -125,7 +125,7 @@ def shapes(
 
 def formulas(
     runs: Recorded, temps: Floats, step_s: float, heater_w: float = USUAL_HEATER_W
-) -> dict[str, tuple[Shape, Term]]:
+) -> dict[str, tuple[FormulaShape, SizedTerm]]:
     """By name, what these runs have the columns for and can tell from nothing.
 
     temps : [B, N + 1], the air without its reading's noise [°C]: with it a formula would explain that noise
@@ -140,7 +140,7 @@ def formulas(
         rms = float(np.sqrt(np.mean(values[measured] ** 2)))
         if rms > LEAST_RMS and np.ptp(values[measured]) > LEAST_RMS:
             sd = (READING_SD_K if shape.of_reading else HEAT_SD * heater_w) / rms
-            found[PREFIX + shape.text] = (shape, Term(PREFIX + shape.text, values, sd, shape.of_reading))
+            found[PREFIX + shape.text] = (shape, SizedTerm(PREFIX + shape.text, values, sd, shape.of_reading))
     return found
 
 

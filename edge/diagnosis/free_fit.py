@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.innovations import NoiseLevels, whitened
-from edge.diagnosis.linearised import State, filters_of, nominal
+from edge.diagnosis.linearised import TrialState, filters_of, nominal
 from edge.diagnosis.nuisances import answer_s
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.starts import with_effect
-from edge.diagnosis.trial import Fitted, Term, Trial, start_of
-from edge.diagnosis.unknowns import Unknown, placed, unknowns
+from edge.diagnosis.trial import Fitted, SizedTerm, Trial, start_of
+from edge.diagnosis.unknowns import UnknownValue, placed, unknowns
 from edge.twin.effects.unnamed import UNNAMED_EFFECTS
-from edge.twin.ensemble import Response, responses
+from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 
@@ -49,7 +49,7 @@ def free_levels(error_k: float) -> NoiseLevels:
 
 def fit_values(
     files: Sequence[TwinFile],
-    terms: Sequence[Term],
+    terms: Sequence[SizedTerm],
     runs: Recorded,
     noise_k: float,
     shared: SideBySide,
@@ -115,7 +115,7 @@ def _exchanged(found: Fitted) -> Iterator[Floats]:
         yield places
 
 
-def apart(found: Fitted, other: Fitted) -> list[Unknown]:
+def apart(found: Fitted, other: Fitted) -> list[UnknownValue]:
     """Values that two fits of one twin do not agree on."""
     count = len(found.free)
     sds = [np.sqrt(np.maximum(np.diag(item.covariance)[:count], 0.0)) for item in (found, other)]
@@ -142,7 +142,7 @@ def together(innovations: Floats, seen: NDArray[np.bool_], file: TwinFile) -> fl
     return max(1.0, total) * max(1.0, square / float(seen.sum()))
 
 
-def _starts(file: TwinFile, terms: tuple[Term, ...], near: Fitted | None) -> list[Trial]:
+def _starts(file: TwinFile, terms: tuple[SizedTerm, ...], near: Fitted | None) -> list[Trial]:
     """From the file's own values; and from anywhere, or where a twin is near, from there."""
     free, levels = unknowns(file), free_levels(ROUGH_K)
     if near is None:
@@ -152,12 +152,12 @@ def _starts(file: TwinFile, terms: tuple[Term, ...], near: Fitted | None) -> lis
     return [Trial(each, levels, terms, free) for each in (file, *(placed(file, free, x) for x in places))]
 
 
-def _here(free: Sequence[Unknown], file: TwinFile) -> Floats:
+def _here(free: Sequence[UnknownValue], file: TwinFile) -> Floats:
     values = file.values()
     return np.array([item.coordinate(values[item.place].value) for item in free])
 
 
-def _begun(file: TwinFile, free: Sequence[Unknown], near: Fitted) -> list[TwinFile]:
+def _begun(file: TwinFile, free: Sequence[UnknownValue], near: Fitted) -> list[TwinFile]:
     """The file with each start of the one effect that a near twin has not."""
     known = {item.place for item in near.free}
     new = {item.place[1] for item in free if item.place not in known and item.place[0] == "effects"}
@@ -168,18 +168,18 @@ def _begun(file: TwinFile, free: Sequence[Unknown], near: Fitted) -> list[TwinFi
     return with_effect(replace(file, effects=without), name)
 
 
-def _drawn(free: Sequence[Unknown], count: int) -> list[Floats]:
+def _drawn(free: Sequence[UnknownValue], count: int) -> list[Floats]:
     """Coordinates to start from, always the same."""
     drawn = np.random.default_rng(len(free)).uniform(-1.0, 1.0, (count, len(free)))
     return [np.array([_start(item, x) for item, x in zip(free, row, strict=True)]) for row in drawn]
 
 
-def _start(item: Unknown, drawn: float) -> float:
+def _start(item: UnknownValue, drawn: float) -> float:
     low, high = item.bounds
     return float(np.clip(item.mean + drawn * min(item.sd, FARTHEST), low, high))
 
 
-def _lent(free: Sequence[Unknown], here: Floats, donor: Fitted) -> Floats:
+def _lent(free: Sequence[UnknownValue], here: Floats, donor: Fitted) -> Floats:
     """Coordinates with those of another twin, where it has them."""
     known = {own.place: float(x) for own, x in zip(donor.free, donor.coordinates, strict=True)}
     return np.array([known.get(own.place, float(x)) for own, x in zip(free, here, strict=True)])
@@ -214,7 +214,7 @@ def free_errors(found: Fitted, runs: Recorded, error_k: float) -> Floats:
     """
     terms = [term.of_room for term in found.trial.nuisances]  # no other stays with a twin that is handed over
     kept = tuple(term for term in found.trial.nuisances if term.of_room)
-    state = State(
+    state = TrialState(
         replace(found.trial, levels=free_levels(error_k), nuisances=kept), found.free, found.coordinates
     )
     filters = filters_of([state], runs, runs.measured)
@@ -225,10 +225,10 @@ def free_errors(found: Fitted, runs: Recorded, error_k: float) -> Floats:
     return np.asarray(np.clip(np.nan_to_num(errors, nan=RUNAWAY_K), -RUNAWAY_K, RUNAWAY_K))
 
 
-def _errors(state: State, sizes: Floats, runs: Recorded) -> Floats:
+def _errors(state: TrialState, sizes: Floats, runs: Recorded) -> Floats:
     """Of a run from rest, [B, N]."""
     twin, steps = nominal(state, state.x, runs)
-    wanted = [Response(steps, start_of(twin, runs), steps.driven)]
+    wanted = [EnsembleRun(steps, start_of(twin, runs), steps.driven)]
     shown = responses(wanted + [term.response(steps) for term in state.trial.nuisances])
     error = np.nan_to_num(runs.temp[:, 1:]) - shown[0]
     for i, term in enumerate(state.trial.nuisances):
@@ -290,7 +290,7 @@ def again(found: Sequence[Fitted], runs: Recorded, shared: SideBySide) -> list[F
 
 def row_nats(found: Fitted, runs: Recorded) -> Floats:
     """Log likelihood of each reading after those before it, up to a constant, [B, N]; 0 where none is."""
-    state = State(found.trial, found.free, found.coordinates)
+    state = TrialState(found.trial, found.free, found.coordinates)
     filters = filters_of([state], runs, runs.measured)
     white = whitened(filters, np.array([0]), _errors(state, found.sizes, runs)[None])[0]
     return np.where(runs.measured, -0.5 * white**2 - np.log(filters.sd[:, 0].T), 0.0)

@@ -7,23 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.innovations import Filtered, NoiseLevels, gains, whitened
+from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whitened
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.trial import start_of, start_spread
-from edge.formats.run_file import Run, inside_names
-from edge.twin.ensemble import Response, responses
+from edge.formats.run_file import RecordedRun, inside_names
+from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.linear_steps import linear_steps
 from edge.twin.march import Commands
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
-from edge.twin.warm_start import Past, held, state_now
+from edge.twin.warm_start import PastColumns, held, state_now
 
 Floats = NDArray[np.float64]
 START_ROWS = 10  # of a run that may be known before the forecast begins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Forecast:
+class RunForecast:
     """A free run of a twin over one run.
 
     start : the row that it begins from, the last measured one of the first rows
@@ -41,7 +41,7 @@ class Forecast:
         return (self.measured - self.predicted)[self.start + 1 :]
 
 
-def forecast(twin: Twin, named: NamedRun, room_c: Floats) -> Forecast:
+def forecast(twin: BoxTwin, named: NamedRun, room_c: Floats) -> RunForecast:
     """From the first measured rows of a run on, with the inputs that were recorded.
 
     room_c : the room temperature over each row, [rows]
@@ -51,7 +51,7 @@ def forecast(twin: Twin, named: NamedRun, room_c: Floats) -> Forecast:
     start = _start_row(temp, named)
     known = {name: values for name, values in columns.items() if name != "temp_air"}
     before = {name: values[: start + 1] for name, values in known.items()}
-    past = Past(
+    past = PastColumns(
         temp[: start + 1], before["temp_ambient"], before["heater_duty"], before["fan_on"], conditions=before
     )
     ahead = {name: values[None, start:-1] for name, values in known.items()}
@@ -63,10 +63,10 @@ def forecast(twin: Twin, named: NamedRun, room_c: Floats) -> Forecast:
         conditions=ahead,
         before=Commands(past.duty[:-1], past.fan[:-1]),
     )[0]
-    return Forecast(named.name, start, temp, np.concatenate([held(temp[: start + 1]), predicted]))
+    return RunForecast(named.name, start, temp, np.concatenate([held(temp[: start + 1]), predicted]))
 
 
-def columns_of(run: Run, room_c: Floats) -> dict[str, Floats]:
+def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:
     """A run's columns by their names inside, inputs and conditions without holes."""
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in inside_names(run).items()}
     rows = len(run)
@@ -90,7 +90,7 @@ def _start_row(temp: Floats, named: NamedRun) -> int:
     return row
 
 
-def alone(named: NamedRun, guess: Forecast, room_c: Floats) -> Recorded:
+def alone(named: NamedRun, guess: RunForecast, room_c: Floats) -> Recorded:
     """One run as arrays, missing temperatures as in its free run."""
     columns = columns_of(named.run, room_c)
     temp = np.where(np.isfinite(columns["temp_air"]), columns["temp_air"], guess.predicted)
@@ -98,28 +98,28 @@ def alone(named: NamedRun, guess: Forecast, room_c: Floats) -> Recorded:
     return Recorded(temp[None], inputs["heater_duty"], inputs["fan_on"], inputs["temp_ambient"], inputs)
 
 
-def one_step(twin: Twin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
+def one_step(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
     """The temperature of each row of one run from all measured before it [rows]; seen : [rows]."""
     steps = linear_steps(twin, runs)
-    filters = gains([Filtered(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
-    shown = responses([Response(steps, start_of(twin, runs), steps.driven)])
+    filters = gains([FilterInput(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
+    shown = responses([EnsembleRun(steps, start_of(twin, runs), steps.driven)])
     error = runs.temp[None, :, 1:] - shown
     white = whitened(filters, np.array([0]), error, everywhere=True)[0, 0]
     return np.concatenate([runs.temp[0, :1], runs.temp[0, 1:] - white * filters.sd[:, 0, 0]])
 
 
-def floor_squares(twin: Twin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
+def floor_squares(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
     """Variance of what a free run of the right twin misses by in each measured row of one run [K2].
 
     Sensor and room noise, unknown heat and mains power, from a start that is known.
     """
     steps = linear_steps(twin, runs)
-    known = Filtered(steps, levels, np.zeros(len(steps.states)), twin.step_s)
+    known = FilterInput(steps, levels, np.zeros(len(steps.states)), twin.step_s)
     filters = gains([known], np.zeros((1, runs.fan.shape[1]), dtype=bool))
     return np.asarray(filters.sd[seen[1:], 0, 0] ** 2)
 
 
-def errors(forecasts: Sequence[Forecast]) -> dict[str, Any] | None:
+def errors(forecasts: Sequence[RunForecast]) -> dict[str, Any] | None:
     """As `gap` has them; None without any measured row to compare with."""
     every = [(item.name, item.residual[np.isfinite(item.residual)]) for item in forecasts]
     every = [(name, residual) for name, residual in every if len(residual)]

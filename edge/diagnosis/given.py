@@ -10,14 +10,14 @@ from edge.core.errors import DataError
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.free_fit import fit_values
 from edge.diagnosis.gap import forecast
-from edge.diagnosis.locate.events import Door, find_events
+from edge.diagnosis.locate.events import DoorOpening, find_events
 from edge.diagnosis.noise_levels import find_levels, first_levels
 from edge.diagnosis.nuisances import answer_s, assumed_room, begins_at_rest, nuisances, rooms
 from edge.diagnosis.readings import expected, spikes, stuck, wrong_starts
 from edge.diagnosis.room import WAYS, over_rows
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.trial import Fitted, Term, Trial
+from edge.diagnosis.trial import Fitted, SizedTerm, Trial
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import held
@@ -28,7 +28,7 @@ FAR_OFF = 3.0  # times a reading's noise: what a twin expects is then worse than
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Given:
+class PreparedRuns:
     """The twin as given, with `day0_utc` where the runs tell it, and the runs.
 
     train : the training runs, without a first reading that is wrong
@@ -43,8 +43,8 @@ class Given:
     file: TwinFile
     train: tuple[NamedRun, ...]
     runs: Recorded
-    terms: tuple[Term, ...]
-    doors: tuple[Door, ...]
+    terms: tuple[SizedTerm, ...]
+    doors: tuple[DoorOpening, ...]
     wrong: int
     guessed: bool
     expected: Floats
@@ -100,7 +100,7 @@ class Given:
         return np.full(rows, first + np.mean(fitted[at_rest] - known))
 
 
-def given(file: TwinFile, data: DiagnosisRuns) -> Given:
+def given(file: TwinFile, data: DiagnosisRuns) -> PreparedRuns:
     """Prepare the training runs. Errors: DataError for a column that the twin needs and the runs have not"""
     item = _prepared(_begun_well(file, data), data.train)
     best = _fitted(item)
@@ -133,7 +133,7 @@ def _begun_later(named: NamedRun) -> NamedRun:
     return replace(named, run=replace(named.run, columns={**named.run.columns, "temp_air_c": temp}))
 
 
-def _prepared(file: TwinFile, train: Sequence[NamedRun]) -> Given:
+def _prepared(file: TwinFile, train: Sequence[NamedRun]) -> PreparedRuns:
     """Without what is wrong on its face, and with a room temperature."""
     runs = recorded([named.run for named in train], file.sample_s)
     if file.day0_utc is None and "utc" in runs.conditions:
@@ -146,11 +146,11 @@ def _prepared(file: TwinFile, train: Sequence[NamedRun]) -> Given:
     wrong |= spikes(replace(runs, temp=np.where(wrong, np.nan, runs.temp)))
     runs = replace(runs, temp=np.where(wrong, np.nan, runs.temp))
     terms = rooms(runs) if guessed else nuisances(file, runs, runs.temp)
-    plain = Given(file, tuple(train), runs, terms, (), int(wrong.sum()), guessed, runs.temp, "")
+    plain = PreparedRuns(file, tuple(train), runs, terms, (), int(wrong.sum()), guessed, runs.temp, "")
     return plain if guessed else _with_room(plain)
 
 
-def _with_room(item: Given) -> Given:
+def _with_room(item: PreparedRuns) -> PreparedRuns:
     """With the room over each row, in the way that explains the runs better before anything is added."""
     ways = [
         replace(item, runs=replace(item.runs, ambient=over_rows(item.runs.ambient, way)), room=way)
@@ -159,14 +159,14 @@ def _with_room(item: Given) -> Given:
     return max(ways, key=lambda way: _fitted(way, FEW).log_likelihood)
 
 
-def _fitted(item: Given, iterations: int = ITERATIONS) -> Fitted:
+def _fitted(item: PreparedRuns, iterations: int = ITERATIONS) -> Fitted:
     """The twin as it fits best before anything is added."""
     trial = Trial(item.file, first_levels(item.file, item.runs), item.terms)
     levelled = find_levels(fit([trial], item.runs, iterations), item.file, item.runs)
     return fit(levelled, item.runs, FEW)[0]
 
 
-def _with_expected(item: Given, best: Fitted) -> Given:
+def _with_expected(item: PreparedRuns, best: Fitted) -> PreparedRuns:
     """With what the twin expected of each temperature, which has nothing of the readings' own noise.
 
     A twin that lacks much expects nonsense: then the readings stand for the air, noise and all.
@@ -179,7 +179,7 @@ def _with_expected(item: Given, best: Fitted) -> Given:
     return replace(item, expected=temps, terms=terms)
 
 
-def _without_events(plain: Given, best: Fitted) -> Given:
+def _without_events(plain: PreparedRuns, best: Fitted) -> PreparedRuns:
     """Find doors and wrong readings by the twin as it fits best before anything is added."""
     known = with_rooms(plain, best.sizes)
     try:
@@ -200,7 +200,7 @@ def _without_events(plain: Given, best: Fitted) -> Given:
     return _with_expected(clean, _fitted(clean))
 
 
-def with_rooms(item: Given, sizes: Sequence[float] | Floats) -> Given:
+def with_rooms(item: PreparedRuns, sizes: Sequence[float] | Floats) -> PreparedRuns:
     """With the fitted constant as room temperature, where none was recorded."""
     if not item.guessed:
         return item
@@ -208,7 +208,7 @@ def with_rooms(item: Given, sizes: Sequence[float] | Floats) -> Given:
     return replace(item, runs=replace(item.runs, ambient=item.runs.ambient + offsets[:, None]))
 
 
-def errors_over(tests: Sequence[NamedRun], fitted: Fitted, known: Given) -> Floats:
+def errors_over(tests: Sequence[NamedRun], fitted: Fitted, known: PreparedRuns) -> Floats:
     """Measured minus free run over all test runs, one after another, NaN where not measured [K]."""
     own = with_rooms(known, fitted.sizes)
     twin = fitted.file.twin()

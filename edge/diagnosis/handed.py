@@ -15,12 +15,12 @@ from edge.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weights, 
 from edge.diagnosis.candidates import Names
 from edge.diagnosis.folds import block_sums, folds
 from edge.diagnosis.free_fit import fit_values, left_out_errors, rms_k, widened
-from edge.diagnosis.given import Given, errors_over
+from edge.diagnosis.given import PreparedRuns, errors_over
 from edge.diagnosis.possible import impossible
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import Fitted
-from edge.diagnosis.unknowns import Unknown
+from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -32,7 +32,7 @@ CLEARLY = 2.0  # standard errors, where it must be no chance that one of several
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Predicted:
+class JudgedTwin:
     """A twin judged by rows that its fit did not see.
 
     added : effects beside those given; errors : [B, N] of free runs over left-out rows [K], NaN where none
@@ -48,7 +48,7 @@ class Predicted:
         return rmse(self.errors)
 
     @property
-    def open_values(self) -> list[tuple[Unknown, float]]:
+    def open_values(self) -> list[tuple[UnknownValue, float]]:
         """What was fitted, and its coordinate, without values that another effect replaces."""
         return list(zip(self.fitted.free, map(float, self.fitted.coordinates), strict=True))
 
@@ -58,13 +58,13 @@ class Predicted:
         return [".".join(item.place) for item, x in self.open_values if item.is_at_bound(x)]
 
     @property
-    def spreads(self) -> list[tuple[Unknown, float, float]]:
+    def spreads(self) -> list[tuple[UnknownValue, float, float]]:
         """What was fitted, its coordinate and the coordinate's sd."""
         sds = np.sqrt(np.maximum(np.diag(self.fitted.covariance), 0.0))
         return [(own, x, float(sd)) for (own, x), sd in zip(self.open_values, sds, strict=False)]
 
 
-class Arx(NamedTuple):
+class ArxBaseline(NamedTuple):
     """weights : of all rows, None of too few; rmse_k : over left-out rows [K]"""
 
     weights: Floats | None
@@ -75,13 +75,13 @@ class Arx(NamedTuple):
 class Comparison:
     """Sets of effects over the same left-out rows, each fitted once. noise_k : of a reading"""
 
-    known: Given
+    known: PreparedRuns
     noise_k: float
     shared: SideBySide
     telling: Telling
-    tried: dict[Names, Predicted] = field(default_factory=dict)
-    simple: dict[str, Predicted] = field(default_factory=dict)
-    arx: dict[str, Arx] = field(default_factory=dict)
+    tried: dict[Names, JudgedTwin] = field(default_factory=dict)
+    simple: dict[str, JudgedTwin] = field(default_factory=dict)
+    arx: dict[str, ArxBaseline] = field(default_factory=dict)
 
     def add(self, files: Mapping[Names, TwinFile], below_k: float = np.inf) -> None:
         """Judge sets that were not yet, those alone that miss by less over the rows that are fitted."""
@@ -100,7 +100,7 @@ class Comparison:
         ]
         found = self._left_out([item for _, item in kept])
         for (key, _), (item, errors) in zip(kept, found, strict=True):
-            self.tried[key] = Predicted(key, item, errors)
+            self.tried[key] = JudgedTwin(key, item, errors)
 
     def add_simple(self) -> None:
         """Judge the baselines."""
@@ -109,14 +109,14 @@ class Comparison:
         self.telling("simple models")
         judged = self._left_out(self._fitted(twins.values()))
         for name, (fitted, errors) in zip(twins, judged, strict=True):
-            self.simple[name] = Predicted(frozenset(), fitted, errors)
+            self.simple[name] = JudgedTwin(frozenset(), fitted, errors)
         seen = np.isfinite(runs.temp[:, 1:])
         for order in ORDERS:
             errors = np.full(runs.duty.shape, np.nan)
             for fold in folds(runs):
                 weights = arx_weights(order, runs, seen & ~fold)
                 errors[fold] = arx_errors(weights, runs, seen & ~fold)[fold]
-            self.arx[f"ARX {order}"] = Arx(arx_weights(order, runs, seen), rmse(errors))
+            self.arx[f"ARX {order}"] = ArxBaseline(arx_weights(order, runs, seen), rmse(errors))
 
     @property
     def simple_k(self) -> dict[str, float]:
@@ -124,7 +124,7 @@ class Comparison:
         twins = {name: item.rmse_k for name, item in self.simple.items()}
         return twins | {name: item.rmse_k for name, item in self.arx.items()}
 
-    def choose(self, names: Names) -> Predicted:
+    def choose(self, names: Names) -> JudgedTwin:
         """The simplest of those that predict as well as the best, among those with the names that stand.
 
         What has no name is added only where it is clearly better.
@@ -143,7 +143,7 @@ class Comparison:
         near = [item for item in others if not self.is_better(best, item)]
         return min(near, key=lambda item: (len(item.open_values), item.rmse_k))
 
-    def from_start_k(self, item: Predicted) -> float:
+    def from_start_k(self, item: JudgedTwin) -> float:
         """Of free runs over the training runs from their first rows, hidden states at rest [K].
 
         A body that may begin anywhere is a heat that no input makes: it helps where what was before is seen,
@@ -151,16 +151,16 @@ class Comparison:
         """
         return rmse(errors_over(self.known.as_fitted(), item.fitted, self.known))
 
-    def is_impossible(self, item: Predicted) -> bool:
+    def is_impossible(self, item: JudgedTwin) -> bool:
         """Whether an effect that was added has a value that can't be in this box."""
         runs, step_s = self.known.runs, self.known.file.sample_s
         return any(impossible(name, item.fitted, runs, step_s) for name in item.added - {OPEN})
 
-    def is_better(self, item: Predicted, than: Predicted, errors: float = 1.0) -> bool:
+    def is_better(self, item: JudgedTwin, than: JudgedTwin, errors: float = 1.0) -> bool:
         """Whether free runs of one miss left-out rows by much less, and by so many standard errors."""
         return item.rmse_k < MUCH_BETTER * than.rmse_k and self.behind(than, item) > errors
 
-    def is_better_throughout(self, item: Predicted, than: Predicted) -> bool:
+    def is_better_throughout(self, item: JudgedTwin, than: JudgedTwin) -> bool:
         """Whether it is clearly better, in all fifths of the runs but one, and at their ends."""
         if not self.is_better(item, than, CLEARLY):
             return False
@@ -168,7 +168,7 @@ class Comparison:
         less = [rmse(item.errors[part]) < rmse(than.errors[part]) for part in parts]
         return less[-1] and sum(less) >= len(parts) - 1
 
-    def behind(self, item: Predicted, best: Predicted) -> float:
+    def behind(self, item: JudgedTwin, best: JudgedTwin) -> float:
         """By how many standard errors one misses more than another, blocks of time taken as independent.
 
         By the logarithm of what each misses in a block: one that runs away in a single one decides nothing.
@@ -215,8 +215,8 @@ def rmse(errors: Floats) -> float:
 
 
 def against_adopting(
-    given: Predicted,
-    handed: Predicted,
+    given: JudgedTwin,
+    handed: JudgedTwin,
     simple_k: Mapping[str, float],
     test_k: Mapping[str, float],
 ) -> tuple[str, ...]:

@@ -7,14 +7,14 @@ import numpy as np
 from edge.core.errors import DataError
 from edge.diagnosis.pieces import pieces
 from edge.diagnosis.runs import PIECE_ROWS, DiagnosisRuns, diagnosis_runs
-from edge.formats.run_file import Run, cut
+from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 
 TEST_SHARE = 0.2
 
 
 def history_runs(
-    stretches: Sequence[Run],
+    stretches: Sequence[RecordedRun],
     twin: TwinFile,
     test_share: float = TEST_SHARE,
     source: str = "the history",
@@ -56,9 +56,9 @@ def history_runs(
     return diagnosis_runs(named[: len(train)], named[len(train) :], twin, notes)
 
 
-def _newest(runs: Sequence[Run], rows_max: int) -> list[Run]:
+def _newest(runs: Sequence[RecordedRun], rows_max: int) -> list[RecordedRun]:
     """The newest rows of all runs together; the run in which the boundary lies is cut there."""
-    found: list[Run] = []
+    found: list[RecordedRun] = []
     for run in reversed(runs):
         rows = min(len(run), rows_max)
         rows_max -= rows
@@ -67,12 +67,12 @@ def _newest(runs: Sequence[Run], rows_max: int) -> list[Run]:
     return found
 
 
-def _with_room(runs: Sequence[Run]) -> list[Run]:
+def _with_room(runs: Sequence[RecordedRun]) -> list[RecordedRun]:
     known = [run for run in runs if np.isfinite(run.columns.get("temp_ambient_c", np.nan)).any()]
     return known or list(runs)
 
 
-def _divide(runs: Sequence[Run], test_share: float) -> tuple[list[Run], list[Run]]:
+def _divide(runs: Sequence[RecordedRun], test_share: float) -> tuple[list[RecordedRun], list[RecordedRun]]:
     """Training and test; the run in which the boundary lies is cut there."""
     free = [run for run in runs if not _is_test(run)]
     left = sum(len(run) for run in free)
@@ -88,13 +88,13 @@ def _divide(runs: Sequence[Run], test_share: float) -> tuple[list[Run], list[Run
     return train, test
 
 
-def _is_test(run: Run) -> bool:
+def _is_test(run: RecordedRun) -> bool:
     return run.facts.get("role", "").strip().lower() == "test"
 
 
-def _measured(run: Run) -> int:
+def _measured(run: RecordedRun) -> int:
     return _measured_from(run, 0)
 
 
-def _measured_from(run: Run, row: int) -> int:
+def _measured_from(run: RecordedRun, row: int) -> int:
     return int(np.isfinite(run.columns["temp_air_c"][row:]).sum())

@@ -36,7 +36,7 @@ class NoiseLevels:
     power_share: float
 
 
-class Filtered(NamedTuple):
+class FilterInput(NamedTuple):
     """A twin to be filtered: steps, noise, spread of its start [n] or [B, n], and the length of a row [s]."""
 
     steps: LinearSteps
@@ -46,7 +46,7 @@ class Filtered(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gains:
+class FilterGains:
     """Of C filters over N rows of B runs, m states each, padded.
 
     rows : [N, C, B, m + 1, m + 1], what a row makes of the states and its reading, behind each other: the
@@ -60,7 +60,7 @@ class Gains:
     measured: NDArray[np.bool_]
 
 
-def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
+def gains(twins: Sequence[FilterInput], measured: NDArray[np.bool_]) -> FilterGains:
     """Run the covariances. measured : [B, N], after each row."""
     walk = _Walk(twins, measured)
     found = np.zeros((measured.shape[1], *walk.shape, walk.states + 1, walk.states + 1))
@@ -74,10 +74,10 @@ def gains(twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> Gains:
             row[..., :-1, -1] = gain
         step[..., -1, :-1] = step[..., 0, :-1]
         step[..., :-1, :-1] -= step[..., :-1, -1:] * step[..., -1:, :-1]
-    return Gains(found, sds, measured)
+    return FilterGains(found, sds, measured)
 
 
-def log_likelihoods(twins: Sequence[Filtered], measured: NDArray[np.bool_], errors: Floats) -> Floats:
+def log_likelihoods(twins: Sequence[FilterInput], measured: NDArray[np.bool_], errors: Floats) -> Floats:
     """Of errors of free runs by each filter, up to a constant of the data, [C].
 
     measured : [B, N]; errors : [C, B, N] [K], finite
@@ -102,7 +102,7 @@ class _Walk:
     shape : C, B; states : m, those that every filter has room for; mean : [C, B, m], of the states
     """
 
-    def __init__(self, twins: Sequence[Filtered], measured: NDArray[np.bool_]) -> None:
+    def __init__(self, twins: Sequence[FilterInput], measured: NDArray[np.bool_]) -> None:
         self._twins, self._measured = twins, measured
         self._heat = max(len(item.steps.states) for item in twins)
         self.shape, self.states = (len(twins), len(measured)), self._heat + 2
@@ -150,7 +150,7 @@ class _Walk:
         return gain, variance
 
 
-def _start(item: Filtered, size: int) -> Floats:
+def _start(item: FilterInput, size: int) -> Floats:
     """Standard deviations of the states before the first row, the unknown heat's and the power's last.
 
     Returns : [m], or [B, m]
@@ -161,12 +161,14 @@ def _start(item: Filtered, size: int) -> Floats:
     return found
 
 
-def _kept(item: Filtered) -> float:
+def _kept(item: FilterInput) -> float:
     """Share of the unknown heat that is still there after a row."""
     return float(np.exp(-item.step_s / item.levels.heat_tau_s))
 
 
-def whitened(filters: Gains, owner: NDArray[np.intp], columns: Floats, everywhere: bool = False) -> Floats:
+def whitened(
+    filters: FilterGains, owner: NDArray[np.intp], columns: Floats, everywhere: bool = False
+) -> Floats:
     """Columns in standard deviations of their innovation, 0 where nothing was measured.
 
     owner : [M], the filter of each column; columns : [M, B, N] [K], finite

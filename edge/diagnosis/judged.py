@@ -6,20 +6,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.candidates import Names, Scored
-from edge.diagnosis.formulas import Shape
+from edge.diagnosis.candidates import Names, ScoredSet
+from edge.diagnosis.formulas import FormulaShape
 from edge.diagnosis.free_fit import APART_SDS, another, apart, rms_k
-from edge.diagnosis.given import Given, errors_over
-from edge.diagnosis.handed import NO_WORSE, OPEN, Comparison, Predicted, opened, rmse
+from edge.diagnosis.given import PreparedRuns, errors_over
+from edge.diagnosis.handed import NO_WORSE, OPEN, Comparison, JudgedTwin, opened, rmse
 from edge.diagnosis.possible import impossible, none_at_all
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.search import WORTH_A_LOOK, Search
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.standing import HALF, Standing, standing
+from edge.diagnosis.standing import HALF, NameEvidence, standing
 from edge.diagnosis.starts import with_usual
 from edge.diagnosis.trial import Fitted
-from edge.diagnosis.verdict import Named, Verdict, _95, intervals, read, unnamed
+from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, _95, intervals, read, unnamed
 from edge.twin.effects.unnamed import UNNAMED_EFFECTS
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -43,7 +43,7 @@ REFUTED_FROM = 1.1  # times the error over test runs without a name
 class Doubtful:
     """An effect that the search found and that does not stand."""
 
-    effect: Named
+    effect: MissingEffect
     against: tuple[str, ...]
 
 
@@ -54,11 +54,11 @@ class Judged:
     other : the same twin with other values that do as well, None where there are none
     """
 
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     doubtful: tuple[Doubtful, ...]
-    standings: Mapping[str, Standing]
+    standings: Mapping[str, NameEvidence]
     comparison: Comparison
-    handed: Predicted
+    handed: JudgedTwin
     other: Fitted | None
 
     @property
@@ -85,9 +85,9 @@ class Judged:
 
 def judged(
     search: Search,
-    found: Verdict,
-    known: Given,
-    shapes: Mapping[str, Shape],
+    found: DiagnosisVerdict,
+    known: PreparedRuns,
+    shapes: Mapping[str, FormulaShape],
     shared: SideBySide,
     telling: Telling,
     tests: Sequence[NamedRun] = (),
@@ -95,7 +95,7 @@ def judged(
     """Keep the names that stand, and choose the twin. tests : runs that are only judged by"""
     comparison = Comparison(known, search.sets.base().fitted.trial.levels.sensor_k, shared, telling)
     effects, doubtful = list(found.effects), list[Doubtful]()
-    every: dict[str, Standing] = {}
+    every: dict[str, NameEvidence] = {}
     refused = set[str]()
     while True:
         comparison.add(_files(known.file, search, effects))
@@ -150,15 +150,15 @@ def _other_values(found: Fitted, other: Fitted) -> str:
     return f"Other values do as well: {', '.join(told)}"
 
 
-def scored(search: Search, names: Names) -> Scored:
+def scored(search: Search, names: Names) -> ScoredSet:
     """A set of names as the likelihood has it."""
     base = search.sets.base()
     return search.sets.fitted({names: search.sets.as_usual(base, names)})[0] if names else base
 
 
 def _exchanged(
-    search: Search, comparison: Comparison, effects: list[Named]
-) -> tuple[list[Named], list[Doubtful]]:
+    search: Search, comparison: Comparison, effects: list[MissingEffect]
+) -> tuple[list[MissingEffect], list[Doubtful]]:
     """With another name in the place of one, where free runs are clearly better with it."""
     names = frozenset(effect.name for effect in effects)
     if not names:
@@ -188,7 +188,7 @@ def _exchanged(
     return list(read(search, scored(search, best.added))), left
 
 
-def _files(file: TwinFile, search: Search, effects: Iterable[Named]) -> dict[Names, TwinFile]:
+def _files(file: TwinFile, search: Search, effects: Iterable[MissingEffect]) -> dict[Names, TwinFile]:
     """Sets to be compared: the names, fewer, more, and another one in the place of each."""
     names = [effect.name for effect in effects]
     keys = [frozenset(names[:count]) for count in range(len(names) + 1)]
@@ -212,7 +212,7 @@ def _refuted(name: str, names: Names, comparison: Comparison, tests: Sequence[Na
     return [f"free runs miss the test runs by {own:.3g} K with it, by {less:.3g} K without"]
 
 
-def _missed(tests: Sequence[NamedRun], fitted: Fitted, known: Given) -> Floats:
+def _missed(tests: Sequence[NamedRun], fitted: Fitted, known: PreparedRuns) -> Floats:
     """Errors over test runs, without their means where no room was recorded: that may be anything there."""
     every = [errors_over([test], fitted, known) for test in tests]
     if known.guessed:
@@ -221,7 +221,7 @@ def _missed(tests: Sequence[NamedRun], fitted: Fitted, known: Given) -> Floats:
 
 
 def _thought_of(
-    search: Search, comparison: Comparison, handed: Predicted, names: Names, refused: set[str]
+    search: Search, comparison: Comparison, handed: JudgedTwin, names: Names, refused: set[str]
 ) -> Names:
     """Effects that the search did not name and that take away most of what free runs missed by."""
     more = handed.added & set(search.candidates.names) - names - refused
@@ -230,7 +230,7 @@ def _thought_of(
     return frozenset(more) if more and handed.rmse_k < HALF * less else frozenset()
 
 
-def _with_unnamed(search: Search, comparison: Comparison, handed: Predicted) -> Predicted:
+def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) -> JudgedTwin:
     """With what makes free runs clearly better over left-out rows, whatever it stands for."""
     file, runs = search.file, comparison.known.runs
     last = search.rounds[-1].tried[:FIRST_FEW] if search.rounds else ()
@@ -269,7 +269,7 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: Predicted) -> 
     return handed
 
 
-def _is_moved(handed: Predicted, item: Predicted) -> bool:
+def _is_moved(handed: JudgedTwin, item: JudgedTwin) -> bool:
     """Whether an effect is something else beside what was added: that then stands for it."""
     there = {own.place: (x, sd) for own, x, sd in item.spreads}
     for own, x, sd in handed.spreads:
@@ -291,12 +291,12 @@ def _with(file: TwinFile, names: Names, middle_c: float = 0.0) -> TwinFile:
 
 def _said(
     search: Search,
-    found: Verdict,
-    effects: tuple[Named, ...],
-    handed: Predicted,
-    shapes: Mapping[str, Shape],
+    found: DiagnosisVerdict,
+    effects: tuple[MissingEffect, ...],
+    handed: JudgedTwin,
+    shapes: Mapping[str, FormulaShape],
     noise_k: float,
-) -> Verdict:
+) -> DiagnosisVerdict:
     """The verdict with the names that stand and the values that are handed over."""
     valued = tuple(_valued(effect, handed) for effect in effects)
     if valued:
@@ -309,6 +309,6 @@ def _said(
     return found
 
 
-def _valued(effect: Named, handed: Predicted) -> Named:
+def _valued(effect: MissingEffect, handed: JudgedTwin) -> MissingEffect:
     values, bound = intervals(handed.fitted, effect.name)
     return replace(effect, parameters=values, at_bound=bound)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.innovations import Filtered, Gains, gains, whitened
+from edge.diagnosis.innovations import FilterGains, FilterInput, gains, whitened
 from edge.diagnosis.trial import Trial, start_of, start_spread
-from edge.diagnosis.unknowns import Unknown, path_priors, placed, unknowns
-from edge.twin.ensemble import Response, responses
+from edge.diagnosis.unknowns import UnknownValue, path_priors, placed, unknowns
+from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 
 Floats = NDArray[np.float64]
@@ -25,16 +25,16 @@ REMEMBERED = 3  # places of a fit: where it stands and the two that it tries
 
 
 @dataclass(slots=True, eq=False)
-class State:
+class TrialState:
     """A trial on its way."""
 
     trial: Trial
-    free: tuple[Unknown, ...]
+    free: tuple[UnknownValue, ...]
     x: Floats
     cost: float = np.inf
     damping: float = FIRST_DAMPING
     done: bool = False
-    seen: dict[bytes, tuple[Twin, LinearSteps]] = field(default_factory=dict)  # the last places
+    seen: dict[bytes, tuple[BoxTwin, LinearSteps]] = field(default_factory=dict)  # the last places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,24 +48,24 @@ class Linearised:
     terms: Floats  # whitened, [terms, B N]
 
 
-def filters_of(states: list[State], runs: Recorded, measured: NDArray[np.bool_]) -> Gains:
+def filters_of(states: list[TrialState], runs: Recorded, measured: NDArray[np.bool_]) -> FilterGains:
     """Of the states as they stand."""
     filtered = []
     for state in states:
         twin, steps = nominal(state, state.x, runs)
-        filtered.append(Filtered(steps, state.trial.levels, start_spread(twin, runs), twin.step_s))
+        filtered.append(FilterInput(steps, state.trial.levels, start_spread(twin, runs), twin.step_s))
     return gains(filtered, measured)
 
 
-def begun_from(trial: Trial) -> State:
+def begun_from(trial: Trial) -> TrialState:
     """Where a trial's file begins."""
     free = unknowns(trial.file) if trial.free is None else trial.free
     values = trial.file.values()
     x = np.array([item.coordinate(values[item.place].value) for item in free])
-    return State(trial, free, x)
+    return TrialState(trial, free, x)
 
 
-def neighbours(state: State, runs: Recorded) -> list[tuple[Twin, LinearSteps]]:
+def neighbours(state: TrialState, runs: Recorded) -> list[tuple[BoxTwin, LinearSteps]]:
     """The twin a little off in each unknown."""
     found = []
     for j, item in enumerate(state.free):
@@ -75,15 +75,17 @@ def neighbours(state: State, runs: Recorded) -> list[tuple[Twin, LinearSteps]]:
     return found
 
 
-def linearise(states: list[State], owners: Indices, filters: Gains, runs: Recorded) -> list[Linearised]:
+def linearise(
+    states: list[TrialState], owners: Indices, filters: FilterGains, runs: Recorded
+) -> list[Linearised]:
     """Residuals and their derivatives, whitened."""
-    wanted: list[Response] = []
+    wanted: list[EnsembleRun] = []
     counts = [1 + len(state.free) + len(state.trial.nuisances) for state in states]
     for state in states:
         twin, steps = nominal(state, state.x, runs)
-        wanted.append(Response(steps, start_of(twin, runs), steps.driven))
+        wanted.append(EnsembleRun(steps, start_of(twin, runs), steps.driven))
         for other, moved in neighbours(state, runs):
-            wanted.append(Response(moved, start_of(other, runs), moved.driven))
+            wanted.append(EnsembleRun(moved, start_of(other, runs), moved.driven))
         wanted += [term.response(steps) for term in state.trial.nuisances]
     columns = _columns(responses(wanted), states, runs)
     white = whitened(filters, np.repeat(owners, counts), columns)
@@ -91,7 +93,7 @@ def linearise(states: list[State], owners: Indices, filters: Gains, runs: Record
     return [_normal(own, state) for own, state in zip(parts, states, strict=True)]
 
 
-def nominal(state: State, x: Floats, runs: Recorded) -> tuple[Twin, LinearSteps]:
+def nominal(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, LinearSteps]:
     """The twin there; where a step ends the next one begins."""
     place = x.tobytes()
     if place not in state.seen:
@@ -101,17 +103,17 @@ def nominal(state: State, x: Floats, runs: Recorded) -> tuple[Twin, LinearSteps]
     return state.seen[place]
 
 
-def _at(state: State, x: Floats, runs: Recorded) -> tuple[Twin, LinearSteps]:
+def _at(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, LinearSteps]:
     twin = placed(state.trial.file, state.free, x).twin()
     return twin, linear_steps(twin, runs)
 
 
-def difference(item: Unknown, x: float) -> float:
+def difference(item: UnknownValue, x: float) -> float:
     """Of a coordinate for a derivative, towards the inside of its bounds."""
     return DIFFERENCE if x + DIFFERENCE <= item.bounds[1] else -DIFFERENCE
 
 
-def _columns(shown: Floats, states: list[State], runs: Recorded) -> Floats:
+def _columns(shown: Floats, states: list[TrialState], runs: Recorded) -> Floats:
     """From temperatures to the residual, its derivatives by the unknowns and the nuisances."""
     place = 0
     measured = np.nan_to_num(runs.temp[:, 1:])
@@ -133,7 +135,7 @@ def _readings(shown: Floats, place: int, trial: Trial) -> int:
     return place + len(trial.nuisances)
 
 
-def _normal(columns: Floats, state: State) -> Linearised:
+def _normal(columns: Floats, state: TrialState) -> Linearised:
     """With the priors of the unknowns, of what two values must agree on, and of the nuisances."""
     residual, slopes = columns[0], columns[1:]
     p = len(state.free)
@@ -152,7 +154,7 @@ def _normal(columns: Floats, state: State) -> Linearised:
     return Linearised(normal, gradient, float(residual @ residual), residual, slopes[p:])
 
 
-def _with_paths(normal: Floats, gradient: Floats, state: State) -> tuple[Floats, Floats]:
+def _with_paths(normal: Floats, gradient: Floats, state: TrialState) -> tuple[Floats, Floats]:
     here = path_priors(placed(state.trial.file, state.free, state.x))
     if not here:
         return normal, gradient
@@ -165,14 +167,14 @@ def _with_paths(normal: Floats, gradient: Floats, state: State) -> tuple[Floats,
     return normal + slopes.T @ slopes, gradient - slopes.T @ np.array(here)
 
 
-def prior_cost(state: State, x: Floats) -> float:
+def prior_cost(state: TrialState, x: Floats) -> float:
     """Squares by which the unknowns, and what two of them must agree on, are off their priors."""
     own = sum(((a - item.mean) / item.sd) ** 2 for a, item in zip(x, state.free, strict=True))
     paths = path_priors(placed(state.trial.file, state.free, x))
     return float(own + sum(item**2 for item in paths))
 
 
-def cost(found: Linearised, state: State) -> float:
+def cost(found: Linearised, state: TrialState) -> float:
     """Half the sum of squares, the nuisances at their best."""
     return 0.5 * (found.square + prior_cost(state, state.x)) - explained(found, len(state.free))
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.diagnosis.candidates import Scored
+from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.diagnose import Diagnosis, Side
 from edge.diagnosis.locate.regimes import regimes
 from edge.diagnosis.locate.residuals import Residuals, residuals_of
@@ -86,7 +86,7 @@ def located(found: Diagnosis) -> Located:
     )
 
 
-def _innovations(found: Diagnosis, item: Scored) -> dict[str, Floats]:
+def _innovations(found: Diagnosis, item: ScoredSet) -> dict[str, Floats]:
     """In standard deviations, by run, NaN where nothing was measured, with the noise found for the set."""
     measured = np.isfinite(found.known.runs.temp[:, 1:])
     values = np.where(measured, item.fitted.innovations, np.nan)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.innovations import Filtered, NoiseLevels, log_likelihoods
+from edge.diagnosis.innovations import FilterInput, NoiseLevels, log_likelihoods
 from edge.diagnosis.trial import Fitted, Trial, start_of, start_spread
-from edge.twin.ensemble import Response, responses
+from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
@@ -118,7 +118,7 @@ class _Base:
         self.steps: LinearSteps = linear_steps(self.twin, runs)
         terms = [term.response(self.steps) for term in found.trial.nuisances]
         self.spread = start_spread(self.twin, runs)
-        shown = responses([Response(self.steps, start_of(self.twin, runs), self.steps.driven), *terms])
+        shown = responses([EnsembleRun(self.steps, start_of(self.twin, runs), self.steps.driven), *terms])
         for i, term in enumerate(found.trial.nuisances):
             shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
         self.error = np.nan_to_num(runs.temp[:, 1:]) - shown[0]
@@ -184,7 +184,7 @@ def _scores(
 ) -> list[Floats]:
     """Log likelihood of each of the levels of each base, with the prior of an undeclared heat."""
     filtered = [
-        Filtered(base.steps, levels, base.spread, base.twin.step_s)
+        FilterInput(base.steps, levels, base.spread, base.twin.step_s)
         for base, own in zip(bases, tried, strict=True)
         for levels in own
     ]

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.trial import Term
-from edge.twin.model import Twin
+from edge.diagnosis.trial import SizedTerm
+from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
@@ -20,13 +20,13 @@ WARMEST_ROOM_C = 35.0
 ROOM_C, ANY_ROOM_SD_K = 20.0, 10.0  # of a run that begins hot: its room may be any that people work in
 
 
-def nuisances(file: TwinFile, runs: Recorded, temps: Floats) -> tuple[Term, ...]:
+def nuisances(file: TwinFile, runs: Recorded, temps: Floats) -> tuple[SizedTerm, ...]:
     """Terms for every trial on these runs. temps : [B, N + 1], the air without its reading's noise [°C]"""
     loss_w_k = still_loss_w_k(file.twin()) or USUAL_LOSS_W_K * file.scale.heat
     return (curved_loss(runs, temps, CURVATURE_SD * loss_w_k),)
 
 
-def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> Term:
+def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> SizedTerm:
     """A loss that grows with T - T_amb: Q = -k (|T - T_amb| - E) (T - T_amb) / 10 K.
 
     E is where these runs tell a straight loss best, so that k takes nothing of what that one is.
@@ -34,7 +34,7 @@ def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> Term:
     excess = (middle(temps) - runs.ambient).T
     squares = np.nansum(excess**2)
     usual_k = np.nansum(np.abs(excess) ** 3) / squares if squares > 0.0 else 0.0
-    return Term("curved loss", -(np.abs(excess) - usual_k) * excess / EXCESS_K, sd_w_k)
+    return SizedTerm("curved loss", -(np.abs(excess) - usual_k) * excess / EXCESS_K, sd_w_k)
 
 
 def middle(temps: Floats) -> Floats:
@@ -43,7 +43,7 @@ def middle(temps: Floats) -> Floats:
     return np.asarray(0.5 * (known[:, 1:] + known[:, :-1]))
 
 
-def still_loss_w_k(twin: Twin) -> float:
+def still_loss_w_k(twin: BoxTwin) -> float:
     """Heat that keeps the air 1 K above the room with the fan off [W/K]; 0 for a box that loses none."""
     system = twin.system
     try:
@@ -53,7 +53,7 @@ def still_loss_w_k(twin: Twin) -> float:
     return float(system.air_capacity_j_k / warmed) if warmed > 1e-9 else 0.0
 
 
-def answer_s(twin: Twin) -> float | None:
+def answer_s(twin: BoxTwin) -> float | None:
     """Time constant of the air and what is in close contact with it, the fan off; None of no loss."""
     loss_w_k = still_loss_w_k(twin)
     return twin.system.air_capacity_j_k / loss_w_k if loss_w_k else None
@@ -72,11 +72,11 @@ def assumed_room(temps: Floats) -> float:
     return float(known[0]) if begins_at_rest(temps) else min(ROOM_C, float(known.min()))
 
 
-def rooms(runs: Recorded) -> tuple[Term, ...]:
+def rooms(runs: Recorded) -> tuple[SizedTerm, ...]:
     """A room temperature per run where none was recorded: how far it is from the one assumed."""
     count, rows = runs.duty.shape
     sds = [ROOM_SD_K if begins_at_rest(temps) else ANY_ROOM_SD_K for temps in runs.temp]
     return tuple(
-        Term(f"room of run {i + 1}", np.repeat(np.eye(count)[i : i + 1], rows, axis=0), sd, of_room=True)
+        SizedTerm(f"room of run {i + 1}", np.repeat(np.eye(count)[i : i + 1], rows, axis=0), sd, of_room=True)
         for i, sd in enumerate(sds)
     )

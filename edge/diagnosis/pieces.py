@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from edge.formats.run_file import Run, cut
+from edge.formats.run_file import RecordedRun, cut
 
 GAP_S = 600.0  # without rows for longer, nothing is known of what the heater did meanwhile
 WHOLE_S = 48 * 3600.0  # in steps of a minute: what is no longer stays one, as long as its steps are slower
@@ -13,7 +13,7 @@ LONGEST_S = 24 * 3600.0  # of the parts of what is longer, as time grows with th
 USUAL_STEP_S = 60.0
 
 
-def pieces(run: Run, step_s: float = USUAL_STEP_S) -> list[Run]:
+def pieces(run: RecordedRun, step_s: float = USUAL_STEP_S) -> list[RecordedRun]:
     """The run cut where its rows are more than GAP_S apart, and what is longer than WHOLE_S into equal parts.
 
     What a body had stored is not known where a part begins.

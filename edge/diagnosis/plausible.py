@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.core.names import SIGNALS
 from edge.formats.number_table import NumberTable
-from edge.formats.run_file import Run, run_of
+from edge.formats.run_file import RecordedRun, run_of
 
 TOLERATED = 0.1  # share of a column's numbers that may be slips of the sensor: more is another unit
 WHAT = {
@@ -32,7 +32,7 @@ def plausible_run(
     without: Collection[str] = (),
     highest_c: float | None = None,
     step_s: float = STEP_MAX_S,
-) -> tuple[Run, list[str]]:
+) -> tuple[RecordedRun, list[str]]:
     """The table as a run in which every number can be what its column says; and in words what was left out.
 
     without : columns that the table may lack, as in `read_run`
@@ -50,7 +50,7 @@ def plausible_run(
     return replace(run, columns=columns), told
 
 
-def _check_time(run: Run, most_s: float) -> None:
+def _check_time(run: RecordedRun, most_s: float) -> None:
     steps = np.diff(run.columns["time_s"])
     if len(steps) and (usual := float(np.median(steps))) > most_s:
         unit = "; is it in milliseconds?" if usual >= 1000.0 else ""

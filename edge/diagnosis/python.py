@@ -43,7 +43,7 @@ class Run:
     """A recording: columns of equal length, named with their units as in a run file."""
 
     name: str
-    content: run_file.Run
+    content: run_file.RecordedRun
 
     @classmethod
     def read(cls, path: str | Path) -> "Run":
@@ -59,7 +59,7 @@ class Run:
         facts : `start_utc="2026-07-01T12:00:00Z"`, `role="test"`, ...
         """
         arrays = {key: np.asarray(values, dtype=np.float64) for key, values in columns.items()}
-        return cls(name, run_file.Run(arrays, facts, Path(name)))
+        return cls(name, run_file.RecordedRun(arrays, facts, Path(name)))
 
     def __len__(self) -> int:
         return len(self.content)
@@ -106,7 +106,7 @@ class Twin:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class DiagnosisResult:
     """What a diagnosis found.
 
     document : as diagnosis.json has it
@@ -152,7 +152,7 @@ def diagnose(
     tests: Sequence[Run] = (),
     jobs: int = 1,
     progress: Progress | None = None,
-) -> Found:
+) -> DiagnosisResult:
     """Where a twin disagrees with recordings, what is missing, and the twin with it.
 
     runs : to fit on; tests : to judge by, which may be empty
@@ -168,10 +168,10 @@ def diagnose(
     experiment = next_experiment(found, ExperimentLimits())
     planned = None if experiment is None else experiment_document(experiment)
     document = answer(found, places, "edge.diagnose", planned)
-    return Found(document, found, places)
+    return DiagnosisResult(document, found, places)
 
 
-def _complete(run: Run) -> run_file.Run:
+def _complete(run: Run) -> run_file.RecordedRun:
     """With facts that say what was not recorded; without readings that no sensor can have."""
     if missing := [key for key in NEEDED if key not in run.content.columns]:
         raise DataError(f"{run.name}: {missing[0]}: missing")

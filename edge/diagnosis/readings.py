@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.fitting import fit
-from edge.diagnosis.innovations import Filtered, gains, whitened
+from edge.diagnosis.innovations import FilterInput, gains, whitened
 from edge.diagnosis.trial import Fitted, start_of, start_spread
-from edge.twin.ensemble import Response, responses
+from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.linear_steps import linear_steps
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import held
@@ -113,12 +113,12 @@ def expected(found: Fitted, runs: Recorded) -> Floats:
     steps = linear_steps(twin, runs)
     terms = found.trial.nuisances
     shown = responses(
-        [Response(steps, start_of(twin, runs), steps.driven), *(term.response(steps) for term in terms)]
+        [EnsembleRun(steps, start_of(twin, runs), steps.driven), *(term.response(steps) for term in terms)]
     )
     for i, term in enumerate(terms):
         shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
     measured = runs.measured
-    filters = gains([Filtered(steps, found.trial.levels, start_spread(twin, runs), twin.step_s)], measured)
+    filters = gains([FilterInput(steps, found.trial.levels, start_spread(twin, runs), twin.step_s)], measured)
     filled = np.where(measured, runs.temp[:, 1:], shown[0])
     white = whitened(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]
     predicted = filled - white * filters.sd[:, 0].T

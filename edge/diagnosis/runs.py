@@ -13,7 +13,7 @@ from edge.diagnosis.cannot_tell import cannot_tell
 from edge.diagnosis.pieces import pieces
 from edge.diagnosis.plausible import plausible_run
 from edge.formats.number_table import read_table
-from edge.formats.run_file import Run, cut, data_sha256, refuse_test, resample
+from edge.formats.run_file import RecordedRun, cut, data_sha256, refuse_test, resample
 from edge.twin.recorded import CONDITIONS
 from edge.twin.twin_file import TwinFile
 
@@ -36,13 +36,13 @@ class NamedRun:
     """
 
     name: str  # `run_01.csv`, `run_01.csv (2 of 3)`, `history_1`
-    run: Run
+    run: RecordedRun
     rows_s: Floats
     from_s: float | None = None
     rest_of: str = ""
 
     @property
-    def judged(self) -> Run:
+    def judged(self) -> RecordedRun:
         """The part that a test run judges by."""
         if self.from_s is None:
             return self.run
@@ -105,8 +105,8 @@ def read_runs(
 
 
 def diagnosis_runs(
-    train: Sequence[tuple[str, Run]],
-    test: Sequence[tuple[str, Run]],
+    train: Sequence[tuple[str, RecordedRun]],
+    test: Sequence[tuple[str, RecordedRun]],
     twin: TwinFile,
     told: Sequence[str] = (),
 ) -> DiagnosisRuns:
@@ -140,10 +140,10 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return [name if len(of_name[name]) == 1 else str(path) for name, path in zip(names, paths, strict=True)]
 
 
-def _refuse_twice(train: Sequence[Run], test: Sequence[Run]) -> None:
+def _refuse_twice(train: Sequence[RecordedRun], test: Sequence[RecordedRun]) -> None:
     """One recording counted twice is evidence that is not there; in training and test it judges itself,
     unless each has its own part of it."""
-    seen: dict[str, Run] = {}
+    seen: dict[str, RecordedRun] = {}
     for run in (*train, *test):
         before = seen.setdefault(data_sha256([run]), run)
         if before is run:
@@ -153,7 +153,7 @@ def _refuse_twice(train: Sequence[Run], test: Sequence[Run]) -> None:
             raise DataError(f"{run.path}: is the same recording as {before.path}")
 
 
-def _until_validation(run: Run) -> Run:
+def _until_validation(run: RecordedRun) -> RecordedRun:
     """The part that may be fitted on."""
     if (from_s := _validate_from_s(run)) is None:
         return run
@@ -164,7 +164,7 @@ def _until_validation(run: Run) -> Run:
     return replace(part, facts={key: fact for key, fact in part.facts.items() if key != FROM_S})
 
 
-def _validate_from_s(run: Run) -> float | None:
+def _validate_from_s(run: RecordedRun) -> float | None:
     text = run.facts.get(FROM_S)
     try:
         return None if text is None else float(text)
@@ -172,7 +172,7 @@ def _validate_from_s(run: Run) -> float | None:
         raise DataError(f"{run.path}: {FROM_S}: {text!r} is no number") from None
 
 
-def _check_period(run: Run, step_s: float) -> None:
+def _check_period(run: RecordedRun, step_s: float) -> None:
     """Temperatures between two rows would be interpolated: readings that are none, and lags that are none."""
     usual_s = float(np.median(np.diff(run.columns["time_s"]))) if len(run) > 1 else 0.0
     if usual_s > COARSEST * step_s:
@@ -182,7 +182,7 @@ def _check_period(run: Run, step_s: float) -> None:
         )
 
 
-def _check_columns(train: Sequence[Run], test: Sequence[Run], twin: TwinFile) -> None:
+def _check_columns(train: Sequence[RecordedRun], test: Sequence[RecordedRun], twin: TwinFile) -> None:
     for run in (*train, *test):
         if not np.isfinite(run.columns["temp_air_c"]).any():
             raise DataError(f"{run.path}: temp_air_c: nothing was measured, every cell is empty")
@@ -196,14 +196,14 @@ def _check_columns(train: Sequence[Run], test: Sequence[Run], twin: TwinFile) ->
         raise DataError(f"{without.path}: temp_ambient_c: not known, but {rooms[0].path} has it")
 
 
-def _has(run: Run, column: str) -> bool:
+def _has(run: RecordedRun, column: str) -> bool:
     if column == "utc":
         return run.start_utc is not None
     values = run.columns.get(_COLUMN.get(column, column))
     return values is not None and bool(np.isfinite(values).any())
 
 
-def _training_pieces(name: str, run: Run, step_s: float, told: list[str]) -> list[NamedRun]:
+def _training_pieces(name: str, run: RecordedRun, step_s: float, told: list[str]) -> list[NamedRun]:
     parts = pieces(run, step_s)
     names = [name if len(parts) == 1 else f"{name} ({i} of {len(parts)})" for i in range(1, len(parts) + 1)]
     found = [_at_step(of, part, step_s) for of, part in zip(names, parts, strict=True)]
@@ -222,7 +222,7 @@ def _training_pieces(name: str, run: Run, step_s: float, told: list[str]) -> lis
     return kept
 
 
-def _whole(name: str, run: Run, step_s: float, rest_of: str, told: list[str]) -> NamedRun:
+def _whole(name: str, run: RecordedRun, step_s: float, rest_of: str, told: list[str]) -> NamedRun:
     from_s = _validate_from_s(run)
     if from_s is not None and not (run.columns["time_s"] >= from_s).any():
         raise DataError(f"{run.path}: {FROM_S}: {from_s:g} leaves no row to test on")
@@ -233,7 +233,7 @@ def _whole(name: str, run: Run, step_s: float, rest_of: str, told: list[str]) ->
     return replace(piece, from_s=from_s, rest_of=rest_of)
 
 
-def _at_step(name: str, run: Run, step_s: float) -> NamedRun:
+def _at_step(name: str, run: RecordedRun, step_s: float) -> NamedRun:
     return NamedRun(name, resample(run, step_s), run.columns["time_s"])
 
 
@@ -243,11 +243,11 @@ def _tell_resampled(name: str, piece: NamedRun, told: list[str]) -> None:
         told.append(f"{name} has rows {usual_s:g} s apart and is resampled to the twin's step")
 
 
-def _measured(run: Run) -> int:
+def _measured(run: RecordedRun) -> int:
     return int(np.isfinite(run.columns["temp_air_c"]).sum())
 
 
-def _check_rows(recordings: Sequence[Run], training: Sequence[NamedRun], step_s: float) -> None:
+def _check_rows(recordings: Sequence[RecordedRun], training: Sequence[NamedRun], step_s: float) -> None:
     usable = sum(_measured(piece.run) for piece in training)
     if usable >= USABLE_ROWS:
         return

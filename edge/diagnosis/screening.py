@@ -9,7 +9,7 @@ from functools import partial
 from itertools import islice
 from typing import NamedTuple
 
-from edge.diagnosis.candidates import Candidates, Names, Scored
+from edge.diagnosis.candidates import Candidates, Names, ScoredSet
 from edge.diagnosis.fitting import fit, gains_of, glance, slopes
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.progress import Telling
@@ -26,7 +26,7 @@ SCREENED, CLOSELY = 4, 8  # iterations
 Key = tuple[Names, NoiseLevels]
 
 
-class Candidate(NamedTuple):
+class ScreenedCandidate(NamedTuple):
     """Beside a set, with the set's noise: nats over the set, and its file, None for a formula."""
 
     name: str
@@ -42,22 +42,22 @@ class Screening:
     runs: Recorded
     progress: Telling
     shared: SideBySide = field(default_factory=SideBySide)
-    _known: dict[Key, list[Candidate]] = field(default_factory=dict)
-    _formulas: dict[Key, list[Candidate]] = field(default_factory=dict)
+    _known: dict[Key, list[ScreenedCandidate]] = field(default_factory=dict)
+    _formulas: dict[Key, list[ScreenedCandidate]] = field(default_factory=dict)
     _close: set[Key] = field(default_factory=set)
 
-    def beside(self, item: Scored) -> list[Candidate]:
+    def beside(self, item: ScoredSet) -> list[ScreenedCandidate]:
         """Every candidate beside a set, the most promising first."""
         self._look([item])
         return self._known[_key(item)]
 
-    def closely_beside(self, items: Sequence[Scored]) -> list[list[Candidate]]:
+    def closely_beside(self, items: Sequence[ScoredSet]) -> list[list[ScreenedCandidate]]:
         """The same of each set, its first few names as good as they get: a start may lie far from the top."""
         self._look(items)
         self._look_closely([item for item in items if _key(item) not in self._close])
         return [self._known[_key(item)] for item in items]
 
-    def _look(self, items: Sequence[Scored]) -> None:
+    def _look(self, items: Sequence[ScoredSet]) -> None:
         new = list({_key(item): item for item in items if _key(item) not in self._known}.values())
         if not new:
             return
@@ -67,7 +67,7 @@ class Screening:
         for item, found in zip(new, self._effects(new, names), strict=True):
             self._known[_key(item)] = self._in_order([*found, *self.formulas_beside(item)])
 
-    def _look_closely(self, items: Sequence[Scored]) -> None:
+    def _look_closely(self, items: Sequence[ScoredSet]) -> None:
         stills = [self._still(item) for item in items]
         few = [
             [other for other in self._known[_key(item)] if other.file is not None][:FIRST_FEW]
@@ -79,7 +79,7 @@ class Screening:
             self._known[_key(item)] = self._in_order(of_name.values())
             self._close.add(_key(item))
 
-    def formulas_beside(self, item: Scored) -> list[Candidate]:
+    def formulas_beside(self, item: ScoredSet) -> list[ScreenedCandidate]:
         """Formulas alone, as far as there is room for one more."""
         key, formulas = _key(item), self.candidates.formulas
         if len(item.added & formulas.keys()) >= FORMULAS:
@@ -87,20 +87,25 @@ class Screening:
         if key not in self._formulas:
             terms = [term for name, term in formulas.items() if name not in item.added]
             gains = gains_of(self._still(item), terms, self.runs)
-            found = (Candidate(term.name, float(gain), None) for term, gain in zip(terms, gains, strict=True))
+            found = (
+                ScreenedCandidate(term.name, float(gain), None)
+                for term, gain in zip(terms, gains, strict=True)
+            )
             self._formulas[key] = self._in_order(found)
         return self._formulas[key]
 
-    def _in_order(self, found: Iterable[Candidate]) -> list[Candidate]:
+    def _in_order(self, found: Iterable[ScreenedCandidate]) -> list[ScreenedCandidate]:
         return sorted(found, key=lambda item: self.candidates.penalty(item.name) - item.gain)
 
-    def _still(self, item: Scored) -> Trial:
+    def _still(self, item: ScoredSet) -> Trial:
         """A trial whose own values move in proportion."""
         base = item.fitted
         terms = (*base.trial.nuisances, *slopes(base, self.runs))
         return Trial(settled(base.file), base.trial.levels, terms)
 
-    def _effects(self, items: Sequence[Scored], names: Sequence[Sequence[str]]) -> list[list[Candidate]]:
+    def _effects(
+        self, items: Sequence[ScoredSet], names: Sequence[Sequence[str]]
+    ) -> list[list[ScreenedCandidate]]:
         """Each effect beside sets that stand still; each start gets one step, the best of each name more."""
         stills = [self._still(item) for item in items]
         starts = [
@@ -113,14 +118,14 @@ class Screening:
         first = self.shared.map(partial(glance, runs=self.runs), trials)
         best = _best([(i, name) for i, name, _ in starts], first)
         few = [
-            [Candidate(name, 0.0, trial.file) for (j, name), trial in best.items() if j == i]
+            [ScreenedCandidate(name, 0.0, trial.file) for (j, name), trial in best.items() if j == i]
             for i in range(len(items))
         ]
         return self._over(stills, few, SCREENED)
 
     def _over(
-        self, stills: Sequence[Trial], few: Sequence[Sequence[Candidate]], iterations: int
-    ) -> list[list[Candidate]]:
+        self, stills: Sequence[Trial], few: Sequence[Sequence[ScreenedCandidate]], iterations: int
+    ) -> list[list[ScreenedCandidate]]:
         """Candidates fitted beside what stands still, and what they bring over it."""
         bases = fit([replace(still, free=()) for still in stills], self.runs, iterations)
         trials = [
@@ -132,14 +137,14 @@ class Screening:
         fitted = iter(self.shared.map(partial(fit, runs=self.runs, iterations=iterations), trials))
         return [
             [
-                Candidate(other.name, item.log_likelihood - base.log_likelihood, item.file)
+                ScreenedCandidate(other.name, item.log_likelihood - base.log_likelihood, item.file)
                 for other, item in zip(own, islice(fitted, len(own)), strict=True)
             ]
             for base, own in zip(bases, few, strict=True)
         ]
 
 
-def _key(item: Scored) -> Key:
+def _key(item: ScoredSet) -> Key:
     return item.added, item.fitted.trial.levels
 
 

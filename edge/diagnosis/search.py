@@ -6,13 +6,13 @@ Sets are compared by their likelihood less what their effects cost (`edge.diagno
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from edge.diagnosis.candidates import Candidates, Names, Scored
+from edge.diagnosis.candidates import Candidates, Names, ScoredSet
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.refining import AGAIN
-from edge.diagnosis.screening import FORMULAS, Candidate, Screening
+from edge.diagnosis.screening import FORMULAS, ScreenedCandidate, Screening
 from edge.diagnosis.sets import Sets, best_of
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.trial import Term
+from edge.diagnosis.trial import SizedTerm
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 
@@ -58,8 +58,8 @@ class Search:
     file: TwinFile
     runs: Recorded
     progress: Telling
-    nuisances: tuple[Term, ...] = ()
-    formulas: Mapping[str, Term] = field(default_factory=dict)
+    nuisances: tuple[SizedTerm, ...] = ()
+    formulas: Mapping[str, SizedTerm] = field(default_factory=dict)
     doors: int = 0
     rounds: list[Round] = field(default_factory=list)
     shared: SideBySide = field(default_factory=SideBySide)
@@ -76,7 +76,7 @@ class Search:
         """Of naming an effect, or of a formula [nats]."""
         return self.candidates.penalty(name)
 
-    def missing(self) -> Scored:
+    def missing(self) -> ScoredSet:
         """The set that is worth most: of names, of formulas, or of names with what formulas leave of them.
 
         Names are sought by themselves first, as a formula can stand for two of them and so end the search.
@@ -86,11 +86,11 @@ class Search:
         both = self._pruned(self._extended(named, 1))
         return max((named, both, vague), key=lambda item: item.score)
 
-    def unnamed(self) -> Scored:
+    def unnamed(self) -> ScoredSet:
         """The set of formulas alone that is worth most, the twin as it is given where none is."""
         return self._extended(self.sets.base(), FORMULAS)
 
-    def _names(self, rival: float) -> Scored:
+    def _names(self, rival: float) -> ScoredSet:
         """Names alone: grown one by one and pruned.
 
         rival : what formulas are worth; a set of several names that is worth less follows what has none
@@ -103,7 +103,7 @@ class Search:
             best = self._pruned(self._next(best))
         return best
 
-    def _next(self, best: Scored) -> Scored:
+    def _next(self, best: ScoredSet) -> ScoredSet:
         """A better set: a body taken apart or one more effect; `best` where there is none."""
         apart = self._apart(best)
         if apart is not None:
@@ -112,7 +112,7 @@ class Search:
         margin = NEXT_MARGIN if best.added else MARGIN
         return grown if grown and grown.score >= best.score + margin else best
 
-    def _extended(self, item: Scored, most: int) -> Scored:
+    def _extended(self, item: ScoredSet, most: int) -> ScoredSet:
         """A set with up to so many formulas, as far as each is worth it."""
         for _ in range(most):
             found = self.screening.formulas_beside(item)
@@ -122,7 +122,7 @@ class Search:
             item = grown
         return item
 
-    def _apart(self, best: Scored) -> Scored | None:
+    def _apart(self, best: ScoredSet) -> ScoredSet | None:
         """The set with a body that stood for two taken apart, where that explains more."""
         wanted = {}
         for name in sorted(best.added & TAKEN_APART.keys()):
@@ -136,18 +136,20 @@ class Search:
         margin = NEXT_MARGIN if found.added > best.added else 0.0
         return found if found.score > best.score + margin else None
 
-    def _grown(self, beside: Scored) -> list[Scored]:
+    def _grown(self, beside: ScoredSet) -> list[ScoredSet]:
         """A set with one more effect, those that promise most."""
         screened = self.screening.beside(beside)
         self.rounds.append(self._round(beside, screened))
         return self._looked_at(beside, self._promising([item for item in screened if item.file is not None]))
 
-    def _looked_at(self, beside: Scored, found: Sequence[Candidate]) -> list[Scored]:
+    def _looked_at(self, beside: ScoredSet, found: Sequence[ScreenedCandidate]) -> list[ScoredSet]:
         """Candidates of a screening with noise of their own."""
         wanted = {beside.added | {item.name}: self.sets.thawed(beside, item) for item in found}
         return self.sets.fitted(wanted)
 
-    def rivals(self, item: Scored, names: Sequence[str], most: int = REFINED) -> dict[str, list[Scored]]:
+    def rivals(
+        self, item: ScoredSet, names: Sequence[str], most: int = REFINED
+    ) -> dict[str, list[ScoredSet]]:
         """For each of some members the sets in which another candidate stands in its place and comes near."""
         besides = self.sets.as_they_are(item, [(name,) for name in names])
         places = []
@@ -162,8 +164,8 @@ class Search:
         return dict(zip(names, self._in_place(item, places), strict=True))
 
     def _near(
-        self, item: Scored, name: str, beside: Scored, screened: Sequence[Candidate]
-    ) -> list[Candidate]:
+        self, item: ScoredSet, name: str, beside: ScoredSet, screened: Sequence[ScreenedCandidate]
+    ) -> list[ScreenedCandidate]:
         """Candidates that may explain as much as a member, at the noise of the set."""
         own = {found.name: found.gain for found in screened}.get(name, item.likelihood - beside.likelihood)
         others = [found for found in screened if found.name not in item.added]
@@ -175,8 +177,8 @@ class Search:
         ]
 
     def _in_place(
-        self, item: Scored, places: Sequence[tuple[Scored, Sequence[Candidate]]]
-    ) -> list[list[Scored]]:
+        self, item: ScoredSet, places: Sequence[tuple[ScoredSet, Sequence[ScreenedCandidate]]]
+    ) -> list[list[ScoredSet]]:
         """What is left of a set, with candidates in the place of what is gone; noise from the set's on."""
         levels = item.fitted.trial.levels
         trials = [
@@ -190,7 +192,7 @@ class Search:
         fitted = dict(zip(every, self.sets.fitted(every, AGAIN * len(places)), strict=True))
         return [[fitted[key] for key in own] for own in trials]
 
-    def _promising(self, screened: Sequence[Candidate]) -> Sequence[Candidate]:
+    def _promising(self, screened: Sequence[ScreenedCandidate]) -> Sequence[ScreenedCandidate]:
         """The first, and those not far behind it, as long as they explain something."""
         worth = [item.gain - self.penalty(item.name) for item in screened]
         if not worth:
@@ -199,11 +201,11 @@ class Search:
         near = [item for item, own in zip(screened, worth, strict=True) if own >= least]
         return near[:REFINED] or screened[:1]
 
-    def _round(self, beside: Scored, screened: Sequence[Candidate]) -> Round:
+    def _round(self, beside: ScoredSet, screened: Sequence[ScreenedCandidate]) -> Round:
         tried = (Tried(item.name, item.gain, item.gain - self.penalty(item.name)) for item in screened)
         return Round(beside.added, tuple(tried))
 
-    def _pruned(self, item: Scored) -> Scored:
+    def _pruned(self, item: ScoredSet) -> ScoredSet:
         """The set without effects that the others make needless."""
         while len(item.added) > 1:
             least = best_of(self.sets.less(item, sorted(item.added)))

@@ -4,21 +4,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from edge.diagnosis.candidates import Candidates, Names, Scored
+from edge.diagnosis.candidates import Candidates, Names, ScoredSet
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.noise_levels import first_levels
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.refining import AGAIN, begun, likelihood, refined
-from edge.diagnosis.screening import SCREENED, Candidate
+from edge.diagnosis.screening import SCREENED, ScreenedCandidate
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.starts import with_usual
-from edge.diagnosis.trial import Fitted, Term, Trial
+from edge.diagnosis.trial import Fitted, SizedTerm, Trial
 from edge.diagnosis.unknowns import unknowns
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import TwinFile
 
 
-def best_of(sets: Sequence[Scored]) -> Scored | None:
+def best_of(sets: Sequence[ScoredSet]) -> ScoredSet | None:
     """The one that is worth most, None of none."""
     return max(sets, key=lambda item: item.score, default=None)
 
@@ -29,20 +29,20 @@ class Sets:
 
     candidates: Candidates
     progress: Telling
-    nuisances: tuple[Term, ...] = ()
+    nuisances: tuple[SizedTerm, ...] = ()
     shared: SideBySide = field(default_factory=SideBySide)
-    _known: dict[Names, Scored] = field(default_factory=dict)
+    _known: dict[Names, ScoredSet] = field(default_factory=dict)
     _shortened: set[tuple[Names, str]] = field(default_factory=set)
-    _as_they_are: dict[tuple[Scored, tuple[str, ...]], Scored] = field(default_factory=dict)
+    _as_they_are: dict[tuple[ScoredSet, tuple[str, ...]], ScoredSet] = field(default_factory=dict)
 
-    def base(self) -> Scored:
+    def base(self) -> ScoredSet:
         """The twin as it is given."""
         file, runs = self.candidates.file, self.candidates.runs
         if frozenset() not in self._known:
             self._refined({frozenset(): Trial(file, first_levels(file, runs), self.nuisances)})
         return self._known[frozenset()]
 
-    def fitted(self, wanted: Mapping[Names, Trial], again: int = AGAIN) -> list[Scored]:
+    def fitted(self, wanted: Mapping[Names, Trial], again: int = AGAIN) -> list[ScoredSet]:
         """Sets with noise levels of their own; trials are for those that are not known.
 
         again : how many of these, the best, may begin again
@@ -50,16 +50,16 @@ class Sets:
         self._refined({key: trial for key, trial in wanted.items() if key not in self._known}, again)
         return [self._known[key] for key in wanted]
 
-    def worth(self, item: Scored, names: Sequence[str]) -> dict[str, float]:
+    def worth(self, item: ScoredSet, names: Sequence[str]) -> dict[str, float]:
         """By how much a set is better with each of its effects than without [nats]."""
         less = self.less(item, names)
         return {name: item.score - found.score for name, found in zip(names, less, strict=True)}
 
-    def without(self, item: Scored, name: str) -> Scored:
+    def without(self, item: ScoredSet, name: str) -> ScoredSet:
         """The set less one effect."""
         return self.less(item, [name])[0]
 
-    def less(self, item: Scored, names: Sequence[str]) -> list[Scored]:
+    def less(self, item: ScoredSet, names: Sequence[str]) -> list[ScoredSet]:
         """The set less one effect, for each of them: fitted from here too, where it may have ended lower."""
         keys = {item.added - {name}: name for name in names}
         new = {key: name for key, name in keys.items() if (item.added, name) not in self._shortened}
@@ -67,7 +67,7 @@ class Sets:
         self._refined({key: self.shortened(item, name) for key, name in new.items()}, again=0)
         return [self._known[key] for key in keys]
 
-    def as_they_are(self, item: Scored, groups: Sequence[Sequence[str]]) -> list[Scored]:
+    def as_they_are(self, item: ScoredSet, groups: Sequence[Sequence[str]]) -> list[ScoredSet]:
         """The set less some effects, with its own noise: levels found without them might swallow them."""
         keys = [(item, tuple(names)) for names in groups]
         new = [key for key in keys if key not in self._as_they_are]
@@ -77,7 +77,7 @@ class Sets:
             self._as_they_are[item, names] = self._scored(item.added - set(names), one)
         return [self._as_they_are[key] for key in keys]
 
-    def as_usual(self, like: Scored, names: Names) -> Trial:
+    def as_usual(self, like: ScoredSet, names: Names) -> Trial:
         """A trial of a set of effects that begins at their usual values."""
         given = self.candidates.file
         file = replace(like.fitted.file, effects=dict(given.effects))
@@ -85,7 +85,7 @@ class Sets:
             file = with_usual(file, name)
         return begun(self._trial(file, like.fitted.trial), given, self.candidates.runs)
 
-    def thawed(self, beside: Scored, found: Candidate) -> Trial:
+    def thawed(self, beside: ScoredSet, found: ScreenedCandidate) -> Trial:
         """A screened candidate with all that may move."""
         file, like = beside.fitted.file, beside.fitted.trial
         if found.file is None:
@@ -94,7 +94,7 @@ class Sets:
         effects = {**file.effects, found.name: found.file.effects[found.name]}
         return self._trial(replace(file, effects=effects), like)
 
-    def shortened(self, item: Scored, *names: str) -> Trial:
+    def shortened(self, item: ScoredSet, *names: str) -> Trial:
         """A trial of a set less some effects, from where the set stands."""
         file, like = item.fitted.file, item.fitted.trial
         effects = {own: values for own, values in file.effects.items() if own not in names}
@@ -122,6 +122,6 @@ class Sets:
             if key not in self._known or scored.score > self._known[key].score:
                 self._known[key] = scored
 
-    def _scored(self, key: Names, item: Fitted) -> Scored:
+    def _scored(self, key: Names, item: Fitted) -> ScoredSet:
         nats = likelihood(item, self.candidates.file)
-        return Scored(key, item, nats, nats - sum(self.candidates.penalty(name) for name in key))
+        return ScoredSet(key, item, nats, nats - sum(self.candidates.penalty(name) for name in key))

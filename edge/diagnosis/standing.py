@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.candidates import Names, Scored
+from edge.diagnosis.candidates import Names, ScoredSet
 from edge.diagnosis.folds import folds, halves
 from edge.diagnosis.free_fit import APART_SDS, again, left_out_nats, row_nats, together
 from edge.diagnosis.handed import NO_WORSE, Comparison
@@ -28,7 +28,7 @@ AGAINST_NATS = 3.0  # by which a half may be against a name
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class NameEvidence:
     """What speaks for a name, and what against it.
 
     gain_nats : of rows that were left out, and of what the twin file declares as known
@@ -52,8 +52,8 @@ class Standing:
 
 
 def standing(
-    whole: Scored, without: Mapping[str, Scored], compared: Comparison, candidates: int
-) -> dict[str, Standing]:
+    whole: ScoredSet, without: Mapping[str, ScoredSet], compared: Comparison, candidates: int
+) -> dict[str, NameEvidence]:
     """Each name of a set. without : the set less each name; candidates : how many were tried for one place"""
     runs, step_s, shared = compared.known.runs, compared.known.file.sample_s, compared.shared
     fits = [whole.fitted, *(item.fitted for item in without.values())]
@@ -74,7 +74,7 @@ def standing(
         against += [] if is_proven(whole.added, name, compared) else _worse_half(gain, half)
         against += _apart_halves(name, two)
         less, own = (compared.tried[key].rmse_k for key in (whole.added - {name}, whole.added))
-        item = Standing(
+        item = NameEvidence(
             name,
             float(gain.sum()) + known[name],
             tempered[name],
@@ -97,7 +97,7 @@ def is_proven(names: Names, name: str, compared: Comparison) -> bool:
     return own.rmse_k < HALF * less.rmse_k and compared.is_better_throughout(own, less)
 
 
-def _known_before(whole: Scored, less: Scored, runs: Recorded) -> float:
+def _known_before(whole: ScoredSet, less: ScoredSet, runs: Recorded) -> float:
     """Nats by which values without a name are farther from what the twin file declares as known."""
     rows = float((row_nats(whole.fitted, runs) - row_nats(less.fitted, runs)).sum())
     return whole.likelihood - less.likelihood - rows

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.innovations import NoiseLevels
-from edge.diagnosis.unknowns import Unknown
-from edge.twin.ensemble import Response
+from edge.diagnosis.unknowns import UnknownValue
+from edge.twin.ensemble import EnsembleRun
 from edge.twin.linear_steps import LinearSteps
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest, spread
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Term:
+class SizedTerm:
     """Something of unknown size that acts in proportion to it: heat into the air, or an error of a reading.
 
     shape : [N, B] for a size of 1, W or K; of_reading, of_room : of the air's or the room's temperature;
@@ -32,12 +32,12 @@ class Term:
     mean: float = 0.0
     of_room: bool = False
 
-    def response(self, steps: LinearSteps) -> Response:
+    def response(self, steps: LinearSteps) -> EnsembleRun:
         """What it does to the temperature, where that goes through the twin."""
         if self.of_reading:
-            return Response(steps, None, None)
+            return EnsembleRun(steps, None, None)
         gain = steps.room if self.of_room else steps.heat
-        return Response(steps, None, gain * self.shape[..., None])
+        return EnsembleRun(steps, None, gain * self.shape[..., None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ class Trial:
 
     file: TwinFile
     levels: NoiseLevels
-    nuisances: tuple[Term, ...] = ()
-    free: tuple[Unknown, ...] | None = None
+    nuisances: tuple[SizedTerm, ...] = ()
+    free: tuple[UnknownValue, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ class Fitted:
 
     trial: Trial
     file: TwinFile
-    free: tuple[Unknown, ...]
+    free: tuple[UnknownValue, ...]
     coordinates: Floats
     log_likelihood: float
     covariance: Floats
@@ -75,11 +75,11 @@ class Fitted:
     size_sds: Floats
 
 
-def start_of(twin: Twin, runs: Recorded) -> Floats:
+def start_of(twin: BoxTwin, runs: Recorded) -> Floats:
     """Where runs begin, [B, n]: at rest with the first temperature."""
     return at_rest(twin, runs.temp[:, 0], runs.ambient[:, 0])
 
 
-def start_spread(twin: Twin, runs: Recorded) -> Floats:
+def start_spread(twin: BoxTwin, runs: Recorded) -> Floats:
     """How far (sd) it may be off, [B, n]."""
     return spread(twin, runs.temp[:, 0] - runs.ambient[:, 0])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.effects.effect import Parameter
+from edge.twin.effects.effect import EffectParameter
 from edge.twin.effects.library import applied
 from edge.twin.fit import GEOMETRY_RANGE
 from edge.twin.twin_file import Place, TwinFile
@@ -22,7 +22,7 @@ PATH_SD = 0.005  # relative, of a loss that two values in series must give, wher
 
 
 @dataclass(frozen=True, slots=True)
-class Unknown:
+class UnknownValue:
     """A number to be found: value = exp(x) where `log`, else scale * x."""
 
     place: Place
@@ -55,7 +55,7 @@ class Unknown:
         return self.coordinate(self.low), self.coordinate(self.high)
 
 
-def unknowns(file: TwinFile) -> tuple[Unknown, ...]:
+def unknowns(file: TwinFile) -> tuple[UnknownValue, ...]:
     """What `file` has to be fitted or is uncertain of, without what another effect replaces."""
     acting = set(applied(file.effects))
     return tuple(
@@ -65,31 +65,33 @@ def unknowns(file: TwinFile) -> tuple[Unknown, ...]:
     )
 
 
-def _unknown(file: TwinFile, place: Place, value: Value) -> Unknown:
+def _unknown(file: TwinFile, place: Place, value: Value) -> UnknownValue:
     if place[0] == "geometry":
         low, high = (share * value.value for share in GEOMETRY_RANGE)
         sd = GEOMETRY_PRIOR_SD if value.rel_sd is None else value.rel_sd
-        return Unknown(place, low, high, True, 1.0, float(np.log(value.value)), sd)
+        return UnknownValue(place, low, high, True, 1.0, float(np.log(value.value)), sd)
     parameter = file.usual(place)
     if parameter.low > 0.0:
         sd = LOG_PRIOR_SD if value.rel_sd is None else value.rel_sd
         usual = parameter.start if value.fit else value.value
-        return Unknown(place, parameter.low, parameter.high, True, 1.0, float(np.log(usual)), sd)
+        return UnknownValue(place, parameter.low, parameter.high, True, 1.0, float(np.log(usual)), sd)
     return _linear(place, value, parameter, file.scale.of(parameter.unit))
 
 
-def _linear(place: Place, value: Value, parameter: Parameter, factor: float) -> Unknown:
+def _linear(place: Place, value: Value, parameter: EffectParameter, factor: float) -> UnknownValue:
     # A range is never narrower than the table's: in a small box only a small part of it is usual.
     usual = (parameter.high - parameter.low) * min(1.0, factor)
     scale = TEMPERATURE_K if parameter.unit == "°C" else abs(parameter.start) or 0.1 * usual
     if value.rel_sd is None:
         sd = LINEAR_PRIOR_SHARE * usual
-        return Unknown(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
+        return UnknownValue(
+            place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale
+        )
     sd = max(abs(value.rel_sd * value.value), 1e-9)
-    return Unknown(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
+    return UnknownValue(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
 
 
-def placed(file: TwinFile, free: Sequence[Unknown], coordinates: Floats) -> TwinFile:
+def placed(file: TwinFile, free: Sequence[UnknownValue], coordinates: Floats) -> TwinFile:
     """The file with the unknowns at `coordinates`; they stay to be fitted."""
     values = file.values()
     return file.with_values(

@@ -6,12 +6,12 @@ from functools import reduce
 
 import numpy as np
 
-from edge.diagnosis.candidates import Scored
-from edge.diagnosis.formulas import PREFIX, Shape
+from edge.diagnosis.candidates import ScoredSet
+from edge.diagnosis.formulas import PREFIX, FormulaShape
 from edge.diagnosis.noise_levels import unexplained_heat
 from edge.diagnosis.search import RIVAL_NATS, Search
 from edge.diagnosis.trial import Fitted
-from edge.diagnosis.unknowns import Unknown
+from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.value import Value
 
 _95 = 1.959964
@@ -22,7 +22,7 @@ NOTHING = "none"  # that an unknown effect depends on
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
+class MissingEffect:
     """A missing effect.
 
     alternatives : effects that explain the runs as well in its place, and by how many nats more or less
@@ -48,17 +48,17 @@ class Coefficient:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
+class DiagnosisVerdict:
     """kind : of diagnosis.json; effects, most important first; final : the set that the gap is shown for"""
 
     kind: str
-    effects: tuple[Named, ...]
+    effects: tuple[MissingEffect, ...]
     depends_on: tuple[str, ...]
     formula: tuple[Coefficient, ...]
-    final: Scored
+    final: ScoredSet
 
 
-def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
+def verdict(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerdict:
     """The best set, read."""
     best = search.missing()
     if best.added and _is_refuted(best.fitted):
@@ -67,17 +67,17 @@ def verdict(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
     order = sorted(best.added, key=lambda name: -worth[name])
     formula = [name for name in order if name.startswith(PREFIX)]
     if formula and order[0] == formula[0]:
-        return Verdict(
+        return DiagnosisVerdict(
             "unknown", (), _dependences(formula, shapes), _coefficients(best, formula, shapes), best
         )
     if len(formula) < len(order):
-        return Verdict("named", read(search, best), (), _coefficients(best, formula, shapes), best)
+        return DiagnosisVerdict("named", read(search, best), (), _coefficients(best, formula, shapes), best)
     if _is_refuted(best.fitted) or unexplained_heat(best.fitted, search.file, search.runs):
-        return Verdict("unknown", (), (NOTHING,), (), best)
-    return Verdict("nothing_missing", (), (), (), best)
+        return DiagnosisVerdict("unknown", (), (NOTHING,), (), best)
+    return DiagnosisVerdict("nothing_missing", (), (), (), best)
 
 
-def read(search: Search, best: Scored) -> tuple[Named, ...]:
+def read(search: Search, best: ScoredSet) -> tuple[MissingEffect, ...]:
     """The names of a set with their rivals, the one that is worth most first."""
     worth = search.sets.worth(best, sorted(best.added))
     order = sorted(best.added, key=lambda name: -worth[name])
@@ -88,12 +88,12 @@ def read(search: Search, best: Scored) -> tuple[Named, ...]:
     return tuple(_named(rivals[name], best, alone, name, worth[name]) for name in named)
 
 
-def unnamed(search: Search, shapes: Mapping[str, Shape]) -> Verdict:
+def unnamed(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerdict:
     """What is said where no name stands: the best formulas, or none."""
     best = search.unnamed()
     formula = sorted(best.added)
     depends_on = _dependences(formula, shapes) or (NOTHING,)
-    return Verdict("unknown", (), depends_on, _coefficients(best, formula, shapes), best)
+    return DiagnosisVerdict("unknown", (), depends_on, _coefficients(best, formula, shapes), best)
 
 
 def _is_refuted(fitted: Fitted) -> bool:
@@ -107,12 +107,12 @@ def _is_refuted(fitted: Fitted) -> bool:
     return bool(pairs.sum() > REFUTED * (fitted.innovations[:, 1:] ** 2)[both].sum())
 
 
-def _dependences(formula: Sequence[str], shapes: Mapping[str, Shape]) -> tuple[str, ...]:
+def _dependences(formula: Sequence[str], shapes: Mapping[str, FormulaShape]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for key in formula for name in shapes[key].depends_on))
 
 
 def _coefficients(
-    best: Scored, formula: Sequence[str], shapes: Mapping[str, Shape]
+    best: ScoredSet, formula: Sequence[str], shapes: Mapping[str, FormulaShape]
 ) -> tuple[Coefficient, ...]:
     terms = [term.name for term in best.fitted.trial.nuisances]
     found = []
@@ -124,7 +124,9 @@ def _coefficients(
     return tuple(found)
 
 
-def _named(near: Sequence[Scored], best: Scored, alone: Scored, name: str, worth: float) -> Named:
+def _named(
+    near: Sequence[ScoredSet], best: ScoredSet, alone: ScoredSet, name: str, worth: float
+) -> MissingEffect:
     rivals = {}
     for item in near:
         (other,) = item.added - (best.added - {name})
@@ -132,7 +134,7 @@ def _named(near: Sequence[Scored], best: Scored, alone: Scored, name: str, worth
             rivals[other] = item.likelihood - best.likelihood
     values, bound = intervals(alone.fitted, name)
     ordered = dict(sorted(rivals.items(), key=lambda pair: -pair[1]))
-    return Named(name, ordered, float(worth), values, bound)
+    return MissingEffect(name, ordered, float(worth), values, bound)
 
 
 def intervals(fitted: Fitted, name: str) -> tuple[dict[str, Value], tuple[str, ...]]:
@@ -148,7 +150,7 @@ def intervals(fitted: Fitted, name: str) -> tuple[dict[str, Value], tuple[str, .
     return values, tuple(bound)
 
 
-def interval(item: Unknown, x: float, variance: float) -> Value:
+def interval(item: UnknownValue, x: float, variance: float) -> Value:
     """A value with its 95 % interval."""
     sd = float(np.sqrt(max(variance, 0.0)))
     return Value(item.value(x), low=item.value(x - _95 * sd), high=item.value(x + _95 * sd))

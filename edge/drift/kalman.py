@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.core.predictor import Columns
 from edge.twin.march import Commands
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.signals import Conditions
 from edge.twin.warm_start import at_rest, drift, spread
 
@@ -18,7 +18,7 @@ PAST_S = 1800.0  # commands so old act no more: longer than any dead time, and t
 SAME_TIME_S = 1e-3  # two times of one tick
 
 
-class State(NamedTuple):
+class DriftFilterState(NamedTuple):
     """What the twin believes at a tick."""
 
     time_s: float
@@ -37,22 +37,24 @@ class Innovation(NamedTuple):
 class Filter:
     """A Kalman filter over one twin; what never changes is computed once."""
 
-    def __init__(self, twin: Twin) -> None:
+    def __init__(self, twin: BoxTwin) -> None:
         self.twin = twin
         self._plain, self._steady = twin.signals.plain, twin.signals.steady
         self._moved = drift(twin)
         self._variance_k2 = twin.noise.sensor_k**2
         self._rows = max(2, round(PAST_S / twin.step_s))
 
-    def begin(self, history: Columns) -> State | None:
+    def begin(self, history: Columns) -> DriftFilterState | None:
         """At rest at the newest row; None where its air or room temperature is not known."""
         temp, room = float(history["temp_air_measured"][-1]), float(history["temp_ambient"][-1])
         if not (np.isfinite(temp) and np.isfinite(room)):
             return None
         now = float(history["time_s"][-1])
-        return State(now, at_rest(self.twin, temp, room), np.diag(spread(self.twin) ** 2), now)
+        return DriftFilterState(now, at_rest(self.twin, temp, room), np.diag(spread(self.twin) ** 2), now)
 
-    def step(self, state: State, history: Columns) -> tuple[State | None, Innovation | None]:
+    def step(
+        self, state: DriftFilterState, history: Columns
+    ) -> tuple[DriftFilterState | None, Innovation | None]:
         """From the row of `state` to the newest one, corrected by its measurement if there is one.
 
         history : as `Estimator.history()`
@@ -81,7 +83,7 @@ class Filter:
             mean, covariance = mean + gain * error, covariance - gain[:, None] * covariance[0]
             if first == len(times) - 2:
                 innovation = Innovation(error, float(np.sqrt(variance)))
-        return State(float(times[-1]), mean, covariance, state.begun_s), innovation
+        return DriftFilterState(float(times[-1]), mean, covariance, state.begun_s), innovation
 
     def _advance(self, mean: Floats, history: Columns, k: int) -> tuple[Floats, Floats]:
         """The state after row k's step, and what that makes of a small difference."""

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Memory:
+class DriftMemory:
     """About one twin.
 
     twin_sha256 : the twin's; what is known of one says nothing of another
@@ -38,7 +38,7 @@ class Memory:
         return math.isfinite(self.since_utc)
 
 
-def to_dict(memory: Memory) -> dict[str, Any]:
+def to_dict(memory: DriftMemory) -> dict[str, Any]:
     """JSON values; numbers that JSON has not become null."""
     values = asdict(memory)
     values["evidence"] = {
@@ -48,13 +48,13 @@ def to_dict(memory: Memory) -> dict[str, Any]:
     return values | {"since_utc": memory.since_utc if memory.disagrees else None}
 
 
-def from_dict(values: Mapping[str, Any]) -> Memory:
+def from_dict(values: Mapping[str, Any]) -> DriftMemory:
     """Errors: ValueError for anything that `to_dict` does not write."""
     try:
         since_utc, agreeing_s = values["since_utc"], float(values["agreeing_s"])
         given = values["evidence"]
         fresh = Evidence.none(0.0)
-        return Memory(
+        return DriftMemory(
             str(values["twin_sha256"]),
             Evidence(
                 _array(given["log_sum"], fresh.log_sum, -math.inf),

@@ -11,11 +11,11 @@ from edge.core.messages import Drift, DriftState, Event, Severity
 from edge.core.predictor import Columns, Floats
 from edge.drift import evidence, noise, where
 from edge.drift.evidence import CLEAR, Evidence
-from edge.drift.kalman import Filter, Innovation, State
-from edge.drift.memory import Memory
+from edge.drift.kalman import DriftFilterState, Filter, Innovation
+from edge.drift.memory import DriftMemory
 from edge.drift.regimes import CELLS, REGIMES, situation
 from edge.drift.words import in_words
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 SETTLE_S = 3600.0  # a filter that began at rest is not judged so long: walls and element are not known
 AGREE_S = 3600.0  # time in which it is judged and no evidence is left, before agreement is told
@@ -43,7 +43,9 @@ class DriftMonitor:
     memory : of the process before
     """
 
-    def __init__(self, promise: Promise, zone: tzinfo | None = None, memory: Memory | None = None) -> None:
+    def __init__(
+        self, promise: Promise, zone: tzinfo | None = None, memory: DriftMemory | None = None
+    ) -> None:
         self._promise, self._zone = promise, zone
         self._threshold = evidence.log_threshold(promise.false_alarm_days, promise.step_s)
         self._learn_ticks = max(1, round(promise.learn_h * 3600.0 / promise.step_s))
@@ -53,7 +55,7 @@ class DriftMonitor:
         self._confirmed = False
         self._let_go()
 
-    def tick(self, twin: Twin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift:
+    def tick(self, twin: BoxTwin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift:
         """How the twin does at the newest row; never raises.
 
         history : as `Estimator.history()` after `record_sent`
@@ -85,10 +87,10 @@ class DriftMonitor:
     def _let_go(self) -> None:
         """Of the filter: it begins anew."""
         self._filter: Filter | None = None
-        self._state: State | None = None
-        self._past: noise.Past | None = None
+        self._state: DriftFilterState | None = None
+        self._past: noise.InnovationPast | None = None
 
-    def _observe(self, twin: Twin | None, history: Columns, utc: float, unjudged: str) -> Drift:
+    def _observe(self, twin: BoxTwin | None, history: Columns, utc: float, unjudged: str) -> Drift:
         if twin is None:
             self._let_go()
             return self._unwatched("no twin runs")
@@ -108,14 +110,14 @@ class DriftMonitor:
             return self._told(unjudged or "no measurement")
         return self._judged(innovation, history, utc)
 
-    def _begin(self, twin: Twin, utc: float) -> None:
+    def _begin(self, twin: BoxTwin, utc: float) -> None:
         if twin.step_s != self._promise.step_s:
             raise DataError(f"the twin is for steps of {twin.step_s:g} s")
         self._let_go()
         self._filter = Filter(twin)
         sha256 = twin.sha256
         if self.memory is None or self.memory.twin_sha256 != sha256:
-            self.memory = Memory(sha256, Evidence.none(utc))
+            self.memory = DriftMemory(sha256, Evidence.none(utc))
         self._weights = [self._known(cell) for cell in range(CELLS)]
 
     def _known(self, cell: int) -> Floats:
@@ -132,7 +134,7 @@ class DriftMonitor:
             raise DataError("the twin's prediction is no number")
         past, now = self._past, situation(history, step_s)
         if past is None:
-            self._past = noise.Past(z, z)
+            self._past = noise.InnovationPast(z, z)
             return self._told("the filter begins to be judged")
         white = noise.whitened(self._weights[now.cell], z, past)
         self._past = noise.followed(past, z, step_s)

@@ -27,16 +27,16 @@ _TERMS = 4  # 1, z', m', z
 _RIDGE = 1e-6  # of regressors that never moved
 
 
-class Past(NamedTuple):
+class InnovationPast(NamedTuple):
     """What went before an innovation, [*paths]."""
 
     last: Floats  # z'
     mean: Floats  # m'
 
 
-def followed(past: Past, z: Floats, step_s: float) -> Past:
+def followed(past: InnovationPast, z: Floats, step_s: float) -> InnovationPast:
     """The past of the next innovation."""
-    return Past(z, past.mean + min(1.0, step_s / SLOW_S) * (z - past.mean))
+    return InnovationPast(z, past.mean + min(1.0, step_s / SLOW_S) * (z - past.mean))
 
 
 def nothing_learnt(paths: tuple[int, ...] = ()) -> Floats:
@@ -44,7 +44,7 @@ def nothing_learnt(paths: tuple[int, ...] = ()) -> Floats:
     return np.zeros((*paths, CELLS, _TERMS, _TERMS))
 
 
-def learnt(sums: Floats, cell: int, z: Floats, past: Past) -> Floats:
+def learnt(sums: Floats, cell: int, z: Floats, past: InnovationPast) -> Floats:
     """The sums with one more tick."""
     terms = _terms(z, past)
     more = sums.copy()
@@ -86,11 +86,11 @@ def weights(sums: Floats, cell: int) -> Floats:
     return whitening
 
 
-def whitened(known: Floats, z: Floats, past: Past) -> Floats:
+def whitened(known: Floats, z: Floats, past: InnovationPast) -> Floats:
     """The innovation in units of what is ordinary, [*paths]. known: as `weights` or `cautious`"""
     white: Floats = known[..., 0] + known[..., 1] * past.last + known[..., 2] * past.mean + known[..., 3] * z
     return white
 
 
-def _terms(z: Floats, past: Past) -> Floats:
+def _terms(z: Floats, past: InnovationPast) -> Floats:
     return np.stack([np.ones_like(z), past.last, past.mean, z], axis=-1)

@@ -14,7 +14,7 @@ DUTY_STEP = 0.2  # a change of the heater that shows
 JUST_S = 300.0  # so long after a change its transients last
 
 
-class Regime(NamedTuple):
+class DriftRegime(NamedTuple):
     """A name, stable, and words that end "the twin disagrees, mostly ..."."""
 
     name: str
@@ -22,30 +22,30 @@ class Regime(NamedTuple):
 
 
 REGIMES = (
-    Regime("all", "at all times"),  # first: what is true at all times is not blamed on a part of them
-    Regime("fan_on", "with the fan on"),
-    Regime("fan_off", "with the fan off"),
-    Regime("heater_on", "with the heater on"),
-    Regime("heater_off", "with the heater off"),
-    Regime("heater_strong", "with the heater at half or more"),
-    Regime("warm_box", f"with the box more than {WARM_K:g} K above the room"),
-    Regime("fan_started", "just after the fan went on"),
-    Regime("fan_stopped", "just after the fan went off"),
-    Regime("heater_raised", "just after the heater was turned up"),
-    Regime("heater_lowered", "just after the heater was turned down"),
+    DriftRegime("all", "at all times"),  # first: what is true at all times is not blamed on a part of them
+    DriftRegime("fan_on", "with the fan on"),
+    DriftRegime("fan_off", "with the fan off"),
+    DriftRegime("heater_on", "with the heater on"),
+    DriftRegime("heater_off", "with the heater off"),
+    DriftRegime("heater_strong", "with the heater at half or more"),
+    DriftRegime("warm_box", f"with the box more than {WARM_K:g} K above the room"),
+    DriftRegime("fan_started", "just after the fan went on"),
+    DriftRegime("fan_stopped", "just after the fan went off"),
+    DriftRegime("heater_raised", "just after the heater was turned up"),
+    DriftRegime("heater_lowered", "just after the heater was turned down"),
 )
 WORDS = {regime.name: regime.words for regime in REGIMES}
 CELLS = 4  # heater on or off, fan on or off
 
 
-class Situation(NamedTuple):
+class StepSituation(NamedTuple):
     """Of the step that ends at the newest row; known before its end was measured."""
 
     regimes: NDArray[np.bool_]  # [len(REGIMES)]
     cell: int
 
 
-def situation(history: Columns, step_s: float) -> Situation:
+def situation(history: Columns, step_s: float) -> StepSituation:
     """From at least two rows; inputs that are not known count as off."""
     rows = 1 + max(1, round(JUST_S / step_s))  # now, and those before
     duty = off_where_unknown(history["heater_duty"][-1 - rows : -1])
@@ -64,4 +64,4 @@ def situation(history: Columns, step_s: float) -> Situation:
         duty[-1] - duty.min() >= DUTY_STEP,
         duty.max() - duty[-1] >= DUTY_STEP,
     )
-    return Situation(np.array(found, dtype=np.bool_), 2 * heated + blown)
+    return StepSituation(np.array(found, dtype=np.bool_), 2 * heated + blown)

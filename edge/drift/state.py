@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.messages import DriftState, TickRecord
-from edge.drift.memory import Memory, from_dict, to_dict
+from edge.drift.memory import DriftMemory, from_dict, to_dict
 from edge.drift.monitor import DriftMonitor
 from edge.state import state_file
 from edge.state.keeping import StateKeeping
 from edge.state.state_file import StateFileBroken
 
 
-def read_memory(path: Path) -> Memory | None:
+def read_memory(path: Path) -> DriftMemory | None:
     """Of the process before; where it can't be read the test begins anew, which endangers nothing."""
     try:
         values = state_file.read(path)

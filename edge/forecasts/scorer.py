@@ -21,7 +21,7 @@ PERSISTENCE = "persistence"
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredForecast:
     """One forecast that met its measurement."""
 
     predictor: str  # "persistence" is the measurement at the start, held
@@ -50,7 +50,7 @@ class Scorer:
 
     def observe(
         self, predictors: Mapping[str, Predictor], history: Columns, inputs_known: bool
-    ) -> list[Scored]:
+    ) -> list[ScoredForecast]:
         """The forecasts of all predictors that began `longest` steps ago, scored; then begin another.
 
         predictors : by the name they are scored under
@@ -80,7 +80,9 @@ class Scorer:
         self.skipped += len(self._starts)
         self._starts.clear()
 
-    def _score(self, predictors: Mapping[str, Predictor], history: Columns, start: _Start) -> list[Scored]:
+    def _score(
+        self, predictors: Mapping[str, Predictor], history: Columns, start: _Start
+    ) -> list[ScoredForecast]:
         at = len(history["time_s"]) - 1 - self._longest
         if at < 0 or not math.isfinite(start.measured_c):
             self.skipped += 1
@@ -92,12 +94,16 @@ class Scorer:
         controls = np.column_stack([history[name][at:-1] for name in INPUTS])
         measured = {m: float(history["temp_air_measured"][at + n]) for m, n in self._steps.items()}
         seen = {m: value for m, value in measured.items() if math.isfinite(value)}
-        scored = [Scored(PERSISTENCE, "1", m, value - start.measured_c, value) for m, value in seen.items()]
+        scored = [
+            ScoredForecast(PERSISTENCE, "1", m, value - start.measured_c, value) for m, value in seen.items()
+        ]
         for name, predictor in predictors.items():
             temps = roll(predictor, past, controls, self._step_s).temps
             if temps is not None:
                 scored += [
-                    Scored(name, predictor.version, m, value - float(temps[self._steps[m] - 1]), value)
+                    ScoredForecast(
+                        name, predictor.version, m, value - float(temps[self._steps[m] - 1]), value
+                    )
                     for m, value in seen.items()
                 ]
         return scored

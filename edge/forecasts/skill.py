@@ -10,7 +10,7 @@ from edge.core.messages import ForecastSkill
 from edge.core.predictor import Predictor
 from edge.forecasts.adaptive import tracked
 from edge.forecasts.conformal import Intervals
-from edge.forecasts.scorer import PERSISTENCE, Scored
+from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
 
 WINDOW_S = 86400.0  # means are plain up to a day of scored forecasts, then older ones fade over a day
 PBM = "pbm"
@@ -18,7 +18,7 @@ RIVAL = ".rival"  # ends the name of a predictor that is scored beside the activ
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class ErrorPair:
     """Mean absolute errors of a predictor and of a reference on the same forecasts."""
 
     versions: tuple[str, str]  # predictor's and reference's: another one begins anew
@@ -46,11 +46,15 @@ class Width:
 class SkillState:
     """All that outlives the process."""
 
-    pairs: Mapping[tuple[str, int, str], Pair] = field(default_factory=dict)  # predictor, horizon, reference
+    pairs: Mapping[tuple[str, int, str], ErrorPair] = field(
+        default_factory=dict
+    )  # predictor, horizon, reference
     widths: Mapping[tuple[str, int], Width] = field(default_factory=dict)  # predictor, horizon
 
 
-def updated(state: SkillState, scored: Sequence[Scored], intervals: Intervals, step_s: float) -> SkillState:
+def updated(
+    state: SkillState, scored: Sequence[ScoredForecast], intervals: Intervals, step_s: float
+) -> SkillState:
     """The state after one tick's scored forecasts."""
     if not scored:
         return state
@@ -114,13 +118,13 @@ def _references(name: str) -> tuple[str, ...]:
     return (*known, name.removesuffix(RIVAL)) if name.endswith(RIVAL) else known
 
 
-def _compared(pair: Pair | None, one: Scored, other: Scored, step_s: float) -> Pair:
+def _compared(pair: ErrorPair | None, one: ScoredForecast, other: ScoredForecast, step_s: float) -> ErrorPair:
     versions = (one.version, other.version)
     if pair is None or pair.versions != versions:
-        pair = Pair(versions)
+        pair = ErrorPair(versions)
     count = pair.scored + 1
     share = max(1.0 / count, step_s / WINDOW_S)
-    return Pair(
+    return ErrorPair(
         versions,
         count,
         pair.mae_k + share * (abs(one.residual_k) - pair.mae_k),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from edge.forecasts.skill import Pair, SkillState, Width
+from edge.forecasts.skill import ErrorPair, SkillState, Width
 
 
 def to_dict(state: SkillState) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def from_dict(values: Mapping[str, Any]) -> SkillState:
     """Errors: ValueError for anything that `to_dict` does not write."""
     try:
         pairs = {
-            (str(name), int(horizon), str(reference)): Pair(
+            (str(name), int(horizon), str(reference)): ErrorPair(
                 (str(version), str(other)), _count(scored), _size(mae_k), _size(reference_mae_k)
             )
             for name, horizon, reference, version, other, scored, mae_k, reference_mae_k in values["pairs"]

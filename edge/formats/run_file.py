@@ -42,7 +42,7 @@ HOLE_PERIODS = 2.5  # a reading is not interpolated over a longer distance betwe
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RecordedRun:
     """Columns of equal length by their names in the file, the unit in each name; NaN is a missing reading."""
 
     columns: Mapping[str, Floats]
@@ -68,7 +68,7 @@ class Run:
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def read_run(path: str | Path, without: Collection[str] = ()) -> Run:
+def read_run(path: str | Path, without: Collection[str] = ()) -> RecordedRun:
     """Read a run file, its rows as they are (see `resample`).
 
     without : keys of OPTION_WITHOUT that the file may lack, in addition to those that its facts call ABSENT
@@ -77,34 +77,34 @@ def read_run(path: str | Path, without: Collection[str] = ()) -> Run:
     return run_of(read_table(Path(path)), without)
 
 
-def run_of(table: NumberTable, without: Collection[str] = ()) -> Run:
+def run_of(table: NumberTable, without: Collection[str] = ()) -> RecordedRun:
     """The table as a run. Errors: DataError, as `read_run`."""
     _check_names(table, without)
     for name in set(SHARES) & set(table.columns):
         _check_share(table, name)
-    run = Run(table.columns, table.facts, table.path)
+    run = RecordedRun(table.columns, table.facts, table.path)
     _ = run.start_utc  # a wrong one is refused now, not when it is needed
     return run
 
 
-def absence_facts(run: Run) -> Run:
+def absence_facts(run: RecordedRun) -> RecordedRun:
     """The run with a fact `NAME: none` for every column of OPTION_WITHOUT that it lacks."""
     absent = {name: ABSENT for name in OPTION_WITHOUT if name not in run.columns}
     return replace(run, facts={**run.facts, **absent})
 
 
-def write_run(run: Run, path: str | Path) -> None:
+def write_run(run: RecordedRun, path: str | Path) -> None:
     """Write a run file that `read_run` reads back to the same numbers. Errors: DataError, OSError."""
     write_table(Path(path), run.columns, run.facts)
 
 
-def refuse_test(run: Run) -> None:
+def refuse_test(run: RecordedRun) -> None:
     """Before anything is fitted, tuned or chosen on a run. Errors: DataError for one of role test."""
     if run.facts.get("role", "").strip().lower() == "test":
         raise DataError(f"{run.path}: role: a test run is never fitted on")
 
 
-def data_sha256(runs: Sequence[Run]) -> str:
+def data_sha256(runs: Sequence[RecordedRun]) -> str:
     """Of the numbers in their order: of every column's name and values, wherever the files lie."""
     digest = hashlib.sha256()
     for run in runs:
@@ -115,7 +115,7 @@ def data_sha256(runs: Sequence[Run]) -> str:
     return digest.hexdigest()
 
 
-def inside_names(run: Run) -> dict[str, Floats]:
+def inside_names(run: RecordedRun) -> dict[str, Floats]:
     """The run's columns by their names inside the program, with `utc` where the run says when it began."""
     keys = {signal.key: name for name, signal in SIGNALS.items()} | {"solar_w_m2": "solar"}
     columns = {keys.get(key, key): values for key, values in run.columns.items()}
@@ -123,7 +123,7 @@ def inside_names(run: Run) -> dict[str, Floats]:
     return columns if start_utc is None else {**columns, "utc": start_utc + run.columns["time_s"]}
 
 
-def cut(run: Run, begin: int, end: int) -> Run:
+def cut(run: RecordedRun, begin: int, end: int) -> RecordedRun:
     """Rows `begin` to `end` - 1, at least one, as a run of their own that begins at time 0."""
     columns = {name: values[begin:end] for name, values in run.columns.items()}
     start_s = float(columns["time_s"][0])
@@ -134,7 +134,7 @@ def cut(run: Run, begin: int, end: int) -> Run:
     return replace(run, columns=columns | {"time_s": columns["time_s"] - start_s}, facts=facts)
 
 
-def period(run: Run) -> float:
+def period(run: RecordedRun) -> float:
     """The one period of the rows [s]. Errors: DataError for a single row or irregular ones."""
     time_s = run.columns["time_s"]
     if len(time_s) < 2:
@@ -148,7 +148,7 @@ def period(run: Run) -> float:
     return step_s
 
 
-def resample(run: Run, step_s: float) -> Run:
+def resample(run: RecordedRun, step_s: float) -> RecordedRun:
     """The run at rows 0, `step_s`, 2 `step_s`, ... as far as it reaches.
 
     Inputs are the mean of what held during the new step, so that no heat is gained or lost; at the old period

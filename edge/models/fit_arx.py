@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run, refuse_test, resample
+from edge.formats.run_file import RecordedRun, refuse_test, resample
 from edge.models.arx import Arx, FanInput
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ _TOLERANCE = 1.01  # the fewest coefficients within 1 % of the least free-run er
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class OrderScore:
     """One pair of orders on the validation runs."""
 
     p: int
@@ -31,24 +31,24 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ArxFit:
     """The chosen model and how it was chosen."""
 
     model: Arx
     rows: int  # that the coefficients were fitted on
     one_step_rmse_k: float  # on those rows
     free_run_rmse_k: float  # on the validation runs
-    scores: tuple[Score, ...]
+    scores: tuple[OrderScore, ...]
 
 
 def fit_arx(
-    training: Sequence[Run],
-    validation: Sequence[Run],
+    training: Sequence[RecordedRun],
+    validation: Sequence[RecordedRun],
     step_s: float,
     orders: Sequence[tuple[int, int]] = ORDERS,
     fan_input: FanInput | None = "on",
     with_ambient: bool = True,
-) -> Fit:
+) -> ArxFit:
     """The model of the orders (p, q) that forecasts the validation runs best.
 
     step_s : period of the model; runs recorded at another one are resampled
@@ -78,14 +78,14 @@ def fit_arx(
         raise DataError(
             f"fit: too few rows without a gap: {_ROWS_PER_COEFFICIENT} are needed per coefficient"
         )
-    scores = tuple(Score(p, q, free_run_rmse(fit[0], valid)) for p, q, fit in fits)
+    scores = tuple(OrderScore(p, q, free_run_rmse(fit[0], valid)) for p, q, fit in fits)
     errors = np.array([score.rmse_k for score in scores])
     if not np.isfinite(errors).any():
         raise DataError(f"fit: no stretch of {FREE_RUN_STEPS} steps without a gap in the validation runs")
     good = [i for i, error in enumerate(errors) if error <= _TOLERANCE * np.nanmin(errors) + _ROUNDING_K]
     chosen = min(good, key=lambda i: (scores[i].p + scores[i].q, errors[i]))
     model, rows, one_step = fits[chosen][2]
-    return Fit(model, rows, one_step, float(errors[chosen]), scores)
+    return ArxFit(model, rows, one_step, float(errors[chosen]), scores)
 
 
 def free_run_rmse(model: Arx, runs: Sequence[Mapping[str, Floats]], steps: int = FREE_RUN_STEPS) -> float:
@@ -114,7 +114,9 @@ def free_run_rmse(model: Arx, runs: Sequence[Mapping[str, Floats]], steps: int =
     return float(np.sqrt(squares.mean())) if squares.size else float("nan")
 
 
-def provenance(fit: Fit, training: Sequence[Run], validation: Sequence[Run], command: str) -> dict[str, Any]:
+def provenance(
+    fit: ArxFit, training: Sequence[RecordedRun], validation: Sequence[RecordedRun], command: str
+) -> dict[str, Any]:
     """Where the model comes from, as JSON values for its file."""
     return {
         "command": command,
@@ -133,7 +135,7 @@ def _sha256(path: Path | None) -> str:
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _columns(run: Run, step_s: float, inputs: Sequence[str]) -> dict[str, Floats]:
+def _columns(run: RecordedRun, step_s: float, inputs: Sequence[str]) -> dict[str, Floats]:
     """The run at `step_s`; an input that is left out becomes 0."""
     place = str(run.path) if run.path is not None else "run"
     for key in ("time_s", "temp_air_c", *inputs):

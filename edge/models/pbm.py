@@ -7,16 +7,16 @@ import numpy as np
 from edge.core.errors import DataError
 from edge.core.predictor import Columns, Floats
 from edge.formats.input_file import Source
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import read_twin_file
-from edge.twin.warm_start import Past, state_now
+from edge.twin.warm_start import PastColumns, state_now
 
 
 @dataclass(frozen=True, slots=True)
 class Pbm:
     """A twin behind the predictors' call; with no effects it is the paper's PBM."""
 
-    twin: Twin = field(default_factory=Twin)
+    twin: BoxTwin = field(default_factory=BoxTwin)
     name: str = "pbm"
     rows_needed: int = 1  # hidden states are known better from up to 120
 
@@ -66,10 +66,10 @@ class Pbm:
             return temp[-1:]
         return state_now(self.twin, self._past(history))
 
-    def _past(self, history: Columns) -> Past:
+    def _past(self, history: Columns) -> PastColumns:
         temp = np.asarray(history["temp_air"], dtype=np.float64)
         columns = _cut(history, self._conditions, slice(None))
-        return Past(temp, history["temp_ambient"], history["heater_duty"], history["fan_on"], columns)
+        return PastColumns(temp, history["temp_ambient"], history["heater_duty"], history["fan_on"], columns)
 
 
 def _cut(columns: Columns, names: tuple[str, ...], rows: slice) -> Columns:

@@ -14,7 +14,7 @@ BATCH_ROWS = 500  # rows read, and forgotten, in one go
 REFUSED_PAUSE_S = 30.0  # a broker that refuses (access list, quota) is asked again after this long
 
 
-class Row(Protocol):
+class QueuedMessage(Protocol):
     """One message that waits."""
 
     @property
@@ -25,10 +25,10 @@ class Row(Protocol):
     def payload(self) -> str | bytes: ...
 
 
-class Outbox(Protocol):
+class MessageQueue(Protocol):
     """Rows in the order they were written; a row leaves by `acknowledge` alone."""
 
-    def pending(self, limit: int) -> Sequence[Row]: ...
+    def pending(self, limit: int) -> Sequence[QueuedMessage]: ...
     def acknowledge(self, ids: Sequence[int]) -> None: ...
     def depth(self) -> int: ...
 
@@ -40,12 +40,12 @@ class Drain:
     reconnected; so nothing here depends on the connection, and the order is kept.
     """
 
-    def __init__(self, outbox: Outbox, client: Client, clock: Callable[[], float]) -> None:
+    def __init__(self, outbox: MessageQueue, client: Client, clock: Callable[[], float]) -> None:
         self._outbox, self._client, self._clock = outbox, client, clock
         self.window = BATCH_ROWS  # most in flight at once
         self.refusal = ""  # the broker's last word against a row; "" since it took one
-        self._waiting: deque[Row] = deque()  # read, not given to the client yet
-        self._in_flight: deque[tuple[int, Row]] = deque()  # message id, row
+        self._waiting: deque[QueuedMessage] = deque()  # read, not given to the client yet
+        self._in_flight: deque[tuple[int, QueuedMessage]] = deque()  # message id, row
         self._taken: list[int] = []
         self._answers: dict[int, str] = {}  # message id -> "" or why it was refused
         self._pause_until = 0.0

@@ -24,7 +24,7 @@ from edge.formats.tick_json import event_json
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.connection import make_client
-from edge.mqtt.drain import BATCH_ROWS, Drain, Outbox
+from edge.mqtt.drain import BATCH_ROWS, Drain, MessageQueue
 from edge.mqtt.lane import Lane, end
 from edge.mqtt.topics import Topics
 
@@ -54,7 +54,9 @@ class Telemetry:
     Errors : ConfigError for a wrong file or host; a broker that is away is none
     """
 
-    def __init__(self, settings: Settings, ask: Ask, post: Post, open_outbox: Callable[[], Outbox]) -> None:
+    def __init__(
+        self, settings: Settings, ask: Ask, post: Post, open_outbox: Callable[[], MessageQueue]
+    ) -> None:
         self._settings, self._ask, self._post, self._open_outbox = settings, ask, post, open_outbox
         self._topics = Topics.of(settings.mqtt)
         self._offline = f"not connected to {settings.mqtt.host}:{settings.mqtt.port} yet"
@@ -75,7 +77,7 @@ class Telemetry:
         self._stop_heard = threading.Event()
         self._closing = False
         self._wake = threading.Event()
-        self._outbox: Outbox | None = None
+        self._outbox: MessageQueue | None = None
         self._drain: Drain | None = None
         self._receive_maximum = BATCH_ROWS
         self._client = make_client(settings.mqtt)

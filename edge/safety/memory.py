@@ -59,7 +59,7 @@ class SafetyMemory:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SafetyVerdict:
     """What may be sent, and why it differs from what was wanted."""
 
     sent: Command

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from edge.config.settings import SafetySettings
-from edge.core.messages import Quality
+from edge.core.messages import ReadingQuality
 from edge.core.names import HEATER_LEVELS, HEATER_MAX_W
 from edge.safety.memory import DAY_S, HOUR_S, SafetyMemory, SafetyView, heat_wh, water_s
 from edge.safety.thermal_supervision import HEATER_STUCK_ON
@@ -22,7 +22,7 @@ ROUNDING = 1e-9  # 0.3 is 5.999999999999999 levels of 1/20
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class RuleInput:
     """What every rule may look at."""
 
     view: SafetyView
@@ -36,7 +36,7 @@ class Forced:
     """An output takes `value` while `condition` gives a reason."""
 
     key: str
-    condition: Callable[[Situation], str]
+    condition: Callable[[RuleInput], str]
     value: float = 0.0
 
 
@@ -45,72 +45,72 @@ class Limit:
     """An output stays at or below what `largest` gives, and above it for this reason."""
 
     key: str
-    largest: Callable[[Situation], float]
+    largest: Callable[[RuleInput], float]
     reason: str
 
 
 def known(view: SafetyView, signal: str, age_max_s: float) -> float | None:
     """A measurement to rely on: good, a number, at most `age_max_s` old, not from the future."""
     reading = view.readings.get(signal)
-    if reading is None or reading.quality is not Quality.GOOD or reading.value is None:
+    if reading is None or reading.quality is not ReadingQuality.GOOD or reading.value is None:
         return None
     fresh = -CLOCK_SLACK_S <= view.now_s - reading.time_s <= age_max_s
     return reading.value if fresh and math.isfinite(reading.value) else None
 
 
-def emergency_stop(s: Situation) -> str:
+def emergency_stop(s: RuleInput) -> str:
     return "emergency stop" if s.view.emergency_stop else ""
 
 
-def maintenance(s: Situation) -> str:
+def maintenance(s: RuleInput) -> str:
     return "maintenance: hands may be in the box" if s.view.maintenance else ""
 
 
-def link_down(s: Situation) -> str:
+def link_down(s: RuleInput) -> str:
     return "" if s.view.link_up else "no link to the board"
 
 
-def tripped(s: Situation) -> str:
+def tripped(s: RuleInput) -> str:
     return f"latched: {', '.join(s.memory.trips)}" if s.memory.trips else ""
 
 
-def tripped_hot(s: Situation) -> str:
+def tripped_hot(s: RuleInput) -> str:
     return f"latched: {', '.join(s.memory.trips)}" if HOT_TRIPS.intersection(s.memory.trips) else ""
 
 
-def board_tripped(s: Situation) -> str:
+def board_tripped(s: RuleInput) -> str:
     echo = s.view.echo
     return f"the board has tripped: {echo.trip_cause}" if echo is not None and echo.tripped else ""
 
 
-def board_stopped(s: Situation) -> str:
+def board_stopped(s: RuleInput) -> str:
     echo = s.view.echo
     return f"stopped on the board: {echo.trip_cause}" if echo is not None and echo.stopped else ""
 
 
-def air_unknown(s: Situation) -> str:
+def air_unknown(s: RuleInput) -> str:
     return "no fresh good air temperature" if s.temp_air is None else ""
 
 
-def too_hot(s: Situation) -> str:
+def too_hot(s: RuleInput) -> str:
     limit = s.settings.temp_air_max_c
     if s.temp_air is None or s.temp_air < limit:
         return ""
     return f"air {s.temp_air:.1f} °C, limit {limit:g} °C"
 
 
-def relay_proof(s: Situation) -> str:
+def relay_proof(s: RuleInput) -> str:
     return "proof that the heater's relay opens" if s.memory.thermal.proof.running else ""
 
 
-def tank_low(s: Situation) -> str:
+def tank_low(s: RuleInput) -> str:
     level = known(s.view, "tank_level", s.settings.reading_age_max_s)
     if level is not None and level >= s.settings.tank_level_min:
         return ""
     return "tank level unknown" if level is None else f"tank level {level:.2f}"
 
 
-def soil_wet(s: Situation) -> str:
+def soil_wet(s: RuleInput) -> str:
     moisture = known(s.view, "soil_moisture", s.settings.reading_age_max_s)
     if moisture is not None and moisture < s.settings.soil_moisture_max:
         return ""
@@ -125,12 +125,12 @@ def relay_hold_s(memory: SafetyMemory, settings: SafetySettings, now_s: float) -
     return max(0.0, hold_s - CLOCK_SLACK_S - (now_s - memory.fan_since_s))
 
 
-def held_on(s: Situation) -> str:
+def held_on(s: RuleInput) -> str:
     held = s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
     return "relay minimum on time" if held else ""
 
 
-def held_off(s: Situation) -> str:
+def held_off(s: RuleInput) -> str:
     held = not s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
     return "relay minimum off time" if held else ""
 
@@ -147,7 +147,7 @@ def energy_duty(
     return min(1.0, max(0.0, left_wh / full_wh)) if full_wh > 0.0 else 0.0
 
 
-def ramp_duty(s: Situation) -> float:
+def ramp_duty(s: RuleInput) -> float:
     """Heater duty that the slew limit allows now."""
     last_s = s.memory.time_s
     passed_s = s.view.dt_s if last_s is None else max(0.0, s.view.now_s - last_s)

@@ -9,15 +9,15 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from edge.config.settings import SafetySettings
-from edge.core.controller import Limits
+from edge.core.controller import ControlLimits
 from edge.core.errors import RequestError
 from edge.core.messages import Change, Command, Event, Severity
 from edge.safety.memory import (
     DAY_S,
     HOUR_S,
     SafetyMemory,
+    SafetyVerdict,
     SafetyView,
-    Verdict,
     book_heat,
     memory_from_dict,
     memory_to_dict,
@@ -38,7 +38,7 @@ from edge.safety.rules import (
     VALVE_SHUT,
     Forced,
     Limit,
-    Situation,
+    RuleInput,
     energy_duty,
     known,
     relay_hold_s,
@@ -47,16 +47,16 @@ from edge.safety.thermal_supervision import (
     FAN_NO_EFFECT,
     GAP_MAX_S,
     GAP_MAX_STEPS,
-    Finding,
-    Moment,
+    Observation,
+    PartFault,
     ThermalMemory,
     look,
 )
 
 __all__ = [
     "SafetyMemory",
+    "SafetyVerdict",
     "SafetyView",
-    "Verdict",
     "clear_trip",
     "memory_from_dict",
     "memory_to_dict",
@@ -67,12 +67,14 @@ __all__ = [
 CLEAR_BELOW_K = 3.0  # a trip is cleared only when the air is this far below the trip, as on the board
 
 
-def supervise(wanted: Command, view: SafetyView, memory: SafetyMemory, settings: SafetySettings) -> Verdict:
+def supervise(
+    wanted: Command, view: SafetyView, memory: SafetyMemory, settings: SafetySettings
+) -> SafetyVerdict:
     """What may be sent of `wanted` now, why it differs, and what to remember."""
     temp_air = known(view, "temp_air", settings.reading_age_max_s)
     memory = book_heat(memory, view.now_s, view.dt_s)
     memory, events = _latch(view, memory, settings, temp_air)
-    situation = Situation(view, memory, settings, temp_air)
+    situation = RuleInput(view, memory, settings, temp_air)
     changes: list[Change] = []
     ramp = _limited("heater_duty", wanted.heater_duty, HEATER_OFF, HEATER_LIMITS, situation, changes)
     fan = _limited("fan_on", wanted.fan_on, FAN_FORCED, FAN_LIMITS, situation, changes)
@@ -84,7 +86,7 @@ def supervise(wanted: Command, view: SafetyView, memory: SafetyMemory, settings:
         led=_stepped("led", led, changes),
         valve_pulse_s=_stepped("valve_pulse", pulse, changes),
     )
-    return Verdict(
+    return SafetyVerdict(
         sent=sent,
         changes=tuple(changes),
         memory=remember(memory, sent, ramp, view),
@@ -93,12 +95,14 @@ def supervise(wanted: Command, view: SafetyView, memory: SafetyMemory, settings:
     )
 
 
-def planning_limits(memory: SafetyMemory, settings: SafetySettings, now_s: float, step_s: float) -> Limits:
+def planning_limits(
+    memory: SafetyMemory, settings: SafetySettings, now_s: float, step_s: float
+) -> ControlLimits:
     """What safety will let through in the step that begins now, for a controller that plans."""
     duty = 0.0 if memory.trips or memory.thermal.proof.running else settings.heater_max_duty
     for window_s in (HOUR_S, DAY_S):
         duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s))
-    return Limits(
+    return ControlLimits(
         heater_max_duty=duty,
         fan_hold_steps=math.ceil(relay_hold_s(memory, settings, now_s) / step_s),
         fan_min_on_steps=max(1, math.ceil(settings.fan_min_on_s / step_s)),
@@ -128,7 +132,7 @@ def _latch(
     memory, findings = _look(view, memory, temp_air)
     if temp_air is not None and not temp_air < settings.temp_trip_c:
         text = f"air {temp_air:.1f} °C, trip at {settings.temp_trip_c:g} °C"
-        findings = (Finding(OVER_TEMPERATURE, text), *findings)
+        findings = (PartFault(OVER_TEMPERATURE, text), *findings)
     new = tuple(finding for finding in findings if finding.trip not in memory.trips)
     events = tuple(
         Event(f"safety.{f.trip}", Severity.ALARM, f"{f.text}; no heat until reset", view.now_s, view.utc)
@@ -139,7 +143,7 @@ def _latch(
 
 def _look(
     view: SafetyView, memory: SafetyMemory, temp_air: float | None
-) -> tuple[SafetyMemory, tuple[Finding, ...]]:
+) -> tuple[SafetyMemory, tuple[PartFault, ...]]:
     """Thermal supervision of the time since the last decision; anew where something is not known."""
     echo, last_s = view.echo, memory.time_s
     if temp_air is None or echo is None or last_s is None or not view.link_up:
@@ -147,7 +151,7 @@ def _look(
     passed_s = view.now_s - last_s
     if not 0.0 <= passed_s <= max(GAP_MAX_S, GAP_MAX_STEPS * view.dt_s):
         return replace(memory, thermal=ThermalMemory()), ()
-    moment = Moment(
+    moment = Observation(
         dt_s=passed_s,
         temp_air=temp_air,
         temp_ambient=known(view, "temp_ambient", GAP_MAX_S),
@@ -165,7 +169,7 @@ def _limited(
     wanted: float,
     forced: Iterable[Forced],
     limits: Iterable[Limit],
-    situation: Situation,
+    situation: RuleInput,
     changes: list[Change],
 ) -> float:
     """`wanted` after the first rule that forces it, or after all that limit it."""

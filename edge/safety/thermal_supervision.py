@@ -56,7 +56,7 @@ GAP_MAX_STEPS = 2.5
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Observation:
     """What held since the last look, and what is seen now."""
 
     dt_s: float
@@ -106,14 +106,14 @@ class ThermalMemory:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class PartFault:
     """A part that does not do what it is told."""
 
     trip: str
     text: str
 
 
-def look(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, tuple[Finding, ...]]:
+def look(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, tuple[PartFault, ...]]:
     """The memory after one more step, and the faults found in it."""
     memory = _follow_inputs(memory, moment)
     findings = []
@@ -126,7 +126,7 @@ def look(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, tuple[Fi
     return replace(memory, proof=proof), tuple(findings)
 
 
-def _follow_inputs(memory: ThermalMemory, moment: Moment) -> ThermalMemory:
+def _follow_inputs(memory: ThermalMemory, moment: Observation) -> ThermalMemory:
     share = moment.dt_s / (ELEMENT_LAG_S + moment.dt_s)
     switched = moment.fan_on != memory.fan_on
     excess = 0.0 if moment.temp_ambient is None else moment.temp_air - moment.temp_ambient
@@ -140,7 +140,7 @@ def _follow_inputs(memory: ThermalMemory, moment: Moment) -> ThermalMemory:
     )
 
 
-def _heater_works(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+def _heater_works(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
     """Heater on and no rise."""
     if moment.temp_ambient is None or moment.fan_on or moment.heater_duty == 0.0:
         return replace(memory, heating=Heating()), None
@@ -161,10 +161,10 @@ def _heater_works(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory,
         f"heater on, air risen {risen:.1f} K where {EXPECTED_RISE_K:g} K was the least: "
         "dead heater, fan stuck on, or the air sensor does not feel it"
     )
-    return replace(memory, heating=Heating()), Finding(HEATER_NO_EFFECT, text)
+    return replace(memory, heating=Heating()), PartFault(HEATER_NO_EFFECT, text)
 
 
-def _heat_is_ordered(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+def _heat_is_ordered(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
     """More heat than was ordered."""
     settled = memory.off_s >= SETTLE_S and memory.fan_same_s >= SETTLE_S
     short = _continue(memory.short, moment) if settled else None
@@ -183,10 +183,10 @@ def _heat_is_ordered(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemo
     if heat_w <= 0.0:
         return memory, None
     text = f"{heat_w:.0f} W or more come in that nobody ordered: heater relay stuck on (or a fan without air)"
-    return memory, Finding(HEATER_STUCK_ON, text)
+    return memory, PartFault(HEATER_STUCK_ON, text)
 
 
-def _continue(balance: Balance | None, moment: Moment) -> Balance:
+def _continue(balance: Balance | None, moment: Observation) -> Balance:
     if balance is None:
         return Balance(moment.temp_air, moment.temp_air)
     lowest = min(balance.lowest_c, moment.temp_air)
@@ -211,7 +211,7 @@ def unordered_w(balance: Balance, temp_air: float) -> float:
     return (stored_j + lost_j - balance.ordered_j) / balance.seconds
 
 
-def _fan_works(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+def _fan_works(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
     """Fan on and no cooling while warm."""
     if moment.temp_ambient is None or not moment.fan_on or memory.fan_same_s < COOLING_S:
         return memory, None
@@ -222,14 +222,14 @@ def _fan_works(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Fi
     text = (
         f"fan on for {memory.fan_same_s:.0f} s, air still {excess:.1f} K above the room: fan stuck or blocked"
     )
-    return memory, Finding(FAN_NO_EFFECT, text)
+    return memory, PartFault(FAN_NO_EFFECT, text)
 
 
-def _sensors_agree(memory: ThermalMemory, moment: Moment) -> tuple[ThermalMemory, Finding | None]:
+def _sensors_agree(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
     """Air colder than the room: nothing in the box cools."""
     cold = moment.temp_ambient is not None and moment.temp_air < moment.temp_ambient - COLD_K
     memory = replace(memory, cold_s=memory.cold_s + moment.dt_s if cold else 0.0)
     if memory.cold_s < COLD_S:
         return memory, None
     text = f"air {moment.temp_air:.1f} °C, colder than the room for {COLD_S / 60:.0f} min: a sensor is off"
-    return memory, Finding(SENSOR_OFFSET, text)
+    return memory, PartFault(SENSOR_OFFSET, text)

@@ -43,7 +43,7 @@ class LastSign:
 
 
 @dataclass(frozen=True, slots=True)
-class Gap:
+class NumberGap:
     """Numbers that were given to ticks, or may have been, and are not in the file."""
 
     first_seq: int
@@ -106,7 +106,9 @@ class Archive:
         """Look for damage in the next slice of the file. Returns whether slices are left."""
         return self._check.step()
 
-    def append(self, records: Sequence[TickRecord], gaps: Sequence[Gap], next_seq: int, utc: float) -> None:
+    def append(
+        self, records: Sequence[TickRecord], gaps: Sequence[NumberGap], next_seq: int, utc: float
+    ) -> None:
         """Write a batch, all or nothing; with the first one the session begins, at tick `next_seq`."""
         connection = self.opened()
         self._look()

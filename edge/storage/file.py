@@ -12,7 +12,7 @@ WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
 CACHE_KB = 1024
 
 
-class Fault(Enum):
+class FileFault(Enum):
     """What an sqlite3 error calls for."""
 
     WAIT = "wait"  # locked, full, read-only, no such directory: try again later
@@ -27,17 +27,17 @@ class Unusable(sqlite3.DatabaseError):
 _REPLACE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT)
 
 
-def fault_of(error: Exception) -> Fault:
+def fault_of(error: Exception) -> FileFault:
     """What to do about `error`. Anything that is not SQLite's word about its file is the record's fault."""
     if isinstance(error, Unusable):
-        return Fault.REPLACE
+        return FileFault.REPLACE
     code = getattr(error, "sqlite_errorcode", None)
     if code is not None and code & 0xFF in _REPLACE:  # the low byte is the primary code
-        return Fault.REPLACE
+        return FileFault.REPLACE
     # A table that is not there: the file has lost its schema.
     if isinstance(error, sqlite3.OperationalError) and "no such" in str(error):
-        return Fault.REPLACE
-    return Fault.WAIT if isinstance(error, (sqlite3.OperationalError, OSError)) else Fault.RECORD
+        return FileFault.REPLACE
+    return FileFault.WAIT if isinstance(error, (sqlite3.OperationalError, OSError)) else FileFault.RECORD
 
 
 def connect(path: Path, busy_s: float) -> sqlite3.Connection:

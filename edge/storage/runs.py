@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.core.messages import Event, Quality, Severity
+from edge.core.messages import Event, ReadingQuality, Severity
 from edge.core.plain_text import plain
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.storage.file import connect
 from edge.storage.schema_version import SCHEMA_VERSION, USABLE_VERSION
 from edge.storage.ticks_as_run import TICK_INPUTS, run_of_ticks, ticks_between
@@ -30,7 +30,7 @@ def export_run(
     last_seq: int | None = None,
     since_utc: float | None = None,
     until_utc: float | None = None,
-) -> Run:
+) -> RecordedRun:
     """A stretch of the history at `path` as a run: a named one, or what lies within all the bounds given.
 
     Readings that were not good are missing. Inputs are what the board confirmed; what it did not confirm
@@ -72,7 +72,7 @@ def name_run(
         _insert_run(connection, path, name, role, first_seq, last_seq, facts)
 
 
-def import_run(path: str | Path, run: Run, name: str) -> tuple[int, int]:
+def import_run(path: str | Path, run: RecordedRun, name: str) -> tuple[int, int]:
     """Put a run into the history, a new one if there is none, beside whatever a daemon writes meanwhile.
 
     Its ticks get negative numbers, which no daemon gives and no subscriber is sent. Returns the first and the
@@ -189,8 +189,8 @@ def _text(stored: bytes) -> str:
     return stored.decode(errors="replace")
 
 
-def _quality(value: float | None) -> Quality:
-    return Quality.ABSENT if value is None else Quality.GOOD
+def _quality(value: float | None) -> ReadingQuality:
+    return ReadingQuality.ABSENT if value is None else ReadingQuality.GOOD
 
 
 def _or_none(value: float) -> float | None:

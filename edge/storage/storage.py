@@ -10,8 +10,8 @@ from typing import Protocol
 
 from edge.core.clock import Clock
 from edge.core.messages import Event, Severity, TickRecord
-from edge.storage.archive import Archive, Gap, Session
-from edge.storage.file import Fault, fault_of, set_aside
+from edge.storage.archive import Archive, NumberGap, Session
+from edge.storage.file import FileFault, fault_of, set_aside
 from edge.storage.numbers import NumbersFile, Reserved
 from edge.storage.tick_queue import TickQueue
 
@@ -22,7 +22,7 @@ RETRY_MAX_S = 30.0
 CLOSE_S = 5.0  # a history that can't be written may hold up the end of the daemon this long
 
 
-class HistorySettings(Protocol):
+class HistoryOptions(Protocol):
     """What is needed of edge.config.settings.HistorySettings."""
 
     @property
@@ -38,7 +38,7 @@ class HistorySettings(Protocol):
 class Storage:
     """Writes ticks in a thread of its own, and tells its faults instead of raising them."""
 
-    def __init__(self, settings: HistorySettings, clock: Clock, session: Session | None = None) -> None:
+    def __init__(self, settings: HistoryOptions, clock: Clock, session: Session | None = None) -> None:
         self._settings = settings
         self._clock = clock
         self._session = session or Session()
@@ -53,7 +53,7 @@ class Storage:
         self._before: Reserved | None = None  # what the session before reserved
         self._reserved: Reserved | None = None  # None until its first successful write
         self._has_accounted = False  # for the numbers between the last one in the file and `_next_seq`
-        self._gaps: list[Gap] = []  # to be written with the next batch
+        self._gaps: list[NumberGap] = []  # to be written with the next batch
         self._events: deque[Event] = deque()
         self._behind = ""  # why nothing can be written now
         self._replaced: deque[str] = deque()  # how each broken file ended
@@ -173,7 +173,7 @@ class Storage:
         try:
             self._archive.open()
         except Exception as error:
-            if fault_of(error) is not Fault.REPLACE or not self._replace(error):
+            if fault_of(error) is not FileFault.REPLACE or not self._replace(error):
                 raise
             self._archive.open()
 
@@ -222,9 +222,9 @@ class Storage:
                 return True
             except Exception as error:
                 fault = fault_of(error)
-                if fault is Fault.RECORD:
+                if fault is FileFault.RECORD:
                     raise
-                if fault is Fault.REPLACE and self._replace(error):
+                if fault is FileFault.REPLACE and self._replace(error):
                     continue
                 self._behind = str(error)
             if self._queue.wait_closed(pause_s) and self._given_up.wait(RETRY_FIRST_S):
@@ -272,7 +272,7 @@ class Storage:
         try:
             action()
         except Exception as error:
-            if fault_of(error) is Fault.REPLACE:
+            if fault_of(error) is FileFault.REPLACE:
                 self._replace(error)
 
     def _migrate(self) -> None:
@@ -328,7 +328,7 @@ class Storage:
         text = f"{archive.path.name}: {error}; {where}; {ticks}"
         self._replaced.append(text)
         if last:
-            self._gaps.append(Gap(first, last, text))
+            self._gaps.append(NumberGap(first, last, text))
         return True
 
     def _note_left_out(self, last_seq: int) -> None:
@@ -340,12 +340,12 @@ class Storage:
             )
         else:
             key, reason = "history.unclean_stop", "the session before did not end cleanly"
-        self._gaps.append(Gap(last_seq + 1, self._next_seq - 1, reason))
+        self._gaps.append(NumberGap(last_seq + 1, self._next_seq - 1, reason))
         text = f"{reason}: tick {last_seq} is the last one written; the numbers go on at {self._next_seq}"
         self._tell(key, Severity.WARNING, text)
 
     def _note_lost(self, first: int, last: int, reason: str) -> None:
-        self._gaps.append(Gap(first, last, reason))
+        self._gaps.append(NumberGap(first, last, reason))
         self.lost_ticks += last - first + 1
         self._tell(
             "history.ticks_lost", Severity.ALARM, f"ticks {first} to {last} are not in the history: {reason}"

@@ -5,14 +5,14 @@ from itertools import groupby
 from pathlib import Path
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.storage.runs import reading
 from edge.storage.ticks_as_run import Tick, run_of_ticks, ticks_between
 
 
 def export_stretches(
     path: str | Path, since_utc: float | None = None, until_utc: float | None = None
-) -> list[Run]:
+) -> list[RecordedRun]:
     """What this rig recorded between two times, in its order; imported runs are left out.
 
     From session to session only the wall clock could tell how much time passed, so none crosses one. Ticks

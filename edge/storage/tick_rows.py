@@ -15,8 +15,8 @@ from edge.core.messages import (
     Estimate,
     Event,
     Forecast,
-    Quality,
     Reading,
+    ReadingQuality,
     Severity,
     TickRecord,
 )
@@ -106,7 +106,7 @@ def _read(connection: sqlite3.Connection, numbers: list[int]) -> dict[int, TickR
     readings: defaultdict[int, dict[str, Reading]] = defaultdict(dict)
     for seq, key, value, quality in rows("seq, signal, value, quality", "readings"):
         readings[seq][_SIGNAL_OF_KEY[key]] = Reading(
-            _SIGNAL_OF_KEY[key], None if value is None else float(value), NAN, Quality(quality)
+            _SIGNAL_OF_KEY[key], None if value is None else float(value), NAN, ReadingQuality(quality)
         )
     changes: defaultdict[int, list[Change]] = defaultdict(list)
     for seq, _, rule, actuator, wanted, sent, reason in rows("*", "changes"):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 
 TICK_INPUTS = ("heater_duty", "fan_on", "led")  # columns of a run that the history keeps in `ticks`
 NAN = float("nan")
@@ -43,7 +43,7 @@ def ticks_between(
 
 def run_of_ticks(
     connection: sqlite3.Connection, path: str | Path, ticks: list[Tick], facts: Mapping[str, str]
-) -> Run:
+) -> RecordedRun:
     """Ticks that follow each other as a run; `facts` go before what the history knows. Errors: DataError"""
     seqs = [tick[0] for tick in ticks]
     columns = {"time_s": _times(path, ticks), **_readings(connection, seqs), **_inputs(ticks)}
@@ -54,7 +54,7 @@ def run_of_ticks(
         key: values for key, values in columns.items() if key == "temp_air_c" or not np.isnan(values).all()
     }
     ordered = sorted(known, key=lambda key: (first.index(key) if key in first else len(first), key))
-    return Run({key: known[key] for key in ordered}, facts, Path(path))
+    return RecordedRun({key: known[key] for key in ordered}, facts, Path(path))
 
 
 def _times(path: str | Path, ticks: list[Tick]) -> Floats:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from edge.core.controller import Columns, Context, Limits, Penalty
+from edge.core.controller import Columns, Context, ControlLimits, Penalty
 from edge.core.messages import Command, Estimate
 from edge.tick.orders import Operation
 from edge.tick.reference import Reference
@@ -12,7 +12,7 @@ REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TickTime:
     """When a tick is, by every clock that counts [s]."""
 
     now_s: float
@@ -23,13 +23,13 @@ class Moment:
 
 
 def context_of(
-    moment: Moment,
+    moment: TickTime,
     operation: Operation,
     configured: Reference,
     history: Columns,
     estimate: Estimate,
     last_sent: Command,
-    limits: Limits,
+    limits: ControlLimits,
 ) -> Context:
     """The context of this tick. limits : what safety will let through"""
     steering = operation.steering_at(moment.utc)

@@ -13,7 +13,7 @@ SLICE_S = 0.1  # the longest that an emergency stop waits for a controller that 
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ThreadAnswer:
     """What came of one question: a decision, or why there is none."""
 
     decision: Decision | None
@@ -28,7 +28,7 @@ class DecisionThread:
         self._meanwhile = meanwhile
         self._start()
 
-    def ask(self, controller: Controller, context: Context, deadline_s: float) -> Answer:
+    def ask(self, controller: Controller, context: Context, deadline_s: float) -> ThreadAnswer:
         """The controller's decision if it comes within `deadline_s` of wall time."""
         begun = time.perf_counter()
         questions, answers = self._questions, self._answers
@@ -41,10 +41,10 @@ class DecisionThread:
             except queue.Empty:
                 self._meanwhile()
                 continue
-            return Answer(decision, failure, 1e3 * (time.perf_counter() - begun))
+            return ThreadAnswer(decision, failure, 1e3 * (time.perf_counter() - begun))
         questions.put(None)  # ends the old thread if its controller ever comes back
         self._start()
-        return Answer(None, "late", 1e3 * (time.perf_counter() - begun))
+        return ThreadAnswer(None, "late", 1e3 * (time.perf_counter() - begun))
 
     def close(self) -> None:
         """End the thread; one that hangs is a daemon thread and dies with the process."""

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from edge.config.settings import EstimatorSettings
-from edge.core.messages import Command, Estimate, Quality, Reading
+from edge.core.messages import Command, Estimate, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.core.predictor import Columns, Floats, Predictor
 
@@ -195,6 +195,6 @@ def _lags(model: Predictor) -> int:
 
 def _good(readings: Mapping[str, Reading], name: str, otherwise: float) -> float:
     reading = readings.get(name)
-    if reading is None or reading.quality is not Quality.GOOD or reading.value is None:
+    if reading is None or reading.quality is not ReadingQuality.GOOD or reading.value is None:
         return otherwise
     return reading.value if math.isfinite(reading.value) else otherwise

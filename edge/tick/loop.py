@@ -16,19 +16,29 @@ from edge.core.controller import Context
 from edge.core.errors import RequestError
 from edge.core.event_log import EventLog
 from edge.core.hard_limits import LEASE_S
-from edge.core.messages import Change, Command, Echo, Estimate, Event, Quality, Reading, Severity, TickRecord
+from edge.core.messages import (
+    Change,
+    Command,
+    Echo,
+    Estimate,
+    Event,
+    Reading,
+    ReadingQuality,
+    Severity,
+    TickRecord,
+)
 from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
 from edge.safety.supervisor import (
     SafetyMemory,
+    SafetyVerdict,
     SafetyView,
-    Verdict,
     clear_trip,
     memory_to_dict,
     planning_limits,
     supervise,
 )
 from edge.tick.conditions import Conditions
-from edge.tick.context import Moment, context_of
+from edge.tick.context import TickTime, context_of
 from edge.tick.decider import Decider
 from edge.tick.inbox import ORDINARY, Letter, Reply, Request
 from edge.tick.light import led_level
@@ -167,7 +177,7 @@ class Loop:
     def _context(self, estimate: Estimate, now: float, utc: float) -> Context:
         rig = self._rig
         limits = planning_limits(self._memory, rig.settings.safety, now, self._step_s)
-        moment = Moment(now, utc, now - self._start_s, seconds_of_day(utc, rig.zone), self._step_s)
+        moment = TickTime(now, utc, now - self._start_s, seconds_of_day(utc, rig.zone), self._step_s)
         history = rig.estimator.history()
         return context_of(moment, self._operation, rig.reference, history, estimate, self._sent, limits)
 
@@ -218,7 +228,7 @@ class Loop:
 
     def _supervise(
         self, wanted: Command, readings: Mapping[str, Reading], estimate: Estimate, now: float, utc: float
-    ) -> Verdict:
+    ) -> SafetyVerdict:
         rig = self._rig
         view = SafetyView(
             readings=readings,
@@ -237,7 +247,7 @@ class Loop:
         self._memory = verdict.memory
         return verdict
 
-    def _drive(self, verdict: Verdict) -> Echo | None:
+    def _drive(self, verdict: SafetyVerdict) -> Echo | None:
         """Send what safety allows; what the board confirms is what counts from here on."""
         board = self._rig.board
         board.drive(verdict.sent, verdict.open_cutoff, self._step_s + LEASE_S)
@@ -256,10 +266,10 @@ class Loop:
         utc: float,
     ) -> None:
         air = readings.get("temp_air")
-        quality = Quality.ABSENT if air is None else air.quality
+        quality = ReadingQuality.ABSENT if air is None else air.quality
         link_up = self._rig.board.link_up
         note = self._conditions.set
-        note("reading.not_good", quality is not Quality.GOOD, now, utc, quality.value)
+        note("reading.not_good", quality is not ReadingQuality.GOOD, now, utc, quality.value)
         note("board.link_down", not link_up, now, utc)
         note("board.no_echo", link_up and echo is None, now, utc)
         note("tick.late", late_s > LATE_SHARE * self._step_s, now, utc, f"{late_s:.2f} s")
@@ -269,7 +279,7 @@ class Loop:
         for key in SINK_FAULTS:
             note(key, key in faults, now, utc, faults.get(key, ""))
 
-    def _take_events(self, verdict: Verdict) -> tuple[Event, ...]:
+    def _take_events(self, verdict: SafetyVerdict) -> tuple[Event, ...]:
         rig = self._rig
         return (
             *self._events.take(),
@@ -448,7 +458,7 @@ class Loop:
 
     def _temp_air(self) -> float | None:
         reading = self.last_record.readings.get("temp_air") if self.last_record else None
-        return reading.value if reading is not None and reading.quality is Quality.GOOD else None
+        return reading.value if reading is not None and reading.quality is ReadingQuality.GOOD else None
 
     def _shut_down(self) -> None:
         self._rig.board.drive(Command(), False, LEASE_S)

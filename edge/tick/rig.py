@@ -27,7 +27,7 @@ from edge.tick.inbox import Inbox
 from edge.tick.orders import Operation
 from edge.tick.reference import Reference
 from edge.tick.sensor_health import SensorHealth
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
 
@@ -64,7 +64,7 @@ class Models(Protocol):
     """What a loop asks of its models, twice a tick."""
 
     @property
-    def twin(self) -> Twin | None: ...
+    def twin(self) -> BoxTwin | None: ...
     def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str: ...
     def forecast(
         self, history: Columns, decision: Decision, driven: Command, confirmed: bool
@@ -74,7 +74,7 @@ class Models(Protocol):
 class NoForecasts:
     """The models of a loop that never exchanges them: a replay."""
 
-    twin: Twin | None = None
+    twin: BoxTwin | None = None
 
     def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
         """Nothing to exchange."""
@@ -88,7 +88,9 @@ class NoForecasts:
 class DriftWatch(Protocol):
     """Compare the running twin with the measurements, once a tick; never raises."""
 
-    def tick(self, twin: Twin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift: ...
+    def tick(
+        self, twin: BoxTwin | None, history: Columns, confirmed: bool, hands_in: bool = False
+    ) -> Drift: ...
     def take_events(self) -> list[Event]: ...
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from edge.config.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
-from edge.core.messages import Command, Quality, Reading
+from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 
 AVERAGE_S = 5.0
@@ -72,7 +72,7 @@ def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSetti
         return track
     quiet: list[Reading] = []  # good samples that follow each other without a jump, not yet in the track
     for sample in samples:
-        if sample_quality(sample) is not Quality.GOOD:
+        if sample_quality(sample) is not ReadingQuality.GOOD:
             continue
         before = quiet[-1] if quiet else (track.accepted[-1] if track.accepted else None)
         if before is None or not _jumps(before, sample, settings):
@@ -82,14 +82,14 @@ def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSetti
     return replace(_accept(track, quiet), newest=samples[-1])
 
 
-def sample_quality(sample: Reading) -> Quality:
+def sample_quality(sample: Reading) -> ReadingQuality:
     """Quality of one sample by itself: the board's word, then number, then the datasheet's range."""
-    if sample.quality is not Quality.GOOD:
+    if sample.quality is not ReadingQuality.GOOD:
         return sample.quality
     if sample.value is None or not math.isfinite(sample.value):
-        return Quality.FAULT
+        return ReadingQuality.FAULT
     signal = SIGNALS[sample.signal]
-    return Quality.GOOD if signal.low <= sample.value <= signal.high else Quality.RANGE
+    return ReadingQuality.GOOD if signal.low <= sample.value <= signal.high else ReadingQuality.RANGE
 
 
 def _suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
@@ -146,14 +146,14 @@ def assess(
     """The reading of `name` at `now`."""
     newest, limit_s = track.newest, STALE_PERIODS * settings.sample_period_s
     if newest is None:
-        return Reading(name, None, -math.inf, Quality.STALE)
+        return Reading(name, None, -math.inf, ReadingQuality.STALE)
     if not track.accepted or not now - track.accepted[-1].time_s <= limit_s:
         return _not_good(track, newest, now, limit_s, calibration)
     value = trimmed_mean([s.value for s in track.accepted if s.value is not None])
     jumps = sum(1 for t in track.jumps_s if track.accepted[-1].time_s - t < AVERAGE_S)
-    quality = Quality.SPIKE if track.stepped or jumps > len(track.accepted) else Quality.GOOD
+    quality = ReadingQuality.SPIKE if track.stepped or jumps > len(track.accepted) else ReadingQuality.GOOD
     if name == "temp_air" and _is_stuck(track, now, settings):
-        quality = Quality.STUCK
+        quality = ReadingQuality.STUCK
     return Reading(name, calibration.gain * value + calibration.offset, track.accepted[-1].time_s, quality)
 
 
@@ -161,10 +161,10 @@ def _not_good(
     track: Track, newest: Reading, now: float, limit_s: float, calibration: SensorCalibration
 ) -> Reading:
     quality = sample_quality(newest)
-    if quality is Quality.GOOD:
-        quality = Quality.SPIKE  # good by itself but not accepted
-    if quality is not Quality.ABSENT and not now - newest.time_s <= limit_s:
-        quality = Quality.STALE
+    if quality is ReadingQuality.GOOD:
+        quality = ReadingQuality.SPIKE  # good by itself but not accepted
+    if quality is not ReadingQuality.ABSENT and not now - newest.time_s <= limit_s:
+        quality = ReadingQuality.STALE
     number = newest.value is not None and math.isfinite(newest.value)
     value = (
         calibration.gain * newest.value + calibration.offset if number and newest.value is not None else None

@@ -15,7 +15,7 @@ from edge.tick.orders import Operation
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class StandingState:
     """What outlives the process."""
 
     operation: Operation
@@ -23,21 +23,21 @@ class Standing:
     broken: str = ""  # why the state file could not be understood
 
 
-def read_standing(path: Path, settings: Settings) -> Standing:
+def read_standing(path: Path, settings: Settings) -> StandingState:
     """Standing orders and latched trips; an unreadable file means emergency stop, not a fresh start."""
     fresh = Operation(controller=settings.control.controller)
     try:
         values = state_file.read(path)
         if values is None:
-            return Standing(fresh, SafetyMemory())
+            return StandingState(fresh, SafetyMemory())
         operation = orders.from_dict(values["operation"])
         if operation.controller not in CONTROLLERS:
             raise StateFileBroken(f"{path}: unknown controller {operation.controller!r}")
-        return Standing(operation, memory_from_dict(values["safety"]))
+        return StandingState(operation, memory_from_dict(values["safety"]))
     except Exception as error:  # whatever it is: a rig that does not know its orders stands still
         stopped = Operation(controller=settings.control.controller, emergency_stop=True)
         reason = str(error) if isinstance(error, StateFileBroken) else f"{path}: {error!r}"
-        return Standing(stopped, SafetyMemory(), reason)
+        return StandingState(stopped, SafetyMemory(), reason)
 
 
 @dataclass(slots=True)

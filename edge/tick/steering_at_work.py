@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge.core.controller import Limits, Penalty
+from edge.core.controller import ControlLimits, Penalty
 from edge.core.messages import Command
 from edge.core.names import HEATER_LEVELS
 from edge.tick.reference import Reference
@@ -29,8 +29,8 @@ def in_force(by_hand_c: float | None, steering: Steering | None, configured: Ref
 
 
 def limited(
-    limits: Limits, steering: Steering, since_midnight_s: float, step_s: float, fan_on: bool
-) -> Limits:
+    limits: ControlLimits, steering: Steering, since_midnight_s: float, step_s: float, fan_on: bool
+) -> ControlLimits:
     """The limits for a controller that plans: it sees a rest of the fan as a relay that has to hold."""
     duty = limits.heater_max_duty
     if steering.heater_max_duty is not None:

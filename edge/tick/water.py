@@ -3,7 +3,7 @@
 import math
 
 from edge.config.settings import WateringSettings
-from edge.core.messages import Quality, Reading
+from edge.core.messages import Reading, ReadingQuality
 
 DAY_S = 86400.0
 
@@ -18,7 +18,12 @@ class Watering:
     def pulse(self, soil: Reading | None, now: float) -> float:
         """Length of the pulse to give now, 0 for none [s]. A soil sensor that is not good gives no water."""
         settings = self._settings
-        if not settings.enabled or soil is None or soil.quality is not Quality.GOOD or soil.value is None:
+        if (
+            not settings.enabled
+            or soil is None
+            or soil.quality is not ReadingQuality.GOOD
+            or soil.value is None
+        ):
             return 0.0
         recent = [(time_s, length_s) for time_s, length_s in self._pulses if now - time_s < DAY_S]
         last_s = max((time_s for time_s, _ in recent), default=-math.inf)

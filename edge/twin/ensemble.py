@@ -11,7 +11,7 @@ from edge.twin.linear_steps import LinearSteps
 Floats = NDArray[np.float64]
 
 
-class Response(NamedTuple):
+class EnsembleRun(NamedTuple):
     """What is to be run: steps, from a start [B, n] (None: 0), driven [N, B, n] (None: by nothing)."""
 
     steps: LinearSteps
@@ -19,7 +19,7 @@ class Response(NamedTuple):
     driven: Floats | None
 
 
-def responses(wanted: Sequence[Response]) -> Floats:
+def responses(wanted: Sequence[EnsembleRun]) -> Floats:
     """What the sensor shows after each row, [len(wanted), B, N]."""
     rows, runs = wanted[0].steps.index.shape
     size = max(len(item.steps.states) for item in wanted)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import applied
 from edge.twin.output_error import FreeRun, free_run, rmse
 from edge.twin.recorded import Recorded, recorded
@@ -25,7 +25,7 @@ _95 = 1.959964  # standard deviations of a normal distribution, both sides
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class FittedValue:
     """A fitted value with its 95 % interval, cut at the bounds."""
 
     value: float
@@ -36,7 +36,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class TwinFit:
     """A fitted twin and how well it fits.
 
     file : the twin file with the fitted values and their intervals
@@ -45,8 +45,8 @@ class Fit:
     """
 
     file: TwinFile
-    estimates: dict[Place, Estimate]
-    ambient_c: Estimate | None
+    estimates: dict[Place, FittedValue]
+    ambient_c: FittedValue | None
     rmse_k: float
     rows: int
 
@@ -70,7 +70,7 @@ class _Unknown:
 _AMBIENT: Place = ("temp_ambient_c",)
 
 
-def fit_twin(file: TwinFile, runs: Sequence[Run]) -> Fit:
+def fit_twin(file: TwinFile, runs: Sequence[RecordedRun]) -> TwinFit:
     """Find what `file` says is to be fitted, and correct what it says is uncertain, on all runs together.
 
     Each run begins with hidden states of its own, found with the rest. Where no run has a room temperature,
@@ -93,7 +93,7 @@ def fit_twin(file: TwinFile, runs: Sequence[Run]) -> Fit:
         start, noise_k = solution.x, max(noise_k, rmse(problem.free_run(solution.x)))
     found = problem.free_run(start)
     estimates = _estimates(problem, start, solution.jac, found)
-    return Fit(
+    return TwinFit(
         file.with_values(
             {
                 place: Value(item.value, low=item.low, high=item.high)
@@ -176,7 +176,7 @@ def _range(file: TwinFile, place: Place, start: float) -> tuple[float, float]:
     return parameter.low, parameter.high
 
 
-def _estimates(problem: _Problem, scaled: Floats, jacobian: Floats, run: FreeRun) -> dict[Place, Estimate]:
+def _estimates(problem: _Problem, scaled: Floats, jacobian: Floats, run: FreeRun) -> dict[Place, FittedValue]:
     rows = run.residual.size
     scores = (jacobian[:rows] * (run.residual.ravel() / problem.noise_k)[:, None]).reshape(
         *run.residual.shape, -1
@@ -197,11 +197,11 @@ def _estimates(problem: _Problem, scaled: Floats, jacobian: Floats, run: FreeRun
     }
 
 
-def _estimate(item: _Unknown, value: float, sd: float) -> Estimate:
+def _estimate(item: _Unknown, value: float, sd: float) -> FittedValue:
     low, high = max(value - _95 * sd, item.low), min(value + _95 * sd, item.high)
     margin = 1e-6 * (item.high - item.low)
     at_bound = not item.low + margin < value < item.high - margin
-    return Estimate(float(value), float(sd), float(low), float(high), bool(at_bound))
+    return FittedValue(float(value), float(sd), float(low), float(high), bool(at_bound))
 
 
 def _long_run(scores: Floats, lags: int) -> Floats:

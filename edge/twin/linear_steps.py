@@ -5,9 +5,9 @@ every twin is x+ = A x + d with a matrix and a drive of its own for each row. Wh
 unknown heat does to the temperature is then linear, exactly, and many twins can be run at once
 (`edge.twin.ensemble`).
 
-Error against `Twin.rollout`: rounding for linear effects; for bent ones of second order in the distance from
-what was measured: 0.01 K where noise is 0.3 K, 0.06 K where it is 1 K, 0.03 K in a hole of two rows and 0.3 K
-in one of ten while the heater is switched (tests/edge/twin/test_linear_steps.py).
+Error against `BoxTwin.rollout`: rounding for linear effects; for bent ones of second order in the distance
+from what was measured: 0.01 K where noise is 0.3 K, 0.06 K where it is 1 K, 0.03 K in a hole of two rows and
+0.3 K in one of ten while the heater is switched (tests/edge/twin/test_linear_steps.py).
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from edge.core.errors import DataError
 from edge.twin.distinct import distinct
 from edge.twin.fan_speeds import exponentials
 from edge.twin.march import cuts, late, spun_up
-from edge.twin.model import DAY_S, Twin
+from edge.twin.model import DAY_S, BoxTwin
 from edge.twin.network import AIR
 from edge.twin.recorded import Recorded
 from edge.twin.signals import Conditions, columns_of
@@ -59,7 +59,7 @@ class _Bend(NamedTuple):
     level_w: Floats
 
 
-class _Acting(NamedTuple):
+class _PartInputs(NamedTuple):
     """What acts in each of J parts of every row.
 
     lengths : [J] [s]; fan, duty, heat_w : [N, J, B]; door, day, slope : [N, B]
@@ -74,7 +74,7 @@ class _Acting(NamedTuple):
     slope: Floats
 
 
-def linear_steps(twin: Twin, runs: Recorded) -> LinearSteps:
+def linear_steps(twin: BoxTwin, runs: Recorded) -> LinearSteps:
     """The rows of `runs` by `twin`. Errors: DataError naming a column that is missing, or `day0_utc`."""
     acting = _acting(twin, runs)
     places, index = _distinct(acting)
@@ -103,7 +103,7 @@ def _driven(drives: Floats, index: Indices, steady: Floats, acting: Floats) -> F
     return driven
 
 
-def _acting(twin: Twin, runs: Recorded) -> _Acting:
+def _acting(twin: BoxTwin, runs: Recorded) -> _PartInputs:
     signals, shape = twin.signals, runs.fan.T.shape
     room, columns = runs.ambient.T, _columns(twin, runs)
     lengths = cuts(signals, twin.step_s, twin.step_s)
@@ -118,10 +118,10 @@ def _acting(twin: Twin, runs: Recorded) -> _Acting:
     for j in range(len(lengths)):
         seen = {**columns, "fan_on": speeds[:, j]}
         heat_w[:, j] = bend.level_w + signals.heat_w(np.zeros(shape), room, seen, by_temp=False)
-    return _Acting(lengths, speeds, duties, heat_w, door, day, bend.slope_w_k)
+    return _PartInputs(lengths, speeds, duties, heat_w, door, day, bend.slope_w_k)
 
 
-def _columns(twin: Twin, runs: Recorded) -> dict[str, Floats]:
+def _columns(twin: BoxTwin, runs: Recorded) -> dict[str, Floats]:
     """Columns that the twin's heat depends on, [N, B] each, with `day` where walls age."""
     columns = {name: column.T for name, column in columns_of(twin.needs, runs.conditions).items()}
     columns["heater_duty"] = runs.duty.T
@@ -133,7 +133,7 @@ def _columns(twin: Twin, runs: Recorded) -> dict[str, Floats]:
     return columns
 
 
-def _bend(twin: Twin, runs: Recorded, columns: Conditions) -> _Bend:
+def _bend(twin: BoxTwin, runs: Recorded, columns: Conditions) -> _Bend:
     """The tangent where the air was measured: in the middle of each row, held over holes."""
     shape = runs.fan.T.shape
     if not twin.signals.bends:
@@ -158,7 +158,7 @@ def _levelled(slopes: Floats) -> Floats:
     return low + step * np.round((slopes - low) / step)
 
 
-def _distinct(acting: _Acting) -> tuple[Indices, Indices]:
+def _distinct(acting: _PartInputs) -> tuple[Indices, Indices]:
     """Places, flat, where each kind of row occurs, and which kind each row is [N, B]."""
     modes = (*acting.fan.swapaxes(0, 1), acting.door, acting.day, acting.slope)
     varying = [mode for mode in modes if not (mode == mode.flat[0]).all()]
@@ -174,7 +174,7 @@ def _combinations(content: bytes, count: int) -> tuple[Indices, Indices]:
     return distinct(np.frombuffer(content).reshape(-1, count))
 
 
-def _whole_steps(twin: Twin, acting: _Acting, places: Indices) -> tuple[Floats, Floats]:
+def _whole_steps(twin: BoxTwin, acting: _PartInputs, places: Indices) -> tuple[Floats, Floats]:
     """Of each kind of row the matrix [S, n, n], and what each part's inputs do by its end [J, S, n, 3]."""
     system, count = twin.system, len(twin.states)
     door, day, slope = (

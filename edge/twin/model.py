@@ -25,7 +25,7 @@ Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class StateNoise:
     """What the twin's state is found by; it does not enter a prediction from a known state.
 
     sensor_k : sd of one measured temperature [K]
@@ -37,7 +37,7 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Twin:
+class BoxTwin:
     """Physics of the box at one step length; immutable, so what depends on the fan alone is computed once.
 
     effects : parameters by effect, as in `edge.twin.effects.library.EFFECTS`
@@ -49,7 +49,7 @@ class Twin:
     geometry: Geometry = field(default_factory=Geometry)
     effects: Effects = field(default_factory=dict)
     step_s: float = 60.0
-    noise: Noise = field(default_factory=Noise)
+    noise: StateNoise = field(default_factory=StateNoise)
     day0_utc: float | None = None
     system: LinearSystem = field(init=False)
     signals: Signals = field(init=False)

@@ -27,7 +27,7 @@ WALL_REL_SD = 0.3  # of a loss by area and material: edges, seams and floors are
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class BoxDescription:
     """What a person knows of it. wall : material and thickness [m]; None where not known"""
 
     volume_m3: float
@@ -39,7 +39,7 @@ class Box:
     sample_s: float = 60.0
 
 
-def check(box: Box) -> None:
+def check(box: BoxDescription) -> None:
     """Refuse numbers that look like another unit. Errors: RequestError"""
     low, high = VOLUME_M3
     if box.volume_m3 > high:
@@ -64,7 +64,7 @@ def check(box: Box) -> None:
         raise RequestError("--wall and --wall-area go together")
 
 
-def loss_w_k(box: Box) -> float | None:
+def loss_w_k(box: BoxDescription) -> float | None:
     """Through the walls by area, thickness and material, ISO 6946: UA = A / (0.26 + d / lambda)."""
     if box.wall is None or box.wall_area_m2 is None:
         return None
@@ -72,7 +72,7 @@ def loss_w_k(box: Box) -> float | None:
     return box.wall_area_m2 / (FILM_M2_K_W + thickness_m / CONDUCTIVITY_W_M_K[material])
 
 
-def text(box: Box) -> str:
+def text(box: BoxDescription) -> str:
     """The file, with a comment on each line."""
     usual = Geometry()
     flow = usual.fan_max_m3_s if box.fan_m3_h is None else box.fan_m3_h / 3600.0
@@ -96,7 +96,7 @@ nuisance: {{heater_power_run_sd: null, heat_noise_sd_w: null}}
 """
 
 
-def _fan(box: Box) -> str:
+def _fan(box: BoxDescription) -> str:
     """An exhaust fan never moves what its plate says: that is against no resistance."""
     if box.fan_role != "exhaust":
         return ""
@@ -104,12 +104,12 @@ def _fan(box: Box) -> str:
     return f"  fan_effectiveness:\n    {share}\n"
 
 
-def _wall(box: Box) -> str:
+def _wall(box: BoxDescription) -> str:
     assert box.wall is not None
     return f"{box.wall_area_m2:g} m2 of {box.wall[0]}, {1000.0 * box.wall[1]:g} mm"
 
 
-def _flow(box: Box) -> str:
+def _flow(box: BoxDescription) -> str:
     if box.fan_role != "exhaust":
         return "plays no part"
     return f"{box.fan_m3_h:g} m3/h when it runs free"

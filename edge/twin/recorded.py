@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run, refuse_test, resample
+from edge.formats.run_file import RecordedRun, refuse_test, resample
 from edge.twin.signals import Conditions
 from edge.twin.warm_start import held
 
@@ -49,7 +49,7 @@ class Recorded:
         return known if self.left_out is None else known & ~self.left_out
 
 
-def recorded(runs: Sequence[Run], step_s: float) -> Recorded:
+def recorded(runs: Sequence[RecordedRun], step_s: float) -> Recorded:
     """The runs that a model may be fitted on, at `step_s`.
 
     A run ends where its fact `validate_from_s` says that validation begins; a fan column that is absent is a
@@ -78,7 +78,7 @@ def recorded(runs: Sequence[Run], step_s: float) -> Recorded:
     )
 
 
-def _part(run: Run, step_s: float) -> Recorded:
+def _part(run: RecordedRun, step_s: float) -> Recorded:
     refuse_test(run)
     columns = resample(run, step_s).columns
     rows = len(columns["time_s"])
@@ -101,7 +101,7 @@ def _part(run: Run, step_s: float) -> Recorded:
     )
 
 
-def _conditions(run: Run, columns: Conditions) -> Conditions:
+def _conditions(run: RecordedRun, columns: Conditions) -> Conditions:
     """The run's columns that effects may need, by their names inside, with the time where it is known."""
     found = {name: columns[key] for key, name in CONDITIONS.items() if key in columns}
     if run.start_utc is not None:
@@ -109,7 +109,7 @@ def _conditions(run: Run, columns: Conditions) -> Conditions:
     return found
 
 
-def _seconds(run: Run) -> float:
+def _seconds(run: RecordedRun) -> float:
     try:
         return float(run.facts["validate_from_s"])
     except ValueError:

@@ -4,14 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 Floats = NDArray[np.float64]
 SCIPY_RTOL, SCIPY_ATOL = 1e-3, 1e-6  # scipy's defaults, which the paper's text leaves as they are
 
 
 def rk45_rollout(
-    twin: Twin,
+    twin: BoxTwin,
     start: Floats,
     duty: Floats,
     fan: Floats,

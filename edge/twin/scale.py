@@ -8,7 +8,7 @@ paper's box suits any, once it is multiplied by these two.
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from edge.twin.effects.effect import Parameter
+from edge.twin.effects.effect import EffectParameter
 
 USUAL_HEATER_W, USUAL_STEP_S, USUAL_ANSWER_S = 100.0, 60.0, 150.0  # of the paper's box
 SLOWER = 10.0  # or quicker, than its steps tell
@@ -30,7 +30,7 @@ class Scale:
         heat, time = POWERS.get(unit, (0, 0))
         return float(self.heat**heat * self.time**time)
 
-    def usual(self, parameter: Parameter) -> Parameter:
+    def usual(self, parameter: EffectParameter) -> EffectParameter:
         """With its start where it usually is in such a box, and a range that is only ever wider."""
         factor = self.of(parameter.unit)
         low = parameter.low * (min(1.0, factor) if parameter.low > 0.0 else max(1.0, factor))
@@ -39,7 +39,7 @@ class Scale:
         )
 
     @lru_cache(maxsize=512)  # noqa: B019 - looked up for each twin that a fit makes, of few scales
-    def possible(self, parameter: Parameter) -> Parameter:
+    def possible(self, parameter: EffectParameter) -> EffectParameter:
         """With the widest range that a box of such a heater, recorded in such steps, may have."""
         slow, quick = replace(self, time=self.time * SLOWER), replace(self, time=self.time / SLOWER)
         return replace(parameter, low=quick.usual(parameter).low, high=slow.usual(parameter).high)

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Conditions = Mapping[str, Floats]  # columns beside the room: light, rel_humidity, utc, door_open
 
 
-class Now(NamedTuple):
+class HeatConditions(NamedTuple):
     """What heat can depend on, arrays of one shape. Temperatures are the true ones, not those shown."""
 
     temp: Floats  # air [°C]
@@ -23,7 +23,7 @@ class Now(NamedTuple):
     )
 
 
-HeatNow = Callable[[Now], Floats]
+HeatNow = Callable[[HeatConditions], Floats]
 
 
 class Heat(NamedTuple):
@@ -84,7 +84,7 @@ class Signals:
         self, shown: Floats, measured_room: Floats, columns: Conditions, by_temp: bool
     ) -> Floats | float:
         """Heat into the air [W]; of the heats that depend on its temperature, or of those that do not."""
-        now = Now(shown - self.sensor_bias_k, measured_room - self.ambient_error_k, columns)
+        now = HeatConditions(shown - self.sensor_bias_k, measured_room - self.ambient_error_k, columns)
         return sum((heat.watts(now) for heat in self.heats if heat.by_temp is by_temp), start=0.0)
 
 

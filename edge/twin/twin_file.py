@@ -13,10 +13,10 @@ from edge.core.plain_text import shown
 from edge.formats.checked import nearest
 from edge.formats.input_file import YAML, Source, read_text
 from edge.formats.strict_yaml import parse_yaml
-from edge.twin.effects.effect import Parameter
+from edge.twin.effects.effect import EffectParameter
 from edge.twin.effects.library import EFFECTS, check_names
 from edge.twin.geometry import Geometry
-from edge.twin.model import Noise, Twin
+from edge.twin.model import BoxTwin, StateNoise
 from edge.twin.scale import Scale, scale_of
 from edge.twin.value import Value, number, read_value
 
@@ -51,17 +51,17 @@ class TwinFile:
     fan_role: str = FAN_ROLES[0]
     answer_s: float | None = None
 
-    def twin(self) -> Twin:
+    def twin(self) -> BoxTwin:
         """The twin, with its start for a value that is to be fitted. Errors: DataError naming the key."""
-        usual = Noise()
+        usual = StateNoise()
         geometry = {name: value.value for name, value in self.geometry.items()}
         if self.fan_role != FAN_ROLES[0]:
             geometry["fan_max_m3_s"] *= NO_FLOW
-        return Twin(
+        return BoxTwin(
             Geometry(**geometry),
             {effect: {name: v.value for name, v in own.items()} for effect, own in self.effects.items()},
             self.sample_s,
-            Noise(
+            StateNoise(
                 usual.sensor_k if (sd := self.sensor.get("noise_sd_k")) is None else sd,
                 usual.heat_w if (sd := self.nuisance.get("heat_noise_sd_w")) is None else sd,
             ),
@@ -73,7 +73,7 @@ class TwinFile:
         """Of the box, beside the paper's."""
         return scale_of(self.geometry["heater_max_w"].value, self.sample_s, self.answer_s)
 
-    def usual(self, place: Place) -> Parameter:
+    def usual(self, place: Place) -> EffectParameter:
         """An effect's parameter with the start and the range that suit this box."""
         return self.scale.usual(EFFECTS[place[1]].parameter(place[2]))
 

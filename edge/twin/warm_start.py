@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from edge.core.errors import DataError
 from edge.twin.march import Commands
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
 from edge.twin.signals import Conditions
 
@@ -18,7 +18,7 @@ NODE_SHARE = 0.3  # the same, of how far the air is from the room
 HEATER_SPREAD = 0.3  # of the same for the heater's heat, share of its power
 
 
-class Past(NamedTuple):
+class PastColumns(NamedTuple):
     """Columns of M rows, oldest first; the last row is now, its inputs are not read. NaN: not known.
 
     conditions : further columns that the twin needs
@@ -36,7 +36,7 @@ class Past(NamedTuple):
         return Commands(np.nan_to_num(self.duty[:-1]), np.nan_to_num(self.fan[:-1]))
 
 
-def at_rest(twin: Twin, temp: ArrayLike, ambient: ArrayLike) -> Floats:
+def at_rest(twin: BoxTwin, temp: ArrayLike, ambient: ArrayLike) -> Floats:
     """The state that would stay, fan off, with the heat that holds `temp` [°C].
 
     temp, ambient : scalars, or [B]. Returns : [n], or [B, n]
@@ -55,7 +55,7 @@ def at_rest(twin: Twin, temp: ArrayLike, ambient: ArrayLike) -> Floats:
     return np.concatenate([temps[..., None], hidden[..., : size - 1]], axis=-1)
 
 
-def spread(twin: Twin, excess_k: ArrayLike = 0.0) -> Floats:
+def spread(twin: BoxTwin, excess_k: ArrayLike = 0.0) -> Floats:
     """How far (sd) the state may be from rest, the air as its sensor tells.
 
     excess_k : of the air over the room, scalar or [B]. Returns : [n], or [B, n]
@@ -66,12 +66,12 @@ def spread(twin: Twin, excess_k: ArrayLike = 0.0) -> Floats:
     return np.stack([np.full_like(node_k, twin.noise.sensor_k), *hidden], axis=-1)
 
 
-def drift(twin: Twin) -> Floats:
+def drift(twin: BoxTwin) -> Floats:
     """What unknown heat does over a step with the fan off and on, sd [2, n]; its parts go together."""
     return twin.off_on.drive[:, :, 2] * twin.noise.heat_w / twin.system.air_capacity_j_k
 
 
-def state_now(twin: Twin, past: Past) -> Floats:
+def state_now(twin: BoxTwin, past: PastColumns) -> Floats:
     """The state [n] at the last row: a Kalman filter from rest; the air as last measured, if it was.
 
     Errors : DataError when no air temperature is known, or no room temperature that the hidden states need
@@ -105,7 +105,9 @@ def state_now(twin: Twin, past: Past) -> Floats:
     return state
 
 
-def _advances(twin: Twin, past: Past, ambient: Floats) -> Callable[[int, Floats], tuple[Floats, Floats]]:
+def _advances(
+    twin: BoxTwin, past: PastColumns, ambient: Floats
+) -> Callable[[int, Floats], tuple[Floats, Floats]]:
     """What makes step k: the state after it, and what it makes of a small difference."""
     duty, fan = past.commands
     if twin.signals.plain:

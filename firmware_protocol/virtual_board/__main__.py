@@ -15,9 +15,9 @@ from firmware_protocol.virtual_board.claim import PathInUse, claim
 from firmware_protocol.virtual_board.device import Boot, Core, Device
 from firmware_protocol.virtual_board.faults import FaultError, read_script
 from firmware_protocol.virtual_board.plant import Plant
-from firmware_protocol.virtual_board.port import Port
+from firmware_protocol.virtual_board.port import PseudoTerminal
 from firmware_protocol.virtual_board.server import Server
-from firmware_protocol.virtual_board.store import Store, StoreError
+from firmware_protocol.virtual_board.store import Eeprom, StoreError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,7 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for path in (options.link, options.control):
                 stack.enter_context(claim(path))
             device = _device(options)
-            server = Server(device, Port(options.link), options.control, options.seed, options.real_time)
+            server = Server(
+                device, PseudoTerminal(options.link), options.control, options.seed, options.real_time
+            )
             stack.callback(server.close)
             server.run()
     except (FaultError, PathInUse, StoreError, ValueError, OSError, RuntimeError) as error:
@@ -61,7 +63,7 @@ def _device(options: argparse.Namespace) -> Device:
     plant = Plant(Chamber(*load(options.chamber), options.seed), parts)
     config = BoardConfig(capabilities=parts, fan_safe_on=options.fan_safe_on)
     faults = [] if options.faults is None else read_script(options.faults, options.seed)
-    return Device(_boot(options.core, config), plant, Store(options.state), faults)
+    return Device(_boot(options.core, config), plant, Eeprom(options.state), faults)
 
 
 def _parts(options: argparse.Namespace, option: str) -> Capability:

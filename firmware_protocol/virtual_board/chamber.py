@@ -10,7 +10,7 @@ import math
 from firmware_protocol.virtual_board.actuators import DeadTime, Fan, HeaterSupply
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
 from firmware_protocol.virtual_board.effects import Effects
-from firmware_protocol.virtual_board.events import Door
+from firmware_protocol.virtual_board.events import DoorSchedule
 from firmware_protocol.virtual_board.humidity import (
     Moisture,
     relax,
@@ -54,7 +54,7 @@ class Chamber:
         self._heater_pin = DeadTime(effects.heater_deadtime * parameters.heater.deadtime_s)
         self._fan = Fan(parameters, effects)
         self._fan_pin = DeadTime(effects.fan_deadtime * parameters.fan.deadtime_s)
-        self._door = Door(parameters, effects, seed)
+        self._door = DoorSchedule(parameters, effects, seed)
         self._heat_noise = Wander(seed, 40, parameters.events.heat_noise_tau_s)
         self._loads = Loads(room_c=room_c)
         self.co2_ppm = self._weather.co2_ppm

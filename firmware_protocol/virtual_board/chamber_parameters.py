@@ -14,7 +14,7 @@ DEFAULT_FILE = Path(__file__).with_name("chamber.yaml")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class EnclosureParameters:
     width_m: float
     depth_m: float
     height_m: float
@@ -81,7 +81,7 @@ class Heater:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fan:
+class FanParameters:
     flow_m3_s: float
     effectiveness: float
     short_circuit: float
@@ -104,7 +104,7 @@ class Soil:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plant:
+class PlantParameters:
     capacity_j_k: float
     leaf_m2: float
     dark_share: float
@@ -160,7 +160,7 @@ class Mains:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Events:
+class EventParameters:
     door_w_k: float
     door_interval_s: float
     door_shortest_s: float
@@ -171,7 +171,7 @@ class Events:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sensors:
+class SensorParameters:
     air_lag_s: float
     air_bias_k: float
     air_noise_k: float
@@ -196,19 +196,19 @@ class Sensors:
 class ChamberParameters:
     """All sections of chamber.yaml."""
 
-    box: Box
+    box: EnclosureParameters
     air: Air
     cover: Cover
     heater: Heater
-    fan: Fan
+    fan: FanParameters
     soil: Soil
-    plant: Plant
+    plant: PlantParameters
     led: Led
     tank: Tank
     room: Room
     mains: Mains
-    events: Events
-    sensors: Sensors
+    events: EventParameters
+    sensors: SensorParameters
 
 
 # Bounds by name: these may be negative, these are shares of 1, these divide; the rest is 0 or more.

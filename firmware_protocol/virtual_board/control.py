@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-Handler = Callable[[Mapping[str, Any], "Client"], Mapping[str, Any]]
+Handler = Callable[[Mapping[str, Any], "ControlClient"], Mapping[str, Any]]
 
 _LONGEST_LINE = 65536
 
 
-class RequestError(Exception):
+class ControlRequestError(Exception):
     """A request that can't be carried out; its text goes back as {"error": text}."""
 
 
-class Client:
+class ControlClient:
     """One connection and the bytes of a line not yet whole."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -39,13 +39,13 @@ class Client:
             return
 
 
-class ControlSocket:
+class BoardControlSocket:
     """Listens on a Unix socket that only its owner can use, and serves those that connect."""
 
     def __init__(self, path: Path, handler: Handler) -> None:
         self._path = path
         self._handler = handler
-        self._clients: dict[socket.socket, Client] = {}
+        self._clients: dict[socket.socket, ControlClient] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(path))
         path.chmod(0o600)
@@ -60,7 +60,7 @@ class ControlSocket:
         """Do what a readable socket asks for."""
         if ready is self._listener:
             connection, _ = self._listener.accept()
-            self._clients[connection] = Client(connection)
+            self._clients[connection] = ControlClient(connection)
             return
         client = self._clients[ready]
         lines = client.lines()
@@ -71,7 +71,7 @@ class ControlSocket:
         for line in lines:
             client.answer(self._reply(line, client))
 
-    def _reply(self, line: bytes, client: Client) -> Mapping[str, Any]:
+    def _reply(self, line: bytes, client: ControlClient) -> Mapping[str, Any]:
         try:
             request = json.loads(line)
         except ValueError as error:
@@ -80,7 +80,7 @@ class ControlSocket:
             return {"error": "a request is a JSON object"}
         try:
             return self._handler(request, client)
-        except RequestError as error:
+        except ControlRequestError as error:
             return {"error": str(error)}
 
     def close(self) -> None:

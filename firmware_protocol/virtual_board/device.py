@@ -6,12 +6,12 @@ from typing import Protocol
 from firmware_protocol.messages import ResetCause
 from firmware_protocol.virtual_board.board_clock import BoardClock
 from firmware_protocol.virtual_board.core import Pins
-from firmware_protocol.virtual_board.faults import Fault, Schedule
-from firmware_protocol.virtual_board.line import Line
+from firmware_protocol.virtual_board.faults import BoardFault, Schedule
+from firmware_protocol.virtual_board.line import FaultyLine
 from firmware_protocol.virtual_board.other_protocol import OtherProtocol
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.sensor_faults import Sample, SensorFaults
-from firmware_protocol.virtual_board.store import Store
+from firmware_protocol.virtual_board.store import Eeprom
 
 STEP_MS = 100  # firmware runs at least this often
 TURNAROUND_MS = 5  # a request of 30 bytes takes 3 ms at 115200 baud, then the firmware answers
@@ -34,12 +34,12 @@ Boot = Callable[[bytes, ResetCause, int], Core]  # persistent bytes, cause, boot
 class Device:
     """Moves in steps from one simulated millisecond to a later one; bytes go in and out between steps."""
 
-    def __init__(self, boot: Boot, plant: Plant, store: Store, faults: list[Fault]) -> None:
+    def __init__(self, boot: Boot, plant: Plant, store: Eeprom, faults: list[BoardFault]) -> None:
         self.now_ms = 0
         self.boots: list[tuple[float, ResetCause]] = []
         self.plant = plant
-        self.to_board = Line("to_board")
-        self.to_host = Line("to_host")
+        self.to_board = FaultyLine("to_board")
+        self.to_host = FaultyLine("to_host")
         self.schedule = Schedule([])
         self._boot, self._store = boot, store
         self._sensors = SensorFaults()
@@ -76,7 +76,7 @@ class Device:
         """Bytes that have arrived at the host by now."""
         return self.to_host.arrive(self.now_ms)
 
-    def inject(self, fault: Fault) -> None:
+    def inject(self, fault: BoardFault) -> None:
         """One more fault; it begins now or later."""
         self.schedule.add(fault)
         if fault.start_ms <= self.now_ms:
@@ -187,7 +187,7 @@ class Device:
         elif self._translator is None or self._translator.version != version:
             self._translator = OtherProtocol(version)
 
-    def _begin(self, fault: Fault) -> None:
+    def _begin(self, fault: BoardFault) -> None:
         match fault.name:
             case "garbage":
                 self.to_board.garbage(fault, self.now_ms)
@@ -200,7 +200,7 @@ class Device:
                 count, period_s = int(fault.number("count")), fault.number("period_s")
                 self._plan_resets(ResetCause.BROWN_OUT, fault, count, period_s)
 
-    def _plan_resets(self, cause: ResetCause, fault: Fault, count: int, period_s: float) -> None:
+    def _plan_resets(self, cause: ResetCause, fault: BoardFault, count: int, period_s: float) -> None:
         boot_time_ms = round(fault.number("boot_time_s") * 1000)
         times = [fault.start_ms + round(number * period_s * 1000) for number in range(count)]
         self._resets_due += [(time, cause, boot_time_ms) for time in times]

@@ -7,7 +7,7 @@ from firmware_protocol.virtual_board.effects import Effects
 from firmware_protocol.virtual_board.noise import uniform
 
 
-class Door:
+class DoorSchedule:
     """Openings at random times, of random length."""
 
     def __init__(self, parameters: ChamberParameters, effects: Effects, seed: int) -> None:

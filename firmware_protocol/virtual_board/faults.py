@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from firmware_protocol.virtual_board.fault_table import KINDS, Choice, Kind, Number, Value
+from firmware_protocol.virtual_board.fault_table import KINDS, Choice, FaultKind, Number, Value
 
 LATEST_S = 1e9  # of a start or a finite duration
 
@@ -19,7 +19,7 @@ class FaultError(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fault:
+class BoardFault:
     """One fault, all parameters filled in; `random` is its own, so others do not shift its dice."""
 
     name: str
@@ -37,7 +37,7 @@ class Fault:
         return self.parameters.get("direction") in ("both", direction)
 
 
-def read_script(path: Path, seed: int) -> list[Fault]:
+def read_script(path: Path, seed: int) -> list[BoardFault]:
     """The faults of a YAML list. Errors: FaultError with file and number of the fault."""
     try:
         script = yaml.safe_load(path.read_text())
@@ -51,7 +51,7 @@ def read_script(path: Path, seed: int) -> list[Fault]:
     ]
 
 
-def make_fault(entry: object, *, now_ms: int, seed: str, place: str) -> Fault:
+def make_fault(entry: object, *, now_ms: int, seed: str, place: str) -> BoardFault:
     """A fault from its mapping `{name, start_s, duration_s, seed, ...parameters}`.
 
     now_ms : its start unless it says one; it can't start before
@@ -69,7 +69,7 @@ def make_fault(entry: object, *, now_ms: int, seed: str, place: str) -> Fault:
     start_ms = round(start_s * 1000)
     if start_ms < now_ms:
         raise FaultError(f"{place}: start_s: {start_s:g} has passed, it is {now_ms / 1000:g}")
-    return Fault(
+    return BoardFault(
         name=name,
         start_ms=start_ms,
         end_ms=start_ms + _duration_ms(entry, kind, place),
@@ -78,7 +78,7 @@ def make_fault(entry: object, *, now_ms: int, seed: str, place: str) -> Fault:
     )
 
 
-def _refuse_unknown_keys(entry: Mapping[object, object], kind: Kind, place: str) -> None:
+def _refuse_unknown_keys(entry: Mapping[object, object], kind: FaultKind, place: str) -> None:
     known = ["name", "start_s", "seed", *kind.parameters]
     if kind.duration_s is not None:
         known.append("duration_s")
@@ -87,7 +87,7 @@ def _refuse_unknown_keys(entry: Mapping[object, object], kind: Kind, place: str)
             raise FaultError(f"{place}: unknown key {key!r}; {_nearest(key, known)}")
 
 
-def _duration_ms(entry: Mapping[str, Any], kind: Kind, place: str) -> float:
+def _duration_ms(entry: Mapping[str, Any], kind: FaultKind, place: str) -> float:
     if kind.duration_s is None:
         return 0
     if "duration_s" not in entry:
@@ -95,7 +95,7 @@ def _duration_ms(entry: Mapping[str, Any], kind: Kind, place: str) -> float:
     return round(_number(entry["duration_s"], Number(0.001, LATEST_S), f"{place}: duration_s") * 1000)
 
 
-def _parameter(entry: Mapping[str, Any], key: str, kind: Kind, place: str) -> Value:
+def _parameter(entry: Mapping[str, Any], key: str, kind: FaultKind, place: str) -> Value:
     allowed = kind.parameters[key]
     value = entry.get(key, allowed.default)
     if value is None:
@@ -127,12 +127,12 @@ def _nearest(word: object, known: Any) -> str:
 class Schedule:
     """Which faults begin, last and end when."""
 
-    def __init__(self, faults: list[Fault]) -> None:
+    def __init__(self, faults: list[BoardFault]) -> None:
         self._waiting = sorted(faults, key=lambda fault: fault.start_ms)
-        self.active: list[Fault] = []
+        self.active: list[BoardFault] = []
         self.next_change_ms: float = 0
 
-    def add(self, fault: Fault) -> None:
+    def add(self, fault: BoardFault) -> None:
         """One more; it begins at the next `pass_to` at or after its start."""
         self._waiting = sorted([*self._waiting, fault], key=lambda other: other.start_ms)
         self._look_ahead()
@@ -143,7 +143,7 @@ class Schedule:
         self.active.clear()
         self._look_ahead()
 
-    def pass_to(self, now_ms: int) -> list[Fault]:
+    def pass_to(self, now_ms: int) -> list[BoardFault]:
         """Let time pass; the faults that begin, in order. `active` then holds those that last."""
         begin = [fault for fault in self._waiting if fault.start_ms <= now_ms]
         self._waiting = self._waiting[len(begin) :]

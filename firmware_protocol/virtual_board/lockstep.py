@@ -6,15 +6,17 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from firmware_protocol.virtual_board.control import Client, RequestError
+from firmware_protocol.virtual_board.control import ControlClient, ControlRequestError
 from firmware_protocol.virtual_board.device import Device
-from firmware_protocol.virtual_board.port import Port
+from firmware_protocol.virtual_board.port import PseudoTerminal
 
 PATIENCE_S = 2.0  # real time; bytes that are not here by then were never written
 LATEST_S = 1e9
 
 
-def advance(device: Device, port: Port, request: Mapping[str, Any], client: Client) -> Mapping[str, Any]:
+def advance(
+    device: Device, port: PseudoTerminal, request: Mapping[str, Any], client: ControlClient
+) -> Mapping[str, Any]:
     """Advance to `advance_to_s`; the answer is `{time_s, board_bytes, plugged}`.
 
     host_bytes : written by the host since its opening of the port; absent when it has none open
@@ -41,7 +43,7 @@ def advance(device: Device, port: Port, request: Mapping[str, Any], client: Clie
     return {"time_s": device.now_ms / 1000, "board_bytes": port.bytes_out, "plugged": plugged}
 
 
-def carry(device: Device, port: Port) -> bool:
+def carry(device: Device, port: PseudoTerminal) -> bool:
     """Hand the host what the board has sent; whether there was something."""
     data = device.transmit()
     if data:
@@ -49,7 +51,7 @@ def carry(device: Device, port: Port) -> bool:
     return bool(data)
 
 
-def follow_plug(device: Device, port: Port) -> bool:
+def follow_plug(device: Device, port: PseudoTerminal) -> bool:
     """Do to the port what the `unplug` fault says; whether that was a change."""
     if port.plugged != device.unplugged:
         return False
@@ -66,7 +68,7 @@ def milliseconds(time_s: float) -> int:
     return time_ms if time_ms / 1000 >= time_s else time_ms + 1
 
 
-def _is_this_one(port: Port, request: Mapping[str, Any], client: Client) -> bool:
+def _is_this_one(port: PseudoTerminal, request: Mapping[str, Any], client: ControlClient) -> bool:
     """Whether this port is the one the host has open, and all of its bytes are from this opening.
 
     The first to speak takes the port. Another one has opened it before the board saw the first one close it:
@@ -83,17 +85,17 @@ def _is_this_one(port: Port, request: Mapping[str, Any], client: Client) -> bool
     return True
 
 
-def _take_host_bytes(device: Device, port: Port, host_bytes: int) -> None:
+def _take_host_bytes(device: Device, port: PseudoTerminal, host_bytes: int) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while port.bytes_in < host_bytes and time.monotonic() < deadline:
         select.select([port], [], [], deadline - time.monotonic())
         device.receive(port.read())
     if port.bytes_in != host_bytes:
-        raise RequestError(f"the host has written {host_bytes} bytes, {port.bytes_in} have come")
+        raise ControlRequestError(f"the host has written {host_bytes} bytes, {port.bytes_in} have come")
 
 
 def _number(request: Mapping[str, Any], key: str, highest: float) -> float:
     value = request[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= highest:
-        raise RequestError(f"{key}: {value!r} is not a number in 0..{highest:g}")
+        raise ControlRequestError(f"{key}: {value!r} is not a number in 0..{highest:g}")
     return value

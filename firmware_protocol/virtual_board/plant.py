@@ -20,8 +20,8 @@ _SENSORS = {
 }
 
 
-class Chamber(Protocol):
-    """The box: `chamber.Chamber`."""
+class ChamberModel(Protocol):
+    """The box: `chamber.ChamberModel`."""
 
     def step(self, dt_s: float, heater_power_fraction: float, fan: bool, led: float, valve: bool) -> None: ...
     def sense(self) -> dict[str, float]: ...
@@ -32,7 +32,7 @@ class Chamber(Protocol):
 class Plant:
     """A chamber driven by pins. It is stepped when a flow changes or a sensor is read, so always exactly."""
 
-    def __init__(self, chamber: Chamber, parts: Capability) -> None:
+    def __init__(self, chamber: ChamberModel, parts: Capability) -> None:
         self.chamber = chamber
         self._absent = {signal for signal, part in _SENSORS.items() if not part & parts}
         self._has_tacho = bool(parts & Capability.FAN_TACHO)

@@ -16,7 +16,7 @@ _UNLOCK = 0x40045431  # TIOCSPTLCK, linux/asm-generic/ioctls.h
 _NUMBER = 0x80045430  # TIOCGPTN
 
 
-class Port:
+class PseudoTerminal:
     """A pseudo-terminal, or none while unplugged. `bytes_in`, `bytes_out` count from its creation."""
 
     def __init__(self, link: Path) -> None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 
 from firmware_protocol.messages import Quality
-from firmware_protocol.virtual_board.faults import Fault
+from firmware_protocol.virtual_board.faults import BoardFault
 
 Sample = tuple[float | None, int]
 
@@ -16,9 +16,9 @@ class SensorFaults:
 
     def __init__(self) -> None:
         self._shown: dict[str, Sample] = {}
-        self._active: list[Fault] = []
+        self._active: list[BoardFault] = []
 
-    def set_faults(self, active: list[Fault]) -> None:
+    def set_faults(self, active: list[BoardFault]) -> None:
         """From now on these last."""
         self._active = [fault for fault in active if "signal" in fault.parameters]
 
@@ -32,7 +32,7 @@ class SensorFaults:
         self._shown = samples
         return samples
 
-    def _spoilt(self, signal: str, sample: Sample, fault: Fault) -> Sample:
+    def _spoilt(self, signal: str, sample: Sample, fault: BoardFault) -> Sample:
         value, quality = sample
         match fault.name:
             case "sensor_none":

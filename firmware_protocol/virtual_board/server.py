@@ -8,11 +8,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from firmware_protocol.virtual_board.control import Client, ControlSocket, RequestError
+from firmware_protocol.virtual_board.control import BoardControlSocket, ControlClient, ControlRequestError
 from firmware_protocol.virtual_board.device import Device
 from firmware_protocol.virtual_board.faults import FaultError, make_fault
 from firmware_protocol.virtual_board.lockstep import advance, carry, follow_plug
-from firmware_protocol.virtual_board.port import Port
+from firmware_protocol.virtual_board.port import PseudoTerminal
 from firmware_protocol.virtual_board.truth import truth
 
 REQUESTS: dict[str, tuple[str, ...]] = {  # what is asked, and what may be said beside it
@@ -27,11 +27,13 @@ REQUESTS: dict[str, tuple[str, ...]] = {  # what is asked, and what may be said 
 class Server:
     """A device behind a port and a control socket."""
 
-    def __init__(self, device: Device, port: Port, control: Path, seed: int, real_time: bool) -> None:
+    def __init__(
+        self, device: Device, port: PseudoTerminal, control: Path, seed: int, real_time: bool
+    ) -> None:
         self._device, self._port = device, port
         self._seed, self._injected = seed, 0
         self._started_s = time.monotonic() if real_time else None
-        self._control = ControlSocket(control, self._handle)
+        self._control = BoardControlSocket(control, self._handle)
         self._quit = False
 
     def run(self) -> None:
@@ -39,12 +41,12 @@ class Server:
         follow_plug(self._device, self._port)
         while not self._quit:
             wait_s = self._catch_up()
-            sources: list[Port | socket.socket] = [*self._control.sockets]
+            sources: list[PseudoTerminal | socket.socket] = [*self._control.sockets]
             if self._port.plugged:
                 sources.append(self._port)
             ready, _, _ = select.select(sources, [], [], wait_s)
             for source in ready:
-                if isinstance(source, Port):
+                if isinstance(source, PseudoTerminal):
                     self._device.receive(source.read())
                 else:
                     self._control.serve(source)
@@ -66,11 +68,11 @@ class Server:
             follow_plug(self._device, self._port)
         return max(0.0, self._device.next_step_ms / 1000 - (time.monotonic() - self._started_s))
 
-    def _handle(self, request: Mapping[str, Any], client: Client) -> Mapping[str, Any]:
+    def _handle(self, request: Mapping[str, Any], client: ControlClient) -> Mapping[str, Any]:
         match _asked(request):
             case "advance_to_s":
                 if self._started_s is not None:
-                    raise RequestError("this board runs in real time")
+                    raise ControlRequestError("this board runs in real time")
                 return advance(self._device, self._port, request, client)
             case "fault":
                 self._inject(request["fault"])
@@ -89,7 +91,7 @@ class Server:
         try:
             self._device.inject(make_fault(entry, now_ms=self._device.now_ms, seed=seed, place="fault"))
         except FaultError as error:
-            raise RequestError(str(error)) from error
+            raise ControlRequestError(str(error)) from error
 
 
 def _asked(request: Mapping[str, Any]) -> str:
@@ -103,4 +105,4 @@ def _asked(request: Mapping[str, Any]) -> str:
         return asked[0]
     close = [match for key in unknown for match in get_close_matches(key, known, n=1)]
     hint = f"nearest known: {close[0]!r}" if close else f"known: {known}"
-    raise RequestError(f"one of {list(REQUESTS)} a line, not {list(request)}; {hint}")
+    raise ControlRequestError(f"one of {list(REQUESTS)} a line, not {list(request)}; {hint}")

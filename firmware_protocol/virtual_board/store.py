@@ -8,7 +8,7 @@ class StoreError(Exception):
     """A state file that can't be read; the text names it."""
 
 
-class Store:
+class Eeprom:
     """The board's EEPROM. With a path every change is in the file before the next byte leaves the board."""
 
     def __init__(self, path: Path | None) -> None:

@@ -3,10 +3,10 @@
 from typing import Any
 
 from firmware_protocol.virtual_board.device import Device
-from firmware_protocol.virtual_board.port import Port
+from firmware_protocol.virtual_board.port import PseudoTerminal
 
 
-def truth(device: Device, port: Port) -> dict[str, Any]:
+def truth(device: Device, port: PseudoTerminal) -> dict[str, Any]:
     """Chamber, pins, flows, meters and counters; times in s of simulated time, None: never."""
     plant = device.plant
     chamber = plant.truth(device.now_ms)

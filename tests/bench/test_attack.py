@@ -5,14 +5,14 @@ import itertools
 import pytest
 
 from bench.attack import answers, files, floods, payloads, scenarios
-from bench.attack.part import Found, Part
+from bench.attack.part import Part, TrialResult
 from bench.support.broker import needs_mosquitto
 
 PATIENT_S = 10.0  # for a stop where tests run beside it: the bench asks for 1 s
 
 
 def violations(part: Part, seed: int, count: int) -> list[str]:
-    found: list[Found] = list(part(seed, count))
+    found: list[TrialResult] = list(part(seed, count))
     assert found
     return [f"{each.name}: {text}" for each in found for text in each.violations]
 

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from bench.attack.invariants import violations
-from bench.attack.lives import Given, Lived, Outcome
-from bench.attack.plan import Life, Plan, draw
+from bench.attack.lives import AnsweredOrder, Lived, Outcome
+from bench.attack.plan import AttackPlan, Life, draw
 from bench.watched_clock import Look
 
 OK = {"ok": True}
@@ -28,7 +28,7 @@ def outcome(looks: dict[float, tuple[str, ...]] | None = None, **changes: Any) -
     on = {time_s / 2: ("heater_relay",) for time_s in range(200)} | {
         100 + time_s / 2: () for time_s in range(80)
     }
-    plan = Plan(1, "python", {}, {}, (), (), ())
+    plan = AttackPlan(1, "python", {}, {}, (), (), ())
     good = Outcome(plan, (), (), (lived(),))
     given = replace(good, **changes)
     return replace(
@@ -39,7 +39,7 @@ def outcome(looks: dict[float, tuple[str, ...]] | None = None, **changes: Any) -
 def stopped_at(time_s: float, *on: str, do: str = "emergency_stop", **request: Any) -> dict[str, Any]:
     """A stop at `time_s`, after which the pins in `on` are on."""
     looks = {t / 2: on for t in range(int(2 * time_s) + 2, 280)}
-    return {"looks": looks, "given": (Given(time_s, {"do": do, **request}, OK),)}
+    return {"looks": looks, "given": (AnsweredOrder(time_s, {"do": do, **request}, OK),)}
 
 
 def test_a_good_outcome_has_no_violation() -> None:
@@ -54,10 +54,10 @@ def test_heat_longer_than_a_lease_after_the_daemons_end_is_seen() -> None:
 
 
 def test_heat_longer_than_a_lease_after_a_cut_line_is_seen() -> None:
-    cut = Plan(1, "python", {}, {}, (), ({"name": "unplug", "start_s": 50.0, "duration_s": 20.0},), ())
+    cut = AttackPlan(1, "python", {}, {}, (), ({"name": "unplug", "start_s": 50.0, "duration_s": 20.0},), ())
     (text,) = violations(outcome(plan=cut))
     assert "on at 61.0 s, nothing heard since 50.0 s" in text
-    deaf_host = Plan(
+    deaf_host = AttackPlan(
         1,
         "python",
         {},
@@ -78,7 +78,7 @@ def test_a_pin_after_the_release_is_none_of_the_stops_business() -> None:
     case = stopped_at(40.0)
     case["looks"] |= {t / 2: ("fan",) for t in range(140, 160)}
     assert violations(outcome(**case)) != []
-    case["given"] += (Given(70.0, {"do": "release_emergency_stop"}, OK),)
+    case["given"] += (AnsweredOrder(70.0, {"do": "release_emergency_stop"}, OK),)
     assert violations(outcome(**case)) == []
 
 
@@ -89,17 +89,17 @@ def test_maintenance_holds_for_its_minutes_and_until_it_is_taken_back() -> None:
     case["looks"] |= {69.0: (), 71.0: ("fan",)}
     assert violations(outcome(**case)) == []
     case["looks"][60.0] = ("fan",)
-    case["given"] += (Given(50.0, {"do": "maintenance", "minutes": 0.0}, OK),)
+    case["given"] += (AnsweredOrder(50.0, {"do": "maintenance", "minutes": 0.0}, OK),)
     assert violations(outcome(**case)) == []
 
 
 def test_a_stop_that_was_refused_promises_nothing() -> None:
-    refused = (Given(40.0, {"do": "emergency_stop"}, {"ok": False}),)
+    refused = (AnsweredOrder(40.0, {"do": "emergency_stop"}, {"ok": False}),)
     assert violations(outcome(given=refused)) == []
 
 
 def test_a_stop_during_a_cut_line_counts_from_the_lines_return() -> None:
-    cut = Plan(1, "python", {}, {}, (), ({"name": "unplug", "start_s": 38.0, "duration_s": 10.0},), ())
+    cut = AttackPlan(1, "python", {}, {}, (), ({"name": "unplug", "start_s": 38.0, "duration_s": 10.0},), ())
     case = stopped_at(40.0) | {"plan": cut}
     case["looks"] |= {t / 2: ("fan",) for t in range(82, 110)}
     assert violations(outcome(**case)) == []

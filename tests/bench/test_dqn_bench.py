@@ -3,12 +3,15 @@
 import numpy as np
 
 from bench.dqn import paper_model, world
-from training.rl.boxes import Boxes
+from training.rl.boxes import EpisodeBoxes
 from training.rl.read_model import read_model
 
 
 def test_the_papers_way_steps_the_same_box():
-    ways = [Boxes(world(model), 2, np.random.default_rng(0)) for model in (paper_model(), read_model("ham"))]
+    ways = [
+        EpisodeBoxes(world(model), 2, np.random.default_rng(0))
+        for model in (paper_model(), read_model("ham"))
+    ]
     for way in ways:
         way.reset()
     for action in (0, 10, 20, 41, 25):

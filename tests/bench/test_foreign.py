@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bench.foreign import cases
-from bench.foreign.box import HOT_ELEMENT_K, Box, Weather, drive
-from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, Case, make_case, seed_of
+from bench.foreign.box import HOT_ELEMENT_K, BoxWeather, ForeignBox, drive
+from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, ForeignCase, make_case, seed_of
 from bench.foreign.make import name_of, tasks_of, write_case
 from bench.foreign.score import calibration_error, figures, is_alike, score, text
 from edge.formats.run_file import read_run
@@ -19,15 +19,15 @@ from edge.twin.twin_file import read_twin_file
 
 FOLDER = Path(cases.__file__).parent
 ROWS, STEP_S = 800, 10.0
-BOX = Box(volume_m3=0.02, power_w=40.0, loss_w_k=1.0, contents_j_k=300.0)
+BOX = ForeignBox(volume_m3=0.02, power_w=40.0, loss_w_k=1.0, contents_j_k=300.0)
 RUN = {"wall_s": 10.0, "cpu_s": 10.0}
 
 
-def still(room_c: float = 20.0) -> Weather:
-    return Weather(np.full(ROWS, room_c), np.zeros(ROWS), np.zeros(ROWS), np.ones(ROWS))
+def still(room_c: float = 20.0) -> BoxWeather:
+    return BoxWeather(np.full(ROWS, room_c), np.zeros(ROWS), np.zeros(ROWS), np.ones(ROWS))
 
 
-def heated(box: Box, duty: float = 0.5, fan: float = 0.0) -> np.ndarray:
+def heated(box: ForeignBox, duty: float = 0.5, fan: float = 0.0) -> np.ndarray:
     return drive(box, still(), lambda row, _: (duty, fan), STEP_S)[0][:, 0]
 
 
@@ -66,7 +66,7 @@ def test_heat_that_goes_in_is_heat_that_goes_out() -> None:
     ],
 )  # fmt: skip
 def test_a_part_does_what_its_name_says(part: dict[str, float], sign: int) -> None:
-    box = Box(**{"volume_m3": 0.02, "power_w": 40.0, "loss_w_k": 1.0, "contents_j_k": 300.0, **part})
+    box = ForeignBox(**{"volume_m3": 0.02, "power_w": 40.0, "loss_w_k": 1.0, "contents_j_k": 300.0, **part})
     assert sign * (heated(box, fan=1.0)[-1] - heated(BOX, fan=1.0)[-1]) > 0.2
 
 
@@ -76,7 +76,7 @@ def test_a_part_does_what_its_name_says(part: dict[str, float], sign: int) -> No
      {"store_j_k": 900.0, "store_w_k": 1.0}, {"melts_j": 4000.0, "melts_c": 30.0, "melts_over_k": 2.0}],
 )  # fmt: skip
 def test_what_stores_or_delays_changes_the_way_and_not_the_end(part: dict[str, float]) -> None:
-    other = heated(Box(volume_m3=0.02, power_w=40.0, loss_w_k=1.0, contents_j_k=300.0, **part))
+    other = heated(ForeignBox(volume_m3=0.02, power_w=40.0, loss_w_k=1.0, contents_j_k=300.0, **part))
     plain = heated(BOX)
     assert np.abs(other - plain).max() > 0.5
     assert other[-1] == pytest.approx(plain[-1], abs=1.0)
@@ -84,20 +84,22 @@ def test_what_stores_or_delays_changes_the_way_and_not_the_end(part: dict[str, f
 
 def test_an_element_is_hot_by_its_power() -> None:
     assert HOT_ELEMENT_K > 100.0
-    assert heated(Box(**{**vars_of(BOX), "element_s": 60.0}))[-1] == pytest.approx(heated(BOX)[-1], abs=0.05)
+    assert heated(ForeignBox(**{**vars_of(BOX), "element_s": 60.0}))[-1] == pytest.approx(
+        heated(BOX)[-1], abs=0.05
+    )
 
 
-def vars_of(box: Box) -> dict[str, float]:
+def vars_of(box: ForeignBox) -> dict[str, float]:
     return {"volume_m3": box.volume_m3, "power_w": box.power_w, "loss_w_k": box.loss_w_k,
             "contents_j_k": box.contents_j_k}  # type: ignore[dict-item]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def few() -> list[Case]:
+def few() -> list[ForeignCase]:
     return [make_case("dev", kind, number) for kind in KINDS for number in (900, 901)]
 
 
-def test_a_case_is_the_same_whenever_it_is_made(few: list[Case]) -> None:
+def test_a_case_is_the_same_whenever_it_is_made(few: list[ForeignCase]) -> None:
     again = make_case("dev", "null", 900)
     assert again.truth == few[0].truth
     for name, log in again.files.items():
@@ -105,7 +107,7 @@ def test_a_case_is_the_same_whenever_it_is_made(few: list[Case]) -> None:
             assert np.array_equal(values, few[0].files[name].columns[key])
 
 
-def test_a_case_is_what_a_stranger_would_hand_over(few: list[Case], tmp_path: Path) -> None:
+def test_a_case_is_what_a_stranger_would_hand_over(few: list[ForeignCase], tmp_path: Path) -> None:
     for i, case in enumerate(few):
         folder = tmp_path / str(i)
         write_case(case, folder)
@@ -208,6 +210,6 @@ def test_what_is_said_is_held_against_what_held() -> None:
     assert calibration_error([(0.95, False)] * 4) == pytest.approx(0.95)
 
 
-def test_truth_is_plain_json(few: list[Case]) -> None:
+def test_truth_is_plain_json(few: list[ForeignCase]) -> None:
     for case in few:
         json.dumps(case.truth, allow_nan=False)

@@ -11,10 +11,10 @@ from scipy.stats import multivariate_normal
 
 from bench.hidden_effects.cases import Hidden, Truth
 from bench.hidden_effects.score_aliases import AliasClass, alias_classes, cached_classes
-from bench.hidden_effects.score_noise import Noise, likeliest, log_likelihood
+from bench.hidden_effects.score_noise import ReadingNoise, likeliest, log_likelihood
 from bench.hidden_effects.score_structure import structure
-from edge.formats.run_file import Run
-from edge.twin.model import Twin
+from edge.formats.run_file import RecordedRun
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -24,28 +24,28 @@ KNOWN = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 5.0}}
 FILE = TwinFile(effects={name: {key: Value(x) for key, x in own.items()} for name, own in KNOWN.items()})
 
 
-def run_of(effects: dict[str, dict[str, float]], seed: int, noise_k: float = 0.05) -> Run:
+def run_of(effects: dict[str, dict[str, float]], seed: int, noise_k: float = 0.05) -> RecordedRun:
     """A run of a twin with random steps in both inputs, from the room's temperature."""
     rng = np.random.default_rng(seed)
     duty = np.repeat(rng.integers(0, 13, ROWS // 10 + 1) / 20.0, 10)[:ROWS]
     fan = np.repeat(rng.random(ROWS // 15 + 1) < 0.3, 15)[:ROWS].astype(float)
     room = np.full(ROWS, 20.0 + seed)
-    twin = Twin(effects=effects)
+    twin = BoxTwin(effects=effects)
     start = np.full(len(twin.states), room[0])
     temp = np.concatenate([start[:1], twin.rollout(start[None], duty[None], fan[None], room[None])[0, :-1]])
     columns = {"time_s": 60.0 * np.arange(ROWS), "temp_air_c": temp + noise_k * rng.normal(size=ROWS),
                "temp_ambient_c": room, "heater_duty": duty, "fan_on": fan}  # fmt: skip
-    return Run(columns)
+    return RecordedRun(columns)
 
 
-def case(**hidden: dict[str, float]) -> tuple[Truth, list[Run]]:
+def case(**hidden: dict[str, float]) -> tuple[Truth, list[RecordedRun]]:
     runs = [run_of({**KNOWN, **hidden}, seed) for seed in range(RUNS)]
     items = tuple(Hidden(name, own, 1.0) for name, own in hidden.items())
     return Truth("case_1", "equations", "dev", "single", 1, items, None, (), tuple(KNOWN), {}, {}, {}), runs
 
 
 def dense(
-    noise: Noise, rows: NDArray[np.intp], residual: NDArray[np.float64], response: NDArray[np.float64]
+    noise: ReadingNoise, rows: NDArray[np.intp], residual: NDArray[np.float64], response: NDArray[np.float64]
 ) -> float:
     """Of these rows of one run, by their whole covariance; without the constant."""
     apart = np.abs(np.subtract.outer(rows, rows))
@@ -57,7 +57,11 @@ def dense(
 
 def test_the_likelihood_is_that_of_the_whole_covariance():
     rng = np.random.default_rng(1)
-    noise, residual, response = Noise(0.2, 0.4, 7.0), rng.normal(size=(2, 40)), rng.normal(size=(2, 3, 40))
+    noise, residual, response = (
+        ReadingNoise(0.2, 0.4, 7.0),
+        rng.normal(size=(2, 40)),
+        rng.normal(size=(2, 3, 40)),
+    )
     measured = np.ones((2, 40), dtype=bool)
     measured[1, 5:9] = False
     expected = sum(dense(noise, np.flatnonzero(measured[b]), residual[b], response[b]) for b in (0, 1))
@@ -74,7 +78,7 @@ def test_noise_is_found_again():
         )
     residual = wander + 0.1 * rng.normal(size=wander.shape)
     measured = np.ones(residual.shape, dtype=bool)
-    found = likeliest(Noise(0.3, 0.1, 5.0), residual, np.zeros((4, 0, 400)), measured)
+    found = likeliest(ReadingNoise(0.3, 0.1, 5.0), residual, np.zeros((4, 0, 400)), measured)
     assert found == pytest.approx((0.1, 0.3, 20.0), rel=0.35)
 
 
@@ -132,5 +136,5 @@ def test_classes_are_computed_once_for_a_key(tmp_path: Path):
     assert cached_classes(cache, "b", truth, FILE, runs) == first
 
 
-def with_file(given: tuple[Truth, list[Run]]) -> tuple[Truth, TwinFile, list[Run]]:
+def with_file(given: tuple[Truth, list[RecordedRun]]) -> tuple[Truth, TwinFile, list[RecordedRun]]:
     return given[0], FILE, given[1]

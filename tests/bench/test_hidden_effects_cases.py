@@ -11,14 +11,14 @@ from bench.hidden_effects import chamber_hide, make
 from bench.hidden_effects.cases import FIRST_SEEDS, GIVEN_ROWS, KINDS, case_id, seed_of
 from bench.hidden_effects.chamber_box import BASE, OUTSIDE, SETTINGS, chamber_of, draw_base, draw_known
 from bench.hidden_effects.chamber_calibration import DIRECT, read_off
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan, believed_c, drive, quiet_c
+from bench.hidden_effects.chamber_runs import LEAD_ROWS, RunPlan, believed_c, drive, quiet_c
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS
 from bench.hidden_effects.draw_readings import Sensing, read_temps
 from bench.hidden_effects.equations import STATES, simulate
 from bench.hidden_effects.equations_box import STRENGTHS, draw_effect
 from bench.hidden_effects.equations_cases import make_case
 from bench.hidden_effects.equations_hide import adding, draw_scene, flat, hide, without
-from bench.hidden_effects.equations_inputs import Bend, Inputs
+from bench.hidden_effects.equations_inputs import Bend, ColumnInputs
 from bench.hidden_effects.equations_outside import OUTSIDE as NAMELESS
 from bench.hidden_effects.equations_search import rms_k, strength_for
 from edge.formats.run_file import read_run
@@ -73,11 +73,11 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def inputs(columns: int = 1) -> Inputs:
+def inputs(columns: int = 1) -> ColumnInputs:
     rng = np.random.default_rng(5)
     shape = (ROWS, columns)
     nothing = np.zeros(shape)
-    return Inputs(
+    return ColumnInputs(
         duty=np.repeat(rng.integers(0, 21, (ROWS // 4, columns)) / 20.0, 4, axis=0),
         fan=np.repeat(rng.integers(0, 2, (ROWS // 4, columns)), 4, axis=0).astype(float),
         ambient=np.full((ROWS + 1, columns), 21.0),
@@ -275,7 +275,7 @@ def test_what_the_chamber_has_and_no_library_changes_what_a_quiet_run_shows(name
     rng = np.random.default_rng(3)
     base = {**draw_base(rng), **draw_known(rng, "wall_loss")}
     on = np.ones(LEAD_ROWS + 30)
-    plan = Plan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
+    plan = RunPlan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
     setting = OUTSIDE[name][0]
     changed = quiet_c({**base, **setting.at(setting.high)}, plan) - quiet_c(base, plan)
     assert np.abs(changed).max() > 0.1
@@ -284,7 +284,7 @@ def test_what_the_chamber_has_and_no_library_changes_what_a_quiet_run_shows(name
 def test_an_offset_of_the_rooms_sensor_matters_to_one_who_believes_it() -> None:
     base = {**draw_base(np.random.default_rng(3)), **draw_known(np.random.default_rng(3), "wall_loss")}
     on = np.ones(LEAD_ROWS + 30)
-    plan = Plan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
+    plan = RunPlan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
     offset = {**base, **SETTINGS["ambient_offset"].at(2.0, 1.0)}
     assert quiet_c(offset, plan) == pytest.approx(quiet_c(base, plan))  # nothing happens to the air
     assert believed_c(offset, plan) - believed_c(base, plan) == pytest.approx(2.0, abs=0.1)
@@ -294,7 +294,7 @@ def test_the_chamber_without_an_effect_is_the_chamber_before_it() -> None:
     rng = np.random.default_rng(2)
     base = {**draw_base(rng), **draw_known(rng, "wall_loss")}
     on = np.ones(LEAD_ROWS + 12)
-    plan = Plan(0.5 * on, 0.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(12)
+    plan = RunPlan(0.5 * on, 0.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(12)
     plain = quiet_c(base, plan)
     assert len(plain) == 12
     stronger = [quiet_c({**base, **SETTINGS["heater_efficiency"].at(lost)}, plan)[-1] for lost in (0.1, 0.3)]
@@ -314,7 +314,7 @@ def test_what_is_read_off_the_chamber_is_what_was_set() -> None:
 
 def test_a_plan_at_rest_begins_at_its_first_row_with_what_the_sensors_show() -> None:
     on = np.ones(LEAD_ROWS + 3)
-    plan = Plan(on, 0.0 * on, 0.0 * on, day=0.0, hour=9.0, room_c=20.0, seed=1)
+    plan = RunPlan(on, 0.0 * on, 0.0 * on, day=0.0, hour=9.0, room_c=20.0, seed=1)
     assert plan.first == 0
     assert plan.shortened(2).first == LEAD_ROWS
     found = drive({}, plan.shortened(2))

@@ -11,15 +11,15 @@ import pytest
 
 from bench.hidden_effects import __main__ as commands
 from bench.hidden_effects.peers import diagnose
-from bench.hidden_effects.peers_regression import Regression
+from bench.hidden_effects.peers_regression import OneStepRegression
 from bench.hidden_effects.peers_stepwise import stepwise
 from bench.hidden_effects.peers_terms import TERMS
-from bench.hidden_effects.run_cases import OURS, Task, case_sha256, run_one
+from bench.hidden_effects.run_cases import OURS, SolverTask, case_sha256, run_one
 from bench.hidden_effects.score_answer import answer
 from edge.commands import twin_benchmark
 from edge.core.errors import RequestError
-from edge.formats.run_file import Run, write_run
-from edge.twin.model import Twin
+from edge.formats.run_file import RecordedRun, write_run
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from edge.twin.value import Value
 
@@ -33,7 +33,7 @@ def case(folder: Path, led_w: float) -> Path:
     folder.mkdir()
     file = TwinFile(effects={name: {key: Value(x) for key, x in own.items()} for name, own in KNOWN.items()})
     write_twin_file(file, folder / "twin.yaml")
-    twin = Twin(effects={**KNOWN, "led_gain": {"P_led": led_w}})
+    twin = BoxTwin(effects={**KNOWN, "led_gain": {"P_led": led_w}})
     for seed, name in enumerate(("train_01.csv", "train_02.csv", "test_01.csv")):
         rng = np.random.default_rng(seed)
         duty = np.repeat(rng.integers(0, 13, ROWS // 10) / 20.0, 10)
@@ -45,7 +45,7 @@ def case(folder: Path, led_w: float) -> Path:
             temp[2:] = np.nan
         columns = {"time_s": 60.0 * np.arange(ROWS), "temp_air_c": temp, "temp_ambient_c": room,
                    "heater_duty": duty, "fan_on": fan, "light": light}  # fmt: skip
-        write_run(Run(columns, {"role": name[:-7]}), folder / name)
+        write_run(RecordedRun(columns, {"role": name[:-7]}), folder / name)
     return folder
 
 
@@ -70,13 +70,13 @@ def test_a_term_is_chosen_only_where_it_pays():
     terms = rng.normal(size=(400, len(TERMS)))
     noise = rng.normal(size=400)
     lamp = NAMES.index("led_gain")
-    assert stepwise(Regression(noise + terms[:, lamp], terms, np.ones(400)))[0] == lamp
-    assert stepwise(Regression(np.zeros(400), terms, np.ones(400))) == []
+    assert stepwise(OneStepRegression(noise + terms[:, lamp], terms, np.ones(400)))[0] == lamp
+    assert stepwise(OneStepRegression(np.zeros(400), terms, np.ones(400))) == []
 
 
 def test_a_peers_answer_is_kept_with_its_seconds(tmp_path: Path):
     folder = case(tmp_path / "case_1", led_w=20.0)
-    task = Task("stepwise", folder, tmp_path / "out", 60.0)
+    task = SolverTask("stepwise", folder, tmp_path / "out", 60.0)
     assert run_one(task).startswith("case_1 stepwise")
     took = json.loads((task.out / "run.json").read_text())
     assert took["exit"] == 0
@@ -92,7 +92,7 @@ def test_a_diagnosis_that_fails_is_kept_as_one_that_failed(tmp_path: Path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "diagnosis.json").write_text("{}")  # of an earlier run: it must not count
-    assert "failed" in run_one(Task(OURS, folder, out, 60.0))
+    assert "failed" in run_one(SolverTask(OURS, folder, out, 60.0))
     took = json.loads((out / "run.json").read_text())
     assert took["exit"] != 0
     assert took["stderr"]
@@ -102,7 +102,7 @@ def test_a_diagnosis_that_fails_is_kept_as_one_that_failed(tmp_path: Path):
 
 def test_a_diagnosis_that_takes_too_long_is_stopped(tmp_path: Path):
     folder = case(tmp_path / "case_1", led_w=20.0)
-    run_one(Task(OURS, folder, tmp_path / "out", 0.01))
+    run_one(SolverTask(OURS, folder, tmp_path / "out", 0.01))
     took = json.loads((tmp_path / "out" / "run.json").read_text())
     assert took["exit"] != 0
     assert "stopped after 0.01 s" in took["stderr"]

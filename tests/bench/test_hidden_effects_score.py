@@ -12,7 +12,7 @@ from bench.hidden_effects.cases import Hidden, RunTruth, Truth
 from bench.hidden_effects.score import document, figures, write_document
 from bench.hidden_effects.score_aliases import AliasClass
 from bench.hidden_effects.score_answer import answer, read_answer
-from bench.hidden_effects.score_case import Errors, Scored, errors, score
+from bench.hidden_effects.score_case import FreeRunErrors, ScoredCase, errors, score
 from bench.hidden_effects.score_truth import cases_of, read_truth
 from bench.hidden_effects.table import markdown, text
 from bench.hidden_effects.wilson import Share
@@ -55,7 +55,9 @@ def classes(*names: str, **behind: float) -> tuple[AliasClass, ...]:
     return tuple(AliasClass(name, behind, 100.0) for name in names)
 
 
-def scored(kind: str, names: tuple[str, ...], given: dict[str, Any] | None, seconds: float = 1.0) -> Scored:
+def scored(
+    kind: str, names: tuple[str, ...], given: dict[str, Any] | None, seconds: float = 1.0
+) -> ScoredCase:
     """With classes of one."""
     return score(truth(kind, *names), classes(*names), None if given is None else answer(given), seconds)
 
@@ -185,12 +187,12 @@ def test_a_prediction_with_a_hole_or_of_another_length_is_infinitely_wrong(after
     assert found is not None
     assert found.after_k == math.inf
     assert found.shrink == -math.inf
-    assert errors(truth().tests, None) == Errors(math.inf, math.inf, found.floor_k)
+    assert errors(truth().tests, None) == FreeRunErrors(math.inf, math.inf, found.floor_k)
 
 
 def test_a_gap_that_was_none_cannot_shrink():
-    assert Errors(1.05, 0.5, 1.0).shrink is None
-    assert Errors(1.06, 1.0, 1.0).shrink == pytest.approx(1.0)
+    assert FreeRunErrors(1.05, 0.5, 1.0).shrink is None
+    assert FreeRunErrors(1.06, 1.0, 1.0).shrink == pytest.approx(1.0)
 
 
 def test_of_what_an_unknown_effect_depends_on_the_first_two_count():

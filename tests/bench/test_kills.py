@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from bench import kills
-from bench.kills import PINS, Plan, one_kill, rig_in, run
+from bench.kills import PINS, KillPlan, one_kill, rig_in, run
 from bench.support.broker import needs_mosquitto, wait_for
 
-AT_ONCE = Plan("emergency_stop", "socket", 30.0, 0.0, 0.0, 20.0, False, None)
+AT_ONCE = KillPlan("emergency_stop", "socket", 30.0, 0.0, 0.0, 20.0, False, None)
 
 
 @needs_mosquitto

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bench import real_diagnosis
-from bench.real_diagnosis import Result, Step, lines_of, measured
+from bench.real_diagnosis import LogResult, Step, lines_of, measured
 from bench.real_diagnosis_logs import LOG_SETS, TOLD, Logs, first_part, first_runs, read_logs
 from bench.real_diagnosis_plate import Heated, plate_of
-from edge.formats.run_file import Run, read_run, write_run
+from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.twin.twin_file import read_twin_file
 
 BOX = LOG_SETS["heated_box"]
@@ -18,7 +18,7 @@ BOX = LOG_SETS["heated_box"]
 PLATE_J_K, FILM_W_K, AIR_J_K, LOSS_W_K, ROOM_C = 120.0, 0.8, 2000.0, 5.5, 21.0
 
 
-def log(seed: int, rows: int = 600) -> Run:
+def log(seed: int, rows: int = 600) -> RecordedRun:
     """Rows of 1 s, steps of 0.0625 degC, the heater on and off for a minute or two; by Euler's method."""
     draw = np.random.default_rng(seed)
     duty = np.repeat(draw.choice([0.0, 0.5, 1.0], size=rows // 60 + 1), 60)[:rows]
@@ -29,7 +29,7 @@ def log(seed: int, rows: int = 600) -> Run:
         plate[k + 1] = plate[k] + (BOX.heater_w * duty[k] - given_w) / PLATE_J_K
         air[k + 1] = air[k] + (given_w - LOSS_W_K * (air[k] - ROOM_C)) / AIR_J_K
     read = np.round((air + draw.normal(0.0, 0.02, rows)) / 0.0625) * 0.0625
-    return Run(
+    return RecordedRun(
         {
             "time_s": np.arange(float(rows)),
             "temp_air_c": read,
@@ -50,13 +50,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def case(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Logs, Result]:
+def case(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Logs, LogResult]:
     folder = tmp_path_factory.mktemp("case")
     few = read_logs(data, BOX, lambda runs: first_part(runs[:3]))
     return folder, few, measured(folder, BOX, few)
 
 
-def test_a_rest_begins_where_its_first_part_ends(case: tuple[Path, Logs, Result]) -> None:
+def test_a_rest_begins_where_its_first_part_ends(case: tuple[Path, Logs, LogResult]) -> None:
     _, logs, result = case
     assert logs.train is logs.test
     train, test = result.diagnosis.data.train[0], result.diagnosis.data.test[0]
@@ -78,20 +78,20 @@ def test_a_recording_that_is_another_again_is_left_out(data: Path) -> None:
     assert logs.train[0].name.startswith("2022-03-02")
 
 
-def test_the_workflow_is_told_neither_plate_nor_fan_nor_room(case: tuple[Path, Logs, Result]) -> None:
+def test_the_workflow_is_told_neither_plate_nor_fan_nor_room(case: tuple[Path, Logs, LogResult]) -> None:
     folder, logs, _ = case
     run = read_run(folder / logs.train[0].name)
     assert (tuple(run.columns), run.facts["role"]) == (TOLD, "train")
 
 
-def test_capacity_and_loss_are_left_to_be_fitted(case: tuple[Path, Logs, Result]) -> None:
+def test_capacity_and_loss_are_left_to_be_fitted(case: tuple[Path, Logs, LogResult]) -> None:
     file = read_twin_file(case[0] / "twin.yaml")
     assert [place[-1] for place in file.to_fit()] == ["kC", "UA"]
     assert file.sample_s == BOX.step_s
 
 
 def test_the_heaters_lag_of_a_made_up_box_is_named_and_its_plate_told(
-    case: tuple[Path, Logs, Result],
+    case: tuple[Path, Logs, LogResult],
 ) -> None:
     result = case[2]
     assert [effect.name for effect in result.diagnosis.verdict.effects] == ["heater_lag"]
@@ -100,7 +100,7 @@ def test_the_heaters_lag_of_a_made_up_box_is_named_and_its_plate_told(
     assert result.plate.correlation > 0.9
 
 
-def test_the_table_has_what_was_measured(case: tuple[Path, Logs, Result]) -> None:
+def test_the_table_has_what_was_measured(case: tuple[Path, Logs, LogResult]) -> None:
     _, logs, result = case
     table = "\n".join(lines_of("heated_box", "first part", logs, result))
     assert "3 parts train, 3 held out" in table
@@ -108,7 +108,7 @@ def test_the_table_has_what_was_measured(case: tuple[Path, Logs, Result]) -> Non
     assert "refuted by held-out runs: none" in table
 
 
-def test_an_effect_with_which_held_out_runs_fit_worse_is_refuted(case: tuple[Path, Logs, Result]) -> None:
+def test_an_effect_with_which_held_out_runs_fit_worse_is_refuted(case: tuple[Path, Logs, LogResult]) -> None:
     steps = (Step("one mass", 1.0, 1.5), Step("+ heater_lag", 0.4, 1.1), Step("+ soil_mass", 0.2, 2.6))
     assert replace(case[2], steps=steps).refuted == ["+ soil_mass"]
 

@@ -6,9 +6,9 @@
 import numpy as np
 from designed import as_inputs
 
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, Plan, drive
+from bench.hidden_effects.chamber_runs import LEAD_ROWS, RunPlan, drive
 from bench.hidden_effects.draw_readings import Sensing, read_temps, run_of
-from bench.resolve_alias import CASES, Case, Columns, twin_of
+from bench.resolve_alias import CASES, AliasCase, Columns, twin_of
 from bench.support.simulated_runs import silent
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.experiment.design import next_experiment
@@ -19,11 +19,11 @@ from edge.twin.twin_file import TwinFile
 SENSING = Sensing(noise_k=0.06, step_k=0.1)
 
 
-def recorded(case: Case, profile: Columns, seed: int):
+def recorded(case: AliasCase, profile: Columns, seed: int):
     """A run of the box with what is hidden in it, as its sensors show it."""
     before = np.zeros(LEAD_ROWS)
     duty, fan = (np.concatenate([before, column]) for column in profile)
-    plan = Plan(duty, fan, np.zeros(len(duty)), day=0.1 * seed, hour=10.0, room_c=21.2, seed=seed)
+    plan = RunPlan(duty, fan, np.zeros(len(duty)), day=0.1 * seed, hour=10.0, room_c=21.2, seed=seed)
     found = drive({**case.box, **case.settings}, plan)
     columns = {
         "temp_air_c": read_temps(np.random.default_rng(seed), found.clean_c, SENSING, "train"),

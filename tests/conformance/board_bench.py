@@ -26,7 +26,7 @@ HEAT = CommandMessage(
 IDLE = replace(HEAT, heater_steps=0, fan_on=False, led_pct=0)
 
 
-class Bench:
+class BoardBench:
     """One board, its clock `now_ms`, the pins of its last step, the number of the host's last request."""
 
     def __init__(self, new_board, config=CONFIG, persistent=b"", start_ms=0, reset_cause=0, boot_count=1):
@@ -57,7 +57,7 @@ class Bench:
         assert header.ack == seq
         return answer
 
-    def greet(self) -> "Bench":
+    def greet(self) -> "BoardBench":
         self.ask(HelloRequest(session=7))
         return self
 
@@ -66,7 +66,7 @@ class Bench:
         assert isinstance(answer, StateEcho)
         return answer
 
-    def air(self, value: float | None, quality: int = Quality.GOOD) -> "Bench":
+    def air(self, value: float | None, quality: int = Quality.GOOD) -> "BoardBench":
         self.board.sample({"temp_air_c": (value, quality)}, self.now_ms)
         return self
 
@@ -87,9 +87,9 @@ class Bench:
         return pins
 
 
-def heating(new_board, command=HEAT, **bench) -> Bench:
+def heating(new_board, command=HEAT, **bench) -> BoardBench:
     """A greeted board with a good sample that has just obeyed a command."""
-    ready = Bench(new_board, **bench).greet().air(25.0)
+    ready = BoardBench(new_board, **bench).greet().air(25.0)
     answer = ready.ask(command)
     assert isinstance(answer, StateEcho), answer
     return ready

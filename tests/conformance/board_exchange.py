@@ -1,7 +1,7 @@
 """The host's own link and a board under test, joined by two lines, in steps of 10 ms of simulated time."""
 
 from board_bench import CONFIG
-from line import Line
+from line import GoodLine
 
 from firmware_protocol.link import Link
 from firmware_protocol.messages import CommandMessage, Message, Quality
@@ -13,9 +13,9 @@ RENEW_MS = 2000
 class BoardExchange:
     """A host that renews its command every RENEW_MS, an air temperature that is sampled every second."""
 
-    def __init__(self, new_board, to_board: Line | None = None, to_host: Line | None = None) -> None:
+    def __init__(self, new_board, to_board: GoodLine | None = None, to_host: GoodLine | None = None) -> None:
         self.new_board = new_board
-        self.to_board, self.to_host = to_board or Line(), to_host or Line()
+        self.to_board, self.to_host = to_board or GoodLine(), to_host or GoodLine()
         self.temp_air = 25.0
         self.now_ms = 0
         self.boots = 0

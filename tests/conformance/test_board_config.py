@@ -4,7 +4,7 @@ import ctypes
 from dataclasses import fields
 
 import pytest
-from board_bench import HEAT, Bench
+from board_bench import HEAT, BoardBench
 
 from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.messages import Capability, Hello, StateEcho
@@ -29,7 +29,7 @@ class RawBoard(CBoardCore):
 
 
 def hello_of(raw: dict[str, int], reset_cause: int = 0) -> Hello:
-    [(_, hello)] = Bench(RawBoard, raw, reset_cause=reset_cause).listen()
+    [(_, hello)] = BoardBench(RawBoard, raw, reset_cause=reset_cause).listen()
     assert isinstance(hello, Hello)
     return hello
 
@@ -56,7 +56,7 @@ def test_the_ends_of_a_range_are_kept_and_one_step_beyond_is_not(name):
 
 
 def test_a_board_configured_with_zeros_runs_and_hardly_heats():
-    bench = Bench(RawBoard, dict.fromkeys(NUMBERS, 0) | {"temp_trip_c": 4500}).greet().air(25.0)
+    bench = BoardBench(RawBoard, dict.fromkeys(NUMBERS, 0) | {"temp_trip_c": 4500}).greet().air(25.0)
     answer = bench.ask(HEAT)
     assert isinstance(answer, StateEcho) and answer.lease_left_s == 0.1
     assert not any(pins.heater_relay for pins in bench.run(5000)[1:])

@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 import pytest
-from board_bench import CONFIG, HEAT, IDLE, Bench, heating
+from board_bench import CONFIG, HEAT, IDLE, BoardBench, heating
 
 WRAP = 2**32
 STARTS = [0, 123_456, WRAP - 5000, WRAP - 1]
 RUNNING_MS = 2500  # the air sample lasts 3000 ms
 
 
-def driven(bench: Bench) -> tuple:
+def driven(bench: BoardBench) -> tuple:
     """What the last command drives; the heater by its duty, since the relay waits for its slot."""
     pins, state = bench.step(), bench.state()
     return state.heater_steps, pins.fan, pins.led, state.led_pct, pins.cutoff_open
@@ -69,7 +69,7 @@ def test_a_shorter_lease_replaces_a_longer(new_board):
 @pytest.mark.parametrize("fan_safe_on", [False, True])
 def test_silence_leaves_the_fan_in_its_configured_state(new_board, fan_safe_on):
     config = replace(CONFIG, fan_safe_on=fan_safe_on)
-    bench = Bench(new_board, config)
+    bench = BoardBench(new_board, config)
     assert bench.step().fan is fan_safe_on
     bench.greet().air(25.0).ask(replace(HEAT, fan_on=not fan_safe_on))
     assert bench.step(100).fan is not fan_safe_on
@@ -108,7 +108,7 @@ def test_asking_renews_nothing(new_board):
 
 
 def test_the_cut_off_obeys_and_is_open_without_a_lease(new_board):
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     assert bench.step().cutoff_open
     bench.greet().air(25.0).ask(IDLE)
     assert not bench.step(100).cutoff_open

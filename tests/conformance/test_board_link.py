@@ -4,16 +4,16 @@ from itertools import pairwise
 
 import pytest
 from board_exchange import BoardExchange
-from line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, Line, LossyLine, NoisyLine
+from line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, GoodLine, LossyLine, NoisyLine
 
-from firmware_protocol.link import BoardReset, Echo, LinkLost, LinkUp, Refused, Report
+from firmware_protocol.link import BoardReset, LinkEcho, LinkLost, LinkUp, Refused, Report
 from firmware_protocol.messages import ClearTrip, CommandMessage, EmergencyStop, ErrorCode
 
 LEASE_S = 5.0
 HEATING = CommandMessage(20, True, 60, 0.0, False, LEASE_S)
 
 LINES = {
-    "good": lambda seed: Line(),
+    "good": lambda seed: GoodLine(),
     "bytewise": lambda seed: BytewiseLine(),
     "delayed": lambda seed: DelayedLine(0.1),
     "duplicating": lambda seed: DuplicatingLine(seed),
@@ -39,7 +39,7 @@ def test_heat_is_held_through_a_bad_line(rig):
     rig.drive(5)
     pins = rig.drive(30, HEATING)[500:]
     assert sum(p.heater_relay for p in pins) > 0.9 * len(pins)
-    assert [event.state.heater_steps for event in rig.seen(Echo)].count(20) > 10
+    assert [event.state.heater_steps for event in rig.seen(LinkEcho)].count(20) > 10
 
 
 def test_the_heater_is_off_one_lease_after_the_host_stops(rig):

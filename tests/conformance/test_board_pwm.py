@@ -4,7 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from board_bench import CONFIG, HEAT, Bench, heating
+from board_bench import CONFIG, HEAT, BoardBench, heating
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +13,7 @@ SLOT_MS = 1000
 STARTS = [0, 17_300, 2**32 - 30_000]
 
 
-def renewed(bench: Bench, duty: int, duration_ms: int) -> list[bool]:
+def renewed(bench: BoardBench, duty: int, duration_ms: int) -> list[bool]:
     """The relay every 100 ms while a duty is held and its lease renewed."""
     relay = []
     for _ in range(duration_ms // 5000):

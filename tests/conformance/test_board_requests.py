@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from board_bench import CONFIG, HEAT, IDLE, Bench, heating, is_error
+from board_bench import CONFIG, HEAT, IDLE, BoardBench, heating, is_error
 
 from firmware_protocol.frame import encode
 from firmware_protocol.messages import (
@@ -40,18 +40,18 @@ def command_body(**changed: int) -> bytes:
 
 
 def test_the_first_word_is_an_unasked_hello_with_the_configuration(new_board):
-    [(header, hello)] = Bench(new_board, reset_cause=2, boot_count=77).listen()
+    [(header, hello)] = BoardBench(new_board, reset_cause=2, boot_count=77).listen()
     assert (header.seq, header.ack) == (1, 0)
     assert hello == CONFIG.hello(session=0, reset_cause=2, boot_count=77)
 
 
 def test_hello_answers_a_request_with_its_session(new_board):
-    assert Bench(new_board).ask(HelloRequest(session=0xDEADBEEF)).session == 0xDEADBEEF
+    assert BoardBench(new_board).ask(HelloRequest(session=0xDEADBEEF)).session == 0xDEADBEEF
 
 
 @pytest.mark.parametrize("request_", REQUESTS)
 def test_nothing_is_obeyed_before_the_greeting(new_board, request_):
-    bench = Bench(new_board).air(25.0)
+    bench = BoardBench(new_board).air(25.0)
     kind = pack(request_, 1)[1]
     assert is_error(bench.ask(request_), ErrorCode.NOT_GREETED, kind)
     pins = bench.run(3000)[-1]
@@ -60,17 +60,17 @@ def test_nothing_is_obeyed_before_the_greeting(new_board, request_):
 
 def test_a_reset_board_does_not_go_on_where_it_was(new_board):
     bench = heating(new_board)
-    again = Bench(new_board, persistent=bench.board.persistent()).air(25.0)
+    again = BoardBench(new_board, persistent=bench.board.persistent()).air(25.0)
     assert is_error(again.ask(replace(HEAT, led_pct=1)), ErrorCode.NOT_GREETED, COMMAND)
 
 
 @pytest.mark.parametrize("kind", FROM_BOARD)
 def test_a_looped_back_line_is_not_answered(new_board, kind):
-    assert Bench(new_board).greet().receive(encode(payload(kind, seq=9))) == []
+    assert BoardBench(new_board).greet().receive(encode(payload(kind, seq=9))) == []
 
 
 def test_everything_a_board_says_is_ignored_by_a_board(new_board):
-    bench = Bench(new_board).greet()
+    bench = BoardBench(new_board).greet()
     bench.run(3000)
     bench.listen()
     spoken = [encode(pack(message, header.seq)) for header, message in bench.heard]
@@ -79,31 +79,31 @@ def test_everything_a_board_says_is_ignored_by_a_board(new_board):
 
 
 def test_a_request_without_a_number_is_not_answered(new_board):
-    assert Bench(new_board).greet().receive(encode(pack(Ping(), 0))) == []
+    assert BoardBench(new_board).greet().receive(encode(pack(Ping(), 0))) == []
 
 
 @pytest.mark.parametrize("version", [0, 1, 3, 255])
 @pytest.mark.parametrize("kind", [PING, HELLO_REQUEST, COMMAND, 2, 200])
 def test_another_version_is_told_ours(new_board, version, kind):
-    [(header, answer)] = Bench(new_board).receive(encode(payload(kind, seq=5, version=version)))
+    [(header, answer)] = BoardBench(new_board).receive(encode(payload(kind, seq=5, version=version)))
     assert header.ack == 5 and is_error(answer, ErrorCode.VERSION, PROTOCOL_VERSION)
 
 
 def test_a_command_of_another_version_is_not_obeyed(new_board):
-    bench = Bench(new_board).greet().air(25.0)
+    bench = BoardBench(new_board).greet().air(25.0)
     bench.receive(encode(payload(COMMAND, command_body(), version=1)))
     assert bench.state().heater_steps == 0
 
 
 @pytest.mark.parametrize("kind", [0, 13, 127, 255])
 def test_an_unknown_kind_is_named(new_board, kind):
-    [(_, answer)] = Bench(new_board).greet().receive(encode(payload(kind)))
+    [(_, answer)] = BoardBench(new_board).greet().receive(encode(payload(kind)))
     assert is_error(answer, ErrorCode.UNKNOWN_KIND, kind)
 
 
 @pytest.mark.parametrize("kind", BODY_LENGTH)
 def test_every_wrong_length_is_named_and_not_obeyed(new_board, kind):
-    bench = Bench(new_board).greet().air(25.0)
+    bench = BoardBench(new_board).greet().air(25.0)
     for length in set(range(49)) - {BODY_LENGTH[kind]}:
         [(_, answer)] = bench.receive(encode(payload(kind, bytes(length), seq=length % 255 + 1)))
         assert is_error(answer, ErrorCode.LENGTH, length)
@@ -123,7 +123,7 @@ def test_every_wrong_length_is_named_and_not_obeyed(new_board, kind):
     ],
 )
 def test_a_field_out_of_range_spoils_the_whole_command(new_board, field, name, last_good, first_bad):
-    bench = Bench(new_board).greet().air(25.0)
+    bench = BoardBench(new_board).greet().air(25.0)
     [(_, answer)] = bench.receive(encode(payload(COMMAND, command_body(**{name: first_bad}), seq=200)))
     assert is_error(answer, ErrorCode.RANGE, field)
     state = bench.state()
@@ -142,7 +142,7 @@ def test_a_field_out_of_range_spoils_the_whole_command(new_board, field, name, l
 )
 def test_an_actuator_that_is_not_there_may_only_be_off(new_board, lacking, field, wanted):
     config = replace(CONFIG, capabilities=CONFIG.capabilities & ~lacking)
-    bench = Bench(new_board, config).greet().air(25.0)
+    bench = BoardBench(new_board, config).greet().air(25.0)
     assert is_error(bench.ask(replace(IDLE, heater_steps=5, **wanted)), ErrorCode.NO_ACTUATOR, field)
     assert bench.state().heater_steps == 0
     assert bench.ask(replace(IDLE, heater_steps=5)).heater_steps == 5
@@ -171,7 +171,7 @@ def test_a_duplicate_gives_no_second_pulse(new_board):
 
 
 def test_a_refusal_is_remembered_with_its_number(new_board):
-    bench = Bench(new_board).greet().air(25.0)
+    bench = BoardBench(new_board).greet().air(25.0)
     bench.ask(EmergencyStop())
     assert is_error(bench.ask(HEAT, seq=99), ErrorCode.TRIPPED, 2)
     bench.ask(HEAT, seq=99)
@@ -186,13 +186,13 @@ def test_a_greeting_forgets_the_last_number(new_board):
 
 
 def test_numbers_go_round_without_a_false_duplicate(new_board):
-    bench = Bench(new_board).greet().air(25.0)
+    bench = BoardBench(new_board).greet().air(25.0)
     for k in range(600):
         assert bench.ask(replace(IDLE, led_pct=k % 100)).led_pct == k % 100
 
 
 def test_the_board_numbers_its_frames_from_1_to_255(new_board):
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     numbers = [header.seq for header, _ in bench.listen()]
     for _ in range(300):
         numbers += [header.seq for header, _ in bench.receive(encode(pack(Ping(), 1)))]
@@ -200,14 +200,14 @@ def test_the_board_numbers_its_frames_from_1_to_255(new_board):
 
 
 def test_reports_come_from_boot_on_greeted_or_not(new_board):
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     bench.run(5000)
     reports = [m for _, m in bench.listen() if isinstance(m, SensorReport)]
     assert [report.board_ms for report in reports] == [1000, 2000, 3000, 4000, 5000]
 
 
 def test_a_late_step_gives_one_report_and_keeps_the_beat(new_board):
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     for after_ms in (3450, 549, 1, 900):
         bench.step(after_ms)
     reports = [m.board_ms for _, m in bench.listen() if isinstance(m, SensorReport)]
@@ -215,7 +215,7 @@ def test_a_late_step_gives_one_report_and_keeps_the_beat(new_board):
 
 
 def test_every_hello_is_followed_by_the_state_unasked(new_board):
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     bench.step(100)
     for _ in range(3):  # after the second nothing has changed
         bench.greet()
@@ -227,7 +227,7 @@ def test_every_hello_is_followed_by_the_state_unasked(new_board):
 
 
 def test_a_change_of_cause_is_told_unasked_once(new_board):
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     bench.step(100)
     bench.greet()
     bench.run(500)

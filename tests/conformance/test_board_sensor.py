@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from board_bench import CONFIG, HEAT, IDLE, Bench, heating
+from board_bench import CONFIG, HEAT, IDLE, BoardBench, heating
 
 from firmware_protocol.messages import HeaterOffCause, Quality, SensorReport
 
@@ -15,7 +15,7 @@ NOT_GOOD = [(value, 0) for value in NO_NUMBER + OUT_OF_RANGE]
 NOT_GOOD += [(25.0, quality) for quality in (1, 2, 3, 4, 5, 255, 256, -1)] + [(None, 3), (math.nan, 4)]
 
 
-def report_of(bench: Bench) -> SensorReport:
+def report_of(bench: BoardBench) -> SensorReport:
     """The next report."""
     bench.listen()
     bench.step(1000)
@@ -77,7 +77,7 @@ def test_a_glitch_between_two_steps_is_not_overlooked(new_board):
 
 
 def test_no_sample_means_no_heat(new_board):
-    bench = Bench(new_board).greet()
+    bench = BoardBench(new_board).greet()
     assert bench.ask(HEAT).heater_off_cause is HeaterOffCause.SENSOR_FAULT
     assert not any(pins.heater_relay for pins in bench.run(5000, air=None))
 
@@ -120,7 +120,7 @@ def test_an_old_sample_is_not_fresh_again_when_the_clock_comes_round(new_board):
     ],
 )  # fmt: skip
 def test_the_report_tells_the_air_and_why_it_is_not_good(new_board, value, quality, told, told_quality):
-    report = report_of(Bench(new_board).air(value, quality))
+    report = report_of(BoardBench(new_board).air(value, quality))
     assert (report.temp_air_c, report.temp_air_quality.name) == (told, told_quality)
 
 
@@ -138,7 +138,7 @@ def test_the_report_tells_the_air_and_why_it_is_not_good(new_board, value, quali
 def test_a_number_that_the_wire_cannot_carry_is_none(new_board, signal, last_good, first_bad):
     quality = {"rel_humidity_pct": "rel_humidity_quality", "co2_ppm": "co2_quality", "temp_ambient_c":
                "temp_ambient_quality"}.get(signal, f"{signal}_quality")  # fmt: skip
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     bench.board.sample({signal: (last_good, 0)}, bench.now_ms)
     report = report_of(bench)
     assert (getattr(report, signal), getattr(report, quality)) == (last_good, Quality.GOOD)
@@ -148,13 +148,13 @@ def test_a_number_that_the_wire_cannot_carry_is_none(new_board, signal, last_goo
 
 
 def test_what_was_never_sampled_is_absent(new_board):
-    report = report_of(Bench(new_board))
+    report = report_of(BoardBench(new_board))
     told = [getattr(report, name) for name in SensorReport.__dataclass_fields__ if name != "board_ms"]
     assert told == [None, Quality.ABSENT] * 7
 
 
 def test_an_old_sample_is_stale_and_keeps_its_number(new_board):
-    bench = Bench(new_board).air(25.0)
+    bench = BoardBench(new_board).air(25.0)
     assert [report_of(bench).temp_air_quality.name for _ in range(4)] == ["GOOD", "GOOD", "GOOD", "STALE"]
     assert report_of(bench).temp_air_c == 25.0
 
@@ -164,7 +164,7 @@ def test_an_old_sample_is_stale_and_keeps_its_number(new_board):
     [(1200, 0, 1200), (0, 0, 0), (65534, 0, 65534), (65535, 0, None), (-1, 0, None), (1200, 3, None)],
 )
 def test_the_state_tells_the_fan_speed_when_it_is_good(new_board, rpm, quality, told):
-    bench = Bench(new_board).greet()
+    bench = BoardBench(new_board).greet()
     assert bench.state().fan_rpm is None
     bench.board.sample({"fan_rpm": (rpm, quality)}, bench.now_ms)
     assert bench.state().fan_rpm == told

@@ -4,7 +4,7 @@ from dataclasses import replace
 from itertools import chain, pairwise
 
 import pytest
-from board_bench import CONFIG, HEAT, Bench, heating
+from board_bench import CONFIG, HEAT, BoardBench, heating
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,7 +37,7 @@ streams = st.lists(
 @settings(max_examples=150, deadline=None)
 @given(data=st.binary(max_size=700))
 def test_arbitrary_bytes_never_heat_an_ungreeted_board(new_board, data):
-    bench = Bench(new_board).air(25.0)
+    bench = BoardBench(new_board).air(25.0)
     bench.receive(data)
     assert not any(pins.heater_relay for pins in bench.run(2000))
 
@@ -45,7 +45,7 @@ def test_arbitrary_bytes_never_heat_an_ungreeted_board(new_board, data):
 @settings(max_examples=150, deadline=None)
 @given(stream=streams)
 def test_after_any_stream_the_next_frame_is_answered(new_board, stream):
-    bench = Bench(new_board).greet()
+    bench = BoardBench(new_board).greet()
     bench.receive(stream + b"\0")
     header, answer = bench.receive(encode(pack(Ping(), 78)))[-1]
     assert header.ack == 78 and isinstance(answer, StateEcho | ErrorMessage)
@@ -54,9 +54,9 @@ def test_after_any_stream_the_next_frame_is_answered(new_board, stream):
 @settings(max_examples=60, deadline=None)
 @given(stream=streams, cuts=st.lists(st.integers(0, 800), max_size=20))
 def test_it_does_not_matter_how_the_bytes_are_cut(new_board, stream, cuts):
-    whole = Bench(new_board).air(25.0)
+    whole = BoardBench(new_board).air(25.0)
     expected = whole.receive(stream)
-    cut = Bench(new_board).air(25.0)
+    cut = BoardBench(new_board).air(25.0)
     edges = [0, *sorted(at for at in cuts if at < len(stream)), len(stream)]
     pieces = [cut.receive(stream[a:b]) for a, b in pairwise(edges)]
     assert list(chain.from_iterable(pieces)) == expected
@@ -65,14 +65,14 @@ def test_it_does_not_matter_how_the_bytes_are_cut(new_board, stream, cuts):
 def test_a_single_flipped_bit_is_never_obeyed(new_board):
     for at in range(len(COMMAND) - 1):
         for bit in range(8):
-            bench = Bench(new_board).greet().air(25.0)
+            bench = BoardBench(new_board).greet().air(25.0)
             bench.receive(COMMAND[:at] + bytes([COMMAND[at] ^ 1 << bit]) + COMMAND[at + 1 :] + b"\0")
             state = bench.state()
             assert (state.heater_steps, state.led_pct, state.lease_left_s) == (0, 0, 0)
 
 
 def test_no_part_of_a_command_is_obeyed(new_board):
-    bench = Bench(new_board).greet().air(25.0)
+    bench = BoardBench(new_board).greet().air(25.0)
     for cut in range(1, len(COMMAND) - 1):
         bench.receive(b"\0" + COMMAND[:cut] + b"\0")
         bench.receive(COMMAND[cut:])
@@ -86,13 +86,13 @@ def test_no_part_of_a_command_is_obeyed(new_board):
 def test_a_good_crc_of_any_length_is_answered_only_from_header_to_longest_body(new_board, length, fill):
     payload = (bytes((1, 200, 9, 0)) + fill * 300)[:length]
     frame = cobs_encode(payload + crc16(payload).to_bytes(2, "big")) + b"\0"
-    assert len(Bench(new_board).greet().receive(frame)) == (1 if 4 <= length <= 52 else 0)
+    assert len(BoardBench(new_board).greet().receive(frame)) == (1 if 4 <= length <= 52 else 0)
 
 
 @pytest.mark.parametrize("length", [1, 2, 3, 54, 55, 56, 57, 255, 1000])
 @pytest.mark.parametrize("fill", [1, 2, 56, 255])
 def test_a_run_without_an_end_is_dropped_to_the_next_zero(new_board, length, fill):
-    bench = Bench(new_board).greet()
+    bench = BoardBench(new_board).greet()
     assert bench.receive(bytes([fill]) * length + PING) == []
     assert [header.ack for header, _ in bench.receive(PING)] == [77]
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from board_bench import CONFIG, HEAT, IDLE, Bench, heating, is_error
+from board_bench import CONFIG, HEAT, IDLE, BoardBench, heating, is_error
 
 from firmware_protocol.frame import crc16
 from firmware_protocol.messages import (
@@ -23,7 +23,7 @@ OVER_TEMPERATURE = TripCause.OVER_TEMPERATURE
 BLANK = [b"", b"\xff\xff\xff\xff"]
 
 
-def tripped(new_board, **bench) -> Bench:
+def tripped(new_board, **bench) -> BoardBench:
     """A board that has just tripped while heating."""
     hot = heating(new_board, replace(HEAT, fan_on=False, valve_pulse_s=5.0), **bench)
     hot.run(1000)
@@ -192,7 +192,7 @@ def test_a_stop_survives_every_reset(new_board, reset_cause, stop, release, caus
     bench = heating(new_board)
     bench.ask(stop)
     store = bench.board.persistent()
-    again = Bench(new_board, FAN_SAFE, persistent=store, reset_cause=reset_cause)
+    again = BoardBench(new_board, FAN_SAFE, persistent=store, reset_cause=reset_cause)
     assert_still(again.step())
     assert_still(again.greet().air(25.0).step(100))
     assert again.state().trip_cause is cause
@@ -261,7 +261,7 @@ def test_clearing_a_trip_during_a_stop_leaves_the_stop_alone(new_board):
 
 @pytest.mark.parametrize("config", [CONFIG, FAN_SAFE])
 def test_a_damaged_store_may_have_held_a_stop_so_nothing_is_driven(new_board, config):
-    bench = Bench(new_board, config, persistent=b"\x01\x02\x00\x00").greet().air(25.0)
+    bench = BoardBench(new_board, config, persistent=b"\x01\x02\x00\x00").greet().air(25.0)
     assert_still(bench.step())
     asked = replace(IDLE, fan_on=True)
     assert is_error(bench.ask(asked), ErrorCode.TRIPPED, TripCause.STORAGE_DAMAGED)
@@ -274,7 +274,7 @@ def test_a_damaged_store_may_have_held_a_stop_so_nothing_is_driven(new_board, co
 
 
 def test_the_store_has_the_documented_bytes(new_board):
-    bench = Bench(new_board)
+    bench = BoardBench(new_board)
     assert bench.board.persistent() == b"\x01\x00" + crc16(b"\x01\x00").to_bytes(2, "big")
     bench = tripped(new_board)
     assert bench.board.persistent() == b"\x01\x01" + crc16(b"\x01\x01").to_bytes(2, "big")
@@ -286,7 +286,7 @@ def test_the_store_has_the_documented_bytes(new_board):
 @pytest.mark.parametrize("reset_cause", range(6))
 def test_a_trip_survives_every_reset(new_board, reset_cause):
     store = tripped(new_board).board.persistent()
-    bench = Bench(new_board, persistent=store, reset_cause=reset_cause)
+    bench = BoardBench(new_board, persistent=store, reset_cause=reset_cause)
     assert_safe(bench.step())
     bench.greet()
     assert bench.state().trip_cause is OVER_TEMPERATURE
@@ -296,17 +296,17 @@ def test_a_trip_survives_every_reset(new_board, reset_cause):
 def test_a_cleared_trip_stays_cleared(new_board):
     bench = tripped(new_board).air(40.0)
     bench.ask(ClearTrip())
-    assert not Bench(new_board, persistent=bench.board.persistent()).greet().state().tripped
+    assert not BoardBench(new_board, persistent=bench.board.persistent()).greet().state().tripped
 
 
 @pytest.mark.parametrize("blank", BLANK)
 def test_a_blank_store_holds_no_trip(new_board, blank):
-    assert not Bench(new_board, persistent=blank).greet().state().tripped
+    assert not BoardBench(new_board, persistent=blank).greet().state().tripped
 
 
 def test_a_store_with_every_latch_is_whole(new_board):
     store = b"\x01\x0f" + crc16(b"\x01\x0f").to_bytes(2, "big")
-    bench = Bench(new_board, persistent=store).greet().air(25.0)
+    bench = BoardBench(new_board, persistent=store).greet().air(25.0)
     assert bench.state().trip_cause is TripCause.EMERGENCY_STOP
     assert bench.ask(ReleaseStop()).trip_cause is TripCause.MAINTENANCE
     assert bench.ask(EndMaintenance()).trip_cause is TripCause.STORAGE_DAMAGED
@@ -314,7 +314,7 @@ def test_a_store_with_every_latch_is_whole(new_board):
 
 
 def test_every_damaged_store_is_a_trip(new_board):
-    good = Bench(new_board).board.persistent()
+    good = BoardBench(new_board).board.persistent()
     flipped = [
         bytes(b ^ (1 << bit if k == at else 0) for k, b in enumerate(good))
         for at in range(4)
@@ -324,13 +324,13 @@ def test_every_damaged_store_is_a_trip(new_board):
     unknown_latch = b"\x01\x10" + crc16(b"\x01\x10").to_bytes(2, "big")
     unknown_layout = b"\x02\x00" + crc16(b"\x02\x00").to_bytes(2, "big")
     for store in [*flipped, *torn, unknown_latch, unknown_layout]:
-        state = Bench(new_board, persistent=store).greet().state()
+        state = BoardBench(new_board, persistent=store).greet().state()
         assert state.trip_cause is TripCause.STORAGE_DAMAGED, store.hex()
 
 
 @pytest.mark.parametrize("temp_trip_c", [0.0, 3.0, 30.0, 100.0])
 def test_the_limit_is_the_configured_one(new_board, temp_trip_c):
-    bench = Bench(new_board, replace(CONFIG, temp_trip_c=temp_trip_c)).greet()
+    bench = BoardBench(new_board, replace(CONFIG, temp_trip_c=temp_trip_c)).greet()
     bench.air(min(temp_trip_c, 80.01) - 0.01).air(min(temp_trip_c, 80.01) - 0.01)
     assert not bench.state().tripped
     bench.air(temp_trip_c).air(temp_trip_c)

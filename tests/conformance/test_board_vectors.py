@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from board_bench import Bench, is_error
+from board_bench import BoardBench, is_error
 from board_kinds import SANITIZERS, STRICT
 
 import firmware_protocol
@@ -37,7 +37,7 @@ class Decoder(ctypes.Structure):
 
 @by_name(VECTORS)
 def test_the_board_answers_what_the_vector_says(new_board, vector):
-    said = Bench(new_board).greet().receive(bytes.fromhex(vector["hex"]))
+    said = BoardBench(new_board).greet().receive(bytes.fromhex(vector["hex"]))
     payloads = [bytes.fromhex(payload) for payload in vector["payloads"]]
     asked = [p for p in payloads if p[0] != PROTOCOL_VERSION or (p[1] not in FROM_BOARD and p[2] != 0)]
     assert [header.ack for header, _ in said] == [payload[2] for payload in asked]

@@ -7,7 +7,7 @@ import pytest
 from certificates import make_certificates
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, Row, record, settings
+from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, OutboxRow, record, settings
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 
@@ -32,9 +32,9 @@ def broker(tmp_path):
         yield running
 
 
-class Outbox(MemoryOutbox):
+class EmptyOutbox(MemoryOutbox):
     def pending(self, limit):
-        return [Row(row.id, f"{ROOT}/history/tick", row.payload) for row in super().pending(limit)]
+        return [OutboxRow(row.id, f"{ROOT}/history/tick", row.payload) for row in super().pending(limit)]
 
 
 def test_the_rig_home_assistant_and_an_archive_can_do_their_work_and_no_more(broker, tmp_path):
@@ -51,7 +51,7 @@ def test_the_rig_home_assistant_and_an_archive_can_do_their_work_and_no_more(bro
         username="greenhouse-1",
         password_file=str(secret),
     )
-    loop, outbox = ControlLoop(), Outbox(50)
+    loop, outbox = ControlLoop(), EmptyOutbox(50)
     with (
         Listener(broker.port, user="homeassistant", password="homeassistant", context=context) as home,
         Listener(broker.port, user="archive", password="archive", context=context, name="archive") as archive,

@@ -11,11 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from avr.simulated_avr import FAN, FREQUENCY, HEATER, SUPPLY, VALVE, Rig, SimulatedAvr, transmitted
+from avr.simulated_avr import FAN, FREQUENCY, HEATER, SUPPLY, VALVE, AvrRig, SimulatedAvr, transmitted
 
 import firmware_protocol
 from firmware_protocol.frame import FrameDecoder, encode
-from firmware_protocol.link import BoardReset, Echo, LinkUp, Refused, Report
+from firmware_protocol.link import BoardReset, LinkEcho, LinkUp, Refused, Report
 from firmware_protocol.messages import (
     ClearTrip,
     CommandMessage,
@@ -79,22 +79,22 @@ def avr(host, program):
         yield simulated
 
 
-def greeted(avr: SimulatedAvr) -> Rig:
+def greeted(avr: SimulatedAvr) -> AvrRig:
     """A rig whose link has just come up."""
-    rig = Rig(avr)
+    rig = AvrRig(avr)
     rig.run(1.0, until=lambda rig: rig.link.state == "up")
     assert rig.link.state == "up"
     return rig
 
 
-def sampled(avr: SimulatedAvr) -> Rig:
+def sampled(avr: SimulatedAvr) -> AvrRig:
     """A greeted rig with a good air sample."""
     rig = greeted(avr)
     rig.run(2.0, until=lambda rig: rig.seen(Report))
     return rig
 
 
-def heating(avr: SimulatedAvr) -> Rig:
+def heating(avr: SimulatedAvr) -> AvrRig:
     """A rig whose heater is on."""
     rig = sampled(avr)
     rig.ask(HEAT)
@@ -103,13 +103,13 @@ def heating(avr: SimulatedAvr) -> Rig:
     return rig
 
 
-def state(rig: Rig) -> StateEcho:
+def state(rig: AvrRig) -> StateEcho:
     rig.ask(Ping())
-    return rig.seen(Echo)[-1].state
+    return rig.seen(LinkEcho)[-1].state
 
 
 def test_it_greets_and_reports_every_second(avr):
-    rig = Rig(avr)
+    rig = AvrRig(avr)
     rig.run(3.3)
     [up] = rig.seen(LinkUp)
     assert (up.hello.board_id, up.hello.reset_cause) == (1, ResetCause.POWER_ON)
@@ -127,7 +127,7 @@ def test_the_pins_are_safe_before_they_are_outputs_and_before_the_first_byte(avr
 
 def test_as_it_stands_it_never_heats(host, tmp_path):
     with SimulatedAvr(host, compile_for_avr(tmp_path / "plain.elf")) as plain:
-        rig = Rig(plain, has_sensor=False)
+        rig = AvrRig(plain, has_sensor=False)
         rig.run(1.0, until=lambda rig: rig.link.state == "up")
         rig.ask(HEAT)
         assert not any(port & (HEATER | SUPPLY) for _, port, _ in rig.run(2.0))
@@ -200,7 +200,7 @@ def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_
         rig.sense(25.0)
         rig.run(1.1)
         rig.ask(ClearTrip())
-        assert not rig.seen(Echo)[-1].state.tripped and rig.port() == FAN
+        assert not rig.seen(LinkEcho)[-1].state.tripped and rig.port() == FAN
         rig.run(0.1)
         cleared = again.eeprom()
     with SimulatedAvr(host, program, cleared) as cold:
@@ -306,7 +306,7 @@ def test_a_line_full_of_requests_starves_neither_the_leases_nor_the_watchdog(avr
     assert state(rig).heater_steps == 0
 
 
-def ask_in_parallel(rig: Rig, core: BoardCore, data: bytes) -> tuple[list, list]:
+def ask_in_parallel(rig: AvrRig, core: BoardCore, data: bytes) -> tuple[list, list]:
     """What both boards answer to the same bytes, with the times taken out."""
     said = [transmitted(rig.avr.run(30 + len(data) / 10, data))]  # a trip is stored before it is answered
     core.receive(data, 2000)

@@ -4,7 +4,7 @@ import pytest
 
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
-from firmware_protocol.virtual_board.profiles.record import ProfileRow, paths, read, record, write
+from firmware_protocol.virtual_board.profiles.record import RecordedRow, paths, read, record, write
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,6 @@ def test_the_room_is_at_about_21_degrees(runs):
 
 
 def test_a_profile_file_reads_back_as_written(tmp_path):
-    rows = [ProfileRow(0, 0.35, 1, 0.5), ProfileRow(60, 0.0, 0)]
+    rows = [RecordedRow(0, 0.35, 1, 0.5), RecordedRow(60, 0.0, 0)]
     write(tmp_path / "p.csv", {"seed": "4", "notes": "a: b"}, rows)
     assert read(tmp_path / "p.csv") == ({"seed": "4", "notes": "a: b"}, rows)

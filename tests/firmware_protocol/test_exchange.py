@@ -8,14 +8,14 @@ import pytest
 from exchange import STEP_MS, Exchange
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, Line, LossyLine, NoisyLine
+from line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, GoodLine, LossyLine, NoisyLine
 
-from firmware_protocol.link import BoardReset, Echo, LinkLost, LinkUp, Report, RequestTimedOut
+from firmware_protocol.link import BoardReset, LinkEcho, LinkLost, LinkUp, Report, RequestTimedOut
 from firmware_protocol.messages import ClearTrip, CommandMessage, EmergencyStop, HeaterOffCause, TripCause
 
 LEASE_S = 5.0
-LINES: dict[str, Callable[[int], Line]] = {
-    "good": lambda seed: Line(),
+LINES: dict[str, Callable[[int], GoodLine]] = {
+    "good": lambda seed: GoodLine(),
     "3 bytes in 10 ms": lambda seed: BytewiseLine(3),
     "200 ms late": lambda seed: DelayedLine(0.2),
     "900 ms late": lambda seed: DelayedLine(0.9),
@@ -34,7 +34,7 @@ def heat(number: int, lease_s: float = LEASE_S) -> CommandMessage:
 
 
 @dataclass
-class Run:
+class ExchangeRun:
     """A host that asks for heat every half second, and what must hold whatever the line does."""
 
     exchange: Exchange
@@ -57,7 +57,7 @@ class Run:
         return [
             event.request
             for event in self.exchange.events
-            if isinstance(event, Echo) and isinstance(event.request, CommandMessage)
+            if isinstance(event, LinkEcho) and isinstance(event.request, CommandMessage)
         ]
 
     def check_exactly_once(self) -> None:
@@ -86,10 +86,10 @@ def test_over_any_line_the_link_comes_up_and_every_acknowledged_command_was_obey
 ) -> None:
     make = LINES[name]
     exchange = Exchange(
-        to_board=make(1) if way != "to the host" else Line(),
-        to_host=make(2) if way != "to the board" else Line(),
+        to_board=make(1) if way != "to the host" else GoodLine(),
+        to_host=make(2) if way != "to the board" else GoodLine(),
     )
-    run = Run(exchange)
+    run = ExchangeRun(exchange)
     run.run(40.0)
     run.check_exactly_once()
     assert run.heated_ms > 5000
@@ -115,7 +115,7 @@ def test_whatever_is_lost_the_heater_is_off_within_a_lease_of_the_last_obeyed_co
         to_host=LossyLine(seeds[1], *rates[3:]),
         clock_start_ms=clock_start_ms,
     )
-    run = Run(exchange)
+    run = ExchangeRun(exchange)
     for second in range(20):
         if second in resets:
             exchange.reset_board()
@@ -127,7 +127,7 @@ def test_whatever_is_lost_the_heater_is_off_within_a_lease_of_the_last_obeyed_co
 @pytest.mark.parametrize("cut_host", [True, False])
 def test_a_cut_line_is_noticed_within_seconds_and_ends_the_heat_within_the_lease(cut_host: bool) -> None:
     exchange = Exchange()
-    run = Run(exchange)
+    run = ExchangeRun(exchange)
     run.run(10.0)
     cut = CutLine(10.0, 100.0)
     if cut_host:
@@ -144,7 +144,7 @@ def test_a_cut_line_is_noticed_within_seconds_and_ends_the_heat_within_the_lease
 
 def test_a_line_that_comes_back_is_used_again() -> None:
     exchange = Exchange(to_board=CutLine(5.0, 60.0), to_host=CutLine(5.0, 60.0))
-    run = Run(exchange)
+    run = ExchangeRun(exchange)
     run.run(59.0)
     assert exchange.link.state == "down"
     run.run(3.0)
@@ -153,7 +153,7 @@ def test_a_line_that_comes_back_is_used_again() -> None:
 
 def test_a_reset_ends_the_heat_at_once_and_is_told_once() -> None:
     exchange = Exchange()
-    run = Run(exchange)
+    run = ExchangeRun(exchange)
     run.run(10.0)
     exchange.reset_board()
     assert not exchange.step().heater_relay
@@ -192,28 +192,28 @@ def test_a_host_that_restarts_is_not_taken_for_a_repetition_of_the_old_one() -> 
 def test_a_trip_is_told_unasked_and_cleared_only_when_cool() -> None:
     exchange = Exchange(temp_air=46.0)
     events = exchange.run(3.0)
-    causes = [event.state.trip_cause for event in events if isinstance(event, Echo)]
+    causes = [event.state.trip_cause for event in events if isinstance(event, LinkEcho)]
     assert causes[-1] is TripCause.OVER_TEMPERATURE
     exchange.temp_air = 30.0
     exchange.run(1.0)
     exchange.request(ClearTrip())
     events = exchange.run(0.5)
-    assert [event.state.tripped for event in events if isinstance(event, Echo)] == [False]
+    assert [event.state.tripped for event in events if isinstance(event, LinkEcho)] == [False]
 
 
 @pytest.mark.parametrize("name", LINES)
 def test_an_emergency_stop_gets_through_every_line_that_lets_anything_through(name: str) -> None:
     exchange = Exchange(to_board=LINES[name](3), to_host=LINES[name](4))
-    run = Run(exchange)
+    run = ExchangeRun(exchange)
     run.run(9.0)
     for _ in range(40):
         if exchange.link.state == "up":
             exchange.request(EmergencyStop())
         exchange.run(2.0)
-        if any(isinstance(e, Echo) and isinstance(e.request, EmergencyStop) for e in exchange.events):
+        if any(isinstance(e, LinkEcho) and isinstance(e.request, EmergencyStop) for e in exchange.events):
             break
     assert exchange.core.step(exchange.now_ms).heater_relay is False
-    echoes = [event.state for event in exchange.events if isinstance(event, Echo)]
+    echoes = [event.state for event in exchange.events if isinstance(event, LinkEcho)]
     assert echoes[-1].trip_cause is TripCause.EMERGENCY_STOP
     assert echoes[-1].heater_off_cause is HeaterOffCause.TRIPPED
 
@@ -224,7 +224,7 @@ def test_a_one_way_line_never_makes_an_old_answer_count_for_a_new_command() -> N
     exchange.request(heat(0))
     exchange.run(0.5)
     exchange.to_board = CutLine(0.0, 1e9)  # the board is still heard
-    run = Run(exchange)
+    run = ExchangeRun(exchange)
     run.run(600.0)  # more requests than there are sequence numbers
     assert run.acknowledged() == [heat(0)]
     assert not any(isinstance(event, RequestTimedOut) for event in exchange.events[-20:])

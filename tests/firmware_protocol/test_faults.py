@@ -15,7 +15,7 @@ from firmware_protocol.virtual_board.board_clock import BoardClock
 from firmware_protocol.virtual_board.core import Pins
 from firmware_protocol.virtual_board.fault_table import KINDS
 from firmware_protocol.virtual_board.faults import FaultError, Schedule, make_fault
-from firmware_protocol.virtual_board.line import Line
+from firmware_protocol.virtual_board.line import FaultyLine
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.sensor_faults import SensorFaults
 
@@ -107,7 +107,7 @@ def test_the_next_change_is_a_start_or_an_end():
 
 
 def through(data, *faults, now_ms=0, direction="to_host"):
-    line = Line(direction)
+    line = FaultyLine(direction)
     line.set_faults(list(faults))
     line.send(data, now_ms)
     return line.arrive(now_ms)
@@ -152,7 +152,7 @@ def test_a_fault_of_one_direction_leaves_the_other_alone():
 
 
 def test_delayed_bytes_come_in_order_also_when_the_delay_ends():
-    line = Line("to_host")
+    line = FaultyLine("to_host")
     line.set_faults([fault("delay", delay_s=0.5)])
     line.send(b"a", 0)
     line.set_faults([])
@@ -164,7 +164,7 @@ def test_delayed_bytes_come_in_order_also_when_the_delay_ends():
 
 
 def test_garbage_is_a_burst_of_its_length():
-    line = Line("to_host")
+    line = FaultyLine("to_host")
     line.garbage(fault("garbage", count=33), 0)
     line.garbage(fault("garbage", count=33, direction="to_board"), 0)
     assert len(line.arrive(0)) == 33

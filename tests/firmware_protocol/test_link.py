@@ -10,8 +10,8 @@ from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.link import (
     BoardReset,
-    Echo,
     Link,
+    LinkEcho,
     LinkEvent,
     LinkLost,
     LinkUp,
@@ -58,7 +58,7 @@ def _values(message: Hello) -> list[object]:
     return [getattr(message, name) for name in Hello.__dataclass_fields__]
 
 
-class Board:
+class FarEnd:
     """The far end, by hand: numbers its frames and answers what it is told to."""
 
     def __init__(self, link: Link) -> None:
@@ -87,18 +87,18 @@ def link() -> Link:
 
 
 @pytest.fixture
-def board(link: Link) -> Board:
-    return Board(link)
+def board(link: Link) -> FarEnd:
+    return FarEnd(link)
 
 
 @pytest.fixture
-def up(link: Link, board: Board) -> Board:
+def up(link: Link, board: FarEnd) -> FarEnd:
     """A board whose link is up at 0 s."""
     board.greeted(0.0)
     return board
 
 
-def test_it_greets_at_once_and_then_every_second_with_one_session_and_seq(link: Link, board: Board) -> None:
+def test_it_greets_at_once_and_then_every_second_with_one_session_and_seq(link: Link, board: FarEnd) -> None:
     heard = []
     for tick in range(31):
         link.poll(tick / 10)
@@ -107,13 +107,13 @@ def test_it_greets_at_once_and_then_every_second_with_one_session_and_seq(link: 
     assert link.next_deadline() == 4.0
 
 
-def test_a_hello_that_answers_the_greeting_brings_the_link_up(link: Link, board: Board) -> None:
+def test_a_hello_that_answers_the_greeting_brings_the_link_up(link: Link, board: FarEnd) -> None:
     assert board.greeted(0.0) == [LinkUp(hello(SESSION))]
     assert link.state == "up"
 
 
 @pytest.mark.parametrize("session", [0, 1, SESSION - 1])
-def test_a_hello_of_another_session_does_not(link: Link, board: Board, session: int) -> None:
+def test_a_hello_of_another_session_does_not(link: Link, board: FarEnd, session: int) -> None:
     link.poll(0.0)
     assert board.says(hello(session), 0.1, ack=1) == []
     assert link.state == "down"
@@ -121,7 +121,7 @@ def test_a_hello_of_another_session_does_not(link: Link, board: Board, session: 
 
 
 @pytest.mark.parametrize("ack", [2, 255])
-def test_a_hello_that_answers_another_request_does_not(link: Link, board: Board, ack: int) -> None:
+def test_a_hello_that_answers_another_request_does_not(link: Link, board: FarEnd, ack: int) -> None:
     link.poll(0.0)
     assert board.says(hello(SESSION), 0.1, ack) == []
     assert link.state == "down"
@@ -129,7 +129,7 @@ def test_a_hello_that_answers_another_request_does_not(link: Link, board: Board,
 
 @pytest.mark.parametrize("versions", [(1, 1), (3, 9), (0, 0)])
 def test_a_board_of_other_versions_is_refused_and_greeted_every_10_s(
-    link: Link, board: Board, versions: tuple[int, int]
+    link: Link, board: FarEnd, versions: tuple[int, int]
 ) -> None:
     link.poll(0.0)
     assert board.says(hello(SESSION, 1, *versions), 0.1, ack=1) == [VersionRefused(*versions)]
@@ -144,7 +144,7 @@ def test_a_board_of_other_versions_is_refused_and_greeted_every_10_s(
 
 
 @pytest.mark.parametrize("versions", [(2, 2), (0, 2), (1, 3), (0, 255)])
-def test_a_range_with_our_version_is_accepted(link: Link, board: Board, versions: tuple[int, int]) -> None:
+def test_a_range_with_our_version_is_accepted(link: Link, board: FarEnd, versions: tuple[int, int]) -> None:
     link.poll(0.0)
     board.says(hello(SESSION, 1, *versions), 0.1, ack=1)
     assert link.state == "up"
@@ -174,14 +174,14 @@ def test_nothing_else_refuses(link: Link, payload: bytes) -> None:
     assert link.state == "down"
 
 
-def test_a_version_error_while_up_refuses_only_the_request(link: Link, up: Board) -> None:
+def test_a_version_error_while_up_refuses_only_the_request(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     error = ErrorMessage(ErrorCode.VERSION, 2)
     assert up.says(error, 0.1, ack=2) == [Refused(error, COMMAND)]
     assert link.state == "up"
 
 
-def test_the_next_deadline_is_the_repetition_or_the_end_of_the_silence(link: Link, up: Board) -> None:
+def test_the_next_deadline_is_the_repetition_or_the_end_of_the_silence(link: Link, up: FarEnd) -> None:
     assert link.next_deadline() == 3.0
     link.request(COMMAND, 1.0)
     assert link.next_deadline() == 1.25
@@ -191,16 +191,16 @@ def test_the_next_deadline_is_the_repetition_or_the_end_of_the_silence(link: Lin
     assert link.next_deadline() == 4.3
 
 
-def test_a_request_goes_out_once_and_its_answer_is_told_with_it(link: Link, up: Board) -> None:
+def test_a_request_goes_out_once_and_its_answer_is_told_with_it(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     ((header, message),) = up.heard()
     assert message == COMMAND
-    assert up.says(STATE, 0.1, header.seq) == [Echo(STATE, COMMAND)]
+    assert up.says(STATE, 0.1, header.seq) == [LinkEcho(STATE, COMMAND)]
     link.poll(0.3)
     assert up.heard() == []
 
 
-def test_an_unanswered_request_is_sent_five_times_and_then_given_up(link: Link, up: Board) -> None:
+def test_an_unanswered_request_is_sent_five_times_and_then_given_up(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     sends = []
     events: list[LinkEvent] = []
@@ -213,14 +213,14 @@ def test_an_unanswered_request_is_sent_five_times_and_then_given_up(link: Link, 
     assert link.statistics["retries"] == 4
 
 
-def test_a_repetition_begins_with_a_zero_so_that_noise_cannot_swallow_it(link: Link, up: Board) -> None:
+def test_a_repetition_begins_with_a_zero_so_that_noise_cannot_swallow_it(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     first = link.outgoing()
     link.poll(0.25)
     assert link.outgoing() == b"\0" + first
 
 
-def test_a_request_given_up_is_followed_by_a_greeting_of_a_new_session(link: Link, up: Board) -> None:
+def test_a_request_given_up_is_followed_by_a_greeting_of_a_new_session(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     for tick in range(6):
         link.poll(tick / 4)
@@ -228,18 +228,20 @@ def test_a_request_given_up_is_followed_by_a_greeting_of_a_new_session(link: Lin
     assert message == HelloRequest(0)  # SESSION + 1, wrapped
 
 
-def test_a_newer_command_replaces_the_one_that_waits_and_not_the_one_under_way(link: Link, up: Board) -> None:
+def test_a_newer_command_replaces_the_one_that_waits_and_not_the_one_under_way(
+    link: Link, up: FarEnd
+) -> None:
     for command in (COMMAND, CommandMessage(1, False, 0, 0.0, False, 1.0), COLDER):
         link.request(command, 0.0)
     assert [message for _, message in up.heard()] == [COMMAND]
-    assert up.says(STATE, 0.1, ack=2) == [Echo(STATE, COMMAND)]
+    assert up.says(STATE, 0.1, ack=2) == [LinkEcho(STATE, COMMAND)]
     assert [(header.seq, message) for header, message in up.heard()] == [(3, COLDER)]
-    assert up.says(STATE, 0.2, ack=3) == [Echo(STATE, COLDER)]
+    assert up.says(STATE, 0.2, ack=3) == [LinkEcho(STATE, COLDER)]
     assert up.heard() == []
     assert link.statistics["replaced"] == 1
 
 
-def test_requests_of_other_kinds_wait_in_their_order(link: Link, up: Board) -> None:
+def test_requests_of_other_kinds_wait_in_their_order(link: Link, up: FarEnd) -> None:
     for message in (COMMAND, Ping(), ClearTrip()):
         link.request(message, 0.0)
     heard = []
@@ -249,7 +251,7 @@ def test_requests_of_other_kinds_wait_in_their_order(link: Link, up: Board) -> N
     assert heard == [COMMAND, Ping(), ClearTrip()]
 
 
-def test_an_emergency_stop_waits_for_nothing(link: Link, up: Board) -> None:
+def test_an_emergency_stop_waits_for_nothing(link: Link, up: FarEnd) -> None:
     for message in (COMMAND, COLDER, ClearTrip()):
         link.request(message, 0.0)
     link.outgoing()
@@ -258,11 +260,13 @@ def test_an_emergency_stop_waits_for_nothing(link: Link, up: Board) -> None:
     assert link.next_deadline() == 0.0
     assert link.poll(0.1) == [RequestTimedOut(message) for message in (COMMAND, COLDER, ClearTrip())]
     assert up.says(STATE, 0.2, ack=2) == []  # the answer to the command comes too late
-    assert up.says(STATE, 0.3, ack=3) == [Echo(STATE, EmergencyStop())]
+    assert up.says(STATE, 0.3, ack=3) == [LinkEcho(STATE, EmergencyStop())]
 
 
 @pytest.mark.parametrize("stops", [(EmergencyStop(), Maintenance()), (Maintenance(), EmergencyStop())])
-def test_two_stops_never_give_up_each_other_but_all_else(link: Link, up: Board, stops: list[Message]) -> None:
+def test_two_stops_never_give_up_each_other_but_all_else(
+    link: Link, up: FarEnd, stops: list[Message]
+) -> None:
     first, second = stops
     link.request(first, 0.0)
     link.request(COMMAND, 0.0)
@@ -270,34 +274,34 @@ def test_two_stops_never_give_up_each_other_but_all_else(link: Link, up: Board, 
     assert [message for _, message in up.heard()] == [first]
     assert link.poll(0.0) == [RequestTimedOut(COMMAND)]
     link.request(COLDER, 0.1)  # a command waits behind both
-    assert up.says(STATE, 0.2, ack=2) == [Echo(STATE, first)]
+    assert up.says(STATE, 0.2, ack=2) == [LinkEcho(STATE, first)]
     assert [message for _, message in up.heard()] == [second]
-    assert up.says(STATE, 0.3, ack=3) == [Echo(STATE, second)]
+    assert up.says(STATE, 0.3, ack=3) == [LinkEcho(STATE, second)]
     assert [message for _, message in up.heard()] == [COLDER]
 
 
 @pytest.mark.parametrize("ack", [1, 3, 255])
-def test_a_stale_answer_is_ignored_and_counted(link: Link, up: Board, ack: int) -> None:
+def test_a_stale_answer_is_ignored_and_counted(link: Link, up: FarEnd, ack: int) -> None:
     link.request(COMMAND, 0.0)
     assert up.says(STATE, 0.1, ack) == []
     assert up.says(ErrorMessage(ErrorCode.TRIPPED, 1), 0.1, ack) == []
     assert link.statistics["stale"] == 2
-    assert up.says(STATE, 0.2, ack=2) == [Echo(STATE, COMMAND)]
+    assert up.says(STATE, 0.2, ack=2) == [LinkEcho(STATE, COMMAND)]
 
 
-def test_an_answer_given_twice_is_told_once(link: Link, up: Board) -> None:
+def test_an_answer_given_twice_is_told_once(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
-    assert up.says(STATE, 0.1, ack=2) == [Echo(STATE, COMMAND)]
+    assert up.says(STATE, 0.1, ack=2) == [LinkEcho(STATE, COMMAND)]
     assert up.says(STATE, 0.2, ack=2) == []
 
 
-def test_a_frame_that_the_line_repeats_is_told_once(link: Link, up: Board) -> None:
+def test_a_frame_that_the_line_repeats_is_told_once(link: Link, up: FarEnd) -> None:
     frame = encode(pack(STATE, 9))
-    assert link.receive(frame + frame, 0.1) == [Echo(STATE, None)]
+    assert link.receive(frame + frame, 0.1) == [LinkEcho(STATE, None)]
     assert link.statistics["duplicates"] == 1
 
 
-def test_an_error_is_told_with_its_request_and_the_next_one_goes_out(link: Link, up: Board) -> None:
+def test_an_error_is_told_with_its_request_and_the_next_one_goes_out(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     link.request(Ping(), 0.0)
     link.outgoing()
@@ -307,7 +311,7 @@ def test_an_error_is_told_with_its_request_and_the_next_one_goes_out(link: Link,
     assert link.state == "up"
 
 
-def test_a_board_that_was_not_greeted_is_greeted_and_named_as_reset(link: Link, up: Board) -> None:
+def test_a_board_that_was_not_greeted_is_greeted_and_named_as_reset(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     link.outgoing()
     error = ErrorMessage(ErrorCode.NOT_GREETED, 4)
@@ -315,7 +319,7 @@ def test_a_board_that_was_not_greeted_is_greeted_and_named_as_reset(link: Link, 
     assert up.greeted(0.5, boot_count=2) == [BoardReset(hello(0, 2)), LinkUp(hello(0, 2))]
 
 
-def test_an_unasked_hello_means_a_reset_and_is_greeted_at_once(link: Link, up: Board) -> None:
+def test_an_unasked_hello_means_a_reset_and_is_greeted_at_once(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     link.request(Ping(), 0.0)
     link.outgoing()
@@ -327,19 +331,19 @@ def test_an_unasked_hello_means_a_reset_and_is_greeted_at_once(link: Link, up: B
 
 @pytest.mark.parametrize(("now", "lost"), [(3.99, []), (4.0, [LinkLost(3.0)]), (4.5, [LinkLost(3.5)])])
 def test_three_seconds_without_a_frame_lose_the_link(
-    link: Link, up: Board, now: float, lost: list[LinkEvent]
+    link: Link, up: FarEnd, now: float, lost: list[LinkEvent]
 ) -> None:
     up.says(STATE, 1.0)
     assert link.poll(now) == lost
 
 
-def test_noise_does_not_count_as_a_sign_of_life(link: Link, up: Board) -> None:
+def test_noise_does_not_count_as_a_sign_of_life(link: Link, up: FarEnd) -> None:
     for tick in range(30):
         link.receive(b"\x55\xaa\0" + encode(b"\x02\xee\x01\x00"), tick / 10)  # damaged, and whole but unknown
     assert [type(event) for event in link.poll(3.0)] == [LinkLost]
 
 
-def test_a_slow_reporter_is_given_three_periods(link: Link, board: Board) -> None:
+def test_a_slow_reporter_is_given_three_periods(link: Link, board: FarEnd) -> None:
     link.poll(0.0)
     slow = BoardConfig(report_period_s=2.0).hello(SESSION, ResetCause.POWER_ON, 1)
     board.says(slow, 0.0, ack=1)
@@ -352,7 +356,7 @@ def test_nothing_but_the_greeting_is_sent_while_the_link_is_down(link: Link, mes
     link.request(message, 0.0)
     assert link.next_deadline() == 0.0
     assert link.poll(0.0) == [RequestTimedOut(message)]
-    assert [type(m) for _, m in Board(link).heard()] == [HelloRequest]
+    assert [type(m) for _, m in FarEnd(link).heard()] == [HelloRequest]
 
 
 def test_what_was_not_written_while_the_port_was_away_does_not_pile_up(link: Link) -> None:
@@ -361,11 +365,11 @@ def test_what_was_not_written_while_the_port_was_away_does_not_pile_up(link: Lin
     assert len(link.outgoing()) < 60
 
 
-def test_a_lost_port_ends_the_session_and_forgets_half_a_frame(link: Link, up: Board) -> None:
+def test_a_lost_port_ends_the_session_and_forgets_half_a_frame(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     link.receive(encode(pack(STATE, 9))[:6], 0.1)
     assert link.disconnected(0.2) == [RequestTimedOut(COMMAND), LinkLost(pytest.approx(0.2))]
-    assert link.receive(encode(pack(STATE, 9)), 0.3) == [Echo(STATE, None)]
+    assert link.receive(encode(pack(STATE, 9)), 0.3) == [LinkEcho(STATE, None)]
     assert [type(event) for event in up.greeted(0.3)] == [LinkUp]
 
 
@@ -373,7 +377,7 @@ def test_a_lost_port_says_nothing_when_the_link_was_down(link: Link) -> None:
     assert link.disconnected(1.0) == []
 
 
-def test_reports_are_told_in_any_state(link: Link, board: Board) -> None:
+def test_reports_are_told_in_any_state(link: Link, board: FarEnd) -> None:
     report = Samples().report(5)
     assert board.says(report, 0.0) == [Report(report)]
 
@@ -384,7 +388,7 @@ def test_a_line_that_leads_back_to_the_host_is_no_board(link: Link) -> None:
     assert link.state == "down"
 
 
-def test_sequence_numbers_go_round_without_the_zero(link: Link, up: Board) -> None:
+def test_sequence_numbers_go_round_without_the_zero(link: Link, up: FarEnd) -> None:
     seen = []
     for count in range(600):
         link.request(Ping(), count / 100)
@@ -402,7 +406,7 @@ def test_what_is_no_request_is_a_bug_of_ours(link: Link, message: Message) -> No
 
 
 @pytest.mark.parametrize("lease_s", [-0.001, 60.001, math.nan, math.inf])
-def test_a_request_out_of_range_is_a_bug_of_ours(link: Link, up: Board, lease_s: float) -> None:
+def test_a_request_out_of_range_is_a_bug_of_ours(link: Link, up: FarEnd, lease_s: float) -> None:
     with pytest.raises(LocalProtocolError, match="lease_s"):
         link.request(CommandMessage(0, False, 0, 0.0, False, lease_s), 0.0)
     assert up.heard() == []
@@ -430,7 +434,7 @@ def test_no_bytes_from_the_board_ever_raise_or_stop_the_clock(pieces: list[bytes
         link.receive(piece, now)
         link.request(COMMAND, now)
         link.outgoing()
-    board = Board(link)
+    board = FarEnd(link)
     link.disconnected(now)
     assert [type(event) for event in board.greeted(now)][-1] is LinkUp  # whatever was said before
 

@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from run import Run, run
+from run import ScenarioRun, run
 
-from bench.watched_clock import Order
+from bench.watched_clock import TimedRequest
 
 SEEDS = (1, 2, 3)
 LOOK_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class BoundCase:
     """One entry of bounds.yaml. Times in s since the start, but `alarm_max_s`: since `begin_s`."""
 
     name: str
@@ -42,7 +42,7 @@ class Case:
         """When the fault begins to show."""
         return max(self.fault_s, self.since_s)
 
-    def run(self, folder: Path, core: str, seed: int) -> Run:
+    def run(self, folder: Path, core: str, seed: int) -> ScenarioRun:
         """The case on one board."""
         steps = [{"at_s": at_s, "reference_c": reference_c} for at_s, reference_c in self.reference]
         return run(
@@ -51,7 +51,9 @@ class Case:
             core=core,
             seed=seed,
             faults=[{**self.fault, "start_s": self.fault_s}],
-            orders=() if self.off_s is None else [Order(self.off_s, {"do": "set_mode", "mode": "off"})],
+            orders=()
+            if self.off_s is None
+            else [TimedRequest(self.off_s, {"do": "set_mode", "mode": "off"})],
             settings={
                 "reference": {"kind": "steps", "steps": steps},
                 "watering": {"enabled": False},
@@ -62,15 +64,17 @@ class Case:
             look_s=LOOK_S,
         )
 
-    def alarm_after_s(self, result: Run) -> float | None:
+    def alarm_after_s(self, result: ScenarioRun) -> float | None:
         """Time until the alarm; None: it did not come [s]."""
         event = None if self.alarm is None else result.first(self.alarm)
         return None if event is None else event.time_s - self.begin_s
 
 
-def cases() -> list[Case]:
+def cases() -> list[BoundCase]:
     """All of bounds.yaml."""
-    return [Case(**entry) for entry in yaml.safe_load((Path(__file__).parent / "bounds.yaml").read_text())]
+    return [
+        BoundCase(**entry) for entry in yaml.safe_load((Path(__file__).parent / "bounds.yaml").read_text())
+    ]
 
 
 def table() -> Iterator[str]:

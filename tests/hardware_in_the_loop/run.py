@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from bench.support.virtual_board import virtual_board
-from bench.watched_clock import Look, Order, WatchedClock
+from bench.watched_clock import Look, TimedRequest, WatchedClock
 from edge.app.daemon import Daemon
 from edge.board.sim_clock import START_UTC, SimClock
 from edge.config import loading as config
@@ -37,7 +37,7 @@ class StoredEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class ScenarioRun:
     """What was so, what was recorded, what was told."""
 
     looks: Sequence[Look]
@@ -74,12 +74,12 @@ def run(
     core: str = "python",
     seed: int = 1,
     faults: Sequence[Mapping[str, Any]] = (),
-    orders: Sequence[Order] = (),
+    orders: Sequence[TimedRequest] = (),
     settings: Mapping[str, Any] | None = None,
     board: Sequence[str] = (),
     chamber: Mapping[str, Any] | None = None,
     look_s: float = 1.0,
-) -> Run:
+) -> ScenarioRun:
     """One daemon's life of `end_s` simulated seconds."""
     folder.mkdir(parents=True, exist_ok=True)
     boxes = folder / "chamber.yaml"
@@ -94,7 +94,7 @@ def run(
         with Daemon(_settings(folder, settings or {}), clock, records.append, stop_at_s=end_s) as daemon:
             daemon.run()
         truth = sim.truth()
-    return Run(clock.looks, records, _events(folder / "history.db"), clock.replies, truth)
+    return ScenarioRun(clock.looks, records, _events(folder / "history.db"), clock.replies, truth)
 
 
 def _settings(folder: Path, changes: Mapping[str, Any]) -> Any:

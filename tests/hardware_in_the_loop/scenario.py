@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from bench.watched_clock import Order
+from bench.watched_clock import TimedRequest
 
 FOLDER = Path(__file__).parent / "scenarios"
 
@@ -41,10 +41,11 @@ class Scenario:
     alarms: tuple[str, ...] = ()  # keys of all alarms in the history
     conditions: tuple[str, ...] = ()  # keys of the failure table whose begin and end are in the history
 
-    def given(self) -> list[Order]:
+    def given(self) -> list[TimedRequest]:
         """The orders as the clock takes them."""
         return [
-            Order(order["at_s"], {k: v for k, v in order.items() if k != "at_s"}) for order in self.orders
+            TimedRequest(order["at_s"], {k: v for k, v in order.items() if k != "at_s"})
+            for order in self.orders
         ]
 
 

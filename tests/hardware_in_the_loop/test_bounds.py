@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-from bounds import LOOK_S, Case, cases
-from run import Run
+from bounds import LOOK_S, BoundCase, cases
+from run import ScenarioRun
 
 ROOT = Path(__file__).parents[2]
 MARGIN_S = 120.0  # two ticks
@@ -24,7 +24,7 @@ def test_the_alarm_and_the_temperature_keep_their_bounds(tmp_path, case, core):
     check_answer(result, case)
 
 
-def check_answer(result: Run, case: Case) -> None:
+def check_answer(result: ScenarioRun, case: BoundCase) -> None:
     """A named part ends all heating; a stuck relay gets the fan, and the cut-off where there is one."""
     alarm = result.first(case.alarm)
     looks = [look for look in result.looks if look.time_s > alarm.time_s + LOOK_S]

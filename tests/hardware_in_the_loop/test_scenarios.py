@@ -1,7 +1,7 @@
 """Every fault of the line, the board and the sensors: heater off in time, told, and control recovers."""
 
 import pytest
-from run import Run, run
+from run import ScenarioRun, run
 from scenario import FOLDER, Scenario, names, read
 
 PULSE_STEP_S = 0.1  # the board looks at its valve this often
@@ -29,7 +29,7 @@ def test_scenario(tmp_path, name, core):
     assert not result.truth["pins"]["heater_relay"], "the daemon has ended with the heater on"
 
 
-def check_heat(result: Run, scenario: Scenario) -> None:
+def check_heat(result: ScenarioRun, scenario: Scenario) -> None:
     """On before it begins, off in time, on again."""
     begins = [fault["start_s"] for fault in scenario.faults] + [order["at_s"] for order in scenario.orders]
     begin_s = min(begins, default=scenario.end_s)
@@ -46,7 +46,7 @@ def check_heat(result: Run, scenario: Scenario) -> None:
         assert result.records[-1].link_up and result.records[-1].echo is not None
 
 
-def check_history(result: Run, scenario: Scenario) -> None:
+def check_history(result: ScenarioRun, scenario: Scenario) -> None:
     """What had to be told was told, and no other alarm."""
     assert set(scenario.told) <= result.told()
     for key in scenario.conditions:
@@ -57,7 +57,7 @@ def check_history(result: Run, scenario: Scenario) -> None:
     assert [record.seq for record in result.records] == list(range(1, len(result.records) + 1))
 
 
-def check_valve(result: Run) -> None:
+def check_valve(result: ScenarioRun) -> None:
     """No pulse twice; one that the line or a reset took away may be missing."""
     pulses = sum(record.sent.valve_pulse_s > 0.0 for record in result.records)
     assert pulses >= 2

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from edge.bundle.archive import open_archive
 from edge.bundle.manifest import Manifest
-from edge.bundle.sign import Facts, build_bundle, generate_key, sign_folder
-from edge.bundle.store import Store
+from edge.bundle.sign import ManifestFacts, build_bundle, generate_key, sign_folder
+from edge.bundle.store import BundleStore
 from edge.core.predictor import Predictor
 from edge.models.arx_file import DEFAULT_PATH
 
-FACTS = Facts(version="1.0", created_utc="2026-07-01T12:00:00Z", data_sha256="d" * 64)
+FACTS = ManifestFacts(version="1.0", created_utc="2026-07-01T12:00:00Z", data_sha256="d" * 64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def load_nothing(folder: Path, manifest: Manifest) -> Mapping[str, Predictor]:
     return {}
 
 
-def install(store: Store, source: Path) -> str:
+def install(store: BundleStore, source: Path) -> str:
     """The version that was installed."""
     with open_archive(source) as archive:
         return store.install(archive).version

@@ -5,9 +5,9 @@ import numpy as np
 from training.ablation import Base, ByExcess, Unexplained
 from training.datasets import test_run as run_of
 from training.report_tables import MODELS, Evaluation
-from training.resources import Cost
-from training.rollout import START_ROWS, Errors
-from training.scores import Score, Scored, Swapped
+from training.resources import ModelCost
+from training.rollout import START_ROWS, RolloutErrors
+from training.scores import ScoredRun, Swapped, TrainingScore
 from training.study import SCENARIOS, Regime
 
 SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded", "ham_unguarded")
@@ -15,12 +15,12 @@ MISSED_K = {"linear": 1.0, "pbm": 100.0, "lstm": 0.5, "ham": 2.0, "linear_ambien
             "pbm_fitted": 1.2, "lstm_increment": 0.9, "ham_guarded": 0.2, "ham_unguarded": 0.25}  # fmt: skip
 
 
-def score(model: str, regime: Regime, seed: int, scenario: int, mae_k: float) -> Score:
-    missed = Errors(mae_k, mae_k, mae_k, mae_k, 1)
-    return Score(model, regime, seed, scenario, missed, missed, mae_k, mae_k, 0.5, 30.0, 31.0)
+def score(model: str, regime: Regime, seed: int, scenario: int, mae_k: float) -> TrainingScore:
+    missed = RolloutErrors(mae_k, mae_k, mae_k, mae_k, 1)
+    return TrainingScore(model, regime, seed, scenario, missed, missed, mae_k, mae_k, 0.5, 30.0, 31.0)
 
 
-def all_scored(seeds: int = 2) -> list[Scored]:
+def all_scored(seeds: int = 2) -> list[ScoredRun]:
     """Every model misses every measurement by MISSED_K, a little more with each seed."""
     found = []
     for model in MODELS:
@@ -29,11 +29,11 @@ def all_scored(seeds: int = 2) -> list[Scored]:
                 for number in numbers:
                     missed = MISSED_K[model] * (1.0 + 0.01 * seed)
                     forecast = run_of(number).columns["temp_air_c"][START_ROWS:] + missed
-                    found.append(Scored(score(model, regime, seed, number, missed), np.asarray(forecast)))
+                    found.append(ScoredRun(score(model, regime, seed, number, missed), np.asarray(forecast)))
     return found
 
 
-def evaluation(found: list[Scored]) -> Evaluation:
+def evaluation(found: list[ScoredRun]) -> Evaluation:
     return Evaluation(
         tuple(one.score for one in found),
         tuple(Unexplained(name, 0.5, 0.4) for name in ("room, heater", "+ air", "+ duties")),
@@ -43,8 +43,9 @@ def evaluation(found: list[Scored]) -> Evaluation:
     )
 
 
-def costs() -> list[Cost]:
+def costs() -> list[ModelCost]:
     models = [model for model in MODELS if model != "ham_unguarded"]
     return [
-        Cost(model, i + 0.5, 300, 10, 20.0 + i, 30, 27, 31, 32, 0.1, 1, 2) for i, model in enumerate(models)
+        ModelCost(model, i + 0.5, 300, 10, 20.0 + i, 30, 27, 31, 32, 0.1, 1, 2)
+        for i, model in enumerate(models)
     ]

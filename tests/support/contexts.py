@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from edge.core.controller import Context, Limits
+from edge.core.controller import Context, ControlLimits
 from edge.core.messages import Command, Estimate
 
-OFF, FREE = Command(), Limits()
+OFF, FREE = Command(), ControlLimits()
 
 
 def context(
     temp: float = 24.0,
     reference: float | list[float] = 26.0,
     last_sent: Command = OFF,
-    limits: Limits = FREE,
+    limits: ControlLimits = FREE,
     offset: float = 0.0,
     now_s: float = 0.0,
     rows: int = 10,  # more than a packaged model looks back

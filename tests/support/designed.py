@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from bench.support.simulated_runs import NOISE, STEP_S, coloured
 from edge.diagnosis.experiment.design import designed
-from edge.diagnosis.experiment.experiment import Experiment
+from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.limits import ExperimentLimits
-from edge.diagnosis.experiment.rivals import Pair, Rivals
+from edge.diagnosis.experiment.rivals import RivalPair, Rivals
 from edge.diagnosis.experiment.separation import Separation, separation
 from edge.diagnosis.experiment.surroundings import surroundings
 from edge.diagnosis.fitting import fit
@@ -19,7 +19,7 @@ from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.starts import with_effect
 from edge.diagnosis.trial import Fitted, Trial
 from edge.twin.geometry import Geometry
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -35,7 +35,7 @@ ONE_DUTY = np.repeat([0.0, 0.6, 0.0, 0.6], ROWS // 4)
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
+class RunInputs:
     """Of one run, a value a row."""
 
     duty: Floats
@@ -58,14 +58,14 @@ def file_of(effects: Effects, uncertain: Mapping[str, float] | None = None) -> T
 
 def driven(
     effects: Effects,
-    inputs: Sequence[Inputs],
+    inputs: Sequence[RunInputs],
     seed: int = 0,
     noise: NoiseLevels = NOISE,
     start_c: float = ROOM_C,
 ) -> Recorded:
     """Runs of a box with these effects, from rest."""
     draw = np.random.default_rng(seed)
-    twin, rows = Twin(Geometry(), effects, STEP_S), len(inputs[0].duty)
+    twin, rows = BoxTwin(Geometry(), effects, STEP_S), len(inputs[0].duty)
     duty, fan = (np.stack([getattr(item, name) for item in inputs]) for name in ("duty", "fan"))
     lit = inputs[0].light is not None
     light = {"light": np.stack([item.light for item in inputs if item.light is not None])} if lit else {}
@@ -88,7 +88,7 @@ def fitted(file: TwinFile, runs: Recorded, name: str) -> Fitted:
 def plan_of(file: TwinFile, runs: Recorded, names: Sequence[str]) -> Separation:
     """To separate the effects of these names, each as likely as another."""
     pairs = tuple(
-        Pair(i, j, names[i], names[j], names[0], 1.0 / len(names), 1.0)
+        RivalPair(i, j, names[i], names[j], names[0], 1.0 / len(names), 1.0)
         for i, j in permutations(range(len(names)), 2)
     )
     rivals = Rivals(tuple(fitted(file, runs, name) for name in names), pairs)
@@ -97,12 +97,12 @@ def plan_of(file: TwinFile, runs: Recorded, names: Sequence[str]) -> Separation:
 
 def experiment_of(
     file: TwinFile, runs: Recorded, names: Sequence[str], limits: ExperimentLimits | None = None
-) -> Experiment:
+) -> PlannedExperiment:
     """The experiment that is designed between these effects."""
     return designed(plan_of(file, runs, names), limits or ExperimentLimits())
 
 
-def as_inputs(experiment: Experiment) -> Inputs:
+def as_inputs(experiment: PlannedExperiment) -> RunInputs:
     """The profile, a value a row."""
     rows = round(experiment.duration_s / STEP_S)
     at = (
@@ -111,7 +111,7 @@ def as_inputs(experiment: Experiment) -> Inputs:
     )
     chosen = [experiment.profile[i] for i in at]
     light = None if chosen[0].light is None else np.array([row.light or 0.0 for row in chosen])
-    return Inputs(
+    return RunInputs(
         np.array([row.heater_duty for row in chosen]), np.array([row.fan_on for row in chosen]), light
     )
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from line import Line
+from line import GoodLine
 
 from firmware_protocol.link import Link, LinkEvent
 from firmware_protocol.messages import CommandMessage, Message, Quality
@@ -16,8 +16,8 @@ STEP_MS = 10
 class Exchange:
     """Time in ms, the same for both ends; the board's clock may begin elsewhere."""
 
-    to_board: Line = field(default_factory=Line)
-    to_host: Line = field(default_factory=Line)
+    to_board: GoodLine = field(default_factory=GoodLine)
+    to_host: GoodLine = field(default_factory=GoodLine)
     config: BoardConfig = field(default_factory=BoardConfig)
     clock_start_ms: int = 0
     temp_air: float | None = 21.0

@@ -9,7 +9,7 @@ STEP_S = 60.0
 
 
 @dataclass
-class Ramp:
+class RampPredictor:
     """Each step adds `gain_k` times the duty, and `drift_k`."""
 
     gain_k: float = 1.0
@@ -25,7 +25,7 @@ class Ramp:
         return history["temp_air"][-1] + np.cumsum(self.gain_k * controls[:, :, 0] + self.drift_k, axis=1)
 
 
-class Broken(Ramp):
+class BrokenForecast(RampPredictor):
     """Returns `answer`, or raises it."""
 
     def __init__(self, answer, **changes):

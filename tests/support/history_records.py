@@ -13,8 +13,8 @@ from edge.core.messages import (
     Estimate,
     Event,
     Forecast,
-    Quality,
     Reading,
+    ReadingQuality,
     Severity,
     TickRecord,
 )
@@ -65,9 +65,9 @@ def tick(seq: int, **values: Any) -> TickRecord:
         step_s=60.0,
         mode="auto",
         readings={
-            "temp_air": Reading("temp_air", 25.0 + 0.1 * (seq % 10), 60.0 * seq, Quality.GOOD),
-            "temp_ambient": Reading("temp_ambient", 21.0, 60.0 * seq, Quality.GOOD),
-            "co2": Reading("co2", None, 60.0 * seq, Quality.ABSENT),
+            "temp_air": Reading("temp_air", 25.0 + 0.1 * (seq % 10), 60.0 * seq, ReadingQuality.GOOD),
+            "temp_ambient": Reading("temp_ambient", 21.0, 60.0 * seq, ReadingQuality.GOOD),
+            "co2": Reading("co2", None, 60.0 * seq, ReadingQuality.ABSENT),
         },
         estimate=Estimate(25.0, 0.1, 0.001, None, 21.0, 60.0 * seq),
         reference_c=26.0,
@@ -90,7 +90,7 @@ def eventful_tick(seq: int) -> TickRecord:
     """A tick with everything that may be odd."""
     return tick(
         seq,
-        readings={"temp_air": Reading("temp_air", math.nan, 0.0, Quality.FAULT)},
+        readings={"temp_air": Reading("temp_air", math.nan, 0.0, ReadingQuality.FAULT)},
         estimate=Estimate(math.nan, math.inf, 0.0, None, 21.0, -math.inf),
         changes=(Change("heater.unknown", "heater_duty", math.nan, 0.0, "air too hot or unknown"),),
         decision=Decision(Command(), "rules", (math.nan,), {"cost": math.inf, "parts": (1, {"a": math.nan})}),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass
-class Line:
+class GoodLine:
     """A good line. `carry` takes what was written now and returns what arrives now [bytes], time in s."""
 
     def carry(self, data: bytes, now: float) -> bytes:
@@ -16,7 +16,7 @@ class Line:
 
 
 @dataclass
-class BytewiseLine(Line):
+class BytewiseLine(GoodLine):
     """Delivers a byte (or a few) each time it is asked."""
 
     at_once: int = 1
@@ -30,7 +30,7 @@ class BytewiseLine(Line):
 
 
 @dataclass
-class DelayedLine(Line):
+class DelayedLine(GoodLine):
     """Delivers everything `delay_s` later."""
 
     delay_s: float
@@ -45,7 +45,7 @@ class DelayedLine(Line):
 
 
 @dataclass
-class DuplicatingLine(Line):
+class DuplicatingLine(GoodLine):
     """Delivers every frame twice, at random."""
 
     seed: int
@@ -64,7 +64,7 @@ class DuplicatingLine(Line):
 
 
 @dataclass
-class LossyLine(Line):
+class LossyLine(GoodLine):
     """Drops, flips and inserts bytes, each with a probability of its own."""
 
     seed: int
@@ -88,7 +88,7 @@ class LossyLine(Line):
 
 
 @dataclass
-class CutLine(Line):
+class CutLine(GoodLine):
     """Loses everything from `from_s` to `until_s`."""
 
     from_s: float
@@ -99,7 +99,7 @@ class CutLine(Line):
 
 
 @dataclass
-class NoisyLine(Line):
+class NoisyLine(GoodLine):
     """A good line on which noise follows every delivery."""
 
     seed: int

@@ -11,7 +11,7 @@ from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.language_model import LanguageModel
-from edge.assistant.llm.line import Response
+from edge.assistant.llm.line import HttpResponse
 from edge.config.secrets import Secret
 from edge.config.settings import LlmSettings
 
@@ -29,23 +29,23 @@ def document(message: Mapping[str, Any], finish: str = "stop", usage: Any = USAG
     return {"choices": [{"index": 0, "message": message, "finish_reason": finish}], "usage": usage}
 
 
-def says(content: str | None, **values: Any) -> Response:
+def says(content: str | None, **values: Any) -> HttpResponse:
     return ok(document({"role": "assistant", "content": content}, **values))
 
 
-def calls(name: str, arguments: str, id: str = "call_1") -> Response:
+def calls(name: str, arguments: str, id: str = "call_1") -> HttpResponse:
     call = {"id": id, "type": "function", "function": {"name": name, "arguments": arguments}}
     return ok(document({"role": "assistant", "content": None, "tool_calls": [call]}, "tool_calls"))
 
 
-def ok(value: Any) -> Response:
-    return Response(200, "", json.dumps(value).encode())
+def ok(value: Any) -> HttpResponse:
+    return HttpResponse(200, "", json.dumps(value).encode())
 
 
-class Line:
+class ScriptedLine:
     """Answers in turn, the last one again and again; keeps what was posted. Time moves only by pauses."""
 
-    def __init__(self, *answers: Response | LlmFailure) -> None:
+    def __init__(self, *answers: HttpResponse | LlmFailure) -> None:
         self.answers = list(answers)
         self.bodies: list[dict[str, Any]] = []
         self.headers: list[Mapping[str, str]] = []
@@ -55,7 +55,7 @@ class Line:
 
     def post(
         self, url: str, body: bytes, headers: Mapping[str, str], deadline_s: float, stop: Interrupt
-    ) -> Response:
+    ) -> HttpResponse:
         assert url == URL + "/chat/completions"
         self.bodies.append(json.loads(body))
         self.headers.append(headers)
@@ -71,7 +71,7 @@ class Line:
 
 
 @contextmanager
-def endpoint(folder: Path, line: Line, **values: Any) -> Iterator[Endpoint]:
+def endpoint(folder: Path, line: ScriptedLine, **values: Any) -> Iterator[Endpoint]:
     chosen = settings(**values)
     budget = Budget(chosen, folder / "llm_budget.json", lambda: UTC)
     try:
@@ -81,7 +81,7 @@ def endpoint(folder: Path, line: Line, **values: Any) -> Iterator[Endpoint]:
 
 
 @contextmanager
-def language_model(folder: Path, line: Line, **values: Any) -> Iterator[LanguageModel]:
+def language_model(folder: Path, line: ScriptedLine, **values: Any) -> Iterator[LanguageModel]:
     with endpoint(folder, line, **values) as made:
         model = LanguageModel(made.settings, made, made.budget, folder / "history.db", lambda: UTC)
         yield model

@@ -4,7 +4,7 @@ import numpy as np
 
 from edge.diagnosis.locate.residuals import residuals_of
 from edge.diagnosis.locate.whiteness import whiteness
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import at_rest
 
@@ -14,7 +14,7 @@ NOISE_K = 0.1
 
 def made(effects, count=8, rows=180, seed=0, noise_k=NOISE_K, conditions=None, fan_share=0.3, held=(10, 5)):
     """Runs from rest: duties that hold 10 rows and fans that hold 5, a room that wanders, noise."""
-    rng, twin = np.random.default_rng(seed), Twin(effects=effects)
+    rng, twin = np.random.default_rng(seed), BoxTwin(effects=effects)
     duty = _kept(rng.choice([0.0, 0.2, 0.4, 0.6], (count, rows)), held[0], rows)
     fan = _kept((rng.uniform(size=(count, rows)) < fan_share).astype(float), held[1], rows)
     room = 21.0 + 0.5 * np.sin(np.arange(rows) / 40.0 + rng.uniform(0.0, 6.0, (count, 1)))
@@ -35,7 +35,7 @@ def names(runs):
 
 def located(runs, effects=BASE, noise_k=NOISE_K):
     """Residuals of a twin with these effects alone."""
-    return residuals_of(Twin(effects=effects), runs, names(runs), noise_k)
+    return residuals_of(BoxTwin(effects=effects), runs, names(runs), noise_k)
 
 
 def whiteness_of(run):

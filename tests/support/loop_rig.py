@@ -10,7 +10,7 @@ from typing import Any
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.controller import Context
-from edge.core.messages import Command, Decision, Echo, Event, Quality, Reading, TickRecord
+from edge.core.messages import Command, Decision, Echo, Event, Reading, ReadingQuality, TickRecord
 from edge.models.arx_file import read_arx
 from edge.safety.supervisor import SafetyMemory
 from edge.state.state_file import Answered
@@ -46,7 +46,7 @@ class FakeBoard:
 
     clock: FakeClock
     temp_air: float | None = 22.0
-    quality: Quality = Quality.GOOD
+    quality: ReadingQuality = ReadingQuality.GOOD
     link_up: bool = True
     confirms: bool = True
     tripped: bool = False
@@ -74,7 +74,7 @@ class FakeBoard:
             samples.append(
                 {
                     "temp_air": Reading("temp_air", self.temp_air, self._sampled_s, self.quality),
-                    "temp_ambient": Reading("temp_ambient", 21.0, self._sampled_s, Quality.GOOD),
+                    "temp_ambient": Reading("temp_ambient", 21.0, self._sampled_s, ReadingQuality.GOOD),
                 }
             )
         return samples

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import FanRules, Problem
+from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
 
 Ints = NDArray[np.int64]
 
@@ -19,7 +19,7 @@ def every_plan(levels: int, horizon: int) -> tuple[Ints, Ints]:
     return chosen[..., 0], chosen[..., 1]
 
 
-def true_optimum(problem: Problem) -> float:
+def true_optimum(problem: PlanningProblem) -> float:
     """Cost of the cheapest allowed plan, by looking at all of them."""
     levels, fan = every_plan(problem.heater_levels, problem.horizon)
     allowed = problem.allows(levels, fan)
@@ -27,14 +27,16 @@ def true_optimum(problem: Problem) -> float:
 
 
 @st.composite
-def problems(draw: st.DrawFn, horizons: st.SearchStrategy[int], levels: st.SearchStrategy[int]) -> Problem:
+def problems(
+    draw: st.DrawFn, horizons: st.SearchStrategy[int], levels: st.SearchStrategy[int]
+) -> PlanningProblem:
     """Problems of every kind: responses of any sign and shape, tails, relay rules, penalties."""
     n, tail = draw(horizons), draw(st.sampled_from((0, 0, 1, 7)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     decay = rng.uniform(-0.5, 1.05, size=2)[:, None] ** np.arange(n + tail)
     heater, fan = rng.normal(size=2)[:, None] * 5.0 * decay + rng.normal(scale=0.5, size=(2, n + tail))
     weights = (0.0, 1.0, 0.1)
-    return Problem(
+    return PlanningProblem(
         free=rng.uniform(15.0, 30.0) + rng.normal(scale=draw(st.sampled_from((0.1, 3.0))), size=n + tail),
         heater=heater,
         fan=fan,

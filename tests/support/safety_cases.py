@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 from edge.config.settings import SafetySettings
-from edge.core.messages import Change, Command, Echo, Estimate, Quality, Reading
-from edge.safety.supervisor import SafetyMemory, SafetyView, Verdict, supervise
+from edge.core.messages import Change, Command, Echo, Estimate, Reading, ReadingQuality
+from edge.safety.supervisor import SafetyMemory, SafetyVerdict, SafetyView, supervise
 
 NOW = 1000.0
 UTC = 1.7e9
@@ -13,7 +13,9 @@ NOT_NUMBERS = (None, math.nan, math.inf, -math.inf)
 FULL = Command(heater_duty=1.0, fan_on=False, led=1.0, valve_pulse_s=2.0)
 
 
-def reading(signal: str, value: float | None, age_s: float = 0.0, quality: Quality = Quality.GOOD) -> Reading:
+def reading(
+    signal: str, value: float | None, age_s: float = 0.0, quality: ReadingQuality = ReadingQuality.GOOD
+) -> Reading:
     return Reading(signal, value, NOW - age_s, quality)
 
 
@@ -52,14 +54,14 @@ def judge(
     seen: SafetyView | None = None,
     memory: SafetyMemory | None = None,
     **settings: float,
-) -> Verdict:
+) -> SafetyVerdict:
     return supervise(wanted, seen or view(), memory or SafetyMemory(), SafetySettings(**settings))
 
 
-def rules(verdict: Verdict, actuator: str) -> list[str]:
+def rules(verdict: SafetyVerdict, actuator: str) -> list[str]:
     return [change.rule for change in verdict.changes if change.actuator == actuator]
 
 
-def only_change(verdict: Verdict, actuator: str) -> Change:
+def only_change(verdict: SafetyVerdict, actuator: str) -> Change:
     (change,) = (change for change in verdict.changes if change.actuator == actuator)
     return change

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from edge.core.predictor import Floats
-from edge.formats.run_file import Run
-from edge.twin.model import Twin
+from edge.formats.run_file import RecordedRun
+from edge.twin.model import BoxTwin
 
 STEP_S = 60.0
-BOX = Twin(
+BOX = BoxTwin(
     effects={
         "extra_capacity": {"kC": 7.0},
         "wall_mass": {"C_w": 15000.0, "G_in": 7.0, "G_out": 11.0},
@@ -19,7 +19,7 @@ BOX = Twin(
 )
 
 
-def box_run(seed: int, rows: int = 90, role: str = "train", box: Twin = BOX) -> Run:
+def box_run(seed: int, rows: int = 90, role: str = "train", box: BoxTwin = BOX) -> RecordedRun:
     """A run from rest in a room at 22 °C and then around, inputs held 5 minutes; its last fifth validates."""
     draw = np.random.default_rng(seed)
     duty = _held(draw.choice([0.0, 0.3, 0.6], size=rows), rows)
@@ -35,7 +35,7 @@ def box_run(seed: int, rows: int = 90, role: str = "train", box: Twin = BOX) -> 
         "fan_on": fan,
     }
     facts = {"role": role} | ({"validate_from_s": str(STEP_S * (rows * 4 // 5))} if role == "train" else {})
-    return Run(columns, facts, Path(f"box_{seed}.csv"))
+    return RecordedRun(columns, facts, Path(f"box_{seed}.csv"))
 
 
 def _held(values: Floats, rows: int) -> Floats:

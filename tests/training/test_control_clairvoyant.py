@@ -5,9 +5,9 @@ import pytest
 
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.chamber_rows import ChamberRows
-from training.control.clairvoyant import Course, best_plan, lagrange, plan_cost, relay_share
+from training.control.clairvoyant import ReferenceCourse, best_plan, lagrange, plan_cost, relay_share
 from training.control.figures import figures
-from training.control.job import Job, run
+from training.control.job import ComparisonJob, run
 from training.control.rig import entries
 
 SEED = 102
@@ -17,9 +17,9 @@ def fresh() -> ChamberRows:
     return ChamberRows(*load(), SEED)
 
 
-def course(weight: float = 1.0, target: str = "sensor", minutes: int = 40) -> Course:
+def course(weight: float = 1.0, target: str = "sensor", minutes: int = 40) -> ReferenceCourse:
     reference = np.where(np.arange(minutes) < minutes // 2, 24.0, 27.0)
-    return Course(reference, 1.0, 60.0, weight, target)
+    return ReferenceCourse(reference, 1.0, 60.0, weight, target)
 
 
 def test_a_minute_later_the_state_is_a_parabola_in_the_duty():
@@ -67,7 +67,9 @@ def test_a_penalty_saves_effort():
 def test_the_plan_costs_the_same_on_the_board(tmp_path, monkeypatch):
     monkeypatch.setattr("training.control.job.FOLDER", tmp_path)
     (tmp_path / "short.csv").write_text("time_s,reference_c\n0,24\n1200,27\n2400,27\n")
-    log = run(Job(entries()["clairvoyant/sensor-P"], "short", SEED))
-    planned = best_plan(fresh, Course(np.repeat([24.0, 27.0], 20)[:-1], 1.0, 60.0, 1.0, "sensor")).cost
+    log = run(ComparisonJob(entries()["clairvoyant/sensor-P"], "short", SEED))
+    planned = best_plan(
+        fresh, ReferenceCourse(np.repeat([24.0, 27.0], 20)[:-1], 1.0, 60.0, 1.0, "sensor")
+    ).cost
     assert figures(log).sensor_cost_1 == pytest.approx(planned, rel=0.02)
     assert log.changes == {}

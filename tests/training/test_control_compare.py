@@ -13,7 +13,7 @@ from training.control import compare
 from training.control.all_pictures import pictures_of
 from training.control.compare import _endpoint, run
 from training.control.comparison import (
-    Result,
+    RunResult,
     column,
     knowledge,
     mae_against,
@@ -42,8 +42,8 @@ from training.report import put_section
 ZERO = Figures(*[0.0] * 16)
 
 
-def made(entry: str, seed: int, remark: str = "", **figures: float) -> Result:
-    return Result(entry, "reference_1", seed, replace(ZERO, **figures), remark)
+def made(entry: str, seed: int, remark: str = "", **figures: float) -> RunResult:
+    return RunResult(entry, "reference_1", seed, replace(ZERO, **figures), remark)
 
 
 RESULTS = [
@@ -106,7 +106,7 @@ def test_ours_is_set_against_the_papers_that_knows_as_much():
     assert "MPC-BFGS costs 1.25" in text
 
 
-def spent(name: str, effort: float, mae_true: float = 0.4) -> list[Result]:
+def spent(name: str, effort: float, mae_true: float = 0.4) -> list[RunResult]:
     """Two seeds that differ a little in the effort."""
     return [made(name, seed, mae_true=mae_true, cost_1=effort + seed, sensor_cost_0=1.0) for seed in (1, 2)]
 
@@ -209,7 +209,7 @@ def test_a_few_controllers_have_pictures_without_a_radar(tmp_path: Path):
     assert set(pictures_of(few, [], tmp_path, ["MPC/HAM"])) == {"control_mae", "control_energy"}
 
 
-def kept_in(folder: Path, results: list[Result], times: dict[str, list[DecisionTime]]) -> Path:
+def kept_in(folder: Path, results: list[RunResult], times: dict[str, list[DecisionTime]]) -> Path:
     (folder / FIGURES_FILE).write_text(json_of(results))
     (folder / TIMES_FILE).write_text(times_json(times))
     return folder

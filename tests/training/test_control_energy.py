@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from training.control.comparison import Result
+from training.control.comparison import RunResult
 from training.control.energy import OURS, at_most, energy_picture, energy_table, energy_tables
 from training.control.figures import Figures
 
@@ -13,11 +13,11 @@ ZERO = Figures(*[0.0] * 16)
 CURVE = np.array([110.0, 100.0, 80.0, 60.0, 50.0, 40.0]), np.array([0.3, 0.2, 1.0, 2.0, 2.5, 3.0])  # Wh, K
 
 
-def made(entry: str, seed: int, energy: float, mae: float) -> Result:
-    return Result(entry, "reference_1", seed, replace(ZERO, energy_wh=energy, mae_true=mae))
+def made(entry: str, seed: int, energy: float, mae: float) -> RunResult:
+    return RunResult(entry, "reference_1", seed, replace(ZERO, energy_wh=energy, mae_true=mae))
 
 
-def ours(seed: int) -> list[Result]:
+def ours(seed: int) -> list[RunResult]:
     return [made(name, seed, *point) for name, *point in zip(OURS, *CURVE, strict=True)]
 
 

@@ -5,11 +5,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from training.control.closed_loop import Log
+from training.control.closed_loop import ClosedLoopLog
 from training.control.figures import figures, overshoot_k
 
 
-def log(**columns: list[float]) -> Log:
+def log(**columns: list[float]) -> ClosedLoopLog:
     """Four ticks, a minute apart: the air is 1 K below, 0.5 K above, right."""
     rows = {
         "time_s": [0.0, 60.0, 120.0, 180.0],
@@ -22,7 +22,7 @@ def log(**columns: list[float]) -> Log:
         "solve_ms": [1.0, 2.0, 3.0, 4.0],
     } | columns
     counted = Counter({"fan.min_on": 2}), Counter({"controller.late": 1})
-    return Log({key: np.array(values) for key, values in rows.items()}, *counted, 0, 7)
+    return ClosedLoopLog({key: np.array(values) for key, values in rows.items()}, *counted, 0, 7)
 
 
 def test_errors_are_of_the_end_of_each_step():

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from contexts import context
 
-from edge.app.controllers import Parts, make
+from edge.app.controllers import ControllerParts, make
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
@@ -24,7 +24,7 @@ from training.control import job as control_job
 from training.control import runner
 from training.control.board_in_process import InProcessBoard, make_device
 from training.control.closed_loop import closed_loop
-from training.control.job import Job, is_kept, keep, read, run
+from training.control.job import ComparisonJob, is_kept, keep, read, run
 from training.control.rig import entries
 
 LENGTH_S = 900.0
@@ -62,7 +62,7 @@ def test_a_run_has_a_row_for_every_minute(near):
 
 
 def test_a_kept_run_comes_back(near, tmp_path):
-    job = Job(entries()["rules"], "tuning_1", 101)
+    job = ComparisonJob(entries()["rules"], "tuning_1", 101)
     keep(job, near, tmp_path)
     back = read(job, tmp_path)
     np.testing.assert_array_equal(back.columns["true_air_c"], near.columns["true_air_c"])
@@ -70,7 +70,7 @@ def test_a_kept_run_comes_back(near, tmp_path):
 
 
 def test_a_kept_run_with_other_settings_is_another_run(near, tmp_path):
-    job = Job(entries()["MPC"], "tuning_1", 101)
+    job = ComparisonJob(entries()["MPC"], "tuning_1", 101)
     keep(job, near, tmp_path)
     other = replace(job, entry=replace(job.entry, control={"horizon": 5}))
     assert is_kept(job, tmp_path)
@@ -83,14 +83,14 @@ def test_a_run_of_another_policy_is_another_run(tmp_path, monkeypatch):
     for name in ("rl-off", "rl-off-p"):
         (tmp_path / f"{name}.onnx").write_bytes(b"first")
     monkeypatch.setattr(control_job, "PACKAGED_FOLDER", tmp_path)
-    job, other = (Job(entries()[name], "tuning_1", 101) for name in ("RL-Off", "RL-Off-P"))
+    job, other = (ComparisonJob(entries()[name], "tuning_1", 101) for name in ("RL-Off", "RL-Off-P"))
     before = job.sha256(), other.sha256()
     (tmp_path / "rl-off.onnx").write_bytes(b"second")
     assert (job.sha256() != before[0], other.sha256() == before[1]) == (True, True)
 
 
 def test_what_is_kept_is_not_run_again(near, tmp_path, monkeypatch):
-    job = Job(entries()["rules"], "tuning_1", 101)
+    job = ComparisonJob(entries()["rules"], "tuning_1", 101)
     keep(job, near, tmp_path)
     monkeypatch.setattr(runner.subprocess, "Popen", lambda *words, **more: pytest.fail("it was run"))
     runner.run_all([job], tmp_path, workers=1)
@@ -98,7 +98,7 @@ def test_what_is_kept_is_not_run_again(near, tmp_path, monkeypatch):
 
 def test_a_run_that_fails_says_why(tmp_path):
     with pytest.raises(Exception, match="no_such_reference"):
-        runner.run_all([Job(entries()["rules"], "no_such_reference", 1)], tmp_path, workers=1)
+        runner.run_all([ComparisonJob(entries()["rules"], "no_such_reference", 1)], tmp_path, workers=1)
 
 
 def test_a_comparison_that_is_ended_leaves_no_run_behind(tmp_path):
@@ -126,7 +126,7 @@ def test_a_signal_in_the_middle_of_a_start_leaves_no_run_behind(number, tmp_path
     monkeypatch.setattr(runner, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3, PIPE=-1))
     handler = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt):
-        runner.run_all([Job(entries()["rules"], "tuning_1", 101)], tmp_path, workers=1)
+        runner.run_all([ComparisonJob(entries()["rules"], "tuning_1", 101)], tmp_path, workers=1)
     assert started[0].returncode == -signal.SIGTERM
     assert signal.getsignal(number) is handler
     assert started[0].stderr.closed
@@ -140,22 +140,26 @@ def test_the_twins_controller_runs_with_the_diagnosed_twin(tmp_path, monkeypatch
     """A quarter of an hour of the whole daemon with a signed bundle of its own."""
     monkeypatch.setattr("training.control.job.FOLDER", tmp_path)
     (tmp_path / "short.csv").write_text("time_s,reference_c\n0,24\n900,24\n")
-    log = run(Job(entries()["MPC-Twin-P"], "short", 101))
+    log = run(ComparisonJob(entries()["MPC-Twin-P"], "short", 101))
     assert log.instead == {}
     assert abs(log.columns["sensor_air_c"][-1] + 0.4 - 24.0) < 0.7
 
 
 def test_a_variant_is_another_run_with_a_controller_of_its_own(tmp_path):
     known = entries()
-    hashes = {Job(known[name], "reference_1", 1).sha256() for name in ("MPC-BFGS", "MPC-BFGS/unbounded")}
+    hashes = {
+        ComparisonJob(known[name], "reference_1", 1).sha256() for name in ("MPC-BFGS", "MPC-BFGS/unbounded")
+    }
     assert len(hashes) == 2
     made = {
-        name: control_job._instead(Job(known[name], "reference_1", 1), tmp_path)
+        name: control_job._instead(ComparisonJob(known[name], "reference_1", 1), tmp_path)
         for name in ("MPC-BFGS", "MPC-BFGS/unbounded", "rules/tuned")
     }
     assert made["MPC-BFGS"] is None  # the daemon's own
     cold = context(26.0, 27.0)
-    daemons = {name: make(name, Parts(ControlSettings(), read_arx())) for name in ("MPC-BFGS", "rules")}
+    daemons = {
+        name: make(name, ControllerParts(ControlSettings(), read_arx())) for name in ("MPC-BFGS", "rules")
+    }
     assert made["MPC-BFGS/unbounded"].decide(cold).command != daemons["MPC-BFGS"].decide(cold).command
     near = context(25.7, 26.0)
     assert made["rules/tuned"].decide(near).command.heater_duty == 1.0

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run, absence_facts, read_run, write_run
+from edge.formats.run_file import RecordedRun, absence_facts, read_run, write_run
 from training import datasets
 
 
-def run_of(rows: int = 20, **facts: str) -> Run:
+def run_of(rows: int = 20, **facts: str) -> RecordedRun:
     columns = {
         "time_s": 60.0 * np.arange(rows),
         "temp_air_c": 22.0 + np.arange(rows) / 10.0,
         "heater_duty": np.arange(rows) % 2 / 2.0,
     }
-    return Run(columns, {"role": "train", **facts}, Path("run.csv"))
+    return RecordedRun(columns, {"role": "train", **facts}, Path("run.csv"))
 
 
-def changed(run: Run, column: str, row: int, value: float) -> Run:
+def changed(run: RecordedRun, column: str, row: int, value: float) -> RecordedRun:
     values = run.columns[column].copy()
     values[row] = value
     return replace(run, columns={**run.columns, column: values})

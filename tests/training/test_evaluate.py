@@ -16,7 +16,7 @@ from training_runs import box_run
 from edge.core.errors import DataError
 from training import __main__, ablation, evaluate, scores
 from training.evaluate import ELSEWHERE_K, MACHINE_FILE, first_difference, json_of
-from training.scores import Score, by_seed, maes, orders, scored
+from training.scores import TrainingScore, by_seed, maes, orders, scored
 from training.trained import Kept, read_trained, unguarded
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +60,7 @@ def test_our_hybrid_extrapolates_better_than_the_papers_and_the_lstm_with_every_
     assert worst < maes(rows, "lstm", "extrapolation").mean(axis=1).min()
 
 
-def _score(row: dict[str, Any]) -> Score:
+def _score(row: dict[str, Any]) -> TrainingScore:
     return score(row["model"], row["regime"], row["seed"], row["scenario"], row["free_run"]["mae_k"])
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from edge.core.errors import DataError
 from edge.core.predictor import Columns, Floats
-from edge.formats.run_file import Run, write_run
+from edge.formats.run_file import RecordedRun, write_run
 from edge.twin.geometry import Geometry
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from training import __main__, heated_box
 from training.heated_box import HEATER_MASS, HORIZONS_S, fit_box, maes, read_data
 
@@ -28,15 +28,15 @@ class Held:
         return np.full(controls.shape[:2], history["temp_air"][-1])
 
 
-def box_run(seed: int, rows: int = 601) -> Run:
+def box_run(seed: int, rows: int = 601) -> RecordedRun:
     """Ten minutes at 1 s of a box with a heater's mass, from the room's temperature, without noise."""
-    twin = Twin(geometry=GEOMETRY, effects=EFFECTS, step_s=1.0)
+    twin = BoxTwin(geometry=GEOMETRY, effects=EFFECTS, step_s=1.0)
     draw = np.random.default_rng(seed)
     duty = np.repeat(draw.choice([0.0, 0.5, 1.0], size=11), 60)[:rows]
     start = np.array([ROOM_C, 0.0])
     temp = twin.rollout(start, duty[None, :-1], np.zeros((1, rows - 1)), ROOM_C)[0]
     columns = {"time_s": np.arange(float(rows)), "temp_air_c": np.append(ROOM_C, temp), "heater_duty": duty}
-    return Run(columns)
+    return RecordedRun(columns)
 
 
 @pytest.fixture(scope="module")

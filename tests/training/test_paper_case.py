@@ -14,12 +14,12 @@ from comparison_figures import all_scored, score
 from training_runs import box_run
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run, write_run
+from edge.formats.run_file import RecordedRun, write_run
 from edge.models.pbm import Pbm
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from edge.twin.value import Value
-from firmware_protocol.virtual_board.profiles.record import ProfileRow
+from firmware_protocol.virtual_board.profiles.record import RecordedRow
 from training import ham_guarded, paper_case, paper_case_models
 from training.datasets import data_sha256
 from training.datasets import test_run as run_of
@@ -38,7 +38,7 @@ from training.paper_case_models import (
 from training.paper_case_picture import waterfall_picture
 from training.paper_case_tables import tables, text_of, waterfall
 from training.rollout import errors, free_run
-from training.scores import Score, maes
+from training.scores import TrainingScore, maes
 from training.study import SCENARIOS, Regime
 
 RESULTS = Path(paper_case.__file__).parent / "results"
@@ -87,12 +87,12 @@ def case(**left_out: tuple[str, ...]) -> dict[Regime, Improved]:
 
 
 @cache
-def compared() -> tuple[Score, ...]:
+def compared() -> tuple[TrainingScore, ...]:
     """Of the models that are compared already."""
     return tuple(one.score for one in all_scored())
 
 
-def scores() -> list[Score]:
+def scores() -> list[TrainingScore]:
     """The comparison's, in which HAM misses by 2 K, and of the improved base, over which it misses by 0.6."""
     new = [
         score(model, regime, seed, number, missed * (1.0 + 0.01 * seed))
@@ -105,7 +105,7 @@ def scores() -> list[Score]:
 
 
 def rows(
-    title: str, found: list[Score] | None = None, **left_out: tuple[str, ...]
+    title: str, found: list[TrainingScore] | None = None, **left_out: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
     """A table's rows by their names."""
     every = tables(CHAMBER, case(**left_out), scores() if found is None else found)
@@ -128,9 +128,9 @@ def test_the_bare_twin_is_told_what_it_lacks(tmp_path: Path, monkeypatch: pytest
     assert "train_1.csv" not in judged
 
 
-def recording(seed: int, folder: Path, role: str = "train") -> Run:
+def recording(seed: int, folder: Path, role: str = "train") -> RecordedRun:
     """A run of a box that loses heat through its walls and nothing else, read with 0.05 K of noise."""
-    run = box_run(seed, 90 if role == "train" else 60, role, Twin(effects={"wall_loss": {"UA": UA}}))
+    run = box_run(seed, 90 if role == "train" else 60, role, BoxTwin(effects={"wall_loss": {"UA": UA}}))
     read = run.columns["temp_air_c"] + np.random.default_rng(seed).normal(0.0, 0.05, len(run))
     run = replace(run, columns={**run.columns, "temp_air_c": read}, path=folder / f"{role}_{seed}.csv")
     write_run(run, run.path)
@@ -144,13 +144,13 @@ def test_a_command_that_fails_is_an_error(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.fixture
-def two_runs(monkeypatch: pytest.MonkeyPatch) -> list[Run]:
+def two_runs(monkeypatch: pytest.MonkeyPatch) -> list[RecordedRun]:
     runs = [box_run(1), box_run(2)]
     monkeypatch.setattr(paper_case_models, "training_runs", lambda regime: runs)
     return runs
 
 
-def test_a_diagnosis_of_other_runs_is_refused(tmp_path: Path, two_runs: list[Run]) -> None:
+def test_a_diagnosis_of_other_runs_is_refused(tmp_path: Path, two_runs: list[RecordedRun]) -> None:
     with pytest.raises(DataError, match=r"diagnosis\.json: cannot be read"):
         improved("interpolation", tmp_path)
     (tmp_path / "diagnosis.json").write_text(json.dumps(document(data="0" * 64)))
@@ -158,13 +158,13 @@ def test_a_diagnosis_of_other_runs_is_refused(tmp_path: Path, two_runs: list[Run
         improved("interpolation", tmp_path)
 
 
-def test_where_nothing_is_named_the_twin_stays_bare(tmp_path: Path, two_runs: list[Run]) -> None:
+def test_where_nothing_is_named_the_twin_stays_bare(tmp_path: Path, two_runs: list[RecordedRun]) -> None:
     (tmp_path / "diagnosis.json").write_text(json.dumps(document(data=data_sha256(two_runs))))
     assert improved("interpolation", tmp_path).file == TwinFile()
 
 
 def test_what_a_graph_does_not_hold_is_left_out_and_the_rest_fitted_again(
-    tmp_path: Path, two_runs: list[Run]
+    tmp_path: Path, two_runs: list[RecordedRun]
 ) -> None:
     effects = {
         "wall_loss": {"UA": Value(1.0)},
@@ -197,7 +197,7 @@ def test_the_hybrid_forecasts_with_and_without_its_guard(
 
 
 def test_the_chamber_is_read_from_its_settings() -> None:
-    held = [ProfileRow(120 * k, 0.5, int(k >= 3)) for k in range(6)]
+    held = [RecordedRow(120 * k, 0.5, int(k >= 3)) for k in range(6)]
     real = {item.name: item for item in real_effects(held)}
     # chamber.yaml: 1.5 kg/m2 of 1200 J/kgK on 0.5 x 0.5 + 4 x 0.5 x 0.6 m2; biases of 0.4 and 0.3 K
     assert real["wall_mass"].value == pytest.approx(1.5 * 1200.0 * 1.45)
@@ -326,7 +326,7 @@ def kept() -> dict[str, Any]:
 @pytest.mark.parametrize("regime", SCENARIOS)
 def test_the_kept_twin_began_bare_and_forecasts_as_was_scored(regime: Regime, kept: dict[str, Any]) -> None:
     folder = KEPT / regime
-    assert read_twin_file(folder / "bare.yaml").twin().sha256 == Twin().sha256
+    assert read_twin_file(folder / "bare.yaml").twin().sha256 == BoxTwin().sha256
     number = SCENARIOS[regime][1]
     found = errors(free_run(Pbm(read_twin_file(folder / "twin.yaml").twin()), run_of(number)), run_of(number))
     scored = next(one for one in kept["scores"] if one["model"] == TWIN and one["scenario"] == number)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.formats.profile_file import read_profile
-from edge.formats.run_file import Run, period, read_run
+from edge.formats.run_file import RecordedRun, period, read_run
 from firmware_protocol.virtual_board.profiles.record import read
 from training import datasets, record
 from training.draw_profiles import PLANS, draw, path_of
@@ -18,7 +18,7 @@ RECORDINGS = {recording.name: recording for recording in record.recordings()}
 TEST_RANGES_C = {1: (25.5, 30.3), 2: (25.4, 30.0), 3: (25.0, 33.3)}  # paper, tab:results-model-scenarios
 
 
-def committed(name: str) -> Run:
+def committed(name: str) -> RecordedRun:
     return read_run(datasets.RUNS / f"{name}.csv")
 
 

@@ -16,9 +16,17 @@ from edge.twin.twin_file import read_twin_file
 from training.datasets import training_runs
 from training.lstm import WINDOW
 from training.predictors import GuardedHamPredictor, LstmPredictor
-from training.rl.boxes import START_ROWS, Boxes, World
+from training.rl.boxes import START_ROWS, EpisodeBoxes, World
 from training.rl.env import GreenhouseEnv
-from training.rl.episodes import Drawn, Episode, EpisodeSettings, Given, Sensor, Start, draw_reference
+from training.rl.episodes import (
+    DrawnEpisodes,
+    Episode,
+    EpisodeSettings,
+    EpisodeStart,
+    RepeatedEpisode,
+    Sensor,
+    draw_reference,
+)
 from training.rl.models import Window
 from training.rl.play import play
 from training.rl.read_model import KEPT, TRAINED, drawn, read_model
@@ -39,7 +47,7 @@ def runs():
 
 
 def world_of(runs, name="ham", settings=SHORT, variants=1):
-    return World(read_model(name, variants), Drawn(runs, START_ROWS, settings), WEIGHTS["RL-Off-P"])
+    return World(read_model(name, variants), DrawnEpisodes(runs, START_ROWS, settings), WEIGHTS["RL-Off-P"])
 
 
 # models
@@ -168,10 +176,12 @@ def test_a_sensor_shows_steps_of_its_resolution():
 def test_an_episode_that_is_given_is_lived_through(runs):
     steps = 5
     still = np.full(START_ROWS, 24.0)
-    start = Start(still, np.full(START_ROWS, 22.0), np.full(START_ROWS, 0.1), np.zeros(START_ROWS))
+    start = EpisodeStart(still, np.full(START_ROWS, 22.0), np.full(START_ROWS, 0.1), np.zeros(START_ROWS))
     episode = Episode(np.linspace(25.0, 26.0, steps + 1), np.full(steps + 1, 22.0), start)
-    boxes = Boxes(
-        World(read_model("ham"), Given(episode), WEIGHTS["RL-Off"], EXACT), 2, np.random.default_rng(0)
+    boxes = EpisodeBoxes(
+        World(read_model("ham"), RepeatedEpisode(episode), WEIGHTS["RL-Off"], EXACT),
+        2,
+        np.random.default_rng(0),
     )
     seen = boxes.reset()
     assert seen[0, NAMES.index("error")] * 5.0 == pytest.approx(1.0)
@@ -214,7 +224,7 @@ def test_an_episode_is_truncated_and_never_terminated(runs):
 
 
 def test_one_box_of_many_is_as_one_alone(runs):
-    alone = Boxes(world_of(runs), 1, np.random.default_rng(4))
+    alone = EpisodeBoxes(world_of(runs), 1, np.random.default_rng(4))
     env = BoxesVecEnv(world_of(runs), 1, seed=4)
     assert np.array_equal(alone.reset().astype(np.float32), env.reset())
     for action in (0, 13, 41):

@@ -73,7 +73,7 @@ def test_the_table_has_a_line_for_each_policy_and_one_for_all(tmp_path, monkeypa
         policy_file(folders[-1] / POLICY_FILE)
         record = {"variant": "RL-Off", "seed": seed, "policy": "abc", "command": "greenhouse-train rl"}
         (folders[-1] / RECORD_FILE).write_text(json.dumps(record))
-    monkeypatch.setattr(gap_table, "gap_of", lambda *_: gap.Gap(0.4, 0.5, -0.8, -1.0))
+    monkeypatch.setattr(gap_table, "gap_of", lambda *_: gap.PolicyGap(0.4, 0.5, -0.8, -1.0))
     groups = [("as fitted", folders)]
     lines = list(gap_table.gap_table(groups, read_model("pbm"), "greenhouse-train rl-gap"))
     assert lines[0] == "# greenhouse-train rl-gap"

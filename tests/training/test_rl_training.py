@@ -20,7 +20,7 @@ from training.rl.observations import recorded_observations
 from training.rl.parity import main as tell_parity
 from training.rl.parity import parity
 from training.rl.settings import DqnSettings
-from training.rl.study import Job, study, world_of
+from training.rl.study import PolicyJob, study, world_of
 from training.rl.train import greedy, train
 from training.rl.weights import load_q_network, save_q_network
 
@@ -64,7 +64,7 @@ def test_a_training_learns(runs):
 
 
 def test_a_training_is_kept_with_its_record(tmp_path, runs):
-    record = study(Job("RL-Off-P", "pbm", 4, "greenhouse-train rl", 1, SMALL), tmp_path / "a")
+    record = study(PolicyJob("RL-Off-P", "pbm", 4, "greenhouse-train rl", 1, SMALL), tmp_path / "a")
     kept = json.loads((tmp_path / "a" / "record.json").read_text())
     assert kept == json.loads(json.dumps(record))
     assert (kept["variant"], kept["seed"], kept["settings"]["steps"]) == ("RL-Off-P", 4, 480)

@@ -9,8 +9,8 @@ import torch
 from training_runs import BOX, box_run
 
 from edge.twin.geometry import Geometry
-from edge.twin.model import Twin
-from edge.twin.warm_start import Past, state_now
+from edge.twin.model import BoxTwin
+from edge.twin.warm_start import PastColumns, state_now
 from training import ham, ham_guarded
 from training.ham import HamNet
 from training.ham_guarded import GuardedHamNet
@@ -40,7 +40,7 @@ def guarded() -> GuardedHamNet:
 
 def test_without_a_source_it_is_the_paper_s_physics() -> None:
     temp, ambient, duty, fan = [25.0, 30.0, 28.0], [22.0, 21.0, 22.5], [1.0, 0.0, 0.45], [0.0, 1.0, 1.0]
-    expected = Twin().step(temp, ambient, duty, fan)
+    expected = BoxTwin().step(temp, ambient, duty, fan)
     found = bare_ham()(*tensors(temp, ambient, duty, fan))
     assert found.tolist() == pytest.approx(expected.tolist(), abs=1e-4)
 
@@ -105,7 +105,7 @@ def test_the_hidden_states_are_found_as_on_the_edge() -> None:
     columns = box_run(3).columns
     names = ("temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
     window = [columns[name][30:40] for name in names]
-    expected = state_now(BOX, Past(*window))
+    expected = state_now(BOX, PastColumns(*window))
     found = TwinStep.of(BOX).start(*(column[None] for column in tensors(*window)))[0]
     assert found.tolist() == pytest.approx(expected.tolist(), abs=1e-2)
 
@@ -115,7 +115,7 @@ def test_a_sensor_with_a_bias_moves_the_room_as_on_the_edge() -> None:
     names = ("temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
     window = [box_run(3).columns[name][30:40] for name in names]
     found = TwinStep.of(biased).start(*(column[None] for column in tensors(*window)))[0]
-    assert found.tolist() == pytest.approx(state_now(biased, Past(*window)).tolist(), abs=1e-2)
+    assert found.tolist() == pytest.approx(state_now(biased, PastColumns(*window)).tolist(), abs=1e-2)
     following = TwinStep.of(biased).step(found[None], *tensors([22.0], [0.5], [0.0], [0.0]))
     as_measured = TwinStep.of(BOX).step(found[None], *tensors([22.5], [0.5], [0.0], [0.0]))
     assert following.tolist() == as_measured.tolist()
@@ -135,7 +135,7 @@ def test_weights_kept_before_the_shift_have_none(guarded: GuardedHamNet, tmp_pat
 
 
 def test_the_guarded_source_reproduces_the_next_measurement() -> None:
-    step = TwinStep.of(Twin(effects={"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 20.0}}))
+    step = TwinStep.of(BoxTwin(effects={"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 20.0}}))
     for temp, ambient, duty, fan in stretches([box_run(1)]):
         states = tensors(temp[:-1, None])[0]
         inputs = tensors(ambient[:-1], duty[:-1], fan[:-1])

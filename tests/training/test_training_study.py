@@ -12,14 +12,14 @@ from training_runs import BOX, box_run
 
 from edge.core.errors import DataError
 from edge.core.predictor import Columns, Floats
-from edge.formats.run_file import Run, inside_names
+from edge.formats.run_file import RecordedRun, inside_names
 from edge.models.pbm import Pbm, read_twin
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from training import __main__, ham, ham_guarded, lstm, study
 from training.models import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
 from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
 from training.rollout import START_ROWS, errors, free_run, one_step
-from training.study import Job, Trained
+from training.study import Trained, TrainingJob
 from training.summary import best_seed, records, table
 from training.weights import load_network, save_network
 
@@ -54,7 +54,7 @@ def test_single_steps_begin_anew_from_each_measurement() -> None:
 
 def test_the_physics_that_made_a_run_reproduces_it() -> None:
     # A box whose only state is the air: nothing is hidden at the start.
-    box = Twin(effects={"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 20.0}})
+    box = BoxTwin(effects={"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 20.0}})
     run = box_run(1, box=box)
     assert errors(free_run(Pbm(box), run), run).worst_k < 1e-9
 
@@ -152,18 +152,18 @@ def small_data(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study, "data_sha256", lambda runs: f"{len(runs)} runs")
 
 
-def held(runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def held(runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
     return Trained(Recorder(), {}, {"validation_loss": 1.0 - 0.1 * seed}, lambda out, facts: None)
 
 
 def three_trainings(out: Path) -> None:
     for seed in range(3):
-        study.study(Job("lstm", "interpolation", seed, ""), held, out, None)
+        study.study(TrainingJob("lstm", "interpolation", seed, ""), held, out, None)
 
 
 @pytest.mark.usefixtures("small_data")
 def test_a_record_says_what_was_trained_on_what_and_how_well(tmp_path: Path) -> None:
-    job = Job("ham", "interpolation", 7, "greenhouse-train ham")
+    job = TrainingJob("ham", "interpolation", 7, "greenhouse-train ham")
     study.study(job, quick_ham, tmp_path, None)
     record = json.loads((tmp_path / "ham" / "interpolation" / "seed_7" / "result.json").read_text())
     assert record["command"] == "greenhouse-train ham"
@@ -181,7 +181,7 @@ def test_a_record_says_what_was_trained_on_what_and_how_well(tmp_path: Path) -> 
     assert record["scenarios"]["1"]["free_run"]["rows"] == 80
 
 
-def quick_ham(runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
+def quick_ham(runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
     network, _ = ham.train(runs, seed, ham.HamSettings(epochs=1, hidden=4), log)
     settings = {"batch_size": ham.HamSettings().batch_size}
     return Trained(HamPredictor(network), settings, {}, lambda out, facts: None)
@@ -189,7 +189,7 @@ def quick_ham(runs: Sequence[Run], seed: int, log: Path | None) -> Trained:
 
 @pytest.mark.usefixtures("small_data")
 def test_the_same_seed_gives_the_same_metrics(tmp_path: Path) -> None:
-    jobs = [Job("ham", "interpolation", seed, "") for seed in (7, 7, 8)]
+    jobs = [TrainingJob("ham", "interpolation", seed, "") for seed in (7, 7, 8)]
     first, again, other = (study.study(job, quick_ham, tmp_path, None)["scenarios"] for job in jobs)
     assert first == again != other
 
@@ -197,7 +197,7 @@ def test_the_same_seed_gives_the_same_metrics(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("small_data")
 @pytest.mark.parametrize("name", ["linear", "linear_ambient", "pbm", "twin"])
 def test_models_without_a_seed_are_trained_and_kept(name: str, tmp_path: Path) -> None:
-    job = Job(name, "extrapolation", 0, "")
+    job = TrainingJob(name, "extrapolation", 0, "")
     record = study.study(job, MODELS[name], tmp_path, None)
     assert np.isfinite(record["scenarios"]["4"]["free_run"]["mae_k"])
     model = {"linear": ARX_FILE, "linear_ambient": ARX_FILE, "pbm": TWIN_FILE, "twin": TWIN_FILE}[name]
@@ -206,7 +206,7 @@ def test_models_without_a_seed_are_trained_and_kept(name: str, tmp_path: Path) -
 
 @pytest.mark.usefixtures("small_data")
 def test_the_fitted_twin_finds_the_box_and_is_kept_as_a_file(tmp_path: Path) -> None:
-    job = Job("twin", "interpolation", 0, "")
+    job = TrainingJob("twin", "interpolation", 0, "")
     record = study.study(job, MODELS["twin"], tmp_path, None)
     assert record["scenarios"]["1"]["free_run"]["mae_k"] < 0.01
     effects = read_twin(job.folder(tmp_path) / TWIN_FILE).twin.effects

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from edge.config.settings import LlmSettings
-from training.control.comparison import Result, column, references_of
+from training.control.comparison import RunResult, column, references_of
 from training.control.effort import FAMILIES, lines, training_s
 from training.control.energy import energy_picture
-from training.control.job import Job, read
+from training.control.job import ComparisonJob, read
 from training.control.pictures import bars_picture, radar_picture, runs_picture
 from training.control.rig import SPARING, entries
 from training.control.spread import mean_of
@@ -18,15 +18,15 @@ DRAWN = {  # picture -> controllers side by side, those that have run
 }
 
 
-def drawn_jobs(references: Sequence[str], seed: int, llm: LlmSettings) -> list[Job]:
+def drawn_jobs(references: Sequence[str], seed: int, llm: LlmSettings) -> list[ComparisonJob]:
     """What the pictures show minute by minute, which figures alone do not tell."""
     known = entries()
     names = [name for side in DRAWN.values() for name in side]
-    return [Job(known[name], reference, seed, llm) for reference in references for name in names]
+    return [ComparisonJob(known[name], reference, seed, llm) for reference in references for name in names]
 
 
 def pictures_of(
-    results: Sequence[Result], jobs: Sequence[Job], runs: Path, names: Sequence[str]
+    results: Sequence[RunResult], jobs: Sequence[ComparisonJob], runs: Path, names: Sequence[str]
 ) -> dict[str, bytes]:
     """PNG by file name without its ending; runs of the first seed that there is."""
     references = references_of(results)
@@ -48,7 +48,7 @@ def pictures_of(
 
 
 def _radar(
-    results: Sequence[Result], references: Sequence[str]
+    results: Sequence[RunResult], references: Sequence[str]
 ) -> dict[str, tuple[float, float, float, float]]:
     rows = {}
     for family in FAMILIES:
@@ -61,7 +61,9 @@ def _radar(
     return rows
 
 
-def _columns(jobs: Sequence[Job], reference: str, drawn: Sequence[str], runs: Path) -> dict[str, Mapping]:  # type: ignore[type-arg]
+def _columns(
+    jobs: Sequence[ComparisonJob], reference: str, drawn: Sequence[str], runs: Path
+) -> dict[str, Mapping]:  # type: ignore[type-arg]
     shown = {}
     for name in drawn:
         mine = [job for job in jobs if (job.entry.name, job.reference) == (name, reference)]

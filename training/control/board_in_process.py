@@ -17,7 +17,7 @@ from firmware_protocol.virtual_board.core import BoardCore
 from firmware_protocol.virtual_board.device import Device
 from firmware_protocol.virtual_board.lockstep import milliseconds
 from firmware_protocol.virtual_board.plant import Plant
-from firmware_protocol.virtual_board.store import Store
+from firmware_protocol.virtual_board.store import Eeprom
 
 NO_DESCRIPTOR = -1
 
@@ -25,7 +25,7 @@ NO_DESCRIPTOR = -1
 def make_device(seed: int, chamber: Path | None = None) -> Device:
     """A board that was just switched on. chamber : YAML that changes parameters or effects of the box"""
     plant = Plant(Chamber(*load(chamber), seed), RIG_PARTS)
-    return Device(_boot, plant, Store(None), [])
+    return Device(_boot, plant, Eeprom(None), [])
 
 
 class InProcessBoard:

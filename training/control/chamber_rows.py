@@ -32,7 +32,7 @@ ABSENT = (  # effects that this copy does not have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Boxes:
+class BoxStates:
     """States of B boxes at one time.
 
     temps : [7, B] as `network.ThermalNetwork` has them [degC]; the others [B]: vapour [kg/m³], film and soil
@@ -46,9 +46,11 @@ class Boxes:
     sensor: Floats
     fan: Floats
 
-    def of(self, places: NDArray[np.int64]) -> "Boxes":
+    def of(self, places: NDArray[np.int64]) -> "BoxStates":
         """Those at `places`, in their order, one more than once too."""
-        return Boxes(*(np.take(getattr(self, field.name), places, axis=-1) for field in fields(Boxes)))
+        return BoxStates(
+            *(np.take(getattr(self, field.name), places, axis=-1) for field in fields(BoxStates))
+        )
 
 
 class ChamberRows:
@@ -65,23 +67,23 @@ class ChamberRows:
         self._heater = HeaterSupply(parameters, effects, seed)
         self._moisture = Moisture(parameters, effects, 0.0)
 
-    def start(self, count: int = 1) -> Boxes:
+    def start(self, count: int = 1) -> BoxStates:
         """Boxes that have long stood in the room, at time 0."""
         room = np.full(count, self._weather.temp_c)
         soil = np.full(count, self.p.soil.water_start * self.p.soil.water_capacity_kg)
         vapour = np.full(count, self._room_vapour())
-        return Boxes(np.tile(room, (7, 1)), vapour, np.zeros(count), soil, room, np.zeros(count))
+        return BoxStates(np.tile(room, (7, 1)), vapour, np.zeros(count), soil, room, np.zeros(count))
 
-    def air(self, boxes: Boxes) -> Floats:
+    def air(self, boxes: BoxStates) -> Floats:
         """Mean air temperature [degC]."""
         share = self.p.box.heater_zone_share
         return np.asarray(share * boxes.temps[5] + (1.0 - share) * boxes.temps[6])
 
-    def shown(self, boxes: Boxes) -> Floats:
+    def shown(self, boxes: BoxStates) -> Floats:
         """What a sensor without noise and steps would show [degC]."""
         return boxes.sensor + self.e.sensor_bias * self.p.sensors.air_bias_k
 
-    def step(self, boxes: Boxes, time_s: float, dt_s: float, heat: Floats, fan: Floats) -> Boxes:
+    def step(self, boxes: BoxStates, time_s: float, dt_s: float, heat: Floats, fan: Floats) -> BoxStates:
         """dt_s later. heat, fan : [B], share of the time that the heater's relay is closed, fan's 0 or 1"""
         p, e = self.p, self.e
         middle_s = time_s + 0.5 * dt_s
@@ -127,7 +129,7 @@ class ChamberRows:
         effective = max(1.0 - e.fan_effectiveness * (1.0 - fan.effectiveness), 0.0)
         return fan.flow_m3_s * effective * max(1.0 - e.short_circuit * fan.short_circuit, 0.0)
 
-    def _water(self, boxes: Boxes, dt_s: float, air_m3_s: Floats) -> tuple[Floats, Boxes]:
+    def _water(self, boxes: BoxStates, dt_s: float, air_m3_s: Floats) -> tuple[Floats, BoxStates]:
         """Heat that water takes from plant, soil and inner sheet [3, B] [W], and the boxes' water after."""
         moisture, soil = self._moisture, self.p.soil
         _, plant_c, soil_c, _, cover_c, _, _ = boxes.temps

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.core.names import HEATER_LEVELS
 from firmware_protocol.virtual_board.board_config import PWM_SLOTS
-from training.control.chamber_rows import Boxes, ChamberRows
+from training.control.chamber_rows import BoxStates, ChamberRows
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,7 +29,7 @@ _SHARES = np.arange(HEATER_LEVELS + 1) / HEATER_LEVELS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class ReferenceCourse:
     """What is to be followed. reference : [N], after each step [degC]; begin_s : of the first step"""
 
     reference: Floats
@@ -49,7 +49,7 @@ class Planned:
 
 
 def best_plan(
-    fresh: Callable[[], ChamberRows], course: Course, width: int = WIDTH, kind_k: float = KIND_K
+    fresh: Callable[[], ChamberRows], course: ReferenceCourse, width: int = WIDTH, kind_k: float = KIND_K
 ) -> Planned:
     """The cheapest plan found. fresh : the chamber anew, as its future can be asked but once"""
     chamber = fresh()
@@ -71,7 +71,7 @@ def best_plan(
     return Planned(levels, fans, plan_cost(fresh(), course, levels, fans))
 
 
-def plan_cost(chamber: ChamberRows, course: Course, levels: Ints, fan: Ints) -> float:
+def plan_cost(chamber: ChamberRows, course: ReferenceCourse, levels: Ints, fan: Ints) -> float:
     """The paper's cost of a plan by the chamber's own steps."""
     boxes, cost = _idle(chamber, course), 0.0
     before = np.append(0, levels[:-1])
@@ -100,7 +100,7 @@ def relay_share(time_s: float, length_s: float, levels: Ints, before: Ints | Non
     return np.asarray(closed.mean(axis=0))
 
 
-def _idle(chamber: ChamberRows, course: Course) -> Boxes:
+def _idle(chamber: ChamberRows, course: ReferenceCourse) -> BoxStates:
     """One box until the first step."""
     boxes, off = chamber.start(1), np.zeros(1)
     for second in range(int(course.begin_s / FINE_S)):
@@ -108,7 +108,7 @@ def _idle(chamber: ChamberRows, course: Course) -> Boxes:
     return boxes
 
 
-def _probed(chamber: ChamberRows, boxes: Boxes, before: Ints, begin_s: float, step_s: float) -> Boxes:
+def _probed(chamber: ChamberRows, boxes: BoxStates, before: Ints, begin_s: float, step_s: float) -> BoxStates:
     """[M * 2 * 3]: each box a step later, by fan and probed level. before : levels that led to the boxes"""
     count = len(boxes.fan)
     boxes = boxes.of(np.repeat(np.arange(count), 2 * len(PROBED)))
@@ -121,7 +121,7 @@ def _probed(chamber: ChamberRows, boxes: Boxes, before: Ints, begin_s: float, st
     return boxes
 
 
-def _target(chamber: ChamberRows, boxes: Boxes, course: Course) -> Floats:
+def _target(chamber: ChamberRows, boxes: BoxStates, course: ReferenceCourse) -> Floats:
     return chamber.air(boxes) if course.target == "true" else chamber.shown(boxes)
 
 
@@ -149,15 +149,15 @@ def _kept(total: Floats, element: Floats, width: int, kind_k: float) -> Ints:
     return np.asarray(best[np.argsort(total.ravel()[best], kind="stable")[:width]])
 
 
-def _children(probes: Boxes, parent: Ints, fan: Ints, level: Ints) -> Boxes:
+def _children(probes: BoxStates, parent: Ints, fan: Ints, level: Ints) -> BoxStates:
     """The boxes of the chosen children, by the parabola through their three probes."""
     weights = lagrange(level / HEATER_LEVELS)
     parts = []
-    for field in fields(Boxes):
+    for field in fields(BoxStates):
         values = getattr(probes, field.name)
         values = values.reshape(*values.shape[:-1], -1, 2, len(PROBED))[..., parent, fan, :]
         parts.append((values * weights).sum(axis=-1))
-    return Boxes(*parts)
+    return BoxStates(*parts)
 
 
 def _traced(trace: list[tuple[Ints, Ints, Ints]], node: int) -> tuple[Ints, Ints]:

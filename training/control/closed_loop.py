@@ -14,7 +14,7 @@ from edge.config.settings import Settings
 from edge.core.clock import Clock
 from edge.core.controller import Controller
 from edge.core.controller_names import LLM
-from edge.core.messages import Quality, TickRecord
+from edge.core.messages import ReadingQuality, TickRecord
 from training.control.recorded import wait_recorded
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ Truth = Callable[[], Mapping[str, float]]  # of the chamber, now
 
 
 @dataclass(frozen=True, slots=True)
-class Log:
+class ClosedLoopLog:
     """One run: columns with a row per tick, and what was counted.
 
     columns : time_s, temp_air_c (measured), true_air_c, sensor_air_c (without noise, steps and bias),
@@ -49,7 +49,7 @@ def closed_loop(
     length_s: float,
     open_port: OpenPort = SerialPort,
     instead: Controller | None = None,
-) -> Log:
+) -> ClosedLoopLog:
     """Run `settings.control.controller`, or another one, for `length_s` from now on.
 
     Errors : KeyboardInterrupt where a signal has ended it
@@ -89,14 +89,14 @@ def closed_loop(
     if clock.now() < end_s:
         raise KeyboardInterrupt  # the daemon took the signal for itself
     columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    return Log(columns, changes, others, counts["time_boxes"], counts["tokens"], tuple(plans))
+    return ClosedLoopLog(columns, changes, others, counts["time_boxes"], counts["tokens"], tuple(plans))
 
 
 def _row(record: TickRecord, truth: Mapping[str, float]) -> dict[str, float]:
     air = record.readings["temp_air"]
     return {
         "time_s": record.time_s,
-        "temp_air_c": air.value if air.quality is Quality.GOOD and air.value is not None else np.nan,
+        "temp_air_c": air.value if air.quality is ReadingQuality.GOOD and air.value is not None else np.nan,
         "true_air_c": truth["temp_air_c"],
         "sensor_air_c": truth["temp_sensor_c"],
         "temp_ambient_c": record.estimate.temp_ambient,

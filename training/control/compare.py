@@ -14,9 +14,9 @@ from pathlib import Path
 from edge.config.settings import LlmSettings
 from edge.core.errors import DataError
 from training.control.all_pictures import drawn_jobs, pictures_of
-from training.control.comparison import STAND_IN_MODEL, Result, result, times_table
+from training.control.comparison import STAND_IN_MODEL, RunResult, result, times_table
 from training.control.figures import DecisionTime, decision_time
-from training.control.job import Job, is_kept, read
+from training.control.job import ComparisonJob, is_kept, read
 from training.control.kept_figures import (
     FIGURES_FILE,
     TIMES_FILE,
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     kept = read_results(arguments.results) if arguments.check or arguments.beside_kept else []
     with _endpoint(arguments) as llm:
         asked = [
-            Job(known[name], reference, seed, llm)
+            ComparisonJob(known[name], reference, seed, llm)
             for reference in arguments.references
             for seed in arguments.seeds
             for name in names
@@ -91,8 +91,8 @@ def _endpoint(arguments: argparse.Namespace) -> Iterator[LlmSettings]:
         yield LlmSettings(url=stand_in.url, model=STAND_IN_MODEL)
 
 
-def _figures(jobs: Sequence[Job], runs: Path) -> tuple[list[Result], Times]:
-    results: list[Result] = []
+def _figures(jobs: Sequence[ComparisonJob], runs: Path) -> tuple[list[RunResult], Times]:
+    results: list[RunResult] = []
     times: dict[str, list[DecisionTime]] = {}
     for job in jobs:
         log = read(job, runs)
@@ -102,7 +102,7 @@ def _figures(jobs: Sequence[Job], runs: Path) -> tuple[list[Result], Times]:
 
 
 def _write(
-    results: Sequence[Result],
+    results: Sequence[RunResult],
     times: Times,
     pictures: Mapping[str, bytes],
     names: Sequence[str],
@@ -123,7 +123,7 @@ def _write(
         (arguments.images / f"{name}.png").write_bytes(content)
 
 
-def _check(results: Sequence[Result], kept: Sequence[Result], tolerance: float) -> int:
+def _check(results: Sequence[RunResult], kept: Sequence[RunResult], tolerance: float) -> int:
     difference = changed(kept, results, tolerance)
     near = f"within {100.0 * tolerance:g} % of" if tolerance else "the same as"
     print(difference or f"{len(results)} of the {len(kept)} runs: {near} what is kept")

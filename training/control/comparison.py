@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from edge.core.controller_names import LLM
-from training.control.closed_loop import Log
+from training.control.closed_loop import ClosedLoopLog
 from training.control.figures import DecisionTime, Figures, figures
-from training.control.job import Job
+from training.control.job import ComparisonJob
 from training.control.rig import entries
 from training.control.spread import Mean, difference, mean_of, ratio, told_apart
 from training.llm_stand_in import MODEL as STAND_IN
@@ -19,7 +19,7 @@ SENSOR_LIMITS = {"": "clairvoyant/sensor", "-P": "clairvoyant/sensor-P"}
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class RunResult:
     """One run in figures."""
 
     entry: str
@@ -29,14 +29,14 @@ class Result:
     remark: str = ""
 
 
-Results = Sequence[Result]
+Results = Sequence[RunResult]
 
 
-def result(job: Job, log: Log) -> Result:
+def result(job: ComparisonJob, log: ClosedLoopLog) -> RunResult:
     """Of one kept run."""
     remark = job.llm.model if job.entry.controller in LLM else ""
     remark = STAND_IN if remark == STAND_IN_MODEL else remark
-    return Result(job.entry.name, job.reference, job.seed, figures(log), remark)
+    return RunResult(job.entry.name, job.reference, job.seed, figures(log), remark)
 
 
 def column(results: Results, entry: str, reference: str, name: str) -> list[float]:
@@ -153,7 +153,7 @@ def times_table(times: Mapping[str, Sequence[DecisionTime]]) -> Table:
     return Table("Decision time [ms]", ("controller", "median", "p99, worst run"), rows, note)
 
 
-def _seed(one: Result) -> int:
+def _seed(one: RunResult) -> int:
     return one.seed
 
 

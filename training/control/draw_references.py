@@ -22,39 +22,39 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
-class Ramp:
+class Slope:
     """A line from the target before to this one."""
 
     minutes: int
     reference_c: float
 
 
-SEGMENTS: dict[str, tuple[Hold | Ramp, ...]] = {
+SEGMENTS: dict[str, tuple[Hold | Slope, ...]] = {
     "reference_1": (
-        Hold(20, 24.0), Hold(35, 28.0), Ramp(30, 31.0), Hold(20, 31.0), Hold(25, 27.0), Hold(22, 25.0),
-        Ramp(20, 30.0), Hold(20, 30.0), Hold(20, 26.0),
+        Hold(20, 24.0), Hold(35, 28.0), Slope(30, 31.0), Hold(20, 31.0), Hold(25, 27.0), Hold(22, 25.0),
+        Slope(20, 30.0), Hold(20, 30.0), Hold(20, 26.0),
     ),
     "reference_2": (
-        Hold(120, 23.5), Ramp(120, 27.0), Hold(90, 27.0), Hold(60, 30.0), Hold(90, 28.0), Ramp(90, 32.0),
-        Hold(60, 32.0), Hold(60, 29.0), Hold(90, 25.0), Hold(45, 31.0), Hold(45, 26.0), Ramp(120, 33.5),
-        Hold(30, 33.5), Ramp(150, 26.0), Hold(60, 28.5), Ramp(120, 24.0), Hold(90, 24.0),
+        Hold(120, 23.5), Slope(120, 27.0), Hold(90, 27.0), Hold(60, 30.0), Hold(90, 28.0), Slope(90, 32.0),
+        Hold(60, 32.0), Hold(60, 29.0), Hold(90, 25.0), Hold(45, 31.0), Hold(45, 26.0), Slope(120, 33.5),
+        Hold(30, 33.5), Slope(150, 26.0), Hold(60, 28.5), Slope(120, 24.0), Hold(90, 24.0),
     ),
     "tuning_1": (
-        Hold(30, 26.0), Ramp(40, 29.0), Hold(25, 29.0), Hold(35, 32.0), Ramp(25, 27.5), Hold(25, 24.5),
+        Hold(30, 26.0), Slope(40, 29.0), Hold(25, 29.0), Hold(35, 32.0), Slope(25, 27.5), Hold(25, 24.5),
         Hold(40, 27.0),
     ),
     "tuning_2": (
-        Hold(60, 25.0), Hold(60, 29.5), Ramp(60, 26.0), Hold(45, 26.0), Ramp(90, 31.5), Hold(45, 33.0),
-        Hold(60, 28.0), Hold(40, 30.0), Ramp(60, 24.5), Hold(60, 24.5),
+        Hold(60, 25.0), Hold(60, 29.5), Slope(60, 26.0), Hold(45, 26.0), Slope(90, 31.5), Hold(45, 33.0),
+        Hold(60, 28.0), Hold(40, 30.0), Slope(60, 24.5), Hold(60, 24.5),
     ),
     "tuning_3": (  # down again and again: what the fan is for
-        Hold(25, 26.0), Hold(30, 30.0), Hold(25, 26.5), Ramp(25, 29.5), Hold(20, 29.5), Hold(30, 25.5),
+        Hold(25, 26.0), Hold(30, 30.0), Hold(25, 26.5), Slope(25, 29.5), Hold(20, 29.5), Hold(30, 25.5),
         Hold(25, 29.0), Hold(20, 25.0),
     ),
 }  # fmt: skip
 
 
-def rows(segments: tuple[Hold | Ramp, ...]) -> list[tuple[int, float]]:
+def rows(segments: tuple[Hold | Slope, ...]) -> list[tuple[int, float]]:
     """Time [s] and target [degC], the last row at the end; each holds until the next."""
     drawn: list[tuple[int, float]] = []
     time_s, target = 0, segments[0].reference_c

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.core.names import HEATER_MAX_W
-from training.control.closed_loop import Log
+from training.control.closed_loop import ClosedLoopLog
 
 Floats = NDArray[np.float64]
 NEAR_K = 0.5
@@ -49,7 +49,7 @@ class Figures:
     sensor_cost_1: float
 
 
-def figures(log: Log) -> Figures:
+def figures(log: ClosedLoopLog) -> Figures:
     """Of one run."""
     columns = log.columns
     true, measured = error(columns, "true_air_c"), error(columns, "temp_air_c")
@@ -119,7 +119,7 @@ class DecisionTime:
     p99_ms: float
 
 
-def decision_time(log: Log) -> DecisionTime:
+def decision_time(log: ClosedLoopLog) -> DecisionTime:
     """How long decisions took."""
     times = log.columns["solve_ms"]
     return DecisionTime(float(np.median(times)), float(np.percentile(times, 99.0)))

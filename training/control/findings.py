@@ -13,7 +13,7 @@ from training.control.draw_references import FOLDER
 from training.control.effort import FAMILIES, lines, training_s
 from training.control.rig import SPARING
 from training.control.spread import SENSOR_K, difference, mean_of, ratio
-from training.report_findings import Finding, Verdict
+from training.report_findings import ReportFinding, Verdict
 
 PAPERS = ("MPC-BFGS", "RL-Off", "LLM-Te0")  # the paper's three; its MPC is the one by BFGS
 EQUAL_KNOWLEDGE = (
@@ -30,7 +30,7 @@ VARIANTS = (
 )  # of a controller that stands in the table already
 
 
-def findings(results: Results, reference: str) -> list[Finding]:
+def findings(results: Results, reference: str) -> list[ReportFinding]:
     """In the paper's order, on the reference that its figures show. Verdicts come from the figures."""
     made = (
         _mpc_is_best(results, reference),
@@ -76,13 +76,13 @@ def _ours(results: Results, reference: str, ours: str, papers: str) -> str | Non
     return text + "."
 
 
-def _mpc_is_best(results: Results, reference: str) -> Finding | None:
+def _mpc_is_best(results: Results, reference: str) -> ReportFinding | None:
     means = {name: _mean(results, name, reference, "mae_true") for name in PAPERS}
     known = {name: mean for name, mean in means.items() if mean is not None}
     if len(known) < 2 or PAPERS[0] not in known:
         return None
     beaten = [name for name in known if name != PAPERS[0] and _is_lower(results, reference, PAPERS[0], name)]
-    return Finding(
+    return ReportFinding(
         "The MPC has the lowest MAE of the three, RL a little higher, the LLMs range widely.",
         _verdict(len(beaten), len(known) - 1),
         ", ".join(f"{name} {mean:.2f} K" for name, mean in known.items())
@@ -91,7 +91,7 @@ def _mpc_is_best(results: Results, reference: str) -> Finding | None:
     )
 
 
-def _undecided(results: Results, reference: str) -> Finding | None:
+def _undecided(results: Results, reference: str) -> ReportFinding | None:
     left_out = ("clairvoyant", "rules", *SPARING)
     ran = {one.entry for one in results if not one.entry.startswith(left_out)}
     names = sorted(name for name in ran if not name.endswith(VARIANTS))
@@ -99,7 +99,7 @@ def _undecided(results: Results, reference: str) -> Finding | None:
     if len(means) < 2:
         return None
     apart = [abs(a - b) > SENSOR_K for i, a in enumerate(means) for b in means[i + 1 :]]
-    return Finding(
+    return ReportFinding(
         "Within the sensor's ±0.5 °C it is difficult to claim any controller superior.",
         _verdict(len(apart) - sum(apart), len(apart)),
         f"{len(apart) - sum(apart)} of {len(apart)} pairs of controllers are closer than {SENSOR_K:g} K in "
@@ -107,12 +107,12 @@ def _undecided(results: Results, reference: str) -> Finding | None:
     )
 
 
-def _mpc_toggles(results: Results, reference: str) -> Finding | None:
+def _mpc_toggles(results: Results, reference: str) -> ReportFinding | None:
     switches = {name: _mean(results, name, reference, "switches") for name in (PAPERS[0], f"{PAPERS[0]}-P")}
     if None in switches.values():
         return None
     free, spared = (float(value or 0.0) for value in switches.values())
-    return Finding(
+    return ReportFinding(
         "Without penalty the MPC toggles heater and fan frequently and tracks the reference very closely.",
         _verdict(
             int(free > 2.0 * spared) + int((_mean(results, PAPERS[0], reference, "mae_true") or 9) < 0.5), 2
@@ -122,20 +122,20 @@ def _mpc_toggles(results: Results, reference: str) -> Finding | None:
     )
 
 
-def _rl_fan_always_on(results: Results, reference: str) -> Finding | None:
+def _rl_fan_always_on(results: Results, reference: str) -> ReportFinding | None:
     fan = _mean(results, "RL-Off", reference, "fan_min")
     if fan is None:
         return None
     spared = _mean(results, "RL-Off-P", reference, "fan_min")
     beside = "" if spared is None else f"; with penalty {spared:.0f}"
-    return Finding(
+    return ReportFinding(
         "Without penalty the RL keeps the fan ON most of the time, and the heater with it.",
         _verdict(int(fan > 0.5 * _length_min(results, reference)), 1),
         f"{fan:.0f} minutes of fan on {reference}{beside}.",
     )
 
 
-def _penalty_spares(results: Results, reference: str) -> Finding | None:
+def _penalty_spares(results: Results, reference: str) -> ReportFinding | None:
     efforts = {}
     for name in ("MPC-BFGS", "MPC", "RL-Off", "LLM-Te0"):
         pair = [_effort(results, each, reference) for each in (name, f"{name}-P")]
@@ -145,14 +145,14 @@ def _penalty_spares(results: Results, reference: str) -> Finding | None:
         return None
     less = [name for name in efforts if _spares(results, name, reference)]
     listed = ", ".join(f"{name} {free:.0f} to {spared:.0f}" for name, (free, spared) in efforts.items())
-    return Finding(
+    return ReportFinding(
         "A penalty makes actuation sparser, in all controllers.",
         _verdict(len(less), len(efforts)),
         f"Effort (sum of duty² and fan) without and with it: {listed}.",
     )
 
 
-def _mpc_same_with_penalty(results: Results, reference: str) -> Finding | None:
+def _mpc_same_with_penalty(results: Results, reference: str) -> ReportFinding | None:
     return _with_penalty(
         results, reference, PAPERS[0],
         "With penalty the MPC tracks as well with less actuation (text); it struggles, as the heater is "
@@ -161,19 +161,19 @@ def _mpc_same_with_penalty(results: Results, reference: str) -> Finding | None:
     )  # fmt: skip
 
 
-def _rl_worse_with_penalty(results: Results, reference: str) -> Finding | None:
+def _rl_worse_with_penalty(results: Results, reference: str) -> ReportFinding | None:
     pair = [_mean(results, name, reference, "mae_true") for name in ("RL-Off", "RL-Off-P")]
     if None in pair:
         return None
     free, spared = (float(value or 0.0) for value in pair)
-    return Finding(
+    return ReportFinding(
         "With penalty the RL tracks noticeably worse.",
         _verdict(int(spared > free + SAME_K), 1),
         f"True MAE {free:.2f} K without, {spared:.2f} K with it.",
     )
 
 
-def _llm_same_with_penalty(results: Results, reference: str) -> Finding | None:
+def _llm_same_with_penalty(results: Results, reference: str) -> ReportFinding | None:
     return _with_penalty(
         results, reference, "LLM-Te0",
         "With penalty the LLM uses the actuators less without tracking worse.",
@@ -181,14 +181,14 @@ def _llm_same_with_penalty(results: Results, reference: str) -> Finding | None:
     )  # fmt: skip
 
 
-def _with_penalty(results: Results, reference: str, name: str, paper: str, more: str) -> Finding | None:
+def _with_penalty(results: Results, reference: str, name: str, paper: str, more: str) -> ReportFinding | None:
     pair = [_mean(results, each, reference, "mae_true") for each in (name, f"{name}-P")]
     if None in pair:
         return None
     free, spared = (float(value or 0.0) for value in pair)
     efforts = [_effort(results, each, reference) or 0.0 for each in (name, f"{name}-P")]
     exact = [_text(results, each, reference, "mae_true") for each in ("MPC", "MPC-P")]
-    return Finding(
+    return ReportFinding(
         paper,
         _verdict(int(spared < free + SAME_K) + int(_spares(results, name, reference)), 2),
         f"True MAE {free:.2f} K without, {spared:.2f} K with it, effort {efforts[0]:.1f} and {efforts[1]:.1f}"
@@ -196,7 +196,7 @@ def _with_penalty(results: Results, reference: str, name: str, paper: str, more:
     )
 
 
-def _rl_trains_longest(results: Results, reference: str) -> Finding | None:
+def _rl_trains_longest(results: Results, reference: str) -> ReportFinding | None:
     if _mean(results, "RL-Off", reference, "mae_true") is None:
         return None
     known = {f.name: (training_s(f), lines(f.files)) for f in FAMILIES if f.name in ("MPC", "RL", "LLM")}
@@ -205,7 +205,7 @@ def _rl_trains_longest(results: Results, reference: str) -> Finding | None:
     listed = ", ".join(
         f"{name} {seconds:.0f} s and {count} lines" for name, (seconds, count) in known.items()
     )
-    return Finding(
+    return ReportFinding(
         "RL needs the most training and effort, MPC expertise and no training, the LLM neither.",
         _verdict(int(longest == "RL") + int(most == "RL"), 2),
         f"{listed}.",

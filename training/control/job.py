@@ -27,10 +27,10 @@ from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.board_in_process import InProcessBoard, make_device
 from training.control.chamber_rows import ChamberRows
-from training.control.clairvoyant import Course, best_plan
-from training.control.closed_loop import Log, closed_loop
+from training.control.clairvoyant import ReferenceCourse, best_plan
+from training.control.closed_loop import ClosedLoopLog, closed_loop
 from training.control.draw_references import FOLDER
-from training.control.rig import NO_LLM, TWIN, Entry, entries, install_twin, settings_for
+from training.control.rig import NO_LLM, TWIN, ComparisonEntry, entries, install_twin, settings_for
 
 RUNS = Path("out/control")
 SECTIONS = ("control", "estimator", "sensor_health", "safety")  # that a run depends on
@@ -38,10 +38,10 @@ FIRST_TICK_S = 1.0  # when the board has greeted and sent its first report
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class ComparisonJob:
     """An entry of the table on a reference and a seed of the virtual board; llm : where a model answers"""
 
-    entry: Entry
+    entry: ComparisonEntry
     reference: str
     seed: int
     llm: LlmSettings = NO_LLM
@@ -75,13 +75,13 @@ class Job:
         return root / self.reference / self.entry.name.replace("/", "_") / f"seed_{self.seed}"
 
 
-def is_kept(job: Job, root: Path) -> bool:
+def is_kept(job: ComparisonJob, root: Path) -> bool:
     """Whether the very same run is there."""
     facts = job.folder(root) / "run.json"
     return facts.exists() and json.loads(facts.read_text(encoding="utf-8"))["sha256"] == job.sha256()
 
 
-def run(job: Job) -> Log:
+def run(job: ComparisonJob) -> ClosedLoopLog:
     """Do it: the daemon and the board in this process, from a cold box at the room's temperature."""
     board = InProcessBoard(make_device(job.seed))
     with tempfile.TemporaryDirectory(prefix="control-") as temporary:
@@ -97,7 +97,7 @@ def run(job: Job) -> Log:
         return closed_loop(settings, board, truth, end_s, board.open, _instead(job, folder))
 
 
-def course_of(job: Job) -> Course | None:
+def course_of(job: ComparisonJob) -> ReferenceCourse | None:
     """What a clairvoyant entry is to follow from the first tick on; None for one that decides as it goes."""
     target = job.entry.clairvoyant
     if target is None:
@@ -105,15 +105,15 @@ def course_of(job: Job) -> Course | None:
     step_s = ControlSettings().step_s
     times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1)
     reference = reference_from_profile(job.profile).at(times, times)
-    return Course(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
+    return ReferenceCourse(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
 
 
-def fresh_chamber(job: Job) -> ChamberRows:
+def fresh_chamber(job: ComparisonJob) -> ChamberRows:
     """The chamber behind the job's board, its future not yet asked."""
     return ChamberRows(*load(), job.seed)
 
 
-def _instead(job: Job, folder: Path) -> Controller | None:
+def _instead(job: ComparisonJob, folder: Path) -> Controller | None:
     """The controller that the daemon does not have: None for one that the daemon has."""
     if job.entry.unbounded:
         weight = float(job.entry.controller.endswith("-P"))
@@ -123,7 +123,7 @@ def _instead(job: Job, folder: Path) -> Controller | None:
     return _clairvoyant(job, folder)
 
 
-def _clairvoyant(job: Job, folder: Path) -> Controller | None:
+def _clairvoyant(job: ComparisonJob, folder: Path) -> Controller | None:
     """The best plan as an input profile."""
     course = course_of(job)
     if course is None:
@@ -137,7 +137,7 @@ def _clairvoyant(job: Job, folder: Path) -> Controller | None:
     return InputProfile(read_profile(path))
 
 
-def keep(job: Job, log: Log, root: Path) -> None:
+def keep(job: ComparisonJob, log: ClosedLoopLog, root: Path) -> None:
     """Columns as columns.npz, what was counted as run.json; the latter last, so that a kill leaves no run."""
     folder = job.folder(root)
     folder.mkdir(parents=True, exist_ok=True)
@@ -156,7 +156,7 @@ def keep(job: Job, log: Log, root: Path) -> None:
     (folder / "run.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
 
 
-def read(job: Job, root: Path) -> Log:
+def read(job: ComparisonJob, root: Path) -> ClosedLoopLog:
     """A kept run. Errors: DataError where it is not there, or another one is."""
     if not is_kept(job, root):
         raise DataError(
@@ -165,7 +165,7 @@ def read(job: Job, root: Path) -> Log:
     folder = job.folder(root)
     facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     with np.load(folder / "columns.npz") as columns:
-        return Log(
+        return ClosedLoopLog(
             {key: columns[key] for key in columns.files},
             Counter(facts["changes"]),
             Counter(facts["instead"]),
@@ -185,7 +185,7 @@ def main() -> None:
     parser.add_argument("--llm-model", default="", help="the model's name there")
     arguments = parser.parse_args()
     llm = LlmSettings(url=arguments.llm_url, model=arguments.llm_model)
-    job = Job(entries()[arguments.entry], arguments.reference, arguments.seed, llm)
+    job = ComparisonJob(entries()[arguments.entry], arguments.reference, arguments.seed, llm)
     keep(job, run(job), arguments.runs)
 
 

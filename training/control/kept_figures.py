@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from edge.core.errors import DataError
-from training.control.comparison import Result, Results
+from training.control.comparison import Results, RunResult
 from training.control.figures import DecisionTime, Figures
 from training.evaluate import first_difference
 
@@ -20,12 +20,12 @@ def json_of(results: Results) -> str:
     return "[\n" + ",\n".join(json.dumps(asdict(one)) for one in results) + "\n]\n"
 
 
-def results_of(text: str) -> list[Result]:
+def results_of(text: str) -> list[RunResult]:
     """What `json_of` wrote."""
-    return [Result(**{**row, "figures": Figures(**row["figures"])}) for row in json.loads(text)]
+    return [RunResult(**{**row, "figures": Figures(**row["figures"])}) for row in json.loads(text)]
 
 
-def read_results(folder: Path) -> list[Result]:
+def read_results(folder: Path) -> list[RunResult]:
     """Those that are kept. Errors: DataError"""
     path = folder / FIGURES_FILE
     try:
@@ -50,7 +50,7 @@ def read_times(folder: Path) -> Times:
         raise DataError(f"{path}: cannot be read: {error}") from error
 
 
-def beside(kept: Results, now: Results, names: Sequence[str]) -> list[Result]:
+def beside(kept: Results, now: Results, names: Sequence[str]) -> list[RunResult]:
     """`now`, with what is kept of all other runs; in the order in which they would be done."""
     runs = {_run(one): one for one in (*kept, *now)}
     order = {name: i for i, name in enumerate(names)}
@@ -79,12 +79,12 @@ def changed(kept: Results, now: Results, tolerance: float = 0.0) -> str:
     return ""
 
 
-def _rounded(saved: Result, now: Result, tolerance: float) -> Result:
+def _rounded(saved: RunResult, now: RunResult, tolerance: float) -> RunResult:
     """Return `now` with the saved value of each figure that is within the tolerance."""
     pairs = {name: (value, getattr(now.figures, name)) for name, value in asdict(saved.figures).items()}
     near = {name: a for name, (a, b) in pairs.items() if abs(a - b) <= tolerance * abs(a)}
     return replace(now, figures=replace(now.figures, **near))
 
 
-def _run(one: Result) -> tuple[str, str, int]:
+def _run(one: RunResult) -> tuple[str, str, int]:
     return one.entry, one.reference, one.seed

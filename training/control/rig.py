@@ -10,8 +10,8 @@ from edge.board.virtual_rig import settings_in
 from edge.bundle.archive import open_archive
 from edge.bundle.predictors import loader
 from edge.bundle.roles import activated
-from edge.bundle.sign import Facts, build_bundle, generate_key
-from edge.bundle.store import Store
+from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
+from edge.bundle.store import BundleStore
 from edge.config.settings import (
     BundleSettings,
     ControlSettings,
@@ -43,7 +43,7 @@ CREATED = "2026-01-01T00:00:00Z"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ComparisonEntry:
     """A row of the comparison.
 
     name : in the table; controller : of the daemon
@@ -69,31 +69,39 @@ class Entry:
         return self.controller in PLANNING and known
 
 
-def entries() -> dict[str, Entry]:
+def entries() -> dict[str, ComparisonEntry]:
     """All that can be compared so far, by name."""
     listed = [
-        Entry("clairvoyant", "rules", clairvoyant="true"),
-        Entry("clairvoyant-P", "rules", clairvoyant="true"),
-        Entry("clairvoyant/sensor", "rules", clairvoyant="sensor"),
-        Entry("clairvoyant/sensor-P", "rules", clairvoyant="sensor"),
-        Entry("rules", "rules"),
-        Entry("rules/tuned", "rules", thresholds=TUNED),
-        Entry("PID", "PID"),
-        *(Entry(name, name) for name in MPC),
-        *(Entry(f"{name}/preview", name, control=KNOWS) for name in MPC),
-        *(Entry(f"{name}/unbounded", name, unbounded=True) for name in ("MPC-BFGS", "MPC-BFGS-P")),
-        Entry("MPC-Twin", "MPC-Twin", "twin"),
-        Entry("MPC-Twin-P", "MPC-Twin-P", "twin"),
-        *(Entry(f"{name}/present", name, "twin", HELD) for name in MPC_TWIN),
-        *(Entry(name, "MPC-Twin-P", "twin", {"penalty_weight": weight}) for name, weight in SPARING.items()),
-        *(Entry(f"{name}/HAM", name, "packaged", HYBRID) for name in ("MPC", "MPC-P")),
-        *(Entry(f"{name}/HAM/preview", name, "packaged", HYBRID | KNOWS) for name in ("MPC", "MPC-P")),
+        ComparisonEntry("clairvoyant", "rules", clairvoyant="true"),
+        ComparisonEntry("clairvoyant-P", "rules", clairvoyant="true"),
+        ComparisonEntry("clairvoyant/sensor", "rules", clairvoyant="sensor"),
+        ComparisonEntry("clairvoyant/sensor-P", "rules", clairvoyant="sensor"),
+        ComparisonEntry("rules", "rules"),
+        ComparisonEntry("rules/tuned", "rules", thresholds=TUNED),
+        ComparisonEntry("PID", "PID"),
+        *(ComparisonEntry(name, name) for name in MPC),
+        *(ComparisonEntry(f"{name}/preview", name, control=KNOWS) for name in MPC),
+        *(ComparisonEntry(f"{name}/unbounded", name, unbounded=True) for name in ("MPC-BFGS", "MPC-BFGS-P")),
+        ComparisonEntry("MPC-Twin", "MPC-Twin", "twin"),
+        ComparisonEntry("MPC-Twin-P", "MPC-Twin-P", "twin"),
+        *(ComparisonEntry(f"{name}/present", name, "twin", HELD) for name in MPC_TWIN),
+        *(
+            ComparisonEntry(name, "MPC-Twin-P", "twin", {"penalty_weight": weight})
+            for name, weight in SPARING.items()
+        ),
+        *(ComparisonEntry(f"{name}/HAM", name, "packaged", HYBRID) for name in ("MPC", "MPC-P")),
+        *(
+            ComparisonEntry(f"{name}/HAM/preview", name, "packaged", HYBRID | KNOWS)
+            for name in ("MPC", "MPC-P")
+        ),
     ]
-    listed += [Entry(name, name, "packaged") for name in (*RL, *LLM) if name in CONTROLLERS]
+    listed += [ComparisonEntry(name, name, "packaged") for name in (*RL, *LLM) if name in CONTROLLERS]
     return {entry.name: entry for entry in listed}
 
 
-def settings_for(entry: Entry, reference: Path, folder: Path, llm: LlmSettings = NO_LLM) -> Settings:
+def settings_for(
+    entry: ComparisonEntry, reference: Path, folder: Path, llm: LlmSettings = NO_LLM
+) -> Settings:
     """The daemon's settings for one run, all files in `folder`.
 
     Errors : SettingError for a language model's entry without an endpoint
@@ -121,8 +129,8 @@ def install_twin(bundle: BundleSettings, step_s: float, twin: Path = TWIN) -> No
     private = models.with_name("signing.pem")
     shutil.move(generate_key(private), keys)
     archive = models.with_name("twin.zip")
-    build_bundle(models, archive, Facts("1.0", CREATED, "0" * 64, step_s), private)
-    store = Store(Path(bundle.path), keys, loader(step_s))
+    build_bundle(models, archive, ManifestFacts("1.0", CREATED, "0" * 64, step_s), private)
+    store = BundleStore(Path(bundle.path), keys, loader(step_s))
     with open_archive(archive) as file:
         store.install(file)
     store.change(lambda roles: activated(roles, None))

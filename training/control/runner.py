@@ -9,17 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from edge.core.errors import GreenhouseError
-from training.control.job import Job, is_kept
+from training.control.job import ComparisonJob, is_kept
 
 POLL_S = 0.5
 ENDING = (signal.SIGINT, signal.SIGTERM)
 TAIL_CHARS = 2000  # of what a run that failed has said
 
 
-def run_all(jobs: Sequence[Job], root: Path, workers: int) -> None:
+def run_all(jobs: Sequence[ComparisonJob], root: Path, workers: int) -> None:
     """Do those that are missing, `workers` at a time. Errors: GreenhouseError with what a failed run said"""
     waiting = [job for job in jobs if not is_kept(job, root)]
-    running: list[tuple[Job, subprocess.Popen[str]]] = []
+    running: list[tuple[ComparisonJob, subprocess.Popen[str]]] = []
     with _signals_kept() as ended_by:
         try:
             while waiting or running:
@@ -50,7 +50,7 @@ def _signals_kept() -> Iterator[list[int]]:
             signal.signal(each, handler)
 
 
-def _start(job: Job, root: Path) -> "subprocess.Popen[str]":
+def _start(job: ComparisonJob, root: Path) -> "subprocess.Popen[str]":
     words = [job.entry.name, job.reference, str(job.seed), "--runs", str(root)]
     words += ["--llm-url", job.llm.url, "--llm-model", job.llm.model]
     return subprocess.Popen(
@@ -61,7 +61,7 @@ def _start(job: Job, root: Path) -> "subprocess.Popen[str]":
     )
 
 
-def _told(job: Job, process: "subprocess.Popen[str]", left: int) -> None:
+def _told(job: ComparisonJob, process: "subprocess.Popen[str]", left: int) -> None:
     _, said = process.communicate()
     name = f"{job.entry.name} on {job.reference}, seed {job.seed}"
     if process.returncode != 0:

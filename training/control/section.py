@@ -4,17 +4,17 @@ import base64
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 
-from training.control.comparison import Result, references_of, table
+from training.control.comparison import RunResult, references_of, table
 from training.control.effort import FAMILIES, lines
 from training.control.energy import energy_tables
 from training.control.findings import beyond, findings
-from training.report_findings import Finding
+from training.report_findings import ReportFinding
 from training.report_table import Table, as_html, as_text
 
 COMMAND = "greenhouse-train compare"
 
 
-def text_of(results: Sequence[Result], names: Sequence[str]) -> str:
+def text_of(results: Sequence[RunResult], names: Sequence[str]) -> str:
     """The tables, and the findings in words."""
     references = references_of(results)
     told = [COMMAND, ""]
@@ -24,12 +24,14 @@ def text_of(results: Sequence[Result], names: Sequence[str]) -> str:
     return "\n".join([*told, *beyond(results, references)]) + "\n"
 
 
-def section(results: Sequence[Result], names: Sequence[str], pictures: Mapping[str, bytes]) -> str:
+def section(results: Sequence[RunResult], names: Sequence[str], pictures: Mapping[str, bytes]) -> str:
     """The controllers' part of the report, as HTML."""
     return "\n".join(_section(results, names, pictures)) + "\n"
 
 
-def _section(results: Sequence[Result], names: Sequence[str], pictures: Mapping[str, bytes]) -> Iterator[str]:
+def _section(
+    results: Sequence[RunResult], names: Sequence[str], pictures: Mapping[str, bytes]
+) -> Iterator[str]:
     references = references_of(results)
     yield "<h1>Controllers on the virtual rig, compared</h1>"
     yield f"<p>Made by <code>{COMMAND}</code>: the whole daemon with each controller, the same rooms.</p>"
@@ -48,20 +50,20 @@ def _section(results: Sequence[Result], names: Sequence[str], pictures: Mapping[
         yield f'<p><img alt="{escape(name)}" src="data:image/png;base64,{data}"></p>'
 
 
-def _by_paper(results: Sequence[Result], references: Sequence[str]) -> dict[str, dict[str, Finding]]:
+def _by_paper(results: Sequence[RunResult], references: Sequence[str]) -> dict[str, dict[str, ReportFinding]]:
     """What the paper says -> reference -> what is so on it."""
-    told: dict[str, dict[str, Finding]] = {}
+    told: dict[str, dict[str, ReportFinding]] = {}
     for reference in references:
         for finding in findings(results, reference):
             told.setdefault(finding.paper, {})[reference] = finding
     return told
 
 
-def _cell(finding: Finding | None) -> str:
+def _cell(finding: ReportFinding | None) -> str:
     return "<td></td>" if finding is None else f"<td><b>{finding.verdict}</b>. {escape(finding.here)}</td>"
 
 
-def _tables(results: Sequence[Result], names: Sequence[str]) -> list[Table]:
+def _tables(results: Sequence[RunResult], names: Sequence[str]) -> list[Table]:
     references = references_of(results)
     tables = [table(results, names, reference) for reference in references]
     return tables + [one for each in references for one in energy_tables(results, names, each)]

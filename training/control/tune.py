@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.controllers.pid import FAN_ON_K, KD, KI, KP, Pid
 from edge.controllers.rules import Rules, Thresholds
-from edge.core.controller import Context, Controller, Limits
+from edge.core.controller import Context, Controller, ControlLimits
 from edge.core.messages import Command, Estimate
 from edge.core.names import HEATER_LEVELS
 from edge.formats.profile_file import read_profile
 from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
-from training.control.chamber_rows import Boxes, ChamberRows
+from training.control.chamber_rows import BoxStates, ChamberRows
 from training.control.clairvoyant import COARSE_S, relay_share
 from training.control.draw_references import FOLDER
 from training.report_table import Table, as_text
@@ -107,10 +107,10 @@ def tuned(grid: Grid) -> list[tuple[float, Setting]]:
 def _context(k: int, temp: float, target: float, last: Command) -> Context:
     now = k * STEP_S
     estimate = Estimate(temp, 0.0, 0.0, None, ROOM_C, now)
-    return Context(now, now, STEP_S, {}, estimate, np.full(1, target), last, Limits())
+    return Context(now, now, STEP_S, {}, estimate, np.full(1, target), last, ControlLimits())
 
 
-def _minute(chamber: ChamberRows, boxes: Boxes, begin_s: float, sent: list[Command]) -> Boxes:
+def _minute(chamber: ChamberRows, boxes: BoxStates, begin_s: float, sent: list[Command]) -> BoxStates:
     levels = np.array([round(command.heater_duty * HEATER_LEVELS) for command in sent])
     fan = np.array([float(command.fan_on) for command in sent])
     for part in range(round(STEP_S / COARSE_S)):

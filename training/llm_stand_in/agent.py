@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from edge.core.names import HEATER_LEVELS
-from training.llm_stand_in.gains import COMMON_SENSE, Gains, estimate
+from training.llm_stand_in.gains import COMMON_SENSE, MinuteGains, estimate
 from training.llm_stand_in.prompt import Asked, read_prompt, results
 from training.llm_stand_in.wish import wish
 
@@ -69,7 +69,7 @@ def calls(name: str, arguments: Mapping[str, Any] | str, number: int) -> Turn:
     return {"role": "assistant", "content": None, "tool_calls": [call]}
 
 
-def _by_gains(asked: Asked, gains: Gains, jitter: int) -> Turn:
+def _by_gains(asked: Asked, gains: MinuteGains, jitter: int) -> Turn:
     """The duty that holds the target, and more or less to come there."""
     fan = asked.fan_on if asked.fan_held else asked.current - asked.target > 2 * FAN_FROM_K
     wanted = gains.duty(asked.target, asked.current, asked.ambient)

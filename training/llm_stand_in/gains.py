@@ -12,7 +12,7 @@ REACH_MIN = 5.0  # an error shall be gone after about so long
 
 
 @dataclass(frozen=True, slots=True)
-class Gains:
+class MinuteGains:
     """Of a minute: the share of its excess over the room that air loses, and the rise by full heat [K]."""
 
     loss: float
@@ -23,10 +23,10 @@ class Gains:
         return (self.loss * (target - ambient) + (target - current) / REACH_MIN) / self.heat
 
 
-COMMON_SENSE = Gains(loss=0.05, heat=1.0)  # 100 W hold such a box about 20 K above its room
+COMMON_SENSE = MinuteGains(loss=0.05, heat=1.0)  # 100 W hold such a box about 20 K above its room
 
 
-def estimate(result: Mapping[str, Any]) -> Gains:
+def estimate(result: Mapping[str, Any]) -> MinuteGains:
     """From the rows of `agent.QUERY`, newest first; common sense where they tell too little."""
     rows = [row for row in result["rows"] if None not in row][::-1]
     if len(rows) < ROWS_MIN:
@@ -38,4 +38,4 @@ def estimate(result: Mapping[str, Any]) -> Gains:
     gains, *_ = np.linalg.lstsq(terms, rise, rcond=None)
     loss, heat = float(gains[0]), float(gains[1])
     plausible = math.isfinite(loss + heat) and 0.005 < loss < 0.5 and 0.1 < heat < 10.0
-    return Gains(loss, heat) if plausible else COMMON_SENSE
+    return MinuteGains(loss, heat) if plausible else COMMON_SENSE

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from edge.models.policy_actions import duties_and_fans
 from edge.models.policy_observation import AIR_ROWS, INPUT_ROWS, Recent, observe
 from training.lstm import WINDOW
-from training.rl.episodes import Episodes, Sensor, Start
+from training.rl.episodes import Episodes, EpisodeStart, Sensor
 from training.rl.models import StepModel, Window
 from training.rl.reward import Weights, reward
 
@@ -38,7 +38,7 @@ class Stepped:
     fan: Floats
 
 
-class Boxes:
+class EpisodeBoxes:
     """Episodes of B boxes; each ends and begins by itself."""
 
     def __init__(self, world: World, count: int, rng: np.random.Generator) -> None:
@@ -89,7 +89,7 @@ class Boxes:
         ended = self._step >= world.episodes.steps
         return Stepped(self.observation(), earned, ended, error, duty, fan)
 
-    def _begin(self, box: int) -> Start:
+    def _begin(self, box: int) -> EpisodeStart:
         """Draw an episode for a box; the rows that it begins after."""
         self._variant[box] = self.rng.integers(self.world.model.variants)
         episode = self.world.episodes.draw(self.rng)

@@ -44,7 +44,7 @@ def _offline(arguments: argparse.Namespace) -> int:
     from dataclasses import replace
 
     from training.rl.settings import DqnSettings
-    from training.rl.study import Job, study
+    from training.rl.study import PolicyJob, study
 
     settings = DqnSettings()
     if arguments.steps is not None:
@@ -55,7 +55,7 @@ def _offline(arguments: argparse.Namespace) -> int:
             words += " --randomise" if arguments.randomise else ""
             words += f" --steps {arguments.steps}" if arguments.steps is not None else ""
             variants = VARIANTS if arguments.randomise else 1
-            job = Job(variant, arguments.model, seed, words, variants, settings)
+            job = PolicyJob(variant, arguments.model, seed, words, variants, settings)
             folder = folder_of(arguments.out, variant, arguments.model, seed, arguments.randomise)
             print(_line(study(job, folder)), flush=True)
     return 0

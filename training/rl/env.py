@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from training.rl.boxes import Boxes, World
+from training.rl.boxes import EpisodeBoxes, World
 from training.rl.vec_env import ACTION_SPACE, OBSERVATION_SPACE
 
 Observation = NDArray[np.float32]
@@ -24,7 +24,7 @@ class GreenhouseEnv(gymnasium.Env[Observation, np.int64]):
     action_space = ACTION_SPACE
 
     def __init__(self, world: World) -> None:
-        self._boxes = Boxes(world, 1, self.np_random)
+        self._boxes = EpisodeBoxes(world, 1, self.np_random)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from training.pairs import split_all, stretches
 
 Floats = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Sensor:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class EpisodeStart:
     """Measured rows [rows] that an episode begins after, the last of them now."""
 
     temp: Floats
@@ -62,7 +62,7 @@ class Episode:
 
     reference: Floats
     ambient: Floats
-    start: Start
+    start: EpisodeStart
 
 
 class Episodes(Protocol):
@@ -74,7 +74,7 @@ class Episodes(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class RepeatedEpisode:
     """The same episode every time."""
 
     episode: Episode
@@ -89,13 +89,15 @@ class Given:
         return self.episode
 
 
-class Drawn:
+class DrawnEpisodes:
     """Random references and rooms; starts are windows of the training parts of recorded runs.
 
     Errors : DataError where no stretch is long enough
     """
 
-    def __init__(self, runs: Sequence[Run], rows: int, settings: EpisodeSettings | None = None) -> None:
+    def __init__(
+        self, runs: Sequence[RecordedRun], rows: int, settings: EpisodeSettings | None = None
+    ) -> None:
         """rows : of a start"""
         self._settings, self._rows = settings or EpisodeSettings(), rows
         self._stretches = [stretch for stretch in stretches(split_all(runs).train) if len(stretch[0]) >= rows]
@@ -113,13 +115,13 @@ class Drawn:
         reference = draw_reference(rng, self._settings, float(ambient.mean()))
         return Episode(np.append(reference, reference[-1]), ambient, self._start(rng, float(ambient[0])))
 
-    def _start(self, rng: np.random.Generator, ambient_c: float) -> Start:
+    def _start(self, rng: np.random.Generator, ambient_c: float) -> EpisodeStart:
         """A window whose room is `ambient_c` at its end: air and room are moved by the same."""
         stretch = self._stretches[rng.integers(len(self._stretches))]
         first = rng.integers(len(stretch[0]) - self._rows + 1)
         temp, ambient, duty, fan = (column[first : first + self._rows] for column in stretch)
         moved = ambient_c - ambient[-1]
-        return Start(temp + moved, ambient + moved, duty, fan)
+        return EpisodeStart(temp + moved, ambient + moved, duty, fan)
 
 
 def draw_reference(rng: np.random.Generator, settings: EpisodeSettings, ambient_c: float) -> Floats:

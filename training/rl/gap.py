@@ -14,7 +14,7 @@ from edge.core.errors import DataError
 from edge.models.onnx_policy import OnnxPolicy
 from edge.tick.reference import Reference
 from training.rl.boxes import START_ROWS, World
-from training.rl.episodes import Episode, EpisodeSettings, Given, Start, draw_reference
+from training.rl.episodes import Episode, EpisodeSettings, EpisodeStart, RepeatedEpisode, draw_reference
 from training.rl.models import StepModel
 from training.rl.play import Act, play
 from training.rl.reward import WEIGHTS, reward
@@ -26,7 +26,7 @@ RIG_SEEDS = (301, 302, 303)  # of boards that nothing is trained, chosen or comp
 
 
 @dataclass(frozen=True, slots=True)
-class Gap:
+class PolicyGap:
     """One policy, means over the same steps in its model and on the rig."""
 
     model_mae_k: float
@@ -35,12 +35,12 @@ class Gap:
     rig_reward: float
 
 
-def gap_of(policy: OnnxPolicy, model: StepModel, seeds: Sequence[int] = RIG_SEEDS) -> Gap:
+def gap_of(policy: OnnxPolicy, model: StepModel, seeds: Sequence[int] = RIG_SEEDS) -> PolicyGap:
     """Means over the boards with these seeds. Errors: DataError where the rig was not the policy's alone"""
     return _mean([_gap(policy, model, seed) for seed in seeds])
 
 
-def _gap(policy: OnnxPolicy, model: StepModel, seed: int) -> Gap:
+def _gap(policy: OnnxPolicy, model: StepModel, seed: int) -> PolicyGap:
     values = draw_reference(
         np.random.default_rng(seed), EpisodeSettings(steps=LEAD_STEPS + STEPS + 1), ROOM_C
     )
@@ -51,15 +51,15 @@ def _gap(policy: OnnxPolicy, model: StepModel, seed: int) -> Gap:
     judged = ticks.since(LEAD_STEPS)
     weights = WEIGHTS[policy.name]
     earned = reward(judged.error_k, judged.duty[:-1], judged.fan[:-1], weights)
-    world = World(model, Given(episode_of(ticks)), weights)
+    world = World(model, RepeatedEpisode(episode_of(ticks)), weights)
     played = play(_act(policy), world, count=1, seed=seed)
-    return Gap(played.mae_k, float(np.abs(judged.error_k).mean()), played.reward, float(earned.mean()))
+    return PolicyGap(played.mae_k, float(np.abs(judged.error_k).mean()), played.reward, float(earned.mean()))
 
 
 def episode_of(ticks: Ticks) -> Episode:
     """What the rig has met since LEAD_STEPS."""
     judged, before = ticks.since(LEAD_STEPS), slice(LEAD_STEPS + 1 - START_ROWS, LEAD_STEPS + 1)
-    start = Start(ticks.temp[before], ticks.ambient[before], ticks.duty[before], ticks.fan[before])
+    start = EpisodeStart(ticks.temp[before], ticks.ambient[before], ticks.duty[before], ticks.fan[before])
     return Episode(judged.reference, judged.ambient, start)
 
 
@@ -67,5 +67,5 @@ def _act(policy: OnnxPolicy) -> Act:
     return lambda observations: policy.values(observations.astype(np.float64)).argmax(axis=1)
 
 
-def _mean(gaps: Sequence[Gap]) -> Gap:
-    return Gap(*(float(np.mean([getattr(gap, name) for gap in gaps])) for name in Gap.__slots__))
+def _mean(gaps: Sequence[PolicyGap]) -> PolicyGap:
+    return PolicyGap(*(float(np.mean([getattr(gap, name) for gap in gaps])) for name in PolicyGap.__slots__))

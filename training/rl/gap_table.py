@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from edge.models.onnx_policy import read_policy
-from training.rl.gap import LEAD_STEPS, RIG_SEEDS, STEPS, Gap, gap_of
+from training.rl.gap import LEAD_STEPS, RIG_SEEDS, STEPS, PolicyGap, gap_of
 from training.rl.kept import POLICY_FILE, Record, read_record
 from training.rl.models import StepModel
 
@@ -24,7 +24,7 @@ def gap_table(groups: Sequence[tuple[str, Sequence[Path]]], model: StepModel, co
     yield f"{'':34s}{'MAE [K]':>30s}{'reward of a step':>45s}"
     yield _HEAD
     for parameters, folders in groups:
-        found: list[Gap] = []
+        found: list[PolicyGap] = []
         for folder in folders:
             record = read_record(folder)
             gap = gap_of(read_policy(folder / POLICY_FILE, record["variant"]), model)
@@ -46,7 +46,7 @@ def _name(record: Record, parameters: str, seed: str) -> str:
     return f"{record['variant']:9s} {parameters:11s} {seed:>12s}"
 
 
-def _cells(gaps: Sequence[Gap]) -> str:
+def _cells(gaps: Sequence[PolicyGap]) -> str:
     columns = (
         [gap.model_mae_k for gap in gaps],
         [gap.rig_mae_k for gap in gaps],

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from edge.twin.model import Twin
-from edge.twin.warm_start import Past, state_now
+from edge.twin.model import BoxTwin
+from edge.twin.warm_start import PastColumns, state_now
 from training.ham_guarded import GuardedHamNet
 from training.lstm import LstmNet
 
@@ -54,14 +54,14 @@ class TwinModel:
     Errors : DataError from `start` and `advance` where a twin needs more columns than there are
     """
 
-    def __init__(self, twins: Sequence[Twin], name: str = "twin") -> None:
+    def __init__(self, twins: Sequence[BoxTwin], name: str = "twin") -> None:
         self.name, self.sha256, self.variants = name, twins[0].sha256, len(twins)
         self._twins = twins
 
     def start(self, window: Window, variant: Indices) -> Floats:
         """As `StepModel.start`: found by each twin's Kalman filter."""
         states = [
-            state_now(self._twins[which], Past(*(column[i] for column in _columns(window))))
+            state_now(self._twins[which], PastColumns(*(column[i] for column in _columns(window))))
             for i, which in enumerate(variant)
         ]
         return np.array(states)

@@ -5,20 +5,20 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models.policy_observation import AIR_ROWS, INPUT_ROWS, Recent, observe
 from training.pairs import stretches
 
 AHEAD_ROWS = (1, 5, 10, 20, 30)  # the reference is the air so much later: errors of a box that is driven
 
 
-def recorded_observations(runs: Sequence[Run]) -> NDArray[np.float32]:
+def recorded_observations(runs: Sequence[RecordedRun]) -> NDArray[np.float32]:
     """At each row of the runs that has enough before and behind it, for each of AHEAD_ROWS; [n, features]."""
     tables = [observe(recent) for ahead in AHEAD_ROWS for recent in _recents(runs, ahead)]
     return np.concatenate(tables).astype(np.float32)
 
 
-def _recents(runs: Sequence[Run], ahead: int) -> Iterator[Recent]:
+def _recents(runs: Sequence[RecordedRun], ahead: int) -> Iterator[Recent]:
     windows = np.lib.stride_tricks.sliding_window_view
     for temp, ambient, duty, fan in stretches(runs):
         count = len(temp) - INPUT_ROWS - ahead

@@ -49,7 +49,7 @@ class OnlineJob:
 
 
 @dataclass(slots=True)
-class Course:
+class TrainingCourse:
     """What happened so far, over all starts of the process."""
 
     starts: int = 0
@@ -67,12 +67,12 @@ def learn_online(job: OnlineJob, socket: Path, folder: Path) -> dict[str, Any]:
     """
     torch.set_num_threads(1)
     folder.mkdir(parents=True, exist_ok=True)
-    settings, path, course = job.settings, folder / CHECKPOINT_FILE, Course()
+    settings, path, course = job.settings, folder / CHECKPOINT_FILE, TrainingCourse()
     env = SocketEnv(socket, WEIGHTS[job.variant], settings.reward_scale, job.patience_s)
     try:
         agent = make_online_agent(env, job)
         if path.exists():
-            course = Course(**checkpoint.restore(agent, path))
+            course = TrainingCourse(**checkpoint.restore(agent, path))
         course.starts += 1
         left = settings.steps - agent.num_timesteps
         if left > 0:
@@ -117,7 +117,7 @@ class OnlineDqn(DQN):
 class _Keeper(BaseCallback):
     """Counts, and writes a checkpoint between two steps."""
 
-    def __init__(self, course: Course, path: Path, settings: OnlineSettings) -> None:
+    def __init__(self, course: TrainingCourse, path: Path, settings: OnlineSettings) -> None:
         super().__init__()
         self._course, self._path, self._settings = course, path, settings
         self._since = time.perf_counter()
@@ -145,7 +145,7 @@ class _Keeper(BaseCallback):
         return True
 
 
-def _finish(agent: DQN, job: OnlineJob, course: Course, folder: Path) -> dict[str, Any]:
+def _finish(agent: DQN, job: OnlineJob, course: TrainingCourse, folder: Path) -> dict[str, Any]:
     runs = training_runs(REGIME)
     learnt_from = max(1, course.steps - course.gaps)
     facts = {

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.rl.boxes import Boxes, World
+from training.rl.boxes import EpisodeBoxes, World
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.int64]]  # observations [B, features] -> actions [B]
 VALIDATION_BOXES = 64
@@ -25,7 +25,7 @@ class Played:
 
 def play(act: Act, world: World, count: int = VALIDATION_BOXES, seed: int = VALIDATION_SEED) -> Played:
     """One episode in each of `count` boxes; the same seed gives the same rooms and references."""
-    boxes = Boxes(world, count, np.random.default_rng(seed))
+    boxes = EpisodeBoxes(world, count, np.random.default_rng(seed))
     observation, steps = boxes.reset(), []
     for _ in range(world.episodes.steps):
         steps.append(boxes.step(act(observation.astype(np.float32))))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.core.errors import DataError
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, read_twin_file
 from edge.twin.value import Value
 from training.ham_guarded import GuardedHamNet
@@ -64,7 +64,7 @@ def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def drawn(file: TwinFile, variants: int, seed: int) -> list[Twin]:
+def drawn(file: TwinFile, variants: int, seed: int) -> list[BoxTwin]:
     """The twin of a file, then others whose fitted values are uniform between their `low` and `high`.
 
     Errors : DataError where a value is still to be fitted, or there is nothing to draw

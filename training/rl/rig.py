@@ -13,7 +13,7 @@ from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.controller import Controller
-from edge.core.messages import Quality, TickRecord
+from edge.core.messages import ReadingQuality, TickRecord
 from edge.tick.reference import Reference
 
 Floats = NDArray[np.float64]
@@ -81,7 +81,7 @@ def run_on_rig(controller: Controller, reference: Reference, steps: int, seed: i
 def _row(record: TickRecord, true_c: float) -> tuple[float, ...]:
     air, echo = record.readings["temp_air"], record.echo
     return (
-        air.value if air.quality is Quality.GOOD and air.value is not None else np.nan,
+        air.value if air.quality is ReadingQuality.GOOD and air.value is not None else np.nan,
         true_c,
         record.estimate.temp_ambient,
         record.reference_c,

@@ -10,12 +10,12 @@ from typing import Any
 from stable_baselines3 import DQN
 from torch import nn
 
-from edge.formats.run_file import Run, data_sha256
+from edge.formats.run_file import RecordedRun, data_sha256
 from edge.models.onnx_policy import OnnxPolicy
 from edge.models.policy_observation import table_sha256
 from training.datasets import training_runs
 from training.rl.boxes import START_ROWS, World
-from training.rl.episodes import Drawn
+from training.rl.episodes import DrawnEpisodes
 from training.rl.export import export
 from training.rl.kept import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE
 from training.rl.observations import recorded_observations
@@ -31,7 +31,7 @@ SAMPLE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class PolicyJob:
     """What is trained.
 
     model : as `training.rl.read_model.read_model`; variants : of it, 1 without randomisation
@@ -45,7 +45,7 @@ class Job:
     settings: DqnSettings = field(default_factory=DqnSettings)
 
 
-def study(job: Job, folder: Path) -> dict[str, Any]:
+def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
     """Train, judge on validation episodes in the model itself, write everything into `folder`; the record."""
     runs = training_runs(REGIME)
     world = world_of(job.variant, job.model, runs, job.variants)
@@ -76,17 +76,17 @@ def study(job: Job, folder: Path) -> dict[str, Any]:
     return record
 
 
-def world_of(variant: str, model: str, runs: list[Run], variants: int = 1) -> World:
+def world_of(variant: str, model: str, runs: list[RecordedRun], variants: int = 1) -> World:
     """Where the policies of a variant are trained and judged."""
-    return World(read_model(model, variants), Drawn(runs, START_ROWS), WEIGHTS[variant])
+    return World(read_model(model, variants), DrawnEpisodes(runs, START_ROWS), WEIGHTS[variant])
 
 
-def validated(agent: DQN, variant: str, runs: list[Run], model: str = "ham") -> Played:
+def validated(agent: DQN, variant: str, runs: list[RecordedRun], model: str = "ham") -> Played:
     """Validation episodes in a model whose parameters are as fitted."""
     return play(greedy(agent.policy.q_net), world_of(variant, model, runs))
 
 
-def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[Run], folder: Path) -> OnnxPolicy:
+def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[RecordedRun], folder: Path) -> OnnxPolicy:
     """Write the weights, for a training that goes on from them, and the file that a rig runs."""
     folder.mkdir(parents=True, exist_ok=True)
     save_q_network(network, folder / WEIGHTS_FILE)

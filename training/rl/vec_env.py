@@ -1,4 +1,4 @@
-"""stable-baselines3's vectorised environment over `Boxes`: all of them step in one call of the model."""
+"""stable-baselines3's vectorised environment over `EpisodeBoxes`: all step in one call of the model."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
-from training.rl.boxes import Boxes, World
+from training.rl.boxes import EpisodeBoxes, World
 
 OBSERVATION_SPACE = spaces.Box(-np.inf, np.inf, (len(FEATURES),), np.float32)
 ACTION_SPACE = spaces.Discrete(ACTIONS)
@@ -25,7 +25,7 @@ class BoxesVecEnv(VecEnv):
     def __init__(self, world: World, count: int, seed: int, reward_scale: float = 1.0) -> None:
         super().__init__(count, OBSERVATION_SPACE, ACTION_SPACE)
         self._scale = reward_scale
-        self._boxes = Boxes(world, count, np.random.default_rng(seed))
+        self._boxes = EpisodeBoxes(world, count, np.random.default_rng(seed))
         self._actions = np.zeros(count, dtype=np.int64)
 
     def reset(self) -> VecEnvObs:

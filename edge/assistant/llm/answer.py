@@ -18,7 +18,7 @@ _FENCED = re.compile(r"\s*```(?:json)?\s*\n(?P<json>.*?)\n?\s*```\s*", re.DOTALL
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ModelAnswer:
     """Controls and what stands behind them."""
 
     command: Command
@@ -47,7 +47,7 @@ def answer_schema(with_simulation: bool) -> Schema:
     )
 
 
-def read_answer(content: str | None, with_simulation: bool) -> Answer:
+def read_answer(content: str | None, with_simulation: bool) -> ModelAnswer:
     """The answer in a model's last message: one JSON object, alone or in one fence.
 
     Errors : LlmFailure: malformed, wrong_schema or out_of_range
@@ -64,7 +64,7 @@ def read_answer(content: str | None, with_simulation: bool) -> Answer:
     duty = nearest_level(said)
     if not isinstance(values["fan_on"], bool):
         raise LlmFailure("wrong_schema", "fan_on must be true or false")
-    return Answer(
+    return ModelAnswer(
         command=Command(heater_duty=duty, fan_on=values["fan_on"]),
         rationale=plain(_text(values, "rationale"), RATIONALE_MAX),
         simulation=plain(_text(values, "simulation"), 40) if "simulation" in values else "",

@@ -5,7 +5,7 @@ from collections import Counter
 from edge.assistant.llm.asking import Question
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.language_model import LanguageModel
-from edge.assistant.llm.proposal import Architecture, Proposal
+from edge.assistant.llm.proposal import Architecture, ModelProposal
 from edge.core.controller import Context
 from edge.core.messages import Decision, Event, Severity
 
@@ -33,8 +33,8 @@ class LlmController:
         self._wait_s = WAIT_SHARE * deadline_s
         self._unequipped = unequipped
         self._failures: Counter[str] = Counter()
-        self._under_way: Question[Proposal] | None = None
-        self._arrived: Question[Proposal] | None = None  # came too late for the tick that asked
+        self._under_way: Question[ModelProposal] | None = None
+        self._arrived: Question[ModelProposal] | None = None  # came too late for the tick that asked
 
     def reset(self) -> None:
         """Drop what is under way and what has arrived."""
@@ -69,17 +69,17 @@ class LlmController:
         if self._arrived is not None and self._is_old(self._arrived, now_s):
             self._arrived = None
 
-    def _is_old(self, question: Question[Proposal], now_s: float) -> bool:
+    def _is_old(self, question: Question[ModelProposal], now_s: float) -> bool:
         return not now_s - question.asked_s <= self._model.settings.answer_age_max_s
 
-    def _ask(self, context: Context) -> Question[Proposal]:
+    def _ask(self, context: Context) -> Question[ModelProposal]:
         question = Question(
             lambda stop: self._architecture.propose(self._model, context, stop), context.now_s
         )
         self._model.under_way(question)
         return question
 
-    def _decision(self, question: Question[Proposal], context: Context) -> Decision:
+    def _decision(self, question: Question[ModelProposal], context: Context) -> Decision:
         try:
             proposal = question.answer()
         except LlmFailure as failure:

@@ -9,7 +9,7 @@ from edge.assistant.llm.budget import Budget
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.key_mask import MASK, key_pattern
-from edge.assistant.llm.line import Post, Response, post
+from edge.assistant.llm.line import HttpResponse, Post, post
 from edge.assistant.llm.wire import (
     Chat,
     Dialect,
@@ -97,7 +97,9 @@ class Endpoint:
         self._dialect = dialect
         return read_reply(read_document(response.raw), used)
 
-    def _send(self, chat: Chat, dialect: Dialect, end_s: float, stop: Interrupt) -> tuple[Response, Usage]:
+    def _send(
+        self, chat: Chat, dialect: Dialect, end_s: float, stop: Interrupt
+    ) -> tuple[HttpResponse, Usage]:
         """One request on the line, paid for whatever comes of it."""
         left_s = end_s - self.now()
         if not left_s > 0.0:  # NaN lands here too
@@ -120,7 +122,7 @@ class Endpoint:
         finally:
             self.budget.settle(most, used)
 
-    def _check(self, response: Response) -> None:
+    def _check(self, response: HttpResponse) -> None:
         """Errors: LlmFailure, _TryAgain, for all but a 2xx."""
         status = response.status
         if 200 <= status < 300:
@@ -134,7 +136,7 @@ class Endpoint:
             raise _TryAgain(LlmFailure("server_error", said), retry_after_s(response.retry_after))
         raise LlmFailure("bad_request", said)
 
-    def _masked(self, response: Response) -> Response:
+    def _masked(self, response: HttpResponse) -> HttpResponse:
         """The response as UTF-8 from which the key cannot be read: a server may echo it."""
         text = response.raw.decode(errors="replace")
         pattern = None if self.key is None else key_pattern(self.key.value)
@@ -160,7 +162,7 @@ class _TryAgain(Exception):
         self.after_s = after_s
 
 
-def _usage(response: Response, most: Usage) -> Usage:
+def _usage(response: HttpResponse, most: Usage) -> Usage:
     """As counted by the server, else estimated; an error that says nothing of it has cost nothing."""
     try:
         counted = read_usage(read_document(response.raw))

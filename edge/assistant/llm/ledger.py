@@ -25,7 +25,7 @@ class Tool(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class AnsweredCall:
     """One call that a tool has answered."""
 
     id: str  # given here, e.g. "simulate-2"; what an answer cites
@@ -38,17 +38,17 @@ class Entry:
 class Ledger:
     """The calls of one answer, in order."""
 
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[AnsweredCall] = field(default_factory=list)
     errors: int = 0  # calls that went back with an error
 
-    def record(self, tool: str, arguments: Mapping[str, Any], result: Any) -> Entry:
+    def record(self, tool: str, arguments: Mapping[str, Any], result: Any) -> AnsweredCall:
         """Number and keep a call."""
         number = 1 + sum(entry.tool == tool for entry in self.entries)
-        entry = Entry(f"{tool}-{number}", tool, arguments, result)
+        entry = AnsweredCall(f"{tool}-{number}", tool, arguments, result)
         self.entries.append(entry)
         return entry
 
-    def find(self, cited: str) -> Entry | None:
+    def find(self, cited: str) -> AnsweredCall | None:
         """The call with this id."""
         return next((entry for entry in self.entries if entry.id == cited), None)
 

@@ -14,7 +14,7 @@ PIECE = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class HttpResponse:
     """Status, the one header that matters, the body."""
 
     status: int
@@ -22,12 +22,12 @@ class Response:
     raw: bytes
 
 
-Post = Callable[[str, bytes, Mapping[str, str], float, Interrupt], Response]
+Post = Callable[[str, bytes, Mapping[str, str], float, Interrupt], HttpResponse]
 
 
 def post(
     url: str, body: bytes, headers: Mapping[str, str], deadline_s: float, stop: Interrupt, ca: str = ""
-) -> Response:
+) -> HttpResponse:
     """Send, and read all of the reply within `deadline_s`, however slowly its bytes drip.
 
     ca : file of the authority that signs an https server's certificate; empty: those of certifi
@@ -53,7 +53,7 @@ def post(
                 allow_redirects=False,  # the key is for this server
             ) as response:
                 raw = _read(response.raw)
-            return Response(response.status_code, response.headers.get("Retry-After", ""), raw)
+            return HttpResponse(response.status_code, response.headers.get("Retry-After", ""), raw)
     except (requests.RequestException, urllib3.exceptions.HTTPError, OSError, ValueError) as error:
         raise _failure(error, own, stop, deadline_s) from None
     finally:

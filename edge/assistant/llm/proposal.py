@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from edge.assistant.llm.agent import Conversation
-from edge.assistant.llm.answer import Answer, answer_schema, read_answer
+from edge.assistant.llm.answer import ModelAnswer, answer_schema, read_answer
 from edge.assistant.llm.claims import Claim, Known, check_claims
 from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.language_model import LanguageModel
-from edge.assistant.llm.ledger import Entry, Ledger, Tool
+from edge.assistant.llm.ledger import AnsweredCall, Ledger, Tool
 from edge.assistant.llm.prompts import question, system_prompt
 from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
 from edge.assistant.llm.sql_tool import SqlTool
@@ -24,7 +24,7 @@ _ARCHITECTURES = {"": "simple", "sql": "sql"}
 
 
 @dataclass(frozen=True, slots=True)
-class Proposal:
+class ModelProposal:
     """What a model proposes, after all checks but safety's."""
 
     command: Command
@@ -49,7 +49,7 @@ class Architecture:
     horizon: int
     preview: bool
 
-    def propose(self, model: LanguageModel, context: Context, stop: Interrupt) -> Proposal:
+    def propose(self, model: LanguageModel, context: Context, stop: Interrupt) -> ModelProposal:
         """Ask and check. Errors: LlmFailure"""
         simulator = self._simulator(context)
         conversation = Conversation(
@@ -67,7 +67,9 @@ class Architecture:
         forecast = () if simulator is None else cited_forecast(answer, conversation.ledger, simulator)
         claims = check_claims(answer.rationale, Known(context, conversation.ledger, answer.command))
         why = self._why(answer, conversation, model) | {"claims": [claim.to_json() for claim in claims]}
-        return Proposal(answer.command, forecast, why, tuple(claim for claim in claims if not claim.holds))
+        return ModelProposal(
+            answer.command, forecast, why, tuple(claim for claim in claims if not claim.holds)
+        )
 
     def _simulator(self, context: Context) -> Simulator | None:
         if self.predictor is None:
@@ -83,7 +85,7 @@ class Architecture:
     def _targets(self, context: Context) -> Floats:
         return goal_ahead(context, self.horizon, self.preview)
 
-    def _why(self, answer: Answer, conversation: Conversation, model: LanguageModel) -> dict[str, Any]:
+    def _why(self, answer: ModelAnswer, conversation: Conversation, model: LanguageModel) -> dict[str, Any]:
         usage = conversation.usage
         why: dict[str, Any] = {
             "rationale": answer.rationale,
@@ -109,13 +111,13 @@ def _in_short(ledger: Ledger) -> list[dict[str, Any]]:
     return [_simulation(entry) if entry.tool == "simulate" else _query(entry) for entry in ledger.entries]
 
 
-def _simulation(entry: Entry) -> dict[str, Any]:
+def _simulation(entry: AnsweredCall) -> dict[str, Any]:
     result = entry.result
     first = {"heater_duty": result["heater_duty"][0], "fan_on": result["fan_on"][0]}
     error_k = result["mean_abs_error_k"]
     return {"id": entry.id, **first, "steps": len(result["fan_on"]), "mean_abs_error_k": error_k}
 
 
-def _query(entry: Entry) -> dict[str, Any]:
+def _query(entry: AnsweredCall) -> dict[str, Any]:
     query = plain(str(entry.arguments["query"]), QUERY_MAX)
     return {"id": entry.id, "query": query, "rows": entry.result["coverage"]["rows"]}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.assistant.llm.answer import Answer, nearest_level
+from edge.assistant.llm.answer import ModelAnswer, nearest_level
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.wire import ToolSpec
@@ -109,7 +109,7 @@ def _is_duty(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= 1.0
 
 
-def cited_forecast(answer: Answer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:
+def cited_forecast(answer: ModelAnswer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:
     """The temperatures behind an answer's controls, simulated here once more [°C].
 
     Errors : LlmFailure: uncited, where no call of this answer is named; unfaithful, where that call began

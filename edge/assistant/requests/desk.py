@@ -22,7 +22,7 @@ from edge.tick import steering as steerings
 from edge.tick.inbox import is_in_force
 from edge.tick.reference import seconds_of_day, zone_of
 from edge.tick.steering import WORDS_MAX, Steering
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 PROPOSAL_AGE_MAX_S = 900.0
 KEPT = 8  # proposals that can be asked for again
@@ -32,7 +32,7 @@ LanguageModel = Callable[[list[dict[str, str]]], Mapping[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Proposal:
+class PendingRequest:
     """One wish and what came of it.
 
     state : thinking, ready, question (the model asks back), failed, confirmed, undone or expired
@@ -65,7 +65,7 @@ class Proposal:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class DeskParts:
     """What a desk works with.
 
     model : messages -> the JSON object that the language model answered; raises GreenhouseError
@@ -76,19 +76,19 @@ class Surroundings:
     settings: Settings
     model: LanguageModel | None
     loop: Callable[[Mapping[str, Any]], Json]
-    twin: Callable[[], Twin | None]
+    twin: Callable[[], BoxTwin | None]
     utc: Callable[[], float]
 
 
 class WishDesk:
     """Takes `ask`, `proposal`, `confirm` and `undo`; each is answered at once."""
 
-    def __init__(self, around: Surroundings) -> None:
+    def __init__(self, around: DeskParts) -> None:
         self.listeners: list[Callable[[Json], None]] = []  # get each new state; they never wait
         self._around = around
         self._zone = zone_of(around.settings.timezone)
         self._lock = threading.Lock()
-        self._proposals: dict[str, Proposal] = {}
+        self._proposals: dict[str, PendingRequest] = {}
         self._thread: threading.Thread | None = None
         self._expiry: threading.Timer | None = None
 
@@ -122,13 +122,13 @@ class WishDesk:
         with self._lock:
             if any(proposal.state == "thinking" for proposal in self._proposals.values()):
                 raise RequestError("ask: the wish before is still being worked on")
-            proposal = Proposal(new_id(), plain(words, WORDS_MAX), self._around.utc())
+            proposal = PendingRequest(new_id(), plain(words, WORDS_MAX), self._around.utc())
             self._keep(proposal)
             self._thread = threading.Thread(target=self._work, args=(proposal,), name="wish", daemon=True)
             self._thread.start()
         return {"ok": True, "proposal": proposal.as_json()}
 
-    def _confirm(self, proposal: Proposal) -> Json:
+    def _confirm(self, proposal: PendingRequest) -> Json:
         if proposal.state != "ready" or proposal.steering is None:
             raise RequestError(f"confirm: proposal {proposal.id} cannot be confirmed: {proposal.state}")
         with self._lock:  # once: a second confirmation is told so
@@ -149,7 +149,7 @@ class WishDesk:
         if is_in_force(answer) and standing:
             with self._lock:
                 # After a restart the desk does not know the proposal that the loop still carried out.
-                proposal = self._proposals.get(standing["id"]) or Proposal(
+                proposal = self._proposals.get(standing["id"]) or PendingRequest(
                     standing["id"], standing["words"], self._around.utc()
                 )
                 proposal = replace(proposal, state="undone")
@@ -157,7 +157,7 @@ class WishDesk:
             self._publish(proposal)
         return answer
 
-    def _known(self, id: object) -> Proposal:
+    def _known(self, id: object) -> PendingRequest:
         with self._lock:
             proposal = self._proposals.get(str(id))
             if proposal is None:
@@ -170,12 +170,12 @@ class WishDesk:
         self._publish(proposal)
         return proposal
 
-    def _keep(self, proposal: Proposal) -> None:
+    def _keep(self, proposal: PendingRequest) -> None:
         self._proposals[proposal.id] = proposal
         while len(self._proposals) > KEPT:
             del self._proposals[next(iter(self._proposals))]
 
-    def _work(self, proposal: Proposal) -> None:
+    def _work(self, proposal: PendingRequest) -> None:
         try:
             proposal = self._worked_out(proposal)
         except GreenhouseError as error:
@@ -196,11 +196,11 @@ class WishDesk:
         self._expiry.daemon = True
         self._expiry.start()
 
-    def _publish(self, proposal: Proposal) -> None:
+    def _publish(self, proposal: PendingRequest) -> None:
         for listener in self.listeners:
             listener(proposal.as_json())
 
-    def _worked_out(self, proposal: Proposal) -> Proposal:
+    def _worked_out(self, proposal: PendingRequest) -> PendingRequest:
         around = self._around
         status = around.loop({"do": "status"})
         if not status.get("tick"):

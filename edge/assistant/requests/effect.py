@@ -16,7 +16,7 @@ from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.core.names import HEATER_LEVELS, HEATER_MAX_W
 from edge.tick.reference import DAY_S, Reference
 from edge.tick.steering import Steering
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,7 @@ _FAN = np.repeat([0.0, 1.0], HEATER_LEVELS + 1)
 
 
 @dataclass(frozen=True, slots=True)
-class Now:
+class DayStart:
     """Where the day begins; the room is taken to stay as it is."""
 
     temp_air: float
@@ -52,7 +52,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class PredictedDay:
     """A day, a row per step: air and reference at its end [°C], heater duty and fan in it; all [N]."""
 
     temps: Floats
@@ -74,7 +74,7 @@ class Course:
         }
 
 
-def coming_day(twin: Twin, now: Now, wanted: Wanted) -> Course:
+def coming_day(twin: BoxTwin, now: DayStart, wanted: Wanted) -> PredictedDay:
     """The next 24 hours. Errors: DataError for a twin that needs more than the room's temperature."""
     steps = round(DAY_S / twin.step_s)
     offsets: Floats = twin.step_s * np.arange(steps + LOOK_STEPS, dtype=np.float64)
@@ -87,11 +87,11 @@ def coming_day(twin: Twin, now: Now, wanted: Wanted) -> Course:
         chosen[k] = _cheapest(twin, state, now.temp_ambient, ahead, wanted, float(clock[k]))
         state = twin.advance(state, now.temp_ambient, *chosen[k])
         temps[k] = state[0]
-    return Course(temps, reference[:steps], chosen[:, 0], chosen[:, 1], twin.step_s)
+    return PredictedDay(temps, reference[:steps], chosen[:, 0], chosen[:, 1], twin.step_s)
 
 
 def _cheapest(
-    twin: Twin, state: Floats, ambient: float, reference: Floats, wanted: Wanted, clock_s: float
+    twin: BoxTwin, state: Floats, ambient: float, reference: Floats, wanted: Wanted, clock_s: float
 ) -> tuple[float, float]:
     """Heater duty and fan of this step that cost least."""
     allowed = _allowed(wanted, clock_s)

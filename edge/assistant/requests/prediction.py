@@ -4,19 +4,21 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from edge.assistant.requests.effect import Now, Wanted, coming_day
+from edge.assistant.requests.effect import DayStart, Wanted, coming_day
 from edge.config.settings import Settings
 from edge.core.errors import DataError
 from edge.tick.reference import Reference, make_reference, seconds_of_day, zone_of
 from edge.tick.steering import Steering
 from edge.tick.steering import from_dict as steering_from_dict
 from edge.tick.steering_at_work import in_force, reference_of
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 Json = dict[str, Any]
 
 
-def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, settings: Settings) -> Json:
+def predicted(
+    twin: BoxTwin | None, status: Mapping[str, Any], steering: Steering, settings: Settings
+) -> Json:
     """Figures of the next day as it stands, `now`, and with the steering, `then`; else the `reason`."""
     if twin is None:
         return {"reason": "there is no twin in the active bundle"}
@@ -25,7 +27,7 @@ def predicted(twin: Twin | None, status: Mapping[str, Any], steering: Steering, 
     if temp is None or ambient is None or not math.isfinite(temp + ambient):
         return {"reason": "the air temperature is not known now"}
     midnight_s = seconds_of_day(tick["utc"], zone_of(settings.timezone))
-    here = Now(temp, ambient, status["since_start_s"], midnight_s)
+    here = DayStart(temp, ambient, status["since_start_s"], midnight_s)
     standing = operation["steering"] and steering_from_dict(operation["steering"])
     configured = in_force(operation["reference_c"], standing, make_reference(settings.reference))
     before = _wanted(configured, standing, operation["controller"], settings)

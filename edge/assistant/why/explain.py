@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime, tzinfo
 
 from edge.assistant.why.reasons import reasons
-from edge.core.messages import Command, Decision, Quality, TickRecord
+from edge.core.messages import Command, Decision, ReadingQuality, TickRecord
 
 
 def explain(record: TickRecord, zone: tzinfo | None) -> list[str]:
@@ -30,7 +30,7 @@ def _sentences(record: TickRecord, zone: tzinfo | None) -> Iterator[str]:
 
 def _seen(record: TickRecord) -> str:
     air, estimate = record.readings.get("temp_air"), record.estimate
-    if air is None or air.value is None or air.quality is not Quality.GOOD:
+    if air is None or air.value is None or air.quality is not ReadingQuality.GOOD:
         quality = "absent" if air is None else air.quality.value
         seen = f"The air temperature was not good ({quality}), by the estimate {_degrees(estimate.temp_air)}"
     else:

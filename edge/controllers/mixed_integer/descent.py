@@ -8,7 +8,7 @@ next temperature alone says, a plan swings between off and full.
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Problem
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, PlanningProblem
 from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
@@ -16,7 +16,7 @@ Ints = NDArray[np.int64]
 
 
 def descended(
-    problem: Problem, heater: Floats, levels: Ints, temps: Floats, sweeps: int, exchanges: bool = True
+    problem: PlanningProblem, heater: Floats, levels: Ints, temps: Floats, sweeps: int, exchanges: bool = True
 ) -> tuple[Ints, Floats]:
     """Levels [B, N] and air temperatures [B, N + M] of B plans after so many sweeps over their moves.
 
@@ -53,7 +53,7 @@ def _moves(n: int, exchanges: bool) -> Ints:
     return np.concatenate([single, single[:-1] - single[1:]]) if exchanges else single
 
 
-def _curvature(problem: Problem, push: Floats, temps: Floats) -> Floats | float:
+def _curvature(problem: PlanningProblem, push: Floats, temps: Floats) -> Floats | float:
     """Second derivative of the tracking cost along a move, one for all plans or [B]."""
     square = push * push
     curvature = 2.0 * TRACKING_WEIGHT * float(square.sum())

@@ -16,7 +16,7 @@ as far as b's completion beats the best plan known. Where that is negative, b ca
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Problem
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, PlanningProblem
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,7 +25,7 @@ _NEIGHBOURS_MIN, _NEIGHBOURS_MAX, _NODES_PER_NEIGHBOUR = 4, 32, 16
 
 
 def undominated(
-    problem: Problem, free: Floats, cost: Floats, fan: Ints, hold: Ints, best: float, margin: float
+    problem: PlanningProblem, free: Floats, cost: Floats, fan: Ints, hold: Ints, best: float, margin: float
 ) -> NDArray[np.bool_]:
     """Mask [M] of the nodes that no compared neighbour dominates; `margin` is left for rounding errors."""
     smooth = 2.0 * (TRACKING_WEIGHT + problem.limit_weight)

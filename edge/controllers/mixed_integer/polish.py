@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.descent import descended
-from edge.controllers.mixed_integer.problem import Plan, Problem, lower_toeplitz
+from edge.controllers.mixed_integer.problem import Plan, PlanningProblem, lower_toeplitz
 from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ class Local:
         return self.temps + heated + (fan - self.fan) @ self.fan_response
 
 
-def polished(problem: Problem, plan: Plan) -> Plan:
+def polished(problem: PlanningProblem, plan: Plan) -> Plan:
     """The best plan found by repeated small changes; `plan` itself where none is better."""
     n = problem.horizon
     heater, fan = lower_toeplitz(problem.heater, n).T, lower_toeplitz(problem.fan, n).T
@@ -55,7 +55,7 @@ def polished(problem: Problem, plan: Plan) -> Plan:
     return plan
 
 
-def neighbours(problem: Problem, local: Local, count: int) -> list[Plan]:
+def neighbours(problem: PlanningProblem, local: Local, count: int) -> list[Plan]:
     """At most `count` allowed plans near a known one, perhaps it too, the cheapest by `local` first."""
     fan = _fan_plans(local.fan)
     fan = fan[problem.allows(np.zeros_like(fan), fan)]

@@ -44,7 +44,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class PlanningProblem:
     """T = free + H u_h + F u_f, H and F lower triangular Toeplitz; N steps to plan, then M of tail.
 
     The tail is a terminal cost: steps after the plan whose inputs are settled beforehand and stand in `free`.

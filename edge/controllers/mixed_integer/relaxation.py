@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Problem, lower_toeplitz
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, PlanningProblem, lower_toeplitz
 from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
@@ -14,7 +14,7 @@ _NARROW = 1e-3  # width of the box of a heater that is capped at 0
 _SIDES = np.array([[1.0], [-1.0]])  # how the distances to the lower and to the upper bound grow with an input
 
 
-def relaxed_temperatures(problem: Problem) -> Floats:
+def relaxed_temperatures(problem: PlanningProblem) -> Floats:
     """Air temperatures [N + M] of inputs in their box that nearly minimise the relaxed cost [°C].
 
     Mehrotra's primal-dual interior point (Nocedal and Wright, Numerical Optimization, ch. 16.6). The Newton

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.dominance import undominated
-from edge.controllers.mixed_integer.problem import Plan, Problem
+from edge.controllers.mixed_integer.problem import Plan, PlanningProblem
 from edge.controllers.mixed_integer.tangent import Tangent
 from edge.core.names import HEATER_LEVELS
 
@@ -43,7 +43,7 @@ class Level:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SearchResult:
     """Outcome of one search: a better plan or None; every plan not looked at costs at least `bound`."""
 
     plan: Plan | None
@@ -64,13 +64,13 @@ class Options:
 
 
 def search(
-    problem: Problem,
+    problem: PlanningProblem,
     bounds: Tangent,
     width: int,
     best: float,
     stop: Callable[[int], bool] = lambda nodes: False,
     other_than: tuple[int, int] | None = None,
-) -> Found:
+) -> SearchResult:
     """Look for a plan that costs less than `best`.
 
     stop : asked before each level with the nodes done
@@ -86,7 +86,7 @@ def search(
     trace: list[tuple[Ints, Ints]] = []
     for k in range(problem.horizon):
         if stop(nodes):
-            return Found(None, min(dropped, float(level.bound.min())), nodes, stopped=True)
+            return SearchResult(None, min(dropped, float(level.bound.min())), nodes, stopped=True)
         nodes += len(level.cost)
         cost, bound, hold = _children(problem, bounds, options, level, k)
         if k == 0 and other_than is not None:
@@ -102,11 +102,11 @@ def search(
             parent, choice = parent[alive], choice[alive]
         trace.append((parent, choice))
         if not len(level.cost):
-            return Found(None, dropped, nodes)
+            return SearchResult(None, dropped, nodes)
     total = level.cost + problem.tracking(level.free, slice(problem.horizon, None)).sum(axis=1)
     if not total.min() < best - margin:
-        return Found(None, dropped, nodes)
-    return Found(_trace_back(options, trace, total), dropped, nodes)
+        return SearchResult(None, dropped, nodes)
+    return SearchResult(_trace_back(options, trace, total), dropped, nodes)
 
 
 def rounding_margin(cost: float) -> float:
@@ -114,7 +114,7 @@ def rounding_margin(cost: float) -> float:
     return _ROUNDING * (1.0 + cost) if np.isfinite(cost) else 0.0
 
 
-def _options(problem: Problem) -> Options:
+def _options(problem: PlanningProblem) -> Options:
     count = problem.heater_levels + 1
     levels, fan = np.tile(np.arange(count), 2), np.repeat([0, 1], count)
     duty = levels / HEATER_LEVELS
@@ -123,7 +123,7 @@ def _options(problem: Problem) -> Options:
 
 
 def _children(
-    problem: Problem, bounds: Tangent, options: Options, level: Level, k: int
+    problem: PlanningProblem, bounds: Tangent, options: Options, level: Level, k: int
 ) -> tuple[Floats, Floats, Ints]:
     """Cost, bound (infinite where the relay forbids it) and hold of every child, [M, options]."""
     left = len(problem.free) - k
@@ -149,7 +149,13 @@ def _lowest(kept: Ints, bound: Floats, width: int) -> tuple[Ints, float]:
 
 
 def _next_level(
-    problem: Problem, options: Options, level: Level, kept: Ints, cost: Floats, bound: Floats, hold: Ints
+    problem: PlanningProblem,
+    options: Options,
+    level: Level,
+    kept: Ints,
+    cost: Floats,
+    bound: Floats,
+    hold: Ints,
 ) -> tuple[Level, Ints, Ints]:
     """The kept children as a level, with their parents' places and their options."""
     parent, choice = np.divmod(kept, len(options.levels))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge.controllers.mixed_integer.polish import polished
-from edge.controllers.mixed_integer.problem import Ints, Plan, Problem
+from edge.controllers.mixed_integer.problem import Ints, Plan, PlanningProblem
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import rounding_margin, search
 from edge.controllers.mixed_integer.tangent import Tangent, tangent
@@ -36,7 +36,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
+    problem: PlanningProblem,
     node_budget: int,
     time_box: TimeBox,
     node_limit: int | None = None,
@@ -80,7 +80,7 @@ def solve(
     return Solution(best, min(bound, best.cost), proven, runner_up, nodes, found.stopped)
 
 
-def _look_around(problem: Problem, best: Plan, narrow: Plan) -> Plan:
+def _look_around(problem: PlanningProblem, best: Plan, narrow: Plan) -> Plan:
     """The best plan near three that differ: the best known, the first one found, one with fewer fan steps."""
     costly = replace(problem, fan_weight=problem.fan_weight + _FAN_WEIGHT_MORE)
     sparing = search(costly, tangent(costly, relaxed_temperatures(costly)), _WIDTHS[0], np.inf).plan
@@ -100,13 +100,13 @@ def _stop(time_box: TimeBox, nodes_left: int | None) -> Callable[[int], bool]:
     return lambda nodes: time_box.is_over() or (nodes_left is not None and nodes >= nodes_left)
 
 
-def _warm_plan(problem: Problem, warm: tuple[Ints, Ints] | None) -> Plan | None:
+def _warm_plan(problem: PlanningProblem, warm: tuple[Ints, Ints] | None) -> Plan | None:
     if warm is None or len(warm[0]) != problem.horizon or not problem.allows(*warm):
         return None
     return Plan(*warm, float(problem.cost(*warm)))
 
 
-def _root_bound(problem: Problem, bounds: Tangent) -> float:
+def _root_bound(problem: PlanningProblem, bounds: Tangent) -> float:
     rules = problem.fan_rules
     bound = float(bounds.constant[0, int(rules.on), rules.hold] + bounds.slope @ problem.free)
     return max(bound - rounding_margin(abs(bound)), 0.0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import Problem, lower_toeplitz
+from edge.controllers.mixed_integer.problem import PlanningProblem, lower_toeplitz
 from edge.core.names import HEATER_LEVELS
 
 Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ class Tangent:
     constant: Floats
 
 
-def tangent(problem: Problem, temps: Floats) -> Tangent:
+def tangent(problem: PlanningProblem, temps: Floats) -> Tangent:
     """The bound from the tangent at `temps` [N + M] [°C]."""
     slope = problem.tracking_slope(temps)
     n = problem.horizon
@@ -45,7 +45,7 @@ def tangent(problem: Problem, temps: Floats) -> Tangent:
     return Tangent(slope, _constants(problem, intercept, problem.fan_weight + fan))
 
 
-def _constants(problem: Problem, intercept: Floats, fan_cost: Floats) -> Floats:
+def _constants(problem: PlanningProblem, intercept: Floats, fan_cost: Floats) -> Floats:
     """Sum of `intercept` from each step on, plus the cheapest fan plan the relay allows, by recursion."""
     n, rules = problem.horizon, problem.fan_rules
     constant = np.full((n + 1, 2, rules.holds), intercept[n:].sum())

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, Problem
+from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, PlanningProblem
 from edge.controllers.twin_plan.linear_step import LinearStep
 from edge.core.names import HEATER_LEVELS
 
@@ -20,7 +20,7 @@ KIND_K = 0.02  # nodes whose air would then be closer than this are of one kind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class PlanStart:
     """Where a plan begins. state [n]; disturbance [K/step]; ambient [°C]; what was sent before: level, fan"""
 
     state: Floats
@@ -31,7 +31,7 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class BeamResult:
     """The best plan, its air as the sensor would show it [N], the best that begins otherwise, nodes made."""
 
     plan: Plan
@@ -64,7 +64,7 @@ class _Children:
     hold: Ints
 
 
-def search(step: LinearStep, goal: Problem, start: Start, width: int) -> Found:
+def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int) -> BeamResult:
     """The cheapest plan that a beam of `width` nodes finds; the same arguments give the same plan.
 
     goal : weights, reference, limits and relay rules, its tail too; its own forecast does not count
@@ -100,7 +100,7 @@ def _stored_weights(step: LinearStep) -> Floats:
 
 
 def _children(
-    step: LinearStep, goal: Problem, drift: Floats, level: _Level, weights: Floats, k: int
+    step: LinearStep, goal: PlanningProblem, drift: Floats, level: _Level, weights: Floats, k: int
 ) -> _Children:
     fans = np.array([[0, 1]])
     mode = step.mode(level.fan[:, None], fans)
@@ -142,7 +142,7 @@ def _next(step: LinearStep, children: _Children, kept: Ints) -> _Level:
     return _Level(state, children.cost.ravel()[kept], fan, level, children.hold[parent, fan], parent)
 
 
-def _tail_cost(step: LinearStep, goal: Problem, drift: Floats, level: _Level) -> Floats:
+def _tail_cost(step: LinearStep, goal: PlanningProblem, drift: Floats, level: _Level) -> Floats:
     """Tracking over the tail, fan still, at the constant heat that serves each node best, [M]."""
     if goal.tail == 0:
         return np.zeros(len(level.cost))
@@ -165,7 +165,7 @@ def _tail_cost(step: LinearStep, goal: Problem, drift: Floats, level: _Level) ->
     return np.asarray(goal.tracking(temps, slice(goal.horizon, None)).sum(axis=1))
 
 
-def _found(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) -> Found:
+def _found(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) -> BeamResult:
     first = np.arange(len(trace[1].cost))
     for level in trace[2:]:
         first = first[level.parent]
@@ -175,7 +175,7 @@ def _found(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) -> 
     second = int(np.argmin(other))
     plan, states = _traced(trace, best, float(total[best]))
     runner_up = _traced(trace, second, float(total[second]))[0] if np.isfinite(other[second]) else None
-    return Found(plan, states[:, step.air], states[:, step.shown], runner_up, nodes)
+    return BeamResult(plan, states[:, step.air], states[:, step.shown], runner_up, nodes)
 
 
 def _traced(trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.twin_plan.linear_step import LinearStep
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
 from edge.twin.warm_start import at_rest, spread
 
@@ -38,7 +38,7 @@ class Belief:
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
+class StepInputs:
     """What acted in a step, and before it. duty : 0..1; fan : 0 or 1; ambient [°C]"""
 
     duty: float
@@ -48,13 +48,13 @@ class Inputs:
     ambient: float
 
 
-def begin(twin: Twin, time_s: float, temp: float, ambient: float) -> Belief:
+def begin(twin: BoxTwin, time_s: float, temp: float, ambient: float) -> Belief:
     """At rest at the first temperature that is known [°C]."""
     sds = np.append(spread(twin), DISTURBANCE_START_K)
     return Belief(time_s, at_rest(twin, temp, ambient), 0.0, np.diag(sds**2))
 
 
-def moved(belief: Belief, twin: Twin, step: LinearStep, inputs: Inputs, time_s: float) -> Belief:
+def moved(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInputs, time_s: float) -> Belief:
     """One step on."""
     mode = 2 * inputs.fan_before + inputs.fan
     matrix, heat = step.matrix[mode], step.heat[mode]

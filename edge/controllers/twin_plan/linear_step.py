@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.core.names import HEATER_LEVELS
 from edge.twin.march import Commands
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
 from edge.twin.signals import Conditions
 
@@ -51,7 +51,7 @@ class LinearStep:
         return float(np.interp(duty, np.arange(HEATER_LEVELS + 1) / HEATER_LEVELS, self.share))
 
 
-def linear_step(twin: Twin, state: Floats, ambient: float, conditions: Conditions) -> LinearStep:
+def linear_step(twin: BoxTwin, state: Floats, ambient: float, conditions: Conditions) -> LinearStep:
     """The step of `twin` at a state [n], with columns of one row each as they are now.
 
     Errors : DataError naming a column that is missing

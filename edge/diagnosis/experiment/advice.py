@@ -17,7 +17,7 @@ SETTLED_NATS = 10.0  # log odds that leave no question
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class ValueCalibration:
     """A value that is known to some percent, calibrated first.
 
     alone : expected log odds of the pair that is hardest to tell by the runs so far and this value [nat]
@@ -36,7 +36,7 @@ class Calibration:
 
 def calibrate_first(
     found: Separation, pairs: NDArray[np.bool_], chosen: Evaluated | None, expected: float
-) -> Calibration | None:
+) -> ValueCalibration | None:
     """The value whose calibration brings most, if more is needed and it brings what is worth the trouble.
 
     pairs : those that the advice is for; expected : log odds without a calibration
@@ -50,7 +50,7 @@ def calibrate_first(
             both = None
             if chosen is not None:
                 both = float(found.log_odds(chosen.cool.inputs, exact=place)[pairs].min())
-            best = Calibration(place, alone, both)
+            best = ValueCalibration(place, alone, both)
     if best is None or max(best.alone, best.with_experiment or 0.0) < expected + WORTH_NATS:
         return None
     return best

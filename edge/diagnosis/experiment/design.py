@@ -5,13 +5,13 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.experiment.advice import calibrate_first, swung
-from edge.diagnosis.experiment.experiment import Experiment, ProfileRow, Sides
+from edge.diagnosis.experiment.experiment import PlannedExperiment, ProfileRow, Sides
 from edge.diagnosis.experiment.families import candidates
 from edge.diagnosis.experiment.improve import SAME_NATS, Evaluated, cool, evaluated, improved
 from edge.diagnosis.experiment.limits import ExperimentLimits
-from edge.diagnosis.experiment.rivals import Pair, Rivals, open_rivals
+from edge.diagnosis.experiment.rivals import RivalPair, Rivals, open_rivals
 from edge.diagnosis.experiment.separation import Separation, separation
-from edge.diagnosis.experiment.sequence import Inputs
+from edge.diagnosis.experiment.sequence import SequenceInputs
 from edge.diagnosis.experiment.surroundings import surroundings
 from edge.diagnosis.search import RIVAL_NATS
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-def next_experiment(found: Diagnosis, limits: ExperimentLimits) -> Experiment | None:
+def next_experiment(found: Diagnosis, limits: ExperimentLimits) -> PlannedExperiment | None:
     """Of the effects that were named and their rivals; None where none is near."""
     rivals = open_rivals(found)
     if rivals is None:
@@ -31,12 +31,12 @@ def next_experiment(found: Diagnosis, limits: ExperimentLimits) -> Experiment | 
     return designed(plan, limits)
 
 
-def designed(plan: Separation, limits: ExperimentLimits) -> Experiment:
+def designed(plan: Separation, limits: ExperimentLimits) -> PlannedExperiment:
     """The experiment that is worth most; one without a profile where none tells anything."""
     passed = cool(plan, candidates(limits, plan.row_s, _lit(plan)), limits)
     pairs = plan.rivals.pairs
     if passed is None:
-        return Experiment(weak=_unordered(pairs, np.ones(len(pairs), dtype=bool)))
+        return PlannedExperiment(weak=_unordered(pairs, np.ones(len(pairs), dtype=bool)))
     every = evaluated(plan, passed.strongest())
     most = every.log_odds.max(axis=1)
     told = most >= (RIVAL_NATS if (most >= RIVAL_NATS).any() else SAME_NATS)
@@ -55,7 +55,7 @@ def _lit(plan: Separation) -> bool:
     return "light" in needs & set(plan.around.columns)
 
 
-def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> Experiment:
+def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> PlannedExperiment:
     pairs, log_odds = plan.rivals.pairs, chosen.log_odds[:, 0]
     settled = _both_ways(pairs, log_odds >= RIVAL_NATS)
     apart = _likely(pairs, told & settled)
@@ -63,7 +63,7 @@ def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> 
         apart = _likely(pairs, told)
     expected = float(log_odds[apart].min())
     hard = ~told & ~same
-    return Experiment(
+    return PlannedExperiment(
         profile=_profile(chosen.cool.inputs, _lit(plan)),
         kind=chosen.cool.candidates[0].what,
         separates=_sides(pairs, apart, ~settled & ~_either_way(pairs, apart)),
@@ -80,23 +80,23 @@ def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> 
     )
 
 
-def _without_profile(plan: Separation, every: Evaluated, same: Mask) -> Experiment:
+def _without_profile(plan: Separation, every: Evaluated, same: Mask) -> PlannedExperiment:
     """For models that say the same whatever heater and fan do."""
-    return Experiment(
+    return PlannedExperiment(
         inseparable=_groups(plan.rivals, same),
         calibration=calibrate_first(plan, same, None, 0.0),
         swing_log_odds=swung(plan, every, same),
     )
 
 
-def _likely(pairs: tuple[Pair, ...], which: Mask) -> Mask:
+def _likely(pairs: tuple[RivalPair, ...], which: Mask) -> Mask:
     """Of these pairs those in which both may well be the true one, if there are such."""
     shares = {pair.true: pair.share for pair in pairs}
     both = np.array([min(pair.share, shares[pair.other]) >= LIKELY for pair in pairs])
     return which & both if (which & both).any() else which
 
 
-def _profile(inputs: Inputs, lit: bool) -> tuple[ProfileRow, ...]:
+def _profile(inputs: SequenceInputs, lit: bool) -> tuple[ProfileRow, ...]:
     """A row where an input changes, and one at the end."""
     rows = int(inputs.within[0].sum())
     columns = np.stack([inputs.wanted[0, :rows], inputs.fan[0, :rows], inputs.light[0, :rows]])
@@ -113,29 +113,29 @@ def _profile(inputs: Inputs, lit: bool) -> tuple[ProfileRow, ...]:
     return (*found, ProfileRow(rows * inputs.row_s, 0.0, 0.0, 0.0 if lit else None))
 
 
-def _either_way(pairs: tuple[Pair, ...], holds: Mask) -> Mask:
+def _either_way(pairs: tuple[RivalPair, ...], holds: Mask) -> Mask:
     """Whether it holds for a pair, or with the two exchanged."""
     known = {frozenset((pair.true, pair.other)) for pair, own in zip(pairs, holds, strict=True) if own}
     return np.array([frozenset((pair.true, pair.other)) in known for pair in pairs])
 
 
-def _both_ways(pairs: tuple[Pair, ...], holds: Mask) -> Mask:
+def _both_ways(pairs: tuple[RivalPair, ...], holds: Mask) -> Mask:
     """Whether it holds for a pair whichever of the two is the true one."""
     known = {(pair.true, pair.other) for pair, own in zip(pairs, holds, strict=True) if own}
     return np.array([{(pair.true, pair.other), (pair.other, pair.true)} <= known for pair in pairs])
 
 
-def _same(pairs: tuple[Pair, ...], most: Floats) -> Mask:
+def _same(pairs: tuple[RivalPair, ...], most: Floats) -> Mask:
     """Pairs that no experiment tells anything of, whichever is the true one."""
     return ~_either_way(pairs, most >= SAME_NATS)
 
 
-def _unordered(pairs: tuple[Pair, ...], which: Mask) -> tuple[tuple[str, str], ...]:
+def _unordered(pairs: tuple[RivalPair, ...], which: Mask) -> tuple[tuple[str, str], ...]:
     chosen = [pair for pair, own in zip(pairs, which, strict=True) if own and pair.true < pair.other]
     return tuple((pair.true_name, pair.other_name) for pair in chosen)
 
 
-def _sides(pairs: tuple[Pair, ...], apart: Mask, unsaid: Mask) -> tuple[Sides, ...]:
+def _sides(pairs: tuple[RivalPair, ...], apart: Mask, unsaid: Mask) -> tuple[Sides, ...]:
     """For each effect's place, who is told from whom; names together that are not told from one another."""
     found = []
     for place in dict.fromkeys(pair.place for pair in pairs):

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from edge.diagnosis.experiment.advice import Calibration
-from edge.diagnosis.experiment.experiment import Experiment
+from edge.diagnosis.experiment.advice import ValueCalibration
+from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.independent import calibration, checks
 from edge.diagnosis.experiment.wording import asks, why
 from edge.formats.number_table import write_table
@@ -14,7 +14,7 @@ from edge.formats.number_table import write_table
 PROFILE = "next_experiment.csv"
 
 
-def experiment_document(found: Experiment) -> dict[str, Any]:
+def experiment_document(found: PlannedExperiment) -> dict[str, Any]:
     """As diagnosis.json has it."""
     known: dict[str, Any] = {
         "why": why(found),
@@ -37,7 +37,7 @@ def experiment_document(found: Experiment) -> dict[str, Any]:
     return known
 
 
-def write_profile(found: Experiment | None, folder: Path) -> None:
+def write_profile(found: PlannedExperiment | None, folder: Path) -> None:
     """An experiment's profile into a folder, in the place of an older one. Errors: OSError"""
     path = folder / PROFILE
     if found is None or not found.profile:
@@ -55,7 +55,7 @@ def write_profile(found: Experiment | None, folder: Path) -> None:
     write_table(path, {name: np.array(values) for name, values in columns.items()}, facts)
 
 
-def _calibration(item: Calibration) -> dict[str, Any]:
+def _calibration(item: ValueCalibration) -> dict[str, Any]:
     found: dict[str, Any] = {
         "value": item.name,
         "how": calibration(item.place),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from edge.diagnosis.experiment.advice import Calibration
+from edge.diagnosis.experiment.advice import ValueCalibration
 
 Sides = tuple[tuple[str, ...], ...]  # effects that are told from one another; several where they are not
 
@@ -19,7 +19,7 @@ class ProfileRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Experiment:
+class PlannedExperiment:
     """What is to be done next.
 
     profile : rows for `greenhouse experiment`; none where no experiment with heater and fan can tell anything
@@ -40,7 +40,7 @@ class Experiment:
     between: Mapping[str, float] = field(default_factory=dict)
     inseparable: tuple[tuple[str, ...], ...] = ()
     weak: tuple[tuple[str, str], ...] = ()
-    calibration: Calibration | None = None
+    calibration: ValueCalibration | None = None
     swing_log_odds: float | None = None
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.diagnosis.experiment.limits import ExperimentLimits
-from edge.diagnosis.experiment.sequence import Part, Sequence
+from edge.diagnosis.experiment.sequence import Sequence, SequencePart
 
 DURATIONS = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # of the longest
 LEVELS = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)  # of the duty
@@ -37,7 +37,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class ExperimentCandidate:
     """A sequence and what it is, as a sentence's beginning."""
 
     what: str
@@ -47,14 +47,15 @@ class Candidate:
 def fan_switching(frame: Frame) -> Sequence:
     """Loss against leakage, heater lag against sensor lag."""
     return tuple(
-        Part(length, frame.level, float(i % 2)) for i, length in enumerate(frame.lengths(8, frame.dwell))
+        SequencePart(length, frame.level, float(i % 2))
+        for i, length in enumerate(frame.lengths(8, frame.dwell))
     )
 
 
 def staircase(frame: Frame, fan: float = 0.0) -> Sequence:
     """Efficiency, sag, saturation."""
     stairs = zip(frame.lengths(len(STAIRS), frame.dwell), STAIRS, strict=False)
-    return tuple(Part(length, frame.level * fifths / len(STAIRS), fan) for length, fifths in stairs)
+    return tuple(SequencePart(length, frame.level * fifths / len(STAIRS), fan) for length, fifths in stairs)
 
 
 def aired_staircase(frame: Frame) -> Sequence:
@@ -66,7 +67,7 @@ def switched_staircase(frame: Frame) -> Sequence:
     """Each level with the fan off and on."""
     stairs = zip(frame.lengths(2 * len(STAIRS), frame.dwell), np.repeat(STAIRS, 2), strict=False)
     return tuple(
-        Part(length, frame.level * float(fifths) / len(STAIRS), float(i % 2))
+        SequencePart(length, frame.level * float(fifths) / len(STAIRS), float(i % 2))
         for i, (length, fifths) in enumerate(stairs)
     )
 
@@ -74,45 +75,49 @@ def switched_staircase(frame: Frame) -> Sequence:
 def random_fan(frame: Frame) -> Sequence:
     """The fan's own dynamics, in a box that is warm already."""
     random = np.random.default_rng(SEED)
-    parts = [Part(max(frame.rows // 4, 1), frame.level, 0.0)]
+    parts = [SequencePart(max(frame.rows // 4, 1), frame.level, 0.0)]
     left, fan = frame.rows - parts[0].rows, 1.0
     while left > 0:
         seconds = float(random.uniform(*QUICK_S))
         length = min(max(frame.of(seconds), frame.dwell), left)
-        parts.append(Part(length, frame.level, fan))
+        parts.append(SequencePart(length, frame.level, fan))
         left, fan = left - length, 1.0 - fan
     return tuple(parts)
 
 
 def slow_duty(frame: Frame) -> Sequence:
     """What stores heat."""
-    return tuple(Part(length, frame.level * ((i + 1) % 2), 0.0) for i, length in enumerate(frame.lengths(6)))
+    return tuple(
+        SequencePart(length, frame.level * ((i + 1) % 2), 0.0) for i, length in enumerate(frame.lengths(6))
+    )
 
 
 def fast_duty(frame: Frame) -> Sequence:
     """What is late."""
     count = max(frame.rows // frame.of(FAST_S), 2)
     return tuple(
-        Part(length, frame.level * ((i + 1) % 2), 0.0) for i, length in enumerate(frame.lengths(count))
+        SequencePart(length, frame.level * ((i + 1) % 2), 0.0)
+        for i, length in enumerate(frame.lengths(count))
     )
 
 
 def aired_duty(frame: Frame) -> Sequence:
     """What is late, in a box that answers fast."""
     lengths = frame.lengths(10, frame.dwell)
-    return tuple(Part(length, frame.level * ((i + 1) % 2), 1.0) for i, length in enumerate(lengths))
+    return tuple(SequencePart(length, frame.level * ((i + 1) % 2), 1.0) for i, length in enumerate(lengths))
 
 
 def cool_down(frame: Frame) -> Sequence:
     """What has been stored comes back, and what is there without the heater stays."""
     warm = max(frame.rows // 3, 1)
-    return Part(warm, frame.level, 0.0), Part(frame.rows - warm, 0.0, 0.0)
+    return SequencePart(warm, frame.level, 0.0), SequencePart(frame.rows - warm, 0.0, 0.0)
 
 
 def lamp(frame: Frame) -> Sequence:
     """The light on and off, the heater steady."""
     return tuple(
-        Part(length, frame.level, 0.0, float(i % 2)) for i, length in enumerate(frame.lengths(6, frame.dwell))
+        SequencePart(length, frame.level, 0.0, float(i % 2))
+        for i, length in enumerate(frame.lengths(6, frame.dwell))
     )
 
 
@@ -131,7 +136,7 @@ FAMILIES: dict[str, Family] = {
 LIT: dict[str, Family] = {"the light on and off with the heater steady": lamp}
 
 
-def candidates(limits: ExperimentLimits, row_s: float, lit: bool) -> list[Candidate]:
+def candidates(limits: ExperimentLimits, row_s: float, lit: bool) -> list[ExperimentCandidate]:
     """All, weakest level last; none where the time is too short. lit : whether the light may matter"""
     found = []
     families = {**FAMILIES, **(LIT if lit else {})}
@@ -141,5 +146,5 @@ def candidates(limits: ExperimentLimits, row_s: float, lit: bool) -> list[Candid
             if rows >= FEWEST_ROWS:
                 levels = dict.fromkeys(limits.duty(level) for level in LEVELS)
                 frames = [Frame(rows, level, limits.dwell_rows(row_s), row_s) for level in levels if level]
-                found += [Candidate(what, family(frame)) for frame in frames]
+                found += [ExperimentCandidate(what, family(frame)) for frame in frames]
     return found

@@ -9,10 +9,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from edge.core.names import HEATER_LEVELS
-from edge.diagnosis.experiment.families import FEWEST_ROWS, SEED, Candidate
+from edge.diagnosis.experiment.families import FEWEST_ROWS, SEED, ExperimentCandidate
 from edge.diagnosis.experiment.limits import ExperimentLimits
 from edge.diagnosis.experiment.separation import Separation
-from edge.diagnosis.experiment.sequence import Inputs, Part, Sequence, inputs_of, rows_of
+from edge.diagnosis.experiment.sequence import Sequence, SequenceInputs, SequencePart, inputs_of, rows_of
 
 Floats = NDArray[np.float64]
 HOUR = float(np.log(2.0))  # what an hour of the rig is worth: it must double the evidence
@@ -26,8 +26,8 @@ SHIFTS, DUTY_CHANGES = (-4, -2, -1, 1, 2, 4), (-4, -2, -1, 1, 2, 4)  # rows, and
 class Cool:
     """Experiments that safety lets pass as they are, and the warmest temperature predicted for each [B]."""
 
-    candidates: tuple[Candidate, ...]
-    inputs: Inputs
+    candidates: tuple[ExperimentCandidate, ...]
+    inputs: SequenceInputs
     highest_c: Floats
 
     def chosen(self, which: NDArray[np.intp]) -> "Cool":
@@ -68,7 +68,7 @@ class Evaluated:
         return Evaluated(self.cool.chosen(np.array([i])), self.log_odds[:, i : i + 1])
 
 
-def cool(found: Separation, tried: Many[Candidate], limits: ExperimentLimits) -> Cool | None:
+def cool(found: Separation, tried: Many[ExperimentCandidate], limits: ExperimentLimits) -> Cool | None:
     """Those within all limits; None where there are none."""
     if not tried:
         return None
@@ -94,7 +94,7 @@ def improved(found: Separation, first: Evaluated, weights: Floats, limits: Exper
     for _ in range(PASSES):
         (now,) = best.cool.candidates
         near = [_changed(now.sequence, random, most) for _ in range(TRIED)]
-        passed = cool(found, [Candidate(now.what, item) for item in near], limits)
+        passed = cool(found, [ExperimentCandidate(now.what, item) for item in near], limits)
         if passed is None:
             continue
         other = evaluated(found, passed).best(weights)
@@ -112,7 +112,7 @@ def _changed(sequence: Sequence, random: Generator, most: int) -> Sequence:
     return sequence
 
 
-def _moved_switch(parts: list[Part], random: Generator) -> Sequence:
+def _moved_switch(parts: list[SequencePart], random: Generator) -> Sequence:
     """A switch earlier or later; the last one is the end."""
     i, by = int(random.integers(len(parts))), int(random.choice(SHIFTS))
     parts[i] = parts[i]._replace(rows=max(parts[i].rows + by, 1))
@@ -121,13 +121,13 @@ def _moved_switch(parts: list[Part], random: Generator) -> Sequence:
     return tuple(parts)
 
 
-def _other_duty(parts: list[Part], random: Generator) -> Sequence:
+def _other_duty(parts: list[SequencePart], random: Generator) -> Sequence:
     i, by = int(random.integers(len(parts))), int(random.choice(DUTY_CHANGES)) / HEATER_LEVELS
     parts[i] = parts[i]._replace(duty=min(max(parts[i].duty + by, 0.0), 1.0))
     return tuple(parts)
 
 
-def _other_fan(parts: list[Part], random: Generator) -> Sequence:
+def _other_fan(parts: list[SequencePart], random: Generator) -> Sequence:
     i = int(random.integers(len(parts)))
     parts[i] = parts[i]._replace(fan=1.0 - parts[i].fan)
     return tuple(parts)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.diagnosis.candidates import Scored
+from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.formulas import PREFIX
 from edge.diagnosis.trial import Fitted
@@ -15,7 +15,7 @@ MOST_RIVALS = 5  # the nearest ones
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class RivalPair:
     """`true` explains the new run, `other` is refitted to it: places among the models, and their names.
 
     place : the effect of the best set in whose place they stand
@@ -37,7 +37,7 @@ class Rivals:
     """Fitted sets, the best one first, and the pairs in which they compete for an effect's place."""
 
     models: tuple[Fitted, ...]
-    pairs: tuple[Pair, ...]
+    pairs: tuple[RivalPair, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ def open_rivals(found: Diagnosis) -> Rivals | None:
     return Rivals(tuple(models), tuple(pairs))
 
 
-def _near(items: Sequence[Scored], best: Scored, name: str) -> list[tuple[str, Scored]]:
+def _near(items: Sequence[ScoredSet], best: ScoredSet, name: str) -> list[tuple[str, ScoredSet]]:
     """Named effects in the place of `name`."""
     near = []
     for item in items:
@@ -79,12 +79,12 @@ def _near(items: Sequence[Scored], best: Scored, name: str) -> list[tuple[str, S
     return near
 
 
-def _pairs(place: str, members: Sequence[tuple[int, str, Scored]]) -> list[Pair]:
+def _pairs(place: str, members: Sequence[tuple[int, str, ScoredSet]]) -> list[RivalPair]:
     likelihoods = np.array([item.likelihood for _, _, item in members])
     odds = np.exp(likelihoods - likelihoods.max())
     shares = odds / odds.sum()
     return [
-        Pair(i, j, name, other, place, float(share), float(share) / (len(members) - 1))
+        RivalPair(i, j, name, other, place, float(share), float(share) / (len(members) - 1))
         for (i, name, _), share in zip(members, shares, strict=True)
         for j, other, _ in members
         if i != j

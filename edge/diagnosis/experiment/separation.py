@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.experiment.rivals import Rivals
-from edge.diagnosis.experiment.sequence import Inputs
+from edge.diagnosis.experiment.sequence import SequenceInputs
 from edge.diagnosis.experiment.surroundings import Surroundings, free_run, resting_c
 from edge.diagnosis.fitting import slopes
 from edge.diagnosis.formulas import PREFIX, formulas
-from edge.diagnosis.innovations import Filtered, gains, whitened
+from edge.diagnosis.innovations import FilterInput, gains, whitened
 from edge.diagnosis.nuisances import ROOM_SD_K, curved_loss
-from edge.diagnosis.trial import Fitted, Term
+from edge.diagnosis.trial import Fitted, SizedTerm
 from edge.twin.ensemble import responses
 from edge.twin.linear_steps import LinearSteps, linear_steps
 from edge.twin.recorded import Recorded
@@ -31,7 +31,7 @@ EXACT_SD = 0.005  # of a calibrated value, in its coordinate: half a percent
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Predicted:
+class PredictedRuns:
     """What each model says of the experiments: temperatures and their steps.
 
     shown : [M, B, N] [°C]
@@ -40,7 +40,7 @@ class Predicted:
     shown: Floats
     runs: tuple[Recorded, ...]
     steps: tuple[LinearSteps, ...]
-    terms: tuple[tuple[Term, ...], ...]
+    terms: tuple[tuple[SizedTerm, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,13 +56,13 @@ class Separation:
     row_s: float
     start_c: float
 
-    def predicted_c(self, inputs: Inputs) -> Floats:
+    def predicted_c(self, inputs: SequenceInputs) -> Floats:
         """Temperatures by each model [M, B, N]."""
         return np.stack(
             [free_run(item.file.twin(), self.around.recorded(inputs, self.start_c)) for item in self.models]
         )
 
-    def log_odds(self, inputs: Inputs, exact: Place | None = None) -> Floats:
+    def log_odds(self, inputs: SequenceInputs, exact: Place | None = None) -> Floats:
         """Expected by each experiment for each pair, [pairs, B]; exact : a value that is calibrated first."""
         predicted = self._predicted(inputs)
         found = np.empty((len(self.rivals.pairs), len(inputs.fan)))
@@ -83,7 +83,7 @@ class Separation:
             found.append(0.5 * miss**2 / (1.0 + variance))
         return np.array(found)
 
-    def _predicted(self, inputs: Inputs) -> Predicted:
+    def _predicted(self, inputs: SequenceInputs) -> PredictedRuns:
         shown, runs, steps, terms = [], [], [], []
         for item in self.models:
             twin, plain = item.file.twin(), self.around.recorded(inputs, self.start_c)
@@ -95,13 +95,13 @@ class Separation:
             runs.append(guess)
             steps.append(own)
             terms.append(again)
-        return Predicted(np.stack(shown), tuple(runs), tuple(steps), tuple(terms))
+        return PredictedRuns(np.stack(shown), tuple(runs), tuple(steps), tuple(terms))
 
     def _against(
         self,
         other: int,
         trues: Sequence[int],
-        predicted: Predicted,
+        predicted: PredictedRuns,
         within: NDArray[np.bool_],
         exact: Place | None,
     ) -> Floats:
@@ -115,7 +115,7 @@ class Separation:
             moves, root = _with_room(moves, root, steps, within.shape)
         misses = predicted.shown[trues] - predicted.shown[other]
         twin = item.file.twin()
-        filters = gains([Filtered(steps, item.trial.levels, spread(twin), self.row_s)], within)
+        filters = gains([FilterInput(steps, item.trial.levels, spread(twin), self.row_s)], within)
         columns = np.concatenate([misses, moves])
         white = whitened(filters, np.zeros(len(columns), dtype=np.intp), columns)
         misses, moves = white[: len(trues)], np.einsum("kj,kbn->jbn", root, white[len(trues) :])
@@ -151,7 +151,7 @@ def _at_rows(item: Fitted, row_s: float) -> Fitted:
     )
 
 
-def _again(item: Fitted, runs: Recorded, row_s: float) -> tuple[Term, ...]:
+def _again(item: Fitted, runs: Recorded, row_s: float) -> tuple[SizedTerm, ...]:
     """A model's nuisances over other runs; those that belonged to a run that is over do nothing."""
     names = [term.name for term in item.trial.nuisances]
     shapes = {"curved loss": curved_loss(runs, runs.temp, 1.0).shape}
@@ -161,7 +161,7 @@ def _again(item: Fitted, runs: Recorded, row_s: float) -> tuple[Term, ...]:
     return tuple(replace(term, shape=shapes.get(term.name, still)) for term in item.trial.nuisances)
 
 
-def _effects(terms: Sequence[Term], steps: LinearSteps, shape: tuple[int, ...]) -> Floats:
+def _effects(terms: Sequence[SizedTerm], steps: LinearSteps, shape: tuple[int, ...]) -> Floats:
     """What each term does to the temperature at a size of 1, [q, B, N]."""
     if not terms:
         return np.zeros((0, *shape))
@@ -176,7 +176,7 @@ def _with_room(
     moves: Floats, root: Floats, steps: LinearSteps, shape: tuple[int, ...]
 ) -> tuple[Floats, Floats]:
     """With one more value that is free: the room's temperature, of which nothing was recorded."""
-    room = Term("room", np.ones(shape[::-1]), ROOM_SD_K, of_room=True)
+    room = SizedTerm("room", np.ones(shape[::-1]), ROOM_SD_K, of_room=True)
     size = len(root)
     wider = np.pad(root, ((0, 1), (0, 1)))
     wider[size, size] = ROOM_SD_K

@@ -12,7 +12,7 @@ from edge.diagnosis.experiment.limits import ExperimentLimits
 Floats = NDArray[np.float64]
 
 
-class Part(NamedTuple):
+class SequencePart(NamedTuple):
     """Inputs that hold for `rows` rows."""
 
     rows: int
@@ -21,7 +21,7 @@ class Part(NamedTuple):
     light: float = 0.0
 
 
-Sequence = tuple[Part, ...]
+Sequence = tuple[SequencePart, ...]
 
 
 def rows_of(sequence: Sequence) -> int:
@@ -30,7 +30,7 @@ def rows_of(sequence: Sequence) -> int:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Inputs:
+class SequenceInputs:
     """B sequences over N rows, off behind their ends.
 
     wanted : duty as a profile has it; duty : as safety sends it; all [B, N]
@@ -45,9 +45,9 @@ class Inputs:
     within: NDArray[np.bool_]
     allowed: NDArray[np.bool_]
 
-    def chosen(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> "Inputs":
+    def chosen(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> "SequenceInputs":
         """Some of the sequences."""
-        return Inputs(
+        return SequenceInputs(
             self.row_s,
             self.wanted[which],
             self.duty[which],
@@ -58,7 +58,7 @@ class Inputs:
         )
 
 
-def inputs_of(sequences: Many[Sequence], limits: ExperimentLimits, row_s: float) -> Inputs:
+def inputs_of(sequences: Many[Sequence], limits: ExperimentLimits, row_s: float) -> SequenceInputs:
     """What the sequences make of heater, fan and light."""
     rows = max(rows_of(sequence) for sequence in sequences)
     columns = np.zeros((4, len(sequences), rows))
@@ -71,4 +71,4 @@ def inputs_of(sequences: Many[Sequence], limits: ExperimentLimits, row_s: float)
             begin += part.rows
     wanted, fan, light, within = columns
     duty = limits.sent(wanted, row_s)
-    return Inputs(row_s, wanted, duty, fan, light, within > 0.0, limits.allowed(duty, fan, row_s))
+    return SequenceInputs(row_s, wanted, duty, fan, light, within > 0.0, limits.allowed(duty, fan, row_s))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.experiment.sequence import Inputs
-from edge.twin.model import Twin
+from edge.diagnosis.experiment.sequence import SequenceInputs
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import at_rest
 
@@ -30,7 +30,7 @@ class Surroundings:
     guessed: bool
     swing_k: float = 0.0
 
-    def recorded(self, inputs: Inputs, start_c: float) -> Recorded:
+    def recorded(self, inputs: SequenceInputs, start_c: float) -> Recorded:
         """The inputs as runs whose temperatures are not known yet but for the first."""
         shape = inputs.fan.shape
         temp = np.full((shape[0], shape[1] + 1), np.nan)
@@ -60,7 +60,7 @@ def surroundings(runs: Recorded, guessed: bool) -> Surroundings:
     )
 
 
-def resting_c(twin: Twin, around: Surroundings) -> float:
+def resting_c(twin: BoxTwin, around: Surroundings) -> float:
     """What the sensor shows of a box in which nothing is driven; the room where it does not come to rest."""
     system, signals = twin.system, twin.signals
     room = np.array([around.room_c])
@@ -76,7 +76,7 @@ def resting_c(twin: Twin, around: Surroundings) -> float:
     return rested if abs(rested - around.room_c) < FAR_K else around.room_c
 
 
-def free_run(twin: Twin, runs: Recorded) -> Floats:
+def free_run(twin: BoxTwin, runs: Recorded) -> Floats:
     """From rest at the first temperature of each run, both off before [B, N]."""
     start = at_rest(twin, runs.temp[:, 0], runs.ambient[:, 0])
     return twin.rollout(start, runs.duty, runs.fan, runs.ambient, conditions=runs.conditions)

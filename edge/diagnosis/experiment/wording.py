@@ -1,18 +1,18 @@
 """An experiment in sentences."""
 
-from edge.diagnosis.experiment.experiment import Experiment
+from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.independent import calibration, checks
 from edge.diagnosis.report.number_text import duration, nats, odds
 from edge.diagnosis.report.wording import listed
 from edge.diagnosis.search import RIVAL_NATS
 
 
-def why(found: Experiment) -> str:
+def why(found: PlannedExperiment) -> str:
     """What it is for, what it is expected to bring, and what it cannot."""
     return " ".join([*_planned(found), *_same(found), *_weak(found), *_calibrated(found)])
 
 
-def asks(found: Experiment) -> list[str]:
+def asks(found: PlannedExperiment) -> list[str]:
     """What a person does beside it."""
     told = []
     if found.profile:
@@ -25,7 +25,7 @@ def asks(found: Experiment) -> list[str]:
     return told
 
 
-def _planned(found: Experiment) -> list[str]:
+def _planned(found: PlannedExperiment) -> list[str]:
     if not found.profile or found.expected_log_odds is None:
         return []
     kind = found.kind[:1].upper() + found.kind[1:]
@@ -45,7 +45,7 @@ def _apart(sides: list[str]) -> str:
     return " from ".join(sides) if len(sides) == 2 else f"{listed(sides)} from one another"
 
 
-def _same(found: Experiment) -> list[str]:
+def _same(found: PlannedExperiment) -> list[str]:
     return [
         f"No experiment with heater and fan can tell {listed(group)} apart: they say the same. "
         f"What would: {_either(checks(group))}."
@@ -53,14 +53,14 @@ def _same(found: Experiment) -> list[str]:
     ]
 
 
-def _weak(found: Experiment) -> list[str]:
+def _weak(found: PlannedExperiment) -> list[str]:
     if not found.weak:
         return []
     pairs = listed([f"{one} from {other}" for one, other in found.weak])
     return [f"It can hardly tell {pairs}."]
 
 
-def _calibrated(found: Experiment) -> list[str]:
+def _calibrated(found: PlannedExperiment) -> list[str]:
     item = found.calibration
     if item is None:
         return []

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 LONGEST = 20  # rows that a door may be open
 
 
-class Shape(NamedTuple):
+class EventShape(NamedTuple):
     """kind : door, spike or jump; input and late are a door's and a spike's that come when an input changes
 
     begin, end : rows [begin, end) of a run; size : W/K, K or W; z : size over its sd
@@ -29,7 +29,7 @@ class Shape(NamedTuple):
     z: float
 
 
-class Found(NamedTuple):
+class ShapeScores(NamedTuple):
     """z and size of a shape that begins with each row, [N, L], for 1 .. L rows; 0 past the end."""
 
     z: Floats
@@ -54,7 +54,7 @@ class RunShapes:
             self, "door_information", _of_lengths(self.door)
         )  # frozen for all but its own making
 
-    def response(self, shape: Shape) -> Floats:
+    def response(self, shape: EventShape) -> Floats:
         """White innovations that a shape of size 1 causes, [N]."""
         source = {"spike": self.spike, "late": self.spike, "jump": self.jump}.get(shape.kind, self.door)
         found = np.zeros(len(source))
@@ -63,7 +63,7 @@ class RunShapes:
             found[row : row + reach] += source[row, :reach]
         return found
 
-    def doors(self, innovations: Floats) -> Found:
+    def doors(self, innovations: Floats) -> ShapeScores:
         """For 1 .. LONGEST rows."""
         single = np.append(0.0, np.cumsum(score(self.door, innovations)))
         rows = len(innovations)
@@ -72,11 +72,11 @@ class RunShapes:
             numerator[: rows - length + 1, length - 1] = single[length:] - single[:-length]
         return _found(numerator, self.door_information)
 
-    def spikes(self, innovations: Floats) -> Found:
+    def spikes(self, innovations: Floats) -> ShapeScores:
         """A wrong reading after each step, L = 1."""
         return _found(score(self.spike, innovations)[:, None], (self.spike**2).sum(axis=1)[:, None])
 
-    def jumps(self, innovations: Floats) -> Found:
+    def jumps(self, innovations: Floats) -> ShapeScores:
         """Heat that stays from each step on, L = 1."""
         return _found(score(self.jump, innovations)[:, None], (self.jump**2).sum(axis=1)[:, None])
 
@@ -104,6 +104,6 @@ def _shared(response: Floats, lag: int) -> Floats:
     return shared
 
 
-def _found(numerator: Floats, information: Floats) -> Found:
+def _found(numerator: Floats, information: Floats) -> ShapeScores:
     known = np.maximum(information, 1e-12)  # where a shape changes nothing, nothing is known of it
-    return Found(numerator / np.sqrt(known), numerator / known)
+    return ShapeScores(numerator / np.sqrt(known), numerator / known)

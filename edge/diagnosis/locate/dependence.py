@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.locate.residuals import Residuals
-from edge.diagnosis.locate.subsets import Regression
-from edge.diagnosis.locate.terms import Term, library
+from edge.diagnosis.locate.subsets import SumRegression
+from edge.diagnosis.locate.terms import FormulaTerm, library
 from edge.diagnosis.locate.whitened import response_to
 
 Floats = NDArray[np.float64]
@@ -68,7 +68,7 @@ def explained(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W)
     if told < FEWEST_ROWS:
         return NOTHING
     terms, columns, innovations, sizes = _regressors(runs, power_run_sd_w)
-    regression = Regression.of(columns, innovations, told)
+    regression = SumRegression.of(columns, innovations, told)
     chosen = _holding(runs, columns, innovations, regression.best(range(len(terms))))
     if not chosen:
         return NOTHING
@@ -92,7 +92,7 @@ def explained(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W)
 
 def _regressors(
     runs: Sequence[Residuals], power_run_sd_w: float
-) -> tuple[list[Term], Floats, Floats, Floats]:
+) -> tuple[list[FormulaTerm], Floats, Floats, Floats]:
     """Terms that vary; what they do to the innovations, [R, p], of length 1; the innovations; the lengths.
 
     Of both what a constant heat would explain is taken out: it depends on nothing.

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.candidates import RunShapes, Shape
+from edge.diagnosis.locate.candidates import EventShape, RunShapes
 
 Floats = NDArray[np.float64]
 SURE_SDS = 3.0  # above 0 that a row beside a door must be to belong to it, and
@@ -19,12 +19,12 @@ class Opening(NamedTuple):
     begin: int
     conductance_w_k: Floats
     sd_w_k: Floats
-    shape: Shape
+    shape: EventShape
 
 
-def merged(doors: list[Shape]) -> list[Shape]:
+def merged(doors: list[EventShape]) -> list[EventShape]:
     """Doors in order, those that touch or overlap as one."""
-    found: list[Shape] = []
+    found: list[EventShape] = []
     for door in sorted(doors, key=lambda shape: shape.begin):
         if found and door.begin <= found[-1].end:
             last = max(found[-1], door, key=lambda shape: shape.z)
@@ -35,7 +35,7 @@ def merged(doors: list[Shape]) -> list[Shape]:
     return found
 
 
-def openings(run: RunShapes, innovations: Floats, doors: list[Shape]) -> list[Opening]:
+def openings(run: RunShapes, innovations: Floats, doors: list[EventShape]) -> list[Opening]:
     """Each door's conductance row by row, by least squares beside the other doors.
 
     innovations : [N], white, wrong readings and jumps taken out
@@ -46,7 +46,7 @@ def openings(run: RunShapes, innovations: Floats, doors: list[Shape]) -> list[Op
             (other.size * run.response(other) for other in doors if other is not door), start=np.zeros(())
         )
         begin, end = max(door.begin - 1, 0), min(door.end + 1, len(left))
-        columns = np.stack([run.response(Shape("door", i, i + 1, 1.0, 0.0)) for i in range(begin, end)])
+        columns = np.stack([run.response(EventShape("door", i, i + 1, 1.0, 0.0)) for i in range(begin, end)])
         normal = columns @ columns.T + 1e-9 * np.eye(end - begin)
         sizes = np.linalg.solve(normal, columns @ left)
         sds = np.sqrt(np.diag(np.linalg.inv(normal)))

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.candidates import Found, RunShapes, Shape
+from edge.diagnosis.locate.candidates import EventShape, RunShapes, ShapeScores
 from edge.diagnosis.locate.door_shares import Opening, full_w_k, is_long, merged, openings, shares
-from edge.diagnosis.locate.heat_filter import Filtered, Steps, filtered, steps_of
+from edge.diagnosis.locate.heat_filter import HeatFilterResult, Steps, filtered, steps_of
 from edge.diagnosis.locate.residual_heat import likeliest
 from edge.diagnosis.locate.switches import Switches
 from edge.diagnosis.locate.whitened import jumps, pulses, spikes, white
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import held
 
@@ -31,7 +31,7 @@ ALONE_ROWS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class DoorOpening:
     """A door that was open during rows [from_row, to_row) of a run.
 
     shares : of each of those steps, 0..1; heat_w : mean residual heat in them, below 0 when heat is lost
@@ -50,21 +50,21 @@ class Door:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Events:
+class LocatedEvents:
     """door_open : [B, N], 0..1, a column that a twin's `door_opening` takes; wrong : [B, N + 1], readings."""
 
-    doors: tuple[Door, ...]
+    doors: tuple[DoorOpening, ...]
     door_open: Floats
     wrong: Mask
 
 
 def find_events(
-    twin: Twin,
+    twin: BoxTwin,
     runs: Recorded,
     names: Sequence[str],
     sensor_k: float | None = None,
     false_alarm: float = FALSE_ALARM,
-) -> Events:
+) -> LocatedEvents:
     """Doors and wrong readings in B runs.
 
     names : of the runs; sensor_k : sd of a measured temperature [K], the twin's own where None
@@ -73,7 +73,7 @@ def find_events(
     """
     sensor_k = twin.noise.sensor_k if sensor_k is None else sensor_k
     steps = steps_of(twin, runs, sensor_k)
-    found: list[list[Shape]] = [[] for _ in names]
+    found: list[list[EventShape]] = [[] for _ in names]
     switches = Switches.of(runs)
     shapes: list[RunShapes] = []
     for _ in range(PASSES):
@@ -86,11 +86,11 @@ def find_events(
     return _told(runs, names, twin.step_s, shapes, white(way), found)
 
 
-def _places(found: list[list[Shape]]) -> list[list[tuple[str, int, int]]]:
+def _places(found: list[list[EventShape]]) -> list[list[tuple[str, int, int]]]:
     return [[shape[:3] for shape in part] for part in found]
 
 
-def _loosened(steps: Steps, found: list[list[Shape]]) -> Steps:
+def _loosened(steps: Steps, found: list[list[EventShape]]) -> Steps:
     """Steps without what was found: any heat may have come in a door's rows, wrong readings are missing."""
     loose, temp = steps.loose.copy(), steps.temp.copy()
     for i, part in enumerate(found):
@@ -102,7 +102,7 @@ def _loosened(steps: Steps, found: list[list[Shape]]) -> Steps:
     return replace(steps, loose=loose, temp=temp)
 
 
-def _shapes(twin: Twin, runs: Recorded, steps: Steps, way: Filtered) -> list[RunShapes]:
+def _shapes(twin: BoxTwin, runs: Recorded, steps: Steps, way: HeatFilterResult) -> list[RunShapes]:
     # As measured at the end of each step: a filter that expects no door lags behind one, and warm air that a
     # door lets out is gone in seconds.
     shown = np.stack([held(temp) for temp in runs.temp])[:, 1:]
@@ -115,7 +115,7 @@ def _shapes(twin: Twin, runs: Recorded, steps: Steps, way: Filtered) -> list[Run
 
 def _pursued(
     shapes: list[RunShapes], innovations: Floats, switches: Switches, false_alarm: float
-) -> list[list[Shape]]:
+) -> list[list[EventShape]]:
     from scipy.special import ndtri  # the normal quantile; scipy.stats takes a second to load
 
     threshold = -float(ndtri(false_alarm / (INDEPENDENT * innovations.shape[1])))
@@ -128,7 +128,7 @@ def _pursued(
     found = []
     for i, (run, row) in enumerate(parts):
         left = row.copy()
-        part: list[Shape] = []
+        part: list[EventShape] = []
         sizes = {kind: size[i] for kind, size in usual.items()}
         while len(part) < MOST_SHAPES and (best := _best(run, left, sizes, threshold)):
             part.append(best)
@@ -137,7 +137,9 @@ def _pursued(
     return found
 
 
-def _best(run: RunShapes, innovations: Floats, usual: dict[str, Floats], threshold: float) -> Shape | None:
+def _best(
+    run: RunShapes, innovations: Floats, usual: dict[str, Floats], threshold: float
+) -> EventShape | None:
     """What explains most, None when nothing is above what is usual by so much."""
     door = _largest("door", run.doors(innovations))
     spike, jump = _largest("spike", run.spikes(innovations)), _largest("jump", run.jumps(innovations))
@@ -151,9 +153,9 @@ def _best(run: RunShapes, innovations: Floats, usual: dict[str, Floats], thresho
     return best if abs(best.z) > threshold * within.min() else None
 
 
-def _largest(kind: str, found: Found) -> Shape:
+def _largest(kind: str, found: ShapeScores) -> EventShape:
     begin, length = (int(i) for i in np.unravel_index(int(np.abs(found.z).argmax()), found.z.shape))
-    return Shape(
+    return EventShape(
         kind, begin, begin + length + 1, float(found.size[begin, length]), float(found.z[begin, length])
     )
 
@@ -164,8 +166,8 @@ def _told(
     step_s: float,
     shapes: list[RunShapes],
     innovations: Floats,
-    found: list[list[Shape]],
-) -> Events:
+    found: list[list[EventShape]],
+) -> LocatedEvents:
     wrong = np.zeros(runs.temp.shape, dtype=bool)
     every: list[list[Opening]] = []
     for i, (run, part) in enumerate(zip(shapes, found, strict=True)):
@@ -186,15 +188,15 @@ def _told(
             rows = slice(item.begin, item.begin + len(share))
             door_open[i, rows] = np.maximum(door_open[i, rows], share)
             told.append(_door(name, step_s, item, share, full, shapes[i].excess))
-    return Events(tuple(told), door_open, wrong)
+    return LocatedEvents(tuple(told), door_open, wrong)
 
 
-def _touches(shape: Shape, doors: list[Shape]) -> bool:
+def _touches(shape: EventShape, doors: list[EventShape]) -> bool:
     """Whether it is a part of what a door does, which a constant conductance over whole rows did not fit."""
     return any(shape.begin <= door.end and door.begin <= shape.end for door in doors)
 
 
-def _stands_alone(spike: Shape, every: list[Shape]) -> bool:
+def _stands_alone(spike: EventShape, every: list[EventShape]) -> bool:
     """Whether a wrong reading is one: beside something else it is what that one's shape leaves."""
     others = (shape for shape in every if shape is not spike)
     return spike.kind == "spike" and all(
@@ -202,12 +204,12 @@ def _stands_alone(spike: Shape, every: list[Shape]) -> bool:
     )
 
 
-def _door(name: str, step_s: float, item: Opening, share: Floats, full: float, excess: Floats) -> Door:
+def _door(name: str, step_s: float, item: Opening, share: Floats, full: float, excess: Floats) -> DoorOpening:
     rows = np.flatnonzero(share > 0.0)
     first, last = int(rows[0]), int(rows[-1])
     begin, end = item.begin + first, item.begin + last + 1
     heat_w = -item.conductance_w_k[first : last + 1] * excess[begin:end]
     shown = tuple(float(value) for value in share[first : last + 1])
-    return Door(
+    return DoorOpening(
         name, begin, end, begin * step_s, end * step_s, shown, float(heat_w.mean()), full, item.shape.z
     )

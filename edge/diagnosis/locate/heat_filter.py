@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.twin.march import Commands, March
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import at_rest, spread
 
@@ -62,7 +62,7 @@ class Steps:
         return after
 
 
-class Filtered(NamedTuple):
+class HeatFilterResult(NamedTuple):
     """The filter's way over N steps of B runs, one noise level; index k belongs to the row after step k.
 
     innovation : [N, B], NaN where nothing was measured [K]; variance : [N, B], of it [K²]
@@ -79,7 +79,7 @@ class Filtered(NamedTuple):
     updated: Floats
 
 
-def steps_of(twin: Twin, runs: Recorded, sensor_k: float) -> Steps:
+def steps_of(twin: BoxTwin, runs: Recorded, sensor_k: float) -> Steps:
     """The runs' steps, bent heat taken where a filter that follows the readings sees the air.
 
     Errors : DataError for a room that is not known, or a column that the twin needs
@@ -131,7 +131,7 @@ def log_likelihoods(steps: Steps, sensor_k: float, noise: HeatNoise, rows: int) 
     return total
 
 
-def filtered(steps: Steps, sensor_k: float, noise: HeatNoise) -> Filtered:
+def filtered(steps: Steps, sensor_k: float, noise: HeatNoise) -> HeatFilterResult:
     """The filter at one noise level. sensor_k : sd of a measured temperature, its step's error included."""
     wander, fresh = np.array([noise.wander_w]), np.array([noise.fresh_w])
     mean, covariance = _started(steps, sensor_k, fresh)
@@ -145,7 +145,9 @@ def filtered(steps: Steps, sensor_k: float, noise: HeatNoise) -> Filtered:
         mean, covariance = _updated(mean, covariance, innovation, gain)
         updated.append(mean[0])
     innovations, variances, gains = (np.stack(column) for column in zip(*told, strict=True))
-    return Filtered(innovations, variances, gains, np.stack(means), np.stack(covariances), np.stack(updated))
+    return HeatFilterResult(
+        innovations, variances, gains, np.stack(means), np.stack(covariances), np.stack(updated)
+    )
 
 
 def _started(steps: Steps, sensor_k: float, fresh: Floats) -> tuple[Floats, Floats]:

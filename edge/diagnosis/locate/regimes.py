@@ -25,7 +25,7 @@ MOST = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Regime:
+class DisagreementRegime:
     """Where the twin disagrees.
 
     where : in words
@@ -47,7 +47,7 @@ class Regime:
     masks: tuple[Mask, ...]
 
 
-def regimes(runs: Sequence[Residuals]) -> list[Regime]:
+def regimes(runs: Sequence[Residuals]) -> list[DisagreementRegime]:
     """The regimes that surely have more of the squared error than of the rows, the most telling first.
 
     Confidence by a block bootstrap (Künsch 1989, Annals of Statistics 17). [] where the error is spread
@@ -100,14 +100,14 @@ class _Blocks:
         error, rows = self._shares(item.mask)
         return float((error[0] - rows[0]) - SURE_SDS * (error[1:] - rows[1:]).std())
 
-    def regime(self, item: Condition, runs: Sequence[Residuals]) -> Regime:
+    def regime(self, item: Condition, runs: Sequence[Residuals]) -> DisagreementRegime:
         error, share = self._shares(item.mask)
         low, high = np.quantile(error[1:], [0.025, 0.975])
         heat = self._drawn(np.where(item.mask, self.rows.heat_w, 0.0))
         held = self._drawn(item.mask)
         mean_w = heat / np.maximum(held, 1.0)
         count = int(item.mask.sum())
-        return Regime(
+        return DisagreementRegime(
             item.where,
             float(error[0]),
             float(low),

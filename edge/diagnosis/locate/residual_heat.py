@@ -6,8 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.heat_filter import Filtered, HeatNoise, Steps, filtered, log_likelihoods, steps_of
-from edge.twin.model import Twin
+from edge.diagnosis.locate.heat_filter import (
+    HeatFilterResult,
+    HeatNoise,
+    Steps,
+    filtered,
+    log_likelihoods,
+    steps_of,
+)
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 
 Floats = NDArray[np.float64]
@@ -28,11 +35,11 @@ class ResidualHeat:
     sd_w: Floats
     noise: HeatNoise
     steps: Steps
-    way: Filtered
+    way: HeatFilterResult
 
 
 def residual_heat(
-    twin: Twin, runs: Recorded, sensor_k: float | None = None, noise: HeatNoise | None = None
+    twin: BoxTwin, runs: Recorded, sensor_k: float | None = None, noise: HeatNoise | None = None
 ) -> ResidualHeat:
     """Unexplained heat by a fixed-interval smoother (de Jong 1989, JASA 84), all rows of a run used.
 
@@ -58,7 +65,7 @@ def likeliest(steps: Steps, sensor_k: float, wander_w: Sequence[float] = WANDER_
     return HeatNoise(float(wander[best]), float(fresh[best]))
 
 
-def _smoothed(steps: Steps, way: Filtered) -> tuple[Floats, Floats]:
+def _smoothed(steps: Steps, way: HeatFilterResult) -> tuple[Floats, Floats]:
     """Both heats together, by all rows, [N, B], and their variance; an adjoint pass inverts nothing."""
     rows, count, size = way.gain.shape
     heat, variance = np.empty((rows, count)), np.empty((rows, count))
@@ -79,7 +86,7 @@ def _smoothed(steps: Steps, way: Filtered) -> tuple[Floats, Floats]:
     return heat, variance
 
 
-def _told_by_row(way: Filtered, k: int, score: Floats, information: Floats) -> tuple[Floats, Floats]:
+def _told_by_row(way: HeatFilterResult, k: int, score: Floats, information: Floats) -> tuple[Floats, Floats]:
     """What the row after step k tells, added to what the later ones do: of the state before its update."""
     keeps = -way.gain[k][:, :, None] * np.eye(score.shape[-1])[0] + np.eye(score.shape[-1])
     weight = np.where(np.isfinite(way.innovation[k]), 1.0 / way.variance[k], 0.0)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from edge.diagnosis.locate.heat_filter import Steps, filtered
 from edge.diagnosis.locate.residual_heat import ResidualHeat, likeliest, residual_heat
 from edge.diagnosis.locate.whitened import pulses, white
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
 from edge.twin.output_error import free_run
 from edge.twin.recorded import Recorded
@@ -64,7 +64,7 @@ class Residuals:
 
 
 def residuals_of(
-    twin: Twin,
+    twin: BoxTwin,
     runs: Recorded,
     names: Sequence[str],
     sensor_k: float | None = None,

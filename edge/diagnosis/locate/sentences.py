@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from math import floor, log10
 
-from edge.diagnosis.locate.regimes import Regime
+from edge.diagnosis.locate.regimes import DisagreementRegime
 from edge.diagnosis.locate.stretches import Stretch
 
 CLEAR = 2.0  # standard errors from 0 that a heat must be before it is given a direction
 
 
-def regime_sentence(regime: Regime) -> str:
+def regime_sentence(regime: DisagreementRegime) -> str:
     """Such as `71 % of the squared error lies where the fan is off; there the model gains 38 ± 3 W too much`.
 
     The share of the rows stands beside that of the error.
@@ -35,7 +35,7 @@ def stretch_sentence(stretch: Stretch) -> str:
     )
 
 
-def findings(regimes: Sequence[Regime], stretches: Sequence[Stretch]) -> list[str]:
+def findings(regimes: Sequence[DisagreementRegime], stretches: Sequence[Stretch]) -> list[str]:
     """All sentences, strongest first; one that says so where nothing stands out."""
     told = [regime_sentence(item) for item in regimes] + [stretch_sentence(item) for item in stretches]
     return told or ["The squared error is spread evenly: no regime and no time has more than its share"]

@@ -12,7 +12,7 @@ LARGEST = 4  # terms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Regression:
+class SumRegression:
     """Least squares from sums alone. gram : [p, p]; product : [p], with what is explained; total : its square
 
     rows : that tell something
@@ -24,7 +24,7 @@ class Regression:
     rows: int
 
     @classmethod
-    def of(cls, columns: Floats, explained: Floats, rows: int) -> "Regression":
+    def of(cls, columns: Floats, explained: Floats, rows: int) -> "SumRegression":
         """columns : [R, p], scaled to length 1 so that the criterion does not depend on units."""
         return cls(columns.T @ columns, columns.T @ explained, float(explained @ explained), rows)
 

@@ -18,46 +18,48 @@ FEWEST_HOURS, FEWEST_DAYS = 6.0, 1.5  # recorded, before the hour or the day may
 Heat = Callable[[Residuals], Floats]
 
 
-class Term(NamedTuple):
+class FormulaTerm(NamedTuple):
     """A formula, the signals in it by their public names, and its value in each step, [N]."""
 
     formula: str
     signals: tuple[str, ...]
     value: Heat
 
-    def times(self, other: "Term") -> "Term":
+    def times(self, other: "FormulaTerm") -> "FormulaTerm":
         """The product."""
         signals = tuple(dict.fromkeys(self.signals + other.signals))
-        return Term(
+        return FormulaTerm(
             f"{self.formula} {other.formula}", signals, lambda run: self.value(run) * other.value(run)
         )
 
 
 DUTY, FAN, AIR, ROOM = "heater_duty", "fan_on", "temp_air", "temp_ambient"
 LIGHT, HUMIDITY, TIME = "light", "rel_humidity", "time"
-_DUTY = Term("u", (DUTY,), lambda run: run.duty)
-_FAN = Term("u_f", (FAN,), lambda run: run.fan)
-_STILL = Term("(1 - u_f)", (FAN,), lambda run: 1.0 - run.fan)
-_EXCESS = Term("(T - T_amb)", (AIR, ROOM), lambda run: run.excess_k)
-_AIR = Term("T", (AIR,), lambda run: run.air_c)
-_LIGHT = Term("L", (LIGHT,), lambda run: _known(run.light))
-_HUMIDITY = Term("RH", (HUMIDITY,), lambda run: _known(run.rel_humidity) / 100.0)
-_DEFICIT = Term("VPD", (HUMIDITY, AIR), lambda run: vapour_deficit_kpa(run.air_c, _known(run.rel_humidity)))
+_DUTY = FormulaTerm("u", (DUTY,), lambda run: run.duty)
+_FAN = FormulaTerm("u_f", (FAN,), lambda run: run.fan)
+_STILL = FormulaTerm("(1 - u_f)", (FAN,), lambda run: 1.0 - run.fan)
+_EXCESS = FormulaTerm("(T - T_amb)", (AIR, ROOM), lambda run: run.excess_k)
+_AIR = FormulaTerm("T", (AIR,), lambda run: run.air_c)
+_LIGHT = FormulaTerm("L", (LIGHT,), lambda run: _known(run.light))
+_HUMIDITY = FormulaTerm("RH", (HUMIDITY,), lambda run: _known(run.rel_humidity) / 100.0)
+_DEFICIT = FormulaTerm(
+    "VPD", (HUMIDITY, AIR), lambda run: vapour_deficit_kpa(run.air_c, _known(run.rel_humidity))
+)
 ALONE = (
     _DUTY,
-    Term("u^2", (DUTY,), lambda run: run.duty**2),
-    Term("slow(u)", (DUTY,), lambda run: _slow(run.duty, run.step_s)),
+    FormulaTerm("u^2", (DUTY,), lambda run: run.duty**2),
+    FormulaTerm("slow(u)", (DUTY,), lambda run: _slow(run.duty, run.step_s)),
     _FAN,
-    Term("slow(u_f)", (FAN,), lambda run: _slow(run.fan, run.step_s)),
+    FormulaTerm("slow(u_f)", (FAN,), lambda run: _slow(run.fan, run.step_s)),
     _EXCESS,
-    Term("(T - T_amb)^2", (AIR, ROOM), lambda run: run.excess_k * np.abs(run.excess_k)),
-    Term("slow(T)", (AIR,), lambda run: _slow(run.air_c, run.step_s)),
+    FormulaTerm("(T - T_amb)^2", (AIR, ROOM), lambda run: run.excess_k * np.abs(run.excess_k)),
+    FormulaTerm("slow(T)", (AIR,), lambda run: _slow(run.air_c, run.step_s)),
     _AIR,
-    Term("T_amb", (ROOM,), lambda run: run.ambient),
+    FormulaTerm("T_amb", (ROOM,), lambda run: run.ambient),
 )
 
 
-def library(runs: Sequence[Residuals]) -> list[Term]:
+def library(runs: Sequence[Residuals]) -> list[FormulaTerm]:
     """The terms that these runs have the columns and the time for."""
     lit = [_LIGHT] if all(run.light is not None for run in runs) else []
     humid = [_HUMIDITY, _DEFICIT] if all(run.rel_humidity is not None for run in runs) else []
@@ -67,8 +69,8 @@ def library(runs: Sequence[Residuals]) -> list[Term]:
     return [*ALONE, *lit, *humid, *times, *products]
 
 
-def _times(runs: Sequence[Residuals]) -> list[Term]:
-    found = [Term("t", (TIME,), lambda run: run.time_s / HOUR_S)]
+def _times(runs: Sequence[Residuals]) -> list[FormulaTerm]:
+    found = [FormulaTerm("t", (TIME,), lambda run: run.time_s / HOUR_S)]
     starts = [run.start_utc for run in runs]
     if any(start is None for start in starts):
         return found
@@ -76,10 +78,10 @@ def _times(runs: Sequence[Residuals]) -> list[Term]:
     spans = [(_begin(run) + run.time_s[-1]) for run in runs if len(run.time_s)]
     hours = {int(h) for run in runs for h in ((_begin(run) + run.time_s) % DAY_S) // HOUR_S}
     if len(hours) >= FEWEST_HOURS:
-        found.append(Term("sin(2 pi h / 24)", (TIME,), lambda run: np.sin(_angle(run))))
-        found.append(Term("cos(2 pi h / 24)", (TIME,), lambda run: np.cos(_angle(run))))
+        found.append(FormulaTerm("sin(2 pi h / 24)", (TIME,), lambda run: np.sin(_angle(run))))
+        found.append(FormulaTerm("cos(2 pi h / 24)", (TIME,), lambda run: np.cos(_angle(run))))
     if spans and max(spans) - first >= FEWEST_DAYS * DAY_S:
-        found.append(Term("day", (TIME,), lambda run: (_begin(run) + run.time_s - first) / DAY_S))
+        found.append(FormulaTerm("day", (TIME,), lambda run: (_begin(run) + run.time_s - first) / DAY_S))
     return found
 
 

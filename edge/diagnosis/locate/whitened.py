@@ -7,28 +7,28 @@ known beforehand; how well that fits those seen tells how likely it was (Willsky
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.heat_filter import Filtered, Steps
+from edge.diagnosis.locate.heat_filter import HeatFilterResult, Steps
 
 Floats = NDArray[np.float64]
 LAGS = 400  # rows after which a response is forgotten
 
 
-def white(way: Filtered) -> Floats:
+def white(way: HeatFilterResult) -> Floats:
     """Innovations in standard deviations, [B, N]; 0 where nothing was measured."""
     return np.asarray(np.nan_to_num(way.innovation) / np.sqrt(way.variance)).T
 
 
-def pulses(steps: Steps, way: Filtered) -> Floats:
+def pulses(steps: Steps, way: HeatFilterResult) -> Floats:
     """Response to 1 W during step i alone, [B, N, J]: element j is that of the row after step i + j."""
     return _responses(steps, way, steps.matrix[..., -1])
 
 
-def jumps(steps: Steps, way: Filtered) -> Floats:
+def jumps(steps: Steps, way: HeatFilterResult) -> Floats:
     """The same, for 1 W from step i on."""
     return _responses(steps, way, steps.matrix[..., -2])
 
 
-def spikes(steps: Steps, way: Filtered) -> Floats:
+def spikes(steps: Steps, way: HeatFilterResult) -> Floats:
     """The same, for the reading after step i 1 K too high and no other."""
     shown = _scaled(way, np.ones_like(way.innovation), 0)
     later = -np.einsum("kbij,kbj->kbi", steps.matrix[1:], way.gain[:-1])
@@ -41,7 +41,7 @@ def spikes(steps: Steps, way: Filtered) -> Floats:
     return rest
 
 
-def _responses(steps: Steps, way: Filtered, state: Floats) -> Floats:
+def _responses(steps: Steps, way: HeatFilterResult, state: Floats) -> Floats:
     """state : [N, B, m], by how much the row's state after step i is off what the filter expects."""
     rows, count = way.innovation.shape
     lags = min(rows, LAGS)
@@ -56,7 +56,7 @@ def _responses(steps: Steps, way: Filtered, state: Floats) -> Floats:
     return found
 
 
-def _scaled(way: Filtered, shown: Floats, lag: int) -> Floats:
+def _scaled(way: HeatFilterResult, shown: Floats, lag: int) -> Floats:
     measured = np.isfinite(way.innovation[lag:])
     return np.where(measured, shown / np.sqrt(way.variance[lag:]), 0.0)
 

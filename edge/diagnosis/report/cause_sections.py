@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
-from edge.diagnosis.report.markup import Column, bullets, folded, paragraph, table
+from edge.diagnosis.report.markup import TableColumn, bullets, folded, paragraph, table
 from edge.diagnosis.report.number_text import DASH, duration, nats, number, odds, probability
 from edge.diagnosis.report.wording import (
     Document,
@@ -47,10 +47,10 @@ def rivals(document: Document) -> Iterator[str]:
     rows = list(_rival_rows(document["effects"]))
     if rows:
         columns = (
-            Column("rival", words=True),
-            Column("in the place of", words=True),
-            Column("log odds [nat]"),
-            Column("odds against the effect named", words=True),
+            TableColumn("rival", words=True),
+            TableColumn("in the place of", words=True),
+            TableColumn("log odds [nat]"),
+            TableColumn("odds against the effect named", words=True),
         )
         yield from table(columns, rows)
     else:
@@ -88,9 +88,9 @@ def left(document: Document) -> Iterator[str]:
             "soft",
         )
     columns = (
-        Column("run", words=True),
-        *map(Column, ("Ljung-Box p before", "after", "lag-1 autocorrelation before", "after")),
-        *map(Column, ("strongest period before", "after")),
+        TableColumn("run", words=True),
+        *map(TableColumn, ("Ljung-Box p before", "after", "lag-1 autocorrelation before", "after")),
+        *map(TableColumn, ("strongest period before", "after")),
     )
     yield from folded("Run by run", table(columns, list(_whiteness_rows(innovations))))
 
@@ -112,9 +112,9 @@ def _effect(effect: Mapping[str, Any]) -> Iterator[str]:
 
 def _parameters(parameters: Mapping[str, Any], at_bound: Any = ()) -> Iterator[str]:
     columns = (
-        Column("parameter", words=True),
-        *map(Column, ("value", "95 % interval")),
-        Column("unit", words=True),
+        TableColumn("parameter", words=True),
+        *map(TableColumn, ("value", "95 % interval")),
+        TableColumn("unit", words=True),
     )
     rows = [
         (
@@ -158,9 +158,9 @@ def _candidates(candidates: list[Mapping[str, Any]]) -> Iterator[str]:
         candidates, key=lambda one: -(one["gain_nats"] if one["gain_nats"] is not None else -1e300)
     )
     columns = (
-        Column("candidate", words=True),
-        *map(Column, ("gain [nat]", "BIC", "held-out gain [nat]")),
-        Column("kept, or why not", words=True),
+        TableColumn("candidate", words=True),
+        *map(TableColumn, ("gain [nat]", "BIC", "held-out gain [nat]")),
+        TableColumn("kept, or why not", words=True),
     )
     rows = [
         (

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from edge.diagnosis.report.markup import Column, folded, paragraph, table, tile
+from edge.diagnosis.report.markup import TableColumn, folded, paragraph, table, tile
 from edge.diagnosis.report.number_text import DASH, kelvin, percent
 from edge.diagnosis.report.wording import Document, changed, scored, shrink
 
@@ -33,9 +33,9 @@ def gap_table(document: Document) -> Iterator[str]:
         "Free runs: the twin is given the inputs and the first temperature, and no other. Held-out test runs"
         " had no part in any fit or choice."
     )
-    further = [Column("noise floor [K]"), *([Column("closed")] if changed(document) else [])]
+    further = [TableColumn("noise floor [K]"), *([TableColumn("closed")] if changed(document) else [])]
     rows = [_role_row(document, role) for role in _ROLES]
-    yield from table([Column("", words=True), *_errors(document), *further], rows)
+    yield from table([TableColumn("", words=True), *_errors(document), *further], rows)
     if document["gap"]["before"]["test"] is None:
         yield paragraph("No temperatures of a test run were given to compare with.", "soft")
 
@@ -43,12 +43,14 @@ def gap_table(document: Document) -> Iterator[str]:
 def run_table(document: Document) -> Iterator[str]:
     """Errors of free runs, run by run."""
     runs = [row for role in _ROLES for row in _run_rows(document, role)]
-    lines = table([Column("run", words=True), Column("role", words=True), *_errors(document)], runs)
+    lines = table([TableColumn("run", words=True), TableColumn("role", words=True), *_errors(document)], runs)
     yield from lines if len(runs) <= OPEN_RUNS else folded(f"Run by run ({len(runs)} runs)", lines)
 
 
-def _errors(document: Document) -> list[Column]:
-    return [Column(f"{error}{text} [K]") for error in ("RMSE", "MAE") for text in _sides(document).values()]
+def _errors(document: Document) -> list[TableColumn]:
+    return [
+        TableColumn(f"{error}{text} [K]") for error in ("RMSE", "MAE") for text in _sides(document).values()
+    ]
 
 
 def _sides(document: Document) -> dict[str, str]:

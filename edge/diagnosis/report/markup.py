@@ -10,7 +10,7 @@ _BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:K|W|%|s|min|h|d)\b|%)|(?<=±) | (?=±)
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class TableColumn:
     """Head of a column of a table; words stand to the left and may be broken, figures to the right."""
 
     head: str
@@ -38,7 +38,7 @@ def tile(value: str, label: str, kind: str = "") -> str:
 
 
 def table(
-    columns: Sequence[Column], rows: Iterable[Sequence[str | Bar]], kept: Sequence[bool] = ()
+    columns: Sequence[TableColumn], rows: Iterable[Sequence[str | Bar]], kept: Sequence[bool] = ()
 ) -> Iterator[str]:
     """Lines of a table that scrolls by itself where the page is narrow. kept : rows that stand out"""
     yield '<div class="table"><table><tr>'

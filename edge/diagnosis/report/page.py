@@ -8,7 +8,7 @@ from typing import Any
 
 from edge.diagnosis.report.cause_sections import left, rivals, tried, what
 from edge.diagnosis.report.gap_sections import gap_table, run_table, tiles
-from edge.diagnosis.report.markup import Column, bullets, command, folded, paragraph, table, terms
+from edge.diagnosis.report.markup import TableColumn, bullets, command, folded, paragraph, table, terms
 from edge.diagnosis.report.number_text import duration, nats, number, odds
 from edge.diagnosis.report.page_style import STYLE
 from edge.diagnosis.report.picture import Picture
@@ -128,7 +128,7 @@ def _experiment(experiment: dict[str, Any], folder: str) -> Iterator[str]:
     worded = ("why", "separates", "duration_s", "expected_log_odds", "profile")
     facts += [(key, _plain(value)) for key, value in experiment.items() if key not in worded]
     if facts:
-        yield from table((Column("", words=True), Column("", words=True)), facts)
+        yield from table((TableColumn("", words=True), TableColumn("", words=True)), facts)
     if "profile" in experiment:
         profile = shlex.quote(str(Path(folder) / experiment["profile"]))
         yield command(f"greenhouse experiment {profile} --out next_run.csv")
@@ -146,7 +146,7 @@ def _origin(document: Document) -> Iterator[str]:
     told = [(key, value) for key, value in facts.items() if value]
     yield from folded("Words used here", [terms(WORDS.items())])
     yield '<div class="hash">'
-    yield from table((Column("", words=True), Column("", words=True)), told)
+    yield from table((TableColumn("", words=True), TableColumn("", words=True)), told)
     yield "</div>"
     runs = [*document["gap"]["before"]["train"]["per_run"], *document["predictions"]]
     if runs:

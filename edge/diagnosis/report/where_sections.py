@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from edge.diagnosis.report.markup import Bar, Column, bullets, folded, paragraph, table
+from edge.diagnosis.report.markup import Bar, TableColumn, bullets, folded, paragraph, table
 from edge.diagnosis.report.number_text import duration, kelvin, number, percent, plus_minus
 from edge.diagnosis.report.wording import Document, where_found
 
@@ -23,9 +23,9 @@ def where_tables(document: Document) -> Iterator[str]:
         yield paragraph("No regime has clearly more of the error than its share of the rows.", "soft")
     if events := document.get("events"):
         columns = (
-            Column("event", words=True),
-            Column("run", words=True),
-            *map(Column, ("from", "for", "heat [W]")),
+            TableColumn("event", words=True),
+            TableColumn("run", words=True),
+            *map(TableColumn, ("from", "for", "heat [W]")),
         )
         rows = [
             (
@@ -41,7 +41,11 @@ def where_tables(document: Document) -> Iterator[str]:
 
 
 def _regimes(regimes: list[Mapping[str, Any]]) -> Iterator[str]:
-    columns = [Column("where", words=True), Column("share of squared error", words=True), Column("heat [W]")]
+    columns = [
+        TableColumn("where", words=True),
+        TableColumn("share of squared error", words=True),
+        TableColumn("heat [W]"),
+    ]
     further = {
         "heat_after_w": "heat after [W]",
         "rmse_k": "RMSE before [K]",
@@ -57,7 +61,7 @@ def _regimes(regimes: list[Mapping[str, Any]]) -> Iterator[str]:
         )
         for regime in regimes
     ]
-    yield from table([*columns, *(Column(further[key]) for key in known)], rows)
+    yield from table([*columns, *(TableColumn(further[key]) for key in known)], rows)
     yield paragraph(
         "Heat: what the box gains beyond the twin, with its standard error; below 0 the twin gains too much.",
         "soft",

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.effects.effect import Effect, EffectParameter
 from edge.twin.network import Network
 
 
@@ -37,31 +37,31 @@ def imperfect_mixing(network: Network, F_mix: float) -> None:
 AIR_EFFECTS: Mapping[str, Effect] = {
     "fan_effectiveness": Effect(
         fan_effectiveness,
-        (Parameter("eps_f", "", 0.0, 2.0, 0.8),),
+        (EffectParameter("eps_f", "", 0.0, 2.0, 0.8),),
         "system effect on a fan's rating, AMCA Publication 201",
         "positive with the fan on, in proportion to T - T_amb",
     ),
     "short_circuit": Effect(
         short_circuit,
-        (Parameter("s_sc", "", 0.0, 1.0, 0.2),),
+        (EffectParameter("s_sc", "", 0.0, 1.0, 0.2),),
         "air change effectiveness, ASHRAE Standard 129",
         "positive with the fan on, in proportion to T - T_amb",
     ),
     "fan_deadtime": Effect(
         fan_deadtime,
-        (Parameter("d_f", "s", 0.0, 600.0, 20.0),),
+        (EffectParameter("d_f", "s", 0.0, 600.0, 20.0),),
         "transport delay of a first-order-plus-dead-time process, Åström & Hägglund 1995, ch. 2",
         "positive for one or two rows after the fan goes on in a warm box, negative after it goes off",
     ),
     "fan_spinup": Effect(
         fan_spinup,
-        (Parameter("tau_f", "s", 0.5, 600.0, 20.0),),
+        (EffectParameter("tau_f", "s", 0.5, 600.0, 20.0),),
         "rotor inertia to first order, ASHRAE HVAC Systems and Equipment 2016, ch. 21",
         "positive after the fan goes on in a warm box and negative after it goes off, fading",
     ),
     "imperfect_mixing": Effect(
         imperfect_mixing,
-        (Parameter("F_mix", "m³/s", 1e-4, 1.0, 0.02),),
+        (EffectParameter("F_mix", "m³/s", 1e-4, 1.0, 0.02),),
         "two-zone model of a room, Sandberg 1981, Building and Environment 16",
         "the sensor rises late after the heater goes on, and the fan takes out less heat than it should",
     ),

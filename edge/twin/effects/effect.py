@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class EffectParameter:
     """A parameter of an effect: where it can lie, and where a fit begins."""
 
     name: str
@@ -36,12 +36,12 @@ class Effect:
     """
 
     add: Callable[..., None]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[EffectParameter, ...]
     source: str
     without: str
     replaces: str = ""
     needs: tuple[str, ...] = ()
 
-    def parameter(self, name: str) -> Parameter:
+    def parameter(self, name: str) -> EffectParameter:
         """By name. Errors: KeyError."""
         return {item.name: item for item in self.parameters}[name]

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.effects.effect import Effect, EffectParameter
 from edge.twin.network import AIR, ROOM, Network
-from edge.twin.signals import Floats, Now
+from edge.twin.signals import Floats, HeatConditions
 
 
 def fan_heat(network: Network, P_fan: float) -> None:
@@ -35,7 +35,7 @@ def _bent_loss(network: Network, at_10_k_w_k: float, exponent: float) -> None:
     """Conductance that grows with a power of the difference; its value at 10 K is part of the network."""
     network.connect(AIR, ROOM, at_10_k_w_k)
 
-    def beyond(now: Now) -> Floats:
+    def beyond(now: HeatConditions) -> Floats:
         excess = now.temp - now.ambient
         return np.asarray(at_10_k_w_k * (1.0 - np.abs(excess / 10.0) ** exponent) * excess)
 
@@ -45,25 +45,25 @@ def _bent_loss(network: Network, at_10_k_w_k: float, exponent: float) -> None:
 FURTHER_EFFECTS: Mapping[str, Effect] = {
     "fan_heat": Effect(
         fan_heat,
-        (Parameter("P_fan", "W", 0.0, 100.0, 3.0),),
+        (EffectParameter("P_fan", "W", 0.0, 100.0, 3.0),),
         "heat gain of a motor in the airstream, ASHRAE Fundamentals 2017, ch. 18",
         "positive with the fan on, whatever the temperature",
     ),
     "ground_loss": Effect(
         ground_loss,
-        (Parameter("G_g", "W/K", 0.0, 100.0, 1.0), Parameter("T_g", "°C", -10.0, 40.0, 15.0)),
+        (EffectParameter("G_g", "W/K", 0.0, 100.0, 1.0), EffectParameter("T_g", "°C", -10.0, 40.0, 15.0)),
         "heat transfer via the ground, ISO 13370",
         "falls with T, and stays where the room warms",
     ),
     "stack_ventilation": Effect(
         stack_ventilation,
-        (Parameter("F_st", "m³/s", 0.0, 0.05, 0.001),),
+        (EffectParameter("F_st", "m³/s", 0.0, 0.05, 0.001),),
         "stack effect through openings, ASHRAE Fundamentals 2017, ch. 16",
         "falls with the power 1.5 of T - T_amb",
     ),
     "natural_convection": Effect(
         natural_convection,
-        (Parameter("G_nc", "W/K", 0.0, 100.0, 3.0),),
+        (EffectParameter("G_nc", "W/K", 0.0, 100.0, 3.0),),
         "turbulent natural convection at a wall, Nu ~ Ra^(1/3), Incropera & DeWitt, ch. 9",
         "falls with the power 4/3 of T - T_amb",
     ),

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.effects.effect import Effect, EffectParameter
 from edge.twin.network import Network
 
 
@@ -39,37 +39,37 @@ def heater_sag(network: Network, sag: float) -> None:
 HEATER_EFFECTS: Mapping[str, Effect] = {
     "heater_lag": Effect(
         heater_lag,
-        (Parameter("tau_h", "s", 1.0, 7200.0, 180.0),),
+        (EffectParameter("tau_h", "s", 1.0, 7200.0, 180.0),),
         "lumped element, C_h dT_h/dt = H - P with P = h A (T_h - T); TiTeTh of Bacher & Madsen 2011",
         "negative for minutes after the heater goes on, positive for as long after it goes off",
     ),
     "heater_deadtime": Effect(
         heater_deadtime,
-        (Parameter("d_h", "s", 0.0, 600.0, 30.0),),
+        (EffectParameter("d_h", "s", 0.0, 600.0, 30.0),),
         "transport delay of a first-order-plus-dead-time process, Åström & Hägglund 1995, ch. 2",
         "opposite to each change of the duty for one or two rows, then gone at once",
     ),
     "heater_efficiency": Effect(
         heater_efficiency,
-        (Parameter("eta", "", 0.0, 2.0, 0.9),),
+        (EffectParameter("eta", "", 0.0, 2.0, 0.9),),
         "tolerance of a rated power input, IEC 60335-1, clause 10",
         "in proportion to the duty, whatever the temperature",
     ),
     "radiative_split": Effect(
         radiative_split,
-        (Parameter("f_rad", "", 0.0, 1.0, 0.3),),
+        (EffectParameter("f_rad", "", 0.0, 1.0, 0.3),),
         "convective fraction of a heat emitter, EN 15316-2",
         "negative in proportion to the duty at first, less so once wall and soil have warmed",
     ),
     "heater_saturation": Effect(
         heater_saturation,
-        (Parameter("u_sat", "", 0.05, 1.0, 0.8),),
+        (EffectParameter("u_sat", "", 0.05, 1.0, 0.8),),
         "static input saturation (Hammerstein), Ljung 1999, System Identification, ch. 5",
         "zero up to some duty, negative in proportion to what the duty is above it",
     ),
     "heater_sag": Effect(
         heater_sag,
-        (Parameter("sag", "", 0.0, 0.5, 0.1),),
+        (EffectParameter("sag", "", 0.0, 0.5, 0.1),),
         "source resistance and the element's temperature coefficient, to first order in the duty",
         "negative with the square of the duty",
     ),

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.effects.effect import Effect, EffectParameter
 from edge.twin.network import AIR, ROOM, Network
-from edge.twin.signals import Floats, Now
+from edge.twin.signals import Floats, HeatConditions
 
 STEFAN_BOLTZMANN = 5.670374419e-8  # W/(m² K⁴), CODATA 2018
 KELVIN = 273.15
@@ -48,7 +48,7 @@ def longwave_radiation(network: Network, epsA: float) -> None:
     tangent_w_k = 4.0 * epsA * STEFAN_BOLTZMANN * _TANGENT_K**3
     network.connect(AIR, ROOM, tangent_w_k)
 
-    def beyond_tangent(now: Now) -> Floats:
+    def beyond_tangent(now: HeatConditions) -> Floats:
         box, room = (now.temp + KELVIN) ** 2, (now.ambient + KELVIN) ** 2
         fourth = (box - room) * (box + room)  # T^4 - T_amb^4, several times faster than powers
         return tangent_w_k * (now.temp - now.ambient) - epsA * STEFAN_BOLTZMANN * fourth
@@ -76,22 +76,22 @@ def ua_drift(network: Network, ua_drift: float) -> None:
 LOSS_EFFECTS: Mapping[str, Effect] = {
     "wall_loss": Effect(
         wall_loss,
-        (Parameter("UA", "W/K", 0.0, 100.0, 4.0),),
+        (EffectParameter("UA", "W/K", 0.0, 100.0, 4.0),),
         "thermal transmittance, ISO 6946",
         "falls with T - T_amb: a warm box is predicted too warm, and ever more with the fan off",
     ),
     "infiltration": Effect(
         infiltration,
-        (Parameter("F_inf", "m³/s", 0.0, 0.05, 0.002),),
+        (EffectParameter("F_inf", "m³/s", 0.0, 0.05, 0.002),),
         "sensible infiltration load, ASHRAE Fundamentals 2017, ch. 16",
         "falls with T - T_amb while the fan is off, and is gone while it runs",
     ),
     "wall_mass": Effect(
         wall_mass,
         (
-            Parameter("C_w", "J/K", 100.0, 1e6, 5000.0),
-            Parameter("G_in", "W/K", 0.01, 500.0, 10.0),
-            Parameter("G_out", "W/K", 0.01, 500.0, 8.0),
+            EffectParameter("C_w", "J/K", 100.0, 1e6, 5000.0),
+            EffectParameter("G_in", "W/K", 0.01, 500.0, 10.0),
+            EffectParameter("G_out", "W/K", 0.01, 500.0, 8.0),
         ),
         "two-state lumped wall (TiTe), Bacher & Madsen 2011, Energy and Buildings 43",
         "negative when the box has just been warmed, positive for the hour after it cools",
@@ -99,32 +99,32 @@ LOSS_EFFECTS: Mapping[str, Effect] = {
     ),
     "soil_mass": Effect(
         soil_mass,
-        (Parameter("C_s", "J/K", 100.0, 1e6, 10000.0), Parameter("G_s", "W/K", 0.01, 500.0, 3.0)),
+        (EffectParameter("C_s", "J/K", 100.0, 1e6, 10000.0), EffectParameter("G_s", "W/K", 0.01, 500.0, 3.0)),
         "medium node (TiTm), Bacher & Madsen 2011, Energy and Buildings 43",
         "follows the change of T over the last hours, and not the room: negative in the first warm hours, "
         "positive after they end, zero on average",
     ),
     "extra_capacity": Effect(
         extra_capacity,
-        (Parameter("kC", "", 1.0, 1000.0, 5.0),),
+        (EffectParameter("kC", "", 1.0, 1000.0, 5.0),),
         "internal heat capacity of a zone, air and furniture, ISO 52016-1",
         "the predicted temperature jumps where the measured one rises: opposite signs just after each switch",
     ),
     "longwave_radiation": Effect(
         longwave_radiation,
-        (Parameter("epsA", "m²", 0.0, 5.0, 0.3),),
+        (EffectParameter("epsA", "m²", 0.0, 5.0, 0.3),),
         "Stefan-Boltzmann law between a small grey body and its surroundings, ISO 6946 annex C",
         "falls with T - T_amb, a little more than in proportion, and more in a warm room",
     ),
     "door_opening": Effect(
         door_opening,
-        (Parameter("G_door", "W/K", 0.0, 500.0, 20.0),),
+        (EffectParameter("G_door", "W/K", 0.0, 500.0, 20.0),),
         "single-sided air exchange through an opening, ASHRAE Fundamentals 2017, ch. 16",
         "drops towards the room for minutes at times that no input tells, and comes back",
     ),
     "ua_drift": Effect(
         ua_drift,
-        (Parameter("ua_drift", "1/d", -0.05, 0.5, 0.01),),
+        (EffectParameter("ua_drift", "1/d", -0.05, 0.5, 0.01),),
         "ageing of seals and growth of a canopy, to first order",
         "falls with T - T_amb, by a slope that changes from day to day",
         needs=("utc",),

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.effects.effect import Effect, EffectParameter
 from edge.twin.network import Network
-from edge.twin.signals import Floats, Now
+from edge.twin.signals import Floats, HeatConditions
 
 
 def sensor_lag(network: Network, tau_s: float) -> None:
@@ -45,7 +45,7 @@ def evapotranspiration(network: Network, k_e: float) -> None:
     L is the column `light`, RH the column `rel_humidity` in %.
     """
 
-    def taken(now: Now) -> Floats:
+    def taken(now: HeatConditions) -> Floats:
         open_share = 0.4 + 0.6 * now.column["light"]
         return -k_e * open_share * vapour_deficit_kpa(now.temp, now.column["rel_humidity"])
 
@@ -61,45 +61,45 @@ def vapour_deficit_kpa(temp_c: Floats, rel_humidity: Floats) -> Floats:
 SIGNAL_EFFECTS: Mapping[str, Effect] = {
     "sensor_lag": Effect(
         sensor_lag,
-        (Parameter("tau_s", "s", 1.0, 3600.0, 60.0),),
+        (EffectParameter("tau_s", "s", 1.0, 3600.0, 60.0),),
         "first-order response of a temperature sensor, IEC 60751",
         "lags every change, by heater, fan and room alike, by the same time",
     ),
     "sensor_bias": Effect(
         sensor_bias,
-        (Parameter("bias", "K", -5.0, 5.0, 0.3),),
+        (EffectParameter("bias", "K", -5.0, 5.0, 0.3),),
         "systematic error of measurement, JCGM 200 (VIM) 2.17",
         "constant wherever the box has had time to settle, also at the room's temperature",
     ),
     "ambient_offset": Effect(
         ambient_offset,
-        (Parameter("b_amb", "K", -10.0, 10.0, 0.5),),
+        (EffectParameter("b_amb", "K", -10.0, 10.0, 0.5),),
         "systematic error of measurement, JCGM 200 (VIM) 2.17",
         "constant wherever the box has had time to settle, more so with the fan on",
     ),
     "constant_heat": Effect(
         constant_heat,
-        (Parameter("P0", "W", -50.0, 200.0, 5.0),),
+        (EffectParameter("P0", "W", -50.0, 200.0, 5.0),),
         "internal gain, ISO 52016-1",
         "the same heat at all times: most in temperature while the fan is off",
     ),
     "led_gain": Effect(
         led_gain,
-        (Parameter("P_led", "W", 0.0, 300.0, 15.0),),
+        (EffectParameter("P_led", "W", 0.0, 300.0, 15.0),),
         "heat gain from lighting, ASHRAE Fundamentals 2017, ch. 18",
         "positive in proportion to the light",
         needs=("light",),
     ),
     "solar_gain": Effect(
         solar_gain,
-        (Parameter("A_sun", "m²", 0.0, 5.0, 0.05),),
+        (EffectParameter("A_sun", "m²", 0.0, 5.0, 0.05),),
         "effective collecting area of a window, ISO 52016-1, 6.5.13",
         "positive in proportion to the sun",
         needs=("solar",),
     ),
     "evapotranspiration": Effect(
         evapotranspiration,
-        (Parameter("k_e", "W/kPa", 0.0, 200.0, 10.0),),
+        (EffectParameter("k_e", "W/kPa", 0.0, 200.0, 10.0),),
         "latent heat by vapour pressure deficit and light, Stanghellini 1987",
         "negative in dry, warm air, more so in the light",
         needs=("light", "rel_humidity"),

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, Parameter
+from edge.twin.effects.effect import Effect, EffectParameter
 from edge.twin.network import Network
-from edge.twin.signals import Floats, Now
+from edge.twin.signals import Floats, HeatConditions
 
 LARGEST_POWER = 40.0  # of e: a step that is as good as whole
 
@@ -24,7 +24,7 @@ def unnamed_cut(network: Network, f_x: float, T_x: float, w_x: float) -> None:
     """Share of the heater's heat that a warm box does not get: Q = -f_x H / (1 + exp((T_x - T) / w_x))."""
     full_w = network.geometry.heater_max_w
 
-    def gone(now: Now) -> Floats:
+    def gone(now: HeatConditions) -> Floats:
         return np.asarray(-f_x * full_w * now.column["heater_duty"] * _warm(now.temp, T_x, w_x))
 
     network.heat(gone, by_temp=True)
@@ -40,9 +40,9 @@ UNNAMED_EFFECTS: Mapping[str, Effect] = {
     "unnamed_heat": Effect(
         unnamed_heat,
         (
-            Parameter("P_x", "W", -200.0, 200.0, 10.0),
-            Parameter("T_x", "°C", -20.0, 300.0, 30.0),
-            Parameter("w_x", "K", 0.2, 20.0, 1.5),
+            EffectParameter("P_x", "W", -200.0, 200.0, 10.0),
+            EffectParameter("T_x", "°C", -20.0, 300.0, 30.0),
+            EffectParameter("w_x", "K", 0.2, 20.0, 1.5),
         ),
         "a bounded step, as a neuron of a network has it; stands for what was not found",
         "positive or negative while the box is cool",
@@ -50,9 +50,9 @@ UNNAMED_EFFECTS: Mapping[str, Effect] = {
     "unnamed_cut": Effect(
         unnamed_cut,
         (
-            Parameter("f_x", "", 0.0, 1.0, 0.4),
-            Parameter("T_x", "°C", -20.0, 300.0, 30.0),
-            Parameter("w_x", "K", 0.2, 20.0, 1.5),
+            EffectParameter("f_x", "", 0.0, 1.0, 0.4),
+            EffectParameter("T_x", "°C", -20.0, 300.0, 30.0),
+            EffectParameter("w_x", "K", 0.2, 20.0, 1.5),
         ),
         "a bounded step, as a thermal cut-out makes it; stands for what was not found",
         "negative in proportion to the duty while the box is warm",

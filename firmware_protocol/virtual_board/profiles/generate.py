@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
-from firmware_protocol.virtual_board.profiles.record import FOLDER, SAMPLE_S, ProfileRow, record, write
+from firmware_protocol.virtual_board.profiles.record import FOLDER, SAMPLE_S, RecordedRow, record, write
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SequencePlan:
     """What one sequence is meant to do."""
 
     minutes: int
@@ -27,25 +27,25 @@ class Plan:
 
 _LOW, _MIDDLE, _HIGH = (28.0, 29.1), (30.3, 33.6), (34.5, 36.6)
 PLANS = (
-    Plan(212, (0.10, 0.40), 0.25, 0.20, (5, 25), _LOW),
-    Plan(205, (0.20, 0.70), 0.50, 0.15, (3, 10), _LOW),
-    Plan(220, (0.05, 0.35), 0.15, 0.30, (8, 30), _LOW),
-    Plan(212, (0.30, 1.00), 0.65, 0.25, (2, 6), _LOW),
-    Plan(198, (0.10, 0.50), 0.30, 0.40, (4, 15), _LOW),
-    Plan(226, (0.15, 0.60), 0.45, 0.10, (5, 20), _LOW),
-    Plan(212, (0.05, 0.45), 0.30, 0.30, (2, 8), _LOW),
-    Plan(212, (0.20, 0.80), 0.35, 0.20, (5, 20), _MIDDLE),
-    Plan(204, (0.30, 0.70), 0.30, 0.15, (8, 25), _MIDDLE),
-    Plan(219, (0.40, 1.00), 0.55, 0.20, (3, 12), _MIDDLE),
-    Plan(212, (0.10, 0.90), 0.30, 0.30, (2, 10), _MIDDLE),
-    Plan(216, (0.25, 0.65), 0.25, 0.25, (10, 30), _MIDDLE),
-    Plan(206, (0.50, 1.00), 0.30, 0.20, (5, 25), _HIGH),
-    Plan(214, (0.40, 0.95), 0.20, 0.10, (10, 35), _HIGH),
-    Plan(212, (0.60, 1.00), 0.40, 0.15, (4, 16), (36.5, 36.9)),
+    SequencePlan(212, (0.10, 0.40), 0.25, 0.20, (5, 25), _LOW),
+    SequencePlan(205, (0.20, 0.70), 0.50, 0.15, (3, 10), _LOW),
+    SequencePlan(220, (0.05, 0.35), 0.15, 0.30, (8, 30), _LOW),
+    SequencePlan(212, (0.30, 1.00), 0.65, 0.25, (2, 6), _LOW),
+    SequencePlan(198, (0.10, 0.50), 0.30, 0.40, (4, 15), _LOW),
+    SequencePlan(226, (0.15, 0.60), 0.45, 0.10, (5, 20), _LOW),
+    SequencePlan(212, (0.05, 0.45), 0.30, 0.30, (2, 8), _LOW),
+    SequencePlan(212, (0.20, 0.80), 0.35, 0.20, (5, 20), _MIDDLE),
+    SequencePlan(204, (0.30, 0.70), 0.30, 0.15, (8, 25), _MIDDLE),
+    SequencePlan(219, (0.40, 1.00), 0.55, 0.20, (3, 12), _MIDDLE),
+    SequencePlan(212, (0.10, 0.90), 0.30, 0.30, (2, 10), _MIDDLE),
+    SequencePlan(216, (0.25, 0.65), 0.25, 0.25, (10, 30), _MIDDLE),
+    SequencePlan(206, (0.50, 1.00), 0.30, 0.20, (5, 25), _HIGH),
+    SequencePlan(214, (0.40, 0.95), 0.20, 0.10, (10, 35), _HIGH),
+    SequencePlan(212, (0.60, 1.00), 0.40, 0.15, (4, 16), (36.5, 36.9)),
 )
 
 
-def draw(plan: Plan, rng: random.Random) -> list[ProfileRow]:
+def draw(plan: SequencePlan, rng: random.Random) -> list[RecordedRow]:
     """A candidate: segments of constant inputs, one row per minute, the last row with all off."""
     inputs: list[tuple[float, int]] = []
     while len(inputs) < plan.minutes:
@@ -54,11 +54,11 @@ def draw(plan: Plan, rng: random.Random) -> list[ProfileRow]:
         fan = int(bool(inputs) and rng.random() < plan.fan_share)
         hold = rng.randint(*plan.hold_min)
         inputs += [(duty, fan)] * (min(hold, 10) if fan else hold)
-    rows = [ProfileRow(SAMPLE_S * k, *pair) for k, pair in enumerate(inputs[: plan.minutes])]
-    return [*rows, ProfileRow(SAMPLE_S * plan.minutes, 0.0, 0)]
+    rows = [RecordedRow(SAMPLE_S * k, *pair) for k, pair in enumerate(inputs[: plan.minutes])]
+    return [*rows, RecordedRow(SAMPLE_S * plan.minutes, 0.0, 0)]
 
 
-def _find(plan: Plan, seed: int) -> list[ProfileRow]:
+def _find(plan: SequencePlan, seed: int) -> list[RecordedRow]:
     """The first candidate whose measured peak lies in the plan's band."""
     rng = random.Random(seed)
     parameters, effects = load()

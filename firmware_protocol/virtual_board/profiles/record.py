@@ -13,7 +13,7 @@ SAMPLE_S = 60
 
 
 @dataclass(frozen=True, slots=True)
-class ProfileRow:
+class RecordedRow:
     """Inputs that hold from time_s to the next row."""
 
     time_s: int
@@ -27,27 +27,27 @@ def paths() -> list[Path]:
     return sorted(FOLDER.glob("profile_*.csv"))
 
 
-def read(path: Path) -> tuple[dict[str, str], list[ProfileRow]]:
+def read(path: Path) -> tuple[dict[str, str], list[RecordedRow]]:
     """Facts (`# key: value`) and rows of a profile file; the last row marks the end."""
     lines = path.read_text(encoding="utf-8").splitlines()
     facts = dict(line[1:].strip().split(": ", 1) for line in lines if line.startswith("#"))
     table = csv.DictReader(line for line in lines if not line.startswith("#"))
     return facts, [
-        ProfileRow(
+        RecordedRow(
             int(row["time_s"]), float(row["heater_duty"]), int(row["fan_on"]), float(row["light"] or 0.0)
         )
         for row in table
     ]
 
 
-def write(path: Path, facts: dict[str, str], rows: Sequence[ProfileRow]) -> None:
+def write(path: Path, facts: dict[str, str], rows: Sequence[RecordedRow]) -> None:
     """The file that `read` reads."""
     lines = [f"# {key}: {value}" for key, value in facts.items()] + ["time_s,heater_duty,fan_on,light"]
     lines += [f"{row.time_s},{row.heater_duty:g},{row.fan_on},{row.light:g}" for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def record(chamber: Chamber, rows: Sequence[ProfileRow]) -> list[dict[str, float]]:
+def record(chamber: Chamber, rows: Sequence[RecordedRow]) -> list[dict[str, float]]:
     """Drive the chamber as the board would, relay by slow PWM; one dict of sensor values and inputs per row.
 
     A row's inputs are those that hold from its time on; rows lie at multiples of the PWM window.
@@ -61,7 +61,7 @@ def record(chamber: Chamber, rows: Sequence[ProfileRow]) -> list[dict[str, float
     return run
 
 
-def drive(chamber: Chamber, duration_s: int, row: ProfileRow) -> None:
+def drive(chamber: Chamber, duration_s: int, row: RecordedRow) -> None:
     """Hold a row's inputs; the relay is closed for the first duty * 20 s of each window."""
     closed_s = round(row.heater_duty * WINDOW_S)
     for _ in range(0, duration_s, WINDOW_S):

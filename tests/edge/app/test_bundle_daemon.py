@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from edge.bundle.manifest import MANIFEST, SIGNATURE
-from edge.bundle.sign import Facts, build_bundle, generate_key
+from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
 from edge.bundle.store import PACKAGED_FOLDER
 from training.datasets import data_sha256, training_runs
 
@@ -40,7 +40,10 @@ def archive(folder: Path, version: str, key: Path) -> Path:
             (files / path.name).write_bytes(path.read_bytes())
     out = folder / f"{version}.zip"
     build_bundle(
-        files, out, Facts(version, "2026-01-01T00:00:00Z", data_sha256(training_runs("interpolation"))), key
+        files,
+        out,
+        ManifestFacts(version, "2026-01-01T00:00:00Z", data_sha256(training_runs("interpolation"))),
+        key,
     )
     return out
 

@@ -18,7 +18,7 @@ from edge.core.messages import (
     Event,
     Forecast,
     ForecastSkill,
-    Quality,
+    ReadingQuality,
     Severity,
     TickRecord,
 )
@@ -56,7 +56,7 @@ def test_on_a_narrow_terminal_a_tick_is_shortened_and_folded(rig: LoopRig) -> No
 
 
 def test_a_reading_without_a_number_shows_its_quality_and_no_number(rig: LoopRig) -> None:
-    rig.board.temp_air, rig.board.quality = None, Quality.FAULT
+    rig.board.temp_air, rig.board.quality = None, ReadingQuality.FAULT
     shown = line(rig.tick())
     assert "air (fault)" in shown
     assert "reading.not_good" not in shown  # events are told in words

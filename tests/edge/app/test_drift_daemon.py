@@ -19,7 +19,7 @@ from edge.board.virtual_rig import virtual_rig
 from edge.bundle.orders import carry_out
 from edge.bundle.predictors import loader
 from edge.bundle.sign import sign_folder
-from edge.bundle.store import PACKAGED_FOLDER, Store
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config
 from edge.core.controller import Context
 from edge.core.messages import Command, Decision, DriftState, TickRecord
@@ -62,7 +62,7 @@ def rig_with_fan(folder: Path, share: float) -> None:
     value = with_fan(file.twin(), share).effects["fan_effectiveness"]["eps_f"]
     write_twin_file(file.with_values({place: type(file.values()[place])(value)}), models / "twin.yaml")
     sign_folder(models, FACTS, shop.key)
-    store = Store(folder / "bundles", shop.trusted, loader(60.0))
+    store = BundleStore(folder / "bundles", shop.trusted, loader(60.0))
     install(store, models)
     for action in ("activate", "mark-good"):  # good: nothing runs beside it
         carry_out(store, action, None)

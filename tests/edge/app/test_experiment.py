@@ -23,13 +23,13 @@ from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
 from edge.core.errors import DataError, GreenhouseError
 from edge.formats.profile_file import Profile, read_profile
-from edge.formats.run_file import Run, read_run
+from edge.formats.run_file import RecordedRun, read_run
 from edge.safety.supervisor import SafetyMemory, memory_to_dict
 from edge.state import state_file
 from edge.storage.runs import export_run
 from edge.tick.orders import Operation
 from edge.tick.orders_json import to_dict
-from edge.tick.standing import Standing, read_standing
+from edge.tick.standing import StandingState, read_standing
 
 TWELVE_MINUTES = "time_s,heater_duty,fan_on\n0,0.5,0\n180,0,1\n360,1,0\n480,0.25,1\n720,0,0\n"
 
@@ -40,7 +40,7 @@ def profile_file(folder: Path, text: str = TWELVE_MINUTES, name: str = "steps.cs
     return path
 
 
-def record(folder: Path, profile: Path, *options: str, out: str = "run.csv") -> tuple[int, Run]:
+def record(folder: Path, profile: Path, *options: str, out: str = "run.csv") -> tuple[int, RecordedRun]:
     code = main(["experiment", str(profile), "--out", str(folder / out), "--virtual", *options])
     return code, read_run(folder / out)
 
@@ -55,7 +55,7 @@ def lock_step(folder: Path) -> Iterator[SimClock]:
             clock.close()
 
 
-def stand(settings: Settings, standing: Standing) -> None:
+def stand(settings: Settings, standing: StandingState) -> None:
     values = {"operation": to_dict(standing.operation), "safety": memory_to_dict(standing.memory)}
     state_file.write(Path(settings.state_file), values)
 
@@ -241,7 +241,7 @@ def ticks_in(database: Path) -> int:
 def test_standing_orders_wait_and_stand_again_afterwards(tmp_path):
     settings = settings_in(tmp_path, config.default())
     orders = Operation(controller="rules", reference_c=33.0)
-    stand(settings, Standing(orders, SafetyMemory()))
+    stand(settings, StandingState(orders, SafetyMemory()))
     profile = read_profile(profile_file(tmp_path))
     with lock_step(tmp_path) as clock:
         run, _ = run_experiment(Experiment(profile), settings, clock)
@@ -252,8 +252,8 @@ def test_standing_orders_wait_and_stand_again_afterwards(tmp_path):
 @pytest.mark.parametrize(
     ("standing", "reason"),
     [
-        (Standing(Operation("MPC", emergency_stop=True), SafetyMemory()), "emergency stop"),
-        (Standing(Operation("MPC"), SafetyMemory(trips=("over_temperature",))), "over_temperature"),
+        (StandingState(Operation("MPC", emergency_stop=True), SafetyMemory()), "emergency stop"),
+        (StandingState(Operation("MPC"), SafetyMemory(trips=("over_temperature",))), "over_temperature"),
     ],
 )
 def test_a_rig_that_is_held_off_is_not_experimented_with(tmp_path, standing, reason):

@@ -11,7 +11,7 @@ from bench.support.broker import wait_for
 from bench.support.simulated_runs import BOX, simulated, twin_file
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.config.settings import DriftSettings
-from edge.core.messages import Command, Echo, Quality, Reading
+from edge.core.messages import Command, Echo, Reading, ReadingQuality
 from edge.storage import Storage
 from edge.twin.twin_file import write_twin_file
 
@@ -28,7 +28,7 @@ def recorded_till_now(history: Path) -> None:
     now = time.time()
     for k in range(ROWS):
         readings = {
-            name: Reading(name, float(box[f"{name}_c"][k]), 60.0 * k, Quality.GOOD)
+            name: Reading(name, float(box[f"{name}_c"][k]), 60.0 * k, ReadingQuality.GOOD)
             for name in ("temp_air", "temp_ambient")
         }
         duty, fan_on = float(box["heater_duty"][k]), bool(box["fan_on"][k])

@@ -13,19 +13,19 @@ from history_records import START_UTC, HandClock, History, eventful_tick, tick
 from edge.app import plot
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event, Severity
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.storage import Storage
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def run_of(rows: int, **columns: list[float]) -> Run:
+def run_of(rows: int, **columns: list[float]) -> RecordedRun:
     base = {
         "time_s": 60.0 * np.arange(rows),
         "temp_air_c": 20.0 + np.arange(rows),
         "heater_duty": np.linspace(0.0, 1.0, rows),
     }
-    return Run(
+    return RecordedRun(
         {**base, **{key: np.array(value) for key, value in columns.items()}},
         {"start_utc": "2026-01-01T00:00:00Z"},
     )
@@ -54,7 +54,7 @@ def test_a_stretch_of_history_becomes_a_picture(tmp_path: Path) -> None:
     ],
     ids=["one row", "no temperature", "all columns"],
 )
-def test_odd_runs_become_pictures_too(tmp_path: Path, run: Run) -> None:
+def test_odd_runs_become_pictures_too(tmp_path: Path, run: RecordedRun) -> None:
     plot.plot_run(run, tmp_path / "out.png", [event(0.0, text="costs $5 or $\\x")])
     assert (tmp_path / "out.png").read_bytes().startswith(PNG)
 

@@ -9,13 +9,13 @@ import pytest
 from edge.app.replay import decisions_digest, fired_limits, replay, score
 from edge.commands.replay import settings_for, skill_table
 from edge.core.errors import DataError
-from edge.core.messages import Quality, TickRecord
+from edge.core.messages import ReadingQuality, TickRecord
 from edge.core.predictor import Columns, Floats
-from edge.formats.run_file import OPTION_WITHOUT, Run, read_run
+from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, read_run
 from edge.formats.tick_json import tick_json
 from edge.models.arx import Arx
 from edge.models.pbm import Pbm
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 STEP_S = 10.0
 LOGS = Path(__file__).parents[4] / "shared" / "data" / "heated_box"
@@ -31,7 +31,7 @@ TRUE_BOX = Arx(
 )
 
 
-def recording(rows: int = 90, missing: int | None = None) -> Run:
+def recording(rows: int = 90, missing: int | None = None) -> RecordedRun:
     """What TRUE_BOX does under a duty that changes every five minutes."""
     duty = np.where(np.arange(rows) // 30 % 2 == 0, 0.8, 0.2)
     fan = np.where(np.arange(rows) // 45 % 2 == 0, 0.0, 1.0)
@@ -42,10 +42,10 @@ def recording(rows: int = 90, missing: int | None = None) -> Run:
     if missing is not None:
         temp[missing : missing + 5] = np.nan
     times = STEP_S * np.arange(rows)
-    return Run({"time_s": times, "temp_air_c": temp, "heater_duty": duty, "fan_on": fan})
+    return RecordedRun({"time_s": times, "temp_air_c": temp, "heater_duty": duty, "fan_on": fan})
 
 
-def replayed(run: Run) -> list[TickRecord]:
+def replayed(run: RecordedRun) -> list[TickRecord]:
     return replay(run, settings_for(STEP_S, "MPC", 24.0), TRUE_BOX, fan_always_on=False)
 
 
@@ -55,7 +55,7 @@ def test_there_is_one_tick_per_step_and_it_sees_what_was_measured() -> None:
     assert len(records) in (89, 90)
     for row, record in enumerate(records):
         reading = record.readings["temp_air"]
-        assert reading.quality is Quality.GOOD
+        assert reading.quality is ReadingQuality.GOOD
         assert reading.value == pytest.approx(run.columns["temp_air_c"][row])
 
 
@@ -164,12 +164,12 @@ def test_a_measured_log_replays_the_same_twice() -> None:
     settings = settings_for(STEP_S, "MPC", 23.0)
     first, second = (replay(run, settings, model, fan_always_on=True) for _ in range(2))
     assert decisions_digest(first) == decisions_digest(second)
-    assert all(record.readings["temp_ambient"].quality is Quality.ABSENT for record in first)
+    assert all(record.readings["temp_ambient"].quality is ReadingQuality.ABSENT for record in first)
 
 
 def test_a_twins_controller_is_replayed_bit_for_bit() -> None:
     run, settings = recording(), settings_for(STEP_S, "MPC-Twin-P", 24.0)
-    twin = Pbm(Twin(step_s=STEP_S))
+    twin = Pbm(BoxTwin(step_s=STEP_S))
     first, second = (replay(run, settings, TRUE_BOX, False, twin=twin) for _ in range(2))
     assert {record.decision.controller for record in first} == {"MPC-Twin-P"}
     assert decisions_digest(first) == decisions_digest(second)
@@ -177,7 +177,7 @@ def test_a_twins_controller_is_replayed_bit_for_bit() -> None:
 
 def test_a_twin_of_another_step_is_refused() -> None:
     with pytest.raises(DataError, match="sample_s"):
-        replay(recording(), settings_for(STEP_S, "MPC", 24.0), TRUE_BOX, False, twin=Pbm(Twin(step_s=7.0)))
+        replay(recording(), settings_for(STEP_S, "MPC", 24.0), TRUE_BOX, False, twin=Pbm(BoxTwin(step_s=7.0)))
 
 
 def test_a_decision_that_the_clock_cut_short_is_replayed_to_the_same_node() -> None:

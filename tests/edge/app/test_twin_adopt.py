@@ -22,7 +22,7 @@ from edge.bundle.adopt import is_adopted
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.predictors import loader
 from edge.bundle.sign import generate_key
-from edge.bundle.store import PACKAGED_FOLDER, Store
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
@@ -124,7 +124,7 @@ def test_an_effect_that_no_twin_can_have_is_refused(
 
 
 @dataclass(frozen=True)
-class Rig:
+class AdoptingRig:
     """A rig with a bundle of ARX and twin, a key that it trusts, and a report of a diagnosis."""
 
     workshop: Workshop
@@ -135,8 +135,8 @@ class Rig:
         return self.workshop.folder
 
     @property
-    def store(self) -> Store:
-        return Store(self.folder / "rig" / "bundles", self.workshop.trusted, loader(60.0))
+    def store(self) -> BundleStore:
+        return BundleStore(self.folder / "rig" / "bundles", self.workshop.trusted, loader(60.0))
 
     def adopt(self, *words: object) -> int:
         return main(["twin", "adopt", "--config", str(self.folder / "edge.yaml"), *map(str, words)])
@@ -155,17 +155,17 @@ def write_report(folder: Path, twin: TwinFile, **document: object) -> Path:
 
 
 @pytest.fixture
-def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AdoptingRig:
     workshop = Workshop(tmp_path)
     packaged = workshop.signed_folder("packaged", version="0")
-    monkeypatch.setattr(Store.__init__, "__defaults__", (packaged, None))
+    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (packaged, None))
     monkeypatch.setattr(signature, "PACKAGED_KEY", tmp_path / "none.pub")
     (tmp_path / "edge.yaml").write_text(
         f"control_socket: {{path: {tmp_path}/control.sock}}\n"
         f"bundle: {{path: {tmp_path}/rig/bundles, trusted_keys: {workshop.trusted},"
         f" signing_key: {workshop.key}}}\n"
     )
-    return Rig(workshop, write_report(tmp_path / "report", twin_after(KNOWN, [LOSS], ORIGIN)))
+    return AdoptingRig(workshop, write_report(tmp_path / "report", twin_after(KNOWN, [LOSS], ORIGIN)))
 
 
 def version_of(report: Path, base: str = "0") -> str:
@@ -173,7 +173,7 @@ def version_of(report: Path, base: str = "0") -> str:
 
 
 def test_a_new_twin_runs_in_shadow_until_it_is_told_to_take_over(
-    rig: Rig, capsys: pytest.CaptureFixture[str]
+    rig: AdoptingRig, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert rig.adopt(rig.report) == 0
     version = version_of(rig.report)
@@ -194,7 +194,7 @@ def test_a_new_twin_runs_in_shadow_until_it_is_told_to_take_over(
     assert "no adopted twin runs: bundle packaged is active" in capsys.readouterr().err
 
 
-def test_activated_it_is_on_probation_and_one_command_takes_it_back(rig: Rig) -> None:
+def test_activated_it_is_on_probation_and_one_command_takes_it_back(rig: AdoptingRig) -> None:
     assert rig.adopt(rig.report, "--activate") == 0
     roles = rig.store.roles()
     assert (roles.active, roles.previous, roles.on_probation) == (version_of(rig.report), "packaged", True)
@@ -202,7 +202,9 @@ def test_activated_it_is_on_probation_and_one_command_takes_it_back(rig: Rig) ->
     assert rig.store.roles().active == "packaged"
 
 
-def test_a_second_diagnosis_builds_on_the_adopted_twin(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_diagnosis_builds_on_the_adopted_twin(
+    rig: AdoptingRig, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert rig.adopt(rig.report, "--activate") == 0
     assert rig.adopt(rig.report) == 2
     assert "is the twin of bundle 0-twin-" in capsys.readouterr().err
@@ -215,7 +217,7 @@ def test_a_second_diagnosis_builds_on_the_adopted_twin(rig: Rig, capsys: pytest.
     assert rig.store.roles().active == version_of(rig.report)
 
 
-def test_a_running_daemon_has_it_when_the_command_ends(rig: Rig) -> None:
+def test_a_running_daemon_has_it_when_the_command_ends(rig: AdoptingRig) -> None:
     with daemon(rig) as keeper:
         assert rig.adopt(rig.report) == 0
         assert keeper.serving.rival.name == version_of(rig.report)
@@ -226,7 +228,7 @@ def test_a_running_daemon_has_it_when_the_command_ends(rig: Rig) -> None:
 
 
 @contextmanager
-def daemon(rig: Rig) -> Iterator[BundleKeeper]:
+def daemon(rig: AdoptingRig) -> Iterator[BundleKeeper]:
     """The part of a running daemon that answers."""
     keeper = BundleKeeper(rig.store, RealClock(), automatic=False, trial_ticks=10)
     socket = ControlSocket(rig.folder / "control.sock", keeper.answer, lambda *_: None)
@@ -238,7 +240,7 @@ def daemon(rig: Rig) -> Iterator[BundleKeeper]:
 
 
 @pytest.fixture
-def refused(rig: Rig, capsys: pytest.CaptureFixture[str]) -> Iterator[object]:
+def refused(rig: AdoptingRig, capsys: pytest.CaptureFixture[str]) -> Iterator[object]:
     """Calls that are refused in one line and leave the store as it was."""
 
     def call(*words: object) -> str:
@@ -251,7 +253,7 @@ def refused(rig: Rig, capsys: pytest.CaptureFixture[str]) -> Iterator[object]:
     return call
 
 
-def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: Rig, refused) -> None:  # type: ignore[no-untyped-def]
+def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: AdoptingRig, refused) -> None:  # type: ignore[no-untyped-def]
     stranger = rig.folder / "stranger.pem"
     generate_key(stranger)  # its public half is trusted by nobody
     assert "the signature is by none of the 1 trusted keys" in refused(rig.report, "--key", stranger)
@@ -278,7 +280,7 @@ def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: Rig, ref
     ],
 )
 def test_a_report_that_holds_no_new_twin_is_refused(
-    rig: Rig,
+    rig: AdoptingRig,
     refused,  # type: ignore[no-untyped-def]
     twin: TwinFile,
     document: dict[str, object],
@@ -287,7 +289,7 @@ def test_a_report_that_holds_no_new_twin_is_refused(
     assert message in refused(write_report(rig.folder / "other", twin, **document))
 
 
-def test_a_folder_that_is_no_report_is_told(rig: Rig, refused) -> None:  # type: ignore[no-untyped-def]
+def test_a_folder_that_is_no_report_is_told(rig: AdoptingRig, refused) -> None:  # type: ignore[no-untyped-def]
     assert "is this the folder of a diagnosis?" in refused(rig.folder)
     (rig.report / "diagnosis.json").write_text("[]")
     assert refused(rig.report).endswith("diagnosis.json: not JSON: not a JSON object")
@@ -298,7 +300,7 @@ def test_a_folder_that_is_no_report_is_told(rig: Rig, refused) -> None:  # type:
 
 
 def test_a_bundle_for_another_rig_is_written_and_not_installed(
-    rig: Rig, capsys: pytest.CaptureFixture[str]
+    rig: AdoptingRig, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = rig.folder / "out.zip"
     assert rig.adopt(rig.report, "--bundle-out", out) == 0
@@ -309,7 +311,7 @@ def test_a_bundle_for_another_rig_is_written_and_not_installed(
     )
 
 
-def test_a_twin_file_is_replaced_and_put_back(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_twin_file_is_replaced_and_put_back(rig: AdoptingRig, capsys: pytest.CaptureFixture[str]) -> None:
     target = rig.folder / "twin.yaml"
     target.write_text("sample_s: 60\n")
     assert rig.adopt(rig.report, "--to", target) == 0
@@ -324,9 +326,9 @@ def test_a_twin_file_is_replaced_and_put_back(rig: Rig, capsys: pytest.CaptureFi
 
 
 def test_a_hybrid_of_the_twin_before_is_left_out_and_never_the_one_that_plans(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    rig: AdoptingRig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(Store.__init__, "__defaults__", (PACKAGED_FOLDER, None))
+    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (PACKAGED_FOLDER, None))
     shutil.copyfile(PACKAGED_FOLDER.with_suffix(".pub"), rig.workshop.trusted / "packaged.pub")
     rig.configure("control: {predictor: ham}")
     assert rig.adopt(rig.report) == 2
@@ -348,7 +350,7 @@ def test_a_hybrid_of_the_twin_before_is_left_out_and_never_the_one_that_plans(
 # who loads it
 
 
-def test_the_adopted_twin_estimates_and_the_mpc_plans_with_it(rig: Rig) -> None:
+def test_the_adopted_twin_estimates_and_the_mpc_plans_with_it(rig: AdoptingRig) -> None:
     assert rig.adopt(rig.report, "--activate") == 0
     rig.configure("control: {predictor: pbm, controller: MPC}")
     settings = config.load(rig.folder / "edge.yaml")

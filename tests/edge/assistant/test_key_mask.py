@@ -84,7 +84,7 @@ def test_a_reply_of_the_largest_size_is_masked_in_time(part: str) -> None:
     assert time.process_time() - begin_s < 5.0
 
 
-class Echo(StandIn):
+class EchoingServer(StandIn):
     """A server that gives the key back in every form, as a refusal, an error, a tool's name and arguments."""
 
     def sending(self, body: dict[str, object]) -> Sending:
@@ -113,7 +113,7 @@ def test_a_server_that_echoes_the_key_gets_it_nowhere(tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,
         Listener(broker.port, f"{RIG}/#") as listener,
-        Echo() as model,
+        EchoingServer() as model,
         virtual_board(tmp_path, "--real-time"),
         DaemonProcess(
             tmp_path,

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from llm_parts import UTC, Line, endpoint, says, settings
+from llm_parts import UTC, ScriptedLine, endpoint, says, settings
 
 from edge.assistant.llm.budget import Budget, read_spent
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.line import Response
+from edge.assistant.llm.line import HttpResponse
 from edge.assistant.llm.wire import Usage
 
 HELLO = [{"role": "user", "content": "hello"}]
@@ -111,32 +111,37 @@ def test_a_spoilt_file_is_a_new_day(tmp_path: Path, text: str) -> None:
     [
         (says("hi"), 120),
         (says("hi", finish="length"), 120),
-        (Response(500, "", json.dumps({"usage": {"prompt_tokens": 7, "completion_tokens": 0}}).encode()), 7),
-        (Response(500, "", b"no"), 0),
+        (
+            HttpResponse(
+                500, "", json.dumps({"usage": {"prompt_tokens": 7, "completion_tokens": 0}}).encode()
+            ),
+            7,
+        ),
+        (HttpResponse(500, "", b"no"), 0),
         (LlmFailure("unreachable", "x"), 0),
     ],
 )
 def test_failed_exchanges_cost_what_the_server_counted(
-    tmp_path: Path, answer: Response | LlmFailure, tokens: int
+    tmp_path: Path, answer: HttpResponse | LlmFailure, tokens: int
 ) -> None:
-    with endpoint(tmp_path, Line(answer), retries=0) as made:
+    with endpoint(tmp_path, ScriptedLine(answer), retries=0) as made:
         with contextlib.suppress(LlmFailure):
             made.chat(HELLO)
         assert made.budget.spent.tokens == tokens
 
 
 @pytest.mark.parametrize(
-    "answer", [says("hi", usage=None), LlmFailure("timeout", "x"), Response(200, "", b"{")]
+    "answer", [says("hi", usage=None), LlmFailure("timeout", "x"), HttpResponse(200, "", b"{")]
 )
-def test_what_nobody_counted_is_estimated(tmp_path: Path, answer: Response | LlmFailure) -> None:
-    with endpoint(tmp_path, Line(answer)) as made:
+def test_what_nobody_counted_is_estimated(tmp_path: Path, answer: HttpResponse | LlmFailure) -> None:
+    with endpoint(tmp_path, ScriptedLine(answer)) as made:
         with contextlib.suppress(LlmFailure):
             assert made.chat(HELLO).usage.estimated
         assert 20 < made.budget.spent.tokens < 200  # four characters a token
 
 
 def test_over_budget_nothing_goes_over_the_line(tmp_path: Path) -> None:
-    line = Line(says("hi"))
+    line = ScriptedLine(says("hi"))
     with endpoint(tmp_path, line, tokens_per_day=700) as made, pytest.raises(LlmFailure, match="over_budget"):
         made.chat(HELLO)
     assert line.bodies == []

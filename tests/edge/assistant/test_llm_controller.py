@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import pytest
 from contexts import context
-from llm_parts import Line, language_model, says
+from llm_parts import ScriptedLine, language_model, says
 
 from edge.app import controllers as registry
 from edge.assistant.llm.claims import Claim
@@ -15,7 +15,7 @@ from edge.assistant.llm.controller import LlmController
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.language_model import LanguageModel
-from edge.assistant.llm.proposal import Architecture, Proposal
+from edge.assistant.llm.proposal import Architecture, ModelProposal
 from edge.config.settings import ControlSettings
 from edge.core.controller import Context
 from edge.core.controller_names import LLM
@@ -40,19 +40,19 @@ class Thinking:
         self.stopped: list[Interrupt] = []
         self.flagged: tuple[Claim, ...] = ()
 
-    def propose(self, model: LanguageModel, here: Context, stop: Interrupt) -> Proposal:
+    def propose(self, model: LanguageModel, here: Context, stop: Interrupt) -> ModelProposal:
         self.asked.append(here.now_s)
         self.stopped.append(stop)
         answer = self.answers.pop(0)
         self.release.wait(SOON_S)
         if isinstance(answer, Exception):
             raise answer
-        return Proposal(Command(heater_duty=answer), FORECAST, {"rationale": "so"}, self.flagged)
+        return ModelProposal(Command(heater_duty=answer), FORECAST, {"rationale": "so"}, self.flagged)
 
 
 @pytest.fixture
 def model(tmp_path: Path) -> Iterator[LanguageModel]:
-    with language_model(tmp_path, Line(says("hi")), answer_age_max_s=90.0) as made:
+    with language_model(tmp_path, ScriptedLine(says("hi")), answer_age_max_s=90.0) as made:
         yield made
 
 
@@ -193,7 +193,7 @@ def test_a_reset_drops_what_is_under_way(made: Made) -> None:
 def test_the_end_of_the_model_ends_its_threads(tmp_path: Path) -> None:
     before = set(threading.enumerate())
     thinking = Thinking(0.1)
-    with language_model(tmp_path, Line(says("hi"))) as model:
+    with language_model(tmp_path, ScriptedLine(says("hi"))) as model:
         controller = LlmController("LLM-Te0", model, cast(Architecture, thinking), SOON_S)
         at(controller, 0)
     assert [each for each in threading.enumerate() if each not in before] == []
@@ -216,8 +216,8 @@ def test_what_is_missing_is_said_at_every_tick(made: Made) -> None:
     assert thinking.asked == []
 
 
-def parts(model: LanguageModel | None, **values: Any) -> registry.Parts:
-    return registry.Parts(ControlSettings(), read_arx(), llm=model, **values)
+def parts(model: LanguageModel | None, **values: Any) -> registry.ControllerParts:
+    return registry.ControllerParts(ControlSettings(), read_arx(), llm=model, **values)
 
 
 @pytest.mark.parametrize("name", LLM)

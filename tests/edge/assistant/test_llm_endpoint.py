@@ -8,12 +8,12 @@ import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from llm_parts import KEY, Line, document, endpoint, ok, says
+from llm_parts import KEY, ScriptedLine, document, endpoint, ok, says
 
 from edge.assistant.llm.endpoint import retry_after_s
 from edge.assistant.llm.failure import KINDS, LlmFailure
 from edge.assistant.llm.interrupt import Interrupt
-from edge.assistant.llm.line import Response
+from edge.assistant.llm.line import HttpResponse
 from edge.assistant.llm.wire import Schema, ToolSpec, Usage, read_document, read_reply, read_usage
 
 HELLO = [{"role": "user", "content": "hello"}]
@@ -21,11 +21,11 @@ SCHEMA = Schema("answer", {"type": "object"})
 TOOL = ToolSpec("look", "looks", {"type": "object"})
 
 
-def error(status: int, text: str = "no", after: str = "") -> Response:
-    return Response(status, after, json.dumps({"error": {"message": text}}).encode())
+def error(status: int, text: str = "no", after: str = "") -> HttpResponse:
+    return HttpResponse(status, after, json.dumps({"error": {"message": text}}).encode())
 
 
-def failure(folder: Path, line: Line, deadline_s: float = 1000.0, **values: Any) -> LlmFailure:
+def failure(folder: Path, line: ScriptedLine, deadline_s: float = 1000.0, **values: Any) -> LlmFailure:
     with endpoint(folder, line, **values) as made, pytest.raises(LlmFailure) as caught:
         made.chat(HELLO, deadline_s=deadline_s)
     assert caught.value.kind in KINDS
@@ -33,7 +33,7 @@ def failure(folder: Path, line: Line, deadline_s: float = 1000.0, **values: Any)
 
 
 def test_a_request_has_the_wire_format(tmp_path: Path) -> None:
-    line = Line(says("hi"))
+    line = ScriptedLine(says("hi"))
     with endpoint(tmp_path, line) as made:
         reply = made.chat(HELLO, [TOOL], temperature=1.0, schema=SCHEMA, deadline_s=5.0)
         made.chat(HELLO, schema=SCHEMA)
@@ -72,21 +72,21 @@ def test_a_request_has_the_wire_format(tmp_path: Path) -> None:
 def test_every_status_is_a_kind_and_only_what_may_pass_is_tried_again(
     tmp_path: Path, status: int, kind: str, asked: int
 ) -> None:
-    line = Line(error(status))
+    line = ScriptedLine(error(status))
     assert failure(tmp_path, line, retries=2).kind == kind
     assert len(line.bodies) == asked
     assert line.pauses == [1.0, 2.0][: asked - 1]
 
 
 def test_a_server_that_recovers_is_answered(tmp_path: Path) -> None:
-    line = Line(error(500), LlmFailure("unreachable", "x"), says("hi"))
+    line = ScriptedLine(error(500), LlmFailure("unreachable", "x"), says("hi"))
     with endpoint(tmp_path, line, retries=2) as made:
         assert made.chat(HELLO).content == "hi"
 
 
 @pytest.mark.parametrize(("after", "pauses"), [("7", [7.0]), ("0.2", [1.0]), ("60", [60.0])])
 def test_a_pause_is_as_long_as_the_server_asks(tmp_path: Path, after: str, pauses: list[float]) -> None:
-    line = Line(error(429, after=after), says("hi"))
+    line = ScriptedLine(error(429, after=after), says("hi"))
     with endpoint(tmp_path, line) as made:
         made.chat(HELLO)
     assert line.pauses == pauses
@@ -94,13 +94,13 @@ def test_a_pause_is_as_long_as_the_server_asks(tmp_path: Path, after: str, pause
 
 @pytest.mark.parametrize("after", ["61", "-1", "nan", "inf", "Wed, 21 Oct 2026 07:28:00 GMT", "soon"])
 def test_a_server_that_asks_for_too_much_patience_gets_none(tmp_path: Path, after: str) -> None:
-    line = Line(error(429, after=after))
+    line = ScriptedLine(error(429, after=after))
     assert failure(tmp_path, line).kind == "rate_limited"
     assert line.pauses == []
 
 
 def test_no_pause_reaches_beyond_the_deadline(tmp_path: Path) -> None:
-    line = Line(error(500))
+    line = ScriptedLine(error(500))
     assert failure(tmp_path, line, deadline_s=3.5, retries=5).kind == "server_error"
     assert line.pauses == [1.0, 2.0]
     assert line.deadlines == [3.5, 2.5, 0.5]
@@ -108,7 +108,7 @@ def test_no_pause_reaches_beyond_the_deadline(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("deadline_s", [0.0, -1.0, float("nan")])
 def test_without_time_nothing_is_sent(tmp_path: Path, deadline_s: float) -> None:
-    line = Line(says("hi"))
+    line = ScriptedLine(says("hi"))
     with endpoint(tmp_path, line) as made:
         with pytest.raises(LlmFailure, match="timeout"):
             made.chat(HELLO, deadline_s=deadline_s)
@@ -117,7 +117,7 @@ def test_without_time_nothing_is_sent(tmp_path: Path, deadline_s: float) -> None
 
 
 def test_a_fired_interrupt_ends_the_retries(tmp_path: Path) -> None:
-    stop, line = Interrupt(), Line(error(500))
+    stop, line = Interrupt(), ScriptedLine(error(500))
     stop.fire()
     with endpoint(tmp_path, line) as made, pytest.raises(LlmFailure, match="interrupted"):
         made.chat(HELLO, stop=stop)
@@ -125,7 +125,7 @@ def test_a_fired_interrupt_ends_the_retries(tmp_path: Path) -> None:
 
 
 def test_a_server_without_response_format_is_asked_without_it_from_then_on(tmp_path: Path) -> None:
-    line = Line(error(400, "response_format is unknown"), says("{}"))
+    line = ScriptedLine(error(400, "response_format is unknown"), says("{}"))
     with endpoint(tmp_path, line) as made:
         assert made.chat(HELLO, schema=SCHEMA).content == "{}"
         made.chat(HELLO, schema=SCHEMA)
@@ -133,7 +133,7 @@ def test_a_server_without_response_format_is_asked_without_it_from_then_on(tmp_p
 
 
 def test_a_server_that_wants_max_completion_tokens_gets_them(tmp_path: Path) -> None:
-    line = Line(error(400, "use 'max_completion_tokens' instead"), says("hi"))
+    line = ScriptedLine(error(400, "use 'max_completion_tokens' instead"), says("hi"))
     with endpoint(tmp_path, line) as made:
         made.chat(HELLO)
         made.chat(HELLO)
@@ -141,7 +141,7 @@ def test_a_server_that_wants_max_completion_tokens_gets_them(tmp_path: Path) -> 
 
 
 def test_a_request_that_is_refused_either_way_teaches_nothing(tmp_path: Path) -> None:
-    line = Line(error(400, "context too long"), error(400, "context too long"), says("{}"))
+    line = ScriptedLine(error(400, "context too long"), error(400, "context too long"), says("{}"))
     with endpoint(tmp_path, line) as made:
         with pytest.raises(LlmFailure, match="bad_request"):
             made.chat(HELLO, schema=SCHEMA)
@@ -151,9 +151,9 @@ def test_a_request_that_is_refused_either_way_teaches_nothing(tmp_path: Path) ->
 
 def test_no_failure_tells_the_key(tmp_path: Path) -> None:
     for status in (400, 401, 403, 429, 500):
-        line = Line(error(status, f"bad key {KEY}", after="99"))
+        line = ScriptedLine(error(status, f"bad key {KEY}", after="99"))
         assert KEY not in str(failure(tmp_path, line))
-    with endpoint(tmp_path, Line(says("hi"))) as made:
+    with endpoint(tmp_path, ScriptedLine(says("hi"))) as made:
         assert KEY not in repr(made)
 
 
@@ -177,17 +177,17 @@ def test_no_failure_tells_the_key(tmp_path: Path) -> None:
     ],
 )
 def test_a_reply_of_another_form_is_a_failure_of_its_kind(tmp_path: Path, value: Any, kind: str) -> None:
-    assert failure(tmp_path, Line(ok(value))).kind == kind
+    assert failure(tmp_path, ScriptedLine(ok(value))).kind == kind
 
 
 @pytest.mark.parametrize("raw", [b"", b"{", b"\xff", b"[" * 100_000, b'{"choices": NaN}', b"null"])
 def test_a_reply_that_is_no_json_object_is_malformed(tmp_path: Path, raw: bytes) -> None:
-    assert failure(tmp_path, Line(Response(200, "", raw))).kind == "malformed"
+    assert failure(tmp_path, ScriptedLine(HttpResponse(200, "", raw))).kind == "malformed"
 
 
 def test_content_may_be_null_and_arguments_no_json(tmp_path: Path) -> None:
     call = {"id": "a", "type": "function", "function": {"name": "f", "arguments": "{oops"}}
-    line = Line(ok(document({"content": None, "tool_calls": [call]}, "tool_calls")))
+    line = ScriptedLine(ok(document({"content": None, "tool_calls": [call]}, "tool_calls")))
     with endpoint(tmp_path, line) as made:
         reply = made.chat(HELLO)
     assert reply.content is None

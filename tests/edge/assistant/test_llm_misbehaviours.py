@@ -50,7 +50,7 @@ FAILS = {  # what the history calls it
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class MisbehaviourRun:
     """One run, and the ticks at which each misbehaviour was answered."""
 
     ended: Ended
@@ -69,7 +69,7 @@ class Trial:
         ]
 
 
-def trial(controller: str, behaviours: Sequence[str]) -> Trial:
+def trial(controller: str, behaviours: Sequence[str]) -> MisbehaviourRun:
     ticks = {name: range(WARM_UP + TICKS * n, WARM_UP + TICKS * (n + 1)) for n, name in enumerate(behaviours)}
     by_tick = ["honest"] * WARM_UP + [name for name in behaviours for _ in range(TICKS)]
     with StandIn() as stand_in:
@@ -79,11 +79,11 @@ def trial(controller: str, behaviours: Sequence[str]) -> Trial:
             records.append(record)
 
         records: list[TickRecord] = []
-        return Trial(run(controller, stand_in.url, len(by_tick), during=turn, timeout_s=0.3), ticks)
+        return MisbehaviourRun(run(controller, stand_in.url, len(by_tick), during=turn, timeout_s=0.3), ticks)
 
 
 @pytest.fixture(scope="module")
-def trials() -> dict[str, Trial]:
+def trials() -> dict[str, MisbehaviourRun]:
     return {controller: trial(controller, list(fails)) for controller, fails in FAILS.items()}
 
 
@@ -92,7 +92,7 @@ CASES = [(controller, behave) for controller, fails in FAILS.items() for behave 
 
 @pytest.mark.parametrize(("controller", "behave"), CASES)
 def test_the_fallback_decides_and_the_history_says_why(
-    trials: dict[str, Trial], controller: str, behave: str
+    trials: dict[str, MisbehaviourRun], controller: str, behave: str
 ) -> None:
     there = trials[controller]
     assert there.decided(behave) == ["MPC"] * TICKS
@@ -104,7 +104,7 @@ def test_the_fallback_decides_and_the_history_says_why(
 
 @pytest.mark.parametrize("controller", FAILS)
 def test_the_rig_stays_near_its_reference_and_inside_its_limits(
-    trials: dict[str, Trial], controller: str
+    trials: dict[str, MisbehaviourRun], controller: str
 ) -> None:
     ended = trials[controller].ended
     assert np.abs(ended.true_air_c[WARM_UP:] - REFERENCE_C).max() < 1.5  # the sensor alone reads 0.4 K high
@@ -113,7 +113,7 @@ def test_the_rig_stays_near_its_reference_and_inside_its_limits(
 
 
 @pytest.mark.parametrize("controller", FAILS)
-def test_failures_are_counted_by_kind(trials: dict[str, Trial], controller: str) -> None:
+def test_failures_are_counted_by_kind(trials: dict[str, MisbehaviourRun], controller: str) -> None:
     last = trials[controller].ended.said("controller.error")[-1]
     assert "(so far: " in last
     counted = sum(int(part.split()[-1]) for part in last.split("(so far: ")[1].rstrip(")").split(", "))

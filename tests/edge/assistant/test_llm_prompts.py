@@ -6,12 +6,12 @@ import pytest
 from contexts import context
 
 from edge.assistant.llm.prompts import EXACTLY, SPARE, question, system_prompt
-from edge.core.controller import Limits, Penalty
+from edge.core.controller import ControlLimits, Penalty
 from edge.core.controller_names import LLM
 from edge.core.messages import Command
 from training.llm_stand_in.prompt import read_prompt
 
-HERE = context(temp=24.04, reference=26.0, last_sent=Command(0.45, True), limits=Limits(0.62, 3))
+HERE = context(temp=24.04, reference=26.0, last_sent=Command(0.45, True), limits=ControlLimits(0.62, 3))
 
 
 @pytest.mark.parametrize("name", LLM)
@@ -42,7 +42,7 @@ def test_an_operators_weights_are_told() -> None:
 
 
 def test_a_free_relay_is_not_spoken_of() -> None:
-    assert "relay stays" not in system_prompt(LLM["LLM-Te0"], replace(HERE, limits=Limits()), 10)
+    assert "relay stays" not in system_prompt(LLM["LLM-Te0"], replace(HERE, limits=ControlLimits()), 10)
 
 
 def test_a_script_reads_back_what_was_said() -> None:

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 from contexts import context
-from llm_parts import Line, calls, language_model, says
+from llm_parts import ScriptedLine, calls, language_model, says
 
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.interrupt import Interrupt
-from edge.assistant.llm.line import Response
-from edge.assistant.llm.proposal import Architecture, Proposal
+from edge.assistant.llm.line import HttpResponse
+from edge.assistant.llm.proposal import Architecture, ModelProposal
 from edge.core.controller_names import LLM
 from edge.models.arx_file import read_arx
 from edge.storage.file import connect
@@ -20,19 +20,21 @@ ARX = read_arx()
 SIMULATE = calls("simulate", '{"heater_duty": [0.3, 0.2], "fan_on": [false, false]}')
 
 
-def says_controls(**values: Any) -> Response:
+def says_controls(**values: Any) -> HttpResponse:
     return says(json.dumps({"heater_duty": 0.3, "fan_on": False, "rationale": "warm", **values}))
 
 
-def proposed(folder: Path, name: str, *answers: Response, **values: Any) -> tuple[Proposal, Line]:
-    line, variant = Line(*answers), LLM[name]
+def proposed(
+    folder: Path, name: str, *answers: HttpResponse, **values: Any
+) -> tuple[ModelProposal, ScriptedLine]:
+    line, variant = ScriptedLine(*answers), LLM[name]
     predictor = ARX if variant.assistance not in ("", "sql") else None
     with language_model(folder, line, **values) as model:
         architecture = Architecture(variant, predictor, True, 10, False)
         return architecture.propose(model, context(temp=24.0, reference=26.0), Interrupt()), line
 
 
-def kind_of(folder: Path, name: str, *answers: Response) -> str:
+def kind_of(folder: Path, name: str, *answers: HttpResponse) -> str:
     with pytest.raises(LlmFailure) as caught:
         proposed(folder, name, *answers)
     return caught.value.kind
@@ -91,7 +93,7 @@ def test_a_cited_simulation_is_the_forecast(tmp_path: Path) -> None:
     ],
 )
 def test_controls_without_a_simulation_behind_them_are_refused(
-    tmp_path: Path, answers: list[Response], kind: str
+    tmp_path: Path, answers: list[HttpResponse], kind: str
 ) -> None:
     assert kind_of(tmp_path, "LLM-Linear-Te0-P", *answers) == kind
 

@@ -8,7 +8,7 @@ from contexts import context
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.assistant.llm.answer import Answer
+from edge.assistant.llm.answer import ModelAnswer
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
@@ -34,8 +34,8 @@ def asked(duties: list[Any], fans: list[Any]) -> dict[str, Any]:
     return tool().call({"heater_duty": duties, "fan_on": fans})
 
 
-def answer(duty: float = 0.5, fan: bool = False, cites: str = "simulate-1") -> Answer:
-    return Answer(Command(heater_duty=duty, fan_on=fan), "", cites)
+def answer(duty: float = 0.5, fan: bool = False, cites: str = "simulate-1") -> ModelAnswer:
+    return ModelAnswer(Command(heater_duty=duty, fan_on=fan), "", cites)
 
 
 def ledger(*calls: tuple[list[float], list[bool]]) -> Ledger:
@@ -46,7 +46,7 @@ def ledger(*calls: tuple[list[float], list[bool]]) -> Ledger:
     return made
 
 
-def kind_of(given: Answer, calls: Ledger, by: Simulator | None = None) -> str:
+def kind_of(given: ModelAnswer, calls: Ledger, by: Simulator | None = None) -> str:
     with pytest.raises(LlmFailure) as caught:
         cited_forecast(given, calls, by or simulator())
     return caught.value.kind

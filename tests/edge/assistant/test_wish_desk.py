@@ -9,10 +9,10 @@ import pytest
 from test_steering import TWIN, document, status
 
 from bench.support.broker import wait_for
-from edge.assistant.requests.desk import PROPOSAL_AGE_MAX_S, Surroundings, WishDesk
+from edge.assistant.requests.desk import PROPOSAL_AGE_MAX_S, DeskParts, WishDesk
 from edge.config import loading as config
 from edge.core.errors import DataError
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 SETTINGS = config.parse("timezone: UTC")
 
@@ -28,13 +28,13 @@ class Office:
     refuses: str = ""
     unsaved: str = ""
     standing: dict[str, Any] | None = None
-    twin: Twin | None = None
+    twin: BoxTwin | None = None
 
     def __post_init__(self) -> None:
         self.may_answer = threading.Event()
         self.may_answer.set()
         self.done = threading.Event()
-        around = Surroundings(SETTINGS, self._model, self._loop, lambda: self.twin, lambda: self.now_utc)
+        around = DeskParts(SETTINGS, self._model, self._loop, lambda: self.twin, lambda: self.now_utc)
         self.desk = WishDesk(around)
         self.desk.listeners.append(self._told)
 
@@ -223,5 +223,5 @@ def test_old_proposals_are_forgotten() -> None:
 
 
 def test_a_rig_without_a_language_model_says_so() -> None:
-    desk = WishDesk(Surroundings(SETTINGS, None, lambda request: {}, lambda: None, lambda: 0.0))
+    desk = WishDesk(DeskParts(SETTINGS, None, lambda request: {}, lambda: None, lambda: 0.0))
     assert "llm.url is empty" in desk.answer({"do": "ask", "words": "warmer"})["error"]

@@ -21,7 +21,7 @@ from firmware_protocol.virtual_board.lockstep import milliseconds
 
 
 @dataclass
-class Rig:
+class LockStepRig:
     board: object
     clock: SimClock
     port: SerialPort
@@ -31,7 +31,7 @@ class Rig:
 def rig(tmp_path):
     with virtual_board(tmp_path) as board:
         clock, port = SimClock(board.control), SerialPort(str(board.port), 115200)
-        yield Rig(board, clock, port)
+        yield LockStepRig(board, clock, port)
         port.close()
         clock.close()
 

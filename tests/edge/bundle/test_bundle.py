@@ -22,10 +22,10 @@ from edge.bundle.check import check_folder
 from edge.bundle.manifest import MANIFEST, SIGNATURE
 from edge.bundle.predictors import loader
 from edge.bundle.sign import build_bundle, generate_key, sign_folder
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 from edge.core.errors import DataError
 from edge.models.pbm import Pbm
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 
 @pytest.fixture
@@ -240,7 +240,7 @@ def test_an_archive_with_a_link_in_it_makes_a_plain_file(tmp_path: Path) -> None
 
 
 def test_a_truncated_archive_is_refused_wherever_it_is_cut(workshop: Workshop) -> None:
-    store = Store(workshop.folder / "store", workshop.trusted, load_nothing)
+    store = BundleStore(workshop.folder / "store", workshop.trusted, load_nothing)
     whole = workshop.archive("1.0").read_bytes()
     for length in (0, 1, len(whole) // 2, len(whole) - 1):
         cut_off = workshop.folder / "cut.zip"
@@ -251,7 +251,7 @@ def test_a_truncated_archive_is_refused_wherever_it_is_cut(workshop: Workshop) -
 
 
 def test_a_bit_that_flips_in_an_archive_is_seen_wherever_it_is(workshop: Workshop) -> None:
-    store = Store(workshop.folder / "store", workshop.trusted, load_nothing)
+    store = BundleStore(workshop.folder / "store", workshop.trusted, load_nothing)
     whole = workshop.archive("1.0").read_bytes()
     good = workshop.folder / "flipped.zip"
     for place in range(0, len(whole), 97):
@@ -365,7 +365,7 @@ def test_the_hybrid_is_held_to_the_bundles_twin(workshop: Workshop, monkeypatch:
     (folder / "ham.onnx").write_bytes(b"a graph")
     manifest = sign_folder(folder, FACTS, workshop.key)
     assert list(loader(60.0)(folder, manifest)) == ["arx", "pbm", "ham"]
-    assert asked == [("ham.onnx", Twin().sha256)]
+    assert asked == [("ham.onnx", BoxTwin().sha256)]
 
 
 def test_a_pbm_that_is_another_twin_than_the_hybrids_has_its_own_file(workshop: Workshop) -> None:
@@ -373,5 +373,5 @@ def test_a_pbm_that_is_another_twin_than_the_hybrids_has_its_own_file(workshop: 
     (folder / "pbm.yaml").write_text("geometry: {volume_m3: 0.2}\n")
     manifest = sign_folder(folder, FACTS, workshop.key)
     pbm = loader(60.0)(folder, manifest)["pbm"]
-    assert manifest.twin_sha256 == Twin().sha256
+    assert manifest.twin_sha256 == BoxTwin().sha256
     assert pbm.twin.geometry.volume_m3 == 0.2

@@ -12,7 +12,7 @@ from edge.__main__ import main
 from edge.bundle import signature, store
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.predictors import loader
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 from edge.core.clock import RealClock
 from edge.sockets.control_socket import ControlSocket
 
@@ -22,7 +22,7 @@ def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workshop:
     """A rig with a configuration and a packaged bundle, and a person who signs."""
     workshop = Workshop(tmp_path)
     packaged = workshop.signed_folder("packaged", version="0")
-    monkeypatch.setattr(Store.__init__, "__defaults__", (packaged, None))
+    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (packaged, None))
     monkeypatch.setattr(signature, "PACKAGED_KEY", tmp_path / "none.pub")
     (tmp_path / "edge.yaml").write_text(
         f"bundle: {{path: {tmp_path}/rig/bundles, trusted_keys: {workshop.trusted}}}\n"
@@ -34,7 +34,7 @@ def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workshop:
 @pytest.fixture
 def daemon(workshop: Workshop) -> Iterator[BundleKeeper]:
     """The part of a running daemon that answers."""
-    place = Store(workshop.folder / "rig" / "bundles", workshop.trusted, loader(60.0))
+    place = BundleStore(workshop.folder / "rig" / "bundles", workshop.trusted, loader(60.0))
     keeper = BundleKeeper(place, RealClock(), automatic=False, trial_ticks=10)
     socket = ControlSocket(workshop.folder / "control.sock", keeper.answer, lambda *_: None)
     yield keeper

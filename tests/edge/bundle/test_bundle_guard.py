@@ -17,9 +17,9 @@ from edge.bundle.keeper import BundleKeeper
 from edge.bundle.manifest import PACKAGED
 from edge.bundle.orders import carry_out
 from edge.bundle.predictors import loader
-from edge.bundle.proof import Limits, Prover
-from edge.bundle.sign import Facts, build_bundle
-from edge.bundle.store import PACKAGED_FOLDER, Store
+from edge.bundle.proof import ProofLimits, Prover
+from edge.bundle.sign import ManifestFacts, build_bundle
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
 
@@ -31,13 +31,13 @@ def workshop(tmp_path: Path) -> Workshop:
     return workshop
 
 
-def make_store(workshop: Workshop, prove: Prover | None = None) -> Store:
+def make_store(workshop: Workshop, prove: Prover | None = None) -> BundleStore:
     load = load_nothing if prove is None else loader(60.0)
-    return Store(workshop.folder / "store", workshop.trusted, load, workshop.folder / "packaged", prove)
+    return BundleStore(workshop.folder / "store", workshop.trusted, load, workshop.folder / "packaged", prove)
 
 
 def prover(workshop: Workshop, **limits: float) -> Prover:
-    return Prover(workshop.trusted, 60.0, Limits(**limits))
+    return Prover(workshop.trusted, 60.0, ProofLimits(**limits))
 
 
 def with_graph(workshop: Workshop, graph: bytes, version: str = "1.0") -> Path:
@@ -45,7 +45,7 @@ def with_graph(workshop: Workshop, graph: bytes, version: str = "1.0") -> Path:
     models = workshop.models(f"evil-{version}")
     (models / "rl-off.onnx").write_bytes(graph)
     out = workshop.folder / f"evil-{version}.zip"
-    build_bundle(models, out, Facts(version, "2026-07-01T12:00:00Z", "d" * 64), workshop.key)
+    build_bundle(models, out, ManifestFacts(version, "2026-07-01T12:00:00Z", "d" * 64), workshop.key)
     return out
 
 
@@ -117,7 +117,7 @@ def test_without_its_record_a_store_asks_the_operator(workshop: Workshop, text: 
 
 
 def test_the_command_has_the_flag_and_the_daemon_tells_of_it(workshop: Workshop, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(Store.__init__, "__defaults__", (workshop.folder / "packaged", None))
+    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (workshop.folder / "packaged", None))
     monkeypatch.setattr("edge.commands.bundle.Prover", lambda *_: None)
     config = workshop.folder / "edge.yaml"
     folder = workshop.folder / "store"
@@ -168,7 +168,7 @@ def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(
     folder = workshop.folder / "store" / "1.1"
     shutil.copytree(workshop.signed_folder("by-hand", version="1.1"), folder)
     asked: list[str] = []
-    store = Store(
+    store = BundleStore(
         trusting.folder, workshop.trusted, load_nothing, prove=lambda place: asked.append(place.name)
     )
     store.load("1.0")
@@ -199,7 +199,7 @@ def test_a_file_exchanged_between_check_and_load_is_not_loaded(workshop: Worksho
         return checked
 
     monkeypatch.setattr("edge.bundle.store.read_checked", exchange)
-    rig = Store(workshop.folder / "store", workshop.trusted, loader(60.0), workshop.folder / "packaged")
+    rig = BundleStore(workshop.folder / "store", workshop.trusted, loader(60.0), workshop.folder / "packaged")
     loaded = rig.load("1.0")
     assert (place / "arx.json").read_bytes() == b"evil"
     assert loaded.predictors["arx"].step_s == 60.0

@@ -13,7 +13,7 @@ from bundles import Workshop, install, load_nothing
 from edge.bundle.keeper import JOBS_WAITING, BundleKeeper
 from edge.bundle.manifest import PACKAGED, Manifest
 from edge.bundle.roles import Roles
-from edge.bundle.store import Load, Store
+from edge.bundle.store import BundleStore, Load
 from edge.bundle.trial import HorizonScore
 from edge.core.clock import RealClock
 from edge.core.messages import Severity
@@ -29,12 +29,12 @@ def workshop(tmp_path: Path) -> Workshop:
     return workshop
 
 
-def make_store(workshop: Workshop, load: Load = load_nothing) -> Store:
-    return Store(workshop.folder / "store", workshop.trusted, load, workshop.folder / "packaged")
+def make_store(workshop: Workshop, load: Load = load_nothing) -> BundleStore:
+    return BundleStore(workshop.folder / "store", workshop.trusted, load, workshop.folder / "packaged")
 
 
 @contextmanager
-def keeping(store: Store, automatic: bool = False) -> Iterator[BundleKeeper]:
+def keeping(store: BundleStore, automatic: bool = False) -> Iterator[BundleKeeper]:
     keeper = BundleKeeper(store, RealClock(), automatic, TICKS)
     try:
         yield keeper

@@ -16,7 +16,7 @@ from bundles import Workshop, install, load_nothing
 from edge.bundle.manifest import PACKAGED
 from edge.bundle.orders import carry_out
 from edge.bundle.serving import choose
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 
 pytestmark = pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
 
@@ -28,12 +28,12 @@ sys.path[:0] = [{tests!r}]
 from bundles import install, load_nothing
 from edge.bundle.orders import carry_out
 from edge.bundle.serving import choose
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 
 folder, kind, children = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 
 def store(place):
-    return Store(place, folder / "trusted", load_nothing, folder / "packaged")
+    return BundleStore(place, folder / "trusted", load_nothing, folder / "packaged")
 
 def work(place):
     install(store(place), folder / "2.0.zip")
@@ -76,8 +76,8 @@ def prepare(folder: Path) -> Workshop:
     return workshop
 
 
-def store_at(workshop: Workshop, folder: Path) -> Store:
-    return Store(folder, workshop.trusted, load_nothing, workshop.folder / "packaged")
+def store_at(workshop: Workshop, folder: Path) -> BundleStore:
+    return BundleStore(folder, workshop.trusted, load_nothing, workshop.folder / "packaged")
 
 
 def run(folder: Path, kind: str, children: int, strace: list[str]) -> list[int]:

@@ -16,7 +16,7 @@ from edge.bundle.keeper import BundleKeeper
 from edge.bundle.manifest import MANIFEST, parse_manifest
 from edge.bundle.predictors import loader
 from edge.bundle.sign import sign_folder
-from edge.bundle.store import Store
+from edge.bundle.store import BundleStore
 from edge.config import loading as config
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
@@ -38,7 +38,7 @@ def with_policies(workshop: Workshop, **facts: object) -> Path:
 
 
 def loaded(workshop: Workshop, folder: Path):
-    return Store(workshop.folder / "store", workshop.trusted, load_nothing, folder).load("packaged")
+    return BundleStore(workshop.folder / "store", workshop.trusted, load_nothing, folder).load("packaged")
 
 
 def test_the_policies_of_a_bundle_are_loaded_by_controller(workshop: Workshop) -> None:
@@ -93,7 +93,7 @@ def test_the_command_names_the_policies(workshop: Workshop, capsys: pytest.Captu
 
 
 def test_controllers_have_the_policies_of_the_active_bundle(workshop: Workshop) -> None:
-    place = Store(workshop.folder / "store", workshop.trusted, loader(60.0), with_policies(workshop))
+    place = BundleStore(workshop.folder / "store", workshop.trusted, loader(60.0), with_policies(workshop))
     keeper = BundleKeeper(place, RealClock(), automatic=False, trial_ticks=10)
     try:
         controllers = ActiveModels(config.default(), keeper, SkillState()).controllers()

@@ -14,7 +14,7 @@ from edge.bundle.manifest import PACKAGED, Manifest
 from edge.bundle.orders import carry_out
 from edge.bundle.roles import Roles, activated, installed, marked_good, rejected, rolled_back
 from edge.bundle.serving import choose
-from edge.bundle.store import Load, Store
+from edge.bundle.store import BundleStore, Load
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor
 
@@ -100,15 +100,15 @@ def workshop(tmp_path: Path) -> Workshop:
     return Workshop(tmp_path)
 
 
-def make_store(workshop: Workshop, load: Load = load_nothing) -> Store:
+def make_store(workshop: Workshop, load: Load = load_nothing) -> BundleStore:
     """A store whose packaged bundle is version 0."""
     packaged = workshop.folder / "packaged"
     if not packaged.exists():
         workshop.signed_folder("packaged", version="0")
-    return Store(workshop.folder / "store", workshop.trusted, load, packaged)
+    return BundleStore(workshop.folder / "store", workshop.trusted, load, packaged)
 
 
-def names(store: Store) -> list[str]:
+def names(store: BundleStore) -> list[str]:
     return sorted(path.name for path in store.folder.iterdir())
 
 
@@ -239,7 +239,7 @@ def test_a_disk_that_refuses_is_told_in_one_line(workshop: Workshop) -> None:
 # what serves
 
 
-def two_bundles(workshop: Workshop) -> Store:
+def two_bundles(workshop: Workshop) -> BundleStore:
     """2.0 is active, 1.0 was before."""
     store = make_store(workshop)
     for version in ("1.0", "2.0"):

@@ -8,7 +8,7 @@ import pytest
 
 from edge.bundle.check import check_folder
 from edge.bundle.predictors import load_predictors, loader
-from edge.bundle.store import PACKAGED_FOLDER, Store
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.core.errors import DataError
 from edge.models.arx_file import DEFAULT_PATH
 from training import datasets
@@ -22,7 +22,7 @@ POLICIES = Path(__file__).parents[3] / "training" / "results" / "policies"
 
 @pytest.fixture(scope="module")
 def packaged():
-    return Store(NO_KEYS, NO_KEYS, loader(60.0)).load("packaged")
+    return BundleStore(NO_KEYS, NO_KEYS, loader(60.0)).load("packaged")
 
 
 def test_it_is_signed_and_holds_all_four_models(packaged):
@@ -72,7 +72,7 @@ def test_every_model_gives_persistence_a_lesson(packaged):
 def test_a_hybrid_on_another_twin_is_refused(tmp_path):
     for path in PACKAGED_FOLDER.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    manifest = Store(NO_KEYS, NO_KEYS, loader(60.0)).load("packaged").manifest
+    manifest = BundleStore(NO_KEYS, NO_KEYS, loader(60.0)).load("packaged").manifest
     twin = (tmp_path / "twin.yaml").read_text()
     (tmp_path / "twin.yaml").write_text(twin.replace("volume_m3: 0.15", "volume_m3: 0.16"))
     with pytest.raises(DataError, match=r"twin_sha256: is not that of twin\.yaml"):

@@ -11,7 +11,7 @@ import pytest
 
 from edge.__main__ import COMMANDS, main, parser_for
 from edge.commands.orders import ORDERS
-from edge.formats.run_file import Run, read_run, write_run
+from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.models.arx_file import read_arx
 
 START = "2026-07-01T12:00:00Z"
@@ -29,7 +29,7 @@ def run_file(folder: Path, name: str = "run.csv", rows: int = 120, seed: int = 1
         temp[k + 1] = 0.9 * temp[k] + 2.0 * heater[k] - 0.5 * fan[k] + 0.1 * ambient[k]
     columns = {"time_s": 60.0 * np.arange(rows), "temp_air_c": temp, "temp_ambient_c": ambient}
     write_run(
-        Run({**columns, "heater_duty": heater, "fan_on": fan}, {"start_utc": START, "role": "train"}),
+        RecordedRun({**columns, "heater_duty": heater, "fan_on": fan}, {"start_utc": START, "role": "train"}),
         folder / name,
     )
     return folder / name

@@ -15,10 +15,10 @@ from edge.commands.stretch import moment
 from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
 from edge.commands.twin_simulate import START_ROWS, errors, simulate
 from edge.core.errors import DataError, RequestError
-from edge.formats.run_file import Run, read_run, write_run
+from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.models.pbm import Pbm
 from edge.storage import Storage
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from edge.twin.value import Value
 
@@ -32,7 +32,7 @@ def twin_file(path: Path, effects: dict[str, dict[str, float]] | None = None) ->
     return path
 
 
-def run_file(path: Path, run: Run) -> Path:
+def run_file(path: Path, run: RecordedRun) -> Path:
     write_run(run, path)
     return path
 
@@ -45,7 +45,7 @@ def twin(tmp_path: Path) -> Path:
 @pytest.fixture
 def made(tmp_path: Path) -> Path:
     """A run that the twin of `twin` has made, without noise."""
-    return run_file(tmp_path / "run.csv", box_run(1, box=Twin(effects=PLAIN)))
+    return run_file(tmp_path / "run.csv", box_run(1, box=BoxTwin(effects=PLAIN)))
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *words: object) -> str:
@@ -129,7 +129,7 @@ def test_errors_are_of_what_was_forecast_and_measured() -> None:
         "temp_air_c": np.array([20.0, 21.0, np.nan, 24.0]),
         "predicted_c": np.array([np.nan, 22.0, 23.0, 21.0]),
     }
-    found = errors(Run({"time_s": 60.0 * np.arange(4), **columns}))
+    found = errors(RecordedRun({"time_s": 60.0 * np.arange(4), **columns}))
     assert (found.rows, found.mae_k) == (2, 2.0)  # 1 K and 3 K
     assert found.rmse_k == pytest.approx(5.0**0.5)
 
@@ -164,9 +164,9 @@ def test_several_runs_go_into_a_folder_at_the_twins_step(
 def test_what_a_run_does_not_say_is_asked_for_and_can_be_said(
     twin: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = box_run(1, box=Twin(effects=PLAIN))
+    run = box_run(1, box=BoxTwin(effects=PLAIN))
     bare = {name: run.columns[name] for name in ("time_s", "temp_air_c", "heater_duty")}
-    path = run_file(tmp_path / "bare.csv", Run(bare))
+    path = run_file(tmp_path / "bare.csv", RecordedRun(bare))
     words = ["simulate", "--twin", twin, path]
     assert "fan_on is not among the columns" in refusal(capsys, *words)
     assert (
@@ -246,13 +246,13 @@ def test_a_run_that_is_wrong_is_named_with_its_column(
 
 
 def test_a_column_that_an_effect_needs_is_named(made: Path, tmp_path: Path) -> None:
-    lit = Twin(effects={**PLAIN, "led_gain": {"P_led": 20.0}})
+    lit = BoxTwin(effects={**PLAIN, "led_gain": {"P_led": 20.0}})
     with pytest.raises(DataError, match=r"run\.csv: light: missing, the twin's led_gain needs this column"):
         simulate(Pbm(lit), read_run(made))
 
 
 def test_light_and_time_of_day_reach_the_twin() -> None:
-    lit = Twin(effects={**PLAIN, "led_gain": {"P_led": 20.0}})
+    lit = BoxTwin(effects={**PLAIN, "led_gain": {"P_led": 20.0}})
     run = box_run(1)
     run.columns["fan_on"][:] = 0.0
     dark, bright = (
@@ -262,7 +262,7 @@ def test_light_and_time_of_day_reach_the_twin() -> None:
     # 20 W over 4 W/K are 5 K at rest; air of 20 * 0.15 m³ * 1.2 * 1005 = 3618 J/K gets there in 904 s (1/e).
     warmer = 5.0 * (1.0 - np.exp(-51 * 60.0 * 4.0 / 3618.0))
     assert (bright["predicted_c"] - dark["predicted_c"])[60] == pytest.approx(warmer, abs=2e-4)
-    ageing = Twin(effects={**PLAIN, "ua_drift": {"ua_drift": 0.1}}, day0_utc=0.0)
+    ageing = BoxTwin(effects={**PLAIN, "ua_drift": {"ua_drift": 0.1}}, day0_utc=0.0)
     young, old = (
         simulate(Pbm(ageing), replace(run, facts={"start_utc": start})).columns["predicted_c"][-1]
         for start in ("1970-01-01T00:00:00Z", "1970-01-11T00:00:00Z")

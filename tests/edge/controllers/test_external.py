@@ -122,7 +122,7 @@ def test_a_duty_between_two_levels_goes_to_the_nearer(proposals, path):
     ],
 )
 def test_only_reasons_that_the_history_can_take_are_kept(reason, kept):
-    told = Told(json.loads(f'{{"heater_duty": 0.1, "fan_on": false, "why": {reason}}}'))
+    told = FakeProposals(json.loads(f'{{"heater_duty": 0.1, "fan_on": false, "why": {reason}}}'))
     why = External(told, DEADLINE_S).decide(context()).why
     json.dumps(why, allow_nan=False, ensure_ascii=False).encode()
     assert kept is None or why["client"] == kept
@@ -152,7 +152,7 @@ def test_what_is_no_state_of_the_relay_is_refused(proposals, path, fan_on):
         External(proposals, DEADLINE_S).decide(context())
 
 
-class Told:
+class FakeProposals:
     """Proposals without a socket."""
 
     def __init__(self, answer):
@@ -168,7 +168,7 @@ json_values = st.none() | st.booleans() | st.floats() | st.text() | st.lists(st.
 @given(st.dictionaries(st.sampled_from(["heater_duty", "fan_on", "tick", "why"]), json_values))
 def test_whatever_is_answered_becomes_a_command_in_range_or_an_error(answer):
     try:
-        command = External(Told(answer), DEADLINE_S).decide(context()).command
+        command = External(FakeProposals(answer), DEADLINE_S).decide(context()).command
     except RequestError:
         return
     assert 0.0 <= command.heater_duty <= 1.0

@@ -12,7 +12,7 @@ from mixed_integer_problems import every_plan, problems, true_optimum
 from edge.controllers.mixed_integer.descent import descended
 from edge.controllers.mixed_integer.dominance import undominated
 from edge.controllers.mixed_integer.polish import polished
-from edge.controllers.mixed_integer.problem import FanRules, Plan, Problem, lower_toeplitz
+from edge.controllers.mixed_integer.problem import FanRules, Plan, PlanningProblem, lower_toeplitz
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import search
 from edge.controllers.mixed_integer.solver import solve
@@ -53,7 +53,7 @@ def test_longer_plans_of_a_coarse_grid_are_the_cheapest_of_all(problem):
 def test_three_steps_of_the_real_grid_are_the_cheapest_of_all(seed):
     rng = np.random.default_rng(seed)
     decay = 0.6 ** np.arange(3)
-    problem = Problem(
+    problem = PlanningProblem(
         free=rng.uniform(20.0, 28.0, size=3),
         heater=5.0 * decay,
         fan=-2.8 * decay,
@@ -175,10 +175,10 @@ def test_polish_keeps_the_rules_and_never_costs(problem):
     assert better.cost == pytest.approx(float(problem.cost(better.levels, better.fan)))
 
 
-def plain_problem(horizon: int = 20, **changes: object) -> Problem:
+def plain_problem(horizon: int = 20, **changes: object) -> PlanningProblem:
     """A box that must be cooled with a penalty on the fan: the search has to work for it."""
     decay = 0.75 ** np.arange(horizon)
-    problem = Problem(
+    problem = PlanningProblem(
         free=24.3 - 0.01 * np.arange(horizon),
         heater=5.0 * decay,
         fan=-2.8 * decay,
@@ -284,10 +284,10 @@ def test_a_cheaper_node_does_not_dominate_where_it_goes_over_the_limit():
     assert undominated(free_of_it, free, cost, none, none, 2.0, 1e-9).tolist() == [True, False]
 
 
-def slow_heater_problem() -> Problem:
+def slow_heater_problem() -> PlanningProblem:
     """A box that is 1.5 K too warm: its fan takes 2.3 K at once, its heater acts a step later, for long."""
     tail, lag = 10, np.arange(20)
-    return Problem(
+    return PlanningProblem(
         free=26.0 + 1.5 * 0.97**lag,
         heater=np.where(lag == 0, 0.03, 0.9 * 0.95**lag),
         fan=-2.3 * 0.8**lag,

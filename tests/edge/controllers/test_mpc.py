@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from contexts import context
 
-from edge.app.controllers import Parts, make
+from edge.app.controllers import ControllerParts, make
 from edge.config.settings import ControlSettings
 from edge.controllers.mpc import Mpc, MpcSettings
-from edge.core.controller import Limits, Penalty
+from edge.core.controller import ControlLimits, Penalty
 from edge.core.controller_names import MPC, RULES
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.models.arx_file import read_arx
 from edge.models.pbm import Pbm
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 MODEL = read_arx()
 
@@ -69,7 +69,7 @@ def test_only_the_first_reference_counts_without_preview():
 
 
 def test_limits_are_kept():
-    limits = Limits(heater_max_duty=0.42, fan_hold_steps=2)
+    limits = ControlLimits(heater_max_duty=0.42, fan_hold_steps=2)
     decision = mpc().decide(context(21.0, 35.0, Command(fan_on=True), limits))
     assert decision.command == Command(heater_duty=0.4, fan_on=True)
     assert "heater at its upper limit" in decision.why["binding"]
@@ -77,14 +77,14 @@ def test_limits_are_kept():
 
 
 def test_the_soft_limit_is_stronger_than_the_reference():
-    limited = mpc().decide(context(27.0, 33.0, limits=Limits(temp_air_max_c=28.0)))
+    limited = mpc().decide(context(27.0, 33.0, limits=ControlLimits(temp_air_max_c=28.0)))
     assert max(limited.forecast) < 28.2  # a little over is cheaper than 5 K off the reference
     assert max(mpc().decide(context(27.0, 33.0)).forecast) > 30.0
 
 
 def test_every_why_is_json_and_complete():
     for name in ("MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P"):
-        decision = make(name, Parts(ControlSettings(), MODEL)).decide(context())
+        decision = make(name, ControllerParts(ControlSettings(), MODEL)).decide(context())
         why = json.loads(json.dumps(decision.why, allow_nan=False))
         for key in (
             "cost",
@@ -162,7 +162,7 @@ def test_any_length_of_history_will_do(rows):
 def test_a_forecast_that_is_no_number_is_refused(here):
     for name in ("MPC", "MPC-P", "MPC-BFGS"):
         with pytest.raises(DataError):
-            make(name, Parts(ControlSettings(), MODEL)).decide(here)
+            make(name, ControllerParts(ControlSettings(), MODEL)).decide(here)
 
 
 def test_a_preview_shorter_than_the_horizon_is_refused():
@@ -172,23 +172,23 @@ def test_a_preview_shorter_than_the_horizon_is_refused():
 
 def test_every_name_makes_its_controller():
     for name in (RULES, *MPC):
-        assert make(name, Parts(ControlSettings(), MODEL)).name == name
+        assert make(name, ControllerParts(ControlSettings(), MODEL)).name == name
 
 
 def test_an_unknown_name_gets_the_nearest_known():
     with pytest.raises(RequestError, match=r"no 'MCP-P'; did you mean 'MPC-P'\?"):
-        make("MCP-P", Parts(ControlSettings(), MODEL))
+        make("MCP-P", ControllerParts(ControlSettings(), MODEL))
 
 
 def test_an_mpc_decides_without_scipy():
     script = (
-        "import sys; sys.path.insert(0, 'tests')\n"
+        "import sys; sys.path.insert(0, 'tests/support')\n"
         "from contexts import context\n"
-        "from edge.app.controllers import Parts, make\n"
+        "from edge.app.controllers import ControllerParts, make\n"
         "from edge.models.arx_file import read_arx\n"
         "from edge.core.controller_names import MPC\n"
         "from edge.config.settings import ControlSettings\n"
-        "made = {name: make(name, Parts(ControlSettings(), read_arx())) for name in MPC}\n"
+        "made = {name: make(name, ControllerParts(ControlSettings(), read_arx())) for name in MPC}\n"
         "made['MPC-P'].decide(context())\n"
         "assert not [name for name in sys.modules if name.startswith('scipy')]\n"
     )
@@ -198,19 +198,19 @@ def test_an_mpc_decides_without_scipy():
 def test_an_operators_penalty_takes_the_place_of_the_names():
     dear = replace(context(30.0, 26.0), penalty=Penalty(fan=1e6))
     for name in ("MPC", "MPC-P"):
-        controller = make(name, Parts(ControlSettings(), MODEL))
+        controller = make(name, ControllerParts(ControlSettings(), MODEL))
         assert controller.decide(context(30.0, 26.0)).command.fan_on
         assert not controller.decide(dear).command.fan_on
     free = replace(context(30.0, 26.0), penalty=Penalty(heater=0.0, fan=0.0))
-    by_name = make("MPC", Parts(ControlSettings(), MODEL)).decide(context(30.0, 26.0))
-    assert make("MPC-P", Parts(ControlSettings(), MODEL)).decide(free).command == by_name.command
+    by_name = make("MPC", ControllerParts(ControlSettings(), MODEL)).decide(context(30.0, 26.0))
+    assert make("MPC-P", ControllerParts(ControlSettings(), MODEL)).decide(free).command == by_name.command
 
 
 @pytest.mark.parametrize("name", ["MPC-P", "MPC-BFGS-P", "MPC-Twin-P"])
 def test_the_configured_weight_is_that_of_the_names_with_penalty_alone(name):
     cold = replace(context(22.0, 24.0), reference=np.full(40, 24.0))
     parts = [
-        Parts(ControlSettings(penalty_weight=weight), MODEL, predictors={"pbm": Pbm(Twin())})
+        ControllerParts(ControlSettings(penalty_weight=weight), MODEL, predictors={"pbm": Pbm(BoxTwin())})
         for weight in (0.0, 1e6)
     ]
     free, dear = (make(name, one).decide(cold).command for one in parts)
@@ -223,7 +223,8 @@ def test_the_configured_weight_is_that_of_the_names_with_penalty_alone(name):
 def test_the_setting_preview_reaches_every_mpc_over_the_arx(name):
     coming = context(24.0, [24.0] * 3 + [32.0] * 57)
     held, known = (
-        make(name, Parts(ControlSettings(preview=preview), MODEL)).decide(coming) for preview in (False, True)
+        make(name, ControllerParts(ControlSettings(preview=preview), MODEL)).decide(coming)
+        for preview in (False, True)
     )
     assert held.why["reference_c"] == 24.0
     assert known.why["reference_c"][2:4] == [24.0, 32.0]

@@ -6,7 +6,7 @@ from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.mpc import planning_problem
 from edge.controllers.mpc_bfgs import MpcBfgs, rounded_bfgs
-from edge.core.controller import Limits
+from edge.core.controller import ControlLimits
 from edge.core.messages import Command
 from edge.models.arx_file import read_arx
 
@@ -43,7 +43,7 @@ def test_plans_are_on_the_grid_and_never_better_than_the_exact_one(temp, weight)
 
 
 def test_what_is_sent_keeps_the_cap_and_the_hold():
-    limits = Limits(heater_max_duty=0.2, fan_hold_steps=1)
+    limits = ControlLimits(heater_max_duty=0.2, fan_hold_steps=1)
     decision = MpcBfgs("MPC-BFGS", MODEL, 0.0, 5).decide(context(21.0, 35.0, Command(fan_on=True), limits))
     assert decision.command == Command(heater_duty=0.2, fan_on=True)
 

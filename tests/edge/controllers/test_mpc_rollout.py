@@ -13,12 +13,12 @@ from edge.controllers.mpc import Mpc, MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
 from edge.controllers.plan_rollouts import plan_rollouts
 from edge.controllers.rollout_search import Meter, RolloutSearch
-from edge.core.controller import Context, Limits
+from edge.core.controller import Context, ControlLimits
 from edge.core.errors import DataError
 from edge.core.messages import Command
 from edge.models.arx import Arx
 from edge.models.pbm import Pbm
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 FOREVER_S = 1e9
 ARX = Arx(  # near the packaged one's behaviour, with the fan as a linear model has it
@@ -64,14 +64,14 @@ def over(model: object, budget: int = 400, name: str = "MPC", **changes: float) 
     return MpcRollout(name, model, ARX, some_settings(**changes), budget)
 
 
-def random_context(seed: int, limits: Limits | None = None) -> Context:
+def random_context(seed: int, limits: ControlLimits | None = None) -> Context:
     """A box anywhere, with an hour's half of random inputs behind it and any relay rules before it."""
     rng = np.random.default_rng(seed)
     here = context(
         rng.uniform(22.0, 32.0), float(rng.uniform(22.0, 33.0)), offset=rng.normal(scale=0.05), rows=30
     )
     hold = rng.integers(1, 4, size=3).tolist()
-    own = Limits(float(rng.uniform(0.3, 1.0)), hold[0] - 1, hold[1], hold[2], 60.0)
+    own = ControlLimits(float(rng.uniform(0.3, 1.0)), hold[0] - 1, hold[1], hold[2], 60.0)
     history = dict(here.history)
     history["temp_air"] = history["temp_air"] + np.cumsum(rng.normal(scale=0.1, size=30))[::-1]
     history["heater_duty"] = np.append(rng.integers(0, 21, size=29) / 20.0, np.nan)
@@ -131,7 +131,7 @@ def test_few_rollouts_come_near_to_many():
 
 def test_a_short_plan_is_the_cheapest_of_all():
     for seed in range(8):
-        here = random_context(seed, Limits())
+        here = random_context(seed, ControlLimits())
         found = over(LazyBox(), budget=100_000, horizon=2, tail=4).decide(here).why["cost"]
         problem = planning_problem(here, ARX, 0.0, 2, False, 4)
         guess = ARX.duty_to_hold(here.reference[0], here.estimate.temp_ambient, here.estimate.offset)
@@ -173,9 +173,9 @@ def test_the_forecast_is_the_models_own_rollout_of_the_plan():
 
 def test_a_soft_limit_that_only_the_model_sees_is_kept():
     here = (
-        replace(context(27.0, 33.0, limits=Limits(temp_air_max_c=28.0)), offset=None)
+        replace(context(27.0, 33.0, limits=ControlLimits(temp_air_max_c=28.0)), offset=None)
         if False
-        else context(27.0, 33.0, limits=Limits(temp_air_max_c=28.0))
+        else context(27.0, 33.0, limits=ControlLimits(temp_air_max_c=28.0))
     )
     assert max(over(LazyBox()).decide(here).forecast) < 28.3  # a little over is cheaper than 5 K off
     assert max(over(LazyBox()).decide(context(27.0, 33.0)).forecast) > 29.0
@@ -195,7 +195,7 @@ def test_its_why_is_json_and_complete_and_proves_nothing():
 
 def test_the_duty_over_the_tail_is_the_linear_models_own_where_that_is_the_model():
     for seed in range(10):
-        here = random_context(seed, Limits())
+        here = random_context(seed, ControlLimits())
         problem = planning_problem(here, ARX, 0.0, 4, False, 6)
         wanted = ARX.duty_to_hold(
             float(problem.reference[-1]), here.estimate.temp_ambient, here.estimate.offset
@@ -218,7 +218,7 @@ def test_a_model_that_needs_light_and_time_gets_them():
     columns["light"][-1] = np.nan  # a reading that is late: as last known
     here = replace(here, history={**here.history, **columns})
     effects = {"wall_loss": {"UA": 5.0}, "led_gain": {"P_led": 20.0}, "ua_drift": {"ua_drift": 0.1}}
-    model = Pbm(Twin(effects=effects, day0_utc=1.7e9 - 86400.0))
+    model = Pbm(BoxTwin(effects=effects, day0_utc=1.7e9 - 86400.0))
     rollouts = plan_rollouts(here, model, planning_problem(here, ARX, 0.0, 4, False, 10), 0.3)
     np.testing.assert_allclose(rollouts.ahead["utc"], 1.7e9 + 60.0 * np.arange(39, 53))
     # 5 W/K, a tenth more after a day, times 7 K, less half of the light's 20 W
@@ -260,7 +260,7 @@ def test_the_same_run_gives_the_same_decisions_bit_for_bit():
 
 
 def test_a_plan_is_carried_on_and_forgotten_on_reset():
-    here = random_context(11, Limits())
+    here = random_context(11, ControlLimits())
     later = replace(here, now_s=60.0)
     controller = over(LazyBox(), budget=400)
     controller.decide(here)
@@ -315,7 +315,7 @@ def test_any_length_of_history_will_do(rows):
 
 
 def test_a_relay_that_must_hold_all_the_horizon_leaves_the_heater_alone_to_plan():
-    here = context(28.0, 25.0, Command(fan_on=True), Limits(heater_max_duty=0.0, fan_hold_steps=9))
+    here = context(28.0, 25.0, Command(fan_on=True), ControlLimits(heater_max_duty=0.0, fan_hold_steps=9))
     decision = over(LazyBox()).decide(here)
     assert decision.command == Command(0.0, True)
     assert decision.why["runner_up"] is None

@@ -10,15 +10,15 @@ import pytest
 from contexts import context
 
 from edge.app.active_models import ActiveModels
-from edge.app.controllers import Parts, make
+from edge.app.controllers import ControllerParts, make
 from edge.config.settings import BundleSettings, ControlSettings, Settings
 from edge.controllers.mpc_twin import HORIZON, MpcTwin
-from edge.core.controller import Limits
+from edge.core.controller import ControlLimits
 from edge.core.errors import ConfigError, DataError, RequestError
 from edge.forecasts.skill import SkillState
 from edge.models.arx_file import read_arx
 from edge.models.pbm import Pbm, read_twin
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 TWINS = {
     "diagnosed": Path("training/results/paper_case/interpolation/twin.yaml"),
@@ -64,13 +64,13 @@ def test_the_why_is_json_and_says_what_the_plan_costs(model):
 
 @pytest.mark.parametrize("duty", [0.0, 0.3, math.nan])
 def test_the_heaters_limit_is_kept(model, duty):
-    limits = Limits(heater_max_duty=duty)
+    limits = ControlLimits(heater_max_duty=duty)
     command = MpcTwin("MPC-Twin", model, 0.0).decide(here(temp=22.0, reference=35.0, limits=limits)).command
     assert command.heater_duty <= (0.0 if math.isnan(duty) else duty + 1e-9)
 
 
 def test_a_held_relay_stays_as_it_is(model):
-    limits = Limits(fan_hold_steps=1)
+    limits = ControlLimits(fan_hold_steps=1)
     assert not MpcTwin("MPC-Twin", model, 0.0).decide(here(temp=30.0, limits=limits)).command.fan_on
 
 
@@ -97,10 +97,10 @@ def test_a_reference_that_ends_too_soon_is_refused(model):
 
 
 def test_the_registry_makes_it_of_the_bundles_twin():
-    parts = Parts(ControlSettings(), read_arx(), predictors={"pbm": Pbm(Twin())})
+    parts = ControllerParts(ControlSettings(), read_arx(), predictors={"pbm": Pbm(BoxTwin())})
     assert make("MPC-Twin-P", parts).name == "MPC-Twin-P"
     with pytest.raises(RequestError, match="twin of the active bundle"):
-        make("MPC-Twin", Parts(ControlSettings(), read_arx()))
+        make("MPC-Twin", ControllerParts(ControlSettings(), read_arx()))
 
 
 def test_a_rig_without_a_twin_says_so_at_its_start_and_does_without_else():

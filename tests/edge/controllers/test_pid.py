@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.controllers.pid import Pid
-from edge.core.controller import Limits
+from edge.core.controller import ControlLimits
 from edge.core.messages import Command
 
 
@@ -30,7 +30,7 @@ def test_the_fan_runs_when_the_heater_is_off_and_the_air_far_above():
 
 
 def test_a_held_relay_stays_as_it_is():
-    assert not decided(temp=30.0, reference=26.0, limits=Limits(fan_hold_steps=1)).fan_on
+    assert not decided(temp=30.0, reference=26.0, limits=ControlLimits(fan_hold_steps=1)).fan_on
 
 
 @pytest.mark.parametrize("temp", [math.nan, math.inf, -math.inf])
@@ -39,7 +39,7 @@ def test_nothing_is_on_without_a_temperature(temp):
 
 
 def test_the_heater_is_off_at_the_limit_of_the_air():
-    assert decided(temp=40.0, reference=45.0, limits=Limits(temp_air_max_c=40.0)).heater_duty == 0.0
+    assert decided(temp=40.0, reference=45.0, limits=ControlLimits(temp_air_max_c=40.0)).heater_duty == 0.0
 
 
 def test_the_integral_does_not_wind_up():
@@ -75,6 +75,6 @@ def test_a_long_pause_is_not_integrated_over():
 
 @given(temp=st.floats(), reference=st.floats(20.0, 38.0), top=st.floats(0.0, 1.0))
 def test_every_command_is_one_the_board_takes(temp, reference, top):
-    command = decided(temp=temp, reference=reference, limits=Limits(heater_max_duty=top))
+    command = decided(temp=temp, reference=reference, limits=ControlLimits(heater_max_duty=top))
     assert 0.0 <= command.heater_duty <= top
     assert command.heater_duty * 20 == pytest.approx(round(command.heater_duty * 20))

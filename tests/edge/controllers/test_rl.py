@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from policy_files import policy_file
 
-from edge.app.controllers import Parts, make
+from edge.app.controllers import ControllerParts, make
 from edge.config.settings import ControlSettings
 from edge.controllers.rl import Rl
-from edge.core.controller import Limits
+from edge.core.controller import ControlLimits
 from edge.core.controller_names import CONTROLLERS, RL
 from edge.core.errors import DataError
 from edge.core.messages import Command
@@ -49,7 +49,7 @@ def test_an_action_is_the_action_of_its_command():
 
 @given(max_duty=st.floats(allow_nan=True), hold=st.integers(0, 3), fan_on=st.booleans())
 def test_what_is_allowed_is_within_the_limits_and_never_nothing(max_duty, hold, fan_on):
-    free = allowed(Limits(heater_max_duty=max_duty, fan_hold_steps=hold), Command(fan_on=fan_on))
+    free = allowed(ControlLimits(heater_max_duty=max_duty, fan_hold_steps=hold), Command(fan_on=fan_on))
     assert free.any()
     for action in np.flatnonzero(free):
         command = command_of(int(action))
@@ -67,12 +67,12 @@ def test_the_allowed_action_of_the_highest_value_is_taken(policy):
 
 
 def test_limits_leave_the_best_of_what_remains(policy):
-    here = context(24.0, 26.0, limits=Limits(heater_max_duty=0.3, fan_hold_steps=1))
+    here = context(24.0, 26.0, limits=ControlLimits(heater_max_duty=0.3, fan_hold_steps=1))
     assert Rl("RL-Off", policy).decide(here).command == Command(heater_duty=0.3)  # 7 would be 0.35
 
 
 def test_with_the_heater_barred_the_fan_can_still_be_chosen(policy):
-    here = context(24.0, 26.0, limits=Limits(heater_max_duty=0.0))
+    here = context(24.0, 26.0, limits=ControlLimits(heater_max_duty=0.0))
     assert Rl("RL-Off", policy).decide(here).command == command_of(LEVELS)
 
 
@@ -94,7 +94,7 @@ def test_a_decision_says_why(policy):
 
 
 def test_one_action_left_has_no_runner_up(policy):
-    here = context(24.0, 26.0, limits=Limits(heater_max_duty=0.0, fan_hold_steps=1))
+    here = context(24.0, 26.0, limits=ControlLimits(heater_max_duty=0.0, fan_hold_steps=1))
     why = Rl("RL-Off", policy).decide(here).why
     assert (why["runner_up"], why["margin"], why["forbidden"]) == (None, None, ACTIONS - 1)
 
@@ -125,12 +125,12 @@ def test_values_that_are_no_numbers_are_refused(policy):
 @pytest.mark.parametrize("name", RL)
 def test_each_name_is_made_with_its_own_policy(name, policy):
     assert name in CONTROLLERS
-    controller = make(name, Parts(ControlSettings(), read_arx(), policies={name: policy}))
+    controller = make(name, ControllerParts(ControlSettings(), read_arx(), policies={name: policy}))
     assert controller.name == name
     assert controller.decide(replace(context(24.0, 26.0))).controller == name
 
 
 @pytest.mark.parametrize("duty", [level / HEATER_LEVELS for level in range(LEVELS)])
 def test_a_limit_on_a_level_allows_that_level(duty):
-    free = allowed(Limits(heater_max_duty=duty), Command())
+    free = allowed(ControlLimits(heater_max_duty=duty), Command())
     assert max(command_of(int(action)).heater_duty for action in np.flatnonzero(free)) == duty

@@ -4,7 +4,7 @@ import pytest
 from contexts import context
 
 from edge.controllers.rules import Rules
-from edge.core.controller import Limits
+from edge.core.controller import ControlLimits
 from edge.core.heater_levels import levels_allowed
 from edge.core.messages import Command
 
@@ -47,12 +47,14 @@ def test_an_unknown_reference_turns_all_off():
     [(1.0, 1.0), (0.5, 0.5), (0.57, 0.55), (0.04, 0.0), (0.0, 0.0), (math.nan, 0.0), (-1.0, 0.0)],
 )
 def test_the_heater_keeps_its_cap(most, duty):
-    assert Rules().decide(context(20.0, limits=Limits(heater_max_duty=most))).command.heater_duty == duty
+    assert (
+        Rules().decide(context(20.0, limits=ControlLimits(heater_max_duty=most))).command.heater_duty == duty
+    )
 
 
 @pytest.mark.parametrize("limit", [24.0, 23.0, math.nan])
 def test_nothing_heats_at_or_above_the_temperature_limit(limit):
-    decision = Rules().decide(context(24.0, 30.0, HEATING, Limits(temp_air_max_c=limit)))
+    decision = Rules().decide(context(24.0, 30.0, HEATING, ControlLimits(temp_air_max_c=limit)))
     assert decision.command.heater_duty == 0.0
 
 
@@ -60,7 +62,7 @@ def test_nothing_heats_at_or_above_the_temperature_limit(limit):
 def test_a_held_fan_is_left_alone(was_on):
     for temp in (20.0, 26.0, 40.0, math.nan):
         last = Command(fan_on=was_on)
-        decision = Rules().decide(context(temp, last_sent=last, limits=Limits(fan_hold_steps=1)))
+        decision = Rules().decide(context(temp, last_sent=last, limits=ControlLimits(fan_hold_steps=1)))
         assert decision.command.fan_on is was_on
 
 

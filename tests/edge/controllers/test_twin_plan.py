@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.controllers.mixed_integer.problem import FanRules, Problem
-from edge.controllers.twin_plan.beam import KIND_K, Start, _Children, _kept, search
-from edge.controllers.twin_plan.belief import Inputs, begin, corrected, moved
+from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
+from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _Children, _kept, search
+from edge.controllers.twin_plan.belief import StepInputs, begin, corrected, moved
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import read_twin
 from edge.twin.march import Commands
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
 
 DIAGNOSED = Path("training/results/paper_case/interpolation/twin.yaml")
@@ -22,11 +22,11 @@ ROOM_C = 21.0
 
 
 @pytest.fixture(scope="module")
-def diagnosed() -> Twin:
+def diagnosed() -> BoxTwin:
     return read_twin(DIAGNOSED).twin
 
 
-def step_of(twin: Twin, temp: float = 25.0):
+def step_of(twin: BoxTwin, temp: float = 25.0):
     return linear_step(twin, at_rest(twin, temp, ROOM_C), ROOM_C, {})
 
 
@@ -47,12 +47,12 @@ def test_the_matrices_make_the_twins_own_step(diagnosed):
 
 
 def test_heat_into_the_air_warms_it():
-    twin = Twin(effects=WALL)
+    twin = BoxTwin(effects=WALL)
     step, decay = step_of(twin), 60.0 * 3.0 / twin.system.air_capacity_j_k
     assert step.heat[0, step.air] == pytest.approx((1.0 - np.exp(-decay)) / decay)  # the loss takes its part
 
 
-def follow(twin: Twin, minutes: int, extra_k: float, holes: bool = False):
+def follow(twin: BoxTwin, minutes: int, extra_k: float, holes: bool = False):
     """A box that is the twin but for a constant heat, followed from its readings."""
     step, state = step_of(twin), at_rest(twin, 23.0, ROOM_C)
     belief = begin(twin, 0.0, 23.0, ROOM_C)
@@ -61,7 +61,7 @@ def follow(twin: Twin, minutes: int, extra_k: float, holes: bool = False):
         state = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ROOM_C
         state = state + step.now[mode] * 0.3 + step.heat[mode] * extra_k
         state = state + step.late[mode] * (0.3 if k else 0.0)
-        inputs = Inputs(0.3, 0, 0.3 if k else 0.0, 0, ROOM_C)
+        inputs = StepInputs(0.3, 0, 0.3 if k else 0.0, 0, ROOM_C)
         belief = moved(belief, twin, step, inputs, 60.0 * (k + 1))
         belief = corrected(belief, float("nan") if holes and k % 2 else float(state[0]), step.shown)
     return belief, state
@@ -82,20 +82,22 @@ def test_an_open_door_teaches_less_than_its_size(diagnosed):
     assert much / little < 5.0
 
 
-def problem(reference, levels=HEATER_LEVELS, rules=None, weight=1.0, tail=0, temp_max=60.0) -> Problem:
+def problem(
+    reference, levels=HEATER_LEVELS, rules=None, weight=1.0, tail=0, temp_max=60.0
+) -> PlanningProblem:
     nothing = np.zeros(len(reference))
-    return Problem(
+    return PlanningProblem(
         nothing, nothing, nothing, np.array(reference), tail, weight, weight, levels,
         rules or FanRules(), temp_max, 1000.0,
     )  # fmt: skip
 
 
-def start(twin: Twin, temp: float = 24.0, fan: int = 0) -> Start:
-    return Start(at_rest(twin, temp, ROOM_C), 0.0, ROOM_C, 0, fan)
+def start(twin: BoxTwin, temp: float = 24.0, fan: int = 0) -> PlanStart:
+    return PlanStart(at_rest(twin, temp, ROOM_C), 0.0, ROOM_C, 0, fan)
 
 
 def test_a_wide_beam_finds_the_best_of_all_plans():
-    twin = Twin(effects=WALL)
+    twin = BoxTwin(effects=WALL)
     step, goal = step_of(twin), problem([24.5, 26.0], levels=4)
     found = search(step, goal, start(twin), width=10_000)
     best = np.inf

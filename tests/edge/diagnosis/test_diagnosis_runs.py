@@ -11,11 +11,11 @@ from history_records import START_UTC, HandClock, History, tick
 from training_runs import box_run
 
 from edge.core.errors import DataError
-from edge.core.messages import Command, Echo, Quality, Reading
+from edge.core.messages import Command, Echo, Reading, ReadingQuality
 from edge.diagnosis.history_runs import history_runs
 from edge.diagnosis.pieces import GAP_S, LONGEST_S, WHOLE_S, pieces
 from edge.diagnosis.runs import PIECE_ROWS, USABLE_ROWS, DiagnosisRuns, read_runs
-from edge.formats.run_file import Run, absence_facts, data_sha256, write_run
+from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write_run
 from edge.storage import Storage
 from edge.storage.runs import name_run
 from edge.storage.stretches import export_stretches
@@ -26,13 +26,13 @@ TWIN = TwinFile()
 FIVE = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
 
 
-def recorded(path: Path, run: Run | None = None, **columns: object) -> Path:
+def recorded(path: Path, run: RecordedRun | None = None, **columns: object) -> Path:
     """A run file of a box of known physics, with some columns replaced (None: without it)."""
     run = run or box_run(1)
     replaced = {**run.columns, **{name: np.asarray(values, float) for name, values in columns.items()}}
     facts = {key: value for key, value in run.facts.items() if key != "validate_from_s"}
     kept = {name: values for name, values in replaced.items() if columns.get(name, 0) is not None}
-    write_run(absence_facts(Run(kept, facts)), path)
+    write_run(absence_facts(RecordedRun(kept, facts)), path)
     return path
 
 
@@ -131,9 +131,9 @@ def test_two_files_of_one_name_are_told_apart(tmp_path: Path) -> None:
 # pieces
 
 
-def timed(time_s: Sequence[float]) -> Run:
+def timed(time_s: Sequence[float]) -> RecordedRun:
     run = box_run(1, rows=len(time_s))
-    return Run({**run.columns, "time_s": np.array(time_s)}, {"start_utc": "2026-07-01T12:00:00Z"})
+    return RecordedRun({**run.columns, "time_s": np.array(time_s)}, {"start_utc": "2026-07-01T12:00:00Z"})
 
 
 @pytest.mark.parametrize(("gap_s", "count"), [(GAP_S - 1.0, 1), (GAP_S, 1), (GAP_S + 1.0, 2)])
@@ -501,7 +501,7 @@ def record(history: Path, *ticks: object) -> None:
 def full_tick(seq: int, **values: object):  # type: ignore[no-untyped-def]
     """A tick whose every signal is good."""
     numbers = {"temp_air": 25.0 + 0.1 * seq, "temp_ambient": 21.0, "light": 0.5, "rel_humidity": 55.0}
-    readings = {name: Reading(name, value, 0.0, Quality.GOOD) for name, value in numbers.items()}
+    readings = {name: Reading(name, value, 0.0, ReadingQuality.GOOD) for name, value in numbers.items()}
     return tick(seq, **{"readings": readings, **values})
 
 

@@ -11,7 +11,7 @@ from designed import (
     ONE_DUTY,
     ROOM_C,
     STILL,
-    Inputs,
+    RunInputs,
     as_inputs,
     driven,
     experiment_of,
@@ -30,13 +30,13 @@ from edge.diagnosis.diagnosis_document import check_diagnosis
 from edge.diagnosis.experiment.advice import calibrate_first
 from edge.diagnosis.experiment.design import _sides, designed
 from edge.diagnosis.experiment.document import PROFILE, experiment_document, write_profile
-from edge.diagnosis.experiment.experiment import Experiment
+from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.families import candidates
 from edge.diagnosis.experiment.improve import cool
 from edge.diagnosis.experiment.limits import ExperimentLimits
-from edge.diagnosis.experiment.rivals import Pair, Rivals
+from edge.diagnosis.experiment.rivals import RivalPair, Rivals
 from edge.diagnosis.experiment.separation import separation
-from edge.diagnosis.experiment.sequence import Part, inputs_of
+from edge.diagnosis.experiment.sequence import SequencePart, inputs_of
 from edge.diagnosis.experiment.surroundings import surroundings
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.trial import Trial
@@ -48,7 +48,7 @@ AIR = {"extra_capacity": {"kC": 10.0}}
 BOX = {**AIR, "wall_loss": {"UA": 5.0}}
 LEAKY = {**AIR, "infiltration": {"F_inf": 0.004}}  # 4.8 W/K with the fan off
 SATURATED = {**BOX, "heater_saturation": {"u_sat": 0.45}}
-NO_FAN = [Inputs(DUTIES, STILL), Inputs(DUTIES[::-1].copy(), STILL)]
+NO_FAN = [RunInputs(DUTIES, STILL), RunInputs(DUTIES[::-1].copy(), STILL)]
 HEATER = ("heater_efficiency", "heater_saturation", "heater_sag")
 
 
@@ -68,7 +68,7 @@ def test_loss_and_leak_are_told_apart_by_switching_the_fan(leak_plan):
 
 def test_efficiency_saturation_and_sag_are_told_apart_by_several_duties():
     fans = [BLOWN, STILL]
-    runs = driven(SATURATED, [Inputs(ONE_DUTY, fan) for fan in fans])
+    runs = driven(SATURATED, [RunInputs(ONE_DUTY, fan) for fan in fans])
     found = experiment_of(file_of(BOX), runs, HEATER)
     levels = {row.heater_duty for row in found.profile} - {0.0}
     assert len(levels) >= 3
@@ -85,7 +85,7 @@ def test_a_lagging_heater_and_a_lagging_sensor_are_told_apart_by_the_fan():
 
 
 def test_the_lamp_is_turned_off_where_its_heat_is_in_question():
-    lit = [Inputs(item.duty, item.fan, np.full(len(DUTIES), 1.0)) for item in NO_FAN]
+    lit = [RunInputs(item.duty, item.fan, np.full(len(DUTIES), 1.0)) for item in NO_FAN]
     runs = driven({**BOX, "led_gain": {"P_led": 4.0}}, lit)
     found = experiment_of(file_of(BOX), runs, ("led_gain", "constant_heat"))
     assert 0.0 in {row.light for row in found.profile}  # it was on all the time
@@ -94,7 +94,7 @@ def test_the_lamp_is_turned_off_where_its_heat_is_in_question():
 
 def test_fan_effectiveness_and_short_circuit_are_said_to_be_the_same():
     runs = driven(
-        {**BOX, "fan_effectiveness": {"eps_f": 0.7}}, [Inputs(DUTIES, BLOWN), Inputs(DUTIES, STILL)]
+        {**BOX, "fan_effectiveness": {"eps_f": 0.7}}, [RunInputs(DUTIES, BLOWN), RunInputs(DUTIES, STILL)]
     )
     found = experiment_of(file_of(BOX), runs, ("fan_effectiveness", "short_circuit"))
     document = experiment_document(found)
@@ -120,7 +120,7 @@ def test_an_experiment_that_settles_nothing_still_says_what_it_tells_a_little_of
 
 
 def test_two_that_are_the_same_are_told_from_a_third_together():
-    runs = driven(SATURATED, [Inputs(ONE_DUTY, BLOWN), Inputs(ONE_DUTY, STILL)])
+    runs = driven(SATURATED, [RunInputs(ONE_DUTY, BLOWN), RunInputs(ONE_DUTY, STILL)])
     names = ("heater_efficiency", "radiative_split", "heater_saturation")  # without a wall radiation is lost
     found = experiment_of(file_of(BOX), runs, names)
     assert found.inseparable == (("heater_efficiency", "radiative_split"),)
@@ -150,7 +150,7 @@ def test_calibrating_the_fan_is_worth_what_a_fit_with_the_exact_value_then_gives
     """A loss in runs in which the fan always runs: a stronger fan explains it nearly as well, within 5 %."""
     known = {**AIR, "fan_effectiveness": {"eps_f": 0.7}}
     runs = driven(
-        {**known, "wall_loss": {"UA": 1.2}}, [Inputs(DUTIES, BLOWN), Inputs(DUTIES[::-1].copy(), BLOWN)]
+        {**known, "wall_loss": {"UA": 1.2}}, [RunInputs(DUTIES, BLOWN), RunInputs(DUTIES[::-1].copy(), BLOWN)]
     )
     file = file_of(known, {"fan_effectiveness": 0.05})
     plan = plan_of(file, runs, ("wall_loss", "infiltration"))
@@ -213,9 +213,9 @@ def test_the_safety_supervisor_changes_nothing_but_the_rise(leak_plan, seed):
     assert shown.max() == pytest.approx(found.largest_temp_air_c)
 
 
-def as_parts(planned: Inputs) -> tuple[Part, ...]:
+def as_parts(planned: RunInputs) -> tuple[SequencePart, ...]:
     return tuple(
-        Part(1, float(duty), float(fan)) for duty, fan in zip(planned.duty, planned.fan, strict=True)
+        SequencePart(1, float(duty), float(fan)) for duty, fan in zip(planned.duty, planned.fan, strict=True)
     )
 
 
@@ -267,7 +267,7 @@ def test_the_document_is_one_of_a_diagnosis_and_the_profile_one_of_an_experiment
     assert profile.end_s == found.duration_s
     assert profile.columns["heater_duty"].tolist() == [row.heater_duty for row in found.profile]
     assert profile.columns["heater_duty"][-1] == 0.0
-    write_profile(Experiment(), tmp_path)  # of another diagnosis, in the same folder
+    write_profile(PlannedExperiment(), tmp_path)  # of another diagnosis, in the same folder
     assert not (tmp_path / PROFILE).exists()
 
 
@@ -280,8 +280,8 @@ def test_an_experiment_begins_where_the_box_rests():
 @pytest.mark.parametrize("told", [[True, False], [False, True], [True, True]])
 def test_what_is_told_one_way_round_only_has_two_sides_too(told: list[bool]) -> None:
     pairs = (
-        Pair(0, 1, "wall_mass", "wall_loss", "wall_mass", 0.5, 0.5),
-        Pair(1, 0, "wall_loss", "wall_mass", "wall_mass", 0.5, 0.5),
+        RivalPair(0, 1, "wall_mass", "wall_loss", "wall_mass", 0.5, 0.5),
+        RivalPair(1, 0, "wall_loss", "wall_mass", "wall_mass", 0.5, 0.5),
     )
     [sides] = _sides(pairs, np.array(told), np.array([False, False]))
     assert {name for side in sides for name in side} == {"wall_mass", "wall_loss"}
@@ -290,11 +290,11 @@ def test_what_is_told_one_way_round_only_has_two_sides_too(told: list[bool]) -> 
 
 def test_a_rival_of_which_nothing_is_open_is_told_apart_too() -> None:
     known = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 10.0}}
-    runs, file = driven({**known, "heater_lag": {"tau_h": 200.0}}, [Inputs(DUTIES, STILL)]), file_of(known)
+    runs, file = driven({**known, "heater_lag": {"tau_h": 200.0}}, [RunInputs(DUTIES, STILL)]), file_of(known)
     (plain,) = fit([Trial(file, NOISE)], runs)
     assert not plain.free
     late = fitted(file, runs, "heater_lag")
     names = ("sensor_lag", "heater_lag")
-    pairs = tuple(Pair(i, 1 - i, names[i], names[1 - i], names[0], 0.5, 1.0) for i in range(2))
+    pairs = tuple(RivalPair(i, 1 - i, names[i], names[1 - i], names[0], 0.5, 1.0) for i in range(2))
     plan = separation(Rivals((plain, late), pairs), surroundings(runs, False), STEP_S)
     assert designed(plan, ExperimentLimits()).profile

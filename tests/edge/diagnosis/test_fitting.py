@@ -13,10 +13,10 @@ from edge.diagnosis.fitting import fit, slopes
 from edge.diagnosis.noise_levels import find_levels
 from edge.diagnosis.nuisances import rooms
 from edge.diagnosis.starts import STARTS, with_effect
-from edge.diagnosis.trial import Fitted, Term, Trial
+from edge.diagnosis.trial import Fitted, SizedTerm, Trial
 from edge.diagnosis.unknowns import path_priors, placed, unknowns
 from edge.diagnosis.verdict import intervals
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.recorded import Recorded, recorded
@@ -42,7 +42,7 @@ HIDDEN: Effects = {
 }
 
 
-def recordings(effects: Effects = BOX, seeds: Sequence[int] = SEEDS, rows: int = 120) -> list[Run]:
+def recordings(effects: Effects = BOX, seeds: Sequence[int] = SEEDS, rows: int = 120) -> list[RecordedRun]:
     return [simulated(effects, seed, rows) for seed in seeds]
 
 
@@ -135,7 +135,7 @@ def test_holes_and_runs_of_different_lengths_are_fitted_together() -> None:
     long, short = recordings({**BOX, "heater_lag": truth}, seeds=(1, 2))
     temps = long.columns["temp_air_c"].copy()
     temps[30:45] = temps[80] = np.nan
-    short = Run({key: values[:70] for key, values in short.columns.items()}, short.facts, short.path)
+    short = RecordedRun({key: values[:70] for key, values in short.columns.items()}, short.facts, short.path)
     found = best("heater_lag", recorded([changed(long, temp_air_c=temps), short], 60.0))
     assert abs(errors_in_sd(found, truth, "heater_lag")["tau_h"]) < 3.3
     assert (found.innovations[0, 29:44] == 0.0).all()
@@ -274,7 +274,7 @@ def test_a_geometry_value_that_is_to_be_fitted_is_found() -> None:
 # terms
 
 
-def size_of(term: Term, runs: Recorded, file: TwinFile | None = None) -> tuple[float, float]:
+def size_of(term: SizedTerm, runs: Recorded, file: TwinFile | None = None) -> tuple[float, float]:
     [found] = fit([Trial(file or twin_file(), NOISE, (term,))], runs, 1)
     return float(found.sizes[0]), float(found.size_sds[0])
 
@@ -282,7 +282,7 @@ def size_of(term: Term, runs: Recorded, file: TwinFile | None = None) -> tuple[f
 def test_a_heat_of_known_shape_and_unknown_size_is_found() -> None:
     runs = [simulated(BOX, seed, 120, further=lambda duty, fan, excess: 12.0 * duty * fan) for seed in SEEDS]
     data = recorded(runs, 60.0)
-    size, sd = size_of(Term("u fan", (data.duty * data.fan).T, 50.0), data)
+    size, sd = size_of(SizedTerm("u fan", (data.duty * data.fan).T, 50.0), data)
     assert abs(size - 12.0) < 3.3 * sd
     assert sd < 1.0
 
@@ -291,7 +291,7 @@ def test_an_error_of_the_reading_is_found_and_not_taken_for_heat() -> None:
     runs = [changed(run, temp_air_c=run.columns["temp_air_c"] + 0.5 * np.roll(run.columns["heater_duty"], 1))
             for run in recordings()]  # fmt: skip
     data = recorded(runs, 60.0)
-    size, sd = size_of(Term("u", data.duty.T, 5.0, of_reading=True), data)
+    size, sd = size_of(SizedTerm("u", data.duty.T, 5.0, of_reading=True), data)
     assert abs(size - 0.5) < 3.3 * sd
     assert sd < 0.05
 
@@ -314,7 +314,7 @@ def test_the_room_of_each_run_is_found_where_none_was_recorded() -> None:
 def test_a_term_is_worth_what_its_best_size_is_worth() -> None:
     # Taken off the readings at its best size, it leaves the same likelihood but for its prior.
     runs = arrays()
-    term = Term("u", runs.duty.T, 0.3, of_reading=True)
+    term = SizedTerm("u", runs.duty.T, 0.3, of_reading=True)
     [found] = fit([Trial(twin_file(), NOISE, (term,))], runs, 1)
     temp = runs.temp.copy()
     temp[:, 1:] -= found.sizes[0] * runs.duty

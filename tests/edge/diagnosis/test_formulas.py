@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.diagnosis.formulas import HEAT_SD, PREFIX, READING_SD_K, Shape, formulas, shapes
-from edge.diagnosis.trial import Term
+from edge.diagnosis.formulas import HEAT_SD, PREFIX, READING_SD_K, FormulaShape, formulas, shapes
+from edge.diagnosis.trial import SizedTerm
 from edge.twin.recorded import Recorded
 
 STEP_S = 60.0
@@ -34,11 +34,11 @@ def recording(rows: int = 120, runs: int = 2) -> Recorded:
 LEVELS = (29.0, 31.0, 30.0, 20.0)  # warm, hot, usual and the room's, of `recording`
 
 
-def found(runs: Recorded) -> dict[str, tuple[Shape, Term]]:
+def found(runs: Recorded) -> dict[str, tuple[FormulaShape, SizedTerm]]:
     return formulas(runs, runs.temp, STEP_S)
 
 
-def term(text: str, runs: Recorded) -> Term:
+def term(text: str, runs: Recorded) -> SizedTerm:
     return found(runs)[PREFIX + text][1]
 
 

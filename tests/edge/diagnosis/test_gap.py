@@ -16,27 +16,27 @@ from bench.support.simulated_runs import (
     simulated,
     twin_file,
 )
-from edge.diagnosis.gap import START_ROWS, Forecast, alone, errors, floor_squares, forecast, one_step
+from edge.diagnosis.gap import START_ROWS, RunForecast, alone, errors, floor_squares, forecast, one_step
 from edge.diagnosis.runs import NamedRun
-from edge.formats.run_file import Run
-from edge.twin.model import Twin
+from edge.formats.run_file import RecordedRun
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 
-PLAIN = Twin(effects=BOX)
+PLAIN = BoxTwin(effects=BOX)
 SLOW = {"extra_capacity": {"kC": 10.0}, "wall_mass": {"C_w": 6000.0, "G_in": 9.0, "G_out": 7.2},
         "heater_lag": {"tau_h": 200.0}, "heater_deadtime": {"d_h": 75.0}}  # fmt: skip
 ROWS = 80
 
 
-def named(run: Run) -> NamedRun:
+def named(run: RecordedRun) -> NamedRun:
     return NamedRun(str(run.path), run, run.columns["time_s"])
 
 
-def free_run(twin: Twin, run: Run) -> Forecast:
+def free_run(twin: BoxTwin, run: RecordedRun) -> RunForecast:
     return forecast(twin, named(run), run.columns["temp_ambient_c"])
 
 
-def measured_only(run: Run, rows: object) -> Run:
+def measured_only(run: RecordedRun, rows: object) -> RecordedRun:
     """The run with temperatures in these rows alone."""
     temp = np.full(len(run), np.nan)
     temp[rows] = run.columns["temp_air_c"][rows]
@@ -49,7 +49,7 @@ def measured_only(run: Run, rows: object) -> Run:
 @pytest.mark.parametrize("effects", [BOX, SLOW], ids=["one state", "walls, a slow and late heater"])
 def test_the_twin_that_made_a_run_without_noise_reproduces_it(effects: dict[str, dict[str, float]]) -> None:
     run = simulated(effects, 1, ROWS, QUIET)
-    found = free_run(Twin(effects=effects), run)
+    found = free_run(BoxTwin(effects=effects), run)
     # What is hidden starts at rest at the room's temperature, as the box here did.
     assert np.abs(found.residual).max() < 0.01
     assert len(found.residual) == ROWS - START_ROWS
@@ -103,7 +103,7 @@ def test_up_to_its_start_a_forecast_is_what_was_measured() -> None:
 def test_temperatures_behind_the_start_are_not_used() -> None:
     run = simulated(SLOW, 1, ROWS)
     blind = measured_only(run, slice(START_ROWS))
-    twin = Twin(effects=SLOW)
+    twin = BoxTwin(effects=SLOW)
     assert free_run(twin, run).predicted == pytest.approx(free_run(twin, blind).predicted, abs=0.0)
     assert np.isnan(free_run(twin, blind).residual).all()
 
@@ -127,7 +127,7 @@ def test_the_room_that_is_given_is_the_one_that_counts() -> None:
 # what a right twin must miss
 
 
-def monte_carlo_k(twin: Twin, runs: Recorded, count: int) -> Floats:
+def monte_carlo_k(twin: BoxTwin, runs: Recorded, count: int) -> Floats:
     """What free runs miss in each row [N], from a start that is known, by as many draws of all noise."""
     draw, shape = np.random.default_rng(3), (count, runs.duty.shape[1])
     wide = [np.repeat(column, count, axis=0) for column in (runs.duty, runs.fan, runs.ambient)]
@@ -146,7 +146,7 @@ THREE_STATES = {key: SLOW[key] for key in ("extra_capacity", "wall_mass", "heate
 
 @pytest.mark.parametrize("effects", [BOX, THREE_STATES], ids=["one state", "three states"])
 def test_the_noise_floor_is_what_a_right_twin_misses_by(effects: dict[str, dict[str, float]]) -> None:
-    twin, run = Twin(effects=effects), simulated(effects, 1, ROWS)
+    twin, run = BoxTwin(effects=effects), simulated(effects, 1, ROWS)
     runs = alone(named(run), free_run(twin, run), run.columns["temp_ambient_c"])
     seen = np.ones(ROWS, dtype=bool)
     floor = np.sqrt(floor_squares(twin, NOISE, runs, seen))
@@ -169,7 +169,7 @@ def test_rows_without_a_temperature_do_not_count_into_the_floor() -> None:
 # one step ahead
 
 
-def steps_ahead(run: Run, seen: object = slice(None)) -> Floats:
+def steps_ahead(run: RecordedRun, seen: object = slice(None)) -> Floats:
     known = measured_only(run, seen)
     guess = free_run(PLAIN, known)
     runs = alone(named(known), guess, known.columns["temp_ambient_c"])
@@ -207,9 +207,9 @@ def test_where_nothing_is_measured_any_more_one_step_ahead_runs_free() -> None:
 # errors
 
 
-def made(residual: object, start: int = 0, name: str = "a.csv") -> Forecast:
+def made(residual: object, start: int = 0, name: str = "a.csv") -> RunForecast:
     values = np.asarray(residual, float)
-    return Forecast(name, start, 20.0 + values, np.full(len(values), 20.0))
+    return RunForecast(name, start, 20.0 + values, np.full(len(values), 20.0))
 
 
 def test_errors_are_of_the_rows_behind_the_start_that_were_measured() -> None:

@@ -8,13 +8,13 @@ import pytest
 from bench.support.simulated_runs import BOX, NOISE, Floats, changed, diagnosed, known, simulated, twin_file
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.gap import errors, forecast
-from edge.diagnosis.given import Given, given, with_rooms
+from edge.diagnosis.given import PreparedRuns, given, with_rooms
 from edge.diagnosis.nuisances import CURVATURE_SD, USUAL_LOSS_W_K, still_loss_w_k
 from edge.diagnosis.readings import spikes
 from edge.diagnosis.room import WAYS, between, over_rows, smoothed
 from edge.diagnosis.trial import Trial
-from edge.formats.run_file import Run
-from edge.twin.model import Twin
+from edge.formats.run_file import RecordedRun
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -23,22 +23,22 @@ ROWS = 64
 DOOR_W_K = 20.0
 
 
-def recordings() -> list[Run]:
+def recordings() -> list[RecordedRun]:
     return [simulated(BOX, seed, ROWS) for seed in (1, 2, 3)]
 
 
-def prepared(runs: list[Run], file: TwinFile | None = None) -> Given:
+def prepared(runs: list[RecordedRun], file: TwinFile | None = None) -> PreparedRuns:
     return given(file or twin_file(), diagnosed(runs, file=file))
 
 
-def with_readings(run: Run, added: dict[int, float]) -> Run:
+def with_readings(run: RecordedRun, added: dict[int, float]) -> RecordedRun:
     temp = run.columns["temp_air_c"].copy()
     for row, more in added.items():
         temp[row] += more
     return changed(run, temp_air_c=temp)
 
 
-def opened(run: Run) -> tuple[Run, slice]:
+def opened(run: RecordedRun) -> tuple[RecordedRun, slice]:
     """The run of the plain box with its door open for four rows, and which: where it is warmest and no input
     changes, as what comes with a change may be the change's own."""
     columns, rows = run.columns, len(run)
@@ -48,7 +48,7 @@ def opened(run: Run) -> tuple[Run, slice]:
     first = int(np.argmax(np.where(still, excess[: len(still)], 0.0))) + 3
     door = np.zeros((1, rows - 1))
     door[0, first : first + 4] = 1.0
-    twin = Twin(effects={**BOX, "door_opening": {"G_door": DOOR_W_K}})
+    twin = BoxTwin(effects={**BOX, "door_opening": {"G_door": DOOR_W_K}})
     temp = twin.rollout(
         columns["temp_air_c"][:1],
         *(columns[key][None, :-1] for key in ("heater_duty", "fan_on")),
@@ -110,7 +110,7 @@ def test_a_fast_box_that_is_switched_on_and_off_has_no_wrong_readings() -> None:
     again = []
     for run in runs:
         room = run.columns["temp_ambient_c"]
-        temp = Twin(effects=bare).rollout(room[:1], duty[None, :-1], np.zeros((1, ROWS - 1)), room[:-1])[0]
+        temp = BoxTwin(effects=bare).rollout(room[:1], duty[None, :-1], np.zeros((1, ROWS - 1)), room[:-1])[0]
         again.append(changed(run, temp_air_c=np.concatenate([room[:1], temp])))
     assert max(run.columns["temp_air_c"][1] for run in again) > 35.0
     assert prepared(again, twin_file(bare)).wrong == 0
@@ -152,10 +152,10 @@ def test_a_door_is_found_becomes_a_column_and_is_in_the_free_run() -> None:
     assert (door.run, door.from_row, door.to_row) == ("run_01.csv", rows.start, rows.stop)
     assert np.flatnonzero(found.runs.conditions["door_open"][0]).tolist() == [*range(rows.start, rows.stop)]
     assert not found.runs.conditions["door_open"][1:].any()
-    with_door = Twin(effects={**BOX, "door_opening": {"G_door": DOOR_W_K}})
+    with_door = BoxTwin(effects={**BOX, "door_opening": {"G_door": DOOR_W_K}})
     named = found.as_fitted()[0]
     missed = {}
-    for label, twin in (("closed", Twin(effects=BOX)), ("open", with_door)):
+    for label, twin in (("closed", BoxTwin(effects=BOX)), ("open", with_door)):
         missed[label] = errors([forecast(twin, named, found.room_of(named))])
     assert missed["open"] is not None
     assert missed["closed"] is not None
@@ -181,7 +181,7 @@ def test_where_no_room_was_recorded_each_run_has_its_own() -> None:
     noise = NOISE.sensor_k * np.random.default_rng(6).standard_normal(ROWS)
     for run, room in zip(recordings(), rooms, strict=True):
         duty, fan = (run.columns[key][None, :-1] for key in ("heater_duty", "fan_on"))
-        temp = Twin(effects=BOX).rollout(np.array([room]), duty, fan, room)[0]
+        temp = BoxTwin(effects=BOX).rollout(np.array([room]), duty, fan, room)[0]
         runs.append(changed(run, temp_air_c=np.append(room, temp) + noise, temp_ambient_c=None))
     found = prepared(runs)
     assert found.guessed
@@ -257,7 +257,7 @@ def test_days_are_counted_from_the_first_run_unless_the_file_says() -> None:
     ],
 )
 def test_the_loss_of_a_still_box(effects: dict[str, dict[str, float]], loss_w_k: float) -> None:
-    assert still_loss_w_k(Twin(effects=effects)) == pytest.approx(loss_w_k, rel=1e-6)
+    assert still_loss_w_k(BoxTwin(effects=effects)) == pytest.approx(loss_w_k, rel=1e-6)
 
 
 def test_a_loss_may_bend_by_a_few_percent_of_what_it_is_or_usually_is() -> None:

@@ -7,13 +7,13 @@ import pytest
 from scipy.stats import chi2, multivariate_normal
 
 from bench.support.simulated_runs import BOX, NOISE, STEP_S, Floats, coloured
-from edge.diagnosis.innovations import Filtered, NoiseLevels, gains, log_likelihoods, whitened
+from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, log_likelihoods, whitened
 from edge.twin.linear_steps import linear_steps
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import spread
 
-SLOW = Twin(
+SLOW = BoxTwin(
     effects={
         "extra_capacity": {"kC": 8.0},
         "wall_mass": {"C_w": 5000.0, "G_in": 10.0, "G_out": 8.0},
@@ -34,7 +34,7 @@ def recording(rows: int = ROWS, runs: int = 2, seed: int = 5) -> Recorded:
     return Recorded(np.full((runs, rows + 1), 22.0), duty, fan, ambient)
 
 
-def dense_covariance(twin: Twin, runs: Recorded, run: int, levels: NoiseLevels) -> Floats:
+def dense_covariance(twin: BoxTwin, runs: Recorded, run: int, levels: NoiseLevels) -> Floats:
     """Of the temperatures of one run [N, N], from what each source of noise does in rollouts of its own."""
     rows, size = runs.duty.shape[1], len(twin.states)
     duty, fan, ambient = (column[run : run + 1] for column in (runs.duty, runs.fan, runs.ambient))
@@ -61,16 +61,16 @@ def dense_covariance(twin: Twin, runs: Recorded, run: int, levels: NoiseLevels) 
     )
 
 
-def log_density(twin: Twin, runs: Recorded, levels: NoiseLevels, errors: Floats) -> Floats:
+def log_density(twin: BoxTwin, runs: Recorded, levels: NoiseLevels, errors: Floats) -> Floats:
     """By the filter, of each run; `errors` [B, N], NaN where nothing was measured."""
     seen = np.isfinite(errors)
-    filters = gains([Filtered(linear_steps(twin, runs), levels, spread(twin), STEP_S)], seen)
+    filters = gains([FilterInput(linear_steps(twin, runs), levels, spread(twin), STEP_S)], seen)
     white = whitened(filters, np.array([0]), np.nan_to_num(errors)[None])[0]
     spreads = np.where(seen, np.log(filters.sd[:, 0].T), 0.0).sum(axis=1)
     return -0.5 * (white**2).sum(axis=1) - spreads - 0.5 * np.log(2.0 * np.pi) * seen.sum(axis=1)
 
 
-def expected_density(twin: Twin, runs: Recorded, levels: NoiseLevels, errors: Floats) -> list[float]:
+def expected_density(twin: BoxTwin, runs: Recorded, levels: NoiseLevels, errors: Floats) -> list[float]:
     found = []
     for run, row in enumerate(errors):
         seen = np.isfinite(row)
@@ -89,8 +89,8 @@ def expected_density(twin: Twin, runs: Recorded, levels: NoiseLevels, errors: Fl
     ],
     ids=["all", "heat alone", "no heat", "slow heat"],
 )
-@pytest.mark.parametrize("twin", [Twin(effects=BOX), SLOW], ids=["one state", "four states"])
-def test_the_likelihood_is_that_of_a_gaussian_written_out(twin: Twin, levels: NoiseLevels) -> None:
+@pytest.mark.parametrize("twin", [BoxTwin(effects=BOX), SLOW], ids=["one state", "four states"])
+def test_the_likelihood_is_that_of_a_gaussian_written_out(twin: BoxTwin, levels: NoiseLevels) -> None:
     runs = recording()
     errors = np.random.default_rng(1).normal(0.0, 0.5, (2, ROWS))
     found = log_density(twin, runs, levels, errors)
@@ -123,10 +123,10 @@ def test_twins_filtered_side_by_side_come_out_as_alone() -> None:
     runs = recording()
     seen = np.ones((2, ROWS), dtype=bool)
     seen[1, 5] = False
-    other = Twin(effects=BOX)
+    other = BoxTwin(effects=BOX)
     filtered = [
-        Filtered(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
-        Filtered(linear_steps(other, runs), NOISE, spread(other), STEP_S),
+        FilterInput(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
+        FilterInput(linear_steps(other, runs), NOISE, spread(other), STEP_S),
     ]
     errors = np.random.default_rng(4).normal(0.0, 0.5, (3, 2, ROWS))
     owner = np.array([1, 0, 1])
@@ -142,10 +142,10 @@ def test_a_likelihood_is_that_of_the_whitened_errors() -> None:
     runs = recording()
     seen = np.ones((2, ROWS), dtype=bool)
     seen[1, 5] = seen[0, -1] = False
-    other = Twin(effects=BOX)
+    other = BoxTwin(effects=BOX)
     filtered = [
-        Filtered(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
-        Filtered(linear_steps(other, runs), NOISE, spread(other), STEP_S),
+        FilterInput(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
+        FilterInput(linear_steps(other, runs), NOISE, spread(other), STEP_S),
     ]
     errors = np.random.default_rng(4).normal(0.0, 0.5, (2, 2, ROWS))
     found, filters = log_likelihoods(filtered, seen, errors), gains(filtered, seen)
@@ -156,10 +156,10 @@ def test_a_likelihood_is_that_of_the_whitened_errors() -> None:
 
 def test_a_reading_long_after_a_start_that_is_forgotten_counts_in_full() -> None:
     runs = recording(rows=1500, runs=1)
-    fast = Twin(effects=BOX | {"extra_capacity": {"kC": 1.0}})
+    fast = BoxTwin(effects=BOX | {"extra_capacity": {"kC": 1.0}})
     levels = replace(LEVELS, room_k=0.0, heat_w=0.0, power_share=0.0)
     seen = np.ones((1, 1500), dtype=bool)
-    filters = gains([Filtered(linear_steps(fast, runs), levels, spread(fast), STEP_S)], seen)
+    filters = gains([FilterInput(linear_steps(fast, runs), levels, spread(fast), STEP_S)], seen)
     assert filters.rows[-1, 0, 0, 0, -1] == 0.0  # nothing is left to learn, to the last bit
     white = whitened(filters, np.array([0]), np.ones((1, 1, 1500)))
     assert white[0, 0, -1] == pytest.approx(1.0 / levels.sensor_k)
@@ -169,7 +169,7 @@ def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:
     runs = recording()
     seen = np.ones((2, ROWS), dtype=bool)
     seen[:, 6:] = False
-    filters = gains([Filtered(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S)], seen)
+    filters = gains([FilterInput(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S)], seen)
     errors = np.random.default_rng(6).normal(0.0, 0.5, (1, 2, ROWS))
     everywhere = whitened(filters, np.array([0]), errors, everywhere=True)
     plain = whitened(filters, np.array([0]), errors)
@@ -181,7 +181,7 @@ def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:
     assert expected[0, 0, 6:] == pytest.approx(told, abs=1e-9)
 
 
-def drawn(twin: Twin, runs: Recorded) -> Floats:
+def drawn(twin: BoxTwin, runs: Recorded) -> Floats:
     """What the model says may come out, measured minus a free run from the middle of the start [B, N]."""
     draw, shape = np.random.default_rng(7), runs.duty.shape
     heat_w = np.stack([coloured(draw, shape[1], LEVELS) for _ in range(shape[0])])
@@ -194,9 +194,11 @@ def drawn(twin: Twin, runs: Recorded) -> Floats:
     return measured - twin.rollout(rest, runs.duty, runs.fan, runs.ambient)
 
 
-def innovations(twin: Twin, runs: Recorded, levels: NoiseLevels) -> Floats:
+def innovations(twin: BoxTwin, runs: Recorded, levels: NoiseLevels) -> Floats:
     errors = drawn(twin, runs)
-    filters = gains([Filtered(linear_steps(twin, runs), levels, spread(twin), STEP_S)], np.isfinite(errors))
+    filters = gains(
+        [FilterInput(linear_steps(twin, runs), levels, spread(twin), STEP_S)], np.isfinite(errors)
+    )
     return whitened(filters, np.array([0]), errors[None])[0]
 
 
@@ -206,8 +208,8 @@ def square_bounds(count: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-@pytest.mark.parametrize("twin", [Twin(effects=BOX), SLOW], ids=["one state", "four states"])
-def test_innovations_of_what_the_model_says_are_white_and_of_unit_size(twin: Twin) -> None:
+@pytest.mark.parametrize("twin", [BoxTwin(effects=BOX), SLOW], ids=["one state", "four states"])
+def test_innovations_of_what_the_model_says_are_white_and_of_unit_size(twin: BoxTwin) -> None:
     white = innovations(twin, recording(rows=120, runs=16), LEVELS)
     low, high = square_bounds(white.size)
     assert low < (white**2).sum() < high

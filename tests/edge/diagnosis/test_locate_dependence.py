@@ -6,8 +6,8 @@ from locate_runs import BASE, NOISE_K, located, made, whiteness_of
 
 from edge.diagnosis.locate.dependence import depends_on, explained
 from edge.diagnosis.locate.regimes import regimes
-from edge.diagnosis.locate.subsets import Regression
-from edge.twin.model import Twin
+from edge.diagnosis.locate.subsets import SumRegression
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 
 DAY_S = 86400.0
@@ -15,7 +15,7 @@ DAY_S = 86400.0
 
 def with_heat(watts, seed=0, count=8, rows=150, noise_k=NOISE_K):
     """Runs in which the air takes heat that is no effect of the library, given at a sixth of a step."""
-    rng, twin = np.random.default_rng(seed), Twin(effects=BASE, step_s=10.0)
+    rng, twin = np.random.default_rng(seed), BoxTwin(effects=BASE, step_s=10.0)
     plain = made(BASE, count=count, rows=rows, seed=seed, noise_k=0.0)
     utc = 1.75e9 + 30.0 * 3600.0 * np.arange(count)[:, None] + 60.0 * np.arange(rows)
     seen = {
@@ -116,11 +116,11 @@ def test_a_subset_is_found_among_decoys():
     rng = np.random.default_rng(0)
     columns = rng.normal(size=(400, 40))
     columns /= np.linalg.norm(columns, axis=0)
-    regression = Regression.of(
+    regression = SumRegression.of(
         columns, 20.0 * columns[:, 3] - 15.0 * columns[:, 17] + rng.normal(size=400), 400
     )
     assert regression.best(range(40)) == (3, 17)
     assert 3 not in regression.best([i for i in range(40) if i != 3])
-    noise = Regression.of(columns, rng.normal(size=400), 400)
+    noise = SumRegression.of(columns, rng.normal(size=400), 400)
     assert noise.best(range(40)) == ()
     assert noise.left(()) == noise.total

@@ -5,7 +5,7 @@ import pytest
 from locate_runs import BASE, NOISE_K, made, names
 
 from edge.diagnosis.locate.events import find_events
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 DOOR = {**BASE, "door_opening": {"G_door": 10.0}}
 WALLED = {
@@ -17,7 +17,7 @@ CALM = {"held": (60, 180), "fan_share": 0.0}  # a heater that changes each hour,
 
 
 def found_in(runs, effects=BASE):
-    return find_events(Twin(effects=effects), runs, names(runs), NOISE_K)
+    return find_events(BoxTwin(effects=effects), runs, names(runs), NOISE_K)
 
 
 def opened(places, count=6, rows=180):
@@ -51,7 +51,7 @@ def test_the_column_makes_the_twin_forecast_the_openings():
     found = found_in(replace(hidden, conditions={}))
     start = hidden.temp[:, :1]
     errors = [
-        Twin(effects=DOOR).rollout(start, hidden.duty, hidden.fan, hidden.ambient, conditions=conditions)
+        BoxTwin(effects=DOOR).rollout(start, hidden.duty, hidden.fan, hidden.ambient, conditions=conditions)
         - hidden.temp[:, 1:]
         for conditions in (None, {"door_open": found.door_open})
     ]
@@ -66,7 +66,7 @@ def test_half_a_step_is_half_a_share():
     hidden = made(
         {**BASE, "door_opening": {"G_door": 20.0}}, count=2, conditions=column, noise_k=0.02, **CALM
     )
-    found = find_events(Twin(effects=BASE), replace(hidden, conditions={}), names(hidden), 0.02)
+    found = find_events(BoxTwin(effects=BASE), replace(hidden, conditions={}), names(hidden), 0.02)
     for i in range(2):
         if hidden.temp[i, 89] - hidden.ambient[i, 89] > 2.0:
             assert found.door_open[i, 89] == pytest.approx(0.5, abs=0.15)
@@ -109,7 +109,7 @@ def test_a_spike_of_one_reading_is_a_wrong_reading_and_no_door(size_k):
 
 
 def test_heat_that_comes_and_stays_is_no_door():
-    twin, runs = Twin(effects=BASE), made(BASE, count=3, noise_k=0.0, **CALM)
+    twin, runs = BoxTwin(effects=BASE), made(BASE, count=3, noise_k=0.0, **CALM)
     lost = np.zeros_like(runs.duty)
     lost[:, 100:] = -15.0 / twin.system.air_capacity_j_k
     temps = twin.rollout(runs.temp[:, :1], runs.duty, runs.fan, runs.ambient, lost)

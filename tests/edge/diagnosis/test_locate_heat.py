@@ -8,7 +8,7 @@ from edge.core.errors import DataError
 from edge.diagnosis.locate.heat_filter import HeatNoise
 from edge.diagnosis.locate.residual_heat import residual_heat
 from edge.diagnosis.locate.whitened import jumps, pulses, response_to, score, spikes, white
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 BENT = {**BASE, "natural_convection": {"G_nc": 2.0}}
 HIDDEN = {
@@ -27,7 +27,7 @@ HIDDEN = {
 @pytest.mark.parametrize("effects", HIDDEN.values(), ids=HIDDEN)
 def test_a_hidden_constant_heat_comes_out_in_watts(effects):
     runs = made({**effects, "constant_heat": {"P0": 5.0}})
-    found = residual_heat(Twin(effects=effects), runs, NOISE_K)
+    found = residual_heat(BoxTwin(effects=effects), runs, NOISE_K)
     assert found.heat_w.mean() == pytest.approx(5.0, abs=0.15)
     assert np.abs(found.heat_w - 5.0).max() < 1.5
     # Errors in units of the stated sd: not far from 1 on average.
@@ -48,7 +48,7 @@ def test_a_hidden_wall_loss_is_a_heat_of_minus_2_w_per_k(effects):
 
 
 def test_a_right_twin_leaves_no_heat_and_white_innovations():
-    found = residual_heat(Twin(effects=BASE), made(BASE), NOISE_K)
+    found = residual_heat(BoxTwin(effects=BASE), made(BASE), NOISE_K)
     assert np.abs(found.heat_w).max() < 0.5
     assert found.noise == HeatNoise(0.03, 0.0)  # the least of the levels tried
     assert white(found.way).std() == pytest.approx(1.0, abs=0.05)
@@ -58,7 +58,7 @@ def test_missing_readings_and_the_end_of_a_shorter_run():
     runs = made({**BASE, "constant_heat": {"P0": 5.0}}, count=2)
     temp = runs.temp.copy()
     temp[0, 50:70], temp[1, 121:] = np.nan, np.nan
-    found = residual_heat(Twin(effects=BASE), replace(runs, temp=temp), NOISE_K, HeatNoise(1.0, 0.0))
+    found = residual_heat(BoxTwin(effects=BASE), replace(runs, temp=temp), NOISE_K, HeatNoise(1.0, 0.0))
     assert np.isfinite(found.heat_w[0]).all()
     assert found.sd_w[0, 60] > 1.5 * found.sd_w[0, 30]  # a hole makes it less sure
     assert np.isfinite(found.heat_w[1, :120]).all()
@@ -70,11 +70,11 @@ def test_missing_readings_and_the_end_of_a_shorter_run():
 def test_a_run_without_room_temperature_is_refused():
     runs = made(BASE, count=1)
     with pytest.raises(DataError, match="temp_ambient_c: not known"):
-        residual_heat(Twin(effects=BASE), replace(runs, ambient=np.full_like(runs.ambient, np.nan)))
+        residual_heat(BoxTwin(effects=BASE), replace(runs, ambient=np.full_like(runs.ambient, np.nan)))
 
 
 def test_responses_are_what_a_changed_run_shows():
-    twin, runs, noise = Twin(effects=BASE), made(BASE, count=1, rows=60), HeatNoise(1.0, 2.0)
+    twin, runs, noise = BoxTwin(effects=BASE), made(BASE, count=1, rows=60), HeatNoise(1.0, 2.0)
     plain = residual_heat(twin, runs, NOISE_K, noise)
     heated = {}
     for kind, rows in (("pulse", slice(20, 21)), ("jump", slice(20, None))):

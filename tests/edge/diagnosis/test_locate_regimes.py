@@ -5,7 +5,7 @@ import pytest
 from locate_runs import BASE, located, made
 
 from edge.diagnosis.locate.conditions import conditions
-from edge.diagnosis.locate.regimes import Regime, regimes
+from edge.diagnosis.locate.regimes import DisagreementRegime, regimes
 from edge.diagnosis.locate.rows import rows_of
 from edge.diagnosis.locate.sentences import findings, percent, regime_sentence, with_error
 from edge.diagnosis.locate.stretches import stretches
@@ -105,7 +105,9 @@ def test_light_hour_day_and_humidity_are_asked_where_they_are_known():
     assert not any("UTC" in item.where for item in conditions(rows_of(located(made(BASE, count=3)))))
 
 
-REGIME = Regime("the fan is off and T - T_amb > 6 K", 0.712, 0.6, 0.8, 0.2, 300, 1.2, -38.2, 3.1, ())
+REGIME = DisagreementRegime(
+    "the fan is off and T - T_amb > 6 K", 0.712, 0.6, 0.8, 0.2, 300, 1.2, -38.2, 3.1, ()
+)
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from edge.diagnosis.baselines import arx_errors, arx_weights, simple_twins
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.folds import FIRST_ROWS, block_sums, folds, halves
 from edge.diagnosis.free_fit import another, apart, fit_values, free_errors, left_out_errors, together
-from edge.diagnosis.handed import Predicted, against_adopting
+from edge.diagnosis.handed import JudgedTwin, against_adopting
 from edge.diagnosis.possible import impossible
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.standing import discovered
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -70,7 +70,7 @@ def test_sums_of_blocks_are_of_all_rows_that_were_left_out() -> None:
 # values
 
 
-def in_a_still_room(run: Run) -> Run:
+def in_a_still_room(run: RecordedRun) -> RecordedRun:
     """The same heater in a box whose room stands still and whose fan never runs."""
     element_w, air_k, temps = 0.0, 0.0, []
     ua_w_k, air_s, element_s = 4.0, 900.0, 200.0
@@ -232,14 +232,14 @@ def test_a_twin_is_not_offered_where_it_predicts_no_better(found: Diagnosis) -> 
 def test_a_value_at_its_bound_is_not_offered(found: Diagnosis) -> None:
     handed = found.judged.handed
     at_end = np.array([item.bounds[1] for item in handed.fitted.free])
-    stuck = Predicted(handed.added, replace(handed.fitted, coordinates=at_end), handed.errors)
+    stuck = JudgedTwin(handed.added, replace(handed.fitted, coordinates=at_end), handed.errors)
     given = found.judged.comparison.tried[frozenset()]
     [said] = against_adopting(given, stuck, {"one mass": 9.0}, {})
     assert said.startswith("a value is as far as it can go: ")
     assert "effects.heater_lag.tau_h" in said
 
 
-def stuck(run: Run, first: int) -> Run:
+def stuck(run: RecordedRun, first: int) -> RecordedRun:
     temp = run.columns["temp_air_c"].copy()
     temp[first : first + 10] = temp[first]
     return replace(run, columns={**run.columns, "temp_air_c": temp})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import edge
-from edge import Found, Run, Twin, diagnose
+from edge import DiagnosisResult, Run, Twin, diagnose
 from edge.core.errors import DataError
 
 ROOT = Path(__file__).parents[3]
@@ -18,12 +18,12 @@ NOTEBOOK = ROOT / "examples" / "diagnosis.ipynb"
 
 
 @pytest.fixture(scope="module")
-def found() -> Found:
+def found() -> DiagnosisResult:
     runs = [Run.read(path) for path in sorted(EXAMPLE.glob("train_*.csv"))]
     return diagnose(Twin.read(EXAMPLE / "twin.yaml"), runs, tests=[Run.read(EXAMPLE / "test_1.csv")])
 
 
-def test_five_lines_find_what_is_missing(found: Found, tmp_path: Path) -> None:
+def test_five_lines_find_what_is_missing(found: DiagnosisResult, tmp_path: Path) -> None:
     assert found.verdict == "named"
     assert set(found.names) == {"heater_lag", "infiltration"}
     assert all(0.5 < probability <= 1.0 for probability in found.names.values())
@@ -33,7 +33,7 @@ def test_five_lines_find_what_is_missing(found: Found, tmp_path: Path) -> None:
     assert Twin.read(tmp_path / "twin.yaml").file.effects.keys() == found.twin.file.effects.keys()
 
 
-def test_the_new_twin_predicts_a_run_that_it_never_saw(found: Found) -> None:
+def test_the_new_twin_predicts_a_run_that_it_never_saw(found: DiagnosisResult) -> None:
     run = Run.read(EXAMPLE / "test_1.csv")
     assert found.twin is not None
     missed = run.content.columns["temp_air_c"] - found.twin.predict(run)
@@ -41,13 +41,13 @@ def test_the_new_twin_predicts_a_run_that_it_never_saw(found: Found) -> None:
     assert np.sqrt(np.mean(missed**2)) < 0.1
 
 
-def test_a_notebook_shows_tables(found: Found) -> None:
+def test_a_notebook_shows_tables(found: DiagnosisResult) -> None:
     assert "<td>heater_lag</td>" in found._repr_html_()
     assert "<td>temp_air_c</td>" in Run.read(EXAMPLE / "test_1.csv")._repr_html_()
     assert "<td>effects.wall_loss.UA</td>" in Twin.read(EXAMPLE / "twin.yaml")._repr_html_()
 
 
-def test_a_report_is_a_folder(found: Found, tmp_path: Path) -> None:
+def test_a_report_is_a_folder(found: DiagnosisResult, tmp_path: Path) -> None:
     page = found.report(tmp_path / "report")
     assert page.exists()
     document = json.loads((page.parent / "diagnosis.json").read_text(encoding="utf-8"))

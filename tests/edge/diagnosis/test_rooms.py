@@ -13,7 +13,7 @@ from edge.diagnosis.given import given, with_rooms
 from edge.diagnosis.nuisances import assumed_room, begins_at_rest
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import Trial
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.recorded import recorded
 from edge.twin.value import Value
 
@@ -34,7 +34,7 @@ def test_a_run_that_begins_hot_is_in_no_hot_room(temps: list[float], room_c: flo
     assert begins_at_rest(np.array(temps)) == rests
 
 
-def from_the_middle(run: Run) -> Run:
+def from_the_middle(run: RecordedRun) -> RecordedRun:
     """From where it is hottest of its first rows, of a room that nobody recorded."""
     begin = int(np.argmax(run.columns["temp_air_c"][:150]))
     columns = {key: values[begin:] for key, values in run.columns.items() if key != "temp_ambient_c"}

@@ -8,20 +8,20 @@ import pytest
 
 from bench.support.simulated_runs import BOX, changed, diagnosed, silent, simulated, twin_file
 from edge.diagnosis.diagnose import Diagnosis, diagnose
-from edge.formats.run_file import Run, cut
+from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
 HIDDEN = {"heater_lag": {"tau_h": 300.0}}
 ROWS, BAD = 120, 10
-Change = Callable[[Sequence[Run]], Sequence[Run]]
+Change = Callable[[Sequence[RecordedRun]], Sequence[RecordedRun]]
 
 
-def recordings() -> list[Run]:
+def recordings() -> list[RecordedRun]:
     return [simulated({**BOX, **HIDDEN}, seed, ROWS) for seed in (1, 2, 3)]
 
 
-def answer(runs: Sequence[Run], file: TwinFile | None = None) -> Diagnosis:
+def answer(runs: Sequence[RecordedRun], file: TwinFile | None = None) -> Diagnosis:
     file = file or twin_file()
     return diagnose(file, diagnosed(runs, file=file), silent, "")
 
@@ -34,7 +34,7 @@ def usual() -> Diagnosis:
 def bad(run: int, first: int, spoil: Callable[[np.ndarray], np.ndarray]) -> Change:
     """Readings of one run from a row on."""
 
-    def change(runs: Sequence[Run]) -> Sequence[Run]:
+    def change(runs: Sequence[RecordedRun]) -> Sequence[RecordedRun]:
         temps = runs[run].columns["temp_air_c"].copy()
         temps[first : first + BAD] = spoil(temps[first : first + BAD])
         return [changed(item, temp_air_c=temps) if i == run else item for i, item in enumerate(runs)]
@@ -42,7 +42,7 @@ def bad(run: int, first: int, spoil: Callable[[np.ndarray], np.ndarray]) -> Chan
     return change
 
 
-def split(runs: Sequence[Run]) -> Sequence[Run]:
+def split(runs: Sequence[RecordedRun]) -> Sequence[RecordedRun]:
     """The first recording as two files."""
     parts = [cut(runs[0], 0, ROWS // 2), cut(runs[0], ROWS // 2, ROWS)]
     return [replace(part, path=runs[0].path.with_suffix(f".{i}")) for i, part in enumerate(parts)] + list(

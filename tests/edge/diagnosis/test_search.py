@@ -9,9 +9,9 @@ import pytest
 
 from bench.support.simulated_runs import BOX, Effects, changed, search_over, simulated, twin_file
 from edge.diagnosis import candidates as module
-from edge.diagnosis.candidates import Scored
+from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.search import RIVAL_NATS, Search
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.value import Value
 
@@ -37,12 +37,12 @@ def few_candidates() -> Iterator[None]:
         yield
 
 
-def runs_with(hidden: Effects, first_seed: int = 1) -> list[Run]:
+def runs_with(hidden: Effects, first_seed: int = 1) -> list[RecordedRun]:
     return [simulated({**BOX, **hidden}, first_seed + i, ROWS) for i in range(RUNS)]
 
 
 @cache
-def searched(names: tuple[str, ...] = (), first_seed: int = 1) -> tuple[Search, Scored]:
+def searched(names: tuple[str, ...] = (), first_seed: int = 1) -> tuple[Search, ScoredSet]:
     """With these effects hidden; kept, as a search does not change what it has found."""
     search, _ = search_over(runs_with({name: HIDDEN[name] for name in names}, first_seed))
     return search, search.missing()
@@ -77,7 +77,7 @@ def test_a_heat_that_no_effect_gives_is_a_formula_not_a_name() -> None:
 # rivals
 
 
-def likelihoods(sets: Sequence[Scored]) -> dict[str, float]:
+def likelihoods(sets: Sequence[ScoredSet]) -> dict[str, float]:
     return {" ".join(sorted(item.added)): item.likelihood for item in sets}
 
 

@@ -17,7 +17,7 @@ from edge.__main__ import main
 from edge.diagnosis import candidates
 from edge.diagnosis.diagnosis_document import check_diagnosis
 from edge.diagnosis.diagnosis_schema import schema
-from edge.formats.run_file import Run, absence_facts, data_sha256, write_run
+from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write_run
 from edge.models.pbm import read_twin
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
@@ -28,7 +28,7 @@ LAG: Effects = {"heater_lag": {"tau_h": 200.0}}
 
 
 @dataclass(frozen=True)
-class Told:
+class CommandOutput:
     """What the command has said and written."""
 
     code: int
@@ -58,11 +58,11 @@ def _no_number(text: str) -> None:
     raise AssertionError(f"{text} is no JSON")
 
 
-def recordings(hidden: Effects, **more: Any) -> list[Run]:
+def recordings(hidden: Effects, **more: Any) -> list[RecordedRun]:
     return [simulated({**BOX, **hidden}, seed, ROWS, **more) for seed in range(1, RUNS + 1)]
 
 
-def blind_test(hidden: Effects) -> Run:
+def blind_test(hidden: Effects) -> RecordedRun:
     """A run of role test with temperatures in its first two rows alone."""
     run = simulated({**BOX, **hidden}, 9, ROWS)
     temp = run.columns["temp_air_c"].copy()
@@ -70,10 +70,10 @@ def blind_test(hidden: Effects) -> Run:
     return changed(run, facts={"role": "test"}, temp_air_c=temp)
 
 
-Command = Callable[..., Told]
+Command = Callable[..., CommandOutput]
 
 
-def written(runs: Sequence[Run], folder: Path, name: str) -> list[str]:
+def written(runs: Sequence[RecordedRun], folder: Path, name: str) -> list[str]:
     paths = [folder / f"{name}_{i:02d}.csv" for i in range(1, len(runs) + 1)]
     for run, path in zip(runs, paths, strict=True):
         write_run(absence_facts(run), path)
@@ -81,7 +81,7 @@ def written(runs: Sequence[Run], folder: Path, name: str) -> list[str]:
 
 
 def words_for(
-    folder: Path, train: Sequence[Run], test: Sequence[Run] = (), file: TwinFile | None = None
+    folder: Path, train: Sequence[RecordedRun], test: Sequence[RecordedRun] = (), file: TwinFile | None = None
 ) -> list[str]:
     """The command's words, its files written."""
     folder.mkdir(exist_ok=True)
@@ -93,11 +93,11 @@ def words_for(
 
 @pytest.fixture
 def diagnose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Command:
-    def run(*words: str) -> Told:
+    def run(*words: str) -> CommandOutput:
         capsys.readouterr()
         code = main(list(words))
         said = capsys.readouterr()
-        return Told(code, said.out, said.err, tmp_path / "report")
+        return CommandOutput(code, said.out, said.err, tmp_path / "report")
 
     return run
 
@@ -106,7 +106,7 @@ def diagnose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Command:
 
 
 @pytest.fixture(scope="module")
-def named(tmp_path_factory: pytest.TempPathFactory) -> Told:
+def named(tmp_path_factory: pytest.TempPathFactory) -> CommandOutput:
     """The whole report, by the program as it is started: a slow heater that the twin does not know."""
     folder = tmp_path_factory.mktemp("named")
     words = words_for(folder, recordings(LAG), [blind_test(LAG)])
@@ -114,10 +114,10 @@ def named(tmp_path_factory: pytest.TempPathFactory) -> Told:
     ended = subprocess.run(
         [sys.executable, "-m", "edge", *words], capture_output=True, text=True, check=False, timeout=110
     )
-    return Told(ended.returncode, ended.stdout, ended.stderr, folder / "report")
+    return CommandOutput(ended.returncode, ended.stdout, ended.stderr, folder / "report")
 
 
-def test_what_is_hidden_is_named_with_its_value(named: Told) -> None:
+def test_what_is_hidden_is_named_with_its_value(named: CommandOutput) -> None:
     document = named.document
     assert document["verdict"] == "named"
     [effect] = document["effects"]
@@ -133,7 +133,7 @@ def test_what_is_hidden_is_named_with_its_value(named: Told) -> None:
     assert document["formula"] is None
 
 
-def test_the_gap_closes_and_is_shown_step_by_step(named: Told) -> None:
+def test_the_gap_closes_and_is_shown_step_by_step(named: CommandOutput) -> None:
     gap = named.document["gap"]
     before, after = gap["before"]["train"]["rmse_k"], gap["after"]["train"]["rmse_k"]
     assert after < 0.2 * before
@@ -144,7 +144,7 @@ def test_the_gap_closes_and_is_shown_step_by_step(named: Told) -> None:
     assert [step["train_rmse_k"] for step in steps] == [before, after]
 
 
-def test_a_test_run_with_two_temperatures_is_forecast_but_judges_nothing(named: Told) -> None:
+def test_a_test_run_with_two_temperatures_is_forecast_but_judges_nothing(named: CommandOutput) -> None:
     document = named.document
     assert document["gap"]["after"]["test"] is None
     assert document["gap"]["noise_floor"]["test"] is None
@@ -157,7 +157,7 @@ def test_a_test_run_with_two_temperatures_is_forecast_but_judges_nothing(named: 
     assert missed["after"] < 0.5
 
 
-def test_the_report_folder_holds_what_a_person_a_machine_and_the_rig_need(named: Told) -> None:
+def test_the_report_folder_holds_what_a_person_a_machine_and_the_rig_need(named: CommandOutput) -> None:
     names = {path.name for path in named.folder.iterdir()}
     assert {"report.html", "diagnosis.json", "twin.yaml", "twin_before.yaml"} <= names
     assert "heater_lag" in (named.folder / "report.html").read_text(encoding="utf-8")
@@ -165,7 +165,7 @@ def test_the_report_folder_holds_what_a_person_a_machine_and_the_rig_need(named:
     assert named.document["twin_after"] == "twin.yaml"
 
 
-def test_the_new_twin_is_one_that_predicts(named: Told) -> None:
+def test_the_new_twin_is_one_that_predicts(named: CommandOutput) -> None:
     file = read_twin_file(named.folder / "twin.yaml")
     assert set(file.effects) == {*BOX, "heater_lag"}
     assert file.to_fit() == []
@@ -187,7 +187,7 @@ def test_the_new_twin_is_one_that_predicts(named: Told) -> None:
     assert warmed[0, -1] == pytest.approx(22.0 + 50.0 / 4.0, abs=1.0)  # 50 W over 4 W/K, nearly settled
 
 
-def test_every_effect_was_tried_and_the_rounds_say_why_not(named: Told) -> None:
+def test_every_effect_was_tried_and_the_rounds_say_why_not(named: CommandOutput) -> None:
     rounds = named.document["rounds"]
     tried = {candidate["name"]: candidate for candidate in rounds[0]["candidates"]}
     needing = {"evapotranspiration", "door_opening", "solar_gain"}  # no humidity, no door, no sun
@@ -229,7 +229,7 @@ def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(candidates, "USUAL_EFFECTS", few)
 
 
-def with_readings(run: Run, added: dict[int, float]) -> Run:
+def with_readings(run: RecordedRun, added: dict[int, float]) -> RecordedRun:
     temp = run.columns["temp_air_c"].copy()
     for row, more in added.items():
         temp[row] += more
@@ -240,7 +240,7 @@ def with_readings(run: Run, added: dict[int, float]) -> Run:
 def test_gaps_and_spikes_do_not_hide_what_is_missing(diagnose: Command, tmp_path: Path) -> None:
     one, two, three, four = recordings(LAG)
     rows = np.r_[0:25, 40:ROWS]  # 15 min without a row
-    torn = Run({key: values[rows] for key, values in one.columns.items()}, one.facts, one.path)
+    torn = RecordedRun({key: values[rows] for key, values in one.columns.items()}, one.facts, one.path)
     holes = np.where(np.arange(ROWS) % 7 == 3, np.nan, two.columns["temp_air_c"])
     spiky = with_readings(three, {0: 8.0, 30: -7.0})
     document = diagnose(*words_for(tmp_path, [torn, changed(two, temp_air_c=holes), spiky, four])).document
@@ -275,12 +275,12 @@ def test_a_room_and_a_fan_that_were_not_recorded_are_said_to_be_so(diagnose: Com
     assert len(document["predictions"]["test_01.csv"]["after"]) == ROWS
 
 
-def with_room(run: Run, room_c: float) -> Run:
+def with_room(run: RecordedRun, room_c: float) -> RecordedRun:
     """The plain box's run again in a room that stands still."""
-    from edge.twin.model import Twin
+    from edge.twin.model import BoxTwin
 
     duty, fan = (run.columns[key][None, :-1] for key in ("heater_duty", "fan_on"))
-    temp = Twin(effects=BOX).rollout(np.array([room_c]), duty, fan, room_c)[0]
+    temp = BoxTwin(effects=BOX).rollout(np.array([room_c]), duty, fan, room_c)[0]
     noise = 0.1 * np.random.default_rng(len(str(run.path))).standard_normal(ROWS)
     return changed(run, temp_air_c=np.append(room_c, temp) + noise, temp_ambient_c=np.full(ROWS, room_c))
 
@@ -349,23 +349,23 @@ def swapped(lines: list[str]) -> list[str]:
     return [*lines[:40], lines[41], lines[40], *lines[42:]]
 
 
-def short(run: Run, rows: int) -> Run:
-    return Run({key: values[:rows] for key, values in run.columns.items()}, run.facts, run.path)
+def short(run: RecordedRun, rows: int) -> RecordedRun:
+    return RecordedRun({key: values[:rows] for key, values in run.columns.items()}, run.facts, run.path)
 
 
-def kelvin(run: Run) -> Run:
+def kelvin(run: RecordedRun) -> RecordedRun:
     return changed(run, temp_air_c=run.columns["temp_air_c"] + 273.15)
 
 
-def percent(run: Run) -> Run:
+def percent(run: RecordedRun) -> RecordedRun:
     return changed(run, heater_duty=100.0 * run.columns["heater_duty"])
 
 
-def empty(run: Run) -> Run:
+def empty(run: RecordedRun) -> RecordedRun:
     return changed(run, temp_air_c=np.full(len(run), np.nan))
 
 
-REFUSED: dict[str, tuple[Callable[[Run], Run], str]] = {
+REFUSED: dict[str, tuple[Callable[[RecordedRun], RecordedRun], str]] = {
     "ten rows": (lambda run: short(run, 10), "10 usable rows of 60 s: these data can't tell anything"),
     "all missing": (empty, "temp_air_c: nothing was measured, every cell is empty"),
     "kelvin": (kelvin, "is not a plausible air temperature in degC; is it kelvin?"),

@@ -6,13 +6,13 @@ import pytest
 from bench.support.simulated_runs import NOISE, diagnosed, silent, simulated, twin_file
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.diagnose import diagnose
-from edge.diagnosis.handed import OPEN, Predicted, opened
+from edge.diagnosis.handed import OPEN, JudgedTwin, opened
 from edge.diagnosis.judged import _is_moved
 from edge.diagnosis.trial import Fitted, Trial
-from edge.diagnosis.unknowns import Unknown
+from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.effects.library import EFFECTS
 from edge.twin.effects.unnamed import UNNAMED_EFFECTS
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.value import Value
 
@@ -25,7 +25,7 @@ ROWS = 600
 def settled_c(effects: dict[str, dict[str, float]], duty: float) -> float:
     """Where the air ends, from a room of 20 °C."""
     commands = np.full((1, ROWS), duty)
-    temps = Twin(effects=effects).rollout(np.array([20.0]), commands, np.zeros((1, ROWS)), 20.0)
+    temps = BoxTwin(effects=effects).rollout(np.array([20.0]), commands, np.zeros((1, ROWS)), 20.0)
     assert np.isfinite(temps).all()
     return float(temps[0, -1])
 
@@ -42,14 +42,14 @@ def test_a_cut_takes_the_heater_from_a_warm_box() -> None:
 
 @pytest.mark.parametrize("temp_c", [-200.0, 0.0, 30.0, 1000.0])
 def test_it_is_bounded_wherever_the_box_goes(temp_c: float) -> None:
-    twin = Twin(effects=BASE | HEAT)
+    twin = BoxTwin(effects=BASE | HEAT)
     heat_w = twin.signals.heat_w(np.array([temp_c]), np.array([20.0]), {}, by_temp=True)
     assert 0.0 <= float(np.asarray(heat_w)[0]) <= 20.0
 
 
 def test_a_march_of_single_steps_is_the_rollout() -> None:
     duty, fan = np.array([[0.0, 1.0, 1.0, 1.0, 0.2, 0.0]]), np.zeros((1, 6))
-    twin = Twin(effects=BASE | CUT)
+    twin = BoxTwin(effects=BASE | CUT)
     whole = twin.rollout(np.array([28.0]), duty, fan, 20.0)[0]
     state, single = np.array([28.0]), []
     for u in duty[0]:
@@ -80,15 +80,15 @@ def test_it_is_never_offered_as_a_name() -> None:
     assert not set(UNNAMED_EFFECTS) & set(Candidates(twin_file(), runs, {}).names)
 
 
-def predicted(added: set[str], places: dict[tuple[str, str, str], float], sd: float = 0.1) -> Predicted:
+def predicted(added: set[str], places: dict[tuple[str, str, str], float], sd: float = 0.1) -> JudgedTwin:
     """A twin of which no more is told than its values."""
-    free = tuple(Unknown(place, 1e-3, 1e3, True, 1.0, 0.0, 1.0) for place in places)
+    free = tuple(UnknownValue(place, 1e-3, 1e3, True, 1.0, 0.0, 1.0) for place in places)
     file, coordinates = twin_file(), np.array(list(places.values()))
     fitted = Fitted(
         Trial(file, NOISE), file, free, coordinates, 0.0, sd**2 * np.eye(len(free)), np.zeros((1, 1)),
         np.empty(0), np.empty(0),
     )  # fmt: skip
-    return Predicted(frozenset(added), fitted, np.zeros((1, 1)))
+    return JudgedTwin(frozenset(added), fitted, np.zeros((1, 1)))
 
 
 def test_a_name_that_becomes_something_else_beside_a_term_is_moved() -> None:

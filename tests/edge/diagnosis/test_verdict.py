@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from bench.support.simulated_runs import BOX, NOISE, simulated, twin_file
-from edge.diagnosis.candidates import Scored
+from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.formulas import shapes
 from edge.diagnosis.search import RIVAL_NATS
 from edge.diagnosis.starts import with_effect
-from edge.diagnosis.trial import Fitted, Term, Trial
+from edge.diagnosis.trial import Fitted, SizedTerm, Trial
 from edge.diagnosis.unknowns import unknowns
-from edge.diagnosis.verdict import Verdict, interval, intervals, verdict
+from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 
@@ -23,40 +23,40 @@ NO_RUNS = Recorded(np.full((1, 3), 21.0), np.zeros((1, 2)), np.zeros((1, 2)), np
 
 
 @dataclass
-class Found:
+class FinishedSearch:
     """A search that has come to its end. left : scores by set; near : rivals by member"""
 
-    best: Scored
+    best: ScoredSet
     left: Mapping[frozenset[str], float] = field(default_factory=dict)
-    near: Mapping[str, list[Scored]] = field(default_factory=dict)
-    vague: Scored | None = None
-    alone: Mapping[frozenset[str], Scored] = field(default_factory=dict)
+    near: Mapping[str, list[ScoredSet]] = field(default_factory=dict)
+    vague: ScoredSet | None = None
+    alone: Mapping[frozenset[str], ScoredSet] = field(default_factory=dict)
     file: TwinFile = field(default_factory=twin_file)
     runs: Recorded = NO_RUNS
 
     @property
-    def sets(self) -> "Found":
+    def sets(self) -> "FinishedSearch":
         return self
 
-    def missing(self) -> Scored:
+    def missing(self) -> ScoredSet:
         return self.best
 
-    def unnamed(self) -> Scored:
+    def unnamed(self) -> ScoredSet:
         assert self.vague is not None
         return self.vague
 
-    def without(self, item: Scored, name: str) -> Scored:
+    def without(self, item: ScoredSet, name: str) -> ScoredSet:
         less = item.added - {name}
         return self.alone.get(less, replace(item, added=less))
 
-    def worth(self, item: Scored, names: Sequence[str]) -> dict[str, float]:
+    def worth(self, item: ScoredSet, names: Sequence[str]) -> dict[str, float]:
         return {name: item.score - self.left.get(item.added - {name}, 0.0) for name in names}
 
-    def rivals(self, item: Scored, names: Sequence[str]) -> dict[str, list[Scored]]:
+    def rivals(self, item: ScoredSet, names: Sequence[str]) -> dict[str, list[ScoredSet]]:
         return {name: self.near.get(name, []) for name in names}
 
 
-def fitted(*names: str, variance: float = 1e-4, terms: tuple[Term, ...] = ()) -> Fitted:
+def fitted(*names: str, variance: float = 1e-4, terms: tuple[SizedTerm, ...] = ()) -> Fitted:
     """Effects at their usual values, as if a fit had ended there."""
     file = twin_file()
     for name in names:
@@ -71,13 +71,13 @@ def fitted(*names: str, variance: float = 1e-4, terms: tuple[Term, ...] = ()) ->
     )
 
 
-def scored(*names: str, likelihood: float = 100.0, score: float = 100.0) -> Scored:
-    terms = tuple(Term(name, np.zeros((2, 1)), 1.0) for name in names if name.startswith("~"))
+def scored(*names: str, likelihood: float = 100.0, score: float = 100.0) -> ScoredSet:
+    terms = tuple(SizedTerm(name, np.zeros((2, 1)), 1.0) for name in names if name.startswith("~"))
     effects = [name for name in names if not name.startswith("~")]
-    return Scored(frozenset(names), fitted(*effects, terms=terms), likelihood, score)
+    return ScoredSet(frozenset(names), fitted(*effects, terms=terms), likelihood, score)
 
 
-def read(found: Found) -> Verdict:
+def read(found: FinishedSearch) -> DiagnosisVerdict:
     return verdict(found, SHAPE)  # type: ignore[arg-type]
 
 
@@ -85,7 +85,7 @@ def test_effects_come_in_the_order_of_what_they_are_worth() -> None:
     best = scored("heater_lag", "infiltration", "soil_mass")
     worth = {best.added - {name}: left for name, left in
              (("heater_lag", 60.0), ("infiltration", 10.0), ("soil_mass", 85.0))}  # fmt: skip
-    said = read(Found(best, worth))
+    said = read(FinishedSearch(best, worth))
     assert said.kind == "named"
     assert [effect.name for effect in said.effects] == ["infiltration", "heater_lag", "soil_mass"]
     assert [effect.log_odds for effect in said.effects] == [90.0, 40.0, 15.0]
@@ -99,7 +99,7 @@ def test_effects_come_in_the_order_of_what_they_are_worth() -> None:
 )
 def test_what_explains_the_runs_as_well_is_an_alternative(behind: float, is_one: bool) -> None:
     near = {"heater_lag": [scored("heater_deadtime", likelihood=100.0 - behind)]}
-    [effect] = read(Found(scored("heater_lag"), near=near)).effects
+    [effect] = read(FinishedSearch(scored("heater_lag"), near=near)).effects
     assert dict(effect.alternatives) == ({"heater_deadtime": -behind} if is_one else {})
 
 
@@ -108,14 +108,16 @@ def test_alternatives_come_the_likeliest_first_and_a_formula_is_none() -> None:
         *(scored("sensor_lag", likelihood=98.0), scored("heater_deadtime", likelihood=99.5)),
         *(scored("extra_capacity", likelihood=99.0), scored("~u fan", likelihood=99.9)),
     ]
-    [effect] = read(Found(scored("heater_lag"), near={"heater_lag": near})).effects
+    [effect] = read(FinishedSearch(scored("heater_lag"), near={"heater_lag": near})).effects
     assert list(effect.alternatives) == ["heater_deadtime", "extra_capacity", "sensor_lag"]
 
 
 def test_an_alternative_is_told_of_the_member_in_whose_place_it_stands() -> None:
     best = scored("heater_lag", "fan_effectiveness")
     near = {"fan_effectiveness": [scored("heater_lag", "short_circuit")]}
-    said = {effect.name: list(effect.alternatives) for effect in read(Found(best, near=near)).effects}
+    said = {
+        effect.name: list(effect.alternatives) for effect in read(FinishedSearch(best, near=near)).effects
+    }
     assert said == {"heater_lag": [], "fan_effectiveness": ["short_circuit"]}
 
 
@@ -124,7 +126,7 @@ def test_an_alternative_is_told_of_the_member_in_whose_place_it_stands() -> None
 
 def test_a_formula_worth_more_than_any_name_is_unknown_and_says_what_it_depends_on() -> None:
     best = scored("~u fan", "infiltration")
-    said = read(Found(best, {frozenset({"infiltration"}): 10.0, frozenset({"~u fan"}): 90.0}))
+    said = read(FinishedSearch(best, {frozenset({"infiltration"}): 10.0, frozenset({"~u fan"}): 90.0}))
     assert said.kind == "unknown"
     assert said.effects == ()
     assert said.depends_on == ("heater_duty", "fan_on")
@@ -137,14 +139,14 @@ def test_a_formula_worth_more_than_any_name_is_unknown_and_says_what_it_depends_
 
 def test_dependences_of_two_formulas_are_said_once_the_strongest_first() -> None:
     best = scored("~t (T - T_amb)", "~u fan")
-    said = read(Found(best, {frozenset({"~u fan"}): 10.0, frozenset({"~t (T - T_amb)"}): 90.0}))
+    said = read(FinishedSearch(best, {frozenset({"~u fan"}): 10.0, frozenset({"~t (T - T_amb)"}): 90.0}))
     assert said.depends_on == ("time", "temp_air", "heater_duty", "fan_on")
     assert [term.text for term in said.formula] == ["t (T - T_amb)", "u fan"]
 
 
 def test_a_name_worth_more_than_the_formula_beside_it_is_named() -> None:
     best = scored("~u fan", "infiltration")
-    said = read(Found(best, {frozenset({"infiltration"}): 90.0, frozenset({"~u fan"}): 10.0}))
+    said = read(FinishedSearch(best, {frozenset({"infiltration"}): 90.0, frozenset({"~u fan"}): 10.0}))
     assert said.kind == "named"
     assert [effect.name for effect in said.effects] == ["infiltration"]
     assert [term.text for term in said.formula] == ["u fan"]
@@ -165,7 +167,7 @@ def test_a_name_that_leaves_errors_which_follow_from_each_other_is_none(share: f
     best = scored("infiltration")
     best = replace(best, fitted=replace(best.fitted, innovations=errors_that_follow(share)))
     vague = scored("~t (T - T_amb)", score=50.0)
-    said = read(Found(best, vague=vague))
+    said = read(FinishedSearch(best, vague=vague))
     assert said.kind == kind
     assert said.depends_on == (("time", "temp_air") if kind == "unknown" else ())
     assert said.final is (vague if kind == "unknown" else best)
@@ -175,7 +177,7 @@ def test_where_no_formula_explains_such_errors_either_it_depends_on_nothing_know
     best = scored("infiltration")
     loud = errors_that_follow(0.8)
     best, plain = (replace(item, fitted=replace(item.fitted, innovations=loud)) for item in (best, scored()))
-    said = read(Found(best, vague=plain))
+    said = read(FinishedSearch(best, vague=plain))
     assert (said.kind, said.effects, said.depends_on) == ("unknown", (), ("none",))
 
 
@@ -183,7 +185,7 @@ def test_rows_that_were_not_measured_refute_nothing() -> None:
     best = scored("infiltration")
     holes = errors_that_follow(0.9)
     holes[0, ::2] = 0.0
-    found = Found(replace(best, fitted=replace(best.fitted, innovations=holes)))
+    found = FinishedSearch(replace(best, fitted=replace(best.fitted, innovations=holes)))
     assert read(found).kind == "named"
 
 
@@ -193,7 +195,7 @@ def test_values_beside_a_formula_are_those_of_the_twin_that_has_none() -> None:
     there = replace(alone.fitted, coordinates=alone.fitted.coordinates + 0.5)
     alone = replace(alone, fitted=there)
     left = {frozenset({"infiltration"}): 90.0, frozenset({"~u fan"}): 10.0}
-    said = read(Found(best, left, alone={frozenset({"infiltration"}): alone}))
+    said = read(FinishedSearch(best, left, alone={frozenset({"infiltration"}): alone}))
     assert said.effects[0].parameters == intervals(there, "infiltration")[0]
     assert said.effects[0].parameters != intervals(best.fitted, "infiltration")[0]
 
@@ -202,7 +204,7 @@ def test_values_beside_a_formula_are_those_of_the_twin_that_has_none() -> None:
 def test_heat_that_no_set_explains_is_unknown_too(heat_w: float, kind: str) -> None:
     runs = recorded([simulated(BOX, seed, 60, replace(NOISE, heat_w=heat_w)) for seed in (1, 2, 3, 4)], 60.0)
     [plain] = fit([Trial(twin_file(), replace(NOISE, heat_w=heat_w))], runs, 1)
-    said = read(Found(Scored(frozenset(), plain, 0.0, 0.0), runs=runs))
+    said = read(FinishedSearch(ScoredSet(frozenset(), plain, 0.0, 0.0), runs=runs))
     assert said.kind == kind
     assert said.effects == ()
     assert said.depends_on == (("none",) if kind == "unknown" else ())

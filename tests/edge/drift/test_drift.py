@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from bench.drift_box import UTC_0, Box, Chances, Inputs, heat_for, switching, ticks, with_fan
+from bench.drift_box import UTC_0, Chances, DriftBox, TickInputs, heat_for, switching, ticks, with_fan
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.core.messages import Drift, DriftState, Event
 from edge.drift.kalman import Filter
@@ -15,7 +15,7 @@ from edge.drift.memory import from_dict, to_dict
 from edge.drift.monitor import AGREE_S, SETTLE_S, DriftMonitor, Promise
 from edge.models.pbm import read_twin
 from edge.twin.march import Commands
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 TWIN = read_twin(PACKAGED_FOLDER / "twin.yaml").twin
 HALF_FAN = with_fan(TWIN, 0.5)
@@ -42,7 +42,7 @@ def keys(events: list[tuple[int, Event]]) -> list[str]:
 
 
 def test_a_box_that_is_the_twin_agrees_and_the_twin_is_learnt():
-    said, events = run(DriftMonitor(PROMISE), lambda k: Box(TWIN), LEARNT)
+    said, events = run(DriftMonitor(PROMISE), lambda k: DriftBox(TWIN), LEARNT)
     assert events == []
     assert {drift.state for drift in said[62:]} == {DriftState.AGREES}
     assert said[-1].learnt == 1.0
@@ -54,7 +54,7 @@ def half_fan():
     """The fan loses half of its effect, and has it again ten hours later."""
     monitor = DriftMonitor(PROMISE, UTC)
     halved = range(LEARNT, LEARNT + 600)
-    return run(monitor, lambda k: Box(HALF_FAN if k in halved else TWIN), LEARNT + 1200)
+    return run(monitor, lambda k: DriftBox(HALF_FAN if k in halved else TWIN), LEARNT + 1200)
 
 
 def test_a_fan_that_loses_half_its_effect_is_told_within_two_hours(half_fan):
@@ -87,23 +87,23 @@ def test_it_agrees_again_an_hour_of_agreement_after_the_fan_is_right(half_fan):
 
 def test_heat_that_lifts_the_resting_box_by_a_kelvin_is_told_within_three_hours():
     # 4.4 W, in a box whose own heat noise is 1.5 W; median of 20 boxes 43 min (bench/drift_alarms.py)
-    warmer = Box(TWIN, heat_w=heat_for(TWIN, 1.0))
-    boxes = lambda k: warmer if k > LEARNT else Box(TWIN)  # noqa: E731
+    warmer = DriftBox(TWIN, heat_w=heat_for(TWIN, 1.0))
+    boxes = lambda k: warmer if k > LEARNT else DriftBox(TWIN)  # noqa: E731
     _, events = run(DriftMonitor(PROMISE), boxes, LEARNT + 181, chances=QUIET)
     assert keys(events) == ["twin.disagrees"]
     assert events[0][0] > LEARNT
 
 
 def test_gross_disagreement_is_told_while_nothing_is_learnt():
-    inputs = [Inputs(0.5, float(k // 20 % 2)) for k in range(400)]
-    said, events = run(DriftMonitor(PROMISE), lambda k: Box(with_fan(TWIN, 0.3)), 400, inputs=inputs)
+    inputs = [TickInputs(0.5, float(k // 20 % 2)) for k in range(400)]
+    said, events = run(DriftMonitor(PROMISE), lambda k: DriftBox(with_fan(TWIN, 0.3)), 400, inputs=inputs)
     assert keys(events)[:1] == ["twin.disagrees"]
     assert said[events[0][0]].learnt < 0.5
 
 
 def test_a_door_that_is_open_for_five_minutes_is_no_disagreement():
     # 30 W leave through it; afterwards the walls are colder than the twin believes
-    boxes = lambda k: Box(TWIN, heat_w=-30.0 if LEARNT <= k < LEARNT + 5 else 0.0)  # noqa: E731
+    boxes = lambda k: DriftBox(TWIN, heat_w=-30.0 if LEARNT <= k < LEARNT + 5 else 0.0)  # noqa: E731
     said, events = run(DriftMonitor(PROMISE), boxes, LEARNT + 120)
     assert events == []
     assert said[LEARNT + 5].evidence > said[LEARNT - 1].evidence  # it was seen
@@ -118,10 +118,10 @@ def again(monitor: DriftMonitor) -> DriftMonitor:
 
 def test_a_restart_keeps_what_was_learnt_and_the_alarm():
     monitor = DriftMonitor(PROMISE)
-    said, _ = run(monitor, lambda k: Box(TWIN if k < LEARNT else HALF_FAN), LEARNT + 150)
+    said, _ = run(monitor, lambda k: DriftBox(TWIN if k < LEARNT else HALF_FAN), LEARNT + 150)
     assert said[-1].state is DriftState.DISAGREES
     restarted = again(monitor)
-    first, events = run(restarted, lambda k: Box(HALF_FAN), 90)
+    first, events = run(restarted, lambda k: DriftBox(HALF_FAN), 90)
     assert events == []  # it was told
     assert {drift.state for drift in first} == {DriftState.DISAGREES}
     assert {drift.since_utc for drift in first} == {said[-1].since_utc}
@@ -130,7 +130,7 @@ def test_a_restart_keeps_what_was_learnt_and_the_alarm():
 
 def test_what_is_kept_of_one_twin_says_nothing_of_another():
     monitor = DriftMonitor(PROMISE)
-    run(monitor, lambda k: Box(TWIN), 300)
+    run(monitor, lambda k: DriftBox(TWIN), 300)
     restarted = again(monitor)
     restarted.tick(HALF_FAN, _history(), confirmed=True)
     assert restarted.memory.twin_sha256 == HALF_FAN.sha256
@@ -139,7 +139,7 @@ def test_what_is_kept_of_one_twin_says_nothing_of_another():
 
 def _memory() -> dict:
     monitor = DriftMonitor(PROMISE)
-    run(monitor, lambda k: Box(TWIN), 65)
+    run(monitor, lambda k: DriftBox(TWIN), 65)
     return to_dict(monitor.memory)
 
 
@@ -206,7 +206,7 @@ def test_what_cannot_be_judged_says_why(twin, history, reason):
 
 def test_an_alarm_of_a_twin_that_runs_no_more_is_not_told():
     monitor = DriftMonitor(PROMISE)
-    run(monitor, lambda k: Box(TWIN), 65)
+    run(monitor, lambda k: DriftBox(TWIN), 65)
     monitor.memory = replace(monitor.memory, since_utc=UTC_0)
     assert monitor.tick(TWIN, _history(3), confirmed=True).state is DriftState.DISAGREES
     assert monitor.tick(None, _history(3), confirmed=True).state is DriftState.UNKNOWN
@@ -231,7 +231,7 @@ def test_missing_readings_are_left_out_and_raise_no_alarm(missing):
     def hide(rows, k):
         rows["temp_air_measured"][missing] = np.nan
 
-    said, events = run(DriftMonitor(PROMISE), lambda k: Box(TWIN), 500, columns=hide)
+    said, events = run(DriftMonitor(PROMISE), lambda k: DriftBox(TWIN), 500, columns=hide)
     assert events == []
     assert {drift.state for drift in said[missing]} == {DriftState.UNKNOWN}
     assert said[-1].state is DriftState.AGREES
@@ -239,7 +239,7 @@ def test_missing_readings_are_left_out_and_raise_no_alarm(missing):
 
 def test_a_history_that_begins_anew_lets_the_filter_begin_anew():
     monitor = DriftMonitor(PROMISE)
-    run(monitor, lambda k: Box(TWIN), 120)
+    run(monitor, lambda k: DriftBox(TWIN), 120)
     later = _history(3) | {"time_s": 1e6 + 60.0 * np.arange(3)}
     assert "anew" in monitor.tick(TWIN, later, confirmed=True).reason
     assert "settles" in monitor.tick(TWIN, later, confirmed=True).reason
@@ -258,7 +258,7 @@ def test_maintenance_and_unconfirmed_commands_are_not_judged():
     assert after.reason == "the board did not confirm the inputs"
 
 
-class BrokenTwin(Twin):
+class BrokenTwin(BoxTwin):
     """Whose arithmetic fails."""
 
     def transitions(self, fan):

@@ -94,7 +94,7 @@ def test_the_change_is_dated_to_the_last_time_without_evidence():
 
 
 def learn(z: np.ndarray, cell: int = 0) -> np.ndarray:
-    sums, past = noise.nothing_learnt(), noise.Past(np.asarray(0.0), np.asarray(0.0))
+    sums, past = noise.nothing_learnt(), noise.InnovationPast(np.asarray(0.0), np.asarray(0.0))
     for value in z:
         sums = noise.learnt(sums, cell, np.asarray(value), past)
         past = noise.followed(past, np.asarray(value), 60.0)

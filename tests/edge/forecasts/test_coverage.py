@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forecast_rig import Ramp
+from forecast_rig import RampPredictor
 
 from edge.core.errors import DataError
 from edge.forecasts.conformal import Interval, Intervals
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
-from firmware_protocol.virtual_board.profiles.generate import Plan
-from firmware_protocol.virtual_board.profiles.record import ProfileRow, record
+from firmware_protocol.virtual_board.profiles.generate import SequencePlan
+from firmware_protocol.virtual_board.profiles.record import RecordedRow, record
 from training import coverage, fresh_runs
 from training.forecast_errors import errors_of, errors_of_run
 
-ROWS = [ProfileRow(60 * k, 0.35, int(k > 3)) for k in range(6)]
+ROWS = [RecordedRow(60 * k, 0.35, int(k > 3)) for k in range(6)]
 MINUTES = 70
 
 
@@ -32,7 +32,7 @@ def warming_run(drift_k=0.0, role="calibrate"):
         "heater_duty": nothing,
         "fan_on": nothing,
     }
-    return Run(columns, {"role": role, "seed": "1"})
+    return RecordedRun(columns, {"role": role, "seed": "1"})
 
 
 # fresh runs
@@ -59,7 +59,7 @@ def test_a_candidate_that_gets_too_hot_is_given_up_at_once():
     ("kind", "role"), [("calibration", "calibrate"), ("interpolation", "test"), ("extrapolation", "test")]
 )
 def test_a_run_is_kept_and_read_again(tmp_path, monkeypatch, kind, role):
-    small = Plan(4, (0.5, 1.0), 0.0, 0.2, (1, 2), (10.0, 40.0))
+    small = SequencePlan(4, (0.5, 1.0), 0.0, 0.2, (1, 2), (10.0, 40.0))
     monkeypatch.setattr(fresh_runs, "PLANS", (small,))
     monkeypatch.setattr(fresh_runs, "HOTTER", small)
     seed = fresh_runs.FIRST_SEEDS[kind]
@@ -80,7 +80,7 @@ def test_calibration_and_test_share_no_seed():
 
 
 def test_errors_of_a_run_are_those_of_every_start_at_every_horizon():
-    found = errors_of_run(warming_run(drift_k=0.02), {"arx": Ramp()})
+    found = errors_of_run(warming_run(drift_k=0.02), {"arx": RampPredictor()})
     assert {key: rows.shape for key, rows in found.items() if key[0] == "arx"} == {
         ("arx", minutes): (MINUTES - 60, 2) for minutes in (1, 5, 15, 30, 60)
     }
@@ -92,7 +92,7 @@ def test_errors_of_a_run_are_those_of_every_start_at_every_horizon():
 def test_the_half_width_is_the_quantile_over_the_runs():
     # ten runs whose errors after 5 min are about 0.1, 0.2, .., 1 K: the tenth is the ceil(11 * 0.9)-th
     runs = [warming_run(drift_k=0.02 * k) for k in range(1, 11)]
-    predictors = {"arx": Ramp(), "pbm": Ramp(version="p")}
+    predictors = {"arx": RampPredictor(), "pbm": RampPredictor(version="p")}
     errors = errors_of(runs, lambda: predictors, processes=1)
     intervals = coverage.calibrate(runs, lambda: predictors, processes=1)
     worst = np.abs(errors["arx", 5][-1][:, 0])
@@ -105,7 +105,7 @@ def test_the_half_width_is_the_quantile_over_the_runs():
 def test_a_run_of_another_role_calibrates_nothing(role):
     runs = [*(warming_run() for _ in range(9)), warming_run(role=role)]
     with pytest.raises(DataError, match=f"'{role}' is not 'calibrate'"):
-        coverage.calibrate(runs, lambda: {"arx": Ramp()}, processes=1)
+        coverage.calibrate(runs, lambda: {"arx": RampPredictor()}, processes=1)
 
 
 # coverage
@@ -140,14 +140,14 @@ def test_a_width_that_follows_holds_what_a_fixed_one_does_not():
 
 def test_the_table_marks_what_is_not_within_88_and_92_percent():
     (row,) = coverage.measure(INTERVALS, errors(0.5), errors(0.5))
-    assert "not 88%..92%" in coverage.table([row], {"arx": Ramp()})
-    assert "not 88%..92%" not in coverage.table([replace(row, interpolation=0.92)], {"arx": Ramp()})
+    assert "not 88%..92%" in coverage.table([row], {"arx": RampPredictor()})
+    assert "not 88%..92%" not in coverage.table([replace(row, interpolation=0.92)], {"arx": RampPredictor()})
 
 
 def test_the_kept_figures_are_those_of_the_kept_table():
     kept = json.loads((coverage.RESULTS / "coverage.json").read_text())
-    rows = [coverage.Row(**row) for row in kept["rows"]]
-    predictors = {name: Ramp(version=version) for name, version in kept["versions"].items()}
+    rows = [coverage.CoverageRow(**row) for row in kept["rows"]]
+    predictors = {name: RampPredictor(version=version) for name, version in kept["versions"].items()}
     assert coverage.table(rows, predictors) == (coverage.RESULTS / "coverage.txt").read_text()
     seen = [row.interpolation for row in rows]
     assert 0.88 <= sum(seen) / len(seen) <= 0.92

@@ -3,21 +3,21 @@ import math
 from dataclasses import replace
 
 import pytest
-from forecast_rig import STEP_S, Ramp
+from forecast_rig import STEP_S, RampPredictor
 
 from edge.bundle.rivals import rival_rows
 from edge.forecasts.conformal import Interval, Intervals
-from edge.forecasts.scorer import PERSISTENCE, Scored
+from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
 from edge.forecasts.skill import SkillState, half_widths, skills, updated
 from edge.forecasts.skill_json import from_dict, to_dict
 
 NONE = Intervals()
 CALIBRATED = Intervals((Interval("arx", "1", 5, 0.5, 100, "interpolation"),))
-ARX = {"arx": Ramp()}
+ARX = {"arx": RampPredictor()}
 
 
 def scored(name, residual_k, horizon_min=5, version="1"):
-    return Scored(name, version, horizon_min, residual_k, 25.0)
+    return ScoredForecast(name, version, horizon_min, residual_k, 25.0)
 
 
 def tick(state, persistence_k=1.0, intervals=NONE, version="1", **residuals_k):
@@ -47,7 +47,7 @@ def test_without_the_pbm_there_is_no_skill_against_it():
 
 
 def test_the_pbm_is_not_held_against_itself():
-    assert only(tick(SkillState(), pbm=0.1), {"pbm": Ramp()}).against_pbm is None
+    assert only(tick(SkillState(), pbm=0.1), {"pbm": RampPredictor()}).against_pbm is None
 
 
 def test_a_reference_without_error_gives_no_skill():
@@ -79,7 +79,7 @@ def test_a_day_counts_alike_and_then_older_errors_fade():
 def test_a_new_version_begins_anew():
     state = tick(tick(SkillState(), arx=5.0), arx=0.1, version="2")
     assert skills(state, ARX) == ()
-    row = only(state, {"arx": Ramp(version="2")})
+    row = only(state, {"arx": RampPredictor(version="2")})
     assert (row.scored, row.mae_k) == (1, pytest.approx(0.1))
 
 
@@ -89,7 +89,9 @@ def test_predictors_that_serve_no_more_are_not_told():
 
 def test_rows_come_by_predictor_and_horizon():
     found = [scored(n, 0.1, m) for n in ("pbm", "arx", PERSISTENCE) for m in (60, 5)]
-    rows = skills(updated(SkillState(), found, NONE, STEP_S), {"pbm": Ramp(), "arx": Ramp()})
+    rows = skills(
+        updated(SkillState(), found, NONE, STEP_S), {"pbm": RampPredictor(), "arx": RampPredictor()}
+    )
     assert [(r.predictor, r.horizon_min) for r in rows] == [("arx", 5), ("arx", 60), ("pbm", 5), ("pbm", 60)]
 
 
@@ -128,7 +130,7 @@ def test_a_new_version_begins_with_its_own_calibration():
 
 def test_a_rival_is_scored_against_the_active_one_on_the_same_ticks():
     state = tick(tick(SkillState(), arx=0.4), arx=0.2, arx_rival=0.1)
-    active, rivals = ARX, {"arx": Ramp(), "pbm": Ramp()}
+    active, rivals = ARX, {"arx": RampPredictor(), "pbm": RampPredictor()}
     (row,) = rival_rows(state, active, rivals)
     assert (row.model, row.horizon_s, row.count) == ("arx", 300.0, 1)
     assert (row.active_k, row.rival_k) == (pytest.approx(0.2), pytest.approx(0.1))
@@ -136,8 +138,8 @@ def test_a_rival_is_scored_against_the_active_one_on_the_same_ticks():
 
 def test_a_rival_of_another_version_has_no_row():
     state = tick(SkillState(), arx=0.2, arx_rival=0.1)
-    assert rival_rows(state, ARX, {"arx": Ramp(version="2")}) == ()
-    assert rival_rows(state, {"arx": Ramp(version="2")}, ARX) == ()
+    assert rival_rows(state, ARX, {"arx": RampPredictor(version="2")}) == ()
+    assert rival_rows(state, {"arx": RampPredictor(version="2")}, ARX) == ()
     assert rival_rows(state, ARX, {}) == ()
 
 

@@ -4,11 +4,11 @@ import math
 from dataclasses import replace
 
 import pytest
-from forecast_rig import STEP_S, Broken, Ramp, columns
+from forecast_rig import STEP_S, BrokenForecast, RampPredictor, columns
 
 from edge.bundle.rivals import rival_rows
 from edge.config.settings import EstimatorSettings
-from edge.core.messages import Command, Decision, Quality, Reading
+from edge.core.messages import Command, Decision, Reading, ReadingQuality
 from edge.forecasts.conformal import Interval, Intervals
 from edge.forecasts.forecasting import Forecasting
 from edge.models.persistence import Persistence
@@ -18,7 +18,7 @@ INTERVALS = Intervals((Interval("ramp", "1", 5, 0.5, 100, "interpolation"),))
 HELD = Decision(Command(0.5), "rules")
 
 
-class Rig:
+class WarmingRig:
     """A box that warms by 0.01 K a minute at half duty, and an estimator that watches it."""
 
     def __init__(self, forecasting):
@@ -29,7 +29,7 @@ class Rig:
     def tick(self, decision=HELD, driven=HELD.command, confirmed=True, passed=1):
         self.ticks += passed
         now = STEP_S * self.ticks
-        reading = Reading("temp_air", 20.0 + 0.01 * self.ticks, now, Quality.GOOD)
+        reading = Reading("temp_air", 20.0 + 0.01 * self.ticks, now, ReadingQuality.GOOD)
         self.estimator.update({"temp_air": reading}, now, 1.7e9 + now)
         self.estimator.record_sent(driven)
         return self.forecasting.tick(self.estimator.history(), decision, driven, confirmed)
@@ -39,11 +39,11 @@ class Rig:
 
 
 def ramp(**changes):
-    return Ramp(gain_k=0.02, **changes)
+    return RampPredictor(gain_k=0.02, **changes)
 
 
 def test_after_an_hour_of_ticks_every_forecast_has_a_skill():
-    rig = Rig(Forecasting(STEP_S, {"ramp": ramp(), "pbm": ramp(drift_k=0.5)}, INTERVALS))
+    rig = WarmingRig(Forecasting(STEP_S, {"ramp": ramp(), "pbm": ramp(drift_k=0.5)}, INTERVALS))
     made, skill = rig.run(60)
     assert (set(made), skill) == ({"ramp", "pbm"}, ())
     _, skill = rig.run(1)
@@ -58,7 +58,7 @@ def test_after_an_hour_of_ticks_every_forecast_has_a_skill():
 
 
 def test_intervals_come_with_the_forecasts_and_follow_the_errors():
-    rig = Rig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
+    rig = WarmingRig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
     assert rig.tick()[0]["ramp"].half_widths == {5: 0.5}
     made, skill = rig.run(61)
     assert made["ramp"].half_widths[5] < 0.5
@@ -66,15 +66,15 @@ def test_intervals_come_with_the_forecasts_and_follow_the_errors():
 
 
 def test_a_forecast_follows_the_plan():
-    rig = Rig(Forecasting(STEP_S, {"ramp": Ramp()}))
+    rig = WarmingRig(Forecasting(STEP_S, {"ramp": RampPredictor()}))
     heated, _ = rig.tick(Decision(Command(0.5), "MPC", plan=((0.5, 0.0), (1.0, 0.0))))
-    held, _ = Rig(Forecasting(STEP_S, {"ramp": Ramp()})).tick()
+    held, _ = WarmingRig(Forecasting(STEP_S, {"ramp": RampPredictor()})).tick()
     assert heated["ramp"].temps[60] - held["ramp"].temps[60] == pytest.approx(59 * 0.5)
 
 
 def test_a_rival_is_scored_and_does_not_forecast():
     active, rivals = {"ramp": ramp()}, {"ramp": ramp(drift_k=0.1, version="2")}
-    rig = Rig(Forecasting(STEP_S, active, INTERVALS, rivals))
+    rig = WarmingRig(Forecasting(STEP_S, active, INTERVALS, rivals))
     made, skill = rig.run(61)
     assert set(made) == {"ramp"}
     assert {row.predictor for row in skill} == {"ramp", "ramp.rival"}
@@ -86,7 +86,7 @@ def test_a_rival_is_scored_and_does_not_forecast():
 
 
 def test_other_predictors_take_over_without_waiting_for_an_hour():
-    rig = Rig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
+    rig = WarmingRig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
     rig.run(70)
     rig.forecasting.serve({"ramp": ramp(version="2")})
     made, skill = rig.tick()
@@ -96,7 +96,7 @@ def test_other_predictors_take_over_without_waiting_for_an_hour():
 
 def test_a_trial_begins_anew_when_the_bundles_are_exchanged_and_goes_on_after_a_restart():
     active, rivals = {"ramp": ramp()}, {"ramp": ramp(version="2")}
-    rig = Rig(Forecasting(STEP_S, active, INTERVALS, rivals))
+    rig = WarmingRig(Forecasting(STEP_S, active, INTERVALS, rivals))
     rig.run(62)
     again = Forecasting(STEP_S, active, INTERVALS, rivals, rig.forecasting.state)
     assert {row.count for row in rival_rows(again.state, active, rivals)} == {2}
@@ -107,9 +107,9 @@ def test_a_trial_begins_anew_when_the_bundles_are_exchanged_and_goes_on_after_a_
 
 
 def test_the_skill_goes_on_from_the_process_before():
-    before = Rig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
+    before = WarmingRig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
     before.run(65)
-    after = Rig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS, state=before.forecasting.state))
+    after = WarmingRig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS, state=before.forecasting.state))
     _, skill = after.tick()
     assert {row.scored for row in skill} == {5}
     _, skill = after.run(60)
@@ -117,7 +117,7 @@ def test_the_skill_goes_on_from_the_process_before():
 
 
 def test_missed_ticks_cost_an_hour_of_scores_and_nothing_else():
-    rig = Rig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
+    rig = WarmingRig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
     rig.run(65)
     made, skill = rig.tick(passed=3)
     assert made["ramp"].temps and {row.scored for row in skill} == {5}
@@ -129,23 +129,23 @@ def test_missed_ticks_cost_an_hour_of_scores_and_nothing_else():
 
 @pytest.mark.parametrize("history", [columns([]), columns([20.0], duties=[math.nan])])
 def test_a_history_with_nothing_in_it_is_no_error(history):
-    made, skill = Forecasting(STEP_S, {"ramp": Ramp()}).tick(history, HELD, HELD.command, True)
+    made, skill = Forecasting(STEP_S, {"ramp": RampPredictor()}).tick(history, HELD, HELD.command, True)
     assert skill == () and set(made) <= {"ramp"}
 
 
 def test_without_predictors_there_is_nothing_to_tell():
-    assert Rig(Forecasting(STEP_S, {})).run(61) == ({}, ())
+    assert WarmingRig(Forecasting(STEP_S, {})).run(61) == ({}, ())
 
 
 def test_a_predictor_that_raises_leaves_the_others_their_tick():
-    rig = Rig(Forecasting(STEP_S, {"bad": Broken(MemoryError()), "ramp": ramp()}))
+    rig = WarmingRig(Forecasting(STEP_S, {"bad": BrokenForecast(MemoryError()), "ramp": ramp()}))
     made, skill = rig.run(61)
     assert (made["bad"].temps, made["bad"].reason) == ({}, "MemoryError: ")
     assert {row.predictor for row in skill} == {"ramp"}
 
 
 def test_the_state_does_not_change_under_the_reader():
-    rig = Rig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
+    rig = WarmingRig(Forecasting(STEP_S, {"ramp": ramp()}, INTERVALS))
     rig.run(61)
     kept = rig.forecasting.state
     copied = replace(kept, pairs=dict(kept.pairs), widths=dict(kept.widths))

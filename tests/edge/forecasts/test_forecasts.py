@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from forecast_rig import STEP_S, Broken, Ramp, columns
+from forecast_rig import STEP_S, BrokenForecast, RampPredictor, columns
 
 from edge.core.horizons import STEPS_MAX, steps_of
 from edge.core.messages import Command
@@ -42,23 +42,23 @@ def test_a_horizon_is_told_where_whole_steps_come_near_it(step_s, steps):
 
 def test_a_forecast_holds_the_temperature_at_each_horizon():
     # 21 °C and 0.5 K a minute
-    made = forecast(Ramp(), planned=np.array([[0.5, 0.0]]))
+    made = forecast(RampPredictor(), planned=np.array([[0.5, 0.0]]))
     assert made.temps == {1: 21.5, 5: 23.5, 15: 28.5, 30: 36.0, 60: 51.0}
     assert (made.reason, made.outside, made.half_widths) == ("", None, {})
 
 
 def test_the_last_planned_input_is_held():
     # two minutes at full duty, then a quarter for 58
-    made = forecast(Ramp(), planned=np.array([[1.0, 0.0], [1.0, 0.0], [0.25, 1.0]]))
+    made = forecast(RampPredictor(), planned=np.array([[1.0, 0.0], [1.0, 0.0], [0.25, 1.0]]))
     assert made.temps[60] == 21.0 + 2.0 + 58 * 0.25
 
 
 def test_a_plan_longer_than_an_hour_is_cut():
-    assert forecast(Ramp(), planned=np.ones((500, 2))).temps[60] == 81.0
+    assert forecast(RampPredictor(), planned=np.ones((500, 2))).temps[60] == 81.0
 
 
 def test_each_predictor_is_asked_once_for_all_horizons():
-    ramp = Ramp()
+    ramp = RampPredictor()
     forecast(ramp)
     assert [controls.shape for _, controls, _ in ramp.calls] == [(1, 60, 2)]
 
@@ -66,25 +66,27 @@ def test_each_predictor_is_asked_once_for_all_horizons():
 @pytest.mark.parametrize(
     ("predictor", "reason"),
     [
-        (Broken(ValueError("no twin")), "ValueError: no twin"),
-        (Broken(np.full((1, 60), math.nan)), "not a number after step 1"),
-        (Broken(np.array([[20.0] * 59 + [math.inf]])), "not a number after step 60"),
-        (Broken(np.zeros((1, 59))), "shape (1, 59), not (1, 60)"),
-        (Broken(np.zeros(60)), "shape (60,), not (1, 60)"),
-        (Broken("warm"), "ValueError: could not convert string to float: 'warm'"),
-        (Ramp(rows_needed=3), "2 of 3 rows of history"),
-        (Ramp(step_s=10.0), "made for steps of 10 s"),
-        (Ramp(step_s=60.1), "made for steps of 60.1 s"),
+        (BrokenForecast(ValueError("no twin")), "ValueError: no twin"),
+        (BrokenForecast(np.full((1, 60), math.nan)), "not a number after step 1"),
+        (BrokenForecast(np.array([[20.0] * 59 + [math.inf]])), "not a number after step 60"),
+        (BrokenForecast(np.zeros((1, 59))), "shape (1, 59), not (1, 60)"),
+        (BrokenForecast(np.zeros(60)), "shape (60,), not (1, 60)"),
+        (BrokenForecast("warm"), "ValueError: could not convert string to float: 'warm'"),
+        (RampPredictor(rows_needed=3), "2 of 3 rows of history"),
+        (RampPredictor(step_s=10.0), "made for steps of 10 s"),
+        (RampPredictor(step_s=60.1), "made for steps of 60.1 s"),
     ],
 )
 def test_a_predictor_that_fails_is_a_value_with_its_reason(predictor, reason):
-    made = forecasts({"bad": predictor, "good": Ramp()}, columns([20.0, 21.0]), NOTHING, STEP_S, uncalibrated)
+    made = forecasts(
+        {"bad": predictor, "good": RampPredictor()}, columns([20.0, 21.0]), NOTHING, STEP_S, uncalibrated
+    )
     assert (made["bad"].temps, made["bad"].reason) == ({}, reason)
     assert made["good"].temps[60] == 21.0
 
 
 def test_a_history_that_is_just_long_enough_is_enough():
-    assert forecast(Ramp(rows_needed=2)).temps
+    assert forecast(RampPredictor(rows_needed=2)).temps
 
 
 def test_half_widths_are_those_of_the_name_version_and_horizons():
@@ -94,7 +96,7 @@ def test_half_widths_are_those_of_the_name_version_and_horizons():
         asked.append((name, version, tuple(horizons_min)))
         return {1: 0.2}
 
-    assert forecast(Ramp(version="v7"), half_widths=half_widths).half_widths == {1: 0.2}
+    assert forecast(RampPredictor(version="v7"), half_widths=half_widths).half_widths == {1: 0.2}
     assert asked == [("x", "v7", (1, 5, 15, 30, 60))]
 
 
@@ -115,13 +117,13 @@ def test_half_widths_are_those_of_the_name_version_and_horizons():
     ],
 )
 def test_a_validity_box_flags_what_leaves_it(column, limits, beyond):
-    ramp = Ramp()
+    ramp = RampPredictor()
     ramp.validity = {column: limits}
     assert forecast(ramp, planned=np.array([[0.5, 0.0]])).outside is beyond
 
 
 def test_an_unknown_room_is_outside_the_box():
-    ramp, history = Ramp(), columns([21.0])
+    ramp, history = RampPredictor(), columns([21.0])
     ramp.validity = {"temp_ambient_c": (0.0, 50.0)}
     history["temp_ambient"][:] = math.nan
     assert forecast(ramp, history).outside is True
@@ -136,7 +138,7 @@ def test_the_packaged_arx_knows_its_box():
 
 
 def test_where_no_horizon_fits_the_step_nothing_is_forecast():
-    assert forecasts({"x": Ramp()}, columns([20.0]), NOTHING, 7200.0, uncalibrated) == {}
+    assert forecasts({"x": RampPredictor()}, columns([20.0]), NOTHING, 7200.0, uncalibrated) == {}
 
 
 def test_the_room_stays_as_it_is_and_time_goes_on():

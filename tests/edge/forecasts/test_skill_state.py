@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from history_records import tick
 
-from edge.forecasts.skill import Pair, SkillState
+from edge.forecasts.skill import ErrorPair, SkillState
 from edge.forecasts.skill_state import read_skill, skill_keeping
 from edge.state.keeping import SAVE_S
 
@@ -13,7 +13,7 @@ KEY = ("ham", 3, "persistence")
 
 
 def scored(count: int) -> SkillState:
-    return SkillState(pairs={KEY: Pair(("1.0", "-"), count, 0.1, 0.4)})
+    return SkillState(pairs={KEY: ErrorPair(("1.0", "-"), count, 0.1, 0.4)})
 
 
 def count_in(path: Path) -> int:

@@ -14,8 +14,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from edge.core.errors import DataError
-from edge.core.messages import Quality, Reading, TickRecord
-from edge.formats.run_file import OPTION_WITHOUT, Run, absence_facts, period, read_run, resample, write_run
+from edge.core.messages import Reading, ReadingQuality, TickRecord
+from edge.formats.run_file import (
+    OPTION_WITHOUT,
+    RecordedRun,
+    absence_facts,
+    period,
+    read_run,
+    resample,
+    write_run,
+)
 from edge.storage import Outbox, Storage
 from edge.storage.runs import events_between, export_run, import_run, name_run
 
@@ -29,12 +37,12 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "run.csv"
 
 
-def read(path: Path, text: str) -> Run:
+def read(path: Path, text: str) -> RecordedRun:
     path.write_text(text, encoding="utf-8")
     return read_run(path)
 
 
-def same(left: Run, right: Run) -> bool:
+def same(left: RecordedRun, right: RecordedRun) -> bool:
     return (
         list(left.columns) == list(right.columns)
         and left.facts == right.facts
@@ -198,7 +206,7 @@ fact_texts = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"])
 
 
 @st.composite
-def runs(draw: st.DrawFn) -> Run:
+def runs(draw: st.DrawFn) -> RecordedRun:
     steps = draw(st.lists(st.floats(1e-3, 1e5), min_size=0, max_size=12))
     rows = len(steps) + 1
 
@@ -214,12 +222,12 @@ def runs(draw: st.DrawFn) -> Run:
     }
     facts = draw(st.dictionaries(fact_texts.filter(lambda key: ":" not in key), fact_texts, max_size=3))
     facts.pop("start_utc", None)
-    return Run(columns, facts)
+    return RecordedRun(columns, facts)
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(run=runs())
-def test_what_is_written_reads_back_the_same(path: Path, run: Run) -> None:
+def test_what_is_written_reads_back_the_same(path: Path, run: RecordedRun) -> None:
     write_run(run, path)
     assert same(read_run(path, OPTION_WITHOUT), run)
 
@@ -227,7 +235,7 @@ def test_what_is_written_reads_back_the_same(path: Path, run: Run) -> None:
 @pytest.mark.parametrize("facts", [{"a:b": "c"}, {"": "c"}, {"a": "b\nc"}, {" a": "c"}, {"a": "c "}])
 def test_a_fact_that_would_not_read_back_is_not_written(path: Path, facts: dict[str, str]) -> None:
     with pytest.raises(DataError):
-        write_run(Run({"time_s": np.zeros(1)}, facts), path)
+        write_run(RecordedRun({"time_s": np.zeros(1)}, facts), path)
     assert not path.exists()
 
 
@@ -244,11 +252,11 @@ def test_any_text_is_read_or_refused_and_nothing_else(path: Path, text: str) -> 
 # one period
 
 
-def run_of(**columns: list[float]) -> Run:
+def run_of(**columns: list[float]) -> RecordedRun:
     arrays = {key: np.array(values, dtype=float) for key, values in columns.items()}
     if "heater_duty" not in arrays:
         arrays["heater_duty"] = np.zeros(len(arrays["time_s"]))
-    return Run(arrays)
+    return RecordedRun(arrays)
 
 
 @pytest.mark.parametrize(("times", "step_s"), [([0, 60], 60.0), ([0, 1.001, 1.999, 3.0], 1.0)])
@@ -325,7 +333,7 @@ def test_a_period_that_is_none_is_refused(step_s: float) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(run=runs(), step_s=st.floats(0.5, 1e4))
-def test_resampling_keeps_every_value_within_its_old_range(run: Run, step_s: float) -> None:
+def test_resampling_keeps_every_value_within_its_old_range(run: RecordedRun, step_s: float) -> None:
     if run.columns["time_s"][-1] / step_s > 1e5:
         return
     new = resample(run, step_s)
@@ -394,7 +402,7 @@ def test_bad_readings_are_missing_and_unconfirmed_commands_are_off(history: Path
         history,
         tick(1),
         eventful_tick(2),
-        tick(3, readings={"temp_air": Reading("temp_air", 80.0, 0.0, Quality.SPIKE)}),
+        tick(3, readings={"temp_air": Reading("temp_air", 80.0, 0.0, ReadingQuality.SPIKE)}),
     )
     run = export_run(history)
     assert list(np.isnan(run.columns["temp_air_c"])) == [False, True, True]
@@ -422,7 +430,7 @@ def test_between_sessions_the_wall_clock_counts(history: Path) -> None:
 
 
 def test_a_run_goes_into_the_history_and_comes_back_the_same(history: Path) -> None:
-    run = Run(
+    run = RecordedRun(
         {
             "time_s": np.array([0.0, 1.001, 2.5]),
             "temp_air_c": np.array([20.0, math.nan, 21.0]),

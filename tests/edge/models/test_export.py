@@ -13,14 +13,14 @@ from torch import Tensor
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models import contract
 from edge.models.lstm import read_lstm
 from edge.models.onnx_predictor import OnnxPredictor
 from edge.twin.geometry import Geometry
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from training.datasets import EXTRAPOLATION_MAX_C
-from training.export import Facts, export, main
+from training.export import ExportFacts, export, main
 from training.ham import HamNet
 from training.ham_graph import scanned
 from training.ham_guarded import GuardedHamNet
@@ -38,17 +38,17 @@ BOX = {
     "heater_duty": (0.0, 1.0),
     "fan_on": (0.0, 1.0),
 }
-FACTS = Facts("greenhouse-train lstm", 3, "d" * 64, BOX, {"mae_k": 0.5})
+FACTS = ExportFacts("greenhouse-train lstm", 3, "d" * 64, BOX, {"mae_k": 0.5})
 
 
 torch.set_num_threads(1)  # the tests run beside each other
 
 
-def run_file(rows: int = 222) -> Run:
+def run_file(rows: int = 222) -> RecordedRun:
     """Smooth temperatures, random inputs."""
     generator = np.random.default_rng(5)
     time_s = 60.0 * np.arange(rows)
-    return Run(
+    return RecordedRun(
         {
             "time_s": time_s,
             "temp_air_c": 28.0 + 5.0 * np.sin(time_s / 3000.0) + generator.normal(0.0, 0.1, rows),
@@ -104,7 +104,7 @@ def guarded() -> GuardedHamNet:
         "extra_capacity": {"kC": 6.0},
         "sensor_bias": {"bias": 0.4},
     }
-    twin = Twin(effects=effects)
+    twin = BoxTwin(effects=effects)
     network = GuardedHamNet(TwinStep.of(twin))
     for name, values in {
         "mean": (28.0, 21.0, 0.5, 0.5),
@@ -164,7 +164,7 @@ def lstm_pair(
 @pytest.fixture(scope="module")
 def ham_pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[HamNet, OnnxPredictor]:
     network = ham()
-    facts = Facts("greenhouse-train ham", 0, "d" * 64, BOX, {}, Twin().sha256)
+    facts = ExportFacts("greenhouse-train ham", 0, "d" * 64, BOX, {}, BoxTwin().sha256)
     return network, export(network, facts, run_file(), tmp_path_factory.mktemp("ham") / "ham.onnx")
 
 

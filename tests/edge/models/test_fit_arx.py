@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx, free_run_rmse, provenance
 
@@ -20,7 +20,7 @@ TRUE = Arx(
 ORDERS = ((1, 1), (2, 2), (3, 2))
 
 
-def recorded(seed: int, rows: int = 200, model: Arx = TRUE, noise_k: float = 0.0) -> Run:
+def recorded(seed: int, rows: int = 200, model: Arx = TRUE, noise_k: float = 0.0) -> RecordedRun:
     """A run that the model made, with steps in every input."""
     rng = np.random.default_rng(seed)
     blocks = rows // 5 + 1
@@ -34,7 +34,7 @@ def recorded(seed: int, rows: int = 200, model: Arx = TRUE, noise_k: float = 0.0
     controls = np.stack([heater, fan], axis=-1)[None, :-1]
     temps = model.rollout(history, controls, {"temp_ambient": ambient})[0]
     temp = np.append(ambient[0], temps) + noise_k * rng.normal(size=rows)
-    return Run(
+    return RecordedRun(
         {
             "time_s": 60.0 * np.arange(rows),
             "temp_air_c": temp,
@@ -45,12 +45,12 @@ def recorded(seed: int, rows: int = 200, model: Arx = TRUE, noise_k: float = 0.0
     )
 
 
-def without(run: Run, *keys: str) -> Run:
-    return Run({key: values for key, values in run.columns.items() if key not in keys})
+def without(run: RecordedRun, *keys: str) -> RecordedRun:
+    return RecordedRun({key: values for key, values in run.columns.items() if key not in keys})
 
 
-def changed(run: Run, key: str, values: np.ndarray) -> Run:
-    return Run({**run.columns, key: values})
+def changed(run: RecordedRun, key: str, values: np.ndarray) -> RecordedRun:
+    return RecordedRun({**run.columns, key: values})
 
 
 def assert_is_the_true_one(model: Arx) -> None:
@@ -69,8 +69,8 @@ def test_the_model_that_made_the_runs_is_found_with_its_orders():
 
 
 def test_runs_are_never_joined_at_their_borders():
-    first_half = Run({key: values[:100] for key, values in recorded(2).columns.items()})
-    other = Run({key: values[100:] for key, values in recorded(5).columns.items()})
+    first_half = RecordedRun({key: values[:100] for key, values in recorded(2).columns.items()})
+    other = RecordedRun({key: values[100:] for key, values in recorded(5).columns.items()})
     assert_is_the_true_one(fit_arx([first_half, other], [recorded(3)], 60.0, [(2, 2)]).model)
 
 
@@ -99,7 +99,7 @@ def test_a_run_recorded_faster_is_resampled():
             for key in ("temp_air_c", "temp_ambient_c")
         },
     }
-    assert_is_the_true_one(fit_arx([Run(fast)], [recorded(3)], 60.0, [(2, 2)]).model)
+    assert_is_the_true_one(fit_arx([RecordedRun(fast)], [recorded(3)], 60.0, [(2, 2)]).model)
 
 
 def test_a_fan_by_the_excess_is_found_again():
@@ -134,8 +134,8 @@ def test_an_input_can_be_left_out():
         (without(recorded(1), "fan_on"), "fan_on: the column is missing"),
         (without(recorded(1), "temp_air_c"), "temp_air_c: the column is missing"),
         (changed(recorded(1), "time_s", 120.0 * np.arange(200)), "period of 120 s"),
-        (Run({key: values[:12] for key, values in recorded(1).columns.items()}), "too few rows"),
-        (Run({key: values[:1] for key, values in recorded(1).columns.items()}), "period of 0 s"),
+        (RecordedRun({key: values[:12] for key, values in recorded(1).columns.items()}), "too few rows"),
+        (RecordedRun({key: values[:1] for key, values in recorded(1).columns.items()}), "period of 0 s"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused_with_its_place(run, says):
@@ -172,7 +172,7 @@ def test_the_true_model_has_no_free_run_error_and_a_dead_sensor_tells_nothing():
 def test_provenance_names_the_data_by_hash(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("time_s\n")
-    run = Run(recorded(1).columns, path=path)
+    run = RecordedRun(recorded(1).columns, path=path)
     fit = fit_arx([run], [recorded(3)], 60.0, [(2, 2)])
     facts = provenance(fit, [run], [recorded(3)], "greenhouse fit-arx run.csv")
     assert len(facts["training_sha256"][str(path)]) == 64

@@ -4,8 +4,8 @@ import pytest
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
 from edge.models.pbm import Pbm, read_twin
-from edge.twin.model import Twin
-from edge.twin.warm_start import Past, at_rest, held, state_now
+from edge.twin.model import BoxTwin
+from edge.twin.warm_start import PastColumns, at_rest, held, state_now
 
 HIDDEN = {
     "wall_mass": {"C_w": 20000.0, "G_in": 8.0, "G_out": 8.0},
@@ -45,7 +45,7 @@ def last(history, rows):
 def test_it_is_a_predictor_named_pbm():
     model: Predictor = Pbm()
     assert (model.name, model.step_s, model.rows_needed) == ("pbm", 60.0, 1)
-    assert model.version == Twin().sha256[:12]
+    assert model.version == BoxTwin().sha256[:12]
 
 
 def test_two_steps_are_the_equation_by_hand():
@@ -57,7 +57,7 @@ def test_two_steps_are_the_equation_by_hand():
 
 
 def test_a_batch_is_its_rows():
-    model = Pbm(Twin(effects=HIDDEN))
+    model = Pbm(BoxTwin(effects=HIDDEN))
     history, _ = past_of(model.twin)
     controls = np.random.default_rng(1).uniform(size=(5, 12, 2))
     together = model.rollout(history, controls, ahead(12))
@@ -74,7 +74,7 @@ def test_the_offset_is_carried_on_and_longer_columns_are_cut():
 
 
 def test_hidden_states_are_those_of_a_box_of_the_same_physics():
-    model = Pbm(Twin(effects=HIDDEN))
+    model = Pbm(BoxTwin(effects=HIDDEN))
     start = at_rest(model.twin, 24.0, 21.0) + np.array([0.0, 2.0, 25.0])  # a wall and an element off rest
     history, state = past_of(model.twin, start=start)
     controls = np.tile([0.2, 0.0], (1, 30, 1))
@@ -83,7 +83,7 @@ def test_hidden_states_are_those_of_a_box_of_the_same_physics():
 
 
 def test_more_rows_tell_hidden_states_better():
-    model = Pbm(Twin(effects=HIDDEN))
+    model = Pbm(BoxTwin(effects=HIDDEN))
     errors = {1: [], 10: [], 60: []}
     for seed in range(10):
         start = at_rest(model.twin, 24.0, 21.0) + np.array([0.0, 2.0, 25.0])
@@ -96,7 +96,7 @@ def test_more_rows_tell_hidden_states_better():
 
 
 def test_the_last_rows_inputs_are_not_read():
-    model = Pbm(Twin(effects=HIDDEN))
+    model = Pbm(BoxTwin(effects=HIDDEN))
     history, _ = past_of(model.twin)
     other = {name: values.copy() for name, values in history.items()}
     other["heater_duty"][-1], other["fan_on"][-1] = 1.0, 1.0
@@ -107,16 +107,16 @@ def test_the_last_rows_inputs_are_not_read():
 
 
 def test_it_starts_at_the_last_measured_temperature():
-    twin = Twin(effects=HIDDEN)
+    twin = BoxTwin(effects=HIDDEN)
     history, _ = past_of(twin)
     history["temp_air"][-1] += 0.7
-    past = Past(*(history[name] for name in ("temp_air", "temp_ambient", "heater_duty", "fan_on")))
+    past = PastColumns(*(history[name] for name in ("temp_air", "temp_ambient", "heater_duty", "fan_on")))
     assert state_now(twin, past)[0] == history["temp_air"][-1]
 
 
 @pytest.mark.parametrize("effects", [{}, HIDDEN], ids=["bare", "hidden states"])
 def test_missing_readings_are_bridged(effects):
-    model = Pbm(Twin(effects=effects, step_s=10.0))
+    model = Pbm(BoxTwin(effects=effects, step_s=10.0))
     history, state = past_of(model.twin)
     history["temp_air"][[0, 5, 6, -1]] = np.nan
     history["temp_ambient"][[0, 7, -1]] = np.nan
@@ -127,7 +127,7 @@ def test_missing_readings_are_bridged(effects):
 
 @pytest.mark.parametrize("effects", [{}, HIDDEN], ids=["bare", "hidden states"])
 def test_a_history_without_any_temperature_is_refused(effects):
-    model = Pbm(Twin(effects=effects))
+    model = Pbm(BoxTwin(effects=effects))
     history, _ = past_of(model.twin)
     with pytest.raises(DataError, match=r"^history: no air temperature is known"):
         model.rollout({**history, "temp_air": np.full(ROWS, np.nan)}, np.zeros((1, 2, 2)), ahead(2))
@@ -136,7 +136,7 @@ def test_a_history_without_any_temperature_is_refused(effects):
 
 
 def test_hidden_states_need_the_room_once():
-    model = Pbm(Twin(effects=HIDDEN))
+    model = Pbm(BoxTwin(effects=HIDDEN))
     history, _ = past_of(model.twin)
     with pytest.raises(DataError, match=r"^history: no room temperature is known"):
         model.rollout({**history, "temp_ambient": np.full(ROWS, np.nan)}, np.zeros((1, 2, 2)), ahead(2))

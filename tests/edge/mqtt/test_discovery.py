@@ -6,7 +6,7 @@ import pytest
 from home_assistant import check_device, check_topic
 
 from bench.support.mqtt_rig import ROOT, ControlLoop, settings
-from edge.assistant.requests.desk import Proposal
+from edge.assistant.requests.desk import PendingRequest
 from edge.assistant.requests.proposal_id import new_id
 from edge.config.settings import ControlSettings, LlmSettings, ReferenceSettings, Settings
 from edge.core.controller_names import LLM
@@ -137,7 +137,7 @@ def test_a_proposals_id_can_be_typed_and_nothing_else():
 
 def test_what_the_proposal_shows_is_in_a_proposal():
     assert COMPONENTS["proposal"]["value_template"] == "{{ value_json.state }}"
-    assert Proposal("c0ffee", "keep 26", 0.0).as_json()["state"] == "thinking"
+    assert PendingRequest("c0ffee", "keep 26", 0.0).as_json()["state"] == "thinking"
 
 
 def test_sensors_expire_after_three_steps():

@@ -16,7 +16,7 @@ from edge.mqtt.telemetry import Telemetry
 HISTORY = f"{ROOT}/history"
 
 
-class Client:
+class SilentClient:
     """Takes messages and leaves the answers to the test."""
 
     def __init__(self, first_mid: int = 1) -> None:
@@ -33,7 +33,7 @@ class Client:
         return [json.loads(payload)["seq"] for _, payload in self.sent]
 
 
-class Clock:
+class DrainClock:
     def __init__(self) -> None:
         self.time_s = 100.0
 
@@ -42,7 +42,7 @@ class Clock:
 
 
 def make(count, first_mid=1):
-    outbox, client, clock = MemoryOutbox(count), Client(first_mid), Clock()
+    outbox, client, clock = MemoryOutbox(count), SilentClient(first_mid), DrainClock()
     return outbox, client, clock, Drain(outbox, client, clock)
 
 

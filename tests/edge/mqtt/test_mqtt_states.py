@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from bench.support.mqtt_rig import ControlLoop, record
-from edge.core.messages import Echo, Forecast, ForecastSkill, Quality, Reading
+from edge.core.messages import Echo, Forecast, ForecastSkill, Reading, ReadingQuality
 from edge.formats.tick_json import echo_json
 from edge.mqtt import states
 from edge.tick.orders import FanMode, Mode
@@ -33,7 +33,9 @@ def test_a_quiet_tick_is_shown_as_it_is():
     assert {key: shown[key] for key in expected} == expected
 
 
-@pytest.mark.parametrize("quality", [quality for quality in Quality if quality is not Quality.GOOD])
+@pytest.mark.parametrize(
+    "quality", [quality for quality in ReadingQuality if quality is not ReadingQuality.GOOD]
+)
 def test_a_reading_that_is_not_good_is_null_and_a_problem(quality):
     loop = ControlLoop()
     loop.last_record = record(readings={"temp_air": Reading("temp_air", 24.5, 0.0, quality)})

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from edge.safety.relay_proof import BUSY_SHARE, EVERY_S, LONGEST_S, PASSED_K, RelayProof, follow
-from edge.safety.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Moment, ThermalMemory, look
+from edge.safety.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Observation, ThermalMemory, look
 
 STEP_S = 60.0
 THREE_HOURS_S = 10800.0  # as the README promises
@@ -99,7 +99,7 @@ def test_the_balance_has_judged_before_the_longest_proof_ends():
 
 
 def test_supervision_resets_the_proof_once_heater_and_fan_were_still_long_enough():
-    memory, still = ThermalMemory(proof=BUSY), Moment(STEP_S, 22.0, 21.0, 0.0, False, 0.0)
+    memory, still = ThermalMemory(proof=BUSY), Observation(STEP_S, 22.0, 21.0, 0.0, False, 0.0)
     for _ in range(int(QUIET_S / STEP_S) + 2):
         memory, findings = look(replace(memory, proof=replace(memory.proof, since_s=0.0)), still)
         assert findings == ()

@@ -22,7 +22,7 @@ from safety_cases import (
 
 from edge.config.settings import SafetySettings
 from edge.core.errors import RequestError
-from edge.core.messages import Command, Quality, Reading, Severity
+from edge.core.messages import Command, Reading, ReadingQuality, Severity
 from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, water_s
 from edge.safety.relay_proof import RelayProof
 from edge.safety.rules import energy_duty
@@ -122,7 +122,9 @@ def test_no_number_means_no_heat(value):
     assert only_change(verdict, "heater_duty").rule == "heater.air_unknown"
 
 
-@pytest.mark.parametrize("quality", [quality for quality in Quality if quality is not Quality.GOOD])
+@pytest.mark.parametrize(
+    "quality", [quality for quality in ReadingQuality if quality is not ReadingQuality.GOOD]
+)
 def test_a_reading_that_is_not_good_means_no_heat(quality):
     seen = view(air=reading("temp_air", 20.0, quality=quality))
     assert rules(judge(HEAT, seen), "heater_duty") == ["heater.air_unknown"]
@@ -333,7 +335,7 @@ def test_the_largest_duty_holds(largest, sent):
 
 
 def second(duty: float, memory: SafetyMemory, now: float, rise: float) -> SafetyMemory:
-    air = Reading("temp_air", 25.0, now, Quality.GOOD)
+    air = Reading("temp_air", 25.0, now, ReadingQuality.GOOD)
     seen = replace(view(now_s=now, dt_s=1.0), readings={"temp_air": air})
     return supervise(Command(heater_duty=duty), seen, memory, SafetySettings(heater_rise_per_s=rise)).memory
 
@@ -401,7 +403,7 @@ def heated(hours: float, **limits: float) -> tuple[list[float], SafetyMemory]:
     memory, duties = SafetyMemory(), []
     for minute in range(round(60 * hours)):
         now = NOW + 60.0 * minute
-        air = Reading("temp_air", 25.0, now, Quality.GOOD)
+        air = Reading("temp_air", 25.0, now, ReadingQuality.GOOD)
         seen = replace(view(now_s=now, utc=UTC + now, echo=None), readings={"temp_air": air})
         verdict = supervise(HEAT, seen, memory, SafetySettings(**limits))
         memory = verdict.memory
@@ -740,7 +742,7 @@ readings_strategy = st.builds(
     lambda value, age_s, quality: (value, age_s, quality),
     numbers,
     st.one_of(st.floats(-1.0, 12.0), st.floats(allow_nan=True)),
-    st.sampled_from([Quality.GOOD, Quality.GOOD, *Quality]),
+    st.sampled_from([ReadingQuality.GOOD, ReadingQuality.GOOD, *ReadingQuality]),
 )
 views = st.builds(
     lambda air, soil, tank, room, link, stop, maintenance, answered, duty, fan, cause, dt: view(
@@ -785,7 +787,7 @@ def test_whatever_comes_in_a_legal_command_comes_out(wanted, seen, memory):
     assert sent.heater_duty * 20 == round(sent.heater_duty * 20) and 0.0 <= sent.heater_duty <= 1.0
     assert type(sent.fan_on) is bool
     assert 0.0 <= sent.led <= 1.0 and 0.0 <= sent.valve_pulse_s <= LIMITS.valve_pulse_max_s
-    fresh = air.quality is Quality.GOOD and air.value is not None and math.isfinite(air.value)
+    fresh = air.quality is ReadingQuality.GOOD and air.value is not None and math.isfinite(air.value)
     fresh = fresh and -0.5 <= seen.now_s - air.time_s <= LIMITS.reading_age_max_s
     if not fresh or not air.value < LIMITS.temp_air_max_c:
         assert sent.heater_duty == 0.0

@@ -17,7 +17,7 @@ from edge.safety.thermal_supervision import (
     LONG_S,
     SENSOR_OFFSET,
     Balance,
-    Moment,
+    Observation,
     ThermalMemory,
     look,
     unordered_w,
@@ -25,10 +25,10 @@ from edge.safety.thermal_supervision import (
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
 
-REST = Moment(60.0, 21.0, 21.0, heater_duty=0.0, fan_on=False, led=0.0)
+REST = Observation(60.0, 21.0, 21.0, heater_duty=0.0, fan_on=False, led=0.0)
 
 
-def first_trip(moments: list[Moment], memory: ThermalMemory | None = None) -> tuple[str, float] | None:
+def first_trip(moments: list[Observation], memory: ThermalMemory | None = None) -> tuple[str, float] | None:
     """The first fault and the time it took [s]."""
     memory, passed_s = memory or ThermalMemory(), 0.0
     for moment in moments:
@@ -154,7 +154,7 @@ def test_the_balance_is_what_is_stored_and_lost_less_what_was_ordered(
 # Fan on and no cooling
 
 
-def fan_on(air: list[float], duty: float = 0.0) -> list[Moment]:
+def fan_on(air: list[float], duty: float = 0.0) -> list[Observation]:
     return [replace(REST, temp_air=air[0])] + [
         replace(REST, temp_air=a, fan_on=True, heater_duty=duty) for a in air
     ]
@@ -224,7 +224,7 @@ HOSTILE = replace(
 )  # fmt: skip
 
 
-class Box:
+class SupervisedBox:
     """The chamber, what it is told, and what is wrong with it."""
 
     def __init__(self, seed: int, effects=EFFECTS) -> None:
@@ -242,7 +242,7 @@ class Box:
             self.chamber.step(float(on_s), 1.0, flows, led, False)
             self.chamber.step(float(20 - on_s), 0.0, flows, led, False)
         self.sensed = self.chamber.sense()
-        moment = Moment(60.0, self.air, self.sensed["temp_ambient_c"], duty, fan, led)
+        moment = Observation(60.0, self.air, self.sensed["temp_ambient_c"], duty, fan, led)
         self.memory, findings = look(self.memory, moment)
         self.found += [finding.trip for finding in findings]
         self.minutes += 1
@@ -251,7 +251,7 @@ class Box:
     def air(self) -> float:
         return self.sensed["temp_air_c"]
 
-    def run(self, minutes: int, duty: float, fan: bool) -> "Box":
+    def run(self, minutes: int, duty: float, fan: bool) -> "SupervisedBox":
         for _ in range(minutes):
             self.minute(duty, fan)
         return self
@@ -264,7 +264,7 @@ class Box:
         return self.minutes - begin
 
 
-def drive(box: Box, style: str, minutes: int, seed: int) -> Box:
+def drive(box: SupervisedBox, style: str, minutes: int, seed: int) -> SupervisedBox:
     """A day's life: references come and go, switched or smoothed or at random."""
     random = np.random.default_rng(seed)
     reference, duty, fan, integral = 24.0, 0.0, False, 0.0
@@ -300,13 +300,13 @@ def drive(box: Box, style: str, minutes: int, seed: int) -> Box:
     ids=lambda value: value if isinstance(value, str) else "default" if value is EFFECTS else "hostile",
 )
 def test_no_fault_is_found_where_there_is_none(style, effects):
-    box = drive(Box(11, effects), style, minutes=500, seed=12)
+    box = drive(SupervisedBox(11, effects), style, minutes=500, seed=12)
     assert box.found == [], f"after {box.minutes} min at {box.air:.1f} °C"
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_dead_heater_is_named_within_a_quarter_of_an_hour_at_full_duty(seed):
-    box = Box(seed).run(10, 0.0, False)
+    box = SupervisedBox(seed).run(10, 0.0, False)
     box.faults["heater"] = 0.0
     assert box.until_found(1.0, False) <= 15
     assert box.found == [HEATER_NO_EFFECT]
@@ -314,7 +314,7 @@ def test_a_dead_heater_is_named_within_a_quarter_of_an_hour_at_full_duty(seed):
 
 @pytest.mark.parametrize("heated_minutes", [5, 10, 15])
 def test_a_heater_that_dies_while_it_heats_is_named_within_35_minutes(heated_minutes):
-    box = Box(1).run(heated_minutes, 1.0, False)
+    box = SupervisedBox(1).run(heated_minutes, 1.0, False)
     box.faults["heater"] = 0.0
     assert box.until_found(1.0, False) <= 35
     assert box.found == [HEATER_NO_EFFECT]
@@ -323,7 +323,7 @@ def test_a_heater_that_dies_while_it_heats_is_named_within_35_minutes(heated_min
 @pytest.mark.parametrize("heated_minutes", [0, 20, 60])
 @pytest.mark.parametrize("seed", range(2))
 def test_a_relay_stuck_on_is_named_within_25_minutes_below_43_degrees(heated_minutes, seed):
-    box = Box(seed).run(heated_minutes, 1.0, False)
+    box = SupervisedBox(seed).run(heated_minutes, 1.0, False)
     box.faults["heater"] = 1.0
     assert box.until_found(0.0, False) <= 25
     assert box.found == [HEATER_STUCK_ON]
@@ -332,7 +332,7 @@ def test_a_relay_stuck_on_is_named_within_25_minutes_below_43_degrees(heated_min
 
 @pytest.mark.parametrize("seed", range(2))
 def test_with_the_fan_as_answer_a_relay_stuck_on_can_not_overheat_the_box(seed):
-    box = Box(seed).run(60, 1.0, False)
+    box = SupervisedBox(seed).run(60, 1.0, False)
     box.faults["heater"] = 1.0
     box.run(20, 0.0, True)
     assert box.chamber.truth()["temp_air_c"] < 30.0
@@ -340,17 +340,17 @@ def test_with_the_fan_as_answer_a_relay_stuck_on_can_not_overheat_the_box(seed):
 
 @pytest.mark.parametrize("duty", [0.0, 1.0])
 def test_a_fan_that_does_not_turn_is_named_in_five_minutes(duty):
-    box = Box(2).run(60, 1.0, False)
+    box = SupervisedBox(2).run(60, 1.0, False)
     box.faults["fan"] = 0.0
     assert box.until_found(duty, True) <= 6
     assert box.found == [FAN_NO_EFFECT]
 
 
 def test_the_fan_that_takes_all_heat_away_is_no_dead_heater():
-    assert Box(3).run(180, 1.0, True).found == []
+    assert SupervisedBox(3).run(180, 1.0, True).found == []
 
 
 def test_a_stuck_fan_that_blows_all_the_time_is_no_false_alarm_of_other_parts():
-    box = Box(4)
+    box = SupervisedBox(4)
     box.faults["fan"] = 1.0
     assert set(drive(box, "smooth", minutes=400, seed=5).found) <= {HEATER_NO_EFFECT}

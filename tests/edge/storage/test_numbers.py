@@ -45,7 +45,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-class Daemon:
+class NumberingDaemon:
     """What a daemon does with its history: numbers from `open` on, ticks, an end or a kill."""
 
     def __init__(self, path: Path, boot_id: str = "", now_s: float = 0.0) -> None:
@@ -114,11 +114,11 @@ def fill(disk: Path) -> Path:
 @needs_mount
 def test_a_restart_on_a_full_disk_continues_the_numbers(small_disk: Path) -> None:
     path = small_disk / "history.db"
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     daemon.tick(15)
     daemon.end()
     ballast = fill(small_disk)
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     assert daemon.first == 16
     daemon.tick(5)
     ballast.unlink()
@@ -131,11 +131,11 @@ def test_a_restart_on_a_full_disk_continues_the_numbers(small_disk: Path) -> Non
 @pytest.mark.parametrize("ticks", [3, 100])  # the latter more than wait for a disk
 def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Path, ticks: int) -> None:
     path = small_disk / "history.db"
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     daemon.tick(15)
     daemon.end()
     ballast = fill(small_disk)
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     for _ in range(ticks):
         daemon.tick()
         if daemon.next % 5 == 0:
@@ -144,7 +144,7 @@ def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Pa
     daemon.storage._given_up.set()
     daemon.storage.close(PATIENCE_S)
     ballast.unlink()
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     assert daemon.first > last_given
     assert "history.unclean_stop" in daemon.events()
     daemon.tick()
@@ -154,14 +154,14 @@ def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Pa
 
 def test_numbers_of_the_clock_are_followed_by_a_gap(path: Path) -> None:
     """A history of software without the numbers file, unreadable at the start."""
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     daemon.tick(3)
     daemon.end()
     Path(f"{path}-numbers").unlink()
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("BEGIN EXCLUSIVE")
-        daemon = Daemon(path)
+        daemon = NumberingDaemon(path)
         assert daemon.first == START_UTC
         daemon.tick()
     assert daemon.is_written()
@@ -172,13 +172,13 @@ def test_numbers_of_the_clock_are_followed_by_a_gap(path: Path) -> None:
 
 
 def test_a_history_that_is_locked_at_the_start_continues_its_numbers(path: Path) -> None:
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     daemon.tick(3)
     daemon.end()
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("BEGIN EXCLUSIVE")
-        daemon = Daemon(path)
+        daemon = NumberingDaemon(path)
         assert daemon.first == 4
         daemon.tick()
     assert daemon.is_written()
@@ -194,10 +194,10 @@ def test_a_history_that_is_locked_at_the_start_continues_its_numbers(path: Path)
 @pytest.mark.parametrize("sessions_before", [0, 1])
 def test_a_damaged_log_gives_no_number_twice(path: Path, sessions_before: int, place: int) -> None:
     for _ in range(sessions_before):
-        daemon = Daemon(path, "boot")
+        daemon = NumberingDaemon(path, "boot")
         daemon.tick(15)
         daemon.end()
-    daemon = Daemon(path, "boot")
+    daemon = NumberingDaemon(path, "boot")
     daemon.tick(8)
     assert daemon.is_written()
     last_given = daemon.next - 1
@@ -205,7 +205,7 @@ def test_a_damaged_log_gives_no_number_twice(path: Path, sessions_before: int, p
     with Path(f"{path}-wal").open("r+b") as log:
         log.seek(place)
         log.write(os.urandom(64))
-    daemon = Daemon(path, "boot", now_s=60.0 * last_given)
+    daemon = NumberingDaemon(path, "boot", now_s=60.0 * last_given)
     assert daemon.first > last_given
     assert "history.unclean_stop" in daemon.events()
     daemon.tick()
@@ -217,13 +217,13 @@ def test_a_damaged_log_gives_no_number_twice(path: Path, sessions_before: int, p
 
 
 def test_a_last_tick_that_cannot_be_stored_is_reported(path: Path) -> None:
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     daemon.tick()
     daemon.storage.write(tick(2, mode=object()))
     daemon.next = 3
     daemon.end()
     assert numbers(path) == ({1}, {2})
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     assert daemon.first == 3
     assert daemon.events() == []
     daemon.end()
@@ -231,18 +231,18 @@ def test_a_last_tick_that_cannot_be_stored_is_reported(path: Path) -> None:
 
 def test_a_clean_end_leaves_no_gap(path: Path) -> None:
     for _ in range(3):
-        daemon = Daemon(path)
+        daemon = NumberingDaemon(path)
         daemon.tick(2)
         daemon.end()
     assert numbers(path) == (set(range(1, 7)), set())
 
 
 def test_a_deleted_history_is_followed_by_one_with_later_numbers(path: Path) -> None:
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     daemon.tick(5)
     daemon.end()
     path.unlink()
-    daemon = Daemon(path)
+    daemon = NumberingDaemon(path)
     assert daemon.first == 6
     assert daemon.events() == ["history.numbers_left_out"]
     daemon.tick()

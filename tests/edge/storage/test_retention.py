@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from history_records import START_UTC, HandClock, History, tick
 
-from edge.core.messages import Event, ForecastSkill, Quality, Reading, Severity, TickRecord
+from edge.core.messages import Event, ForecastSkill, Reading, ReadingQuality, Severity, TickRecord
 from edge.storage import Outbox, Storage, retention
 from edge.storage.file import connect
 from edge.storage.runs import name_run
@@ -100,7 +100,7 @@ def test_no_row_of_a_thinned_tick_stays(history: sqlite3.Connection) -> None:
 
 
 def test_readings_that_were_not_good_are_in_no_mean(history: sqlite3.Connection) -> None:
-    spike = {"temp_air": Reading("temp_air", 79.0, 0.0, Quality.SPIKE)}
+    spike = {"temp_air": Reading("temp_air", 79.0, 0.0, ReadingQuality.SPIKE)}
     add(history, at(1, 0.0), at(2, 60.0, readings=spike), *recent(3, 2 * DAY_S))
     thin_all(history)
     assert windows(history, "temp_air_c") == [(0.0, 1, 25.1, 25.1, 25.1)]

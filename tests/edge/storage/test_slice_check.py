@@ -8,7 +8,7 @@ import pytest
 from history_records import HandClock, History, eventful_tick, tick
 
 from edge.storage import Storage, slice_check
-from edge.storage.file import Fault, fault_of
+from edge.storage.file import FileFault, fault_of
 from edge.storage.slice_check import SliceCheck
 
 TICKS = 300
@@ -76,7 +76,7 @@ def test_a_damaged_page_is_found_wherever_it_is(path: Path, tree: str) -> None:
     path.write_bytes(data)
     with pytest.raises(sqlite3.DatabaseError) as caught:
         check(path)
-    assert fault_of(caught.value) is Fault.REPLACE
+    assert fault_of(caught.value) is FileFault.REPLACE
 
 
 def test_a_missing_file_is_not_made(path: Path) -> None:

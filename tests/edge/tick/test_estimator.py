@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edge.config.settings import EstimatorSettings
-from edge.core.messages import Command, Estimate, Quality, Reading
+from edge.core.messages import Command, Estimate, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.models.arx import Arx
 from edge.tick.estimator import HISTORY_ROWS, Estimator
@@ -22,10 +22,10 @@ ROOM_C = 21.0
 
 
 def readings(
-    air: float | None, now: float, quality: Quality = Quality.GOOD, **others: float
+    air: float | None, now: float, quality: ReadingQuality = ReadingQuality.GOOD, **others: float
 ) -> dict[str, Reading]:
     values = {"temp_air": air, "temp_ambient": ROOM_C, **others}
-    found = {name: Reading(name, value, now, Quality.GOOD) for name, value in values.items()}
+    found = {name: Reading(name, value, now, ReadingQuality.GOOD) for name, value in values.items()}
     return found | {"temp_air": Reading("temp_air", air, now, quality)}
 
 
@@ -34,7 +34,7 @@ def make(model: Arx = ONE_LAG, settings: EstimatorSettings = SETTINGS) -> Estima
 
 
 @dataclass
-class Plant:
+class ArxPlant:
     """The ARX with process noise and a disturbance; remembers what an ARX needs."""
 
     model: Arx
@@ -62,7 +62,7 @@ class Plant:
 
 
 def run(
-    estimator: Estimator, plant: Plant, ticks: int, gaps: range = range(0)
+    estimator: Estimator, plant: ArxPlant, ticks: int, gaps: range = range(0)
 ) -> list[tuple[Estimate, float]]:
     """Estimates and true temperatures; no measurement in the ticks of `gaps`."""
     result = []
@@ -70,7 +70,7 @@ def run(
         now = 60.0 * tick
         measured = readings(plant.measure(), now)
         if tick in gaps:
-            measured = readings(None, now, Quality.FAULT)
+            measured = readings(None, now, ReadingQuality.FAULT)
         result.append((estimator.update(measured, now, 1e9 + now), plant.temps[-1]))
         command = Command(float(plant.rng.integers(0, 21)) / 20, bool(plant.rng.random() < 0.3))
         estimator.record_sent(command)
@@ -86,7 +86,7 @@ def innovation_sd(estimate: Estimate) -> float:
 
 @pytest.mark.parametrize("model", [ONE_LAG, THREE_LAGS], ids=["one lag", "three lags"])
 def test_normalised_innovations_are_standard_normal(model):
-    estimates = run(make(model, STEADY), Plant(model, np.random.default_rng(1)), 1500)[100:]
+    estimates = run(make(model, STEADY), ArxPlant(model, np.random.default_rng(1)), 1500)[100:]
     normalised = np.array([e.innovation / innovation_sd(e) for e, _ in estimates])
     assert abs(normalised.mean()) < 0.08  # 3 / sqrt(1400)
     assert abs(normalised.std() - 1.0) < 0.06
@@ -96,7 +96,7 @@ def test_normalised_innovations_are_standard_normal(model):
 
 @pytest.mark.parametrize("model", [ONE_LAG, THREE_LAGS], ids=["one lag", "three lags"])
 def test_errors_have_the_size_the_filter_claims(model):
-    estimates = run(make(model, STEADY), Plant(model, np.random.default_rng(2)), 1500)[100:]
+    estimates = run(make(model, STEADY), ArxPlant(model, np.random.default_rng(2)), 1500)[100:]
     normalised = np.array([(e.temp_air - true) / e.temp_air_sd for e, true in estimates])
     assert abs(normalised.std() - 1.0) < 0.06
     assert estimates[-1][0].temp_air_sd < SETTINGS.measurement_sd_k
@@ -104,14 +104,14 @@ def test_errors_have_the_size_the_filter_claims(model):
 
 @pytest.mark.parametrize("disturbance", [0.2, -0.3])
 def test_the_offset_converges_to_a_constant_disturbance(disturbance):
-    plant = Plant(THREE_LAGS, np.random.default_rng(3), disturbance)
+    plant = ArxPlant(THREE_LAGS, np.random.default_rng(3), disturbance)
     offsets = [e.offset for e, _ in run(make(THREE_LAGS), plant, 400)[100:]]
     assert np.mean(offsets) == pytest.approx(disturbance, abs=0.02)
     assert np.std(offsets) < 0.06
 
 
 def test_with_the_offset_the_prediction_has_no_steady_error():
-    plant = Plant(ONE_LAG, np.random.default_rng(4), disturbance=0.5)
+    plant = ArxPlant(ONE_LAG, np.random.default_rng(4), disturbance=0.5)
     innovations = [e.innovation for e, _ in run(make(), plant, 600)[200:]]
     assert abs(np.mean(innovations)) < 0.02
 
@@ -129,8 +129,9 @@ def test_the_first_sample_starts_the_filter():
 
 @pytest.mark.parametrize(
     ("value", "quality"),
-    [(None, Quality.FAULT), (25.0, Quality.STALE), (25.0, Quality.STUCK), (math.nan, Quality.GOOD),
-     (math.inf, Quality.GOOD), (None, Quality.GOOD)],
+    [(None, ReadingQuality.FAULT), (25.0, ReadingQuality.STALE),
+     (25.0, ReadingQuality.STUCK), (math.nan, ReadingQuality.GOOD),
+     (math.inf, ReadingQuality.GOOD), (None, ReadingQuality.GOOD)],
 )  # fmt: skip
 def test_before_a_good_measurement_there_is_no_number(value, quality):
     estimator = make()
@@ -178,7 +179,7 @@ def test_the_doubt_after_an_hour_does_not_depend_on_the_step(step_s, process_sd,
 def test_after_a_gap_the_errors_still_have_the_size_the_filter_claims():
     errors = []
     for seed in range(80):
-        plant = Plant(THREE_LAGS, np.random.default_rng(seed))
+        plant = ArxPlant(THREE_LAGS, np.random.default_rng(seed))
         estimate, true = run(make(THREE_LAGS, STEADY), plant, 40, gaps=range(30, 40))[-1]
         errors.append((estimate.temp_air - true) / estimate.temp_air_sd)
     assert 0.75 < np.std(errors) < 1.2
@@ -186,7 +187,7 @@ def test_after_a_gap_the_errors_still_have_the_size_the_filter_claims():
 
 def test_an_open_door_teaches_the_offset_little():
     estimator = make()
-    plant = Plant(ONE_LAG, np.random.default_rng(5))
+    plant = ArxPlant(ONE_LAG, np.random.default_rng(5))
     run(estimator, plant, 200)
     before = estimator.update(readings(plant.temps[-1], 12000.0), 12000.0, 0.0).offset
     after = estimator.update(readings(plant.temps[-1] - 8.0, 12060.0), 12060.0, 0.0)
@@ -198,7 +199,7 @@ def test_ticks_that_were_missed_are_predicted_with_everything_off():
     estimator = make()
     estimator.update(readings(30.0, 0.0), 0.0, 0.0)
     estimator.record_sent(Command())
-    estimate = estimator.update(readings(None, 180.0, Quality.STALE), 180.0, 180.0)
+    estimate = estimator.update(readings(None, 180.0, ReadingQuality.STALE), 180.0, 180.0)
     expected = 30.0
     for _ in range(3):
         expected = 0.9 * expected + 0.1 * ROOM_C
@@ -228,7 +229,7 @@ def test_too_few_rows_for_the_model_is_persistence():
     assert estimator.update(readings(None, 180.0), 180.0, 180.0).temp_air > 25.5  # three rows: the model
 
 
-class Broken:
+class BrokenPredictor:
     """A predictor that gives no number."""
 
     name, version, step_s, rows_needed = "broken", "0", 60.0, 1
@@ -238,14 +239,14 @@ class Broken:
 
 
 def test_a_model_that_gives_no_number_is_persistence():
-    estimator = Estimator(SETTINGS, Broken(), 60.0, ROOM_C)
+    estimator = Estimator(SETTINGS, BrokenPredictor(), 60.0, ROOM_C)
     estimator.update(readings(25.0, 0.0), 0.0, 0.0)
     assert estimator.update(readings(None, 60.0), 60.0, 60.0).temp_air == 25.0
 
 
 def test_a_model_is_swapped_without_a_bump():
     estimator = make()
-    plant = Plant(ONE_LAG, np.random.default_rng(6), disturbance=0.1)
+    plant = ArxPlant(ONE_LAG, np.random.default_rng(6), disturbance=0.1)
     run(estimator, plant, 300)
     other = replace(THREE_LAGS, intercept=0.7)
     before = estimator.update(readings(None, 18000.0), 18000.0, 0.0)
@@ -262,7 +263,7 @@ def test_a_model_is_swapped_without_a_bump():
 
 def test_after_a_swap_the_offset_is_learnt_for_the_new_model():
     estimator = make()
-    plant = Plant(ONE_LAG, np.random.default_rng(7))
+    plant = ArxPlant(ONE_LAG, np.random.default_rng(7))
     run(estimator, plant, 200)
     estimator.set_model(replace(ONE_LAG, intercept=0.4))
     for tick in range(200, 400):
@@ -274,7 +275,7 @@ def test_after_a_swap_the_offset_is_learnt_for_the_new_model():
 
 def test_the_history_is_what_controllers_are_promised():
     estimator = make()
-    plant = Plant(ONE_LAG, np.random.default_rng(8))
+    plant = ArxPlant(ONE_LAG, np.random.default_rng(8))
     run(estimator, plant, HISTORY_ROWS + 30, gaps=range(140, 150))
     estimator.update(readings(24.0, 9000.0, light=0.5), 9000.0, 77.0)
     history = estimator.history()
@@ -297,15 +298,15 @@ def test_the_history_is_a_copy():
 
 def test_the_room_is_the_last_good_value_and_the_default_before_one():
     estimator = make()
-    air = {"temp_air": Reading("temp_air", 25.0, 0.0, Quality.GOOD)}
+    air = {"temp_air": Reading("temp_air", 25.0, 0.0, ReadingQuality.GOOD)}
     assert estimator.update(air, 0.0, 0.0).temp_ambient == ROOM_C
-    good = {"temp_ambient": Reading("temp_ambient", 18.0, 60.0, Quality.GOOD)}
+    good = {"temp_ambient": Reading("temp_ambient", 18.0, 60.0, ReadingQuality.GOOD)}
     assert estimator.update({**air, **good}, 60.0, 60.0).temp_ambient == 18.0
-    bad = {"temp_ambient": Reading("temp_ambient", 55.0, 120.0, Quality.STALE)}
+    bad = {"temp_ambient": Reading("temp_ambient", 55.0, 120.0, ReadingQuality.STALE)}
     assert estimator.update({**air, **bad}, 120.0, 120.0).temp_ambient == 18.0
 
 
 def test_the_same_readings_give_the_same_estimates_bit_for_bit():
-    first = run(make(THREE_LAGS), Plant(THREE_LAGS, np.random.default_rng(9)), 50)
-    second = run(make(THREE_LAGS), Plant(THREE_LAGS, np.random.default_rng(9)), 50)
+    first = run(make(THREE_LAGS), ArxPlant(THREE_LAGS, np.random.default_rng(9)), 50)
+    second = run(make(THREE_LAGS), ArxPlant(THREE_LAGS, np.random.default_rng(9)), 50)
     assert first == second

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from loop_rig import UTC_0, LoopRig, is_safe
 
-from edge.core.messages import Command, Quality, TickRecord
+from edge.core.messages import Command, ReadingQuality, TickRecord
 from edge.safety.supervisor import SafetyMemory
 from edge.tick.faults import FAILURES
 from edge.tick.inbox import ORDINARY, Letter
@@ -70,15 +70,15 @@ def test_the_first_controller_is_reset_once_and_again_when_it_comes_back(rig: Lo
 @pytest.mark.parametrize(
     ("value", "quality"),
     [
-        (None, Quality.FAULT),
-        (math.nan, Quality.GOOD),
-        (22.0, Quality.STALE),
-        (200.0, Quality.GOOD),
-        (None, Quality.ABSENT),
+        (None, ReadingQuality.FAULT),
+        (math.nan, ReadingQuality.GOOD),
+        (22.0, ReadingQuality.STALE),
+        (200.0, ReadingQuality.GOOD),
+        (None, ReadingQuality.ABSENT),
     ],
 )
 def test_a_reading_that_is_not_good_turns_the_heater_off(
-    rig: LoopRig, value: float | None, quality: Quality
+    rig: LoopRig, value: float | None, quality: ReadingQuality
 ) -> None:
     rig.tick()
     rig.board.temp_air, rig.board.quality = value, quality
@@ -87,14 +87,14 @@ def test_a_reading_that_is_not_good_turns_the_heater_off(
     assert record.sent.heater_duty == 0.0
     assert record.decision.controller == "MPC"  # still asked: the estimate goes on by model
     assert math.isfinite(record.estimate.temp_air)
-    rig.board.temp_air, rig.board.quality = 22.0, Quality.GOOD
+    rig.board.temp_air, rig.board.quality = 22.0, ReadingQuality.GOOD
     assert ends(rig.tick(), "reading.not_good")
     assert rig.tick().sent.heater_duty == 0.5
 
 
 def test_an_estimate_too_old_asks_no_controller(rig: LoopRig) -> None:
     rig.tick()
-    rig.board.quality = Quality.FAULT
+    rig.board.quality = ReadingQuality.FAULT
     records = [rig.tick() for _ in range(16)]  # 15 minutes are allowed
     asked = rig.chosen.asked
     last = rig.tick()
@@ -106,7 +106,7 @@ def test_an_estimate_too_old_asks_no_controller(rig: LoopRig) -> None:
 
 
 def test_before_any_reading_the_rig_is_safe(rig: LoopRig) -> None:
-    rig.board.quality = Quality.FAULT
+    rig.board.quality = ReadingQuality.FAULT
     record = rig.tick()
     assert is_safe(record.sent)
     assert rig.chosen.asked == 0

@@ -8,14 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
-from edge.core.messages import Command, Quality, Reading
+from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.tick.sensor_health import CONFIRM_SAMPLES, SensorHealth, Track, follow, trimmed_mean
 
 OFF = Command()
 
 
-def air(value: float | None, time_s: float, quality: Quality = Quality.GOOD) -> dict[str, Reading]:
+def air(
+    value: float | None, time_s: float, quality: ReadingQuality = ReadingQuality.GOOD
+) -> dict[str, Reading]:
     return {"temp_air": Reading("temp_air", value, time_s, quality)}
 
 
@@ -33,11 +35,11 @@ def after(values: list[float | None], sensors: SensorHealth | None = None, start
 def test_before_any_sample_every_signal_is_stale_without_a_number():
     readings = health().readings([], 0.0, OFF)
     assert set(readings) == set(SIGNALS)
-    assert all(r.quality is Quality.STALE and r.value is None for r in readings.values())
+    assert all(r.quality is ReadingQuality.STALE and r.value is None for r in readings.values())
 
 
 def test_a_first_good_sample_is_a_good_reading():
-    assert after([23.4]) == Reading("temp_air", 23.4, 0.0, Quality.GOOD)
+    assert after([23.4]) == Reading("temp_air", 23.4, 0.0, ReadingQuality.GOOD)
 
 
 def test_a_reading_is_the_mean_of_the_last_seconds():
@@ -59,11 +61,11 @@ def test_noise_of_half_a_step_makes_the_mean_finer_than_the_step():
 @pytest.mark.parametrize(
     ("age_s", "quality"),
     [
-        (0.0, Quality.GOOD),
-        (2.99, Quality.GOOD),
-        (3.0, Quality.GOOD),
-        (3.01, Quality.STALE),
-        (1e9, Quality.STALE),
+        (0.0, ReadingQuality.GOOD),
+        (2.99, ReadingQuality.GOOD),
+        (3.0, ReadingQuality.GOOD),
+        (3.01, ReadingQuality.STALE),
+        (1e9, ReadingQuality.STALE),
     ],
 )
 def test_a_sample_older_than_three_periods_is_stale(age_s, quality):
@@ -74,29 +76,31 @@ def test_a_sample_older_than_three_periods_is_stale(age_s, quality):
 
 def test_a_slower_board_has_later_stale_readings():
     sensors = SensorHealth(SensorHealthSettings(sample_period_s=10.0), CalibrationSettings())
-    assert sensors.readings([air(24.0, 0.0)], 30.0, OFF)["temp_air"].quality is Quality.GOOD
-    assert sensors.readings([], 30.1, OFF)["temp_air"].quality is Quality.STALE
+    assert sensors.readings([air(24.0, 0.0)], 30.0, OFF)["temp_air"].quality is ReadingQuality.GOOD
+    assert sensors.readings([], 30.1, OFF)["temp_air"].quality is ReadingQuality.STALE
 
 
 @pytest.mark.parametrize(
     ("value", "quality"),
     [
-        (-20.0, Quality.GOOD),
-        (80.0, Quality.GOOD),
-        (-20.01, Quality.RANGE),
-        (80.01, Quality.RANGE),
-        (1e9, Quality.RANGE),
-        (math.nan, Quality.FAULT),
-        (math.inf, Quality.FAULT),
-        (-math.inf, Quality.FAULT),
-        (None, Quality.FAULT),
+        (-20.0, ReadingQuality.GOOD),
+        (80.0, ReadingQuality.GOOD),
+        (-20.01, ReadingQuality.RANGE),
+        (80.01, ReadingQuality.RANGE),
+        (1e9, ReadingQuality.RANGE),
+        (math.nan, ReadingQuality.FAULT),
+        (math.inf, ReadingQuality.FAULT),
+        (-math.inf, ReadingQuality.FAULT),
+        (None, ReadingQuality.FAULT),
     ],
 )
 def test_a_number_no_sensor_can_give_is_no_measurement(value, quality):
     assert after([value]).quality is quality
 
 
-@pytest.mark.parametrize("quality", [Quality.FAULT, Quality.STALE, Quality.RANGE, Quality.ABSENT])
+@pytest.mark.parametrize(
+    "quality", [ReadingQuality.FAULT, ReadingQuality.STALE, ReadingQuality.RANGE, ReadingQuality.ABSENT]
+)
 def test_the_boards_word_stands(quality):
     reading = health().readings([air(24.0, 0.0, quality)], 0.0, OFF)["temp_air"]
     assert reading.quality is quality
@@ -104,67 +108,67 @@ def test_the_boards_word_stands(quality):
 
 def test_an_absent_sensor_stays_absent():
     sensors = health()
-    sensors.readings([air(None, 0.0, Quality.ABSENT)], 0.0, OFF)
-    assert sensors.readings([], 1000.0, OFF)["temp_air"].quality is Quality.ABSENT
+    sensors.readings([air(None, 0.0, ReadingQuality.ABSENT)], 0.0, OFF)
+    assert sensors.readings([], 1000.0, OFF)["temp_air"].quality is ReadingQuality.ABSENT
 
 
 def test_one_bad_sample_among_good_ones_changes_nothing():
     sensors = health()
-    samples = [air(24.0, 0.0), air(24.2, 1.0), air(None, 2.0, Quality.FAULT)]
-    assert sensors.readings(samples, 2.0, OFF)["temp_air"].quality is Quality.GOOD
+    samples = [air(24.0, 0.0), air(24.2, 1.0), air(None, 2.0, ReadingQuality.FAULT)]
+    assert sensors.readings(samples, 2.0, OFF)["temp_air"].quality is ReadingQuality.GOOD
 
 
 def test_a_sensor_that_dies_is_bad_after_three_periods_at_the_latest():
     sensors = health()
     samples = [air(24.0, 0.0), *(air(math.nan, float(k)) for k in range(1, 5))]
-    assert sensors.readings(samples, 4.0, OFF)["temp_air"].quality is Quality.FAULT
+    assert sensors.readings(samples, 4.0, OFF)["temp_air"].quality is ReadingQuality.FAULT
 
 
 def test_a_spike_changes_nothing():
     reading = after([24.0] * 5 + [50.0] + [24.0])
-    assert (reading.value, reading.quality) == (24.0, Quality.GOOD)
+    assert (reading.value, reading.quality) == (24.0, ReadingQuality.GOOD)
 
 
 def test_spikes_that_do_not_agree_are_never_believed():
     noise = random.Random(2)
     reading = after([24.0] + [noise.uniform(-20.0, 80.0) for _ in range(60)])
-    assert reading.quality is Quality.SPIKE
+    assert reading.quality is ReadingQuality.SPIKE
 
 
 def test_a_true_step_is_accepted_after_a_few_samples_and_told_once():
     sensors = health()
-    assert after([24.0] + [34.0] * (CONFIRM_SAMPLES - 1), sensors).quality is Quality.SPIKE
+    assert after([24.0] + [34.0] * (CONFIRM_SAMPLES - 1), sensors).quality is ReadingQuality.SPIKE
     told = sensors.readings([air(34.0, 5.0)], 5.0, OFF)["temp_air"]
-    assert (told.value, told.quality) == (34.0, Quality.SPIKE)
-    assert sensors.readings([air(34.0, 6.0)], 6.0, OFF)["temp_air"].quality is Quality.GOOD
+    assert (told.value, told.quality) == (34.0, ReadingQuality.SPIKE)
+    assert sensors.readings([air(34.0, 6.0)], 6.0, OFF)["temp_air"].quality is ReadingQuality.GOOD
 
 
 def test_a_step_within_a_long_control_step_is_told_too():
     sensors = health()
-    assert after([24.0] * 30 + [29.0] * 30, sensors).quality is Quality.SPIKE
-    assert after([29.0] * 60, sensors, start_s=60.0).quality is Quality.GOOD
+    assert after([24.0] * 30 + [29.0] * 30, sensors).quality is ReadingQuality.SPIKE
+    assert after([29.0] * 60, sensors, start_s=60.0).quality is ReadingQuality.GOOD
 
 
 @pytest.mark.parametrize("jump_k", [2.05, -2.05])
 def test_a_change_the_box_can_make_is_no_spike(jump_k):
-    assert after([24.0, 24.0 + jump_k]).quality is Quality.GOOD
+    assert after([24.0, 24.0 + jump_k]).quality is ReadingQuality.GOOD
 
 
 def test_after_a_gap_more_change_is_possible():
     sensors = health()
     after([24.0], sensors)
     reading = sensors.readings([air(32.0, 100.0)], 100.0, OFF)["temp_air"]
-    assert (reading.value, reading.quality) == (32.0, Quality.GOOD)
+    assert (reading.value, reading.quality) == (32.0, ReadingQuality.GOOD)
 
 
 def test_light_may_jump():
     sensors = health()
     for second, value in enumerate((0.0, 1.0, 0.0)):
-        sample = {"light": Reading("light", value, float(second), Quality.GOOD)}
-        assert sensors.readings([sample], float(second), OFF)["light"].quality is Quality.GOOD
+        sample = {"light": Reading("light", value, float(second), ReadingQuality.GOOD)}
+        assert sensors.readings([sample], float(second), OFF)["light"].quality is ReadingQuality.GOOD
 
 
-def minutes(sensors: SensorHealth, start: int, values: list[float], duty: float) -> Quality:
+def minutes(sensors: SensorHealth, start: int, values: list[float], duty: float) -> ReadingQuality:
     """A tick a minute; the quality at the end."""
     for minute, value in enumerate(values, start):
         now = 60.0 * minute
@@ -174,18 +178,18 @@ def minutes(sensors: SensorHealth, start: int, values: list[float], duty: float)
 
 def test_a_sensor_that_stands_still_while_heat_comes_is_stuck():
     sensors = health()
-    assert minutes(sensors, 0, [24.0, 24.0], duty=0.0) is Quality.GOOD
-    assert minutes(sensors, 2, [24.0] * 8, duty=0.5) is Quality.GOOD  # nine minutes
-    assert minutes(sensors, 10, [24.0], duty=0.5) is Quality.STUCK  # ten
+    assert minutes(sensors, 0, [24.0, 24.0], duty=0.0) is ReadingQuality.GOOD
+    assert minutes(sensors, 2, [24.0] * 8, duty=0.5) is ReadingQuality.GOOD  # nine minutes
+    assert minutes(sensors, 10, [24.0], duty=0.5) is ReadingQuality.STUCK  # ten
 
 
 def test_a_sensor_that_stands_still_under_strong_heat_that_does_not_change_is_stuck():
     sensors = health()
-    assert minutes(sensors, 0, [29.0] * 20, duty=1.0) is Quality.GOOD
-    assert minutes(sensors, 20, [29.0], duty=1.0) is Quality.STUCK
+    assert minutes(sensors, 0, [29.0] * 20, duty=1.0) is ReadingQuality.GOOD
+    assert minutes(sensors, 20, [29.0], duty=1.0) is ReadingQuality.STUCK
 
 
-@pytest.mark.parametrize(("duty", "quality"), [(0.5, Quality.STUCK), (0.45, Quality.GOOD)])
+@pytest.mark.parametrize(("duty", "quality"), [(0.5, ReadingQuality.STUCK), (0.45, ReadingQuality.GOOD)])
 def test_heat_that_can_do_no_harm_may_leave_the_sensor_still(duty, quality):
     assert minutes(health(), 0, [29.0] * 120, duty=duty) is quality
 
@@ -193,20 +197,20 @@ def test_heat_that_can_do_no_harm_may_leave_the_sensor_still(duty, quality):
 def test_one_step_of_the_sensor_frees_it():
     sensors = health()
     minutes(sensors, 0, [24.0, 24.0], duty=0.0)
-    assert minutes(sensors, 2, [24.0] * 20, duty=0.5) is Quality.STUCK
-    assert minutes(sensors, 22, [24.1], duty=0.5) is Quality.GOOD
+    assert minutes(sensors, 2, [24.0] * 20, duty=0.5) is ReadingQuality.STUCK
+    assert minutes(sensors, 22, [24.1], duty=0.5) is ReadingQuality.GOOD
 
 
 def test_a_quiet_sensor_in_a_box_at_rest_is_not_stuck():
     sensors = health()
-    assert minutes(sensors, 0, [24.0] * 600, duty=0.3) is Quality.GOOD
+    assert minutes(sensors, 0, [24.0] * 600, duty=0.3) is ReadingQuality.GOOD
 
 
 def test_a_little_change_of_heat_need_not_move_the_sensor():
     sensors = health()
     minutes(sensors, 0, [24.0, 24.0], duty=0.3)
-    assert minutes(sensors, 2, [24.0], duty=0.8) is Quality.GOOD  # 30 full-duty seconds
-    assert minutes(sensors, 3, [24.0] * 100, duty=0.3) is Quality.GOOD
+    assert minutes(sensors, 2, [24.0], duty=0.8) is ReadingQuality.GOOD  # 30 full-duty seconds
+    assert minutes(sensors, 3, [24.0] * 100, duty=0.3) is ReadingQuality.GOOD
 
 
 def test_a_noisy_sensor_in_steps_of_a_tenth_is_never_stuck():
@@ -215,7 +219,8 @@ def test_a_noisy_sensor_in_steps_of_a_tenth_is_never_stuck():
     values = [round(24.0 + noise.gauss(0.0, 0.06), 1) for _ in range(600)]
     for start in range(0, 600, 60):
         assert (
-            minutes(sensors, start, values[start : start + 60], duty=float(start % 120 == 0)) is Quality.GOOD
+            minutes(sensors, start, values[start : start + 60], duty=float(start % 120 == 0))
+            is ReadingQuality.GOOD
         )
 
 
@@ -226,7 +231,7 @@ def test_calibration_multiplies_then_adds():
 
 def test_the_range_is_that_of_the_sensor_not_of_the_calibrated_value():
     sensors = health(temp_air=SensorCalibration(offset=5.0))
-    assert after([79.0], sensors).quality is Quality.GOOD
+    assert after([79.0], sensors).quality is ReadingQuality.GOOD
 
 
 @pytest.mark.parametrize(
@@ -240,7 +245,7 @@ def test_the_trimmed_mean_leaves_out_the_outermost(values, mean):
 samples_strategy = st.lists(
     st.tuples(
         st.none() | st.floats(allow_nan=True, allow_infinity=True) | st.floats(-25.0, 85.0),
-        st.sampled_from(list(Quality)),
+        st.sampled_from(list(ReadingQuality)),
         st.floats(0.0, 30.0),
     ),
     max_size=30,
@@ -254,7 +259,7 @@ def test_a_good_reading_is_always_a_fresh_number_of_the_sensors_range(samples, w
         now += gap_s
         series.append(air(value, now, quality))
     reading = sensors.readings(series, now + wait_s, OFF)["temp_air"]
-    if reading.quality is Quality.GOOD:
+    if reading.quality is ReadingQuality.GOOD:
         assert reading.value is not None and -20.0 <= reading.value <= 80.0
         assert now + wait_s - reading.time_s <= 3.0
     else:

@@ -5,13 +5,13 @@ import math
 import pytest
 
 from edge.config.settings import WateringSettings
-from edge.core.messages import Quality, Reading
+from edge.core.messages import Reading, ReadingQuality
 from edge.tick.water import Watering
 
 SETTINGS = WateringSettings(enabled=True, threshold=0.3, pulse_s=2.0, soak_s=600.0, daily_max_s=5.0)
 
 
-def soil(value: float | None, quality: Quality = Quality.GOOD) -> Reading:
+def soil(value: float | None, quality: ReadingQuality = ReadingQuality.GOOD) -> Reading:
     return Reading("soil_moisture", value, 0.0, quality)
 
 
@@ -22,8 +22,10 @@ def test_only_dry_soil_gets_water(value: float | None, pulse_s: float) -> None:
     assert Watering(SETTINGS).pulse(soil(value), 0.0) == pulse_s
 
 
-@pytest.mark.parametrize("quality", [quality for quality in Quality if quality is not Quality.GOOD])
-def test_a_soil_sensor_that_is_not_good_gives_no_water(quality: Quality) -> None:
+@pytest.mark.parametrize(
+    "quality", [quality for quality in ReadingQuality if quality is not ReadingQuality.GOOD]
+)
+def test_a_soil_sensor_that_is_not_good_gives_no_water(quality: ReadingQuality) -> None:
     assert Watering(SETTINGS).pulse(soil(0.1, quality), 0.0) == 0.0
 
 

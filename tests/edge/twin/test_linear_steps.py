@@ -8,9 +8,9 @@ import pytest
 from bench.support.simulated_runs import BOX, Effects, Floats
 from edge.core.errors import DataError
 from edge.twin.effects.library import EFFECTS, FURTHER_EFFECTS, USUAL_EFFECTS
-from edge.twin.ensemble import Response, responses
+from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.linear_steps import linear_steps
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import at_rest
 
@@ -43,20 +43,20 @@ def recording() -> Recorded:
     return Recorded(np.full((RUNS, ROWS + 1), 21.0), duty, fan, ambient, conditions)
 
 
-def twin_with(name: str, box: Effects = BOX) -> Twin:
+def twin_with(name: str, box: Effects = BOX) -> BoxTwin:
     start = {item.name: item.start for item in EFFECTS[name].parameters}
-    return Twin(effects={**box, name: start}, day0_utc=DAY0_UTC)
+    return BoxTwin(effects={**box, name: start}, day0_utc=DAY0_UTC)
 
 
-def rolled(twin: Twin, runs: Recorded, start: Floats) -> Floats:
+def rolled(twin: BoxTwin, runs: Recorded, start: Floats) -> Floats:
     return twin.rollout(start, runs.duty, runs.fan, runs.ambient, conditions=runs.conditions)
 
 
-def rest(twin: Twin, runs: Recorded) -> Floats:
+def rest(twin: BoxTwin, runs: Recorded) -> Floats:
     return at_rest(twin, runs.ambient[:, 0], runs.ambient[:, 0])
 
 
-def error_k(twin: Twin, noise_k: float, missing: slice = slice(0)) -> float:
+def error_k(twin: BoxTwin, noise_k: float, missing: slice = slice(0)) -> float:
     """Largest difference from the rollout, when that plus noise is what was measured."""
     runs = recording()
     start = rest(twin, runs)
@@ -65,7 +65,7 @@ def error_k(twin: Twin, noise_k: float, missing: slice = slice(0)) -> float:
     temp += noise_k * np.random.default_rng(2).standard_normal(temp.shape)
     temp[:, missing] = np.nan
     steps = linear_steps(twin, replace(runs, temp=temp))
-    shown = responses([Response(steps, start, steps.driven)])[0]
+    shown = responses([EnsembleRun(steps, start, steps.driven)])[0]
     return float(np.abs(shown - expected).max())
 
 
@@ -115,26 +115,26 @@ def test_effects_that_are_late_or_slow_go_together() -> None:
         "radiative_split": {"f_rad": 0.3},
         "extra_capacity": {"kC": 10.0},
     }
-    assert error_k(Twin(effects=effects), noise_k=1.0) < ROUNDING_K
+    assert error_k(BoxTwin(effects=effects), noise_k=1.0) < ROUNDING_K
 
 
 @pytest.mark.parametrize("box", [BOX, AIR_ALONE], ids=["box", "air alone"])
 @pytest.mark.parametrize("tau_f", [0.5, 15.0, 120.0, 600.0])
 def test_a_fan_that_takes_any_time_is_stepped_as_the_rollout_does(tau_f: float, box: Effects) -> None:
-    assert error_k(Twin(effects={**box, "fan_spinup": {"tau_f": tau_f}}), noise_k=1.0) < ROUNDING_K
+    assert error_k(BoxTwin(effects={**box, "fan_spinup": {"tau_f": tau_f}}), noise_k=1.0) < ROUNDING_K
 
 
 def test_twins_of_different_sizes_run_side_by_side_as_alone() -> None:
     runs = recording()
     twins = [
-        Twin(effects=BOX),
+        BoxTwin(effects=BOX),
         twin_with("soil_mass"),
-        Twin(effects={**AIR_ALONE, "heater_lag": {"tau_h": 60.0}}),
+        BoxTwin(effects={**AIR_ALONE, "heater_lag": {"tau_h": 60.0}}),
     ]
     wanted = []
     for twin in twins:
         steps = linear_steps(twin, runs)
-        wanted += [Response(steps, rest(twin, runs), steps.driven), Response(steps, None, steps.heat)]
+        wanted += [EnsembleRun(steps, rest(twin, runs), steps.driven), EnsembleRun(steps, None, steps.heat)]
     together = responses(wanted)
     assert together.shape == (6, RUNS, ROWS)
     for one, shown in zip(wanted, together, strict=True):
@@ -154,9 +154,9 @@ def test_each_input_does_what_a_difference_of_two_rollouts_says(name: str) -> No
     stronger = rolled(twin, replace(runs, duty=1.5 * runs.duty), start)
     shown = responses(
         [
-            Response(steps, None, steps.heat * heat_w.T[..., None]),
-            Response(steps, None, steps.room * heat_w.T[..., None]),
-            Response(steps, None, 0.5 * steps.duty),
+            EnsembleRun(steps, None, steps.heat * heat_w.T[..., None]),
+            EnsembleRun(steps, None, steps.room * heat_w.T[..., None]),
+            EnsembleRun(steps, None, 0.5 * steps.duty),
         ]
     )
     expected = np.stack([warmed, warmer_room, stronger]) - plain
@@ -164,8 +164,8 @@ def test_each_input_does_what_a_difference_of_two_rollouts_says(name: str) -> No
 
 
 def test_nothing_driven_from_nothing_stays_at_zero() -> None:
-    steps = linear_steps(Twin(effects=BOX), recording())
-    assert (responses([Response(steps, None, None)]) == 0.0).all()
+    steps = linear_steps(BoxTwin(effects=BOX), recording())
+    assert (responses([EnsembleRun(steps, None, None)]) == 0.0).all()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.runs import read_runs
 from edge.twin.effects.library import EFFECTS, build
 from edge.twin.geometry import Geometry
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.scale import POWERS, Scale, scale_of
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -75,7 +75,7 @@ def test_a_box_that_is_smaller_and_quicker_by_the_factors_does_the_same(heat: fl
     duty, fan = np.array([[0.0, *[0.6] * 30, *[0.1] * 30]]), np.array([[0.0] * 45 + [1.0] * 16])
     temps = [
         twin.rollout(at_rest(twin, 20.0, 20.0), duty, fan, 20.0)
-        for twin in (Twin(usual, effects, 60.0), Twin(other, scaled, 60.0 * time))
+        for twin in (BoxTwin(usual, effects, 60.0), BoxTwin(other, scaled, 60.0 * time))
     ]
     assert temps[0].max() > 25.0
     # Bent heat is stepped in parts of so many seconds.
@@ -121,7 +121,7 @@ def test_sun_through_a_window_is_named_where_it_was_measured() -> None:
     runs = []
     for seed in (1, 2, 3):
         plain = simulated(BOX, seed)
-        twin = Twin(effects={**BOX, "solar_gain": {"A_sun": 0.04}})
+        twin = BoxTwin(effects={**BOX, "solar_gain": {"A_sun": 0.04}})
         columns = plain.columns
         warmer = twin.rollout(
             np.array([0.0]),

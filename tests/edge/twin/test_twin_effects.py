@@ -3,7 +3,7 @@ import pytest
 
 from edge.core.errors import DataError
 from edge.twin.effects.library import EFFECTS
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
 
 STEPS = 30
@@ -14,7 +14,7 @@ WRONG = {"nan": np.nan, "inf": np.inf, "below": -1e9, "above": 1e9}
 
 def run(effects, duty, fan, temp=21.0, steps=STEPS, **conditions):
     """Free run at a room of 21 °C from rest; duty and fan constant or per step."""
-    twin = Twin(effects=effects, day0_utc=0.0)
+    twin = BoxTwin(effects=effects, day0_utc=0.0)
     inputs = (np.broadcast_to(np.asarray(item, dtype=float), (1, steps)) for item in (duty, fan))
     columns = {name: np.broadcast_to(column, steps) for name, column in {**CONDITIONS, **conditions}.items()}
     return twin.rollout(at_rest(twin, temp, 21.0), *inputs, 21.0, conditions=columns)[0]
@@ -65,7 +65,7 @@ def test_a_heavy_wall_ends_where_a_light_one_does_but_later():
 
 def test_a_heavy_wall_warms_the_box_after_the_fan():
     fan = [1.0] * 5 + [0.0] * 5
-    twin = Twin(effects={"wall_mass": MASS})
+    twin = BoxTwin(effects={"wall_mass": MASS})
     temps = twin.rollout(at_rest(twin, 35.0, 21.0), np.zeros((1, 10)), np.array([fan]), 21.0)[0]
     assert temps[5] > temps[4] + 0.5
 
@@ -142,7 +142,7 @@ def test_heat_reaches_the_other_half_of_the_air_late():
 
 def test_a_slow_sensor_is_behind_and_arrives():
     rise = 1.0 - np.exp(-60.0 / 120.0)  # of a step in the air, a minute after it
-    twin = Twin(effects={"sensor_lag": {"tau_s": 120.0}})
+    twin = BoxTwin(effects={"sensor_lag": {"tau_s": 120.0}})
     temps = twin.rollout(np.array([21.0, 31.0]), np.zeros((1, 60)), np.zeros((1, 60)), 21.0)[0]
     assert temps[0] == pytest.approx(21.0 + 10.0 * rise)
     assert temps[-1] == pytest.approx(31.0, abs=1e-6)
@@ -226,11 +226,13 @@ def test_a_missing_column_is_named(name):
     column = EFFECTS[name].needs[-1]
     given = {key: np.full(2, 0.5) for key in EFFECTS[name].needs if key != column}
     with pytest.raises(DataError, match=rf"^{column}: missing, the twin's {name} needs this column$"):
-        Twin(effects={name: values}).rollout(np.array([22.0]), *np.zeros((2, 1, 2)), 21.0, conditions=given)
+        BoxTwin(effects={name: values}).rollout(
+            np.array([22.0]), *np.zeros((2, 1, 2)), 21.0, conditions=given
+        )
 
 
 def test_days_need_a_beginning():
-    twin = Twin(effects={"ua_drift": {"ua_drift": 0.1}})
+    twin = BoxTwin(effects={"ua_drift": {"ua_drift": 0.1}})
     with pytest.raises(DataError, match=r"^day0_utc: missing"):
         twin.rollout(np.array([22.0]), *np.zeros((2, 1, 2)), 21.0, conditions={"utc": np.zeros(2)})
 
@@ -258,7 +260,7 @@ def test_a_parameter_that_can_not_be_is_refused_with_its_place(name, value):
     first = EFFECTS[name].parameters[0]
     values = {item.name: item.start for item in EFFECTS[name].parameters} | {first.name: value}
     with pytest.raises(DataError, match=rf"^effects\.{name}\.{first.name}: "):
-        Twin(effects={name: values})
+        BoxTwin(effects={name: values})
 
 
 def test_bounds_themselves_are_allowed():
@@ -279,5 +281,5 @@ def test_bounds_themselves_are_allowed():
 )
 def test_a_misspelt_effect_is_refused(effects, message):
     with pytest.raises(DataError) as caught:
-        Twin(effects=effects)
+        BoxTwin(effects=effects)
     assert str(caught.value) == message

@@ -4,7 +4,7 @@ import twin_equations
 
 from edge.twin.effects.library import EFFECTS
 from edge.twin.effects.unnamed import UNNAMED_EFFECTS
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 
 STEPS = 25
 LEAK = {"wall_loss": {"UA": 5.0}}
@@ -70,7 +70,7 @@ def conditions(seed, steps=STEPS):
 def difference(effects, seed=1):
     """Largest difference of a rollout to SciPy's [K]."""
     twin, (duty, fan), (columns, given) = (
-        Twin(effects=effects, day0_utc=0.0),
+        BoxTwin(effects=effects, day0_utc=0.0),
         commands(seed),
         conditions(seed),
     )

@@ -6,7 +6,7 @@ import pytest
 from edge.core.errors import DataError
 from edge.twin import schema
 from edge.twin.geometry import Geometry
-from edge.twin.model import Noise, Twin
+from edge.twin.model import BoxTwin, StateNoise
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from edge.twin.value import Value
 
@@ -94,13 +94,13 @@ def test_the_twin_has_the_values_of_its_file(tmp_path):
     twin = read(tmp_path, EXAMPLE).twin()
     assert twin.geometry == Geometry(heater_max_w=90.0)  # what the file leaves out is the paper's
     assert (twin.effects["wall_loss"], twin.effects["heater_lag"]) == ({"UA": 5.1}, {"tau_h": 240.0})
-    assert (twin.step_s, twin.noise) == (30.0, Noise(sensor_k=0.1, heat_w=2.5))
+    assert (twin.step_s, twin.noise) == (30.0, StateNoise(sensor_k=0.1, heat_w=2.5))
 
 
 def test_an_empty_file_is_the_papers_model(tmp_path):
     file = read(tmp_path, "")
     assert file == TwinFile()
-    assert file.twin().sha256 == Twin().sha256
+    assert file.twin().sha256 == BoxTwin().sha256
 
 
 def test_what_is_written_reads_back_the_same(tmp_path):
@@ -116,7 +116,7 @@ def test_a_day_is_read_and_written_as_a_time(tmp_path):
     write_twin_file(file, path)
     assert "day0_utc: '2026-07-01T00:00:00+00:00'" in path.read_text()
     assert read_twin_file(path) == file
-    assert file.twin().sha256 != Twin().sha256
+    assert file.twin().sha256 != BoxTwin().sha256
 
 
 @pytest.mark.parametrize("number", [0.1 + 0.2, 1e-4, 1.2345678901234567e-5, 99.99999999999999])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
-from edge.formats.run_file import Run
+from edge.formats.run_file import RecordedRun
 from edge.twin.fit import fit_twin
-from edge.twin.model import Twin
+from edge.twin.model import BoxTwin
 from edge.twin.recorded import recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -23,7 +23,7 @@ UA, KC = ("effects", "wall_loss", "UA"), ("effects", "extra_capacity", "kC")
 
 def made_run(effects, seed, rows=150, noise_k=0.05, ambient=True, hidden_k=0.0, **facts):
     """A run of a twin with these effects: duties and fan that last some minutes, noise on the sensor."""
-    rng, twin = np.random.default_rng(seed), Twin(effects=effects)
+    rng, twin = np.random.default_rng(seed), BoxTwin(effects=effects)
     duty = np.repeat(rng.choice([0.0, 0.0, 0.3, 0.6], rows // 10 + 1), 10)[:rows]
     fan = np.repeat((rng.uniform(size=rows // 5 + 1) < 0.2).astype(float), 5)[:rows]
     room = 21.0 + (0.3 * np.sin(np.arange(rows) / 20.0 + seed) if ambient else 0.0)
@@ -38,7 +38,7 @@ def made_run(effects, seed, rows=150, noise_k=0.05, ambient=True, hidden_k=0.0, 
     }
     if ambient:
         columns["temp_ambient_c"] = room
-    return Run(columns, {"role": "train", **facts}, Path(f"run_{seed}.csv"))
+    return RecordedRun(columns, {"role": "train", **facts}, Path(f"run_{seed}.csv"))
 
 
 def to_fit(effects, factor=0.5):
@@ -88,7 +88,10 @@ def test_a_fan_that_spins_up_is_found_though_its_speed_is_rounded():
 
 
 def test_missing_temperatures_change_little(runs):
-    holes = [Run({**run.columns, "temp_air_c": run.columns["temp_air_c"].copy()}, run.facts) for run in runs]
+    holes = [
+        RecordedRun({**run.columns, "temp_air_c": run.columns["temp_air_c"].copy()}, run.facts)
+        for run in runs
+    ]
     for run in holes:
         run.columns["temp_air_c"][[0, 1, 40, 41, 42, -1]] = np.nan
     fit = fit_twin(to_fit(LOSS_AND_CAPACITY), holes)
@@ -142,7 +145,7 @@ def test_a_parameter_at_its_bound_says_so(runs):
 def test_rows_that_validate_are_not_fitted_on(runs):
     columns = {name: values.copy() for name, values in runs[0].columns.items()}
     columns["temp_air_c"][100:] = 99.0
-    half = Run(columns, {"role": "train", "validate_from_s": "6000"})
+    half = RecordedRun(columns, {"role": "train", "validate_from_s": "6000"})
     fit = fit_twin(to_fit(LOSS_AND_CAPACITY), [half])
     assert fit.rows == 99
     assert fit.estimates[UA].value == pytest.approx(4.2, rel=0.02)
@@ -151,17 +154,21 @@ def test_rows_that_validate_are_not_fitted_on(runs):
 def test_a_run_at_another_period_is_resampled(runs):
     fine = {name: np.repeat(values, 2) for name, values in runs[0].columns.items()}
     fine["time_s"] = 30.0 * np.arange(300)
-    data, plain = recorded([Run(fine)], 60.0), recorded([runs[0]], 60.0)
+    data, plain = recorded([RecordedRun(fine)], 60.0), recorded([runs[0]], 60.0)
     np.testing.assert_array_equal(data.duty, plain.duty)
     np.testing.assert_array_equal(data.temp, plain.temp)
 
 
 def without(run, *names, **facts):
-    return Run({k: v for k, v in run.columns.items() if k not in names}, {**run.facts, **facts}, run.path)
+    return RecordedRun(
+        {k: v for k, v in run.columns.items() if k not in names}, {**run.facts, **facts}, run.path
+    )
 
 
 def unknown_temps(run):
-    return Run({**run.columns, "temp_air_c": np.append(20.0, np.full(149, np.nan))}, run.facts, run.path)
+    return RecordedRun(
+        {**run.columns, "temp_air_c": np.append(20.0, np.full(149, np.nan))}, run.facts, run.path
+    )
 
 
 REFUSALS = {

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from edge.core.errors import DataError
 from edge.twin.discretisation import exponential
 from edge.twin.geometry import Geometry
-from edge.twin.model import Noise, Twin
+from edge.twin.model import BoxTwin, StateNoise
 from edge.twin.reference import rk45_rollout
 from edge.twin.warm_start import at_rest
 
@@ -33,7 +33,7 @@ def sequence(steps, seed, heat=1.0):
 
 @pytest.mark.parametrize("effects", TWINS.values(), ids=TWINS)
 def test_a_whole_sequence_agrees_with_rk45_at_tight_tolerances(effects):
-    twin = Twin(effects=effects)
+    twin = BoxTwin(effects=effects)
     start = at_rest(twin, 23.0, 21.0)
     duty, fan, ambient = sequence(60, seed=1, heat=0.3 if effects else 0.02)
     exact = twin.rollout(start, duty[None], fan[None], ambient)[0]
@@ -43,7 +43,7 @@ def test_a_whole_sequence_agrees_with_rk45_at_tight_tolerances(effects):
 
 @pytest.mark.parametrize("effects", TWINS.values(), ids=TWINS)
 def test_a_source_over_the_step_agrees_with_rk45(effects):
-    twin = Twin(effects=effects)
+    twin = BoxTwin(effects=effects)
     start = at_rest(twin, 23.0, 21.0)
     duty, fan, ambient = np.full(5, 0.1), np.array([0.0, 1.0, 1.0, 0.0, 0.0]), np.full(5, 21.0)
     exact = twin.rollout(start, duty[None], fan[None], ambient, source=-0.003)[0]
@@ -53,18 +53,18 @@ def test_a_source_over_the_step_agrees_with_rk45(effects):
 
 def test_without_fan_the_bare_box_keeps_every_joule():
     # eq. pbm with F = 0: 60 s * 5 W / 180.9 J/K
-    assert Twin().step(22.0, 15.0, 0.05, 0.0) == pytest.approx(22.0 + 300.0 / AIR_J_K, abs=1e-12)
+    assert BoxTwin().step(22.0, 15.0, 0.05, 0.0) == pytest.approx(22.0 + 300.0 / AIR_J_K, abs=1e-12)
 
 
 def test_with_the_fan_alone_the_excess_decays_by_the_air_changes():
     # eq. pbm with H = 0: exp(-F t / V)
     excess = 10.0 * np.exp(-68.0 / 3600.0 * 60.0 / 0.15)
-    assert Twin().step(31.0, 21.0, 0.0, 1.0) == pytest.approx(21.0 + excess, abs=1e-12)
+    assert BoxTwin().step(31.0, 21.0, 0.0, 1.0) == pytest.approx(21.0 + excess, abs=1e-12)
 
 
 def test_a_slower_and_slower_fan_ends_at_no_fan():
-    still = Twin().step(30.0, 20.0, 0.02, 0.0)
-    slow = [abs(float(Twin().step(30.0, 20.0, 0.02, fan)) - still) for fan in (1e-4, 1e-8, 1e-12, 1e-300)]
+    still = BoxTwin().step(30.0, 20.0, 0.02, 0.0)
+    slow = [abs(float(BoxTwin().step(30.0, 20.0, 0.02, fan)) - still) for fan in (1e-4, 1e-8, 1e-12, 1e-300)]
     # to first order F t / V of the excess of 10 K is carried off
     assert slow[0] == pytest.approx(1e-4 * 68.0 / 3600.0 * 60.0 / 0.15 * 10.0, rel=0.1)
     assert slow[1] < 1e-5 and slow[2] < 1e-9 and slow[3] == 0.0
@@ -72,7 +72,7 @@ def test_a_slower_and_slower_fan_ends_at_no_fan():
 
 @given(temps, temps)
 def test_a_box_without_heat_goes_towards_the_room_and_not_beyond(temp, ambient):
-    after = float(Twin(effects=LOSS).step(temp, ambient, 0.0, 0.0))
+    after = float(BoxTwin(effects=LOSS).step(temp, ambient, 0.0, 0.0))
     assert min(temp, ambient) - 1e-9 <= after <= max(temp, ambient) + 1e-9
     if abs(temp - ambient) > 1e-6:
         assert abs(after - ambient) < abs(temp - ambient)
@@ -81,7 +81,7 @@ def test_a_box_without_heat_goes_towards_the_room_and_not_beyond(temp, ambient):
 @pytest.mark.parametrize("effects", TWINS.values(), ids=TWINS)
 @pytest.mark.parametrize("fan", [0.0, 0.5, 1.0])
 def test_nothing_flows_between_equal_temperatures(effects, fan):
-    twin = Twin(effects=effects)
+    twin = BoxTwin(effects=effects)
     state = at_rest(twin, 21.0, 21.0)
     np.testing.assert_allclose(twin.advance(state, 21.0, 0.0, fan), state, atol=1e-9)
 
@@ -89,7 +89,7 @@ def test_nothing_flows_between_equal_temperatures(effects, fan):
 def test_heat_put_in_is_stored_or_lost():
     """Trapezoid over steps of 1 s: C_a kC dT + C_w dT_w = eta H t - sum of G_out (T_w - T_amb)."""
     effects = {name: EVERY_EFFECT[name] for name in ("wall_mass", "extra_capacity", "heater_efficiency")}
-    twin = Twin(effects=effects, step_s=1.0)
+    twin = BoxTwin(effects=effects, step_s=1.0)
     states = [np.array([22.0, 21.5])]
     for _ in range(600):
         states.append(twin.advance(states[-1], 21.0, 0.6, 0.0))
@@ -102,13 +102,13 @@ def test_heat_put_in_is_stored_or_lost():
 def test_at_rest_the_walls_pass_what_the_heater_gives():
     # 1/UA = 1/12 + 1/7; eta 0.9 of 50 W
     duty, resistance = 0.5, 1.0 / 12.0 + 1.0 / 7.0
-    twin = Twin(effects=EVERY_EFFECT)
+    twin = BoxTwin(effects=EVERY_EFFECT)
     end = twin.rollout(at_rest(twin, 21.0, 21.0), np.full((1, 400), duty), np.zeros((1, 400)), 21.0)[0, -1]
     assert end == pytest.approx(21.0 + 0.9 * 50.0 * resistance, abs=1e-6)
 
 
 def test_the_state_at_rest_stays_with_the_heat_that_holds_it():
-    twin = Twin(effects=EVERY_EFFECT)
+    twin = BoxTwin(effects=EVERY_EFFECT)
     state = at_rest(twin, 29.0, 21.0)
     power = 8.0 / (1.0 / 12.0 + 1.0 / 7.0)
     assert state[2] == pytest.approx(power)
@@ -118,7 +118,7 @@ def test_the_state_at_rest_stays_with_the_heat_that_holds_it():
 @pytest.mark.parametrize("effects", TWINS.values(), ids=TWINS)
 @pytest.mark.parametrize("speeds", [(0.0, 1.0), (0.0, 0.25, 1.0)])
 def test_a_batch_is_its_rows_and_a_rollout_its_steps(effects, speeds):
-    twin, rng = Twin(effects=effects), np.random.default_rng(2)
+    twin, rng = BoxTwin(effects=effects), np.random.default_rng(2)
     duty, fan = rng.uniform(size=(4, 7)), rng.choice(speeds, size=(4, 7))
     ambient, source = rng.uniform(18.0, 24.0, size=(4, 7)), rng.normal(0.0, 1e-3, size=(4, 7))
     start = np.stack([at_rest(twin, temp, 21.0) for temp in (21.0, 25.0, 30.0, 35.0)])
@@ -131,47 +131,47 @@ def test_a_batch_is_its_rows_and_a_rollout_its_steps(effects, speeds):
 
 
 def test_one_ambient_for_all_is_the_same_as_one_each():
-    twin, (duty, fan, ambient) = Twin(effects=LOSS), sequence(6, seed=3)
+    twin, (duty, fan, ambient) = BoxTwin(effects=LOSS), sequence(6, seed=3)
     both = np.stack([duty, duty[::-1]]), np.stack([fan, fan[::-1]])
     shared = twin.rollout(np.array([24.0]), *both, ambient)
     np.testing.assert_array_equal(shared, twin.rollout(np.array([24.0]), *both, np.stack([ambient] * 2)))
 
 
 def test_the_offset_is_added_after_each_step_and_carried_on():
-    twin = Twin()
+    twin = BoxTwin()
     moved = twin.rollout(np.array([22.0]), np.zeros((1, 3)), np.zeros((1, 3)), 20.0, offset=np.full(3, 0.1))
     np.testing.assert_allclose(moved[0], [22.1, 22.2, 22.3])
 
 
 def test_arrays_step_as_their_elements():
     temp, fan = np.array([[22.0, 25.0], [28.0, 31.0]]), np.array([[0.0, 1.0], [0.5, 0.0]])
-    stepped = Twin().step(temp, 20.0, 0.1, fan)
+    stepped = BoxTwin().step(temp, 20.0, 0.1, fan)
     for place in np.ndindex(2, 2):
-        assert stepped[place] == Twin().step(temp[place], 20.0, 0.1, fan[place])
+        assert stepped[place] == BoxTwin().step(temp[place], 20.0, 0.1, fan[place])
 
 
 @pytest.mark.parametrize("unknown", ["temp", "ambient", "duty", "fan", "source"])
 def test_what_is_not_known_gives_no_number(unknown):
     inputs = {"temp": 22.0, "ambient": 20.0, "duty": 0.5, "fan": 1.0, "source": 0.0, unknown: np.nan}
-    assert np.isnan(Twin(effects=LOSS).step(**inputs))
+    assert np.isnan(BoxTwin(effects=LOSS).step(**inputs))
 
 
 @pytest.mark.parametrize("fan", [np.nan, np.inf])
 def test_a_network_with_an_unknown_fan_gives_no_number(fan):
-    twin = Twin(effects=EVERY_EFFECT)
+    twin = BoxTwin(effects=EVERY_EFFECT)
     with np.errstate(invalid="ignore", over="ignore"):
         assert np.isnan(twin.advance(at_rest(twin, 22.0, 21.0), 21.0, 0.0, fan)).all()
 
 
 def test_a_twin_with_hidden_states_does_not_step_from_a_temperature_alone():
     with pytest.raises(DataError, match=r"twin: wall, heater can't be known from a temperature alone"):
-        Twin(effects=EVERY_EFFECT).step(22.0, 21.0, 0.0, 0.0)
+        BoxTwin(effects=EVERY_EFFECT).step(22.0, 21.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("step_s", [0.0, -60.0, np.nan, np.inf])
 def test_a_step_is_a_finite_time(step_s):
     with pytest.raises(DataError, match=r"^sample_s: "):
-        Twin(step_s=step_s)
+        BoxTwin(step_s=step_s)
 
 
 @pytest.mark.parametrize("value", [0.0, -0.15, np.nan, np.inf])
@@ -181,17 +181,17 @@ def test_a_geometry_is_finite_and_above_zero(value):
 
 
 def test_the_hash_is_of_what_a_prediction_depends_on():
-    twin = Twin(effects=LOSS)
+    twin = BoxTwin(effects=LOSS)
     others = [
-        Twin(),
-        Twin(effects={"wall_loss": {"UA": 5.000001}}),
-        Twin(effects=LOSS, step_s=30.0),
-        Twin(Geometry(volume_m3=0.16), LOSS),
-        Twin(effects=LOSS, noise=Noise(heat_w=6.0)),
+        BoxTwin(),
+        BoxTwin(effects={"wall_loss": {"UA": 5.000001}}),
+        BoxTwin(effects=LOSS, step_s=30.0),
+        BoxTwin(Geometry(volume_m3=0.16), LOSS),
+        BoxTwin(effects=LOSS, noise=StateNoise(heat_w=6.0)),
     ]
     assert len({twin.sha256, *(other.sha256 for other in others)}) == 6
     two = {**LOSS, "heater_lag": {"tau_h": 300}}
-    assert Twin(effects=two).sha256 == Twin(effects=dict(reversed(two.items()))).sha256
+    assert BoxTwin(effects=two).sha256 == BoxTwin(effects=dict(reversed(two.items()))).sha256
 
 
 @settings(deadline=None, max_examples=40)

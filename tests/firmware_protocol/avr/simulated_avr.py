@@ -20,7 +20,7 @@ _FUNCTION = struct.Struct("<IIQQQI4x")
 
 
 @dataclass(frozen=True)
-class Event:
+class AvrEvent:
     """What the program did: T(ransmitted byte), P(ORTA), D(DRA), E(EPROM byte begun), R(eset), C(rash)."""
 
     cycle: int
@@ -76,11 +76,11 @@ class SimulatedAvr:
         """Since the power came [s]."""
         return self.cycle / FREQUENCY
 
-    def run(self, milliseconds: float, data: bytes = b"") -> list[Event]:
+    def run(self, milliseconds: float, data: bytes = b"") -> list[AvrEvent]:
         """What it does in that time while bytes come in."""
         answer = self._call("a", round(milliseconds * FREQUENCY / 1000), data)
         [self.cycle] = struct.unpack_from("<Q", answer)
-        return [Event(cycle, chr(kind), value) for cycle, kind, value in _EVENT.iter_unpack(answer[8:])]
+        return [AvrEvent(cycle, chr(kind), value) for cycle, kind, value in _EVENT.iter_unpack(answer[8:])]
 
     def read(self, address: int, length: int = 1) -> bytes:
         """Of data memory and input/output registers."""
@@ -119,14 +119,14 @@ class SimulatedAvr:
         return process.stdout.read(int.from_bytes(size, "little"))
 
 
-class Rig:
+class AvrRig:
     """The microcontroller, its sensor unless the program has none, and the host's own link."""
 
     def __init__(self, avr: SimulatedAvr, has_sensor: bool = True) -> None:
         self.avr = avr
         self.link = Link(session=1, now=avr.now)
         self.events: list = []
-        self.trace: list[Event] = []
+        self.trace: list[AvrEvent] = []
         if has_sensor:
             self.sense(25.0)
             self.fail(0)
@@ -173,7 +173,7 @@ class Rig:
         return [event for event in self.events if isinstance(event, kind)]
 
 
-def transmitted(trace: list[Event]) -> bytes:
+def transmitted(trace: list[AvrEvent]) -> bytes:
     """The bytes that the program sent."""
     return bytes(event.value for event in trace if event.kind == "T")
 

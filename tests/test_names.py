@@ -1,0 +1,33 @@
+"""Names that a reader meets: no class name stands for two things."""
+
+import ast
+from collections import defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PARTS = ("edge", "firmware_protocol", "training", "bench", "tests")
+NOTEBOOK = {"Run", "Twin"}  # `from edge import Run, Twin`: short on purpose, and not used inside
+
+
+def classes() -> dict[str, list[str]]:
+    """Files by the classes that they define."""
+    found = defaultdict(list)
+    for part in PARTS:
+        for path in sorted((ROOT / part).rglob("*.py")):
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef):
+                    found[node.name].append(str(path.relative_to(ROOT)))
+    return found
+
+
+def test_no_class_name_stands_for_two_things() -> None:
+    found = classes()
+    assert len(found) > 500  # it does look at them
+    assert {name: files for name, files in found.items() if len(files) > 1} == {}
+
+
+def test_the_notebooks_names_are_those_of_one_file() -> None:
+    found = classes()
+    assert {name: found[name] for name in NOTEBOOK} == {
+        name: ["edge/diagnosis/python.py"] for name in NOTEBOOK
+    }
