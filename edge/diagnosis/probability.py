@@ -10,7 +10,7 @@ import math
 # intercept, and slopes of `evidence`.
 INTERCEPT, NATS, RATIO = -2.86, 1.06, 1.03
 MOST_SURE = 0.99  # no more can be learnt from so many cases
-LIKELY = 0.5  # a name that is more likely wrong than right is only listed
+LIKELY = 0.4  # below it a name is only listed
 
 
 def evidence(tempered_nats: float, with_k: float, without_k: float) -> tuple[float, float]:

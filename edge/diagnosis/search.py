@@ -5,14 +5,16 @@ Sets are compared by their likelihood less what their effects cost (`edge.diagno
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 from edge.diagnosis.candidates import Candidates, Names, ScoredSet
 from edge.diagnosis.progress import Telling
-from edge.diagnosis.refining import AGAIN
+from edge.diagnosis.refining import AGAIN, SEVERAL
 from edge.diagnosis.screening import FORMULAS, ScreenedCandidate, Screening
 from edge.diagnosis.sets import Sets, best_of
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import SizedTerm
+from edge.twin.effects.library import EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 
@@ -22,6 +24,10 @@ BEHIND = 0.5  # share of the first one's gain by which another may be behind, to
 LARGE_NATS = 200.0  # a gain of which a screening misses much, as other values can't follow
 ROUGHLY = 4  # names that are looked at then, however far they seem
 MIMICS = 3  # names that may be tried on what a formula explains better
+EXCHANGE_NATS = 0.5
+EXCHANGED = 2  # others that are tried in the place of a member
+MOST_EXCHANGED = 4  # members of a set that this is done for
+MERGED_PAIRS, MERGED_INTO = 2, 2  # pairs that one effect may stand for, the least ones; how many are tried
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
 NEXT_MARGIN = 8.0  # the same beside an effect: what the first leaves a little wrong invites more
 HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a candidate above 0
@@ -91,7 +97,7 @@ class Search:
         return self._extended(self.sets.base(), FORMULAS)
 
     def _names(self, rival: float) -> ScoredSet:
-        """Names alone: grown one by one and pruned.
+        """Names alone: grown one by one, pruned, and with each member exchanged.
 
         rival : what formulas are worth; a set of several names that is worth less follows what has none
         """
@@ -104,13 +110,16 @@ class Search:
         return best
 
     def _next(self, best: ScoredSet) -> ScoredSet:
-        """A better set: a body taken apart or one more effect; `best` where there is none."""
+        """A better set: a body taken apart, one more effect or one exchanged; `best` where there is none."""
         apart = self._apart(best)
         if apart is not None:
             return apart
         grown = best_of(self._grown(best))
         margin = NEXT_MARGIN if best.added else MARGIN
-        return grown if grown and grown.score >= best.score + margin else best
+        if grown and grown.score >= best.score + margin:
+            return grown
+        exchanged = self._exchanged(best)
+        return exchanged if exchanged is not best else self._merged(best)
 
     def _extended(self, item: ScoredSet, most: int) -> ScoredSet:
         """A set with up to so many formulas, as far as each is worth it."""
@@ -146,6 +155,33 @@ class Search:
         """Candidates of a screening with noise of their own."""
         wanted = {beside.added | {item.name}: self.sets.thawed(beside, item) for item in found}
         return self.sets.fitted(wanted)
+
+    def _exchanged(self, item: ScoredSet) -> ScoredSet:
+        """The set with one member exchanged for a better one, if there is one."""
+        names = sorted(item.added)
+        if len(names) > MOST_EXCHANGED:
+            names = sorted(names, key=self.sets.worth(item, names).__getitem__)[:MOST_EXCHANGED]
+        found = self.rivals(item, names, EXCHANGED)
+        return self._better([other for own in found.values() for other in own], item)
+
+    def _merged(self, item: ScoredSet) -> ScoredSet:
+        """The set with two members exchanged for one that does what both did, if there is one."""
+        names = sorted(item.added & EFFECTS.keys())
+        if len(item.added) < SEVERAL or len(names) < 2:
+            return item
+        worth = self.sets.worth(item, names)
+        pairs = sorted(combinations(names, 2), key=lambda pair: worth[pair[0]] + worth[pair[1]])
+        besides = self.sets.as_they_are(item, pairs[:MERGED_PAIRS])
+        places = [
+            (beside, [other for other in screened if other.file and other.name not in item.added])
+            for beside, screened in zip(besides, self.screening.closely_beside(besides), strict=True)
+        ]
+        found = self._in_place(item, [(beside, own[:MERGED_INTO]) for beside, own in places])
+        return self._better([other for own in found for other in own], item)
+
+    def _better(self, found: Sequence[ScoredSet], item: ScoredSet) -> ScoredSet:
+        best = best_of(found)
+        return item if best is None or best.score <= item.score + EXCHANGE_NATS else best
 
     def rivals(
         self, item: ScoredSet, names: Sequence[str], most: int = REFINED

@@ -10,7 +10,7 @@ import pytest
 from bench.support.simulated_runs import BOX, Effects, changed, search_over, simulated, twin_file
 from edge.diagnosis import candidates as module
 from edge.diagnosis.candidates import ScoredSet
-from edge.diagnosis.search import RIVAL_NATS, Search
+from edge.diagnosis.search import RIVAL_NATS, Round, Search
 from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.value import Value
@@ -98,6 +98,31 @@ def test_a_leak_looks_like_a_loss_where_the_fan_never_runs() -> None:
     [own] = best.added
     [other] = {"wall_loss", "infiltration"} - {own}
     assert likelihoods(search.rivals(best, [own])[own])[other] == pytest.approx(best.likelihood, abs=0.1)
+
+
+class Misled(Search):
+    """A search that is shown the leak first, then a wrong second, then for once nothing."""
+
+    __slots__ = ()
+    OFFERED = ("infiltration", "sensor_lag", "")
+
+    def _grown(self, beside: ScoredSet) -> list[ScoredSet]:
+        turn = len(self.rounds)
+        if turn >= len(self.OFFERED):
+            return Search._grown(self, beside)
+        self.rounds.append(Round(beside.added, ()))
+        return self._looked_at(
+            beside, [x for x in self.screening.beside(beside) if x.name == self.OFFERED[turn]]
+        )
+
+
+def test_a_member_that_another_explains_better_is_exchanged() -> None:
+    right, best = searched(LAG_AND_LEAK)
+    misled = Misled(right.file, right.runs, right.progress, right.nuisances, right.formulas)
+    assert misled.missing().added == best.added
+    assert [turn.beside for turn in misled.rounds[:3]] == [
+        *({*()}, {"infiltration"}, {"infiltration", "sensor_lag"}),
+    ]
 
 
 # what may be missing
