@@ -61,7 +61,8 @@ def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -
         path = answer / "diagnosis.json"
         run = json.loads((answer / "run.json").read_text(encoding="utf-8"))
         if not path.exists():
-            lines.append(f"{log.name}: no answer: {run['stderr'].strip()}")
+            said = run["stderr"].strip().splitlines()[-1:]  # not the traceback: it names this machine
+            lines.append(f"{log.name}: no answer: {''.join(said)}")
             continue
         document = json.loads(path.read_text(encoding="utf-8"))
         found.append((log, document))
