@@ -11,7 +11,7 @@ from training.control.clairvoyant import KIND_K, WIDTH, best_plan
 from training.control.draw_references import FOLDER
 from training.control.job import ComparisonJob, course_of, fresh_chamber
 from training.control.rig import entries
-from training.report_table import Table, as_text
+from training.reports.report_table import Table, as_text
 
 LIMITS = [name for name, entry in entries().items() if entry.clairvoyant is not None]
 HEADS = ("reference", "limit", "seed", "cost", "twice the beam", "changes it by")

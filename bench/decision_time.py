@@ -13,7 +13,7 @@ from training.control.figures import decision_time
 from training.control.job import ComparisonJob, run
 from training.control.rig import SPARING, entries
 from training.llm_stand_in.server import StandIn
-from training.report_table import Table, as_text
+from training.reports.report_table import Table, as_text
 
 PEER = "MPC-BFGS"
 REFERENCE, SEED = "tuning_1", 101

@@ -26,8 +26,8 @@ from edge.core.errors import DataError
 from edge.twin.model import BoxTwin
 from edge.twin.reference import rk45_rollout
 from edge.twin.twin_file import read_twin_file
-from training.datasets import training_runs
-from training.models import NETWORK_FILE, TWIN_FILE
+from training.data.datasets import training_runs
+from training.models.registry import NETWORK_FILE, TWIN_FILE
 from training.rl.boxes import START_ROWS, World
 from training.rl.command import POLICIES
 from training.rl.episodes import DrawnEpisodes

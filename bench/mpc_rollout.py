@@ -16,13 +16,21 @@ from dataclasses import dataclass, replace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: CPU time is of one thread
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
-from bench.logged_contexts import logged_contexts
+from bench.closed_loop_day import CHAMBER_YAML, DAY_YAML
 from bench.twin import TWINS
+from edge.app import controllers as registry
+from edge.app.daemon import Daemon
+from edge.board.sim_clock import SimClock
+from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.bundle.manifest import MANIFEST, parse_manifest
 from edge.bundle.predictors import load_predictors
 from edge.bundle.store import PACKAGED_FOLDER
+from edge.config import loading as config
 from edge.config.settings import ControlSettings
 from edge.controllers.mixed_integer.problem import Plan
 from edge.controllers.mixed_integer.solver import solve
@@ -31,7 +39,8 @@ from edge.controllers.mpc import MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
 from edge.controllers.plan_rollouts import plan_rollouts
 from edge.controllers.rollout_search import Meter, RolloutSearch
-from edge.core.controller import Context
+from edge.core.controller import Context, Controller
+from edge.core.messages import Decision
 from edge.core.predictor import Predictor
 from edge.models.arx import Arx
 from edge.models.arx_file import read_arx
@@ -42,6 +51,43 @@ _FOREVER_S = 1e9
 _MANY = 100  # times the rollouts
 _FAN_WEIGHTS = (0.0, 3.0, 10.0, 30.0, 100.0)  # more, of the plans that the long search begins at
 _BUDGETS = (100, 200, 400)
+
+
+class Logger:
+    """A controller that keeps what it is asked."""
+
+    def __init__(self, inner: Controller) -> None:
+        self.name = inner.name
+        self.contexts: list[Context] = []
+        self._inner = inner
+
+    def decide(self, context: Context) -> Decision:
+        """As the inner one."""
+        self.contexts.append(context)
+        return self._inner.decide(context)
+
+    def reset(self) -> None:
+        """As the inner one."""
+        self._inner.reset()
+
+
+def logged_contexts(controller: str, model: Predictor, seed: int, hours: float) -> list[Context]:
+    """One per tick from midnight on: the day of `bench.closed_loop_day`, the daemon in lock-step."""
+    with tempfile.TemporaryDirectory(prefix="logged-contexts-") as temporary:
+        folder = Path(temporary)
+        (folder / "chamber.yaml").write_text(CHAMBER_YAML)
+        settings = settings_in(folder, config.parse(DAY_YAML, "logged_contexts"))
+        settings = replace(settings, control=replace(settings.control, controller=controller))
+        logger = Logger(registry.make(controller, registry.ControllerParts(settings.control, model)))
+        with virtual_rig(folder, seed, ("--chamber", str(folder / "chamber.yaml"))) as rig:
+            clock = SimClock(rig.control)
+            try:
+                end_s = clock.now() + 3600.0 * hours
+                with Daemon(settings, clock, stop_at_s=end_s, more_controllers=(logger,)) as daemon:
+                    daemon.run()
+            finally:
+                clock.close()
+    return logger.contexts
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,15 +30,15 @@ from edge.models.validity import box_of
 from edge.twin.effects.library import EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
-from training.datasets import training_runs
-from training.export import ExportFacts, export
-from training.ham import STEP_S, HamNet
-from training.ham_guarded import GuardedHamNet
-from training.lstm import WINDOW, LstmNet
-from training.onnx_step import Network, single_step
-from training.pbm import FITTED
-from training.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
-from training.twin_step import TwinStep
+from training.data.datasets import training_runs
+from training.export.network_export import ExportFacts, export
+from training.export.onnx_step import Network, single_step
+from training.models.ham import STEP_S, HamNet
+from training.models.ham_guarded import GuardedHamNet
+from training.models.lstm import WINDOW, LstmNet
+from training.models.pbm import FITTED
+from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
+from training.models.twin_step import TwinStep
 
 BATCHES = (1, 42, 2000)
 HORIZON = 20

@@ -30,6 +30,7 @@ LAYERS = (
     ("core",),
 )
 RANK = {room: rank for rank, line in enumerate(LAYERS) for room in line}
+TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "reports", "llm_stand_in"}
 WIRE = {"edge/board/board.py"}  # the only file that knows the board's line
 FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "firmware_protocol": ("edge", "training", "torch"),
@@ -93,6 +94,13 @@ def test_edge_holds_rooms_alone_and_each_is_in_the_list() -> None:
     rooms = {path.parent.name for path in (ROOT / "edge").glob("*/__init__.py")}
     assert loose == {"__init__.py", "__main__.py"}
     assert rooms == set(RANK)
+
+
+def test_training_holds_rooms_alone() -> None:
+    loose = {path.name for path in (ROOT / "training").glob("*.py")}
+    rooms = {path.parent.name for path in (ROOT / "training").glob("*/__init__.py")}
+    assert loose == {"__init__.py", "__main__.py"}
+    assert rooms == TRAINING
 
 
 @pytest.mark.parametrize("room", RANK)

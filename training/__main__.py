@@ -11,7 +11,7 @@ from edge.core.errors import GreenhouseError
 from training.rl import command as rl
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
-    from training.study import Regime, TrainingJob
+    from training.models.study import Regime, TrainingJob
 
 OUT = Path("out/training")
 LOGS = Path("out/tensorboard")
@@ -158,14 +158,14 @@ def _add_paper_case(sub: argparse.ArgumentParser) -> None:
 
 def _paper_case(arguments: argparse.Namespace) -> int:
     """the bare physics model told what it lacks, and the hybrid over it before and after"""
-    from training.paper_case import run
+    from training.evaluate.paper_case import run
 
     return run(arguments)
 
 
 def _heated_box(arguments: argparse.Namespace) -> int:
     """the same kinds of models on a real box: measured runs from elsewhere"""
-    from training.heated_box import run
+    from training.evaluate.heated_box import run
 
     return run(arguments.data, arguments.results)
 
@@ -179,7 +179,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 def _evaluate(arguments: argparse.Namespace) -> int:
     """the comparison of all models: tables, pictures and the report"""
-    from training.evaluate import run
+    from training.evaluate.evaluation import run
 
     return run(arguments)
 
@@ -194,7 +194,8 @@ def _key(arguments: argparse.Namespace) -> int:
 
 def _bundle(arguments: argparse.Namespace) -> int:
     """Export, calibrate on fresh runs of the virtual board (made once, a quarter of an hour), sign."""
-    from training import coverage, pack
+    from training.evaluate import coverage
+    from training.export import pack
 
     folder = Path("out/bundle")
     if arguments.packaged_models:
@@ -216,9 +217,9 @@ def _bundle(arguments: argparse.Namespace) -> int:
 
 def _train(arguments: argparse.Namespace) -> int:
     from edge.twin.twin_file import read_twin_file
-    from training.models import FAMILIES, GIVEN, MODELS, over
-    from training.study import SCENARIOS, study
-    from training.summary import records, table
+    from training.models.registry import FAMILIES, GIVEN, MODELS, over
+    from training.models.study import SCENARIOS, study
+    from training.models.summary import records, table
 
     known, models = FAMILIES, MODELS
     if arguments.twin is not None:
@@ -235,8 +236,8 @@ def _train(arguments: argparse.Namespace) -> int:
 def _jobs(
     families: Mapping[str, Sequence[str]], regimes: Sequence["Regime"], seeds: Sequence[int], options: str
 ) -> Iterator["TrainingJob"]:
-    from training.models import SEEDED
-    from training.study import TrainingJob
+    from training.models.registry import SEEDED
+    from training.models.study import TrainingJob
 
     for family, names in families.items():
         for name, regime in itertools.product(names, regimes):

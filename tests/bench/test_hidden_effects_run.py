@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from bench.hidden_effects import __main__ as commands
-from bench.hidden_effects.peers import diagnose
+from bench.hidden_effects.peers import diagnose, stepwise
 from bench.hidden_effects.peers_regression import OneStepRegression
-from bench.hidden_effects.peers_stepwise import stepwise
 from bench.hidden_effects.peers_terms import TERMS
 from bench.hidden_effects.run_cases import OURS, SolverTask, case_sha256, run_one
 from bench.hidden_effects.score_answer import answer

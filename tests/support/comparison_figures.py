@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from training.ablation import Base, ByExcess, Unexplained
-from training.datasets import test_run as run_of
-from training.report_tables import MODELS, Evaluation
-from training.resources import ModelCost
-from training.rollout import START_ROWS, RolloutErrors
-from training.scores import ScoredRun, Swapped, TrainingScore
-from training.study import SCENARIOS, Regime
+from training.data.datasets import test_run as run_of
+from training.evaluate.ablation import Base, ByExcess, Unexplained
+from training.evaluate.resources import ModelCost
+from training.evaluate.scores import ScoredRun, Swapped, TrainingScore
+from training.models.rollout import START_ROWS, RolloutErrors
+from training.models.study import SCENARIOS, Regime
+from training.reports.report_tables import MODELS, Evaluation
 
 SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded", "ham_unguarded")
 MISSED_K = {"linear": 1.0, "pbm": 100.0, "lstm": 0.5, "ham": 2.0, "linear_ambient": 0.7, "twin": 0.3,

@@ -9,7 +9,7 @@ import numpy as np
 from onnx import ModelProto
 
 from edge.models import contract
-from training.onnx_graph import Graph, real
+from training.export.onnx_graph import Graph, real
 
 WINDOWS = {"lstm": 3, "ham": 1, "ham_guarded": 3}
 TWIN = "ab" * 32

@@ -11,7 +11,7 @@ from edge.models import policy_contract as contract
 from edge.models.onnx_policy import INPUT, OUTPUT
 from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
-from training.onnx_graph import Graph, real
+from training.export.onnx_graph import Graph, real
 
 FACTS: dict[str, Any] = {
     "variant": "RL-Off",

@@ -33,8 +33,8 @@ from training.control.rig import entries
 from training.control.runner import run_all
 from training.control.section import section, text_of
 from training.llm_stand_in.server import StandIn
-from training.report import put_section
-from training.report_table import as_text
+from training.reports.comparison_report import put_section
+from training.reports.report_table import as_text
 
 KEPT_URL = "http://kept"  # nobody is asked
 

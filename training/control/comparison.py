@@ -10,7 +10,7 @@ from training.control.job import ComparisonJob
 from training.control.rig import entries
 from training.control.spread import Mean, difference, mean_of, ratio, told_apart
 from training.llm_stand_in import MODEL as STAND_IN
-from training.report_table import Table
+from training.reports.report_table import Table
 
 LIMITS = {"": "clairvoyant", "-P": "clairvoyant-P"}
 STAND_IN_MODEL = "stand-in"  # its name as `llm.model`

@@ -15,7 +15,7 @@ from training.control.comparison import Results, column, seeds_of, spread_text
 from training.control.pictures import png
 from training.control.rig import SPARING
 from training.control.spread import mean_of
-from training.report_table import Table
+from training.reports.report_table import Table
 
 Floats = NDArray[np.float64]
 OURS = ("MPC-Twin", "MPC-Twin-P", *SPARING)

@@ -13,7 +13,7 @@ from training.control.draw_references import FOLDER
 from training.control.effort import FAMILIES, lines, training_s
 from training.control.rig import SPARING
 from training.control.spread import SENSOR_K, difference, mean_of, ratio
-from training.report_findings import ReportFinding, Verdict
+from training.reports.report_findings import ReportFinding, Verdict
 
 PAPERS = ("MPC-BFGS", "RL-Off", "LLM-Te0")  # the paper's three; its MPC is the one by BFGS
 EQUAL_KNOWLEDGE = (

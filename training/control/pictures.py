@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from training.control.comparison import Results, column
 from training.control.spread import mean_of
-from training.report_pictures import radar_radii
+from training.reports.report_pictures import radar_radii
 
 Floats = NDArray[np.float64]
 DPI = 74  # the pictures lie in the repository

@@ -8,8 +8,8 @@ from training.control.comparison import RunResult, references_of, table
 from training.control.effort import FAMILIES, lines
 from training.control.energy import energy_tables
 from training.control.findings import beyond, findings
-from training.report_findings import ReportFinding
-from training.report_table import Table, as_html, as_text
+from training.reports.report_findings import ReportFinding
+from training.reports.report_table import Table, as_html, as_text
 
 COMMAND = "greenhouse-train compare"
 

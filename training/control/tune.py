@@ -25,7 +25,7 @@ from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.chamber_rows import BoxStates, ChamberRows
 from training.control.clairvoyant import COARSE_S, relay_share
 from training.control.draw_references import FOLDER
-from training.report_table import Table, as_text
+from training.reports.report_table import Table, as_text
 
 Floats = NDArray[np.float64]
 Setting = tuple[float, ...]

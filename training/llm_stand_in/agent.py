@@ -4,15 +4,18 @@ Each request holds the whole conversation, so the script has no memory of its ow
 """
 
 import json
+import math
 import random
+import re
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from edge.core.names import HEATER_LEVELS
-from training.llm_stand_in.gains import COMMON_SENSE, MinuteGains, estimate
 from training.llm_stand_in.prompt import Asked, read_prompt, results
-from training.llm_stand_in.wish import wish
 
 SIMULATIONS = 6  # sets of controls that are tried
 NEAR_K = 0.02  # a set this good needs no better one
@@ -23,6 +26,40 @@ QUERY = (
     "ORDER BY utc DESC LIMIT 120"
 )
 Turn = dict[str, Any]  # an assistant's message
+
+
+ROWS_MIN = 15
+REACH_MIN = 5.0  # an error shall be gone after about so long
+
+
+@dataclass(frozen=True, slots=True)
+class MinuteGains:
+    """Of a minute: the share of its excess over the room that air loses, and the rise by full heat [K]."""
+
+    loss: float
+    heat: float
+
+    def duty(self, target: float, current: float, ambient: float) -> float:
+        """That holds the target, and meanwhile brings the air there."""
+        return (self.loss * (target - ambient) + (target - current) / REACH_MIN) / self.heat
+
+
+COMMON_SENSE = MinuteGains(loss=0.05, heat=1.0)  # 100 W hold such a box about 20 K above its room
+
+
+def estimate(result: Mapping[str, Any]) -> MinuteGains:
+    """From the rows of `agent.QUERY`, newest first; common sense where they tell too little."""
+    rows = [row for row in result["rows"] if None not in row][::-1]
+    if len(rows) < ROWS_MIN:
+        return COMMON_SENSE
+    _, step_s, air, ambient, duty, fan = np.array(rows, dtype=float).T
+    minutes = step_s[:-1] / 60.0
+    rise, excess = np.diff(air) / minutes, (air - ambient)[:-1]
+    terms = np.column_stack([-excess, duty[:-1], -excess * fan[:-1]])
+    gains, *_ = np.linalg.lstsq(terms, rise, rcond=None)
+    loss, heat = float(gains[0]), float(gains[1])
+    plausible = math.isfinite(loss + heat) and 0.005 < loss < 0.5 and 0.1 < heat < 10.0
+    return MinuteGains(loss, heat) if plausible else COMMON_SENSE
 
 
 def reply(body: Mapping[str, Any], seed: int) -> Turn:
@@ -148,3 +185,42 @@ def _jitter(body: Mapping[str, Any], seed: int) -> int:
         return 0
     text = json.dumps(body["messages"][:2], sort_keys=True)
     return random.Random(zlib.crc32(text.encode()) + seed).choice((-1, 0, 0, 1))
+
+
+_WANTS = re.compile(r"The operator wants: (.*)", re.DOTALL)
+_DAY = re.compile(r"Day is (\d\d:\d\d) to (\d\d:\d\d)")
+_BY = re.compile(
+    r"(\d+(?:\.\d+)?)\s*(?:°C|degrees|degc)?\s*(?:by|at|during|in the)\s*(day|night)", re.IGNORECASE
+)
+_PLAIN = re.compile(r"(?:keep|hold|set|at|to)\s*(\d+(?:\.\d+)?)", re.IGNORECASE)
+_HOURS = re.compile(r"for\s*(\d+(?:\.\d+)?)\s*h", re.IGNORECASE)
+_EASY = re.compile(r"(?:go easy on|spare|save|less)\s*(?:the|of the)?\s*(fan|heater|heat)", re.IGNORECASE)
+_NO_FAN = re.compile(r"no fan (?:at|by|in the) night", re.IGNORECASE)
+_MOST = re.compile(r"at most (\d+)\s*%", re.IGNORECASE)
+
+
+def wish(messages: Sequence[Mapping[str, Any]]) -> str | None:
+    """The answer to an operator's wish; None where the conversation holds none."""
+    said = [str(message.get("content")) for message in messages] or [""]
+    wanted, clock = _WANTS.search(said[-1]), _DAY.search(said[0])
+    return None if wanted is None or clock is None else json.dumps(_settings(wanted[1], *clock.groups()))
+
+
+def _settings(words: str, day: str, night: str) -> dict[str, Any]:
+    begins = {"day": day, "night": night}
+    reference = [{"from": begins[when.lower()], "degc": float(temp)} for temp, when in _BY.findall(words)]
+    if not reference and (plain := _PLAIN.search(words)):
+        reference = [{"from": "00:00", "degc": float(plain[1])}]
+    easy = {what.lower() for what in _EASY.findall(words)}
+    most, hours = _MOST.search(words), _HOURS.search(words)
+    settings = {
+        "reference": sorted(reference, key=lambda item: str(item["from"])),
+        "heater_penalty": 5.0 if easy & {"heater", "heat"} else None,
+        "fan_penalty": 5.0 if "fan" in easy else None,
+        "heater_max_duty": float(most[1]) / 100.0 if most else None,
+        "fan_rest": [{"from": night, "until": day}] if _NO_FAN.search(words) else [],
+        "hours": float(hours[1]) if hours else 24.0,
+    }
+    understood = any(settings[key] for key in settings if key != "hours")
+    question = "" if understood else "Which temperature do you want, and when?"
+    return {**settings, "understood": f"What I read in: {words[:200]}", "question": question}

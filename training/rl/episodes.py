@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun
-from training.pairs import split_all, stretches
+from training.data.pairs import split_all, stretches
 
 Floats = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from edge.models import policy_contract as contract
 from edge.models.onnx_policy import INPUT, OUTPUT, OnnxPolicy, read_policy
 from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
-from training.onnx_graph import Graph, real
+from training.export.onnx_graph import Graph, real
 
 GOLDEN = 16  # observations, spread over the given ones
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import PastColumns, state_now
-from training.ham_guarded import GuardedHamNet
-from training.lstm import LstmNet
+from training.models.ham_guarded import GuardedHamNet
+from training.models.lstm import LstmNet
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -21,7 +21,7 @@ Indices = NDArray[np.intp]
 class Window:
     """Measured rows of B boxes, the last of them now: its duty and fan are not decided yet.
 
-    temp, ambient [°C], duty, fan : [B, training.lstm.WINDOW]
+    temp, ambient [°C], duty, fan : [B, training.models.lstm.WINDOW]
     """
 
     temp: Floats

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from edge.formats.run_file import RecordedRun
 from edge.models.policy_observation import AIR_ROWS, INPUT_ROWS, Recent, observe
-from training.pairs import stretches
+from training.data.pairs import stretches
 
 AHEAD_ROWS = (1, 5, 10, 20, 30)  # the reference is the air so much later: errors of a box that is driven
 

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import ActionNoise
 
 from edge.formats.run_file import data_sha256
-from training.datasets import training_runs
+from training.data.datasets import training_runs
 from training.rl import checkpoint
-from training.rl.driven_buffer import DrivenReplayBuffer
 from training.rl.kept import RECORD_FILE
 from training.rl.read_model import REGIME
 from training.rl.reward import WEIGHTS
@@ -29,6 +29,24 @@ from training.rl.study import SAMPLE_S, keep, software, validated
 from training.rl.weights import load_weights
 
 CHECKPOINT_FILE = "checkpoint.pt"
+
+
+class DrivenReplayBuffer(ReplayBuffer):
+    """Keeps `driven_action` of the infos in place of the action, and nothing across a gap."""
+
+    def add(
+        self,
+        obs: np.ndarray,
+        next_obs: np.ndarray,
+        action: np.ndarray,
+        reward: np.ndarray,
+        done: np.ndarray,
+        infos: list[dict[str, Any]],
+    ) -> None:
+        """One step of the one rig there is."""
+        if infos[0]["gap"]:
+            return
+        super().add(obs, next_obs, np.array([infos[0]["driven_action"]]), reward, done, infos)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from torch import nn
 
 from edge.core.errors import GreenhouseError
 from edge.models.onnx_policy import OnnxPolicy, read_policy
-from training.datasets import training_runs
+from training.data.datasets import training_runs
 from training.rl.command import POLICIES
 from training.rl.kept import POLICY_FILE, WEIGHTS_FILE
 from training.rl.observations import recorded_observations

@@ -9,13 +9,13 @@ from edge.core.errors import DataError
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, read_twin_file
 from edge.twin.value import Value
-from training.ham_guarded import GuardedHamNet
-from training.lstm import LstmNet
-from training.models import NETWORK_FILE, TWIN_FILE
+from training.models.ham_guarded import GuardedHamNet
+from training.models.lstm import LstmNet
+from training.models.registry import NETWORK_FILE, TWIN_FILE
+from training.models.study import Regime
+from training.models.summary import best_seed, records
+from training.models.weights import load_network
 from training.rl.models import HamModel, LstmModel, StepModel, TwinModel
-from training.study import Regime
-from training.summary import best_seed, records
-from training.weights import load_network
 
 TRAINED = Path("training/results/trained")
 REGIME: Regime = "interpolation"

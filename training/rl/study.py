@@ -13,7 +13,8 @@ from torch import nn
 from edge.formats.run_file import RecordedRun, data_sha256
 from edge.models.onnx_policy import OnnxPolicy
 from edge.models.policy_observation import table_sha256
-from training.datasets import training_runs
+from training.data.datasets import training_runs
+from training.models.study import versions
 from training.rl.boxes import START_ROWS, World
 from training.rl.episodes import DrawnEpisodes
 from training.rl.export import export
@@ -25,7 +26,6 @@ from training.rl.reward import WEIGHTS
 from training.rl.settings import DqnSettings
 from training.rl.train import greedy, train
 from training.rl.weights import save_q_network
-from training.study import versions
 
 SAMPLE_S = 60.0
 

@@ -12,7 +12,7 @@ import pytest
 from edge.bundle.manifest import MANIFEST, SIGNATURE
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
 from edge.bundle.store import PACKAGED_FOLDER
-from training.datasets import data_sha256, training_runs
+from training.data.datasets import data_sha256, training_runs
 
 MINUTES = 100
 SPEED = 600.0  # simulated seconds a second: the daemon runs for 10 s

@@ -34,9 +34,9 @@ from edge.sockets.control_socket import ControlSocket
 from edge.twin.schema import schema
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from edge.twin.value import Value
-from training import ham_guarded
-from training.models import HAM_GIVEN, TWIN_FILE, TWIN_GIVEN, over
-from training.twin_step import TwinStep
+from training.models import ham_guarded
+from training.models.registry import HAM_GIVEN, TWIN_FILE, TWIN_GIVEN, over
+from training.models.twin_step import TwinStep
 
 SHA = "d" * 64
 ORIGIN = Origin(

@@ -11,10 +11,10 @@ from edge.bundle.predictors import load_predictors, loader
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.core.errors import DataError
 from edge.models.arx_file import DEFAULT_PATH
-from training import datasets
-from training.datasets import data_sha256, training_runs
+from training.data import datasets
+from training.data.datasets import data_sha256, training_runs
+from training.models.rollout import errors, free_run
 from training.rl.kept import FOLDERS, best_folder, read_record
-from training.rollout import errors, free_run
 
 NO_KEYS = Path("/nonexistent")  # only the packaged key is trusted
 POLICIES = Path(__file__).parents[3] / "training" / "results" / "policies"

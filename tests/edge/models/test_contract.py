@@ -14,7 +14,7 @@ from edge.core.errors import DataError
 from edge.models.contract import parse_contract
 from edge.models.ham import read_ham
 from edge.models.lstm import read_lstm
-from training.onnx_graph import Graph, real
+from training.export.onnx_graph import Graph, real
 
 VALID = document_of("lstm")
 BOX = VALID["validity"]

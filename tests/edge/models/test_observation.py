@@ -22,7 +22,7 @@ from edge.models.policy_observation import (
     observe_tick,
     table_sha256,
 )
-from training.datasets import RUNS
+from training.data.datasets import RUNS
 
 NAN = math.nan
 

@@ -11,7 +11,7 @@ from edge.twin.reference import rk45_rollout
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import PastColumns, at_rest, state_now
-from training.twin_step import TwinStep
+from training.models.twin_step import TwinStep
 
 ROWS, COMING = 60, 20
 LOSS = {"wall_loss": {"UA": 5.0}, "extra_capacity": {"kC": 4.0}}

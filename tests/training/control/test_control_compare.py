@@ -1,0 +1,274 @@
+"""Tables and findings of a comparison, from a handful of made-up results."""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import requests
+
+from edge.core.errors import DataError
+from training.control import compare
+from training.control.all_pictures import pictures_of
+from training.control.compare import _endpoint, run
+from training.control.comparison import (
+    RunResult,
+    column,
+    knowledge,
+    mae_against,
+    ranking,
+    regret,
+    table,
+)
+from training.control.figures import DecisionTime, Figures
+from training.control.findings import beyond, findings
+from training.control.kept_figures import (
+    FIGURES_FILE,
+    TIMES_FILE,
+    beside,
+    changed,
+    json_of,
+    read_results,
+    read_times,
+    results_of,
+    times_beside,
+    times_json,
+)
+from training.control.section import text_of
+from training.llm_stand_in import MODEL as STAND_IN
+from training.reports.comparison_report import put_section
+
+ZERO = Figures(*[0.0] * 16)
+
+
+def made(entry: str, seed: int, remark: str = "", **figures: float) -> RunResult:
+    return RunResult(entry, "reference_1", seed, replace(ZERO, **figures), remark)
+
+
+RESULTS = [
+    made("clairvoyant/sensor", 1, sensor_cost_0=100.0),
+    made("clairvoyant/sensor", 2, sensor_cost_0=200.0),
+    made("MPC-Twin", 1, sensor_cost_0=110.0, mae_true=0.2),
+    made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.2),
+    made("MPC-BFGS", 1, sensor_cost_0=900.0, mae_true=1.2),
+    made("MPC-BFGS", 2, sensor_cost_0=800.0, mae_true=1.2),
+    made("MPC-BFGS", 3, sensor_cost_0=700.0, mae_true=1.2),
+    made("LLM-Te0", 1, STAND_IN, mae_true=1.4, sensor_cost_0=990.0),
+    made("LLM-Te0", 2, STAND_IN, mae_true=1.4, sensor_cost_0=990.0),
+]
+
+
+def test_a_regret_is_the_cost_by_the_limits_on_the_same_seeds():
+    assert regret(RESULTS, "MPC-Twin", "reference_1", by_sensor=True).value == pytest.approx(1.1)
+    assert regret(RESULTS, "MPC-BFGS", "reference_1", by_sensor=True).n == 2
+    assert regret(RESULTS, "MPC-Twin", "reference_2", by_sensor=True) is None
+
+
+@pytest.mark.parametrize("better", ["clairvoyant/sensor-P", "MPC-Twin-P"])
+def test_no_run_is_better_than_the_limit(better):
+    found = [*RESULTS, made(better, 1, sensor_cost_0=80.0)]
+    assert regret(found, "MPC-Twin", "reference_1", by_sensor=True).value == pytest.approx(
+        (110 / 80 + 1.1) / 2
+    )
+    own = regret(found, "clairvoyant/sensor", "reference_1", by_sensor=True)
+    assert own.value == pytest.approx((100 / 80 + 1.0) / 2)
+
+
+def test_a_controller_is_ranked_among_those_that_know_as_much():
+    costs = {
+        "MPC": 300.0,
+        "MPC/preview": 250.0,
+        "MPC-Twin": 120.0,
+        "MPC-Twin/present": 280.0,
+        "MPC-BFGS": 260.0,
+        "MPC-BFGS/preview": 200.0,
+        "clairvoyant/sensor": 100.0,
+    }
+    found = [made(name, 1, sensor_cost_0=cost) for name, cost in costs.items()]
+    assert ranking(found, list(costs), "reference_1") == [
+        *("clairvoyant/sensor", "MPC-Twin", "MPC-BFGS/preview", "MPC/preview"),
+        *("MPC-BFGS", "MPC-Twin/present", "MPC"),
+    ]
+    assert [knowledge(name) for name in ("clairvoyant", "MPC-Twin", "MPC", "RL-Off")] == [
+        *("everything", "coming reference", "present reference", "present reference"),
+    ]
+
+
+def test_ours_is_set_against_the_papers_that_knows_as_much():
+    found = [
+        made(name, seed, sensor_cost_0=cost + seed)
+        for name, cost in {"MPC-Twin": 100, "MPC-Twin/present": 200, "MPC-BFGS": 250}.items()
+        for seed in (1, 2)
+    ]
+    (text,) = beyond(found, ["reference_1"])
+    assert "MPC-Twin/present" in text
+    assert "MPC-BFGS costs 1.25" in text
+
+
+def spent(name: str, effort: float, mae_true: float = 0.4) -> list[RunResult]:
+    """Two seeds that differ a little in the effort."""
+    return [made(name, seed, mae_true=mae_true, cost_1=effort + seed, sensor_cost_0=1.0) for seed in (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("with_penalty", "verdict"), [(200.0, "holds in part"), (199.0, "holds in part"), (150.0, "holds")]
+)
+def test_as_much_effort_with_a_penalty_as_without_is_not_less(with_penalty, verdict):
+    found = findings([*spent("LLM-Te0", 200.0), *spent("LLM-Te0-P", with_penalty)], "reference_1")
+    assert {each.paper[:24]: each.verdict for each in found}["With penalty the LLM use"] == verdict
+
+
+def test_a_penalty_that_changes_nothing_makes_nothing_sparser():
+    found = findings([*spent("RL-Off", 200.0), *spent("RL-Off-P", 200.0)], "reference_1")
+    assert {each.paper[:9]: each.verdict for each in found}["A penalty"] == "does not hold"
+
+
+def test_an_mpc_that_is_as_good_as_the_others_is_not_the_best():
+    found = findings([*spent("MPC-BFGS", 1.0), *spent("RL-Off", 1.0)], "reference_1")
+    assert found[0].verdict == "does not hold"
+
+
+def test_two_controllers_are_compared_on_the_seeds_of_both():
+    found, worth = mae_against(RESULTS, "MPC-Twin", "MPC-BFGS", "reference_1")
+    assert (found.value, found.n, worth) == (pytest.approx(-1.0), 2, "better")
+
+
+def test_a_stand_in_is_called_one_in_the_table():
+    rows = {row[0]: row for row in table(RESULTS, ["MPC-Twin", "LLM-Te0"], "reference_1").rows}
+    assert rows["LLM-Te0"][-1] == STAND_IN
+    assert rows["MPC-Twin"][-1] == ""
+
+
+def test_findings_about_controllers_that_have_not_run_are_left_out():
+    papers = [finding.paper for finding in findings(RESULTS, "reference_1")]
+    assert any("lowest MAE" in paper for paper in papers)
+    assert not any(paper.startswith("Without penalty the RL") for paper in papers)
+
+
+def test_a_verdict_follows_the_figures():
+    first = findings(RESULTS, "reference_1")[0]
+    assert first.verdict == "holds"
+    worse = [*RESULTS, *(made("RL-Off", seed, mae_true=0.5) for seed in (1, 2))]
+    assert findings(worse, "reference_1")[0].verdict == "holds in part"
+
+
+def test_figures_come_back_with_all_their_digits():
+    assert results_of(json_of(RESULTS)) == RESULTS
+    assert "MPC-Twin" in text_of(RESULTS, ["MPC-Twin"])
+
+
+def test_an_unknown_controller_is_refused_by_name(tmp_path):
+    arguments = argparse.Namespace(
+        controllers=["MPC-Twn"], references=["reference_1"], seeds=[1], runs=tmp_path, kept=True,
+        llm_url="", llm_model="stand-in",
+    )  # fmt: skip
+    with pytest.raises(DataError, match="MPC-Twn"):
+        run(arguments)
+
+
+@pytest.mark.parametrize("wants", ["check", "beside_kept"])
+def test_figures_that_are_not_there_are_told_before_anything_is_run(tmp_path, monkeypatch, wants):
+    monkeypatch.setattr(compare, "run_all", lambda *words: pytest.fail("it was run"))
+    flags = {"check": False, "beside_kept": False, "kept": False} | {wants: True}
+    arguments = argparse.Namespace(
+        controllers=["rules"], references=["reference_1"], seeds=[1], runs=tmp_path, results=tmp_path,
+        workers=1, llm_url="", llm_model="stand-in", **flags,
+    )  # fmt: skip
+    with pytest.raises(DataError, match=FIGURES_FILE):
+        run(arguments)
+
+
+def endpoint(**given: object) -> argparse.Namespace:
+    return argparse.Namespace(**{"kept": False, "llm_url": "", "llm_model": "stand-in", **given})
+
+
+def test_language_models_ask_a_stand_in_where_no_server_is_given():
+    with _endpoint(endpoint()) as llm:
+        assert requests.get(f"{llm.url}/models", timeout=5.0).status_code == 200
+    assert llm.model == "stand-in"
+    with _endpoint(endpoint(llm_url="http://there/v1", llm_model="small")) as llm:
+        assert (llm.url, llm.model) == ("http://there/v1", "small")
+
+
+def test_a_model_without_its_server_is_refused():
+    with pytest.raises(DataError, match="small needs --llm-url"), _endpoint(endpoint(llm_model="small")):
+        pass
+
+
+def test_the_controllers_part_takes_its_own_place_in_the_report(tmp_path: Path):
+    page = tmp_path / "report.html"
+    page.write_text("<p>models</p>\n</body></html>\n")
+    for part in ("<p>one</p>\n", "<p>two</p>\n"):
+        put_section(page, part)
+    assert page.read_text() == "<p>models</p>\n<!-- controllers -->\n<p>two</p>\n</body></html>\n"
+
+
+def test_a_few_controllers_have_pictures_without_a_radar(tmp_path: Path):
+    few = [made("MPC/HAM", 1, mae_true=0.3)]
+    assert set(pictures_of(few, [], tmp_path, ["MPC/HAM"])) == {"control_mae", "control_energy"}
+
+
+def kept_in(folder: Path, results: list[RunResult], times: dict[str, list[DecisionTime]]) -> Path:
+    (folder / FIGURES_FILE).write_text(json_of(results))
+    (folder / TIMES_FILE).write_text(times_json(times))
+    return folder
+
+
+def test_a_controller_done_anew_leaves_the_others_as_they_are_kept():
+    now = [made("MPC-Twin", 2, mae_true=0.1), made("LLM-Te0", 3, STAND_IN, mae_true=1.0, sensor_cost_0=990.0)]
+    names = ["clairvoyant/sensor", "MPC-BFGS", "MPC-Twin", "LLM-Te0"]
+    both = beside(RESULTS, now, names)
+    assert len(both) == len(RESULTS) + 1
+    assert column(both, "MPC-Twin", "reference_1", "mae_true") == [0.2, 0.1]
+    assert column(both, "LLM-Te0", "reference_1", "mae_true") == [1.4, 1.4, 1.0]
+    assert [one.entry for one in both[:4]] == names  # seed by seed, as they would be done
+
+
+def test_what_has_left_the_table_is_not_kept_beside():
+    assert {one.entry for one in beside(RESULTS, [], ["MPC-Twin"])} == {"MPC-Twin"}
+
+
+def test_decision_times_are_of_all_runs_or_as_they_are_kept():
+    kept = {"MPC": [DecisionTime(1.0, 2.0)] * 2, "PID": [DecisionTime(3.0, 4.0)]}
+    now = {
+        "MPC": [DecisionTime(9.0, 9.0)],
+        "PID": [DecisionTime(5.0, 6.0)],
+        "rules": [DecisionTime(0.1, 0.2)],
+    }
+    both = times_beside(kept, now, ["rules", "PID", "MPC"])
+    assert both == {"rules": now["rules"], "PID": now["PID"], "MPC": kept["MPC"]}
+    assert list(both) == ["rules", "PID", "MPC"]
+
+
+def test_decision_times_come_back(tmp_path):
+    times = {"MPC": [DecisionTime(1.25, 2.5)]}
+    assert read_times(kept_in(tmp_path, RESULTS, times)) == times
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"MPC": [{"median": 1}]}', '{"MPC": 3}'])
+def test_broken_decision_times_are_refused_by_file(tmp_path, text):
+    (tmp_path / TIMES_FILE).write_text(text)
+    with pytest.raises(DataError, match=TIMES_FILE):
+        read_times(tmp_path)
+
+
+@pytest.mark.parametrize("text", [None, "", "[", "[1]", '[{"entry": "MPC"}]', '{"a": 1}'])
+def test_broken_figures_are_refused_by_file(tmp_path, text):
+    if text is not None:
+        (tmp_path / FIGURES_FILE).write_text(text)
+    with pytest.raises(DataError, match=FIGURES_FILE):
+        read_results(tmp_path)
+
+
+def test_a_few_runs_are_checked_against_theirs_alone():
+    assert changed(RESULTS, RESULTS[3:5]) == ""
+    other = [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.2000001)]
+    assert changed(RESULTS, other).startswith("MPC-Twin, reference_1, seed 2.figures.mae_true: 0.2 is kept")
+    assert changed(RESULTS, other, tolerance=1e-6) == ""
+    assert "mae_true" in changed(RESULTS, [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.202)], 0.005)
+    assert "seed 7: no such run is kept" in changed(RESULTS, [made("MPC-Twin", 7)])
+
+
+def test_json_is_json():
+    assert len(json.loads(json_of(RESULTS))) == len(RESULTS)

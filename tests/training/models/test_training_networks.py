@@ -1,0 +1,175 @@
+"""Training of the networks: when it stops, what it keeps, what it repeats, what it refuses."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from training_runs import BOX, box_run
+
+from edge.core.errors import DataError
+from training.data.pairs import split_all, windows
+from training.models import ham, ham_guarded, lstm, pbm
+from training.models.fit_network import EarlyStopping, Pairs, fit
+from training.models.predictors import LstmPredictor
+from training.models.rollout import errors, free_run
+
+TINY_LSTM = lstm.LstmSettings(epochs=2, hidden=4)
+TINY_HAM = ham.HamSettings(epochs=2, hidden=4)
+TINY_GUARDED = ham_guarded.GuardedHamSettings(epochs=2, hidden=4)
+
+
+@pytest.mark.parametrize(
+    ("losses", "stops_at"),
+    [
+        ([1.0, 0.9, 0.8, 0.7], None),
+        ([1.0, 1.0, 1.0, 1.0], 4),  # three epochs without progress after the first
+        ([1.0, 0.96, 0.92, 0.88], None),  # slow, but 0.1 below the last that counted in time: 0.88
+        ([1.0, 0.9, 0.9, 0.9], 4),  # exactly min_delta lower is no progress: 0.9 < 1.0 - 0.1 is false
+        ([1.0, 2.0, 3.0, 0.95], 4),
+        ([1.0, 2.0, 3.0, 0.8], None),
+        ([1.0, math.nan, math.nan, math.nan], 4),
+        ([math.nan, math.nan, math.nan], 3),
+        ([math.inf, 1.0, math.inf, 0.5], None),
+    ],
+)
+def test_training_stops_after_epochs_without_progress(losses: list[float], stops_at: int | None) -> None:
+    stopping = EarlyStopping(min_delta=0.1, tolerance=3)
+    over = [epoch for epoch, loss in enumerate(losses, start=1) if stopping.is_over(loss)]
+    assert (over[0] if over else None) == stops_at
+
+
+def test_the_settings_are_the_paper_s() -> None:
+    paper = {"epochs": 5000, "learning_rate": 1e-3, "batch_size": 40, "hidden": 64, "dropout": 0.2,
+             "min_delta": 5e-4, "tolerance": 10}  # fmt: skip
+    usual = lstm.LstmSettings(), ham.HamSettings()
+    assert {key: getattr(usual[0], key) for key in paper} == paper
+    assert {key: getattr(usual[1], key) for key in paper} == paper | {"epochs": 1000, "batch_size": 64}
+
+
+def test_the_lstm_has_the_paper_s_layers_in_its_order() -> None:
+    network = lstm.LstmNet(torch.zeros(3), torch.ones(3), 0.0, 1.0)
+    called: list[str] = []
+    for name, layer in network.named_children():
+        layer.register_forward_hook(lambda *_, name=name: called.append(name))
+    assert network(torch.zeros(5, 10, 3)).shape == (5,)
+    assert called == [
+        "lstm_1", "linear_1", "dropout", "lstm_2", "linear_2", "dropout", "lstm_3", "linear_3"
+    ]  # fmt: skip
+
+
+def test_the_hybrid_s_network_has_the_paper_s_layers() -> None:
+    layers = [type(layer).__name__ for layer in ham.source_network(64, 0.2)]
+    assert layers == ["Linear", "ReLU", "Dropout", "Linear", "ReLU", "Dropout", "Linear"]
+
+
+def train_lstm(seed: int) -> nn.Module:
+    return lstm.train([box_run(1)], seed, TINY_LSTM)[0]
+
+
+def train_ham(seed: int) -> nn.Module:
+    return ham.train([box_run(1)], seed, TINY_HAM)[0]
+
+
+def train_guarded(seed: int) -> nn.Module:
+    return ham_guarded.train([box_run(1)], BOX, seed, TINY_GUARDED)[0]
+
+
+@pytest.mark.parametrize("train", [train_lstm, train_ham, train_guarded])
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(train) -> None:
+    first, again, other = (train(seed).state_dict() for seed in (3, 3, 4))
+    assert all(torch.equal(first[name], again[name]) for name in first)
+    assert not all(torch.equal(first[name], other[name]) for name in first)
+
+
+@pytest.mark.parametrize("train", [
+    lambda runs: lstm.train(runs, 0, TINY_LSTM),
+    lambda runs: ham.train(runs, 0, TINY_HAM),
+    lambda runs: ham_guarded.train(runs, BOX, 0, TINY_GUARDED),
+    lambda runs: pbm.train(runs, pbm.FITTED),
+])  # fmt: skip
+def test_nothing_is_fitted_on_a_test_run(train) -> None:
+    with pytest.raises(DataError, match="test"):
+        train([box_run(1), box_run(2, role="test")])
+
+
+def test_windows_hold_what_acts_until_the_predicted_row() -> None:
+    columns = box_run(1).columns
+    inputs, following = windows([box_run(1)], 10)
+    assert inputs.shape == (80, 10, 3)  # 90 rows
+    assert inputs[7, -1].tolist() == [columns[key][16] for key in ("temp_air_c", "heater_duty", "fan_on")]
+    assert following[7] == columns["temp_air_c"][17]
+
+
+def test_no_window_spans_a_missing_reading_or_two_runs() -> None:
+    run = box_run(1)
+    temp = run.columns["temp_air_c"].copy()
+    temp[30] = np.nan
+    gappy = replace(run, columns={**run.columns, "temp_air_c": temp})
+    inputs, following = windows([gappy, box_run(2)], 10)
+    # 30 and 59 whole rows of the first run, 90 of the second; each gives its rows less 10
+    assert len(following) == 20 + 49 + 80
+    assert np.isfinite(inputs).all()
+
+
+def test_training_parts_come_before_validation_parts() -> None:
+    parts = split_all([box_run(1), box_run(2)])
+    assert [len(part) for part in (*parts.train, *parts.validate)] == [72, 72, 18, 18]
+    assert parts.validate[0].columns["temp_air_c"][0] == box_run(1).columns["temp_air_c"][72]
+
+
+def test_the_weights_of_the_best_epoch_are_kept() -> None:
+    # A step of 1 jumps over the optimum at 0.5 and back: the loss is least long before the last epoch.
+    network = nn.Linear(1, 1, bias=False)
+    nn.init.constant_(network.weight, 0.0)
+    pairs = Pairs(torch.ones(4, 1), torch.full((4,), 0.5))
+    settings = lstm.LstmSettings(epochs=6, learning_rate=1.0, min_delta=0.0, tolerance=6)
+    losses: list[float] = []
+
+    def predict(features: torch.Tensor) -> torch.Tensor:
+        found = network(features).squeeze(-1)
+        if not network.training:
+            losses.append(float(nn.functional.mse_loss(found.detach(), pairs.target)))
+        return found
+
+    progress = fit(network, predict, pairs, pairs, settings, seed=0)
+    assert progress.epochs == len(losses) == 6
+    assert progress.best_epoch == 1 + losses.index(min(losses)) < 6
+    assert float((network.weight.detach() - 0.5) ** 2) == pytest.approx(progress.validation_loss)
+    assert not network.training
+
+
+def test_a_training_that_gives_no_numbers_says_so() -> None:
+    network = nn.Linear(1, 1)
+    pairs = Pairs(torch.ones(4, 1), torch.full((4,), math.nan))
+    with pytest.raises(DataError, match="no number in 10 epochs"):
+        fit(network, lambda x: network(x).squeeze(-1), pairs, pairs, lstm.LstmSettings(), seed=0)
+
+
+def test_runs_that_are_too_short_for_a_window_are_refused() -> None:
+    with pytest.raises(DataError, match="too short"):
+        lstm.train([box_run(1, rows=20)], 0, TINY_LSTM)
+
+
+def test_a_few_epochs_bring_the_lstm_near_the_box() -> None:
+    # Temperatures spread by about 2 K: what does not learn misses by that much.
+    settings = lstm.LstmSettings(epochs=40, hidden=16, learning_rate=1e-2)
+    network, _ = lstm.train([box_run(seed) for seed in range(4)], 0, settings)
+    run = box_run(9)
+    found = errors(free_run(LstmPredictor(network), run), run)
+    assert found.mae_k < 0.5 * float(np.std(run.columns["temp_air_c"]))
+
+
+def test_an_increment_is_added_to_the_last_temperature() -> None:
+    network = lstm.LstmNet(torch.zeros(3), torch.ones(3), 0.25, 0.0, 4, predicts_increment=True).eval()
+    window = torch.full((1, 10, 3), 20.0)
+    assert network(window).tolist() == [20.25]
+
+
+def test_the_lstm_s_scaler_is_of_the_training_part_alone() -> None:
+    network = train_lstm(0)
+    temps = windows(split_all([box_run(1)]).train, 10)[0].reshape(-1, 3)
+    assert network.mean.tolist() == pytest.approx(temps.mean(axis=0).tolist(), rel=1e-6)
+    assert network.scale.tolist() == pytest.approx(temps.std(axis=0).tolist(), rel=1e-6)

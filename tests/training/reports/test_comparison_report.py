@@ -1,0 +1,134 @@
+"""The report: its tables, its findings, its pictures."""
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from comparison_figures import MISSED_K, all_scored, costs, evaluation
+
+from training.data.datasets import test_run as run_of
+from training.models.rollout import START_ROWS
+from training.reports.comparison_report import report
+from training.reports.report_findings import findings
+from training.reports.report_pictures import (
+    INNERMOST,
+    bars_picture,
+    radar_picture,
+    radar_radii,
+    scenario_picture,
+)
+from training.reports.report_table import Table, as_html, as_text
+from training.reports.report_tables import costs_table, tables
+
+ROOT = Path(__file__).parents[3]
+FOUND = all_scored()
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return report(evaluation(FOUND), costs(), {"scenario_1": b"one", "models_radar": b"two"})
+
+
+def test_the_report_holds_every_section_table_and_picture(page: str) -> None:
+    for title in ("The paper's findings and ours", "Beyond the paper", "Figures", "Pictures"):
+        assert f"<h2>{title}</h2>" in page
+    for table in (*tables(evaluation(FOUND)), costs_table(costs())):
+        assert f"<h3>{table.title}</h3>" in page.replace("&#x27;", "'")
+    assert re.findall(r'alt="(\w+)"', page) == ["scenario_1", "models_radar"]
+
+
+def test_the_report_needs_nothing_beside_it(page: str) -> None:
+    assert "http" not in page
+    assert "<script" not in page and "<link" not in page
+    assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="([^"]+)"', page))
+
+
+def test_the_report_is_well_formed(page: str) -> None:
+    for tag in ("table", "tr", "p", "h2", "h3", "b", "body", "html"):
+        assert len(re.findall(rf"<{tag}[ >]", page)) == page.count(f"</{tag}>"), tag
+
+
+def test_verdicts_follow_the_figures() -> None:
+    # Here LSTM 0.5, Linear 1, HAM 2, PBM 100 K in both regimes, so not the paper's order anywhere.
+    verdicts = [one.verdict for one in findings(evaluation(FOUND), costs())]
+    assert verdicts[0] == "does not hold"
+    assert verdicts[1] == "holds"  # the PBM is last
+    swap = {"ham": "lstm", "lstm": "ham"}  # HAM 0.5, LSTM 2 K: then Linear is between them
+    other = [
+        replace(one, score=replace(one.score, model=swap.get(one.score.model, one.score.model)))
+        for one in FOUND
+    ]
+    last = findings(evaluation(other), costs())[-1]
+    assert last.verdict == "holds"  # HAM better than the LSTM somewhere
+
+
+def test_the_papers_order_is_recognised() -> None:
+    names = {"ham": "lstm", "lstm": "ham", "linear": "linear"}
+    found = [
+        replace(one, score=replace(one.score, model=names.get(one.score.model, one.score.model)))
+        for one in FOUND
+    ]
+    better = replace_mae(found, "lstm", 0.8)  # HAM 0.5, LSTM 0.8, Linear 1, PBM 100
+    assert findings(evaluation(better), costs())[0].verdict == "holds"
+
+
+def replace_mae(found: list, model: str, mae_k: float) -> list:
+    return [
+        replace(one, score=replace(one.score, free_run=replace(one.score.free_run, mae_k=mae_k)))
+        if one.score.model == model
+        else one
+        for one in found
+    ]
+
+
+def test_the_first_table_holds_mean_and_spread_over_the_seeds() -> None:
+    rows = {row[0]: row for row in tables(evaluation(FOUND))[0].rows}
+    assert rows["Linear"][1:5] == ("1.000",) * 4
+    # 0.5 and 0.505 K: mean 0.5025, sd 0.0025 sqrt(2)
+    assert rows["LSTM"][1] == "0.502 ± 0.004"
+    assert len(rows) == len(MISSED_K)
+
+
+def test_a_table_as_text_and_as_html() -> None:
+    table = Table("A < B", ("name", "x"), (("long name", "1"),), "note")
+    assert list(as_text(table)) == ["A < B", "name       x", "long name  1", "note", ""]
+    assert next(iter(as_html(table))) == "<h3>A &lt; B</h3><table>"
+
+
+def test_radar_radii_are_logarithmic_between_the_best_and_the_worst() -> None:
+    radii = radar_radii([1.0, 10.0, 100.0])
+    assert radii == pytest.approx([INNERMOST, 0.5 * (INNERMOST + 1.0), 1.0])
+
+
+def test_equal_values_lie_on_one_ring() -> None:
+    assert radar_radii([3.0, 3.0]).tolist() == [INNERMOST, INNERMOST]
+
+
+def test_pictures_are_pictures() -> None:
+    run = run_of(2)
+    measured = run.columns["temp_air_c"][START_ROWS:]
+    forecasts = {"lstm": [measured, measured + 0.5], "pbm": [np.linspace(25.0, 500.0, len(measured))]}
+    pictures = [
+        scenario_picture(run, forecasts, "Scenario 2"),
+        bars_picture([one.score for one in FOUND], "extrapolation"),
+        radar_picture([one.score for one in FOUND], costs()),
+    ]
+    for picture in pictures:
+        assert picture.startswith(PNG)
+        assert 3_000 < len(picture) < 150_000  # a blank one has less, and they lie in the repository
+    assert pictures[0] == scenario_picture(run, forecasts, "Scenario 2")
+
+
+def test_a_model_is_measured_without_torch_in_the_process() -> None:
+    twin = ROOT / "training/results/trained/twin/interpolation/seed_0/twin.yaml"
+    code = (
+        "import sys; from training.evaluate.edge_process import main; "
+        f"main(['pbm', {str(twin)!r}]); assert 'torch' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert '"ran_mib"' in done.stdout

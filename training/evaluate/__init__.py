@@ -1,0 +1,4 @@
+"""Measurements of trained models: scores, costs, ablations, coverage of intervals, the two case studies.
+
+The commands of `greenhouse-train` that compare models begin here; `training.reports` makes tables and pages.
+"""

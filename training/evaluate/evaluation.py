@@ -1,0 +1,210 @@
+"""`greenhouse-train evaluate`: the comparison of all models, from the recorded runs and the kept weights.
+
+Everything is forecast anew; the errors that a training recorded are not read. Figures go to evaluation.json
+and evaluation.txt. The same machine, named in evaluation_machine.json, gives them again bit for bit; another
+within ELSEWHERE_K. Times and memory go to cost.json and cost.txt; report.html and the pictures hold both.
+"""
+
+import argparse
+import importlib.metadata
+import json
+import math
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from training.data.datasets import test_run
+from training.evaluate.ablation import bases, by_excess, unexplained
+from training.evaluate.resources import ModelCost, costs
+from training.evaluate.scores import ScoredRun, TrainingScore, scored, swapped
+from training.models.fit_network import make_deterministic
+from training.models.study import SCENARIOS
+from training.models.trained import Kept, read_trained, unguarded
+from training.reports.comparison_report import report
+from training.reports.report_pictures import MODELS, bars_picture, radar_picture, scenario_picture
+from training.reports.report_table import as_text
+from training.reports.report_tables import Evaluation, costs_table, tables
+
+COMMAND = "greenhouse-train evaluate"
+# Of figures made on another machine [K]. A free run of 203 steps in float32: at most 1.1e-5 was seen.
+# The hybrids of `bases` are trained anew, which multiplies last digits: at most 5.8e-3 was seen.
+ELSEWHERE_K, ELSEWHERE_TRAINED_K = 1e-3, 0.03
+MACHINE_FILE = "evaluation_machine.json"
+COMPUTES = ("numpy", "scipy", "torch")  # packages whose arithmetic the figures pass through
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The exit code. Errors: DataError, OSError.
+
+    arguments : trained, results, images (folders), check, tolerance
+    """
+    make_deterministic(0)
+    trainings = read_trained(arguments.trained)
+    found = scored([*trainings, *(unguarded(kept) for kept in trainings if kept.model == "ham_guarded")])
+    figures = Evaluation(
+        tuple(one.score for one in found),
+        tuple(unexplained()),
+        tuple(bases()),
+        tuple(swapped(trainings, "twin")),
+        tuple(by_excess(trainings, "twin")),
+    )
+    print(text_of(figures), end="")
+    if arguments.check:
+        return _check(figures, found, arguments)
+    _write(figures, found, trainings, arguments)
+    return 0
+
+
+def text_of(figures: Evaluation) -> str:
+    """The tables of errors."""
+    return "\n".join([COMMAND, "", *(line for table in tables(figures) for line in as_text(table))])
+
+
+def json_of(figures: Evaluation) -> str:
+    """All digits, a score on each line."""
+    parts = {key: [json.dumps(row) for row in rows] for key, rows in asdict(figures).items()}
+    lists = [f"{json.dumps(key)}: [\n" + ",\n".join(rows) + "\n]" for key, rows in parts.items()]
+    return "{\n" + ",\n".join(lists) + "\n}\n"
+
+
+def pictures_of(found: Sequence[ScoredRun], cost: Sequence[ModelCost]) -> dict[str, bytes]:
+    """PNG by file name without its ending."""
+    scores: list[TrainingScore] = [one.score for one in found]
+    pictures = {}
+    for regime, numbers in SCENARIOS.items():
+        for number in numbers:
+            forecasts = {
+                model: [s.forecast for s in found if s.score.model == model and s.score.scenario == number]
+                for model in MODELS
+            }
+            title = f"Scenario {number} ({regime}): free runs, mean and range of the seeds"
+            pictures[f"scenario_{number}"] = scenario_picture(test_run(number), forecasts, title)
+        pictures[f"models_{regime}"] = bars_picture(scores, regime)
+    pictures["models_radar"] = radar_picture(scores, cost)
+    return pictures
+
+
+def machine() -> dict[str, str]:
+    """Facts on which the last digits of a figure depend."""
+    cpu = next(
+        (
+            line.partition(":")[2].strip()
+            for line in _cpu_lines()
+            if line.startswith(("model name", "CPU part"))
+        ),
+        platform.processor(),
+    )
+    versions = {name: importlib.metadata.version(name) for name in COMPUTES}
+    return {"cpu": cpu, "architecture": platform.machine(), "python": platform.python_version(), **versions}
+
+
+def _cpu_lines() -> list[str]:
+    path = Path("/proc/cpuinfo")
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+
+
+def first_difference(kept: Any, now: Any, tolerance: float = 0.0, place: str = "evaluation.json") -> str:
+    """Where two JSON values differ first; "" where no two numbers do by more than `tolerance`."""
+    found = (text for amount, text in differences(kept, now, place) if not amount <= tolerance)
+    return next(found, "")
+
+
+def differences(kept: Any, now: Any, place: str) -> Iterator[tuple[float, str]]:
+    """Yield how much two JSON values differ and where; infinitely, where one of both is not a number."""
+    if isinstance(kept, dict) and isinstance(now, dict) and kept.keys() == now.keys():
+        for key in kept:
+            yield from differences(kept[key], now[key], f"{place}.{key}")
+    elif isinstance(kept, list) and isinstance(now, list) and len(kept) == len(now):
+        for index, (a, b) in enumerate(zip(kept, now, strict=True)):
+            yield from differences(a, b, f"{place}.{index}")
+    elif kept != now:
+        amount = abs(kept - now) if _is_number(kept) and _is_number(now) else math.inf
+        yield amount, f"{place}: {kept!r} is kept, now {now!r}"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _write(
+    figures: Evaluation, found: Sequence[ScoredRun], trainings: Sequence[Kept], arguments: argparse.Namespace
+) -> None:
+    cost = costs(trainings)
+    cost_text = "\n".join([COMMAND, "", *as_text(costs_table(cost))])
+    print(cost_text)
+    files = _files(figures, found, cost, _controllers(arguments.results))
+    files["cost.json"] = (json.dumps([asdict(one) for one in cost], indent=1) + "\n").encode()
+    files["cost.txt"] = (cost_text + "\n").encode()
+    files[MACHINE_FILE] = (json.dumps(machine(), indent=1) + "\n").encode()
+    arguments.images.mkdir(parents=True, exist_ok=True)
+    arguments.results.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        folder = arguments.images if name.endswith(".png") else arguments.results
+        (folder / name).write_bytes(content)
+
+
+def _controllers(results: Path) -> str:
+    """Their part of the report, as `greenhouse-train compare` has left it."""
+    path = results / "control" / "section.html"
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def _files(
+    figures: Evaluation, found: Sequence[ScoredRun], cost: Sequence[ModelCost], controllers: str
+) -> dict[str, bytes]:
+    """All that follows from the figures, and from costs that were measured."""
+    pictures = pictures_of(found, cost)
+    return {
+        "evaluation.json": json_of(figures).encode(),
+        "evaluation.txt": text_of(figures).encode(),
+        "report.html": report(figures, cost, pictures, controllers).encode(),
+        **{f"{name}.png": content for name, content in pictures.items()},
+    }
+
+
+def _check(figures: Evaluation, found: Sequence[ScoredRun], arguments: argparse.Namespace) -> int:
+    """0 where the kept files come out again; costs are taken as they were kept.
+
+    On the machine that made them every byte must be the same. Elsewhere, or with a tolerance, only figures
+    are compared: text and pictures differ with their last digit.
+    """
+    results: Path = arguments.results
+    same = (results / MACHINE_FILE).exists() and _json(results / MACHINE_FILE) == machine()
+    kept, now = _json(results / "evaluation.json"), json.loads(json_of(figures))
+    print("made on this machine" if same else "made on another machine", "[largest difference of each part]")
+    found_in = [_part(name, kept.get(name), now[name], _allowed(name, same, arguments)) for name in now]
+    difference = next((one for one in found_in if one), "")
+    if not difference and same and not arguments.tolerance:
+        cost = [ModelCost(**row) for row in _json(results / "cost.json")]
+        difference = _first_file(
+            _files(figures, found, cost, _controllers(results)), results, arguments.images
+        )
+    print(difference or "the same as what is kept")
+    return 1 if difference else 0
+
+
+def _allowed(part: str, same: bool, arguments: argparse.Namespace) -> float:
+    if arguments.tolerance is not None:
+        return float(arguments.tolerance)
+    return 0.0 if same else ELSEWHERE_TRAINED_K if part == "bases" else ELSEWHERE_K
+
+
+def _part(name: str, kept: Any, now: Any, allowed: float) -> str:
+    """Print the largest difference of a part of the figures; its first one that is not allowed."""
+    largest = max((amount for amount, _ in differences(kept, now, "")), default=0.0)
+    print(f"{name}: {largest:.1e}, allowed {allowed:.1e}")
+    return first_difference(kept, now, allowed, f"evaluation.json.{name}")
+
+
+def _json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _first_file(files: Mapping[str, bytes], results: Path, images: Path) -> str:
+    for name, content in files.items():
+        path = (images if name.endswith(".png") else results) / name
+        if path.read_bytes() != content:
+            return f"{path}: comes out differently (other versions of matplotlib or its fonts?)"
+    return ""

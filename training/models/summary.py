@@ -1,0 +1,59 @@
+"""What the records of many trainings say together: the table of errors, and which training to deploy."""
+
+import json
+import math
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from edge.core.errors import DataError
+from training.models.study import RESULT_FILE, SCENARIOS, Regime
+
+Record = Mapping[str, Any]
+
+
+def records(out: Path) -> list[Record]:
+    """Every record under `out`, in order of model, regime and seed. Errors: DataError where there is none."""
+    found = [json.loads(path.read_text()) for path in sorted(out.glob(f"*/*/seed_*/{RESULT_FILE}"))]
+    if not found:
+        raise DataError(f"{out}: no {RESULT_FILE} of any training")
+    return found
+
+
+def table(found: Sequence[Record], names: Sequence[str]) -> Iterator[str]:
+    """Lines: free-run MAE per model and scenario, and the mean of each regime; mean ± sd of seeds [K]."""
+    heads = [head for numbers in SCENARIOS.values() for head in (*(str(n) for n in numbers), "mean")]
+    yield f"{'free-run MAE [K]':16s}" + "".join(f"{head:>15s}" for head in heads)
+    for name in names:
+        cells = [cell for regime in SCENARIOS for cell in _cells(found, name, regime)]
+        yield f"{name:16s}" + "".join(f"{cell:>15s}" for cell in cells)
+
+
+def best_seed(found: Sequence[Record], name: str, regime: Regime) -> int:
+    """The seed whose validation loss is lowest: test runs have no say in what is deployed.
+
+    Errors : DataError where no such training is recorded
+    """
+    mine = [one for one in found if one["model"] == name and one["regime"] == regime]
+    if not mine:
+        raise DataError(f"no training of {name} for {regime} is recorded")
+    return int(min(mine, key=lambda one: one["progress"].get("validation_loss", math.inf))["seed"])
+
+
+def _cells(found: Sequence[Record], name: str, regime: Regime) -> Iterator[str]:
+    mine = [one for one in found if one["model"] == name and one["regime"] == regime]
+    maes = [
+        [one["scenarios"][str(number)]["free_run"]["mae_k"] for number in SCENARIOS[regime]] for one in mine
+    ]
+    for column in zip(*maes, strict=True):
+        yield _spread(column)
+    yield _spread([statistics.fmean(row) for row in maes])
+
+
+def _spread(values: Sequence[float]) -> str:
+    if not values:
+        return "-"
+    if len(values) == 1:
+        return f"{values[0]:.3f}"
+    return f"{statistics.fmean(values):.3f} ± {statistics.stdev(values):.3f}"

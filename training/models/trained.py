@@ -1,0 +1,94 @@
+"""Trainings as they were kept: each with its record, and its model ready to forecast."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from edge.core.errors import DataError
+from edge.core.predictor import Predictor
+from edge.models.arx_file import read_arx
+from edge.models.pbm import read_twin
+from training.models.ham import HamNet
+from training.models.ham_guarded import GuardedHamNet
+from training.models.lstm import LstmNet
+from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
+from training.models.registry import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
+from training.models.study import RESULT_FILE, SCENARIOS, Regime
+from training.models.weights import load_network
+
+UNGUARDED = "ham_unguarded"  # our hybrid with its guard off, nothing trained anew
+PAPER = ("linear", "pbm", "lstm", "ham")
+OURS = ("pbm_fitted", "linear_ambient", "twin", "lstm_increment", "ham_guarded")
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """One training that was kept.
+
+    record : its facts (settings, time, memory, versions); the errors in it are never read
+    """
+
+    model: str
+    regime: Regime
+    seed: int
+    predictor: Predictor
+    record: Mapping[str, Any]
+    folder: Path
+
+
+def read_trained(root: Path) -> list[Kept]:
+    """Every training under `root`, by model in the order of the tables, regime and seed.
+
+    Errors : DataError for none, for one whose model doesn't load, or for a missing model or regime
+    """
+    found = [
+        _read(folder, model, regime)
+        for model in (*PAPER, *OURS)
+        for regime in SCENARIOS
+        for folder in sorted((root / model / regime).glob("seed_*"), key=lambda path: path.name)
+    ]
+    there = {(kept.model, kept.regime) for kept in found}
+    for model in MODELS:
+        for regime in SCENARIOS:
+            if (model, regime) not in there:
+                raise DataError(f"{root / model / regime}: no training is kept here")
+    return found
+
+
+def unguarded(kept: Kept) -> Kept:
+    """Our hybrid trusted everywhere: margins without end, so that the correction never fades."""
+    network, _ = load_network(kept.folder / NETWORK_FILE)
+    if not isinstance(network, GuardedHamNet):
+        raise DataError(f"{kept.folder}: {kept.model} has no guard to switch off")
+    network.margin.copy_(torch.full_like(network.margin, torch.inf))
+    return Kept(UNGUARDED, kept.regime, kept.seed, GuardedHamPredictor(network), kept.record, kept.folder)
+
+
+def _read(folder: Path, model: str, regime: Regime) -> Kept:
+    try:
+        record = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataError(f"{folder / RESULT_FILE}: cannot be read: {error}") from error
+    for key, value in (("model", model), ("regime", regime)):
+        if record.get(key) != value:
+            raise DataError(f"{folder / RESULT_FILE}: {key}: {record.get(key)!r}, but it lies in {value}")
+    return Kept(model, regime, int(record["seed"]), _predictor(folder), record, folder)
+
+
+def _predictor(folder: Path) -> Predictor:
+    if (folder / NETWORK_FILE).exists():
+        network, _ = load_network(folder / NETWORK_FILE)
+        match network:
+            case LstmNet():
+                return LstmPredictor(network)
+            case HamNet():
+                return HamPredictor(network)
+            case GuardedHamNet():
+                return GuardedHamPredictor(network)
+    if (folder / ARX_FILE).exists():
+        return read_arx(folder / ARX_FILE)
+    return read_twin(folder / TWIN_FILE)
