@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     """0 whatever the verdict. Errors: DataError, RequestError"""
     from edge.diagnosis.answer import answer, traces
     from edge.diagnosis.diagnose import diagnose
-    from edge.diagnosis.diagnosis_document import write_json
+    from edge.diagnosis.diagnosis_file import write_json
     from edge.diagnosis.experiment.design import next_experiment
     from edge.diagnosis.experiment.document import experiment_document, write_profile
     from edge.diagnosis.located import located

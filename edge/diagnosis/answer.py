@@ -10,7 +10,20 @@ import numpy as np
 from edge.core.errors import DataError
 from edge.core.version import __version__
 from edge.diagnosis.diagnose import Diagnosis, Side
-from edge.diagnosis.gap import alone, columns_of, errors, one_step
+from edge.diagnosis.diagnosis_document import (
+    CandidateEntry,
+    DiagnosisDocument,
+    EffectEntry,
+    FormulaEntry,
+    LeftOutErrors,
+    NextExperiment,
+    ParameterEntry,
+    PredictionEntry,
+    RoundEntry,
+    ValueEntry,
+    WaterfallStep,
+)
+from edge.diagnosis.gap import columns_of, errors, known_errors
 from edge.diagnosis.located import Located
 from edge.diagnosis.report.story import Trace
 from edge.diagnosis.runs import NamedRun
@@ -23,17 +36,17 @@ DIGITS = 6
 
 
 def answer(
-    found: Diagnosis, located: Located, command: str, experiment: dict[str, Any] | None
-) -> dict[str, Any]:
-    """The document; numbers that are none become null."""
-    document = {
+    found: Diagnosis, located: Located, command: str, experiment: NextExperiment | None
+) -> DiagnosisDocument:
+    """Return the document, NaN and infinity as null."""
+    document: DiagnosisDocument = {
         "verdict": found.verdict.kind,
         "effects": [_effect(item, found) for item in found.verdict.effects],
         "depends_on": list(found.verdict.depends_on),
         "regimes": located.regimes,
         "gap": {
-            "before": {"train": errors(found.before.train), "test": errors(found.before.test)},
-            "after": {"train": errors(found.after.train), "test": errors(found.after.test)},
+            "before": {"train": known_errors(found.before.train), "test": errors(found.before.test)},
+            "after": {"train": known_errors(found.after.train), "test": errors(found.after.test)},
             "noise_floor": {"train": found.floor_k[0], "test": found.floor_k[1]},
         },
         "predictions": {named.name: _prediction(found, i) for i, named in enumerate(found.data.test)},
@@ -50,7 +63,7 @@ def answer(
             *found.data.cannot_tell,
         ],
         "events": located.events,
-        "innovations": {when: located.whiteness(when) for when in ("before", "after")},
+        "innovations": {"before": located.whiteness("before"), "after": located.whiteness("after")},
         "data_sha256": found.data.data_sha256,
         "software": f"greenhouse-twin {__version__}",
         "command": command,
@@ -64,10 +77,11 @@ def answer(
         "left_out": _left_out(found),
         "against_adopting": list(found.against_adopting),
     }
-    return {key: _plain(value) for key, value in document.items()}
+    plain: DiagnosisDocument = _plain(document)
+    return plain
 
 
-def _effect(item: MissingEffect, found: Diagnosis) -> dict[str, Any]:
+def _effect(item: MissingEffect, found: Diagnosis) -> EffectEntry:
     effect = EFFECTS[item.name]
     return {
         "name": item.name,
@@ -86,10 +100,10 @@ def _effect(item: MissingEffect, found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _values(found: Diagnosis) -> dict[str, Any]:
+def _values(found: Diagnosis) -> dict[str, ValueEntry]:
     """What the runs say of what the twin file leaves open or is uncertain of."""
     fitted, given = found.judged.handed.fitted, found.known.file.values()
-    own = {}
+    own: dict[str, ValueEntry] = {}
     for i, item in enumerate(fitted.free):
         if item.place in given:
             value = interval(item, float(fitted.coordinates[i]), float(fitted.covariance[i, i]))
@@ -97,7 +111,7 @@ def _values(found: Diagnosis) -> dict[str, Any]:
     return own
 
 
-def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float]:
+def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float | None]:
     """What rows that no fit saw say of a name."""
     standing = found.judged.standings[item.name]
     return {
@@ -109,22 +123,22 @@ def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float]:
     }
 
 
-def _left_out(found: Diagnosis) -> dict[str, Any]:
+def _left_out(found: Diagnosis) -> LeftOutErrors:
     """What free runs miss by over rows that no fit saw."""
     compared = found.judged.comparison
     return {
         "given_k": compared.tried[frozenset()].rmse_k,
         "after_k": found.judged.handed.rmse_k,
-        "simple_k": compared.simple_k,
+        "simple_k": dict(compared.simple_k),
         "test_k": {name: error for name, error in found.test_k.items() if name in compared.simple_k},
     }
 
 
-def _parameter(value: Value, unit: str) -> dict[str, Any]:
+def _parameter(value: Value, unit: str) -> ParameterEntry:
     return {"value": value.value, "low": value.low, "high": value.high, "unit": unit}
 
 
-def _formula(terms: Sequence[Coefficient]) -> dict[str, Any] | None:
+def _formula(terms: Sequence[Coefficient]) -> FormulaEntry | None:
     if not terms:
         return None
     letters = "abcdefgh"
@@ -143,7 +157,7 @@ def _formula(terms: Sequence[Coefficient]) -> dict[str, Any] | None:
     }
 
 
-def _step(names: tuple[str, ...], side: Side) -> dict[str, Any]:
+def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
     train, test = errors(side.train), errors(side.test)
     return {
         "effects": list(names),
@@ -152,10 +166,10 @@ def _step(names: tuple[str, ...], side: Side) -> dict[str, Any]:
     }
 
 
-def _round(item: Round, found: Diagnosis) -> dict[str, Any]:
+def _round(item: Round, found: Diagnosis) -> RoundEntry:
     final = {effect.name for effect in found.verdict.effects}
     gains = {name: item.gain_nats for name, item in found.judged.standings.items()}
-    candidates = []
+    candidates: list[CandidateEntry] = []
     for tried in item.tried:
         kept = tried.name in final
         candidates.append(
@@ -183,13 +197,13 @@ def _why_not(score_gain: float, name: str, found: Diagnosis) -> str:
     return "needless beside what was kept"
 
 
-def _prediction(found: Diagnosis, i: int) -> dict[str, Any]:
-    named, after = found.data.test[i], found.after.test[i]
-    seen = np.isfinite(after.measured)
-    single = alone(named, after, found.known.room_of(named))
-    step = one_step(found.after.file.twin(), found.after.levels, single, seen)
-    series = {"before": found.before.test[i].predicted, "after": after.predicted, "one_step_after": step}
-    return {key: named.at_rows(values).tolist() for key, values in series.items()}
+def _prediction(found: Diagnosis, i: int) -> PredictionEntry:
+    named = found.data.test[i]
+    return {
+        "before": named.at_rows(found.before.test[i].predicted).tolist(),
+        "after": named.at_rows(found.after.test[i].predicted).tolist(),
+        "one_step_after": named.at_rows(found.one_step[i]).tolist(),
+    }
 
 
 def traces(found: Diagnosis, located: Located) -> tuple[Trace, ...]:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.adopted_twin import Added, Origin, twin_after
 from edge.diagnosis.baselines import ONE_MASS, arx_errors
+from edge.diagnosis.diagnosis_document import GapErrors
 from edge.diagnosis.formulas import formulas
-from edge.diagnosis.gap import RunForecast, alone, errors, floor_squares, forecast
+from edge.diagnosis.gap import RunForecast, alone, errors, floor_squares, forecast, one_step
 from edge.diagnosis.given import PreparedRuns, errors_over, given, with_rooms
 from edge.diagnosis.handed import OPEN, against_adopting
 from edge.diagnosis.innovations import NoiseLevels
@@ -47,6 +48,7 @@ class Diagnosis:
     steps : the gap's waterfall, the effects of each and its twin, the first as given
     against_adopting : why the twin that was found should not be adopted, sentences
     test_k : errors of free runs over the test runs, `before`, `after` and of each baseline; empty without any
+    one_step : each test run predicted a row ahead by the twin after, [rows] [°C]
     """
 
     data: DiagnosisRuns
@@ -60,6 +62,7 @@ class Diagnosis:
     adopted: TwinFile
     against_adopting: tuple[str, ...]
     test_k: Mapping[str, float]
+    one_step: tuple[Floats, ...]
     seconds: float
 
     @property
@@ -144,6 +147,7 @@ def _diagnosis(
             result.comparison.tried[frozenset()], result.handed, result.comparison.simple_k, test_k
         ),
         test_k,
+        tuple(_one_step(after, *pair, known) for pair in zip(data.test, after.test, strict=True)),
         time.monotonic() - begun,
     )
 
@@ -206,6 +210,11 @@ def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: Prepa
     return Side(file, levels, tuple(of(item) for item in train), tuple(of(item) for item in test))
 
 
+def _one_step(side: Side, named: NamedRun, guess: RunForecast, known: PreparedRuns) -> Floats:
+    single = alone(named, guess, known.room_of(named))
+    return one_step(side.file.twin(), side.levels, single, np.isfinite(guess.measured))
+
+
 def _floor_k(
     side: Side, runs: tuple[NamedRun, ...], free: tuple[RunForecast, ...], known: PreparedRuns
 ) -> float | None:
@@ -222,7 +231,8 @@ def _floor_k(
     floor_k = float(np.sqrt(np.mean(np.concatenate(squares))))
     # Heat that noise was taken for may be more than what is left: no twin is below its floor.
     found = errors(free)
-    return min(floor_k, found["rmse_k"]) if found else floor_k
+    least_k = found["rmse_k"] if found else None
+    return floor_k if least_k is None else min(floor_k, least_k)
 
 
 def _settled(fitted: TwinFile, names: Sequence[str]) -> TwinFile:
@@ -255,5 +265,5 @@ def _adopted(file: TwinFile, result: Judged, origin: Origin) -> TwinFile:
     return twin_after(kept, added, origin, refitted)
 
 
-def _rounded(found: dict[str, object] | None) -> dict[str, object] | None:
-    return None if found is None else {key: found[key] for key in ("rmse_k", "mae_k")}
+def _rounded(found: GapErrors | None) -> dict[str, object] | None:
+    return None if found is None else {"rmse_k": found["rmse_k"], "mae_k": found["mae_k"]}

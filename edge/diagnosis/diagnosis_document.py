@@ -1,117 +1,289 @@
-"""diagnosis.json: held to its schema before it is written, on a rig that has no schema library."""
+"""The types of diagnosis.json, the machine's answer; `diagnosis_schema` makes its JSON schema from them.
 
-import json
-import math
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+A later version may add keys: a reader passes over unknown ones.
+"""
 
-from edge.core.errors import DataError
-from edge.diagnosis.diagnosis_schema import Schema, schema
+from dataclasses import dataclass
+from typing import Annotated, Literal, NotRequired, TypedDict
 
-FILE_NAME = "diagnosis.json"
-_KINDS: Mapping[str, type | tuple[type, ...]] = {
-    "object": dict,
-    "array": (list, tuple),
-    "string": str,
-    "boolean": bool,
-    "number": (int, float),
-    "null": type(None),
-}
+VerdictKind = Literal["named", "nothing_missing", "unknown"]
+Role = Literal["train", "test"]
+When = Literal["before", "after"]
+WHENS: tuple[When, When] = ("before", "after")
 
 
-def check_diagnosis(document: Mapping[str, Any]) -> None:
-    """Refuse what is not a diagnosis: a key that is missing, unknown or of another kind, NaN, infinity, or an
-    answer that contradicts itself.
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """Describe a key for the schema.
 
-    Errors : DataError, `diagnosis: gap.after.train.rmse_k: nan is not a finite number`
+    minimum : of a number
+    may_be_empty : for a text
+    is_open : further keys are allowed, and each known one may be missing
     """
-    _check(dict(document), schema(), "")
-    if document["verdict"] == "named" and not document["effects"]:
-        raise _wrong("effects", "the verdict is `named`, but no effect is")
-    if document["verdict"] == "nothing_missing" and document["effects"]:
-        raise _wrong("effects", "the verdict is `nothing_missing`, but an effect is named")
-    for run, series in document["predictions"].items():
-        lengths = {key: len(values) for key, values in series.items()}
-        if len(set(lengths.values())) > 1:
-            raise _wrong(f"predictions.{run}", f"not of one length: {lengths}")
+
+    text: str
+    minimum: float | None = None
+    may_be_empty: bool = False
+    is_open: bool = False
 
 
-def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a diagnosis, a line a key. Errors: DataError as of `check_diagnosis`; OSError"""
-    check_diagnosis(document)
-    lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in document.items()]
-    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+Kelvin = Annotated[float | None, Meaning("[K]", 0)]
+FloorKelvin = Annotated[float | None, Meaning("RMSE [K]", 0)]
+Bound = Annotated[float | None, Meaning("of the 95 % interval, in the value's unit")]
+Temperatures = list[Annotated[float | None, Meaning("air temperature [°C]")]]
+Share = Annotated[float | None, Meaning("0..1", 0)]
+Sentence = Annotated[str, Meaning("a sentence")]
 
 
-def _check(value: Any, rule: Schema, place: str) -> None:
-    """The keywords of JSON Schema that our own schema uses, and no others."""
-    if "enum" in rule:
-        if value not in rule["enum"]:
-            raise _wrong(place, f"{value!r} is none of {', '.join(rule['enum'])}")
-        return
-    kinds = rule["type"] if isinstance(rule["type"], list) else [rule["type"]]
-    if not any(_is(value, kind) for kind in kinds):
-        raise _wrong(place, f"{type(value).__name__} where {' or '.join(kinds)} belongs")
-    if isinstance(value, dict):
-        _check_keys(value, rule, place)
-    elif isinstance(value, (list, tuple)):
-        for number, item in enumerate(value):
-            _check(item, rule["items"], f"{place}[{number}]")
-    elif isinstance(value, str):
-        if len(value) < rule.get("minLength", 0):
-            raise _wrong(place, "is empty")
-    elif value is not None:
-        _check_number(value, rule, place)
+class ParameterEntry(TypedDict):
+    """A fitted parameter of an effect."""
+
+    value: Annotated[float, Meaning("in `unit`")]
+    low: Bound
+    high: Bound
+    unit: str
 
 
-def _check_keys(value: dict[str, Any], rule: Schema, place: str) -> None:
-    known = rule.get("properties", {})
-    other = rule.get("additionalProperties", {})
-    for key in rule.get("required", ()):
-        if key not in value:
-            raise _wrong(_below(place, key), "missing")
-    for key, item in value.items():
-        if not isinstance(key, str):
-            raise _wrong(_below(place, str(key)), "a key that is no text")
-        if key in known:
-            _check(item, known[key], _below(place, key))
-        elif other is False:
-            raise _wrong(_below(place, key), "not a key of a diagnosis")
-        elif other:
-            _check(item, other, _below(place, key))
-        else:
-            _check_plain(item, _below(place, key))
+class ValueEntry(TypedDict):
+    """A value of the twin file."""
+
+    value: Annotated[float, Meaning("in the unit of the twin file")]
+    low: Bound
+    high: Bound
 
 
-def _check_plain(value: Any, place: str) -> None:
-    """What the schema leaves open is still JSON."""
-    if isinstance(value, dict):
-        _check_keys(value, {}, place)
-    elif isinstance(value, (list, tuple)):
-        for number, item in enumerate(value):
-            _check_plain(item, f"{place}[{number}]")
-    elif not any(_is(value, kind) for kind in _KINDS):
-        raise _wrong(place, f"{type(value).__name__} is not JSON")
-    elif isinstance(value, (int, float)):
-        _check_number(value, {}, place)
+class EffectEntry(TypedDict):
+    """A missing effect."""
+
+    name: Annotated[str, Meaning("of the library, see edge/twin/effects/library.py")]
+    alternatives: list[Annotated[str, Meaning("an effect that these data cannot tell from it")]]
+    log_odds: Annotated[float | None, Meaning("natural logarithm, against the best model without it [nat]")]
+    probability: NotRequired[
+        Annotated[float | None, Meaning("that it, or one of its alternatives, is missing, 0..1", 0)]
+    ]
+    left_out: NotRequired[
+        Annotated[
+            dict[str, Annotated[float | None, Meaning("nats, or an RMSE of free runs [K]")]],
+            Meaning(
+                "what rows that no fit saw say of it: nats gained, all and errors that go together counted "
+                "once; errors with it, without it, and of a reading"
+            ),
+        ]
+    ]
+    parameters: dict[str, ParameterEntry]
+    alternative_log_odds: NotRequired[
+        Annotated[
+            dict[str, Annotated[float | None, Meaning("natural logarithm [nat]")]],
+            Meaning("of each alternative against this effect; below 0 it is the less likely one"),
+        ]
+    ]
+    equation: NotRequired[Annotated[str, Meaning("what it is, and its equation")]]
+    without: NotRequired[Annotated[str, Meaning("what the residual looks like where it is missing")]]
+    at_bound: NotRequired[list[Annotated[str, Meaning("a parameter that ended at its physical bound")]]]
 
 
-def _check_number(value: float, rule: Schema, place: str) -> None:
-    if not math.isfinite(value):
-        raise _wrong(place, f"{value} is not a finite number")
-    if value < rule.get("minimum", -math.inf):
-        raise _wrong(place, f"{value} is below {rule['minimum']}")
+class RegimeAfterEntry(TypedDict, total=False):
+    """The error of the new twin in the same condition."""
+
+    rmse_after_k: Annotated[float | None, Meaning("free run after [K]", 0)]
+    heat_after_w: Annotated[float | None, Meaning("with the effects added [W]")]
+    heat_after_w_se: Annotated[float | None, Meaning("standard error [W]", 0)]
 
 
-def _is(value: Any, kind: str) -> bool:
-    """Whether `value` is of a kind of JSON; True and False are no numbers there."""
-    return isinstance(value, _KINDS[kind]) and (kind == "boolean" or not isinstance(value, bool))
+class RegimeBeforeEntry(TypedDict):
+    """A condition of the greenhouse, and the error of the twin as given in it."""
+
+    where: Annotated[str, Meaning("in words")]
+    share_of_squared_error: Annotated[float, Meaning("0..1", 0)]
+    heat_w: Annotated[
+        float | None,
+        Meaning("mean residual heat, measured minus the twin's: below 0 it gains too much [W]"),
+    ]
+    heat_w_se: Annotated[float | None, Meaning("standard error [W]", 0)]
+    share_low: NotRequired[Annotated[float | None, Meaning("of the 95 % interval, 0..1", 0)]]
+    share_high: NotRequired[Annotated[float | None, Meaning("of the 95 % interval, 0..1", 0)]]
+    share_of_rows: NotRequired[Share]
+    rmse_k: NotRequired[Annotated[float | None, Meaning("free run before [K]", 0)]]
 
 
-def _below(place: str, key: str) -> str:
-    return f"{place}.{key}" if place else key
+class RegimeEntry(RegimeBeforeEntry, RegimeAfterEntry):
+    """A condition of the greenhouse, and the error of both twins in it."""
 
 
-def _wrong(place: str, problem: str) -> DataError:
-    return DataError(f"diagnosis: {place + ': ' if place else ''}{problem}")
+class RunErrors(TypedDict):
+    """Errors of free runs."""
+
+    rmse_k: Kelvin
+    mae_k: Kelvin
+
+
+class GapErrors(RunErrors):
+    """Errors of all free runs of a role, and of each."""
+
+    per_run: dict[str, RunErrors]
+
+
+class GapSide(TypedDict):
+    """Errors of one twin."""
+
+    train: GapErrors
+    test: GapErrors | None
+
+
+class NoiseFloor(TypedDict):
+    """Errors that a right twin would still make."""
+
+    train: FloorKelvin
+    test: FloorKelvin
+
+
+class GapEntry(TypedDict):
+    """The disagreement, and how far adding the effects shrinks it."""
+
+    before: GapSide
+    after: GapSide
+    noise_floor: NoiseFloor
+
+
+class PredictionEntry(TypedDict):
+    """Predictions of a test run, a value a row."""
+
+    before: Temperatures
+    after: Temperatures
+    one_step_after: NotRequired[
+        list[Annotated[float | None, Meaning("from the measurements up to the row before [°C]")]]
+    ]
+
+
+class NextExperiment(TypedDict):
+    """The part of a planned experiment that the report puts into words."""
+
+    profile: Annotated[str, Meaning("file beside this one, for `greenhouse experiment`")]
+    why: Sentence
+    separates: list[Annotated[str, Meaning("an effect")]]
+    duration_s: Annotated[float, Meaning("[s]", 0)]
+    expected_log_odds: Annotated[float | None, Meaning("between the two that are hardest to separate [nat]")]
+
+
+class WaterfallStep(TypedDict):
+    """The gap with the first few effects."""
+
+    effects: list[Annotated[str, Meaning("a name")]]
+    train_rmse_k: Annotated[float | None, Meaning("free run [K]", 0)]
+    test_rmse_k: Annotated[float | None, Meaning("free run [K]", 0)]
+
+
+class CandidateEntry(TypedDict):
+    """An effect that a round of the search tried."""
+
+    name: Annotated[str, Meaning("an effect, a pair `one + other`, or a formula")]
+    gain_nats: Annotated[float | None, Meaning("log likelihood over the model of the round [nat]")]
+    bic: Annotated[float | None, Meaning("Bayesian information criterion, the smaller the better")]
+    held_out_gain_nats: Annotated[float | None, Meaning("on runs left out of the fit [nat]")]
+    kept: bool
+    why: Annotated[str, Meaning("kept, or why not", may_be_empty=True)]
+
+
+class RoundEntry(TypedDict):
+    """A round of the search."""
+
+    beside: list[Annotated[str, Meaning("an effect in the model")]]
+    candidates: list[CandidateEntry]
+
+
+class DoubtfulEntry(TypedDict):
+    """An effect that does not stand."""
+
+    name: Annotated[str, Meaning("an effect")]
+    against: list[Sentence]
+
+
+class LeftOutErrors(TypedDict):
+    """Errors over rows that no fit saw."""
+
+    given_k: Annotated[float | None, Meaning("the twin as given, what it leaves open fitted [K]", 0)]
+    after_k: Annotated[float | None, Meaning("the new twin [K]", 0)]
+    simple_k: Annotated[dict[str, Kelvin], Meaning("baselines by name")]
+    test_k: Annotated[dict[str, Kelvin], Meaning("of the baselines over the test runs")]
+
+
+class FormulaEntry(TypedDict):
+    """A formula for an effect that the library does not have."""
+
+    text: Annotated[str, Meaning("`Q = a u^2`, a heat flow into the air [W]")]
+    terms: list[Annotated[str, Meaning("a term")]]
+    parameters: dict[str, ParameterEntry]
+
+
+class EventEntry(TypedDict):
+    """A stretch of time that no model is asked to explain."""
+
+    run: Annotated[str, Meaning("file name")]
+    from_s: Annotated[float, Meaning("time in the run [s]")]
+    to_s: Annotated[float, Meaning("time in the run [s]")]
+    kind: Annotated[str, Meaning("such as door")]
+    heat_w: Annotated[float | None, Meaning("residual heat in it [W]")]
+
+
+class WhitenessEntry(TypedDict):
+    """Tests of a run's innovations."""
+
+    ljung_box_p: Annotated[float | None, Meaning("p-value of the Ljung-Box test: small where not white", 0)]
+    lag1_autocorrelation: Annotated[float | None, Meaning("-1..1")]
+    strongest_period_s: Annotated[float | None, Meaning("of the periodogram [s]", 0)]
+
+
+class InnovationsEntry(TypedDict):
+    """Whiteness by run."""
+
+    before: dict[str, WhitenessEntry]
+    after: dict[str, WhitenessEntry]
+
+
+class RequiredAnswer(TypedDict):
+    """The keys that every version of diagnosis.json has."""
+
+    verdict: VerdictKind
+    effects: Annotated[list[EffectEntry], Meaning("what is missing, most important first")]
+    depends_on: Annotated[
+        list[Annotated[str, Meaning("a signal, or `time`")]],
+        Meaning("what an unknown effect depends on, strongest first"),
+    ]
+    regimes: Annotated[list[RegimeEntry], Meaning("largest share of the error first")]
+    gap: Annotated[GapEntry, Meaning("errors of free runs, before and after the effects are added")]
+    predictions: Annotated[dict[str, PredictionEntry], Meaning("of test runs, by file name: a value a row")]
+    next_experiment: Annotated[
+        NextExperiment | None,
+        Meaning("that separates rivals best; null where nothing is open", is_open=True),
+    ]
+    seconds: Annotated[float, Meaning("time that the diagnosis took [s]", 0)]
+
+
+class DiagnosisDocument(RequiredAnswer, total=False):
+    """diagnosis.json: the answer, its evidence and its origin."""
+
+    waterfall: Annotated[list[WaterfallStep], Meaning("the gap after each step; first the twin as given")]
+    rounds: Annotated[list[RoundEntry], Meaning("the search, round by round")]
+    doubtful: Annotated[list[DoubtfulEntry], Meaning("effects that the search found and that do not stand")]
+    provisional: Annotated[
+        list[Annotated[str, Meaning("an effect")]],
+        Meaning("in the new twin because it predicts better with them; their names do not stand"),
+    ]
+    values: Annotated[
+        dict[str, ValueEntry],
+        Meaning(
+            "what the runs say of values that the twin file leaves open, by place: geometry or "
+            "effects.NAME.PARAMETER; 95 % intervals"
+        ),
+    ]
+    left_out: Annotated[LeftOutErrors, Meaning("RMSE of free runs over rows that no fit saw")]
+    against_adopting: Annotated[list[Sentence], Meaning("none where it is worth it")]
+    formula: Annotated[FormulaEntry | None, Meaning("the best small formula of an unknown effect")]
+    findings: Annotated[list[Sentence], Meaning("of where it disagrees, strongest first")]
+    events: list[EventEntry]
+    innovations: InnovationsEntry
+    data_sha256: Annotated[str, Meaning("of the runs")]
+    software: Annotated[str, Meaning("name and version")]
+    command: Annotated[str, Meaning("as it was typed")]
+    twin_before: Annotated[str, Meaning("file beside this one")]
+    twin_after: Annotated[str | None, Meaning("file beside this one; null where none is worth adopting")]

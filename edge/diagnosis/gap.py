@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.errors import DataError
+from edge.diagnosis.diagnosis_document import GapErrors, RunErrors
 from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whitened
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.trial import start_of, start_spread
@@ -119,8 +120,16 @@ def floor_squares(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDAr
     return np.asarray(filters.sd[seen[1:], 0, 0] ** 2)
 
 
-def errors(forecasts: Sequence[RunForecast]) -> dict[str, Any] | None:
-    """As `gap` has them; None without any measured row to compare with."""
+def known_errors(forecasts: Sequence[RunForecast]) -> GapErrors:
+    """Return the errors. Errors : DataError without any measured row to compare with"""
+    found = errors(forecasts)
+    if found is None:
+        raise DataError("diagnosis: the training runs have no measured row to compare a free run with")
+    return found
+
+
+def errors(forecasts: Sequence[RunForecast]) -> GapErrors | None:
+    """Return the errors over all runs and of each, None without any measured row to compare with."""
     every = [(item.name, item.residual[np.isfinite(item.residual)]) for item in forecasts]
     every = [(name, residual) for name, residual in every if len(residual)]
     if not every:
@@ -131,5 +140,5 @@ def errors(forecasts: Sequence[RunForecast]) -> dict[str, Any] | None:
     }
 
 
-def _error(residual: Floats) -> dict[str, float]:
+def _error(residual: Floats) -> RunErrors:
     return {"rmse_k": float(np.sqrt(np.mean(residual**2))), "mae_k": float(np.mean(np.abs(residual)))}

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.diagnose import Diagnosis, Side
+from edge.diagnosis.diagnosis_document import EventEntry, RegimeAfterEntry, RegimeEntry, WhitenessEntry
 from edge.diagnosis.locate.regimes import regimes
 from edge.diagnosis.locate.residuals import Residuals, residuals_of
 from edge.diagnosis.locate.sentences import findings
@@ -26,9 +26,9 @@ class Located:
     before, after : residuals by run name, none where a twin is too far off
     """
 
-    regimes: list[dict[str, Any]] = field(default_factory=list)
+    regimes: list[RegimeEntry] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
-    events: list[dict[str, Any]] = field(default_factory=list)
+    events: list[EventEntry] = field(default_factory=list)
     before: Mapping[str, Residuals] = field(default_factory=dict)
     after: Mapping[str, Residuals] = field(default_factory=dict)
 
@@ -36,7 +36,7 @@ class Located:
     white_after: Mapping[str, Floats] = field(default_factory=dict)
     step_s: float = 60.0
 
-    def whiteness(self, when: str) -> dict[str, Any]:
+    def whiteness(self, when: str) -> dict[str, WhitenessEntry]:
         """Of the innovations `before` or `after`, by run."""
         runs = self.white_before if when == "before" else self.white_after
         return {name: _whiteness(values, self.step_s) for name, values in runs.items()}
@@ -61,9 +61,9 @@ def located(found: Diagnosis) -> Located:
     after = _residuals(found, found.after)
     places = regimes(list(before.values())) if before else []
     times = stretches(list(before.values())) if before else []
-    listed = []
+    listed: list[RegimeEntry] = []
     for place in places:
-        rows = {
+        rows: RegimeEntry = {
             "where": place.where,
             "share_of_squared_error": place.share_of_squared_error,
             "heat_w": place.heat_w,
@@ -73,7 +73,7 @@ def located(found: Diagnosis) -> Located:
             "share_of_rows": place.share_of_rows,
             "rmse_k": place.rmse_k,
         }
-        listed.append(rows | _afterwards(place.masks, list(before), after))
+        listed.append({**rows, **_afterwards(place.masks, list(before), after)})
     return Located(
         listed,
         findings(places, times),
@@ -95,7 +95,7 @@ def _innovations(found: Diagnosis, item: ScoredSet) -> dict[str, Floats]:
 
 def _afterwards(
     masks: tuple[NDArray[np.bool_], ...], names: list[str], after: Mapping[str, Residuals]
-) -> dict[str, Any]:
+) -> RegimeAfterEntry:
     """The same rows with the effects added."""
     if not after:
         return {}
@@ -117,14 +117,14 @@ def _residuals(found: Diagnosis, side: Side) -> dict[str, Residuals]:
     return {item.name: item for item in every if np.isfinite(item.heat_w).any()}
 
 
-def _events(found: Diagnosis) -> list[dict[str, Any]]:
+def _events(found: Diagnosis) -> list[EventEntry]:
     return [
         {"run": door.run, "from_s": door.from_s, "to_s": door.to_s, "kind": "door", "heat_w": door.heat_w}
         for door in found.known.doors
     ]
 
 
-def _whiteness(values: Floats, step_s: float) -> dict[str, Any]:
+def _whiteness(values: Floats, step_s: float) -> WhitenessEntry:
     found = whiteness(values, step_s)
     return {
         "ljung_box_p": found.ljung_box_p,

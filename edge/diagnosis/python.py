@@ -8,10 +8,10 @@ if found.twin is not None:
 """
 
 import html
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,7 @@ from edge.core.errors import DataError
 from edge.diagnosis import diagnose as workflow
 from edge.diagnosis.answer import answer, traces
 from edge.diagnosis.diagnose import Diagnosis
+from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.experiment.design import next_experiment
 from edge.diagnosis.experiment.document import experiment_document
 from edge.diagnosis.experiment.limits import ExperimentLimits
@@ -112,7 +113,7 @@ class DiagnosisResult:
     document : as diagnosis.json has it
     """
 
-    document: Mapping[str, Any]
+    document: DiagnosisDocument
     diagnosis: Diagnosis
     places: Located
 
@@ -123,8 +124,9 @@ class DiagnosisResult:
 
     @property
     def names(self) -> dict[str, float]:
-        """Missing effects and the probability that each is one, most important first."""
-        return {item["name"]: float(item["probability"]) for item in self.document["effects"]}
+        """Return the missing effects and the probability that each is one, most important first."""
+        known = {item["name"]: item.get("probability") for item in self.document["effects"]}
+        return {name: math.nan if share is None else share for name, share in known.items()}
 
     @property
     def twin(self) -> Twin | None:
@@ -135,11 +137,11 @@ class DiagnosisResult:
         """Write the report's page with its pictures and diagnosis.json; the page. Errors: OSError"""
         where = Path(folder)
         where.mkdir(parents=True, exist_ok=True)
-        write_report(where, Story(dict(self.document), traces(self.diagnosis, self.places)))
+        write_report(where, Story(self.document, traces(self.diagnosis, self.places)))
         return where / PAGE_NAME
 
     def __str__(self) -> str:
-        return summary_text(dict(self.document))
+        return summary_text(self.document)
 
     def _repr_html_(self) -> str:
         rows = [(name, f"{probability:.2f}") for name, probability in self.names.items()]

@@ -7,6 +7,7 @@ from functools import reduce
 import numpy as np
 
 from edge.diagnosis.candidates import ScoredSet
+from edge.diagnosis.diagnosis_document import VerdictKind
 from edge.diagnosis.formulas import PREFIX, FormulaShape
 from edge.diagnosis.noise_levels import unexplained_heat
 from edge.diagnosis.search import RIVAL_NATS, Search
@@ -51,7 +52,7 @@ class Coefficient:
 class DiagnosisVerdict:
     """kind : of diagnosis.json; effects, most important first; final : the set that the gap is shown for"""
 
-    kind: str
+    kind: VerdictKind
     effects: tuple[MissingEffect, ...]
     depends_on: tuple[str, ...]
     formula: tuple[Coefficient, ...]

@@ -1,10 +1,11 @@
 """The next experiment as diagnosis.json has it, and its profile as `greenhouse experiment` has it."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from edge.diagnosis.diagnosis_document import NextExperiment
 from edge.diagnosis.experiment.advice import ValueCalibration
 from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.independent import calibration, checks
@@ -14,8 +15,8 @@ from edge.formats.number_table import write_table
 PROFILE = "next_experiment.csv"
 
 
-def experiment_document(found: PlannedExperiment) -> dict[str, Any]:
-    """As diagnosis.json has it."""
+def experiment_document(found: PlannedExperiment) -> NextExperiment:
+    """Return the experiment as diagnosis.json has it."""
     known: dict[str, Any] = {
         "why": why(found),
         "separates": found.names,
@@ -34,7 +35,7 @@ def experiment_document(found: PlannedExperiment) -> dict[str, Any]:
         known["calibrate_first"] = _calibration(found.calibration)
     if told := asks(found):
         known["asks"] = told
-    return known
+    return cast(NextExperiment, known)  # an open document: further keys are allowed
 
 
 def write_profile(found: PlannedExperiment | None, folder: Path) -> None:

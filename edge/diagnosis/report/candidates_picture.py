@@ -1,11 +1,11 @@
 """What each candidate would gain, round by round."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from edge.diagnosis.diagnosis_document import CandidateEntry, DiagnosisDocument, RoundEntry
 from edge.diagnosis.report.number_text import nats
 from edge.diagnosis.report.picture import AFTER, INK, PLAIN, Picture, new_figure, styled, svg
-from edge.diagnosis.report.wording import Document, listed
+from edge.diagnosis.report.wording import listed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,7 +15,7 @@ BAR_IN, ROUND_IN, BORDER_IN = 0.22, 0.38, 0.5
 LEAST_NATS = 1.0  # the axis is linear below: such a gain is chance
 
 
-def candidates_picture(document: Document) -> Picture | None:
+def candidates_picture(document: DiagnosisDocument) -> Picture | None:
     """None where no gain is known."""
     rounds = [one for one in document.get("rounds", []) if _ranked(one)][:ROUNDS]
     if not rounds:
@@ -31,7 +31,7 @@ def candidates_picture(document: Document) -> Picture | None:
             beside = listed(one["beside"]) or "the twin as given"
             axes.set_title(f"Round {place}, beside {beside}")
             _draw(axes, _ranked(one))
-        largest = max(_ranked(one)[0]["gain_nats"] for one in rounds)
+        largest = max(_gain(_ranked(one)[0]) for one in rounds)
         axes.set_xscale("symlog", linthresh=LEAST_NATS, linscale=0.3)
         axes.set_xlim(0.0, 6.0 * max(largest, LEAST_NATS))
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:.0f}")
@@ -44,8 +44,8 @@ def candidates_picture(document: Document) -> Picture | None:
         )
 
 
-def _draw(axes: "Axes", candidates: list[Mapping[str, Any]]) -> None:
-    gains = [max(one["gain_nats"], 0.0) for one in candidates]
+def _draw(axes: "Axes", candidates: list[CandidateEntry]) -> None:
+    gains = [max(_gain(one), 0.0) for one in candidates]
     rows = range(len(gains))
     axes.barh(rows, gains, color=[AFTER if one["kept"] else PLAIN for one in candidates], height=0.7)
     for row, (gain, one) in enumerate(zip(gains, candidates, strict=True)):
@@ -67,8 +67,13 @@ def _draw(axes: "Axes", candidates: list[Mapping[str, Any]]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-def _ranked(search_round: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _ranked(search_round: RoundEntry) -> list[CandidateEntry]:
     """The largest gains of a round, and what was kept."""
     known = [one for one in search_round["candidates"] if one["gain_nats"] is not None]
-    ranked = sorted(known, key=lambda one: -one["gain_nats"])
+    ranked = sorted(known, key=_gain, reverse=True)
     return [one for place, one in enumerate(ranked) if place < SHOWN or one["kept"]]
+
+
+def _gain(candidate: CandidateEntry) -> float:
+    """Return the gain of a candidate that was fitted [nat]."""
+    return candidate["gain_nats"] or 0.0

@@ -1,13 +1,19 @@
 """Sections of the page: what is missing, how sure that is, and what is left."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
+from edge.diagnosis.diagnosis_document import (
+    CandidateEntry,
+    DiagnosisDocument,
+    EffectEntry,
+    InnovationsEntry,
+    ParameterEntry,
+)
 from edge.diagnosis.report.markup import TableColumn, bullets, folded, paragraph, table
 from edge.diagnosis.report.number_text import DASH, duration, nats, number, odds, probability
 from edge.diagnosis.report.wording import (
-    Document,
     changed,
     dependences,
     effect_text,
@@ -29,7 +35,7 @@ DEPENDENCES = {
 }
 
 
-def what(document: Document) -> Iterator[str]:
+def what(document: DiagnosisDocument) -> Iterator[str]:
     """Effects, equations and parameters; for an unknown one what it depends on."""
     if not document["effects"] and document["verdict"] == "nothing_missing":
         yield paragraph("Nothing was added: the twin stays as it is.")
@@ -42,7 +48,7 @@ def what(document: Document) -> Iterator[str]:
         yield bullets(f"{item['name']}: {'; '.join(item['against'])}" for item in doubtful)
 
 
-def rivals(document: Document) -> Iterator[str]:
+def rivals(document: DiagnosisDocument) -> Iterator[str]:
     """Effects that these data cannot tell from those that were named, and what else they cannot tell."""
     rows = list(_rival_rows(document["effects"]))
     if rows:
@@ -57,7 +63,7 @@ def rivals(document: Document) -> Iterator[str]:
         yield paragraph("None: no other effect explains these runs about as well.")
 
 
-def tried(document: Document) -> Iterator[str]:
+def tried(document: DiagnosisDocument) -> Iterator[str]:
     """The whole search, and what these runs could not tell."""
     if told := noticed(document):
         yield paragraph("To be kept in mind:")
@@ -69,7 +75,7 @@ def tried(document: Document) -> Iterator[str]:
         yield from folded(title, _candidates(search_round["candidates"]))
 
 
-def left(document: Document) -> Iterator[str]:
+def left(document: DiagnosisDocument) -> Iterator[str]:
     """Whether anything but noise remains."""
     innovations = document.get("innovations")
     if not innovations:
@@ -95,7 +101,7 @@ def left(document: Document) -> Iterator[str]:
     yield from folded("Run by run", table(columns, list(_whiteness_rows(innovations))))
 
 
-def _effect(effect: Mapping[str, Any]) -> Iterator[str]:
+def _effect(effect: EffectEntry) -> Iterator[str]:
     yield f"<h3><code>{escape(effect_text(effect))}</code></h3>"
     if equation := effect.get("equation"):
         yield paragraph(equation)
@@ -110,7 +116,7 @@ def _effect(effect: Mapping[str, Any]) -> Iterator[str]:
         )
 
 
-def _parameters(parameters: Mapping[str, Any], at_bound: Any = ()) -> Iterator[str]:
+def _parameters(parameters: Mapping[str, ParameterEntry], at_bound: Sequence[str] = ()) -> Iterator[str]:
     columns = (
         TableColumn("parameter", words=True),
         *map(TableColumn, ("value", "95 % interval")),
@@ -129,7 +135,7 @@ def _parameters(parameters: Mapping[str, Any], at_bound: Any = ()) -> Iterator[s
         yield from table(columns, rows)
 
 
-def _unknown(document: Document) -> Iterator[str]:
+def _unknown(document: DiagnosisDocument) -> Iterator[str]:
     yield "<h3>Without a name</h3>"
     if told := dependences(document):
         yield paragraph("It depends on, strongest first:")
@@ -144,7 +150,7 @@ def _unknown(document: Document) -> Iterator[str]:
         )
 
 
-def _rival_rows(effects: list[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+def _rival_rows(effects: list[EffectEntry]) -> Iterator[tuple[str, ...]]:
     for effect in effects:
         known = effect.get("alternative_log_odds", {})
         for name in effect["alternatives"]:
@@ -152,7 +158,7 @@ def _rival_rows(effects: list[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
             yield name, effect["name"], nats(known.get(name)), said
 
 
-def _candidates(candidates: list[Mapping[str, Any]]) -> Iterator[str]:
+def _candidates(candidates: list[CandidateEntry]) -> Iterator[str]:
     """The largest gain first."""
     ranked = sorted(
         candidates, key=lambda one: -(one["gain_nats"] if one["gain_nats"] is not None else -1e300)
@@ -175,9 +181,9 @@ def _candidates(candidates: list[Mapping[str, Any]]) -> Iterator[str]:
     yield from table(columns, rows, [one["kept"] for one in ranked])
 
 
-def _whiteness_rows(innovations: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+def _whiteness_rows(innovations: InnovationsEntry) -> Iterator[tuple[str, ...]]:
     for name, before in innovations["before"].items():
-        pair = (before, innovations["after"].get(name, {}))
+        pair: tuple[Mapping[str, Any], ...] = (before, innovations["after"].get(name) or {})
         yield (
             name,
             *(number(one.get("ljung_box_p"), 2) for one in pair),

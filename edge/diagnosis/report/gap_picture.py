@@ -1,8 +1,8 @@
 """Waterfall of the gap: the error of free runs after each effect that was added, down to the noise floor."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from edge.diagnosis.diagnosis_document import DiagnosisDocument, Role
 from edge.diagnosis.report.number_text import kelvin
 from edge.diagnosis.report.picture import (
     AFTER,
@@ -15,7 +15,7 @@ from edge.diagnosis.report.picture import (
     styled,
     svg,
 )
-from edge.diagnosis.report.wording import Document, step_names
+from edge.diagnosis.report.wording import ROLES, step_error, step_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,23 +23,21 @@ if TYPE_CHECKING:
 ROW_IN, BORDER_IN = 0.45, 1.1
 WIDE = 30.0  # times the smallest error: beyond it on a logarithmic axis
 BELOW = 0.41  # rows from a bar's middle down to that of the training runs
-_ROLES = {"train": "training runs", "test": "held-out test runs"}
 
 
-def gap_picture(document: Document) -> Picture | None:
+def gap_picture(document: DiagnosisDocument) -> Picture | None:
     """None where there is no step to show."""
     steps = document.get("waterfall", [])
-    roles = [
-        role for role in ("test", "train") if steps and all(_error(step, role) is not None for step in steps)
-    ]
+    every: tuple[Role, ...] = ("test", "train")
+    roles = [role for role in every if steps and all(step_error(step, role) is not None for step in steps)]
     if len(steps) < 2 or not roles:
         return None
     role = roles[0]
-    names, errors = step_names(steps), [_error(step, role) or 0.0 for step in steps]
+    names, errors = step_names(steps), [step_error(step, role) or 0.0 for step in steps]
     with styled():
         figure = new_figure(ROW_IN * len(steps) + BORDER_IN)
         axes = figure.subplots()
-        trained = [step["train_rmse_k"] for step in steps] if roles == ["test", "train"] else []
+        trained = [step["train_rmse_k"] or 0.0 for step in steps] if roles == ["test", "train"] else []
         floor = document["gap"]["noise_floor"][role]
         low = error_axis(axes, [*errors, *trained, *([] if floor is None else [floor])])
         _draw(axes, names, errors, low)
@@ -50,11 +48,11 @@ def gap_picture(document: Document) -> Picture | None:
         if floor is not None:
             axes.axvline(floor, color=INK, ls=(0, (4, 3)), lw=1.2, label=f"noise floor {kelvin(floor)} K")
         axes.set_title("The gap, step by step")
-        axes.set_xlabel(f"RMSE of free runs, {_ROLES[role]} [K]")
+        axes.set_xlabel(f"RMSE of free runs, {ROLES[role]} [K]")
         if axes.get_legend_handles_labels()[1]:
             legend_above(axes, 2)
         told = ", ".join(f"{name} {kelvin(error)} K" for name, error in zip(names, errors, strict=True))
-        title = f"Error of free runs after each step, {_ROLES[role]}: {told}"
+        title = f"Error of free runs after each step, {ROLES[role]}: {told}"
         return Picture(
             svg(figure), title, "Pale: what the step closed. Left of the dashed line is only noise."
         )
@@ -89,8 +87,3 @@ def _draw(axes: "Axes", names: list[str], errors: list[float], low: float) -> No
     axes.set_ylim(len(names) - 0.45, -0.5)
     axes.grid(axis="y", visible=False)
     axes.tick_params(axis="y", length=0)
-
-
-def _error(step: Mapping[str, Any], role: str) -> float | None:
-    value = step.get(f"{role}_rmse_k")
-    return None if value is None else float(value)

@@ -6,6 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.cause_sections import left, rivals, tried, what
 from edge.diagnosis.report.gap_sections import gap_table, run_table, tiles
 from edge.diagnosis.report.markup import TableColumn, bullets, command, folded, paragraph, table, terms
@@ -14,7 +15,6 @@ from edge.diagnosis.report.page_style import STYLE
 from edge.diagnosis.report.picture import Picture
 from edge.diagnosis.report.where_sections import where_tables
 from edge.diagnosis.report.wording import (
-    Document,
     cautions,
     changed,
     gap_sentence,
@@ -43,7 +43,7 @@ WORDS = {
 _VERDICTS = {"named": "Named", "nothing_missing": "Nothing missing", "unknown": "Unknown"}
 
 
-def page(document: Document, pictures: Mapping[str, tuple[Picture, ...]] | None, folder: str) -> str:
+def page(document: DiagnosisDocument, pictures: Mapping[str, tuple[Picture, ...]] | None, folder: str) -> str:
     """The report.
 
     pictures : by section (run, gap, where, sure, left); None where they can't be drawn
@@ -53,7 +53,7 @@ def page(document: Document, pictures: Mapping[str, tuple[Picture, ...]] | None,
 
 
 def _lines(
-    document: Document, pictures: Mapping[str, tuple[Picture, ...]] | None, folder: str
+    document: DiagnosisDocument, pictures: Mapping[str, tuple[Picture, ...]] | None, folder: str
 ) -> Iterator[str]:
     shown = pictures or {}
     title = escape(headline(document))
@@ -75,7 +75,7 @@ def _lines(
     yield "</main></body></html>"
 
 
-def _sections(document: Document, folder: str) -> Iterator[tuple[str, Iterator[str], str]]:
+def _sections(document: DiagnosisDocument, folder: str) -> Iterator[tuple[str, Iterator[str], str]]:
     """Head, lines, and the name of the pictures behind them."""
     yield "Where the twin disagrees", where_tables(document), "where"
     yield "What is missing, and how sure that is", what(document), ""
@@ -95,7 +95,7 @@ def _figures(pictures: Mapping[str, tuple[Picture, ...]], section: str) -> Itera
         yield f"<figure>{drawn}<figcaption>{escape(picture.caption)}</figcaption></figure>"
 
 
-def _next(document: Document, folder: str) -> Iterator[str]:
+def _next(document: DiagnosisDocument, folder: str) -> Iterator[str]:
     experiment = document["next_experiment"]
     if experiment:
         yield "<h3>The next experiment</h3>"
@@ -114,7 +114,7 @@ def _next(document: Document, folder: str) -> Iterator[str]:
         yield paragraph("Nothing: there is no twin to adopt and no experiment to run.")
 
 
-def _experiment(experiment: dict[str, Any], folder: str) -> Iterator[str]:
+def _experiment(experiment: Mapping[str, Any], folder: str) -> Iterator[str]:
     """What the schema words, then whatever else the design says."""
     if "why" in experiment:
         yield paragraph(experiment["why"])
@@ -134,7 +134,7 @@ def _experiment(experiment: dict[str, Any], folder: str) -> Iterator[str]:
         yield command(f"greenhouse experiment {profile} --out next_run.csv")
 
 
-def _origin(document: Document) -> Iterator[str]:
+def _origin(document: DiagnosisDocument) -> Iterator[str]:
     facts = {
         "command": document.get("command"),
         "twin before": document.get("twin_before"),

@@ -3,10 +3,10 @@
 import importlib.util
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from edge.diagnosis.diagnosis_document import WHENS, DiagnosisDocument, Role
 from edge.diagnosis.report.candidates_picture import candidates_picture
 from edge.diagnosis.report.gap_picture import gap_picture
 from edge.diagnosis.report.heat_picture import heat_picture
@@ -56,9 +56,10 @@ def _error(trace: Trace) -> float:
     return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
 
 
-def _errors(document: Mapping[str, Any], trace: Trace) -> tuple[float | None, float | None]:
+def _errors(document: DiagnosisDocument, trace: Trace) -> tuple[float | None, float | None]:
     """RMSE before and after, as the diagnosis has them [K]."""
-    role = "test" if trace.role == "test" else "train"
-    runs = [(document["gap"][when][role] or {}).get("per_run", {}) for when in ("before", "after")]
-    before, after = (found.get(trace.name, {}).get("rmse_k") for found in runs)
+    role: Role = "test" if trace.role == "test" else "train"
+    gaps = [document["gap"][when][role] for when in WHENS]
+    runs = [gap["per_run"] if gap else {} for gap in gaps]
+    before, after = (found[trace.name]["rmse_k"] if trace.name in found else None for found in runs)
     return before, after

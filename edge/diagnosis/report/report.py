@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from edge.diagnosis.diagnosis_document import FILE_NAME, write_json
+from edge.diagnosis.diagnosis_file import FILE_NAME, write_json
 from edge.diagnosis.report.page import page
 from edge.diagnosis.report.pictures import pictures
 from edge.diagnosis.report.story import Story

@@ -1,6 +1,5 @@
 """What a report tells: the diagnosis, and the series behind its pictures."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
+from edge.diagnosis.diagnosis_document import DiagnosisDocument
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Trace:
 class Story:
     """document : a diagnosis as its schema says;  traces : runs to draw, in the order to draw them"""
 
-    document: Mapping[str, Any]
+    document: DiagnosisDocument
     traces: tuple[Trace, ...] = ()
 
 

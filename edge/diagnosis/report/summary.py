@@ -2,13 +2,14 @@
 
 import shlex
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from edge.diagnosis.diagnosis_document import WHENS, DiagnosisDocument
 from edge.diagnosis.report.number_text import duration, kelvin, percent, probability
 from edge.diagnosis.report.wording import (
-    Document,
+    ROLES,
     beaten,
     best_simple,
     cautions,
@@ -19,17 +20,18 @@ from edge.diagnosis.report.wording import (
     meaning,
     new_twin,
     parameter_text,
+    rmse_k,
     scored,
     shrink,
+    step_error,
     step_names,
 )
 
 COLUMNS = 100  # of a line
 REGIMES = 2
-_ROLES = {"train": "training runs", "test": "held-out test runs"}
 
 
-def summary_text(document: Document, folder: str = "report", page: str | None = None) -> str:
+def summary_text(document: DiagnosisDocument, folder: str = "report", page: str | None = None) -> str:
     """The facts of the report, in its order.
 
     folder : of the report, for what lies there;  page : its page there, None where none was written
@@ -38,7 +40,7 @@ def summary_text(document: Document, folder: str = "report", page: str | None = 
     return "\n".join(lines) + "\n"
 
 
-def _lines(document: Document, folder: str) -> Iterator[str]:
+def _lines(document: DiagnosisDocument, folder: str) -> Iterator[str]:
     yield from _wrapped(headline(document), "", "  ")
     for sentence in meaning(document):
         yield from _wrapped(sentence)
@@ -57,7 +59,7 @@ def _lines(document: Document, folder: str) -> Iterator[str]:
     yield f"Took {duration(document['seconds'])}."
 
 
-def _regimes(document: Document) -> Iterator[str]:
+def _regimes(document: DiagnosisDocument) -> Iterator[str]:
     if document["regimes"]:
         yield "Where it disagrees, by share of the squared error:"
     for regime in document["regimes"][:REGIMES]:
@@ -65,7 +67,7 @@ def _regimes(document: Document) -> Iterator[str]:
         yield from _wrapped(f"{regime['where']}; there {heat_text(regime)}", f"  {share:>6}  ", " " * 10)
 
 
-def _effects(document: Document) -> Iterator[str]:
+def _effects(document: DiagnosisDocument) -> Iterator[str]:
     """What is missing, how sure, and its rivals."""
     if document["effects"]:
         yield "What is missing, by how much, and how sure:"
@@ -80,19 +82,19 @@ def _effects(document: Document) -> Iterator[str]:
         yield from _wrapped("; ".join(told), "    ", "    ")
 
 
-def _doubtful(document: Document) -> Iterator[str]:
+def _doubtful(document: DiagnosisDocument) -> Iterator[str]:
     if document.get("doubtful"):
         yield "What explains these runs too, and does not stand:"
     for item in document.get("doubtful", ()):
         yield from _wrapped(f"{item['name']}: {'; '.join(item['against'])}")
 
 
-def _gap_rows(document: Document) -> Iterator[str]:
+def _gap_rows(document: DiagnosisDocument) -> Iterator[str]:
     gap = document["gap"]
     heads = "".join(f"{head:>9}" for head in ("before", "after", "noise", "closed"))
     yield f"{'RMSE of free runs [K]':<24}{heads}  best simple model"
-    for role, name in _ROLES.items():
-        errors = [(gap[when][role] or {}).get("rmse_k") for when in ("before", "after")]
+    for role, name in ROLES.items():
+        errors = [rmse_k(document, when, role) for when in WHENS]
         closed = shrink(document, role) if changed(document) else None
         cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(closed)]
         simple = best_simple(document, "test_k") if role == "test" else ""
@@ -106,12 +108,12 @@ def _gap_rows(document: Document) -> Iterator[str]:
     steps = document.get("waterfall", [])
     if len(steps) > 2:
         role = scored(document)
-        told = zip(step_names(steps), (step[f"{role}_rmse_k"] for step in steps), strict=True)
+        told = zip(step_names(steps), (step_error(step, role) for step in steps), strict=True)
         steps_text = ", ".join(f"{name} {kelvin(value)}" for name, value in told)
-        yield from _wrapped(f"Step by step, {_ROLES[role]}: {steps_text}")
+        yield from _wrapped(f"Step by step, {ROLES[role]}: {steps_text}")
 
 
-def _experiment(experiment: dict[str, Any], folder: str) -> Iterator[str]:
+def _experiment(experiment: Mapping[str, Any], folder: str) -> Iterator[str]:
     worded = {key: experiment[key] for key in ("why", "profile") if isinstance(experiment.get(key), str)}
     yield "Next experiment:"
     yield from _wrapped(worded.get("why") or ", ".join(f"{key} {value}" for key, value in experiment.items()))

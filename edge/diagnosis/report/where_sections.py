@@ -3,15 +3,16 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from edge.diagnosis.diagnosis_document import DiagnosisDocument, RegimeEntry
 from edge.diagnosis.report.markup import Bar, TableColumn, bullets, folded, paragraph, table
 from edge.diagnosis.report.number_text import duration, kelvin, number, percent, plus_minus
-from edge.diagnosis.report.wording import Document, where_found
+from edge.diagnosis.report.wording import where_found
 
 REGIMES = 10
 OPEN_FINDINGS = 3  # more are folded
 
 
-def where_tables(document: Document) -> Iterator[str]:
+def where_tables(document: DiagnosisDocument) -> Iterator[str]:
     """Findings, regimes, events."""
     if found := where_found(document):
         yield bullets(found[:OPEN_FINDINGS])
@@ -40,7 +41,7 @@ def where_tables(document: Document) -> Iterator[str]:
         yield from table(columns, rows)
 
 
-def _regimes(regimes: list[Mapping[str, Any]]) -> Iterator[str]:
+def _regimes(regimes: list[RegimeEntry]) -> Iterator[str]:
     columns = [
         TableColumn("where", words=True),
         TableColumn("share of squared error", words=True),
@@ -52,7 +53,7 @@ def _regimes(regimes: list[Mapping[str, Any]]) -> Iterator[str]:
         "rmse_after_k": "RMSE after [K]",
     }
     known = [key for key in further if any(regime.get(key) is not None for regime in regimes)]
-    rows = [
+    rows: list[tuple[str | Bar, ...]] = [
         (
             regime["where"],
             Bar(regime["share_of_squared_error"], percent(regime["share_of_squared_error"])),

@@ -1,14 +1,23 @@
 """A diagnosis in words: the sentences that the page and the terminal share."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Literal
 
+from edge.diagnosis.diagnosis_document import (
+    WHENS,
+    DiagnosisDocument,
+    EffectEntry,
+    FormulaEntry,
+    ParameterEntry,
+    RegimeEntry,
+    Role,
+    WaterfallStep,
+    When,
+)
 from edge.diagnosis.report.number_text import kelvin, number, percent, plus_minus
 
-Document = Mapping[str, Any]
-
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
-_ROLES = {"train": "training runs", "test": "held-out test runs"}
+ROLES: Mapping[Role, str] = {"train": "training runs", "test": "held-out test runs"}
 NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
 CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
 NOTHING = "none"
@@ -19,7 +28,7 @@ CAUTIONS = ("in another regime", "Other values do as well")
 WHITE_P = 0.05  # a run's innovations count as white from this p-value on
 
 
-def headline(document: Document) -> str:
+def headline(document: DiagnosisDocument) -> str:
     """The verdict, for a person."""
     effects = document["effects"]
     if document["verdict"] == "nothing_missing":
@@ -34,12 +43,12 @@ def headline(document: Document) -> str:
     return f"{besides} is missing that has no name here: it depends on {listed(told)}"
 
 
-def dependences(document: Document) -> list[str]:
+def dependences(document: DiagnosisDocument) -> list[str]:
     """What an unknown effect depends on, without the word that says nothing is known of it."""
     return [name for name in document["depends_on"] if name != NOTHING]
 
 
-def meaning(document: Document) -> list[str]:
+def meaning(document: DiagnosisDocument) -> list[str]:
     """What a verdict means that is no name, a sentence or two each."""
     sentences = []
     if document["verdict"] == "nothing_missing":
@@ -57,12 +66,12 @@ def meaning(document: Document) -> list[str]:
     return sentences
 
 
-def predicting(document: Document) -> list[str]:
+def predicting(document: DiagnosisDocument) -> list[str]:
     """How well the new twin predicts rows that no fit saw, beside simple models of the same rows."""
     known = document.get("left_out")
     if not known or not changed(document):
         return []
-    after = (document["gap"]["after"]["test"] or {}).get("rmse_k")
+    after = rmse_k(document, "after", "test")
     told = [
         f"Over rows that no fit saw, RMSE of free runs: {kelvin(known['after_k'])} K, the twin as given "
         f"{kelvin(known['given_k'])} K; {_simple(known['simple_k'])}."
@@ -78,13 +87,13 @@ def predicting(document: Document) -> list[str]:
     return [*told, *beaten(document)]
 
 
-def beaten(document: Document) -> list[str]:
+def beaten(document: DiagnosisDocument) -> list[str]:
     """Where a simpler model predicts better than the new twin, a sentence each."""
     known = document.get("left_out")
     if not known or not changed(document):
         return []
     told = []
-    after = (document["gap"]["after"]["test"] or {}).get("rmse_k")
+    after = rmse_k(document, "after", "test")
     for where, own, simple in (
         ("rows that no fit saw", known["after_k"], known["simple_k"]),
         ("the test runs", after, known["test_k"]),
@@ -96,9 +105,10 @@ def beaten(document: Document) -> list[str]:
     return told
 
 
-def best_simple(document: Document, key: str) -> str:
+def best_simple(document: DiagnosisDocument, key: Literal["simple_k", "test_k"]) -> str:
     """The baseline with the least error: `0.14 heater lag`; "" where there is none. key : of `left_out`"""
-    errors = document.get("left_out", {}).get(key, {})
+    left_out = document.get("left_out")
+    errors = left_out[key] if left_out else {}
     known = {name: error for name, error in errors.items() if error is not None}
     best = min(known, key=lambda name: known[name], default=None)
     return "" if best is None else f"{kelvin(known[best])} {best}"
@@ -108,44 +118,44 @@ def _simple(errors: Mapping[str, float | None]) -> str:
     return ", ".join(f"{name} {kelvin(error)}" for name, error in errors.items())
 
 
-def gap_sentence(document: Document) -> str:
+def gap_sentence(document: DiagnosisDocument) -> str:
     """Errors of free runs before and after, and the noise floor."""
     role = scored(document)
-    before, after = (document["gap"][when][role]["rmse_k"] for when in ("before", "after"))
+    before, after = (rmse_k(document, when, role) for when in WHENS)
     floor = document["gap"]["noise_floor"][role]
     noise = f"; the noise floor is {kelvin(floor)} K" if floor is not None else ""
     if not changed(document):
-        return f"On the {_ROLES[role]} the twin as it is runs free with an RMSE of {kelvin(before)} K{noise}."
+        return f"On the {ROLES[role]} the twin as it is runs free with an RMSE of {kelvin(before)} K{noise}."
     closed = shrink(document, role)
     share = f": {percent(closed)} of the gap is closed" if closed is not None else ""
     return (
-        f"On the {_ROLES[role]} the RMSE of free runs goes from {kelvin(before)} K"
+        f"On the {ROLES[role]} the RMSE of free runs goes from {kelvin(before)} K"
         f" to {kelvin(after)} K{noise}{share}."
     )
 
 
-def gloss(effect: Mapping[str, Any]) -> str:
+def gloss(effect: EffectEntry) -> str:
     """An effect in plain words, the equation left out: `heater_lag: the element warms up before it heats.`"""
     plain = effect.get("equation", "").partition(":")[0].rstrip(". ")
     return f"{effect['name']}: {plain[:1].lower()}{plain[1:]}." if plain else f"{effect['name']}."
 
 
-def where_found(document: Document) -> list[str]:
+def where_found(document: DiagnosisDocument) -> list[str]:
     """Findings that tell where, and when, the error lies."""
     return [text for text in document.get("findings", []) if ERROR_SHARE in text]
 
 
-def noticed(document: Document) -> list[str]:
+def noticed(document: DiagnosisDocument) -> list[str]:
     """The other findings: what was left out, and what these runs can't tell."""
     return [text for text in document.get("findings", []) if ERROR_SHARE not in text]
 
 
-def cautions(document: Document) -> list[str]:
+def cautions(document: DiagnosisDocument) -> list[str]:
     """What the reader must know to take the figures for what they are, a sentence each."""
     return [f"{text}." for text in document.get("findings", []) if any(key in text for key in CAUTIONS)]
 
 
-def heat_text(regime: Mapping[str, Any]) -> str:
+def heat_text(regime: RegimeEntry) -> str:
     """A regime's heat: `the twin gains 38 ± 3 W too much`."""
     heat, error = regime["heat_w"], regime["heat_w_se"]
     if heat is None:
@@ -155,67 +165,71 @@ def heat_text(regime: Mapping[str, Any]) -> str:
     return f"the twin gains {plus_minus(abs(heat), error)} W too {'much' if heat < 0.0 else 'little'}"
 
 
-def changed(document: Document) -> bool:
+def changed(document: DiagnosisDocument) -> bool:
     """Whether after is another twin than before."""
     return bool(document["gap"]["before"] != document["gap"]["after"])
 
 
-def new_twin(document: Document) -> str | None:
+def new_twin(document: DiagnosisDocument) -> str | None:
     """File of the twin with the effects added, beside the report; None where nothing was added."""
     name = document.get("twin_after", "twin.yaml")
     return str(name) if changed(document) and name else None
 
 
-def scored(document: Document) -> str:
-    """`test` where held-out temperatures are known, else `train`."""
-    gap = document["gap"]
-    known = all(gap[when]["test"] and gap[when]["test"]["rmse_k"] is not None for when in ("before", "after"))
-    return "test" if known else "train"
+def scored(document: DiagnosisDocument) -> Role:
+    """Return `test` where held-out temperatures are known, else `train`."""
+    return "train" if any(rmse_k(document, when, "test") is None for when in WHENS) else "test"
 
 
-def shrink(document: Document, role: str) -> float | None:
+def rmse_k(document: DiagnosisDocument, when: When, role: Role) -> float | None:
+    """Return the error of free runs [K], None where no temperature was measured."""
+    errors = document["gap"][when][role]
+    return errors["rmse_k"] if errors else None
+
+
+def shrink(document: DiagnosisDocument, role: Role) -> float | None:
     """Share of the gap to the noise floor that is closed; None where there is no gap, or it is not known."""
-    gap = document["gap"]
-    floor = gap["noise_floor"][role]
-    before, after = ((gap[when][role] or {}).get("rmse_k") for when in ("before", "after"))
+    floor = document["gap"]["noise_floor"][role]
+    before, after = (rmse_k(document, when, role) for when in WHENS)
     if floor is None or before is None or after is None or not before > NO_GAP * floor:
         return None
     return min(float((before - after) / (before - floor)), 1.0)  # no twin closes more than the gap
 
 
-def effect_text(effect: Mapping[str, Any]) -> str:
+def effect_text(effect: EffectEntry) -> str:
     """An effect, or a class that the data cannot tell apart: `fan_effectiveness (or short_circuit)`."""
     rivals = effect["alternatives"]
     return f"{effect['name']} (or {listed(rivals)})" if rivals else str(effect["name"])
 
 
-def parameter_text(name: str, parameter: Mapping[str, Any]) -> str:
+def parameter_text(name: str, parameter: ParameterEntry) -> str:
     """`tau_h = 183 s (95 %: 170 to 197)`."""
     unit = f" {parameter['unit']}" if parameter["unit"] else ""
     return f"{name} = {number(parameter['value'])}{unit}{interval_text(parameter)}"
 
 
-def interval_text(parameter: Mapping[str, Any]) -> str:
+def interval_text(parameter: ParameterEntry) -> str:
     """` (95 %: 170 to 197)`, "" where it is not known."""
     if parameter["low"] is None or parameter["high"] is None:
         return ""
     return f" (95 %: {number(parameter['low'])} to {number(parameter['high'])})"
 
 
-def formula_text(formula: Mapping[str, Any]) -> str:
+def formula_text(formula: FormulaEntry) -> str:
     """The formula and its parameters in a line."""
     parameters = [parameter_text(name, value) for name, value in formula["parameters"].items()]
     return ", with ".join([formula["text"], *([", ".join(parameters)] if parameters else [])])
 
 
-def white_runs(document: Document, when: str) -> tuple[int, int]:
+def white_runs(document: DiagnosisDocument, when: When) -> tuple[int, int]:
     """Runs whose innovations are white, of how many that were tested."""
-    found = document.get("innovations", {}).get(when, {})
+    innovations = document.get("innovations")
+    found = innovations[when] if innovations else {}
     tested = [one["ljung_box_p"] for one in found.values() if one["ljung_box_p"] is not None]
     return sum(p >= WHITE_P for p in tested), len(tested)
 
 
-def step_names(waterfall: Sequence[Mapping[str, Any]]) -> list[str]:
+def step_names(waterfall: Sequence[WaterfallStep]) -> list[str]:
     """What each step of the waterfall changes: `the twin as given`, `+ heater_lag`, `- wall_loss`."""
     names = []
     for step, last in zip(waterfall, [None, *waterfall[:-1]], strict=True):
@@ -224,6 +238,11 @@ def step_names(waterfall: Sequence[Mapping[str, Any]]) -> list[str]:
         removed = [f"− {name}" for name in had if name not in step["effects"]]
         names.append(", ".join(added + removed) or ("the twin as given" if last is None else "fitted anew"))
     return names
+
+
+def step_error(step: WaterfallStep, role: Role) -> float | None:
+    """Return the error of free runs with a step's effects [K]."""
+    return step["test_rmse_k"] if role == "test" else step["train_rmse_k"]
 
 
 def listed(names: Sequence[str]) -> str:

@@ -14,8 +14,10 @@ from jsonschema import Draft202012Validator
 
 from edge.core.errors import DataError
 from edge.diagnosis import diagnosis_schema
-from edge.diagnosis.diagnosis_document import check_diagnosis, write_json
+from edge.diagnosis.diagnosis_document import RequiredAnswer
+from edge.diagnosis.diagnosis_file import check_diagnosis, write_json
 
+ALWAYS = list(RequiredAnswer.__annotations__)
 VALIDATOR = Draft202012Validator(diagnosis_schema.schema())
 UNDERSTOOD = {  # keywords of JSON Schema that check_diagnosis heeds, or that say nothing
     "type", "enum", "properties", "required", "additionalProperties", "items", "minimum", "minLength",
@@ -76,7 +78,7 @@ def test_what_is_written_is_read_back_the_same(tmp_path: Path, document: dict[st
     assert len(text.splitlines()) == len(document) + 2  # a line a key, between two braces
 
 
-@pytest.mark.parametrize("key", diagnosis_schema.ALWAYS)
+@pytest.mark.parametrize("key", ALWAYS)
 def test_a_key_of_the_contract_may_not_be_missing(document: dict[str, Any], key: str) -> None:
     del document[key]
     with pytest.raises(DataError, match=f"diagnosis: {key}: missing"):
@@ -85,7 +87,7 @@ def test_a_key_of_the_contract_may_not_be_missing(document: dict[str, Any], key:
 
 
 def test_the_contract_is_enough(document: dict[str, Any]) -> None:
-    check_diagnosis({key: document[key] for key in diagnosis_schema.ALWAYS})
+    check_diagnosis({key: document[key] for key in ALWAYS})
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64("nan")])

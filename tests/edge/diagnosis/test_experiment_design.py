@@ -26,7 +26,7 @@ from safety_cases import NOW, UTC, view
 from bench.support.simulated_runs import NOISE, STEP_S
 from edge.config.settings import SafetySettings
 from edge.core.messages import Command
-from edge.diagnosis.diagnosis_document import check_diagnosis
+from edge.diagnosis.diagnosis_file import check_diagnosis
 from edge.diagnosis.experiment.advice import calibrate_first
 from edge.diagnosis.experiment.design import _sides, designed
 from edge.diagnosis.experiment.document import PROFILE, experiment_document, write_profile

@@ -15,7 +15,7 @@ from jsonschema import Draft202012Validator
 from bench.support.simulated_runs import BOX, Effects, changed, simulated, twin_file
 from edge.__main__ import main
 from edge.diagnosis import candidates
-from edge.diagnosis.diagnosis_document import check_diagnosis
+from edge.diagnosis.diagnosis_file import check_diagnosis
 from edge.diagnosis.diagnosis_schema import schema
 from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write_run
 from edge.models.pbm import read_twin

@@ -1,0 +1,117 @@
+"""diagnosis.json: held to its schema before it is written, on a rig that has no schema library."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from edge.core.errors import DataError
+from edge.diagnosis.diagnosis_schema import Schema, schema
+
+FILE_NAME = "diagnosis.json"
+_KINDS: Mapping[str, type | tuple[type, ...]] = {
+    "object": dict,
+    "array": (list, tuple),
+    "string": str,
+    "boolean": bool,
+    "number": (int, float),
+    "null": type(None),
+}
+
+
+def check_diagnosis(document: Mapping[str, Any]) -> None:
+    """Refuse what is not a diagnosis: a key that is missing, unknown or of another kind, NaN, infinity, or an
+    answer that contradicts itself.
+
+    Errors : DataError, `diagnosis: gap.after.train.rmse_k: nan is not a finite number`
+    """
+    _check(dict(document), schema(), "")
+    if document["verdict"] == "named" and not document["effects"]:
+        raise _wrong("effects", "the verdict is `named`, but no effect is")
+    if document["verdict"] == "nothing_missing" and document["effects"]:
+        raise _wrong("effects", "the verdict is `nothing_missing`, but an effect is named")
+    for run, series in document["predictions"].items():
+        lengths = {key: len(values) for key, values in series.items()}
+        if len(set(lengths.values())) > 1:
+            raise _wrong(f"predictions.{run}", f"not of one length: {lengths}")
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a diagnosis, a line a key. Errors: DataError as of `check_diagnosis`; OSError"""
+    check_diagnosis(document)
+    lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in document.items()]
+    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+def _check(value: Any, rule: Schema, place: str) -> None:
+    """The keywords of JSON Schema that our own schema uses, and no others."""
+    if "enum" in rule:
+        if value not in rule["enum"]:
+            raise _wrong(place, f"{value!r} is none of {', '.join(rule['enum'])}")
+        return
+    kinds = rule["type"] if isinstance(rule["type"], list) else [rule["type"]]
+    if not any(_is(value, kind) for kind in kinds):
+        raise _wrong(place, f"{type(value).__name__} where {' or '.join(kinds)} belongs")
+    if isinstance(value, dict):
+        _check_keys(value, rule, place)
+    elif isinstance(value, (list, tuple)):
+        for number, item in enumerate(value):
+            _check(item, rule["items"], f"{place}[{number}]")
+    elif isinstance(value, str):
+        if len(value) < rule.get("minLength", 0):
+            raise _wrong(place, "is empty")
+    elif value is not None:
+        _check_number(value, rule, place)
+
+
+def _check_keys(value: dict[str, Any], rule: Schema, place: str) -> None:
+    known = rule.get("properties", {})
+    other = rule.get("additionalProperties", {})
+    for key in rule.get("required", ()):
+        if key not in value:
+            raise _wrong(_below(place, key), "missing")
+    for key, item in value.items():
+        if not isinstance(key, str):
+            raise _wrong(_below(place, str(key)), "a key that is no text")
+        if key in known:
+            _check(item, known[key], _below(place, key))
+        elif other is False:
+            raise _wrong(_below(place, key), "not a key of a diagnosis")
+        elif other:
+            _check(item, other, _below(place, key))
+        else:
+            _check_plain(item, _below(place, key))
+
+
+def _check_plain(value: Any, place: str) -> None:
+    """What the schema leaves open is still JSON."""
+    if isinstance(value, dict):
+        _check_keys(value, {}, place)
+    elif isinstance(value, (list, tuple)):
+        for number, item in enumerate(value):
+            _check_plain(item, f"{place}[{number}]")
+    elif not any(_is(value, kind) for kind in _KINDS):
+        raise _wrong(place, f"{type(value).__name__} is not JSON")
+    elif isinstance(value, (int, float)):
+        _check_number(value, {}, place)
+
+
+def _check_number(value: float, rule: Schema, place: str) -> None:
+    if not math.isfinite(value):
+        raise _wrong(place, f"{value} is not a finite number")
+    if value < rule.get("minimum", -math.inf):
+        raise _wrong(place, f"{value} is below {rule['minimum']}")
+
+
+def _is(value: Any, kind: str) -> bool:
+    """Whether `value` is of a kind of JSON; True and False are no numbers there."""
+    return isinstance(value, _KINDS[kind]) and (kind == "boolean" or not isinstance(value, bool))
+
+
+def _below(place: str, key: str) -> str:
+    return f"{place}.{key}" if place else key
+
+
+def _wrong(place: str, problem: str) -> DataError:
+    return DataError(f"diagnosis: {place + ': ' if place else ''}{problem}")
