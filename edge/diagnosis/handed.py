@@ -130,12 +130,11 @@ class Comparison:
         What has no name is added only where it is clearly better.
         """
         named = self.tried[names]
-        least = NO_WORSE * self.from_start_k(named)
+        most_start_k = NO_WORSE * self.from_start_k(named)
         others = [
             item
             for key, item in self.tried.items()
-            if key == names
-            or (key > names and not self.is_impossible(item) and self.from_start_k(item) <= least)
+            if key == names or (key > names and self.is_sound(item, most_start_k))
         ]
         best = min(others, key=lambda item: item.rmse_k)
         if not self.is_better(best, named, CLEARLY):
@@ -150,6 +149,10 @@ class Comparison:
         and misleads in a run of its own.
         """
         return rmse(errors_over(self.known.as_fitted(), item.fitted, self.known))
+
+    def is_sound(self, item: JudgedTwin, most_start_k: float) -> bool:
+        """Return whether its values can be in this greenhouse and its runs from the first rows are near."""
+        return not self.is_impossible(item) and self.from_start_k(item) <= most_start_k
 
     def is_impossible(self, item: JudgedTwin) -> bool:
         """Whether an effect that was added has a value that can't be in this box."""

@@ -19,7 +19,8 @@ from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.standing import HALF, NameEvidence, standing
 from edge.diagnosis.starts import with_usual
 from edge.diagnosis.trial import Fitted
-from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, _95, intervals, read, unnamed
+from edge.diagnosis.unknowns import SDS_95
+from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, intervals, read, unnamed
 from edge.twin.effects.unnamed import UNNAMED_EFFECTS
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -73,13 +74,15 @@ class Judged:
         if OPEN not in self.handed.added:
             return tuple(told)
         given = self.comparison.known.file.values()
-        told += [
-            f"{'.'.join(item.place)} is {item.value(x):.3g}, where the twin file says "
-            f"{given[item.place].value:.3g} and to {100.0 * (given[item.place].rel_sd or 0.0):.0f} %"
-            for item, x in self.handed.open_values
-            if item.place in given and given[item.place].rel_sd is not None
-            and abs(item.value(x) / given[item.place].value - 1.0) > _95 * (given[item.place].rel_sd or 0.0)
-        ]  # fmt: skip
+        for item, x in self.handed.open_values:
+            if item.place not in given or (rel_sd := given[item.place].rel_sd) is None:
+                continue
+            stated = given[item.place].value
+            if abs(item.value(x) / stated - 1.0) > SDS_95 * rel_sd:
+                told.append(
+                    f"{'.'.join(item.place)} is {item.value(x):.3g}, where the twin file says "
+                    f"{stated:.3g} and to {100.0 * rel_sd:.0f} %"
+                )
         return tuple(told)
 
 
@@ -249,15 +252,14 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) ->
         most_k = LESS_SEEN * rms_k(handed.fitted, runs)
         comparison.add({key: _with(file, key, middle_c) for key in wanted}, most_k)
         found = [comparison.tried[key] for key in wanted if key in comparison.tried]
-        least = comparison.from_start_k(handed)
+        most_start_k = NO_WORSE * comparison.from_start_k(handed)
         best = min(
             (
                 item
                 for item in found
                 if not item.at_bound
                 and not _is_moved(handed, item)
-                and not comparison.is_impossible(item)
-                and comparison.from_start_k(item) <= NO_WORSE * least
+                and comparison.is_sound(item, most_start_k)
             ),
             key=lambda item: item.rmse_k,
             default=handed,

@@ -5,13 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from edge.diagnosis.trial import Fitted
+from edge.diagnosis.unknowns import SDS_95
 from edge.twin.effects.library import EFFECTS
 from edge.twin.recorded import Recorded
 from edge.twin.value import Value
 
 WATER_J_M3_K = 4.18e6  # nothing that fits into a box stores more heat
 NOTHING_AT = {"eta": 1.0, "eps_f": 1.0, "u_sat": 1.0, "kC": 1.0}  # other values do nothing at 0
-SDS_95 = 1.959964
 PERIODS = 3.0  # of the longest run: a slower time constant can't be seen in it
 
 

@@ -12,10 +12,9 @@ from edge.diagnosis.formulas import PREFIX, FormulaShape
 from edge.diagnosis.noise_levels import unexplained_heat
 from edge.diagnosis.search import RIVAL_NATS, Search
 from edge.diagnosis.trial import Fitted
-from edge.diagnosis.unknowns import UnknownValue
+from edge.diagnosis.unknowns import SDS_95, UnknownValue
 from edge.twin.value import Value
 
-_95 = 1.959964
 # In development cases (bench/hidden_effects) right names left 0.37 or less; 0.50 and 0.70 were left by wrong
 # ones, where the declared noise could not be made to cover what they do not explain.
 REFUTED = 0.45
@@ -121,7 +120,7 @@ def _coefficients(
         place = terms.index(name)
         size, sd = float(best.fitted.sizes[place]), float(best.fitted.size_sds[place])
         shape = shapes[name]
-        found.append(Coefficient(shape.text, size, size - _95 * sd, size + _95 * sd, shape.unit))
+        found.append(Coefficient(shape.text, size, size - SDS_95 * sd, size + SDS_95 * sd, shape.unit))
     return tuple(found)
 
 
@@ -154,4 +153,4 @@ def intervals(fitted: Fitted, name: str) -> tuple[dict[str, Value], tuple[str, .
 def interval(item: UnknownValue, x: float, variance: float) -> Value:
     """A value with its 95 % interval."""
     sd = float(np.sqrt(max(variance, 0.0)))
-    return Value(item.value(x), low=item.value(x - _95 * sd), high=item.value(x + _95 * sd))
+    return Value(item.value(x), low=item.value(x - SDS_95 * sd), high=item.value(x + SDS_95 * sd))
