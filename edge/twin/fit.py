@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun
-from edge.twin.effects.library import applied
+from edge.twin.effects.library import applied, day_counter, parameter_at
 from edge.twin.output_error import FreeRun, free_run, rmse
 from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import Place, TwinFile
@@ -19,8 +19,7 @@ Floats = NDArray[np.float64]
 GEOMETRY_RANGE = (0.01, 100.0)  # of a geometry value that is fitted, shares of its start
 AMBIENT_RANGE_C = (-20.0, 60.0)
 CORRELATED_S = 1800.0  # of the paper's box: errors of a free run closer than this go together
-SPINUP = ("effects", "fan_spinup")
-COARSE = 3e-3  # a fan's speed is rounded (edge/twin/march.py): shorter steps of tau_f change nothing
+FINE = float(np.sqrt(np.finfo(float).eps))  # share of a value, by which SciPy takes differences
 _95 = 1.959964  # standard deviations of a normal distribution, both sides
 
 
@@ -81,7 +80,7 @@ def fit_twin(file: TwinFile, runs: Sequence[RecordedRun]) -> TwinFit:
     Errors : DataError for nothing to fit, a run that may not be fitted on, a parameter that does nothing
     """
     data = recorded(runs, file.sample_s)
-    if "ua_drift" in file.effects and file.day0_utc is None and "utc" in data.conditions:
+    if day_counter(file.effects) and file.day0_utc is None and "utc" in data.conditions:
         file = replace(file, day0_utc=float(data.conditions["utc"].min()))  # the first run's start
     unknowns = _unknowns(file, data)
     start = np.array([item.start / item.scale for item in unknowns])
@@ -147,9 +146,10 @@ class _Problem:
         )
 
     def _difference_steps(self) -> Floats | None:
-        """Of each unknown, its share; None where SciPy's are long enough for all."""
-        rounded = np.array([item.place[:2] == SPINUP for item in self.unknowns])
-        return np.where(rounded, COARSE, np.sqrt(np.finfo(float).eps)) if rounded.any() else None
+        """Share of each unknown; None where SciPy's are long enough for all."""
+        found = [parameter_at(item.place) for item in self.unknowns]
+        steps = [item.difference if item else None for item in found]
+        return np.array([step or FINE for step in steps]) if any(steps) else None
 
 
 def _unknowns(file: TwinFile, data: Recorded) -> list[_Unknown]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.twin.distinct import distinct
+from edge.twin.effects.library import day_counter
 from edge.twin.fan_speeds import exponentials
 from edge.twin.march import cuts, late, spun_up
 from edge.twin.model import DAY_S, BoxTwin
@@ -127,7 +128,8 @@ def _columns(twin: BoxTwin, runs: Recorded) -> dict[str, Floats]:
     columns["heater_duty"] = runs.duty.T
     if twin.signals.ageing_per_day != 0.0:
         if twin.day0_utc is None:
-            raise DataError("day0_utc: missing, the twin's ua_drift counts days from it")
+            counter = day_counter(twin.effects)
+            raise DataError(f"day0_utc: missing, the twin's {counter} counts days from it")
         days = np.round((columns["utc"] - twin.day0_utc) / DAY_S * AGES_PER_DAY) / AGES_PER_DAY
         columns["day"] = twin.signals.days(days)
     return columns

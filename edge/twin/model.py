@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from edge.core.errors import DataError
 from edge.twin.discretisation import Transition, discretise
-from edge.twin.effects.library import Effects, build, needs
+from edge.twin.effects.library import Effects, build, day_counter, needs
 from edge.twin.geometry import Geometry
 from edge.twin.march import Commands, March
 from edge.twin.network import AIR, LinearSystem
@@ -42,7 +42,7 @@ class BoxTwin:
 
     effects : parameters by effect, as in `edge.twin.effects.library.EFFECTS`
     step_s : length of a step [s]
-    day0_utc : where the days of `ua_drift` begin [s since 1970], None where no effect counts them
+    day0_utc : where the days begin that an effect counts [s since 1970], None where no effect counts them
     Errors : DataError naming the key, `effects.wall_loss.UA: ...`
     """
 
@@ -197,7 +197,8 @@ class BoxTwin:
         columns = {**columns_of(self.needs, conditions), "heater_duty": commands.duty}
         if self.signals.ageing_per_day != 0.0:
             if self.day0_utc is None:
-                raise DataError("day0_utc: missing, the twin's ua_drift counts days from it")
+                counter = day_counter(self.effects)
+                raise DataError(f"day0_utc: missing, the twin's {counter} counts days from it")
             columns["day"] = self.signals.days((columns["utc"] - self.day0_utc) / DAY_S)
         return March.of(self.system, self.signals, self.step_s, commands, ambient, source, columns, before)
 

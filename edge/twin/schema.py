@@ -17,6 +17,7 @@ _LEAST, _MOST = Scale(1e-3, 1e-3), Scale(1e3, 1e3)
 
 def schema() -> dict[str, Any]:
     """JSON Schema, draft 2020-12, as plain values."""
+    ageing = [name for name, effect in EFFECTS.items() if effect.counts_days]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Twin file: geometry, known effects, and how well each value is known",
@@ -28,7 +29,7 @@ def schema() -> dict[str, Any]:
             "fan_role": {"enum": list(FAN_ROLES), "description": "what the fan does; default: exhaust"},
             "day0_utc": {
                 "type": ["string", "null"],
-                "description": "where the days of ua_drift begin, ISO 8601",
+                "description": f"where the days of {' and '.join(ageing)} begin, ISO 8601",
             },
             "effects": _object({name: _effect(effect) for name, effect in EFFECTS.items()}),
             "sensor": _object({key: _spread() for key in SENSOR}),

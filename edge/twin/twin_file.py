@@ -34,7 +34,7 @@ _PAPER = {item.name: float(item.default) for item in fields(Geometry)}  # type: 
 class TwinFile:
     """What a twin file says; a key of `geometry` that it leaves out is the paper's.
 
-    day0_utc : where the days of `ua_drift` begin [s since 1970], None where no effect counts them
+    day0_utc : where the days begin that an effect counts [s since 1970], None where no effect counts them
     fan_role : of FAN_ROLES
     sensor, nuisance : null or absent where not known; highest_c : that the air may have, for hot boxes
     provenance : where the values come from, any mapping

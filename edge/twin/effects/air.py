@@ -2,8 +2,18 @@
 
 from collections.abc import Mapping
 
-from edge.twin.effects.effect import Effect, EffectParameter
+from edge.twin.effects.effect import (
+    DEAD_TIMES_S,
+    BlindRuns,
+    Effect,
+    EffectParameter,
+    HiddenBy,
+    ParameterKind,
+    by_name,
+)
 from edge.twin.network import Network
+
+_SPEED_STEP = 3e-3  # a fan's speed is rounded (edge/twin/march.py): shorter steps of tau_f change nothing
 
 
 def fan_effectiveness(network: Network, eps_f: float) -> None:
@@ -34,35 +44,57 @@ def imperfect_mixing(network: Network, F_mix: float) -> None:
     network.mixing_m3_s = F_mix
 
 
-AIR_EFFECTS: Mapping[str, Effect] = {
-    "fan_effectiveness": Effect(
+FLOW_CHECK = "a calibration of the fan's flow by an anemometer"
+_VANE = "a tachometer or a vane behind the fan"
+_FAN_STEADY = (HiddenBy(BlindRuns.FAN_STEADY),)
+AIR_EFFECTS: Mapping[str, Effect] = by_name(
+    Effect(
         fan_effectiveness,
-        (EffectParameter("eps_f", "", 0.0, 2.0, 0.8),),
-        "system effect on a fan's rating, AMCA Publication 201",
-        "positive with the fan on, in proportion to T - T_amb",
+        (EffectParameter("eps_f", "", 0.0, 2.0, 0.8, nothing_at=1.0),),
+        source="system effect on a fan's rating, AMCA Publication 201",
+        without="positive with the fan on, in proportion to T - T_amb",
+        by_flow=True,
+        starts=({"eps_f": 0.95},),
+        check=FLOW_CHECK,
     ),
-    "short_circuit": Effect(
+    Effect(
         short_circuit,
         (EffectParameter("s_sc", "", 0.0, 1.0, 0.2),),
-        "air change effectiveness, ASHRAE Standard 129",
-        "positive with the fan on, in proportion to T - T_amb",
+        source="air change effectiveness, ASHRAE Standard 129",
+        without="positive with the fan on, in proportion to T - T_amb",
+        by_flow=True,
+        starts=({"s_sc": 0.05},),
+        check="smoke or a tracer gas that shows where the supply air goes",
     ),
-    "fan_deadtime": Effect(
+    Effect(
         fan_deadtime,
-        (EffectParameter("d_f", "s", 0.0, 600.0, 20.0),),
-        "transport delay of a first-order-plus-dead-time process, Åström & Hägglund 1995, ch. 2",
-        "positive for one or two rows after the fan goes on in a warm box, negative after it goes off",
+        (EffectParameter("d_f", "s", 0.0, 600.0, 20.0, ParameterKind.DEAD_TIME),),
+        source="transport delay of a first-order-plus-dead-time process, Åström & Hägglund 1995, ch. 2",
+        without="positive for one or two rows after the fan goes on in a warm box, "
+        "negative after it goes off",
+        by_flow=True,
+        starts=tuple({"d_f": seconds} for seconds in DEAD_TIMES_S),
+        check=_VANE,
+        hidden_by=_FAN_STEADY,
     ),
-    "fan_spinup": Effect(
+    Effect(
         fan_spinup,
-        (EffectParameter("tau_f", "s", 0.5, 600.0, 20.0),),
-        "rotor inertia to first order, ASHRAE HVAC Systems and Equipment 2016, ch. 21",
-        "positive after the fan goes on in a warm box and negative after it goes off, fading",
+        (EffectParameter("tau_f", "s", 0.5, 600.0, 20.0, ParameterKind.LAG, difference=_SPEED_STEP),),
+        source="rotor inertia to first order, ASHRAE HVAC Systems and Equipment 2016, ch. 21",
+        without="positive after the fan goes on in a warm box and negative after it goes off, fading",
+        by_flow=True,
+        starts=({"tau_f": 10.0}, {"tau_f": 40.0}),
+        check=_VANE,
+        hidden_by=_FAN_STEADY,
     ),
-    "imperfect_mixing": Effect(
+    Effect(
         imperfect_mixing,
         (EffectParameter("F_mix", "m³/s", 1e-4, 1.0, 0.02),),
-        "two-zone model of a room, Sandberg 1981, Building and Environment 16",
-        "the sensor rises late after the heater goes on, and the fan takes out less heat than it should",
+        source="two-zone model of a room, Sandberg 1981, Building and Environment 16",
+        without="the sensor rises late after the heater goes on, "
+        "and the fan takes out less heat than it should",
+        starts=({"F_mix": 0.004}, {"F_mix": 0.02}, {"F_mix": 0.1}),
+        check="a second thermometer in the heater's half of the box",
+        common=4,
     ),
-}
+)

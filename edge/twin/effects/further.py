@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, EffectParameter
+from edge.twin.effects.effect import Effect, EffectParameter, Offer, by_name
 from edge.twin.network import AIR, ROOM, Network
 from edge.twin.signals import Floats, HeatConditions
 
@@ -42,29 +42,36 @@ def _bent_loss(network: Network, at_10_k_w_k: float, exponent: float) -> None:
     network.heat(beyond, by_temp=True)
 
 
-FURTHER_EFFECTS: Mapping[str, Effect] = {
-    "fan_heat": Effect(
+FURTHER_EFFECTS: Mapping[str, Effect] = by_name(
+    Effect(
         fan_heat,
         (EffectParameter("P_fan", "W", 0.0, 100.0, 3.0),),
-        "heat gain of a motor in the airstream, ASHRAE Fundamentals 2017, ch. 18",
-        "positive with the fan on, whatever the temperature",
+        source="heat gain of a motor in the airstream, ASHRAE Fundamentals 2017, ch. 18",
+        without="positive with the fan on, whatever the temperature",
+        offer=Offer.KNOWN_ONLY,
+        stands_in=True,
+        must_change=("fan_on",),
     ),
-    "ground_loss": Effect(
+    Effect(
         ground_loss,
         (EffectParameter("G_g", "W/K", 0.0, 100.0, 1.0), EffectParameter("T_g", "°C", -10.0, 40.0, 15.0)),
-        "heat transfer via the ground, ISO 13370",
-        "falls with T, and stays where the room warms",
+        source="heat transfer via the ground, ISO 13370",
+        without="falls with T, and stays where the room warms",
+        offer=Offer.KNOWN_ONLY,
     ),
-    "stack_ventilation": Effect(
+    Effect(
         stack_ventilation,
         (EffectParameter("F_st", "m³/s", 0.0, 0.05, 0.001),),
-        "stack effect through openings, ASHRAE Fundamentals 2017, ch. 16",
-        "falls with the power 1.5 of T - T_amb",
+        source="stack effect through openings, ASHRAE Fundamentals 2017, ch. 16",
+        without="falls with the power 1.5 of T - T_amb",
+        offer=Offer.KNOWN_ONLY,
     ),
-    "natural_convection": Effect(
+    Effect(
         natural_convection,
         (EffectParameter("G_nc", "W/K", 0.0, 100.0, 3.0),),
-        "turbulent natural convection at a wall, Nu ~ Ra^(1/3), Incropera & DeWitt, ch. 9",
-        "falls with the power 4/3 of T - T_amb",
+        source="turbulent natural convection at a wall, Nu ~ Ra^(1/3), Incropera & DeWitt, ch. 9",
+        without="falls with the power 4/3 of T - T_amb",
+        offer=Offer.KNOWN_ONLY,
+        stands_in=True,
     ),
-}
+)

@@ -2,7 +2,15 @@
 
 from collections.abc import Mapping
 
-from edge.twin.effects.effect import Effect, EffectParameter
+from edge.twin.effects.effect import (
+    DEAD_TIMES_S,
+    BlindRuns,
+    Effect,
+    EffectParameter,
+    HiddenBy,
+    ParameterKind,
+    by_name,
+)
 from edge.twin.network import Network
 
 
@@ -36,41 +44,62 @@ def heater_sag(network: Network, sag: float) -> None:
     network.signals.duty_sag = sag
 
 
-HEATER_EFFECTS: Mapping[str, Effect] = {
-    "heater_lag": Effect(
+POWER_CHECK = "a power meter at the heater's plug"
+_STEADY = HiddenBy(BlindRuns.HEATER_STEADY)
+_SCALE = (_STEADY, HiddenBy(BlindRuns.HEATER_ONE_LEVEL))
+HEATER_EFFECTS: Mapping[str, Effect] = by_name(
+    Effect(
         heater_lag,
-        (EffectParameter("tau_h", "s", 1.0, 7200.0, 180.0),),
-        "lumped element, C_h dT_h/dt = H - P with P = h A (T_h - T); TiTeTh of Bacher & Madsen 2011",
-        "negative for minutes after the heater goes on, positive for as long after it goes off",
+        (EffectParameter("tau_h", "s", 1.0, 7200.0, 180.0, ParameterKind.AIR_LAG),),
+        source="lumped element, C_h dT_h/dt = H - P with P = h A (T_h - T); TiTeTh of Bacher & Madsen 2011",
+        without="negative for minutes after the heater goes on, positive for as long after it goes off",
+        starts=({"tau_h": 40.0}, {"tau_h": 180.0}, {"tau_h": 700.0}),
+        check="a thermocouple on the heater's element",
+        hidden_by=(_STEADY,),
+        common=1,
     ),
-    "heater_deadtime": Effect(
+    Effect(
         heater_deadtime,
-        (EffectParameter("d_h", "s", 0.0, 600.0, 30.0),),
-        "transport delay of a first-order-plus-dead-time process, Åström & Hägglund 1995, ch. 2",
-        "opposite to each change of the duty for one or two rows, then gone at once",
+        (EffectParameter("d_h", "s", 0.0, 600.0, 30.0, ParameterKind.DEAD_TIME),),
+        source="transport delay of a first-order-plus-dead-time process, Åström & Hägglund 1995, ch. 2",
+        without="opposite to each change of the duty for one or two rows, then gone at once",
+        starts=tuple({"d_h": seconds} for seconds in DEAD_TIMES_S),
+        check=POWER_CHECK,
+        hidden_by=(_STEADY,),
     ),
-    "heater_efficiency": Effect(
+    Effect(
         heater_efficiency,
-        (EffectParameter("eta", "", 0.0, 2.0, 0.9),),
-        "tolerance of a rated power input, IEC 60335-1, clause 10",
-        "in proportion to the duty, whatever the temperature",
+        (EffectParameter("eta", "", 0.0, 2.0, 0.9, nothing_at=1.0),),
+        source="tolerance of a rated power input, IEC 60335-1, clause 10",
+        without="in proportion to the duty, whatever the temperature",
+        starts=({"eta": 0.95},),
+        check=POWER_CHECK,
+        hidden_by=_SCALE,
     ),
-    "radiative_split": Effect(
+    Effect(
         radiative_split,
         (EffectParameter("f_rad", "", 0.0, 1.0, 0.3),),
-        "convective fraction of a heat emitter, EN 15316-2",
-        "negative in proportion to the duty at first, less so once wall and soil have warmed",
+        source="convective fraction of a heat emitter, EN 15316-2",
+        without="negative in proportion to the duty at first, less so once wall and soil have warmed",
+        starts=({"f_rad": 0.1},),
+        check="an infrared thermometer on the walls while the heater is on",
     ),
-    "heater_saturation": Effect(
+    Effect(
         heater_saturation,
-        (EffectParameter("u_sat", "", 0.05, 1.0, 0.8),),
-        "static input saturation (Hammerstein), Ljung 1999, System Identification, ch. 5",
-        "zero up to some duty, negative in proportion to what the duty is above it",
+        (EffectParameter("u_sat", "", 0.05, 1.0, 0.8, nothing_at=1.0),),
+        source="static input saturation (Hammerstein), Ljung 1999, System Identification, ch. 5",
+        without="zero up to some duty, negative in proportion to what the duty is above it",
+        starts=({"u_sat": 0.9}, {"u_sat": 0.7}, {"u_sat": 0.5}),
+        check=POWER_CHECK,
+        hidden_by=_SCALE,
     ),
-    "heater_sag": Effect(
+    Effect(
         heater_sag,
         (EffectParameter("sag", "", 0.0, 0.5, 0.1),),
-        "source resistance and the element's temperature coefficient, to first order in the duty",
-        "negative with the square of the duty",
+        source="source resistance and the element's temperature coefficient, to first order in the duty",
+        without="negative with the square of the duty",
+        starts=({"sag": 0.05},),
+        check=POWER_CHECK,
+        hidden_by=_SCALE,
     ),
-}
+)

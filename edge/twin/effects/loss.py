@@ -1,8 +1,18 @@
 """Named effects by which heat leaves the box or is stored in it."""
 
 from collections.abc import Mapping
+from itertools import product
 
-from edge.twin.effects.effect import Effect, EffectParameter
+from edge.twin.effects.effect import (
+    BlindRuns,
+    Effect,
+    EffectParameter,
+    HiddenBy,
+    ParameterKind,
+    UnitFactor,
+    Values,
+    by_name,
+)
 from edge.twin.network import AIR, ROOM, Network
 from edge.twin.signals import Floats, HeatConditions
 
@@ -73,60 +83,116 @@ def ua_drift(network: Network, ua_drift: float) -> None:
     network.signals.ageing_per_day = ua_drift
 
 
-LOSS_EFFECTS: Mapping[str, Effect] = {
-    "wall_loss": Effect(
+_WALL_CAPACITIES_J_K = (2000.0, 20000.0)
+_INNER_TIMES_OUTER = (0.4, 2.5)  # of the two films of a wall whose loss as a whole is known
+_USUAL_UA_W_K = 4.0  # where it is not
+
+
+def _films_in_series(own: Values) -> Values:
+    """Loss of a wall that stores heat, at rest: 1/UA = 1/G_in + 1/G_out."""
+    return {"UA": 1.0 / (1.0 / own["G_in"] + 1.0 / own["G_out"])}
+
+
+def _walls(loss: Values, factor: UnitFactor) -> list[Values]:
+    """Films that give the known loss in series."""
+    known = loss.get("UA", 0.0)
+    ua_w_k = known if known > 0.0 else _USUAL_UA_W_K * factor("W/K")
+    return [
+        {
+            "C_w": capacity * factor("J/K"),
+            "G_in": ua_w_k * (1.0 + share),
+            "G_out": ua_w_k * (1.0 + 1.0 / share),
+        }
+        for capacity, share in product(_WALL_CAPACITIES_J_K, _INNER_TIMES_OUTER)
+    ]
+
+
+_SLOW_BODY = (HiddenBy(BlindRuns.ROOM_STEADY_BODIES), HiddenBy(BlindRuns.SHORT, "extra_capacity"))
+LOSS_EFFECTS: Mapping[str, Effect] = by_name(
+    Effect(
         wall_loss,
         (EffectParameter("UA", "W/K", 0.0, 100.0, 4.0),),
-        "thermal transmittance, ISO 6946",
-        "falls with T - T_amb: a warm box is predicted too warm, and ever more with the fan off",
+        source="thermal transmittance, ISO 6946",
+        without="falls with T - T_amb: a warm box is predicted too warm, and ever more with the fan off",
+        starts=({"UA": 1.0},),
+        check="a heat flux plate on the wall",
     ),
-    "infiltration": Effect(
+    Effect(
         infiltration,
         (EffectParameter("F_inf", "m³/s", 0.0, 0.05, 0.002),),
-        "sensible infiltration load, ASHRAE Fundamentals 2017, ch. 16",
-        "falls with T - T_amb while the fan is off, and is gone while it runs",
+        source="sensible infiltration load, ASHRAE Fundamentals 2017, ch. 16",
+        without="falls with T - T_amb while the fan is off, and is gone while it runs",
+        by_flow=True,
+        starts=({"F_inf": 0.0005},),
+        check="a run with the fan's openings taped",
+        hidden_by=(HiddenBy(BlindRuns.FAN_OFF, "wall_loss"),),
     ),
-    "wall_mass": Effect(
+    Effect(
         wall_mass,
         (
             EffectParameter("C_w", "J/K", 100.0, 1e6, 5000.0),
             EffectParameter("G_in", "W/K", 0.01, 500.0, 10.0),
             EffectParameter("G_out", "W/K", 0.01, 500.0, 8.0),
         ),
-        "two-state lumped wall (TiTe), Bacher & Madsen 2011, Energy and Buildings 43",
-        "negative when the box has just been warmed, positive for the hour after it cools",
+        source="two-state lumped wall (TiTe), Bacher & Madsen 2011, Energy and Buildings 43",
+        without="negative when the box has just been warmed, positive for the hour after it cools",
+        check="a thermometer on the wall",
+        hidden_by=_SLOW_BODY,
         replaces="wall_loss",
+        amounts_to=_films_in_series,
+        starts_beside=_walls,
+        time_constant=("C_w / G", lambda own: own["C_w"] / (own["G_in"] + own["G_out"])),
+        # A light wall is a loss, and its capacity the air's.
+        taken_apart=(("wall_loss", "extra_capacity"), ("wall_mass", "extra_capacity")),
     ),
-    "soil_mass": Effect(
+    Effect(
         soil_mass,
         (EffectParameter("C_s", "J/K", 100.0, 1e6, 10000.0), EffectParameter("G_s", "W/K", 0.01, 500.0, 3.0)),
-        "medium node (TiTm), Bacher & Madsen 2011, Energy and Buildings 43",
-        "follows the change of T over the last hours, and not the room: negative in the first warm hours, "
-        "positive after they end, zero on average",
+        source="medium node (TiTm), Bacher & Madsen 2011, Energy and Buildings 43",
+        without="follows the change of T over the last hours, and not the room: "
+        "negative in the first warm hours, positive after they end, zero on average",
+        starts=tuple({"C_s": c, "G_s": g} for c, g in product((3000.0, 30000.0), (1.5, 8.0))),
+        check="a thermometer in the soil, or a run without the pots",
+        hidden_by=_SLOW_BODY,
+        time_constant=("C_s / G_s", lambda own: own["C_s"] / own["G_s"]),
+        taken_apart=(("soil_mass", "extra_capacity"),),  # a light body is a capacity of the air
+        common=2,
     ),
-    "extra_capacity": Effect(
+    Effect(
         extra_capacity,
-        (EffectParameter("kC", "", 1.0, 1000.0, 5.0),),
-        "internal heat capacity of a zone, air and furniture, ISO 52016-1",
-        "the predicted temperature jumps where the measured one rises: opposite signs just after each switch",
+        (EffectParameter("kC", "", 1.0, 1000.0, 5.0, ParameterKind.AIR_CAPACITIES, nothing_at=1.0),),
+        source="internal heat capacity of a zone, air and furniture, ISO 52016-1",
+        without="the predicted temperature jumps where the measured one rises: "
+        "opposite signs just after each switch",
+        starts=({"kC": 1.5}, {"kC": 6.0}),
+        check="a run with the box emptied",
     ),
-    "longwave_radiation": Effect(
+    Effect(
         longwave_radiation,
         (EffectParameter("epsA", "m²", 0.0, 5.0, 0.3),),
-        "Stefan-Boltzmann law between a small grey body and its surroundings, ISO 6946 annex C",
-        "falls with T - T_amb, a little more than in proportion, and more in a warm room",
+        source="Stefan-Boltzmann law between a small grey body and its surroundings, ISO 6946 annex C",
+        without="falls with T - T_amb, a little more than in proportion, and more in a warm room",
+        starts=({"epsA": 0.1},),
+        check="a foil with low emissivity on the outside for a run",
     ),
-    "door_opening": Effect(
+    Effect(
         door_opening,
         (EffectParameter("G_door", "W/K", 0.0, 500.0, 20.0),),
-        "single-sided air exchange through an opening, ASHRAE Fundamentals 2017, ch. 16",
-        "drops towards the room for minutes at times that no input tells, and comes back",
+        source="single-sided air exchange through an opening, ASHRAE Fundamentals 2017, ch. 16",
+        without="drops towards the room for minutes at times that no input tells, and comes back",
+        offered_with=("door_open",),
+        starts=({"G_door": 10.0},),
+        check="a contact on the door",
     ),
-    "ua_drift": Effect(
+    Effect(
         ua_drift,
         (EffectParameter("ua_drift", "1/d", -0.05, 0.5, 0.01),),
-        "ageing of seals and growth of a canopy, to first order",
-        "falls with T - T_amb, by a slope that changes from day to day",
+        source="ageing of seals and growth of a canopy, to first order",
+        without="falls with T - T_amb, by a slope that changes from day to day",
         needs=("utc",),
+        starts=({"ua_drift": 0.01},),
+        check="the same run again after some days",
+        hidden_by=(HiddenBy(BlindRuns.START_UNKNOWN), HiddenBy(BlindRuns.ONE_DAY)),
+        counts_days=True,
     ),
-}
+)

@@ -4,7 +4,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, EffectParameter
+from edge.twin.effects.effect import (
+    BlindRuns,
+    Effect,
+    EffectParameter,
+    HiddenBy,
+    ParameterKind,
+    by_name,
+)
 from edge.twin.network import Network
 from edge.twin.signals import Floats, HeatConditions
 
@@ -58,50 +65,71 @@ def vapour_deficit_kpa(temp_c: Floats, rel_humidity: Floats) -> Floats:
     return np.asarray(saturation * (1.0 - rel_humidity / 100.0))
 
 
-SIGNAL_EFFECTS: Mapping[str, Effect] = {
-    "sensor_lag": Effect(
+SIGNAL_EFFECTS: Mapping[str, Effect] = by_name(
+    Effect(
         sensor_lag,
-        (EffectParameter("tau_s", "s", 1.0, 3600.0, 60.0),),
-        "first-order response of a temperature sensor, IEC 60751",
-        "lags every change, by heater, fan and room alike, by the same time",
+        (EffectParameter("tau_s", "s", 1.0, 3600.0, 60.0, ParameterKind.AIR_LAG),),
+        source="first-order response of a temperature sensor, IEC 60751",
+        without="lags every change, by heater, fan and room alike, by the same time",
+        starts=({"tau_s": 20.0}, {"tau_s": 90.0}),
+        check="a fast thermocouple beside the air sensor",
+        common=3,
     ),
-    "sensor_bias": Effect(
+    Effect(
         sensor_bias,
         (EffectParameter("bias", "K", -5.0, 5.0, 0.3),),
-        "systematic error of measurement, JCGM 200 (VIM) 2.17",
-        "constant wherever the box has had time to settle, also at the room's temperature",
+        source="systematic error of measurement, JCGM 200 (VIM) 2.17",
+        without="constant wherever the box has had time to settle, also at the room's temperature",
+        starts=({"bias": 0.1},),
+        check="a calibrated thermometer beside the air sensor",
+        hidden_by=(HiddenBy(BlindRuns.ROOM_UNKNOWN, place=-1), HiddenBy(BlindRuns.ROOM_STEADY)),
     ),
-    "ambient_offset": Effect(
+    Effect(
         ambient_offset,
         (EffectParameter("b_amb", "K", -10.0, 10.0, 0.5),),
-        "systematic error of measurement, JCGM 200 (VIM) 2.17",
-        "constant wherever the box has had time to settle, more so with the fan on",
+        source="systematic error of measurement, JCGM 200 (VIM) 2.17",
+        without="constant wherever the box has had time to settle, more so with the fan on",
+        starts=({"b_amb": 0.1},),
+        check="an independent room sensor",
+        hidden_by=(HiddenBy(BlindRuns.ROOM_UNKNOWN, place=-2), HiddenBy(BlindRuns.ROOM_STEADY, place=-1)),
     ),
-    "constant_heat": Effect(
+    Effect(
         constant_heat,
         (EffectParameter("P0", "W", -50.0, 200.0, 5.0),),
-        "internal gain, ISO 52016-1",
-        "the same heat at all times: most in temperature while the fan is off",
+        source="internal gain, ISO 52016-1",
+        without="the same heat at all times: most in temperature while the fan is off",
+        starts=({"P0": 1.0},),
+        check="a power meter on all else that runs in the box",
+        hidden_by=(HiddenBy(BlindRuns.ROOM_UNKNOWN), HiddenBy(BlindRuns.ROOM_STEADY, place=-2)),
+        stands_in=True,
     ),
-    "led_gain": Effect(
+    Effect(
         led_gain,
         (EffectParameter("P_led", "W", 0.0, 300.0, 15.0),),
-        "heat gain from lighting, ASHRAE Fundamentals 2017, ch. 18",
-        "positive in proportion to the light",
+        source="heat gain from lighting, ASHRAE Fundamentals 2017, ch. 18",
+        without="positive in proportion to the light",
         needs=("light",),
+        starts=({"P_led": 2.0},),
+        check="a power meter at the lamp",
+        hidden_by=(HiddenBy(BlindRuns.LIGHT_STEADY),),
     ),
-    "solar_gain": Effect(
+    Effect(
         solar_gain,
         (EffectParameter("A_sun", "m²", 0.0, 5.0, 0.05),),
-        "effective collecting area of a window, ISO 52016-1, 6.5.13",
-        "positive in proportion to the sun",
+        source="effective collecting area of a window, ISO 52016-1, 6.5.13",
+        without="positive in proportion to the sun",
         needs=("solar",),
+        starts=({"A_sun": 0.01},),
+        check="a day with the windows covered",
     ),
-    "evapotranspiration": Effect(
+    Effect(
         evapotranspiration,
         (EffectParameter("k_e", "W/kPa", 0.0, 200.0, 10.0),),
-        "latent heat by vapour pressure deficit and light, Stanghellini 1987",
-        "negative in dry, warm air, more so in the light",
+        source="latent heat by vapour pressure deficit and light, Stanghellini 1987",
+        without="negative in dry, warm air, more so in the light",
         needs=("light", "rel_humidity"),
+        starts=({"k_e": 2.0},),
+        check="a run without plant and wet soil",
+        hidden_by=(HiddenBy(BlindRuns.HUMIDITY_UNKNOWN),),
     ),
-}
+)

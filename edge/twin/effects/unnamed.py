@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, EffectParameter
+from edge.twin.effects.effect import Effect, EffectParameter, Offer, ParameterKind, by_name
 from edge.twin.network import Network
 from edge.twin.signals import Floats, HeatConditions
 
@@ -36,25 +36,25 @@ def _warm(temp: Floats, middle_c: float, width_k: float) -> Floats:
     return np.asarray(1.0 / (1.0 + np.exp(-away)))
 
 
-UNNAMED_EFFECTS: Mapping[str, Effect] = {
-    "unnamed_heat": Effect(
+_TURNING = (
+    EffectParameter("T_x", "°C", -20.0, 300.0, 30.0, ParameterKind.TURNING_POINT),
+    EffectParameter("w_x", "K", 0.2, 20.0, 1.5),
+)
+UNNAMED_EFFECTS: Mapping[str, Effect] = by_name(
+    Effect(
         unnamed_heat,
-        (
-            EffectParameter("P_x", "W", -200.0, 200.0, 10.0),
-            EffectParameter("T_x", "°C", -20.0, 300.0, 30.0),
-            EffectParameter("w_x", "K", 0.2, 20.0, 1.5),
-        ),
-        "a bounded step, as a neuron of a network has it; stands for what was not found",
-        "positive or negative while the box is cool",
+        (EffectParameter("P_x", "W", -200.0, 200.0, 10.0), *_TURNING),
+        source="a bounded step, as a neuron of a network has it; stands for what was not found",
+        without="positive or negative while the box is cool",
+        offer=Offer.NAMELESS,
+        stands_in=True,
     ),
-    "unnamed_cut": Effect(
+    Effect(
         unnamed_cut,
-        (
-            EffectParameter("f_x", "", 0.0, 1.0, 0.4),
-            EffectParameter("T_x", "°C", -20.0, 300.0, 30.0),
-            EffectParameter("w_x", "K", 0.2, 20.0, 1.5),
-        ),
-        "a bounded step, as a thermal cut-out makes it; stands for what was not found",
-        "negative in proportion to the duty while the box is warm",
+        (EffectParameter("f_x", "", 0.0, 1.0, 0.4), *_TURNING),
+        source="a bounded step, as a thermal cut-out makes it; stands for what was not found",
+        without="negative in proportion to the duty while the box is warm",
+        offer=Offer.NAMELESS,
+        stands_in=True,
     ),
-}
+)
