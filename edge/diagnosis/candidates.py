@@ -17,8 +17,7 @@ from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
 DOOR_LENGTHS = 6.0  # among which that of a door was chosen, as if they had nothing in common
-# Of a fan that changes the air: where it stirs, or is none, they do nothing.
-BY_FLOW = ("infiltration", "fan_effectiveness", "short_circuit", "fan_deadtime", "fan_spinup")
+DOOR = "door_open"  # the column that doors found in the runs become
 FORMULA_NATS = 4.0  # by which a formula must be better than a name
 
 
@@ -50,19 +49,15 @@ class Candidates:
     @property
     def names(self) -> list[str]:
         """The usual effects that are not there and have their columns."""
-        have = set(self.runs.conditions)
+        have, known = set(self.runs.conditions), self.file.effects
+        useless = {*known, *(EFFECTS[name].replaces for name in known)}
         return [
             name
             for name, effect in USUAL_EFFECTS.items()
-            if name not in self.file.effects and set(effect.needs) <= have and self._can_be(name)
+            if name not in useless
+            and {*effect.needs, *effect.offered_with} <= have
+            and (self.file.fan_role == "exhaust" or not effect.by_flow)
         ]
-
-    def _can_be(self, name: str) -> bool:
-        if name == "door_opening":
-            return "door_open" in self.runs.conditions
-        if name in BY_FLOW and self.file.fan_role != "exhaust":
-            return False
-        return not (name == "wall_loss" and "wall_mass" in self.file.effects)
 
     @property
     def rows(self) -> int:
@@ -73,10 +68,11 @@ class Candidates:
         """Of naming an effect, or of a formula [nats]."""
         if name in self.formulas:
             return 0.5 * float(np.log(self.rows)) + float(np.log(len(self.formulas))) + FORMULA_NATS
-        values = len(EFFECTS[name].parameters)
-        if name == "wall_mass" and "wall_loss" in self.file.effects:
-            values -= 1  # what its films give in series is known
+        effect = EFFECTS[name]
+        values = len(effect.parameters)
+        if effect.amounts_to is not None and effect.replaces in self.file.effects:
+            values -= len(EFFECTS[effect.replaces].parameters)  # known, as its own amount to them
         chosen = float(np.log(len(self.names)))
-        if name == "door_opening":
+        if DOOR in effect.offered_with:
             chosen += self.doors * float(np.log(DOOR_LENGTHS * self.runs.duty.shape[1]))
         return 0.5 * values * float(np.log(self.rows)) + chosen

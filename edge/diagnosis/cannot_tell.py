@@ -5,7 +5,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.diagnosis.report.wording import listed
 from edge.formats.run_file import RecordedRun
+from edge.twin.effects.effect import BlindRuns
+from edge.twin.effects.library import hidden_by
 
 SMALL_EXCESS_K = 2.0  # air over room: less, and losses drown in noise
 STEADY_ROOM_K = 0.5
@@ -75,13 +78,10 @@ def _heater(runs: Sequence[RecordedRun]) -> Iterable[str]:
     if not any(level > 0.0 for level in levels):
         yield "the heater never heats: no effect of the heater, and no scale of the heat, can be told"
     elif not _moves(runs, "heater_duty"):
-        yield (
-            "the heater never changes: heater_lag, heater_deadtime, heater_efficiency, heater_saturation and "
-            "heater_sag can't be told"
-        )
+        yield f"the heater never changes: {_names(BlindRuns.HEATER_STEADY)} can't be told"
     elif len([level for level in levels if level > 0.0]) == 1:
         yield (
-            "the heater knows only off and one level: heater_efficiency, heater_saturation and heater_sag "
+            f"the heater knows only off and one level: {_names(BlindRuns.HEATER_ONE_LEVEL)} "
             "look the same; a staircase of levels tells them apart"
         )
 
@@ -94,12 +94,12 @@ def _fan(runs: Sequence[RecordedRun]) -> Iterable[str]:
         recorded = any("fan_on" in run.columns for run in runs)
         yield (
             f"the fan {'never runs' if recorded else 'was not recorded and counts as still'}: "
-            "its effects can't be told, and infiltration looks like wall_loss"
+            f"its effects can't be told, and {_alike(BlindRuns.FAN_OFF)}"
         )
     else:
         yield (
-            "the fan never changes: fan_deadtime and fan_spinup can't be told, and what it takes out looks "
-            "like a loss through the walls"
+            f"the fan never changes: {_names(BlindRuns.FAN_STEADY)} can't be told, "
+            "and what it takes out looks like a loss through the walls"
         )
 
 
@@ -107,15 +107,15 @@ def _room(runs: Sequence[RecordedRun]) -> Iterable[str]:
     rooms = [known for run in runs if len(known := _known(run, "temp_ambient_c"))]
     if not rooms:
         yield (
-            "the room temperature was not recorded and is fitted as a constant: ambient_offset, sensor_bias "
-            "and constant_heat can't be told apart"
+            "the room temperature was not recorded and is fitted as a constant: "
+            f"{_names(BlindRuns.ROOM_UNKNOWN)} can't be told apart"
         )
         return
     together = np.concatenate(rooms)
     if np.ptp(together) < STEADY_ROOM_K:
         yield (
-            f"the room stayed within {np.ptp(together):.1f} K: constant_heat, ambient_offset and sensor_bias "
-            "look much the same, and so do wall_mass and soil_mass"
+            f"the room stayed within {np.ptp(together):.1f} K: {_names(BlindRuns.ROOM_STEADY)} "
+            f"look much the same, and so do {_names(BlindRuns.ROOM_STEADY_BODIES)}"
         )
     excess = [run.columns["temp_air_c"] - run.columns["temp_ambient_c"] for run in runs if _has_room(run)]
     highest = np.nanmax(np.abs(np.concatenate(excess)), initial=0.0)
@@ -125,20 +125,30 @@ def _room(runs: Sequence[RecordedRun]) -> Iterable[str]:
 
 def _rest(runs: Sequence[RecordedRun]) -> Iterable[str]:
     if max(float(run.columns["time_s"][-1]) for run in runs) < SHORT_S:
-        yield (
-            "no run lasts an hour: slow bodies (wall_mass, soil_mass) can hardly be told from extra_capacity"
-        )
+        bodies = hidden_by(BlindRuns.SHORT)
+        others = listed(list(dict.fromkeys(bodies.values())))
+        yield f"no run lasts an hour: slow bodies ({', '.join(bodies)}) can hardly be told from {others}"
     if not _moves(runs, "light"):
         why = "never changes" if _levels(runs, "light") else "was not recorded"
-        yield f"the light {why}: led_gain can't be told"
+        yield f"the light {why}: {_names(BlindRuns.LIGHT_STEADY)} can't be told"
     if not any(len(_known(run, "rel_humidity_pct")) for run in runs):
-        yield "the humidity was not recorded: evapotranspiration can't be told"
+        yield f"the humidity was not recorded: {_names(BlindRuns.HUMIDITY_UNKNOWN)} can't be told"
     starts = [run.start_utc for run in runs]
     known = [start for start in starts if start is not None]
     if len(known) < len(starts):
-        yield "not every run says when it began (start_utc): ua_drift and the time of day can't be told"
+        names = _names(BlindRuns.START_UNKNOWN)
+        yield f"not every run says when it began (start_utc): {names} and the time of day can't be told"
     elif max(known) - min(known) < DAY_S:
-        yield "the runs began within one day: ua_drift can hardly be told"
+        yield f"the runs began within one day: {_names(BlindRuns.ONE_DAY)} can hardly be told"
+
+
+def _names(runs: BlindRuns) -> str:
+    return listed(list(hidden_by(runs)))
+
+
+def _alike(runs: BlindRuns) -> str:
+    """Each effect and the one that it looks like."""
+    return listed([f"{name} looks like {other}" for name, other in hidden_by(runs).items()])
 
 
 def _levels(runs: Sequence[RecordedRun], key: str) -> set[float]:

@@ -20,7 +20,8 @@ from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.starts import with_effect
 from edge.diagnosis.trial import Fitted, SizedTerm, Trial, start_of
 from edge.diagnosis.unknowns import UnknownValue, placed, unknowns
-from edge.twin.effects.unnamed import UNNAMED_EFFECTS
+from edge.twin.effects.effect import Offer, ParameterKind
+from edge.twin.effects.library import EFFECTS, parameter_at
 from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
@@ -36,7 +37,6 @@ ROUGHLY, FINELY = 3, 12  # iterations
 LONGEST_LAG_S = 1800.0  # over which errors go together, in the paper's box
 KEPT = 2  # starts that are followed to their ends
 AS_GOOD = 1.01  # times the error, for other values to be a rival
-LAGS = ("tau_h", "tau_s")
 APART_SDS, NEVER_APART = 4.0, 0.2  # between two values: more is no chance; of a coordinate, that is the same
 
 
@@ -102,7 +102,7 @@ def _exchanged(found: Fitted) -> Iterator[Floats]:
     """Coordinates at which a lag and the air have changed places: a slow and a fast answer in a row."""
     values = found.file.values()
     for i, item in enumerate(found.free):
-        if item.place[-1] not in LAGS:
+        if not _is(ParameterKind.AIR_LAG, item):
             continue
         without = {name: own for name, own in found.file.effects.items() if name != item.place[1]}
         if (air_s := answer_s(replace(found.file, effects=without).twin())) is None:
@@ -110,9 +110,14 @@ def _exchanged(found: Fitted) -> Iterator[Floats]:
         places = found.coordinates.copy()
         places[i] = item.coordinate(air_s)
         for j, other in enumerate(found.free):
-            if other.place[-1] == "kC":
+            if _is(ParameterKind.AIR_CAPACITIES, other):
                 places[j] = other.coordinate(values[other.place].value * values[item.place].value / air_s)
         yield places
+
+
+def _is(kind: ParameterKind, item: UnknownValue) -> bool:
+    parameter = parameter_at(item.place)
+    return parameter is not None and parameter.kind is kind
 
 
 def apart(found: Fitted, other: Fitted) -> list[UnknownValue]:
@@ -161,9 +166,11 @@ def _begun(file: TwinFile, free: Sequence[UnknownValue], near: Fitted) -> list[T
     """The file with each start of the one effect that a near twin has not."""
     known = {item.place for item in near.free}
     new = {item.place[1] for item in free if item.place not in known and item.place[0] == "effects"}
-    if len(new) != 1 or new <= UNNAMED_EFFECTS.keys():
+    if len(new) != 1:
         return [file]
     (name,) = new
+    if EFFECTS[name].offer is Offer.NAMELESS:
+        return [file]
     without = {key: values for key, values in file.effects.items() if key != name}
     return with_effect(replace(file, effects=without), name)
 

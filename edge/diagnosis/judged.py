@@ -21,15 +21,13 @@ from edge.diagnosis.starts import with_usual
 from edge.diagnosis.trial import Fitted
 from edge.diagnosis.unknowns import SDS_95
 from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, intervals, read, unnamed
-from edge.twin.effects.unnamed import UNNAMED_EFFECTS
+from edge.twin.effects.effect import Effect, Offer, ParameterKind
+from edge.twin.effects.library import EFFECTS, common_effects
+from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
-# What most boxes have more or less of: they stand for a name that fails, where they predict clearly better.
-USUAL = ("heater_lag", "soil_mass", "sensor_lag", "imperfect_mixing")
-# What may be added beside those where much is unexplained, so that a twin without a name predicts better.
-UNNAMED = ("constant_heat", "fan_heat", "natural_convection", *UNNAMED_EFFECTS, OPEN)
 MOST_UNNAMED = 2
 FIRST_FEW = 3  # of the search's last round, that are tried too
 LESS_SEEN = 0.97  # times the error over rows that were fitted, for left-out rows to be looked at
@@ -196,13 +194,15 @@ def _files(file: TwinFile, search: Search, effects: Iterable[MissingEffect]) -> 
     names = [effect.name for effect in effects]
     keys = [frozenset(names[:count]) for count in range(len(names) + 1)]
     keys += [frozenset(names) - {name} for name in names]
-    usual = [name for name in USUAL if name in search.candidates.names]
+    # Common effects stand for a name that fails, where they predict clearly better.
+    usual = [name for name in common_effects() if name in search.candidates.names]
     keys += [frozenset(names) | {other} for other in usual]
     for effect in effects:
         rivals = {*usual, *effect.alternatives} - set(names)
         keys += [frozenset(names) - {effect.name} | {other} for other in rivals]
-    if not names and {"heater_lag", "soil_mass"} <= set(usual):
-        keys.append(frozenset({"heater_lag", "soil_mass"}))
+    commonest = frozenset(common_effects()[:2])
+    if not names and commonest <= set(usual):
+        keys.append(commonest)
     return {key: _with(file, key) for key in keys}
 
 
@@ -238,10 +238,10 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) ->
     file, runs = search.file, comparison.known.runs
     last = search.rounds[-1].tried[:FIRST_FEW] if search.rounds else ()
     also = [item.name for item in last if item.name in search.candidates.names]
-    usual = [name for name in USUAL if name in search.candidates.names]
-    possible = [name for name in dict.fromkeys((*usual, *also, *UNNAMED)) if name not in file.effects]
-    if not runs.fan.any() or np.ptp(runs.fan) == 0.0:
-        possible.remove("fan_heat")
+    usual = [name for name in common_effects() if name in search.candidates.names]
+    # Where much is unexplained, a twin without a name predicts better with these.
+    stand_ins = [name for name, effect in EFFECTS.items() if effect.stands_in and _moves(effect, runs)]
+    possible = [name for name in dict.fromkeys((*usual, *also, *stand_ins, OPEN)) if name not in file.effects]
     if not any(value.rel_sd for value in file.values().values()):
         possible.remove(OPEN)
     middle_c = float(np.nanmedian(runs.temp))
@@ -264,11 +264,19 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) ->
             key=lambda item: item.rmse_k,
             default=handed,
         )
-        less = LESS_UNNAMED if best.added & UNNAMED_EFFECTS.keys() - handed.added else 1.0
+        more = (EFFECTS.get(name) for name in best.added - handed.added)
+        nameless = any(effect is not None and effect.offer is Offer.NAMELESS for effect in more)
+        less = LESS_UNNAMED if nameless else 1.0
         if not comparison.is_better_throughout(best, handed) or best.rmse_k > less * handed.rmse_k:
             break
         handed = best
     return handed
+
+
+def _moves(effect: Effect, runs: Recorded) -> bool:
+    """Whether the commands change without which the effect says nothing."""
+    commands = {"heater_duty": runs.duty, "fan_on": runs.fan}
+    return all(np.ptp(commands[key]) > 0.0 for key in effect.must_change)
 
 
 def _is_moved(handed: JudgedTwin, item: JudgedTwin) -> bool:
@@ -286,8 +294,9 @@ def _with(file: TwinFile, names: Names, middle_c: float = 0.0) -> TwinFile:
     """middle_c : of the air, about which a heat without a name may turn"""
     for name in sorted(names - {OPEN}):
         file = with_usual(file, name)
-        if "T_x" in file.effects[name]:
-            file = file.with_values({("effects", name, "T_x"): Value(middle_c, fit=True)})
+        for item in EFFECTS[name].parameters:
+            if item.kind is ParameterKind.TURNING_POINT:
+                file = file.with_values({("effects", name, item.name): Value(middle_c, fit=True)})
     return opened(file) if OPEN in names else file
 
 

@@ -31,11 +31,6 @@ MERGED_PAIRS, MERGED_INTO = 2, 2  # pairs that one effect may stand for, the lea
 MARGIN = 3.0  # nats beyond the penalty, as the noise is not quite what the model says
 NEXT_MARGIN = 8.0  # the same beside an effect: what the first leaves a little wrong invites more
 HOPELESS_NATS = -4.0  # after the penalty: noise levels of its own won't bring a candidate above 0
-# A light body is a capacity of the air, a light wall a loss too: what may be taken apart, and into what.
-TAKEN_APART = {
-    "wall_mass": (("wall_loss", "extra_capacity"), ("wall_mass", "extra_capacity")),
-    "soil_mass": (("soil_mass", "extra_capacity"),),
-}
 RIVAL_NATS = 3.0  # a set as likely as the best within this is its rival
 WORTH_A_LOOK = 12.0  # nats within which a screened rival is fitted with noise levels of its own
 
@@ -134,8 +129,8 @@ class Search:
     def _apart(self, best: ScoredSet) -> ScoredSet | None:
         """The set with a body that stood for two taken apart, where that explains more."""
         wanted = {}
-        for name in sorted(best.added & TAKEN_APART.keys()):
-            for parts in TAKEN_APART[name]:
+        for name in sorted(best.added & EFFECTS.keys()):
+            for parts in EFFECTS[name].taken_apart:
                 key = best.added - {name} | set(parts)
                 if len(key) > len(best.added) and key - best.added <= set(self.candidates.names):
                     wanted[key] = self.sets.as_usual(best, key)

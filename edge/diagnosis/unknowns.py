@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.effects.effect import EffectParameter
-from edge.twin.effects.library import applied
+from edge.twin.effects.library import EFFECTS, applied
 from edge.twin.fit import GEOMETRY_RANGE
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -106,13 +106,18 @@ def placed(file: TwinFile, free: Sequence[UnknownValue], coordinates: Floats) ->
 def path_priors(file: TwinFile) -> list[float]:
     """How far replaced and replacing effects are from what they must agree on, in standard deviations.
 
-    A known `wall_loss` says what the wall's two films give in series: 1/UA = 1/G_in + 1/G_out.
+    A known loss of the walls says what the two films of a wall that stores heat give in series.
     """
-    if not {"wall_loss", "wall_mass"} <= set(file.effects):
-        return []
-    known = file.effects["wall_loss"]["UA"]
-    if known.fit or known.value <= 0.0:
-        return []
-    wall = file.effects["wall_mass"]
-    series = 1.0 / (1.0 / wall["G_in"].value + 1.0 / wall["G_out"].value)
-    return [float(np.log(series / known.value)) / (known.rel_sd or PATH_SD)]
+    found = []
+    for name, own in file.effects.items():
+        effect = EFFECTS[name]
+        known = file.effects.get(effect.replaces, {})
+        if effect.amounts_to is None or not known:
+            continue
+        worth = effect.amounts_to({key: value.value for key, value in own.items()})
+        found += [
+            float(np.log(value / known[key].value)) / (known[key].rel_sd or PATH_SD)
+            for key, value in worth.items()
+            if not known[key].fit and known[key].value > 0.0
+        ]
+    return found

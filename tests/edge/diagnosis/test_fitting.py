@@ -12,7 +12,7 @@ from bench.support.simulated_runs import BOX, NOISE, Effects, Floats, changed, s
 from edge.diagnosis.fitting import fit, slopes
 from edge.diagnosis.noise_levels import find_levels
 from edge.diagnosis.nuisances import rooms
-from edge.diagnosis.starts import STARTS, with_effect
+from edge.diagnosis.starts import with_effect
 from edge.diagnosis.trial import Fitted, SizedTerm, Trial
 from edge.diagnosis.unknowns import path_priors, placed, unknowns
 from edge.diagnosis.verdict import intervals
@@ -171,7 +171,7 @@ def test_a_value_stays_inside_its_bounds_and_says_that_it_is_at_one(
 @pytest.mark.parametrize("name", USUAL_EFFECTS)
 def test_every_start_of_a_candidate_is_a_value_it_can_have(name: str) -> None:
     starts = with_effect(twin_file({}), name)
-    assert len(starts) == len(STARTS.get(name, starts))
+    assert len(starts) == len(EFFECTS[name].starts or starts)
     for file in starts:
         file.twin()  # refuses what is out of bounds
         for item in unknowns(file):

@@ -155,4 +155,4 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
 
 def test_the_schema_file_is_the_one_the_code_writes():
     kept = Path(schema.__file__).with_name("twin.schema.json").read_text(encoding="utf-8")
-    assert kept == schema.document()
+    assert kept == schema.document(), "run: python -m edge.twin.schema > edge/twin/twin.schema.json"
