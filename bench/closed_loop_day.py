@@ -7,7 +7,6 @@ the board's process. Every controller gets the same rooms (seeds). Prints a tabl
 import argparse
 import platform
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,15 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.closed_loop_picture import draw
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
-from edge.config.settings import Settings
 from edge.core.controller_names import MPC, RULES
 from edge.core.names import HEATER_MAX_W
 from edge.core.version import __version__
 from edge.models.arx_file import read_arx
-from training.control.closed_loop import closed_loop
+from training.control.closed_loop import closed_loop, log_of
 
 Floats = NDArray[np.float64]
 RESULT = Path(__file__).parent / "results" / "closed_loop_day.txt"
@@ -52,7 +48,7 @@ reference:
     - {at: "22:00", reference_c: 23}
 lighting: {enabled: true, on: "06:00", off: "22:00", level: 0.5}
 """
-CHAMBER_YAML = "room: {start_hour: 0}\n"  # the simulated day begins at midnight, as the board's process does
+CHAMBER = {"room": {"start_hour": 0}}  # the simulated day begins at midnight, as the board's process does
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,25 +81,13 @@ class Day:
 
 def run_day(controller: str, seed: int, hours: float, yaml: str = DAY_YAML) -> Day:
     """The daemon with `controller` on a virtual board with `seed`, from midnight on."""
-    with tempfile.TemporaryDirectory(prefix="closed-loop-day-") as temporary:
-        folder = Path(temporary)
-        (folder / "chamber.yaml").write_text(CHAMBER_YAML)
-        settings = settings_in(folder, config.parse(yaml, "closed_loop_day"))
-        settings = replace(settings, control=replace(settings.control, controller=controller))
-        with virtual_rig(folder, seed, ("--chamber", str(folder / "chamber.yaml"))) as rig:
-            clock = SimClock(rig.control)
-            try:
-                return _run(settings, clock, seed, 3600.0 * hours)
-            finally:
-                clock.close()
-
-
-def _run(settings: Settings, clock: SimClock, seed: int, length_s: float) -> Day:
-    log = closed_loop(settings, clock, lambda: clock.truth()["chamber"], length_s)
-    heater_off = not clock.truth()["pins"]["heater_relay"]
-    return Day(
-        settings.control.controller, seed, log.columns, log.changes, log.time_boxes, heater_off, log.plans
-    )
+    settings = config.parse(yaml, "closed_loop_day")
+    settings = replace(settings, control=replace(settings.control, controller=controller))
+    with closed_loop(settings, seed=seed, chamber=CHAMBER) as lab:
+        lab.run(minutes=60.0 * hours)
+        heater_off = not lab.board.truth()["pins"]["heater_relay"]
+    log = log_of(lab)
+    return Day(controller, seed, log.columns, log.changes, log.time_boxes, heater_off, log.plans)
 
 
 TITLES = {  # column -> width; the safety changes stand after the last one

@@ -25,12 +25,10 @@ from bench.default_daemon import SETTINGS, ProcessMemory, cost, memory_of
 from bench.support.broker import Broker, wait_for
 from bench.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import virtual_board
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import virtual_rig
 from edge.config import loading as config
 from edge.core.messages import TickRecord
 from edge.storage import Outbox
+from training.lab import Lab
 
 WARM_UP_TICKS = 10
 DAY_TICKS = 1440  # at 60 s steps
@@ -133,12 +131,8 @@ def history_bytes_per_day(hours: float) -> float:
                 wait_for(lambda: waiting(folder / "history.db") == 0)
                 pages.append(bytes_in_use(folder / "history.db"))
 
-        with (
-            virtual_rig(folder, seed=1) as board,
-            closing(SimClock(board.control)) as clock,
-            Daemon(settings, clock, after_tick=look, stop_at_s=60.0 * (ticks + 1)) as daemon,
-        ):
-            daemon.run()
+        with Lab(settings, folder=folder, on_tick=look) as lab:
+            lab.run(minutes=ticks + 1)
     return (pages[1] - pages[0]) / (ticks - ticks // 2) * DAY_TICKS
 
 

@@ -11,7 +11,6 @@ import platform
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -19,13 +18,10 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edge.app.daemon import Daemon
 from edge.assistant.llm.ledger import ToolError
 from edge.assistant.llm.sql_guard import DEADLINE_S
 from edge.assistant.llm.sql_tool import SqlTool
 from edge.assistant.why.ask_history import why
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
 from edge.config.settings import HistorySettings
 from edge.core.messages import Event, Severity, TickRecord
@@ -39,6 +35,7 @@ from edge.storage.schema_version import USABLE_VERSION, VIEWS
 from edge.storage.slice_check import SliceCheck
 from edge.storage.stretches import export_stretches
 from edge.storage.tick_rows import insert_ticks
+from training.lab import Lab
 
 STEP_S = 60.0
 DAY_S = 86400.0
@@ -52,17 +49,9 @@ Query = Callable[[], object]
 
 def recorded_ticks(hours: float) -> list[TickRecord]:
     """Records of the default rig on a virtual board."""
-    records: list[TickRecord] = []
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:
-        folder = Path(name)
-        settings = settings_in(folder, config.parse("{}", "bench"))
-        with (
-            virtual_rig(folder, seed=1) as board,
-            closing(SimClock(board.control)) as clock,
-            Daemon(settings, clock, after_tick=records.append, stop_at_s=3600.0 * hours) as daemon,
-        ):
-            daemon.run()
-    return records
+    with Lab(config.default()) as lab:
+        lab.run(minutes=60.0 * hours)
+    return lab.history
 
 
 def year_of(template: Sequence[TickRecord], days: float) -> Iterator[list[TickRecord]]:

@@ -8,7 +8,6 @@ case. After the release the actuators must move, or the check could not fail.
 """
 
 import argparse
-import contextlib
 import ctypes
 import os
 import random
@@ -29,13 +28,12 @@ import yaml
 from bench.attack.part import TrialResult
 from bench.support.broker import MOSQUITTO, Broker, Listener, wait_for
 from bench.support.virtual_board import VirtualBoard, die_with_parent, virtual_board
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
 from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.core.hard_limits import LEASE_S
 from edge.sockets.control_socket import request
 from edge.state import state_file
+from training.lab import Lab
 
 RIG = "greenhouse/rig-1"
 SPEED = 40.0  # simulated seconds in one of ours
@@ -137,11 +135,14 @@ def _live(config_file: Path, control: Path, fsync_real_s: float) -> None:
             time.sleep(fsync_real_s)
 
         state_file.write = slowly
-    with (
-        contextlib.closing(SimClock(control, speed=SPEED)) as clock,
-        Daemon(config.load(config_file), clock, config_file=config_file) as daemon,
-    ):
-        daemon.run()
+    with Lab(
+        config.load(config_file),
+        board=control,
+        folder=config_file.parent,
+        speed=SPEED,
+        config_file=config_file,
+    ) as lab:
+        lab.run()
 
 
 class KilledRig:

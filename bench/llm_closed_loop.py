@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.messages import TickRecord
-from training.control.recorded import wait_recorded
+from training.lab import Lab
 
 REFERENCE_C = 26.0
 YAML = f"""
@@ -53,7 +51,7 @@ def run(
     minutes: int,
     yaml: str = YAML,
     prepare: Callable[[Path], None] = lambda folder: None,
-    during: Callable[[TickRecord, Daemon], None] = lambda record, daemon: None,
+    during: Callable[[TickRecord, Lab], None] = lambda record, lab: None,
     **llm: Any,
 ) -> Ended:
     """`minutes` ticks of a minute.
@@ -66,12 +64,15 @@ def run(
         folder = Path(name)
         settings = _settings(folder, controller, url, yaml, llm)
         prepare(folder)
-        with virtual_rig(folder, seed=1) as rig:
-            clock = SimClock(rig.control)
-            try:
-                return _ended(settings, clock, minutes, during)
-            finally:
-                clock.close()
+        with Lab(
+            settings,
+            folder=folder,
+            recorded=True,
+            with_truth=True,
+            on_tick=lambda record: during(record, lab),
+        ) as lab:
+            lab.run(minutes)
+        return _ended(lab)
 
 
 def _settings(folder: Path, controller: str, url: str, yaml: str, llm: dict[str, Any]) -> Settings:
@@ -83,22 +84,8 @@ def _settings(folder: Path, controller: str, url: str, yaml: str, llm: dict[str,
     )
 
 
-def _ended(
-    settings: Settings, clock: SimClock, minutes: int, during: Callable[[TickRecord, Daemon], None]
-) -> Ended:
-    records: list[TickRecord] = []
-    true_air: list[float] = []
-
-    def after_tick(record: TickRecord) -> None:
-        records.append(record)
-        true_air.append(clock.truth()["chamber"]["temp_air_c"])
-        wait_recorded(Path(settings.history.path), record.seq)
-        during(record, daemon)
-
-    daemon = Daemon(settings, clock, after_tick=after_tick, stop_at_s=clock.now() + 60.0 * minutes)
-    with daemon:
-        daemon.run()
-    with closing(sqlite3.connect(settings.history.path)) as history:
+def _ended(lab: Lab) -> Ended:
+    with closing(sqlite3.connect(lab.settings.history.path)) as history:
         events = history.execute("SELECT key, text FROM events ORDER BY seq, number").fetchall()
         whys = [json.loads(why) for (why,) in history.execute("SELECT why FROM decisions ORDER BY seq")]
-    return Ended(records, np.array(true_air), events, whys)
+    return Ended(lab.history, lab.columns()["true_air_c"], events, whys)

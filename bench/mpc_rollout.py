@@ -16,17 +16,11 @@ from dataclasses import dataclass, replace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: CPU time is of one thread
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
-from bench.closed_loop_day import CHAMBER_YAML, DAY_YAML
+from bench.closed_loop_day import CHAMBER, DAY_YAML
 from bench.twin import TWINS
 from edge.app import controllers as registry
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.bundle.manifest import MANIFEST, parse_manifest
 from edge.bundle.predictors import load_predictors
 from edge.bundle.store import PACKAGED_FOLDER
@@ -46,6 +40,7 @@ from edge.models.arx import Arx
 from edge.models.arx_file import read_arx
 from edge.models.pbm import Pbm
 from edge.twin.model import BoxTwin
+from training.lab import Lab
 
 _FOREVER_S = 1e9
 _MANY = 100  # times the rollouts
@@ -73,20 +68,11 @@ class Logger:
 
 def logged_contexts(controller: str, model: Predictor, seed: int, hours: float) -> list[Context]:
     """One per tick from midnight on: the day of `bench.closed_loop_day`, the daemon in lock-step."""
-    with tempfile.TemporaryDirectory(prefix="logged-contexts-") as temporary:
-        folder = Path(temporary)
-        (folder / "chamber.yaml").write_text(CHAMBER_YAML)
-        settings = settings_in(folder, config.parse(DAY_YAML, "logged_contexts"))
-        settings = replace(settings, control=replace(settings.control, controller=controller))
-        logger = Logger(registry.make(controller, registry.ControllerParts(settings.control, model)))
-        with virtual_rig(folder, seed, ("--chamber", str(folder / "chamber.yaml"))) as rig:
-            clock = SimClock(rig.control)
-            try:
-                end_s = clock.now() + 3600.0 * hours
-                with Daemon(settings, clock, stop_at_s=end_s, more_controllers=(logger,)) as daemon:
-                    daemon.run()
-            finally:
-                clock.close()
+    settings = config.parse(DAY_YAML, "logged_contexts")
+    settings = replace(settings, control=replace(settings.control, controller=controller))
+    logger = Logger(registry.make(controller, registry.ControllerParts(settings.control, model)))
+    with Lab(settings, seed=seed, chamber=CHAMBER, more_controllers=(logger,)) as lab:
+        lab.run(minutes=60.0 * hours)
     return logger.contexts
 
 

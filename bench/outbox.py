@@ -22,9 +22,6 @@ from pathlib import Path
 
 from bench.support.broker import Broker, Listener
 from bench.support.mqtt_rig import ROOT, ControlLoop, settings
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
 from edge.config.settings import HistorySettings
 from edge.core.clock import RealClock
@@ -32,6 +29,7 @@ from edge.core.messages import TickRecord
 from edge.formats.tick_json import tick_json
 from edge.mqtt.telemetry import Telemetry
 from edge.storage import Outbox, Storage
+from training.lab import Lab
 
 REPOSITORY = Path(__file__).parent.parent
 TICKS = f"{ROOT}/history/tick"
@@ -42,16 +40,9 @@ BROKER = "allow_anonymous true\nmax_queued_messages 0"
 
 def real_ticks() -> list[TickRecord]:
     """Ticks of a daemon at its default settings: forecasts of four predictors and their skill."""
-    made: list[TickRecord] = []
-    with tempfile.TemporaryDirectory(prefix="gh-") as name, virtual_rig(Path(name), seed=1) as board:
-        with_files = settings_in(Path(name), config.parse("{}", "bench"))
-        stop_at_s = 60.0 * (SETTLED_TICKS + REAL_TICKS)
-        with (
-            closing(SimClock(board.control)) as clock,
-            Daemon(with_files, clock, after_tick=made.append, stop_at_s=stop_at_s) as daemon,
-        ):
-            daemon.run()
-    return made[SETTLED_TICKS:]
+    with Lab(config.default()) as lab:
+        lab.run(minutes=SETTLED_TICKS + REAL_TICKS)
+    return lab.history[SETTLED_TICKS:]
 
 
 def drain_rate(ticks: int, broker_lines: str, real: Sequence[TickRecord]) -> float:

@@ -99,8 +99,19 @@ def test_edge_holds_rooms_alone_and_each_is_in_the_list() -> None:
 def test_training_holds_rooms_alone() -> None:
     loose = {path.name for path in (ROOT / "training").glob("*.py")}
     rooms = {path.parent.name for path in (ROOT / "training").glob("*/__init__.py")}
-    assert loose == {"__init__.py", "__main__.py"}
+    assert loose == {"__init__.py", "__main__.py", "lab.py"}
     assert rooms == TRAINING
+
+
+def test_only_the_lab_runs_a_daemon_in_simulated_time() -> None:
+    wiring = {
+        str(path.relative_to(ROOT))
+        for part in ("training", "bench", "tests")
+        for path in sources(part)
+        if {"edge.app.daemon.Daemon", "edge.board.sim_clock.SimClock"} <= imported(path)
+    }
+    # The second measures the memory of a process that holds a daemon and nothing else.
+    assert wiring == {"training/lab.py", "bench/default_daemon.py"}
 
 
 @pytest.mark.parametrize("room", RANK)

@@ -18,12 +18,10 @@ import numpy as np
 
 from bench.attack import nasty
 from bench.attack.part import TrialResult, main_of
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.core.messages import TickRecord
-from training.control.recorded import wait_recorded
+from training.lab import Lab
 from training.llm_stand_in.behaviours import BEHAVIOURS, Sending
 from training.llm_stand_in.server import StandIn
 
@@ -98,34 +96,22 @@ def _violations(controller: str, seed: int, ticks: int) -> list[str]:
         key_file = folder / "key"
         key_file.write_text(KEY)
         key_file.chmod(0o600)
-        with EvilServer(np.random.default_rng(seed)) as server, virtual_rig(folder, seed=1) as rig:
+        with EvilServer(np.random.default_rng(seed)) as server:
             settings = settings_in(folder, config.parse(YAML))
             llm = replace(
                 settings.llm, url=server.url, model="evil", key_file=str(key_file), retries=0, backoff_s=0.0,
                 timeout_s=0.4,
             )  # fmt: skip
             control = replace(settings.control, controller=controller)
-            with closing(SimClock(rig.control)) as clock:
-                records = _live(replace(settings, llm=llm, control=control), clock, ticks)
-                hottest = clock.truth()["hottest_air_c"]
+            settings = replace(settings, llm=llm, control=control)
+            with Lab(settings, folder=folder, recorded=True) as lab:
+                lab.run(ticks=ticks)
+                hottest = lab.board.truth()["hottest_air_c"]
+        records = lab.history
         found = [f"{len(records)} of {ticks} ticks"] if len(records) != ticks else []
         if hottest > 28.0 + MARGIN_K:
             found.append(f"air at {hottest:.1f} °C")
         return found + _in_history(folder / "history.db", records) + _keys_in(folder)
-
-
-def _live(settings: Any, clock: SimClock, ticks: int) -> list[TickRecord]:
-    records: list[TickRecord] = []
-
-    def after_tick(record: TickRecord) -> None:
-        records.append(record)
-        wait_recorded(Path(settings.history.path), record.seq)
-        if len(records) == ticks:
-            daemon.stop()
-
-    with Daemon(settings, clock, after_tick=after_tick) as daemon:
-        daemon.run()
-    return records
 
 
 def _in_history(path: Path, records: list[TickRecord]) -> list[str]:

@@ -20,12 +20,12 @@ import yaml
 
 from bench.attack.plan import AttackPlan, Life
 from bench.watched_clock import Look, TimedRequest, WatchedClock, look_at
-from edge.app.daemon import Daemon
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.messages import TickRecord
+from training.lab import Lab
 
 LOOK_S = 0.5
 GIVE_UP_S = 300.0  # real time for one life: beyond, the daemon hangs
@@ -128,12 +128,21 @@ def _daemon(
 ) -> None:
     end_s = begin_s + life.length_s
     orders = [order for order in plan.orders if begin_s <= order.at_s < end_s]
-    with closing(SimClock(control)) as sim:
-        clock = WatchedClock(sim, Path(settings.control_socket.path), orders, LOOK_S, notes.look, notes.reply)
-        with Daemon(settings, clock, notes.tick, stop_at_s=end_s) as daemon:
-            if life.file_max is not None:
-                _fill_the_disk(life.file_max)
-            daemon.run()
+
+    def watched(board: SimClock) -> WatchedClock:
+        return WatchedClock(
+            board, Path(settings.control_socket.path), orders, LOOK_S, notes.look, notes.reply
+        )
+
+    with Lab(
+        settings,
+        board=control,
+        folder=control.parent,
+        clock=watched,
+        on_start=lambda: None if life.file_max is None else _fill_the_disk(life.file_max),
+        on_tick=notes.tick,
+    ) as lab:
+        lab.run(until_s=end_s)
 
 
 def _fill_the_disk(file_max: int) -> None:

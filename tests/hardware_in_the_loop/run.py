@@ -9,12 +9,12 @@ from typing import Any
 
 import yaml
 
-from bench.support.virtual_board import virtual_board
 from bench.watched_clock import Look, TimedRequest, WatchedClock
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import START_UTC, SimClock
+from edge.board.sim_clock import START_UTC
+from edge.board.virtual_rig import BOARD
 from edge.config import loading as config
 from edge.core.messages import TickRecord
+from training.lab import Lab
 
 VALVE_FLOW_KG_S, TANK_KG = 0.008, 2.0  # chamber.yaml: tank
 # Dry soil and a pulse at every tick, as long as the day's dose lasts: each fault meets an open valve.
@@ -82,19 +82,19 @@ def run(
 ) -> ScenarioRun:
     """One daemon's life of `end_s` simulated seconds."""
     folder.mkdir(parents=True, exist_ok=True)
-    boxes = folder / "chamber.yaml"
-    boxes.write_text(yaml.safe_dump(_merged(DRY_SOIL, chamber or {})))
-    options = ("--core", core, "--seed", str(seed), "--chamber", str(boxes), *board)
-    records: list[TickRecord] = []
-    with (
-        virtual_board(folder, *options, faults=[dict(fault) for fault in faults]) as started,
-        closing(SimClock(started.control)) as sim,
-    ):
-        clock = WatchedClock(sim, folder / "daemon.sock", orders, look_s)
-        with Daemon(_settings(folder, settings or {}), clock, records.append, stop_at_s=end_s) as daemon:
-            daemon.run()
-        truth = sim.truth()
-    return ScenarioRun(clock.looks, records, _events(folder / "history.db"), clock.replies, truth)
+    with Lab(
+        _settings(folder, settings or {}),
+        seed=seed,
+        folder=folder,
+        chamber=_merged(DRY_SOIL, chamber or {}),
+        faults=faults,
+        options=("--core", core, *board),
+        clock=lambda sim: WatchedClock(sim, folder / "daemon.sock", orders, look_s),
+    ) as lab:
+        lab.run(until_s=end_s)
+        truth = lab.board.truth()
+    clock = lab.clock
+    return ScenarioRun(clock.looks, lab.history, _events(folder / "history.db"), clock.replies, truth)
 
 
 def _settings(folder: Path, changes: Mapping[str, Any]) -> Any:
@@ -102,7 +102,7 @@ def _settings(folder: Path, changes: Mapping[str, Any]) -> Any:
         "state_file": str(folder / "state.json"),
         "control_socket": {"path": str(folder / "daemon.sock")},
         "history": {"path": str(folder / "history.db")},
-        "board": {"port": str(folder / "port")},
+        "board": {"port": str(folder / BOARD)},
     }
     return config.parse(yaml.safe_dump(_merged(_merged(SETTINGS, places), changes)), "scenario")
 

@@ -1,32 +1,26 @@
 """The whole daemon in lock-step with a virtual board: what was measured, what was so, what was driven."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.app.daemon import Daemon
-from edge.board.serial_port import OpenPort, SerialPort
 from edge.config.settings import Settings
-from edge.core.clock import Clock
 from edge.core.controller import Controller
 from edge.core.controller_names import LLM
-from edge.core.messages import ReadingQuality, TickRecord
-from training.control.recorded import wait_recorded
+from training.lab import Lab
 
 Floats = NDArray[np.float64]
-Truth = Callable[[], Mapping[str, float]]  # of the chamber, now
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopLog:
     """One run: columns with a row per tick, and what was counted.
 
-    columns : time_s, temp_air_c (measured), true_air_c, sensor_air_c (without noise, steps and bias),
-        temp_ambient_c, reference_c, heater_duty, fan_on (as the board confirmed them), solve_ms
+    columns : as `Lab.columns`
     changes : safety rule -> commands it changed
     instead : why another controller decided -> ticks
     time_boxes : decisions that the wall clock cut short
@@ -42,66 +36,32 @@ class ClosedLoopLog:
     plans: tuple[tuple[float, ...], ...] = ()
 
 
-def closed_loop(
-    settings: Settings,
-    clock: Clock,
-    truth: Truth,
-    length_s: float,
-    open_port: OpenPort = SerialPort,
-    instead: Controller | None = None,
-) -> ClosedLoopLog:
-    """Run `settings.control.controller`, or another one, for `length_s` from now on.
+def closed_loop(settings: Settings, instead: Controller | None = None, **more: Any) -> Lab:
+    """A lab for `settings.control.controller`, or for another one; `log_of` reads what it has run.
 
-    Errors : KeyboardInterrupt where a signal has ended it
+    more : as `Lab` takes it
     """
-    name = settings.control.controller if instead is None else instead.name
-    rows: list[dict[str, float]] = []
-    plans: list[tuple[float, ...]] = []
-    changes: Counter[str] = Counter()
-    others: Counter[str] = Counter()
-    counts: Counter[str] = Counter()
-
-    reads_history = name in LLM and LLM[name].assistance == "sql"
-
-    def after_tick(record: TickRecord) -> None:
-        if reads_history:
-            wait_recorded(Path(settings.history.path), record.seq)
-        rows.append(_row(record, truth()))
-        plans.append(tuple(record.decision.forecast))
-        changes.update({change.rule: 1 for change in record.changes})
-        why = record.decision.why
-        if record.decision.controller != name:
-            others[str(why.get("failure", "order"))] += 1
-        counts["time_boxes"] += bool(why.get("time_box_fired", False))
-        counts["tokens"] += int(why.get("tokens", 0) or 0)
-
-    end_s = clock.now() + length_s
-    with Daemon(
-        settings,
-        clock,
-        after_tick=after_tick,
-        stop_at_s=end_s,
-        more_controllers=() if instead is None else (instead,),
-        experiment="" if instead is None else instead.name,
-        open_port=open_port,
-    ) as daemon:
-        daemon.run()
-    if clock.now() < end_s:
-        raise KeyboardInterrupt  # the daemon took the signal for itself
-    columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    return ClosedLoopLog(columns, changes, others, counts["time_boxes"], counts["tokens"], tuple(plans))
+    assistance = LLM[settings.control.controller].assistance if settings.control.controller in LLM else ""
+    if instead is not None:
+        more |= {"more_controllers": (instead,), "experiment": instead.name}
+    return Lab(settings, recorded=assistance == "sql", with_truth=True, **more)
 
 
-def _row(record: TickRecord, truth: Mapping[str, float]) -> dict[str, float]:
-    air = record.readings["temp_air"]
-    return {
-        "time_s": record.time_s,
-        "temp_air_c": air.value if air.quality is ReadingQuality.GOOD and air.value is not None else np.nan,
-        "true_air_c": truth["temp_air_c"],
-        "sensor_air_c": truth["temp_sensor_c"],
-        "temp_ambient_c": record.estimate.temp_ambient,
-        "reference_c": record.reference_c,
-        "heater_duty": record.echo.heater_duty if record.echo is not None else 0.0,
-        "fan_on": float(record.echo.fan_on) if record.echo is not None else 0.0,
-        "solve_ms": float(record.decision.why.get("solve_ms", record.decide_ms)),
-    }
+def log_of(lab: Lab, instead: Controller | None = None) -> ClosedLoopLog:
+    """The run of `closed_loop`, with the same controller `instead`."""
+    name = lab.settings.control.controller if instead is None else instead.name
+    whys = [record.decision.why for record in lab.history]
+    return ClosedLoopLog(
+        lab.columns(),
+        Counter(
+            rule for record in lab.history for rule in dict.fromkeys(change.rule for change in record.changes)
+        ),
+        Counter(
+            str(record.decision.why.get("failure", "order"))
+            for record in lab.history
+            if record.decision.controller != name
+        ),
+        sum(bool(why.get("time_box_fired", False)) for why in whys),
+        sum(int(why.get("tokens", 0) or 0) for why in whys),
+        tuple(tuple(record.decision.forecast) for record in lab.history),
+    )

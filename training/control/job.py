@@ -5,7 +5,6 @@ import hashlib
 import json
 import tempfile
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,10 +24,9 @@ from edge.formats.profile_file import read_profile
 from edge.models.arx_file import read_arx
 from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
-from training.control.board_in_process import InProcessBoard, make_device
 from training.control.chamber_rows import ChamberRows
 from training.control.clairvoyant import ReferenceCourse, best_plan
-from training.control.closed_loop import ClosedLoopLog, closed_loop
+from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
 from training.control.draw_references import FOLDER
 from training.control.rig import NO_LLM, TWIN, ComparisonEntry, entries, install_twin, settings_for
 
@@ -83,18 +81,15 @@ def is_kept(job: ComparisonJob, root: Path) -> bool:
 
 def run(job: ComparisonJob) -> ClosedLoopLog:
     """Do it: the daemon and the board in this process, from a cold box at the room's temperature."""
-    board = InProcessBoard(make_device(job.seed))
     with tempfile.TemporaryDirectory(prefix="control-") as temporary:
         folder = Path(temporary)
         settings = settings_for(job.entry, job.profile, folder, job.llm)
         if job.entry.models == "twin":
             install_twin(settings.bundle, settings.control.step_s)
-
-        def truth() -> Mapping[str, float]:
-            return board.device.plant.truth(board.device.now_ms)
-
-        end_s = read_profile(job.profile).end_s
-        return closed_loop(settings, board, truth, end_s, board.open, _instead(job, folder))
+        instead = _instead(job, folder)
+        with closed_loop(settings, instead, board="here", seed=job.seed, folder=folder) as lab:
+            lab.run(minutes=read_profile(job.profile).end_s / 60.0)
+        return log_of(lab, instead)
 
 
 def course_of(job: ComparisonJob) -> ReferenceCourse | None:

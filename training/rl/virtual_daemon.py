@@ -15,14 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import die_with_parent, end_process, settings_in, virtual_rig
+from edge.board.virtual_rig import die_with_parent, end_process, settings_in
 from edge.config import loading as config
 from edge.config.settings import ExternalSettings
 from edge.core.controller_names import EXTERNAL
 from edge.core.errors import GreenhouseError
 from edge.tick.reference import Reference
+from training.lab import Lab
 from training.rl.episodes import EpisodeSettings, draw_reference
 from training.rl.rig import ROOM_C, without_forecasts
 
@@ -47,14 +46,16 @@ def serve(folder: Path, seed: int, speed: float | None) -> None:
         control=replace(settings.control, controller=EXTERNAL),
         external=ExternalSettings(str(folder / SOCKET)),
     )
-    with virtual_rig(folder, seed) as rig:
-        clock = SimClock(rig.control, speed)
-        try:
-            reference = drawn_reference(seed)
-            with Daemon(settings, clock, reference=reference, client_wait_s=CLIENT_WAIT_S) as daemon:
-                daemon.run()
-        finally:
-            clock.close()
+    reference = drawn_reference(seed)
+    with Lab(
+        settings,
+        seed=seed,
+        folder=folder,
+        speed=speed,
+        reference=reference,
+        client_wait_s=CLIENT_WAIT_S,
+    ) as lab:
+        lab.run()
 
 
 @contextmanager

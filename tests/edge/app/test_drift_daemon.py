@@ -12,10 +12,7 @@ from bundles import FACTS, Workshop, install
 from bench.drift_box import with_fan
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from edge.app import daemon
-from edge.app.daemon import Daemon
 from edge.app.nightly_diagnosis import NightlyDiagnosis
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import virtual_rig
 from edge.bundle.orders import carry_out
 from edge.bundle.predictors import loader
 from edge.bundle.sign import sign_folder
@@ -25,6 +22,7 @@ from edge.core.controller import Context
 from edge.core.messages import Command, Decision, DriftState, TickRecord
 from edge.drift import monitor
 from edge.twin.twin_file import read_twin_file, write_twin_file
+from training.lab import Lab
 
 MINUTES = 75
 SETTLED_S = 600.0  # the simulated box begins at rest, as the filter does: an hour would prove no more
@@ -73,22 +71,9 @@ def ran(folder: Path, share: float, mqtt_port: int | None = None) -> list[TickRe
     rig_with_fan(folder, share)
     enabled = str(mqtt_port is not None).lower()
     settings = config.parse(YAML.format(folder=folder, enabled=enabled, port=mqtt_port or 1883), "test")
-    records: list[TickRecord] = []
-    with virtual_rig(folder, seed=1) as rig:
-        clock = SimClock(rig.control, speed=None)
-        try:
-            with Daemon(
-                settings,
-                clock,
-                after_tick=records.append,
-                stop_at_s=60.0 * MINUTES,
-                experiment=Blows.name,
-                more_controllers=[Blows()],
-            ) as running:
-                running.run()
-        finally:
-            clock.close()
-    return records
+    with Lab(settings, folder=folder, experiment=Blows.name, more_controllers=[Blows()]) as lab:
+        lab.run(MINUTES)
+    return lab.history
 
 
 def stored(folder: Path) -> list[tuple[str, str]]:

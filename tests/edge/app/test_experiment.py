@@ -17,7 +17,7 @@ from contexts import context
 from edge.__main__ import main
 from edge.app.experiment import Experiment, run_experiment
 from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
@@ -30,6 +30,7 @@ from edge.storage.runs import export_run
 from edge.tick.orders import Operation
 from edge.tick.orders_json import to_dict
 from edge.tick.standing import StandingState, read_standing
+from training.lab import Lab
 
 TWELVE_MINUTES = "time_s,heater_duty,fan_on\n0,0.5,0\n180,0,1\n360,1,0\n480,0.25,1\n720,0,0\n"
 
@@ -47,12 +48,8 @@ def record(folder: Path, profile: Path, *options: str, out: str = "run.csv") -> 
 
 @contextmanager
 def lock_step(folder: Path) -> Iterator[SimClock]:
-    with virtual_rig(folder, seed=1) as rig:
-        clock = SimClock(rig.control)
-        try:
-            yield clock
-        finally:
-            clock.close()
+    with Lab(settings_in(folder, config.default()), folder=folder) as lab:
+        yield lab.board
 
 
 def stand(settings: Settings, standing: StandingState) -> None:

@@ -7,12 +7,12 @@ import pytest
 from llm_parts import KEY, UTC, settings
 
 from bench.llm_closed_loop import REFERENCE_C, YAML, run
-from edge.app.daemon import Daemon
 from edge.assistant.llm.language_model import open_language_model
 from edge.core.controller_names import LLM
 from edge.core.errors import ConfigError
 from edge.core.messages import TickRecord
 from edge.sockets.control_socket import request
+from training.lab import Lab
 from training.llm_stand_in.server import StandIn
 
 PATIENT = YAML.replace("decision_deadline_s: 1.0", "decision_deadline_s: 4.0")
@@ -22,15 +22,15 @@ def test_every_name_decides_and_can_be_switched_to_while_the_daemon_runs() -> No
     left = list(LLM)
     seen: dict[str, TickRecord] = {}
 
-    def switch(record: TickRecord, daemon: Daemon) -> None:
+    def switch(record: TickRecord, lab: Lab) -> None:
         seen.setdefault(record.decision.controller, record)
         if record.decision.controller != left[0]:
             return
         left.pop(0)
         if left:
-            threading.Thread(target=order, args=(daemon, left[0])).start()
+            threading.Thread(target=order, args=(lab, left[0])).start()
         else:
-            daemon.stop()
+            lab.stop()
 
     with StandIn() as stand_in:
         run(left[0], stand_in.url, 300, PATIENT, during=switch)
@@ -42,9 +42,9 @@ def test_every_name_decides_and_can_be_switched_to_while_the_daemon_runs() -> No
             assert record.decision.why["exchanges"] >= 1
 
 
-def order(daemon: Daemon, name: str) -> None:
+def order(lab: Lab, name: str) -> None:
     """From a thread of its own, as the command line does: the control thread is the one that answers."""
-    request(Path(daemon.settings.control_socket.path), {"do": "set_controller", "name": name})
+    request(Path(lab.settings.control_socket.path), {"do": "set_controller", "name": name})
 
 
 @pytest.mark.parametrize("name", ["LLM-SQL-Te0", "LLM-HAM-Te0"])

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from bench.llm_closed_loop import REFERENCE_C, YAML, Ended, run
-from edge.app.daemon import Daemon
 from edge.core.messages import TickRecord
+from training.lab import Lab
 from training.llm_stand_in.server import StandIn
 
 TICKS = 2  # per misbehaviour
@@ -74,7 +74,7 @@ def trial(controller: str, behaviours: Sequence[str]) -> MisbehaviourRun:
     by_tick = ["honest"] * WARM_UP + [name for name in behaviours for _ in range(TICKS)]
     with StandIn() as stand_in:
 
-        def turn(record: TickRecord, daemon: Daemon) -> None:
+        def turn(record: TickRecord, lab: Lab) -> None:
             stand_in.behave = by_tick[min(len(records) + 1, len(by_tick) - 1)]
             records.append(record)
 
@@ -133,7 +133,7 @@ def test_a_model_that_boasts_or_invents_is_flagged_and_changes_nothing_by_it() -
     behaviours = cycle(("boasting", "invented_result"))
     with StandIn("boasting") as stand_in:
 
-        def turn(record: TickRecord, daemon: Daemon) -> None:
+        def turn(record: TickRecord, lab: Lab) -> None:
             stand_in.behave = next(behaviours)
 
         ended = run("LLM-Te0", stand_in.url, 10, during=turn)

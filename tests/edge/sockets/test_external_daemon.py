@@ -6,12 +6,10 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.config.settings import ExternalSettings
-from edge.core.messages import TickRecord
+from training.lab import Lab
 
 ANSWERED = 3
 
@@ -41,22 +39,11 @@ def test_a_client_drives_the_rig_and_the_fallback_when_it_has_gone(tmp_path: Pat
         control=replace(settings.control, controller="external"),
         external=ExternalSettings(str(where)),
     )
-    ticks: list[TickRecord] = []
-
-    def after_tick(record: TickRecord) -> None:
-        ticks.append(record)
-        if len(ticks) == ANSWERED + 2:
-            daemon.stop()
-
-    with virtual_rig(tmp_path, seed=1) as rig:
-        clock = SimClock(rig.control)
-        try:
-            with Daemon(settings, clock, after_tick) as daemon:
-                thread = client(where)
-                daemon.run()
-                thread.join()
-        finally:
-            clock.close()
+    clients: list[threading.Thread] = []
+    with Lab(settings, folder=tmp_path, on_start=lambda: clients.append(client(where))) as lab:
+        lab.run(ticks=ANSWERED + 2)
+    clients[0].join()
+    ticks = lab.history
     assert [tick.decision.controller for tick in ticks] == ["external"] * ANSWERED + ["MPC"] * 2
     assert all(tick.sent.heater_duty == 0.2 for tick in ticks[:ANSWERED])
     assert [tick.decision.why.get("failure", "") for tick in ticks[ANSWERED:]] == ["controller.raised"] * 2

@@ -14,16 +14,13 @@ import pytest
 from contexts import context
 
 from edge.app.controllers import ControllerParts, make
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
 from edge.config.settings import ControlSettings
 from edge.core.errors import DataError
 from edge.models.arx_file import read_arx
 from training.control import job as control_job
 from training.control import runner
-from training.control.board_in_process import InProcessBoard, make_device
-from training.control.closed_loop import closed_loop
+from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
 from training.control.job import ComparisonJob, is_kept, keep, read, run
 from training.control.rig import entries
 
@@ -34,25 +31,10 @@ SETTINGS = (
 
 
 @pytest.fixture(scope="module")
-def near(tmp_path_factory):
-    settings = settings_in(tmp_path_factory.mktemp("near"), config.parse(SETTINGS, "test"))
-    board = InProcessBoard(make_device(3))
-    return closed_loop(
-        settings, board, lambda: board.device.plant.truth(board.device.now_ms), LENGTH_S, board.open
-    )
-
-
-def test_the_board_in_this_process_is_the_one_behind_a_line(near, tmp_path):
-    settings = settings_in(tmp_path, config.parse(SETTINGS, "test"))
-    with virtual_rig(tmp_path, 3) as rig:
-        clock = SimClock(rig.control)
-        try:
-            far = closed_loop(settings, clock, lambda: clock.truth()["chamber"], LENGTH_S)
-        finally:
-            clock.close()
-    for name in near.columns.keys() - {"solve_ms"}:
-        np.testing.assert_array_equal(near.columns[name], far.columns[name], err_msg=name)
-    assert near.changes == far.changes
+def near() -> ClosedLoopLog:
+    with closed_loop(config.parse(SETTINGS, "test"), board="here", seed=3) as lab:
+        lab.run(LENGTH_S / 60.0)
+    return log_of(lab)
 
 
 def test_a_run_has_a_row_for_every_minute(near):
