@@ -7,7 +7,8 @@ import pytest
 
 from bench.support.simulated_runs import BOX, Effects, Floats
 from edge.core.errors import DataError
-from edge.twin.effects.library import EFFECTS, FURTHER_EFFECTS, USUAL_EFFECTS
+from edge.twin.effects.library import EFFECTS
+from edge.twin.effects.unnamed import UNNAMED_EFFECTS
 from edge.twin.ensemble import EnsembleRun, responses
 from edge.twin.linear_steps import linear_steps
 from edge.twin.model import BoxTwin
@@ -79,7 +80,7 @@ BENT = {  # largest error where noise is 0.3 K and where it is 1 K
 
 
 def test_every_effect_is_either_linear_or_bent() -> None:
-    assert {*LINEAR, *BENT} == {*USUAL_EFFECTS, *FURTHER_EFFECTS}
+    assert {*LINEAR, *BENT} == set(EFFECTS) - set(UNNAMED_EFFECTS)
 
 
 @pytest.mark.parametrize("box", [BOX, AIR_ALONE], ids=["box", "air alone"])
