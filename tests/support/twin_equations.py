@@ -14,7 +14,7 @@ NOTHING = {
     "tau_h": 0.0, "d_h": 0.0, "eta": 1.0, "f_rad": 0.0, "u_sat": 1.0, "sag": 0.0, "epsA": 0.0,
     "eps_f": 1.0, "s_sc": 0.0, "d_f": 0.0, "tau_f": 0.0, "F_mix": 0.0, "tau_s": 0.0, "bias": 0.0,
     "b_amb": 0.0, "P0": 0.0, "P_led": 0.0, "A_sun": 0.0, "k_e": 0.0, "G_door": 0.0, "ua_drift": 0.0,
-    "P_fan": 0.0, "G_g": 0.0, "T_g": 0.0, "F_st": 0.0, "G_nc": 0.0,
+    "P_fan": 0.0, "G_g": 0.0, "T_g": 0.0, "F_st": 0.0, "G_nc": 0.0, "P_res": 0.0,
 }  # fmt: skip
 STATES = ("air", "upper", "wall", "soil", "heater", "fan", "sensor")
 
@@ -51,6 +51,7 @@ def slopes(state, duty, fan, now, p):
         + p["P0"]
         + p["P_led"] * now["light"]
         + p["A_sun"] * now.get("solar", 0.0)
+        + p["P_res"] * np.exp(np.log(2.0) * (min(air, 40.0) - 20.0) / 10.0)
         - p["k_e"] * (0.4 + 0.6 * now["light"]) * deficit
     )
     exhaust = p["eps_f"] * (1.0 - p["s_sc"]) * flow * EXHAUST_W_K * (air - room)

@@ -9,11 +9,14 @@ from edge.twin.effects.effect import (
     Effect,
     EffectParameter,
     HiddenBy,
+    Offer,
     ParameterKind,
     by_name,
 )
 from edge.twin.network import Network
 from edge.twin.signals import Floats, HeatConditions
+
+HOTTEST_LIFE_C = 40.0  # enzymes of plants and of most soil fail above
 
 
 def sensor_lag(network: Network, tau_s: float) -> None:
@@ -63,6 +66,19 @@ def vapour_deficit_kpa(temp_c: Floats, rel_humidity: Floats) -> Floats:
     """Saturation pressure minus the vapour's; Tetens' formula, FAO 56 eq. 11; relative humidity in %."""
     saturation = 0.6108 * np.exp(17.27 * temp_c / (temp_c + 237.3))
     return np.asarray(saturation * (1.0 - rel_humidity / 100.0))
+
+
+def respiration_heat(network: Network, P_res: float) -> None:
+    """Living soil and plants breathe, twice as fast for each 10 K: Q = P_res 2^((T - 20) / 10).
+
+    P_res is the heat at 20 °C; from 40 °C on the heat stays, as life does not stand more.
+    """
+
+    def breathed(now: HeatConditions) -> Floats:
+        warmth_k = np.minimum(now.temp, HOTTEST_LIFE_C) - 20.0
+        return np.asarray(P_res * 2.0 ** (warmth_k / 10.0))
+
+    network.heat(breathed, by_temp=True)
 
 
 SIGNAL_EFFECTS: Mapping[str, Effect] = by_name(
@@ -131,5 +147,13 @@ SIGNAL_EFFECTS: Mapping[str, Effect] = by_name(
         starts=({"k_e": 2.0},),
         check="a run without plant and wet soil",
         hidden_by=(HiddenBy(BlindRuns.HUMIDITY_UNKNOWN),),
+    ),
+    Effect(
+        respiration_heat,
+        (EffectParameter("P_res", "W", 0.0, 50.0, 1.0),),
+        source="heat of respiration, ASHRAE Refrigeration 2018, ch. 19; Q10 of 2, Lloyd & Taylor 1994",
+        without="positive at all times, and twice as much in a box that is 10 K warmer",
+        offer=Offer.KNOWN_ONLY,
+        check="the rise of carbon dioxide in the closed box: 1 g/h is 3 W",
     ),
 )

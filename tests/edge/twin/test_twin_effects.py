@@ -192,6 +192,15 @@ def test_dry_and_bright_air_is_cooled_and_saturated_air_is_not():
     assert ends[0] > ends[1] + 0.3 > ends[2] + 0.6
 
 
+def test_life_warms_the_box_twice_as_much_for_each_10_k():
+    # 4.5 W at 20 °C are 9 W at 30 °C, which is what 1 W/K loses over a room of 21 °C
+    life = {"respiration_heat": {"P_res": 4.5}, "wall_loss": {"UA": 1.0}}
+    assert run(life, 0.0, 0.0, steps=200)[-1] == pytest.approx(30.0, abs=1e-3)
+    # 20 W at 20 °C are 80 W at 40 °C and above, which is what 2 W/K loses at 61 °C
+    hot = {"respiration_heat": {"P_res": 20.0}, "wall_loss": {"UA": 2.0}}
+    assert run(hot, 0.0, 0.0, temp=45.0, steps=100)[-1] == pytest.approx(61.0, abs=1e-3)
+
+
 def test_radiation_is_a_little_more_than_a_wall_in_a_warm_box():
     # 4 sigma T^3 at 25 °C is 6.01 W/(m² K) and at 33 °C, between room and box, 8 % more; by UA t / C = 2.0
     # the 24 K have become 3.3 K, and 8 % of 2.0 takes off a further 16 % of them at the most

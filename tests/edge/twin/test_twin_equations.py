@@ -42,6 +42,7 @@ SECOND_ORDER = {
     "evapotranspiration": {"k_e": 15.0},
     "stack_ventilation": {"F_st": 0.002},
     "natural_convection": {"G_nc": 2.0},
+    "respiration_heat": {"P_res": 2.0},
 }
 EXACT_K, SECOND_ORDER_K, TWO_K, ZONES_K = 2e-6, 0.01, 0.02, 0.03  # as edge/twin/march.py states
 
