@@ -1,14 +1,14 @@
-"""How a settings class says what it allows, and the check that holds it to that.
+"""How a document's class says what it allows, and the check that holds a value to that.
 
-A section is a frozen dataclass derived from `Section`; each field carries unit, range and meaning in its
-metadata (`number`, `whole`, `text`, ...). The check runs when an object is made, so a value set in code is
-held to the same limits as one from YAML.
+A class is a frozen dataclass. Each field carries unit, range and meaning in its metadata (`number`, `whole`,
+`text`, ...) or in its type (`Annotated[float, Rule(above=0.0)]`). The check of a `Section` also runs when an
+object is made, so a setting from code is held to the same limits as one from YAML.
 """
 
 import difflib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import time
 from typing import Any, NoReturn
@@ -24,7 +24,7 @@ KEY_MAX = 100  # of a misspelt key that is compared with the known ones
 class Rule:
     """What one key allows. `hard` tells that the upper bound stands in edge/core/hard_limits.py."""
 
-    doc: str
+    doc: str = ""
     unit: str = ""
     low: float = -math.inf
     high: float = math.inf
@@ -32,6 +32,10 @@ class Rule:
     choices: tuple[Any, ...] = ()
     pattern: str = ""
     example: str = ""  # YAML of one item, for lists that are empty by default
+    above: float = -math.inf  # a lower bound that is not allowed itself
+    most: int = TEXT_MAX  # characters or items
+    least: int = 0
+    key: str = ""  # in the document, where Python reserves the word
 
 
 class SettingError(ConfigError):
@@ -97,16 +101,24 @@ def _field(default: Any, rule: Rule) -> Any:
 
 
 def value_problem(value: object, rule: Rule | None) -> str:
-    """Why `value` breaks `rule`, "" if it does not. Types are checked where YAML is read."""
-    if rule is None:
+    """Why `value` breaks `rule`, "" if it does not. Types are checked where a document is read."""
+    if rule is None or value is None:
         return ""
     if rule.choices and value not in rule.choices:
         return f"{shown(value)} is none of {', '.join(str(choice) for choice in rule.choices)}"
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _number_problem(value, rule)
-    if isinstance(value, str) and (len(value) > TEXT_MAX or not value.isprintable()):
-        return f"{shown(value)} is longer than {TEXT_MAX} characters or has some that are not printable"
-    if rule.pattern and isinstance(value, str) and not re.fullmatch(rule.pattern, value):
+    if isinstance(value, str):
+        return _text_problem(value, rule)
+    if isinstance(value, tuple | Mapping) and not rule.least <= len(value) <= rule.most:
+        return f"must hold {rule.least} to {rule.most}, not {len(value)}"
+    return ""
+
+
+def _text_problem(value: str, rule: Rule) -> str:
+    if len(value) > rule.most or not value.isprintable():
+        return f"{shown(value)} is longer than {rule.most} characters or has some that are not printable"
+    if rule.pattern and not re.fullmatch(rule.pattern, value):
         return f"{shown(value)} does not match {rule.pattern}"
     return ""
 
@@ -118,7 +130,7 @@ def _number_problem(value: float, rule: Rule) -> str:
         return f"{value:g} is above the {'hard limit' if rule.hard else 'largest allowed,'} {rule.high:g}"
     if value < rule.low:
         return f"{value:g} is below the smallest allowed, {rule.low:g}"
-    return ""
+    return "" if value > rule.above else f"{value:g} is not above {rule.above:g}"
 
 
 def nearest(key: str, known: Iterable[str]) -> str:

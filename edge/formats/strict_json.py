@@ -1,10 +1,13 @@
-"""JSON from outside: one object, finite numbers, storable text, bounded depth; only ValueError."""
+"""JSON from outside: one object, no key twice, finite numbers, storable text, bounded depth.
+
+Only ValueError is raised.
+"""
 
 import json
 import math
 from typing import Any, NoReturn
 
-from edge.core.plain_text import plain, storable
+from edge.core.plain_text import plain, shown, storable
 
 DEPTH_MAX = 64  # far below the recursion limit, so that every value can be written and printed again
 DIGITS_MAX = 300  # of a whole number; one of more does not fit into a float
@@ -13,7 +16,12 @@ DIGITS_MAX = 300  # of a whole number; one of more does not fit into a float
 def parse_object(text: bytes | str) -> dict[str, Any]:
     """The object that `text` is. Errors: ValueError, fit to be shown to the one who sent it."""
     try:
-        value = _cleaned(json.loads(text, parse_constant=_refuse, parse_float=_float, parse_int=_int), 1)
+        value = _cleaned(
+            json.loads(
+                text, object_pairs_hook=_object, parse_constant=_refuse, parse_float=_float, parse_int=_int
+            ),
+            1,
+        )
     except RecursionError:  # a kilobyte of "[" is enough
         raise ValueError("nested too deep") from None
     except UnicodeDecodeError:
@@ -34,8 +42,18 @@ def _cleaned(value: Any, depth: int) -> Any:
     if isinstance(value, list):
         return [_cleaned(item, depth + 1) for item in value]
     if isinstance(value, dict):
-        return {storable(key): _cleaned(item, depth + 1) for key, item in value.items()}
+        return _object([(storable(key), _cleaned(item, depth + 1)) for key, item in value.items()])
     return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """As Python does it, which would let the last of two equal keys win."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"key {shown(twice)} is given twice")
+    return found
 
 
 def _float(digits: str) -> float:

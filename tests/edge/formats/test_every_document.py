@@ -1,0 +1,119 @@
+"""Every kind of document refuses the same bad inputs, and nothing is parsed past the one reader."""
+
+import ast
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.config import loading
+from edge.config.settings import Settings
+from edge.core.errors import ConfigError
+from edge.formats.input_file import MemoryFile
+from edge.formats.reader import DocumentError
+from edge.models.arx_file import DEFAULT_PATH, ArxDocument, read_arx
+
+ROOT = Path(__file__).parents[3]
+FILE = Path("document")
+
+
+@dataclass(frozen=True)
+class DocumentKind:
+    """One kind: how it is read from text, one good document, and a number in it that is looked into."""
+
+    read: Callable[[str], object]
+    good: Callable[[], Any]
+    number: tuple[str | int, ...]
+    error: type[Exception] = DocumentError
+
+
+def in_file(read: Callable[[MemoryFile], object]) -> Callable[[str], object]:
+    return lambda text: read(MemoryFile(FILE, text.encode()))
+
+
+KINDS: dict[type, DocumentKind] = {
+    Settings: DocumentKind(
+        loading.parse, lambda: {"control": {"step_s": 60.0}}, ("control", "step_s"), ConfigError
+    ),
+    ArxDocument: DocumentKind(
+        in_file(read_arx), lambda: json.loads(DEFAULT_PATH.read_text()), ("temp_air", 0)
+    ),
+}
+every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=[kind.__name__ for kind in KINDS])
+
+
+def with_number(kind: DocumentKind, number: str) -> str:
+    """The good document with another text where its number was."""
+    document = here = kind.good()
+    for key in kind.number[:-1]:
+        here = here[key]
+    assert not isinstance(here[kind.number[-1]], bool | str)
+    here[kind.number[-1]] = "@@"
+    return json.dumps(document).replace('"@@"', number)
+
+
+BAD: dict[str, Callable[[DocumentKind], str]] = {
+    "a list": lambda kind: "[]",
+    "a word": lambda kind: '"word"',
+    "too deep": lambda kind: "[" * 100_000,
+    "an object too deep": lambda kind: '{"a":' * 100_000,
+    "too deep inside": lambda kind: with_number(kind, "[" * 100 + "]" * 100),
+    "too large": lambda kind: json.dumps(kind.good()) + " " * (17 << 20),
+    "an unknown key": lambda kind: json.dumps({**kind.good(), "nonsense": 1}),
+    "a key twice": lambda kind: json.dumps(kind.good())[:-1] + "," + json.dumps(kind.good())[1:],
+    "NaN": lambda kind: with_number(kind, "NaN"),
+    "NaN of YAML": lambda kind: with_number(kind, ".nan"),
+    "infinity": lambda kind: with_number(kind, "Infinity"),
+    "a number too large": lambda kind: with_number(kind, "1e999"),
+    "digits without end": lambda kind: with_number(kind, "9" * 400),
+    "true as a number": lambda kind: with_number(kind, "true"),
+    "a number as text": lambda kind: with_number(kind, '"1.0"'),
+    "a list as a number": lambda kind: with_number(kind, "[]"),
+}
+
+
+@every_kind
+def test_a_good_document_is_read(kind: DocumentKind) -> None:
+    kind.read(json.dumps(kind.good()))
+
+
+@every_kind
+@pytest.mark.parametrize("bad", BAD)
+def test_a_bad_document_is_refused(kind: DocumentKind, bad: str) -> None:
+    with pytest.raises(kind.error):
+        kind.read(BAD[bad](kind))
+
+
+@every_kind
+def test_a_missing_or_misspelt_key_is_refused_or_has_a_default(kind: DocumentKind) -> None:
+    good = kind.good()
+    for key in good:
+        without = {name: value for name, value in good.items() if name != key}
+        with pytest.raises(kind.error, match="unknown key"):
+            kind.read(json.dumps({**without, f"{key}z": good[key]}))
+
+
+READERS = ("read", "read_json", "read_yaml")
+
+
+def calls(path: Path) -> list[tuple[str, ast.Call]]:
+    """Calls in a file by the name of what is called, without its module."""
+    nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    return [(ast.unparse(node.func).rpartition(".")[2], node) for node in nodes]
+
+
+def test_no_kind_of_document_is_missing_here() -> None:
+    found = {
+        call.args[0].id
+        for path in (ROOT / "edge").rglob("*.py")
+        if "edge.formats.reader import" in path.read_text()
+        for name, call in calls(path)
+        if name in READERS
+        and call.args
+        and isinstance(call.args[0], ast.Name)
+        and call.args[0].id[0].isupper()
+    }
+    assert found == {kind.__name__ for kind in KINDS}
