@@ -66,13 +66,20 @@ def test_the_names_stay_and_their_values_within_their_intervals(name: str, usual
     same(usual, answer(CHANGES[name](recordings())))
 
 
-@pytest.mark.parametrize(("ua_w_k", "capacities"), [(0.4, 100.0), (40.0, 1.5)])
-def test_where_a_fit_begins_does_not_matter(ua_w_k: float, capacities: float) -> None:
-    def begun(ua: float, times: float) -> TwinFile:
-        places = {("effects", "wall_loss", "UA"): ua, ("effects", "extra_capacity", "kC"): times}
-        return twin_file().with_values({place: Value(value, fit=True) for place, value in places.items()})
+def begun(ua_w_k: float, capacities: float) -> TwinFile:
+    """Return the twin with its loss and its store open, and where their fit begins."""
+    places = {("effects", "wall_loss", "UA"): ua_w_k, ("effects", "extra_capacity", "kC"): capacities}
+    return twin_file().with_values({place: Value(value, fit=True) for place, value in places.items()})
 
-    same(answer(recordings(), begun(4.0, 10.0)), answer(recordings(), begun(ua_w_k, capacities)))
+
+@pytest.fixture(scope="module")
+def begun_near() -> Diagnosis:
+    return answer(recordings(), begun(4.0, 10.0))
+
+
+@pytest.mark.parametrize(("ua_w_k", "capacities"), [(0.4, 100.0), (40.0, 1.5)])
+def test_where_a_fit_begins_does_not_matter(ua_w_k: float, capacities: float, begun_near: Diagnosis) -> None:
+    same(begun_near, answer(recordings(), begun(ua_w_k, capacities)))
 
 
 def same(one: Diagnosis, other: Diagnosis) -> None:
