@@ -138,6 +138,8 @@ class _Walk:
 
     def row(self, k: int, step: Floats, flipped: Floats) -> tuple[Floats, Floats]:
         """Go on by row k: the reading's gain [C, B, m], 0 where there is none, and its variance [C, B]."""
+        # `edge.twin.filter` in a form of its own: mean and room share the covariance's product, without new
+        # arrays. A search walks thousands of rows with tens of twins, where new arrays cost as much as sums.
         np.matmul(step, self._known, out=self._half)
         self.mean[...] = self._half[..., -1]
         self._half[..., -1] = flipped[..., -1, :]

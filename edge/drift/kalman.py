@@ -1,5 +1,6 @@
 """The running twin's Kalman filter: one step on at each tick, and how far the measurement was from it."""
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.predictor import Columns
+from edge.twin.filter import expectation, predict, update
 from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
 from edge.twin.signals import Conditions
@@ -71,18 +73,16 @@ class Filter:
             mean, matrix = self._advance(mean, history, k)
             fan = float(off_where_unknown(history["fan_on"][k]))
             unknown = self._moved[0] + fan * (self._moved[1] - self._moved[0])
-            covariance = matrix @ covariance @ matrix.T + unknown[:, None] * unknown
+            covariance = predict(covariance, matrix, unknown[:, None] * unknown)
         if not np.isfinite(mean).all():
             return None, None
         measured = float(history["temp_air_measured"][-1])
         innovation = None
         if np.isfinite(measured):
-            variance = covariance[0, 0] + self._variance_k2
-            error = measured - float(mean[0])
-            gain = covariance[:, 0] / variance
-            mean, covariance = mean + gain * error, covariance - gain[:, None] * covariance[0]
             if first == len(times) - 2:
-                innovation = Innovation(error, float(np.sqrt(variance)))
+                error, variance = expectation(mean, covariance, measured, self._variance_k2)
+                innovation = Innovation(error, math.sqrt(variance))
+            mean, covariance = update(mean, covariance, measured, self._variance_k2)
         return DriftFilterState(float(times[-1]), mean, covariance, state.begun_s), innovation
 
     def _advance(self, mean: Floats, history: Columns, k: int) -> tuple[Floats, Floats]:

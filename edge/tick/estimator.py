@@ -16,6 +16,7 @@ from edge.config.settings import EstimatorSettings
 from edge.core.messages import Command, Estimate, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.core.predictor import Columns, Floats, Predictor
+from edge.twin.filter import predict, symmetric, update
 
 HISTORY_ROWS = 120
 LAGS_MAX = 4  # older temperatures are taken as known
@@ -124,11 +125,11 @@ class Estimator:
         transition[0, :-1], transition[0, -1] = self._slopes(by_model), float(by_model)
         transition[1:-1, : self._lags - 1] = np.eye(self._lags - 1)
         transition[-1, -1] = 1.0
-        covariance = transition @ self._covariance @ transition.T
+        noise = np.zeros((size, size))
         error_sd = self._settings.process_sd_k if by_model else PERSISTENCE_SD_K
-        covariance[0, 0] += error_sd**2 * self._minutes
-        covariance[-1, -1] += (self._settings.offset_sd_k * self._minutes) ** 2 * self._minutes
-        self._covariance = covariance
+        noise[0, 0] = error_sd**2 * self._minutes
+        noise[-1, -1] = (self._settings.offset_sd_k * self._minutes) ** 2 * self._minutes
+        self._covariance = predict(self._covariance, transition, noise)
         return predicted
 
     def _predict(self) -> tuple[float, bool]:
@@ -164,16 +165,18 @@ class Estimator:
         """The innovation; None without a measurement, which leaves mean and covariance as predicted."""
         if not math.isfinite(measured):
             return None
-        innovation = measured - self._rows["temp_air"][-1]
-        variance = self._covariance[0, 0] + self._settings.measurement_sd_k**2
-        gain = self._covariance[:, 0] / variance
         temps = self._rows["temp_air"]
-        for lag in range(min(self._lags, len(temps))):
-            temps[-1 - lag] += gain[lag] * innovation
-        limit = CLIP_SD * math.sqrt(variance)
-        self._offset += gain[-1] * min(max(innovation, -limit), limit)
-        covariance = self._covariance - np.outer(gain, self._covariance[0])
-        self._covariance = (covariance + covariance.T) / 2.0
+        innovation = measured - temps[-1]
+        known = min(self._lags, len(temps))
+        mean = np.zeros(self._lags + 1)  # a young history has no older ones
+        mean[:known] = [temps[-1 - lag] for lag in range(known)]
+        mean[-1] = self._offset
+        variance = self._settings.measurement_sd_k**2
+        mean, covariance = update(mean, self._covariance, measured, variance, clip_sd=CLIP_SD)
+        *newest, self._offset = mean.tolist()
+        for lag in range(known):
+            temps[-1 - lag] = newest[lag]
+        self._covariance = symmetric(covariance)
         return innovation
 
     def _append(self, temp_air: float, readings: Mapping[str, Reading], now_s: float, utc: float) -> None:

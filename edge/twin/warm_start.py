@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from edge.core.errors import DataError
+from edge.twin.filter import predict, update
 from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
@@ -90,16 +91,12 @@ def state_now(twin: BoxTwin, past: PastColumns) -> Floats:
     off, on = drift(twin)
     unknown = off + np.nan_to_num(past.fan)[:, None] * (on - off)
     unknown_variance = unknown[:, :, None] * unknown[:, None, :]
-    is_known, sensor_variance = np.isfinite(temps).tolist(), twin.noise.sensor_k**2
+    measured, sensor_variance = temps.tolist(), twin.noise.sensor_k**2
     advance = _advances(twin, past, ambient)
     for k in range(first, len(temps) - 1):
         state, matrix = advance(k, state)
-        covariance = matrix @ covariance @ matrix.T + unknown_variance[k]
-        if is_known[k + 1]:
-            variance = covariance[0, 0] + sensor_variance
-            gain = covariance[:, 0] / (variance or np.inf)  # no noise at all: nothing is left to learn
-            state = state + gain * (temps[k + 1] - state[0])
-            covariance = covariance - gain[:, None] * covariance[0]
+        covariance = predict(covariance, matrix, unknown_variance[k])
+        state, covariance = update(state, covariance, measured[k + 1], sensor_variance)
     if np.isfinite(temps[-1]):
         state[0] = temps[-1]  # other predictors start there too
     return state

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.twin_plan.linear_step import LinearStep
+from edge.twin.filter import predict, symmetric, update
 from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
 from edge.twin.warm_start import at_rest, spread
@@ -67,7 +68,7 @@ def moved(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInputs, t
     element_w = ELEMENT_SD * twin.geometry.heater_max_w
     sds = [element_w if name == HEATER else BODY_SD_K for name in twin.states]
     noise = np.diag(np.square([*sds, DISTURBANCE_SD_K]))
-    covariance = transition @ belief.covariance @ transition.T + noise
+    covariance = predict(belief.covariance, transition, noise)
     return replace(belief, time_s=time_s, state=state, covariance=covariance)
 
 
@@ -75,15 +76,8 @@ def corrected(belief: Belief, measured: float, shown: int) -> Belief:
     """By a measurement [°C] of the state `shown`; one that is no number teaches nothing."""
     if not np.isfinite(measured):
         return belief
-    innovation = measured - belief.state[shown]
-    variance = belief.covariance[shown, shown] + MEASUREMENT_SD_K**2
-    gain = belief.covariance[:, shown] / variance
-    limit = CLIP_SD * float(np.sqrt(variance))
-    learnt = min(max(innovation, -limit), limit)
-    covariance = belief.covariance - np.outer(gain, belief.covariance[shown])
-    return replace(
-        belief,
-        state=belief.state + gain[:-1] * innovation,
-        disturbance=belief.disturbance + float(gain[-1]) * learnt,
-        covariance=(covariance + covariance.T) / 2.0,
+    widened = np.append(belief.state, belief.disturbance)
+    mean, covariance = update(
+        widened, belief.covariance, measured, MEASUREMENT_SD_K**2, shown, clip_sd=CLIP_SD
     )
+    return replace(belief, state=mean[:-1], disturbance=float(mean[-1]), covariance=symmetric(covariance))

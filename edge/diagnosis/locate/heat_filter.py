@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
+from edge.twin.filter import InnovationGain, predict, symmetric, update_many, weigh
 from edge.twin.march import Commands, March
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
@@ -123,11 +124,11 @@ def log_likelihoods(steps: Steps, sensor_k: float, noise: HeatNoise, rows: int) 
     total = np.zeros(len(wander))
     for k in range(min(rows, len(steps.temp))):
         mean, covariance = _predicted(steps, k, mean, covariance, wander, fresh)
-        innovation, variance, gain = _weighed(steps.temp[k], mean, covariance, sensor_k)
-        seen = np.isfinite(innovation)
-        cost = np.where(seen, np.log(variance) + np.nan_to_num(innovation) ** 2 / variance, 0.0)
-        total -= 0.5 * cost.sum(axis=-1)
-        mean, covariance = _updated(mean, covariance, innovation, gain)
+        found = weigh(mean, covariance, steps.temp[k], sensor_k**2)
+        seen = np.isfinite(found.innovation)
+        cost = np.log(found.variance) + np.nan_to_num(found.innovation) ** 2 / found.variance
+        total -= 0.5 * np.where(seen, cost, 0.0).sum(axis=-1)
+        mean, covariance = _updated(mean, covariance, found)
     return total
 
 
@@ -140,9 +141,9 @@ def filtered(steps: Steps, sensor_k: float, noise: HeatNoise) -> HeatFilterResul
         mean, covariance = _predicted(steps, k, mean, covariance, wander, fresh)
         means.append(mean[0])
         covariances.append(covariance[0])
-        innovation, variance, gain = _weighed(steps.temp[k], mean, covariance, sensor_k)
-        told.append((innovation[0], variance[0], gain[0]))
-        mean, covariance = _updated(mean, covariance, innovation, gain)
+        found = weigh(mean, covariance, steps.temp[k], sensor_k**2)
+        told.append([column[0] for column in found])
+        mean, covariance = _updated(mean, covariance, found)
         updated.append(mean[0])
     innovations, variances, gains = (np.stack(column) for column in zip(*told, strict=True))
     return HeatFilterResult(
@@ -163,22 +164,12 @@ def _started(steps: Steps, sensor_k: float, fresh: Floats) -> tuple[Floats, Floa
 def _predicted(
     steps: Steps, k: int, mean: Floats, covariance: Floats, wander: Floats, fresh: Floats
 ) -> tuple[Floats, Floats]:
-    matrix = steps.matrix[k]
-    after: Floats = matrix @ covariance @ matrix.swapaxes(-1, -2)
-    after[..., -2, -2] += wander[:, None] ** 2
-    after[..., -1, -1] += fresh[:, None] ** 2 + LOOSE_W**2 * steps.loose[k + 1]
-    return steps.moved(k, mean), after
+    noise = np.zeros_like(covariance)
+    noise[..., -2, -2] = wander[:, None] ** 2
+    noise[..., -1, -1] = fresh[:, None] ** 2 + LOOSE_W**2 * steps.loose[k + 1]
+    return steps.moved(k, mean), predict(covariance, steps.matrix[k], noise)
 
 
-def _weighed(
-    temp: Floats, mean: Floats, covariance: Floats, sensor_k: float
-) -> tuple[Floats, Floats, Floats]:
-    variance = covariance[..., 0, 0] + sensor_k**2
-    gain = np.where(np.isfinite(temp)[:, None], covariance[..., 0] / variance[..., None], 0.0)
-    return temp - mean[..., 0], variance, gain
-
-
-def _updated(mean: Floats, covariance: Floats, innovation: Floats, gain: Floats) -> tuple[Floats, Floats]:
-    better = mean + gain * np.nan_to_num(innovation)[..., None]
-    after = covariance - gain[..., :, None] * covariance[..., None, 0, :]
-    return better, 0.5 * (after + after.swapaxes(-1, -2))
+def _updated(mean: Floats, covariance: Floats, found: InnovationGain) -> tuple[Floats, Floats]:
+    better, after = update_many(mean, covariance, found)
+    return better, symmetric(after)
