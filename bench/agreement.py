@@ -9,10 +9,8 @@ themselves; they contradict each other where each is sure of names and none of t
 import argparse
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import combinations
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from bench.hidden_effects.wilson import share
 from edge.core.errors import DataError
 from edge.diagnosis.python import Run, Twin, diagnose
 from edge.formats.run_file import cut
+from training.sweep import sweep
 
 Answer = Mapping[str, Any]
 FARTHEST = 10.0
@@ -38,17 +37,20 @@ def main(words: Sequence[str] | None = None) -> int:
     print(*header(), sep="\n")
     same, contradict = [], []
     tasks = [(task, arguments.starts) for task in tasks_of(arguments)]
-    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
-        for name, starts, halves in pool.map(_looked_at, tasks):
-            print(f"{name}: starts {starts or '-'}; halves {halves or '-'}", flush=True)
-            same += [starts == "agree"] if starts else []
-            contradict += [halves == "contradict each other"] if halves else []
+    for _, starts, halves in sweep(_looked_at, tasks, arguments.workers, arguments.dask, _tell):
+        same += [starts == "agree"] if starts else []
+        contradict += [halves == "contradict each other"] if halves else []
     for what, told in (("from other starts the same", same), ("halves contradict each other", contradict)):
         found = share(told)
         print(
             f"{what:30} {found.value:.2f} [{found.interval[0]:.2f}, {found.interval[1]:.2f}] of {found.cases}"
         )
     return 0
+
+
+def _tell(done: int, task: object, found: tuple[str, str, str]) -> None:
+    name, starts, halves = found
+    print(f"{name}: starts {starts or '-'}; halves {halves or '-'}", flush=True)
 
 
 def _looked_at(given: tuple[Task, int]) -> tuple[str, str, str]:

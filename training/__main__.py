@@ -4,11 +4,13 @@ import argparse
 import itertools
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge.core.errors import GreenhouseError
 from training.rl import command as rl
+from training.sweep import add_arguments, sweep
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
     from training.models.study import Regime, TrainingJob
@@ -57,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
             sub.add_argument(
                 "--twin", type=Path, help="instead: this twin file by itself, or the guarded hybrid over it"
             )
+        add_arguments(sub, workers=0)
         sub.set_defaults(run=_train, twin=None)
     key = commands.add_parser("key", help="a new key pair that signs bundles", description=_key.__doc__)
     key.add_argument("file", type=Path, help="private key to make; the public one ends in .pub")
@@ -114,7 +117,7 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--runs", type=Path, default=runs, help=f"runs done before and now (usual: {runs})")
     sub.add_argument("--results", type=Path, default=results, help=f"figures (usual: {results})")
     sub.add_argument("--images", type=Path, default=IMAGES, help=f"pictures (usual: {IMAGES})")
-    sub.add_argument("--workers", type=int, default=2, help="runs at a time (usual: 2)")
+    add_arguments(sub)
     sub.add_argument(
         "--llm-url", default="", help="endpoint of the LLM controllers (usual: the scripted stand-in)"
     )
@@ -216,21 +219,32 @@ def _bundle(arguments: argparse.Namespace) -> int:
 
 
 def _train(arguments: argparse.Namespace) -> int:
-    from edge.twin.twin_file import read_twin_file
-    from training.models.registry import FAMILIES, GIVEN, MODELS, over
-    from training.models.study import SCENARIOS, study
+    from training.models.registry import FAMILIES, GIVEN
+    from training.models.study import SCENARIOS
     from training.models.summary import records, table
 
-    known, models = FAMILIES, MODELS
-    if arguments.twin is not None:
-        known, models = GIVEN, over(read_twin_file(arguments.twin))
+    known = FAMILIES if arguments.twin is None else GIVEN
     families = known if arguments.command == "all" else {arguments.command: known[arguments.command]}
     regimes = [regime for regime in SCENARIOS if arguments.regime in (None, regime)]
     options = "" if arguments.twin is None else f" --twin {arguments.twin.name}"
-    for job in _jobs(families, regimes, arguments.seeds, options):
-        print(_line(study(job, models[job.name], arguments.out, arguments.logs)), flush=True)
+    sweep(
+        partial(_study, arguments.twin, arguments.out, arguments.logs),
+        list(_jobs(families, regimes, arguments.seeds, options)),
+        arguments.workers,
+        arguments.dask,
+        lambda done, job, record: print(_line(record), flush=True),
+    )
     print("\n".join(table(records(arguments.out), [name for names in families.values() for name in names])))
     return 0
+
+
+def _study(twin: Path | None, out: Path, logs: Path, job: "TrainingJob") -> dict[str, Any]:
+    from edge.twin.twin_file import read_twin_file
+    from training.models.registry import MODELS, over
+    from training.models.study import study
+
+    models = MODELS if twin is None else over(read_twin_file(twin))
+    return study(job, models[job.name], out, logs)
 
 
 def _jobs(

@@ -3,21 +3,20 @@
 import os
 import tempfile
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from bench.attack.invariants import violations
 from bench.attack.lives import run as live
 from bench.attack.part import TrialResult, main_of
 from bench.attack.plan import draw
+from training.sweep import sweep
 
 WORKERS = os.cpu_count() or 1
 
 
 def run(seed: int, count: int) -> Iterator[TrialResult]:
     """Each scenario with its violations, in the order of the seeds."""
-    with ProcessPoolExecutor(min(WORKERS, count)) as pool:
-        yield from pool.map(one, range(seed, seed + count))
+    yield from sweep(one, range(seed, seed + count), WORKERS)
 
 
 def one(seed: int) -> TrialResult:

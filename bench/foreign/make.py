@@ -3,14 +3,13 @@
 import argparse
 import json
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import yaml
 
 from bench.foreign.cases import FIRST_SEEDS, KINDS, ForeignCase, ForeignLog, make_case, seed_of
 from edge.core.errors import DataError
+from training.sweep import add_arguments, sweep
 
 Task = tuple[Path, str, str, int]
 
@@ -22,7 +21,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--per-kind", type=int, help="cases of each kind; default: as many as are scored")
     parser.add_argument("--seed-from", type=int, default=0, metavar="N", help="first number within a kind")
     parser.add_argument("--out", type=Path, default=Path("out/foreign"))
-    parser.add_argument("--workers", type=int, default=2)
+    add_arguments(parser)
 
 
 def tasks_of(arguments: argparse.Namespace) -> list[Task]:
@@ -49,9 +48,7 @@ def main(words: Sequence[str] | None = None) -> int:
     add_place(parser)
     arguments = parser.parse_args(words)
     tasks = [task for task in tasks_of(arguments) if not _truth_path(task).exists()]
-    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
-        for line in pool.map(_make, tasks):
-            print(line, flush=True)
+    sweep(_make, tasks, arguments.workers, arguments.dask, lambda done, task, name: print(name, flush=True))
     return 0
 
 

@@ -19,7 +19,8 @@ def main(words: Sequence[str] | None = None) -> int:
     for task in tasks_of(arguments):
         folder = task[0] / "cases" / name_of(task)
         wanted.append(SolverTask(OURS, folder, answer_of(task[0], name_of(task)), arguments.limit_s))
-    run_all([task for task in wanted if arguments.again or not is_done(task)], arguments.workers)
+    missing = [task for task in wanted if arguments.again or not is_done(task)]
+    run_all(missing, arguments.workers, arguments.dask)
     return 0
 
 

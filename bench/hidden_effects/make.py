@@ -1,15 +1,14 @@
 """python -m bench.hidden_effects make: write cases of a suite and split; those that are there are kept."""
 
 import argparse
-import os
 import time
-from collections.abc import Iterable, Sequence
-from multiprocessing import get_context
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from bench.hidden_effects.cases import FIRST_SEEDS, KINDS, SUITES, case_id, seed_of
 from bench.hidden_effects.write_case import folders, is_made, write_case
+from training import sweep
 
 
 class MakeTask(NamedTuple):
@@ -41,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--kinds", default=",".join(KINDS), help="comma between; default: %(default)s")
     parser.add_argument("--per-kind", type=int, help="cases of each kind; default: as many as are scored")
     parser.add_argument("--seed-from", type=int, default=0, metavar="N", help="first number within a kind")
-    parser.add_argument("--workers", type=int, default=1)
+    sweep.add_arguments(parser, workers=1)
 
 
 def make(arguments: argparse.Namespace) -> int:
@@ -57,28 +56,16 @@ def make(arguments: argparse.Namespace) -> int:
     ]
     missing = [task for task in tasks if not is_made(task.root, task.suite, task.split, task.id)]
     print(f"{len(tasks)} cases, {len(tasks) - len(missing)} of them there", flush=True)
-    made = _make_all(missing, arguments.workers)
+    made = _make_all(missing, arguments.workers, arguments.dask)
     given, _ = folders(arguments.out, arguments.suite, arguments.split)
     print(f"in {given}")
     return 0 if made else 1
 
 
-def _make_all(tasks: Sequence[MakeTask], workers: int) -> bool:
+def _make_all(tasks: Sequence[MakeTask], workers: int, dask: str | None) -> bool:
     """Whether each could be made."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    if workers <= 1 or len(tasks) <= 1:
-        return _told(map(_make_one, tasks))
-    with get_context("spawn").Pool(workers) as pool:
-        return _told(pool.imap_unordered(_make_one, tasks))
-
-
-def _told(made: Iterable[tuple[bool, str]]) -> bool:
-    good = True
-    for is_there, line in made:
-        print(line, flush=True)
-        good &= is_there
-    return good
+    made = sweep.sweep(_make_one, tasks, workers, dask, lambda done, task, found: print(found[1], flush=True))
+    return all(is_there for is_there, _ in made)
 
 
 def _make_one(task: MakeTask) -> tuple[bool, str]:

@@ -17,8 +17,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +25,7 @@ from bench.hidden_effects.score import write_document
 from bench.hidden_effects.score_truth import add_place, cases_of
 from edge.core.errors import DataError, GreenhouseError
 from edge.core.processors import processors
+from training import sweep
 
 OURS = "diagnose"
 SOLVERS = (OURS, *PEERS)
@@ -61,7 +60,7 @@ def main(words: Sequence[str] | None = None) -> int:
     ]
     missing = [task for task in tasks if arguments.again or not is_done(task)]
     print(f"{len(tasks)} answers, {len(tasks) - len(missing)} of them there", flush=True)
-    run_all(missing, arguments.workers)
+    run_all(missing, arguments.workers, arguments.dask)
     return 0
 
 
@@ -69,29 +68,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of `run`."""
     add_place(parser)
     parser.add_argument("--solvers", default=",".join(SOLVERS), help="comma between; default: %(default)s")
-    parser.add_argument("--workers", type=int, default=2, help="cases at a time; default: %(default)s")
+    sweep.add_arguments(parser)
     parser.add_argument("--limit-s", type=float, default=LIMIT_S, help="of one case; default: %(default)g")
     parser.add_argument("--pictures", action="store_true", help="the whole report, which takes seconds more")
     parser.add_argument("--again", action="store_true", help="also what has an answer")
 
 
-def run_all(tasks: Sequence[SolverTask], workers: int) -> None:
+def run_all(tasks: Sequence[SolverTask], workers: int, dask: str | None = None) -> None:
     """Run the tasks side by side, a line for each."""
-    if not tasks:
-        return
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    solvers = {task.solver for task in tasks}
-    with ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=_import_pysindy, initargs=(solvers,)
-    ) as pool:
-        waiting = [pool.submit(run_one, task) for task in tasks]
-        for number, done in enumerate(as_completed(waiting), start=1):
-            print(f"{number}/{len(tasks)} {done.result()}", flush=True)
+
+    def tell(done: int, task: SolverTask, line: str) -> None:
+        print(f"{done}/{len(tasks)} {line}", flush=True)
+
+    sweep.sweep(run_one, tasks, workers, dask, tell)
 
 
 def run_one(task: SolverTask) -> str:
     """Run one task and write what came of it; a line that says so."""
+    if task.solver == "pysindy":  # before the clock runs: importing it takes longer than a case
+        importlib.import_module("pysindy")
     task.out.mkdir(parents=True, exist_ok=True)
     (task.out / "diagnosis.json").unlink(missing_ok=True)
     took = _diagnosis(task) if task.solver == OURS else _peer(task)
@@ -108,12 +103,6 @@ def _solvers(words: str) -> list[str]:
     if "pysindy" in names and importlib.util.find_spec("pysindy") is None:
         raise DataError("--solvers: pysindy is not installed: pip install '.[dev]'")
     return names
-
-
-def _import_pysindy(solvers: set[str]) -> None:
-    """Before the clock runs: importing it takes longer than a case."""
-    if "pysindy" in solvers:
-        importlib.import_module("pysindy")
 
 
 def _diagnosis(task: SolverTask) -> dict[str, Any]:

@@ -6,11 +6,8 @@ tables in score.txt and score.md.
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +21,18 @@ from bench.hidden_effects.table import markdown, text
 from edge.core.errors import DataError
 from edge.formats.run_file import read_run
 from edge.twin.twin_file import read_twin_file
+from training.sweep import add_arguments, sweep
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Score every solver that has answered; the tables on standard output."""
     parser = argparse.ArgumentParser(prog="python -m bench.hidden_effects score", description=__doc__)
     add_place(parser)
-    parser.add_argument("--workers", type=int, default=2, help="for the alias classes")
+    add_arguments(parser)
     arguments = parser.parse_args(words)
     results = arguments.results / arguments.suite / arguments.split
     cases = cases_of(arguments)
-    classes = _all_classes(cases, results, arguments.workers)
+    classes = _all_classes(cases, results, arguments.workers, arguments.dask)
     solvers = {
         name: [
             _scored(truth, classes[folder.name], took, results / name / folder.name)
@@ -54,27 +52,24 @@ def main(words: Sequence[str] | None = None) -> int:
     return 0
 
 
-def classes_of(folder: Path, truth: Path, cache: Path) -> tuple[AliasClass, ...]:
-    """The alias classes of a case, computed once for its files and its truth."""
+def classes_of(paths: tuple[Path, Path, Path]) -> tuple[AliasClass, ...]:
+    """The alias classes of a case, computed once for its files and its truth: folder, truth, cache."""
+    folder, truth, cache = paths
     key = f"{case_sha256(folder)}:{read_truth(truth).hidden}"
     runs = [read_run(path) for path in sorted(folder.glob("train_*.csv"))]
     return cached_classes(cache, key, read_truth(truth), read_twin_file(folder / "twin.yaml"), runs)
 
 
 def _all_classes(
-    cases: Sequence[CasePaths], results: Path, workers: int
+    cases: Sequence[CasePaths], results: Path, workers: int, dask: str | None
 ) -> dict[str, tuple[AliasClass, ...]]:
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    caches = [results / "classes" / f"{folder.name}.json" for folder, _ in cases]
-    folders, truths = [folder for folder, _ in cases], [truth for _, truth in cases]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        found = {}
-        for folder, own in zip(folders, pool.map(classes_of, folders, truths, caches), strict=True):
-            found[folder.name] = own
-            print(f"alias classes: {len(found)} of {len(folders)}", end="\r", file=sys.stderr, flush=True)
+    def tell(done: int, job: object, found: object) -> None:
+        print(f"alias classes: {done} of {len(cases)}", end="\r", file=sys.stderr, flush=True)
+
+    jobs = [(folder, truth, results / "classes" / f"{folder.name}.json") for folder, truth in cases]
+    found = sweep(classes_of, jobs, workers, dask, tell)
     print(file=sys.stderr)
-    return found
+    return {folder.name: own for (folder, _), own in zip(cases, found, strict=True)}
 
 
 def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any], place: Path) -> ScoredCase:

@@ -16,7 +16,7 @@ from edge.core.errors import DataError
 from training.control.all_pictures import drawn_jobs, pictures_of
 from training.control.comparison import STAND_IN_MODEL, RunResult, result, times_table
 from training.control.figures import DecisionTime, decision_time
-from training.control.job import ComparisonJob, is_kept, read
+from training.control.job import ComparisonJob, is_kept, read, run_all
 from training.control.kept_figures import (
     FIGURES_FILE,
     TIMES_FILE,
@@ -30,7 +30,6 @@ from training.control.kept_figures import (
     times_json,
 )
 from training.control.rig import entries
-from training.control.runner import run_all
 from training.control.section import section, text_of
 from training.llm_stand_in.server import StandIn
 from training.reports.comparison_report import put_section
@@ -42,8 +41,8 @@ KEPT_URL = "http://kept"  # nobody is asked
 def run(arguments: argparse.Namespace) -> int:
     """The exit code. Errors: GreenhouseError
 
-    arguments : controllers (empty: all), references, seeds, runs, results, images (folders), workers, kept,
-        beside_kept, llm_url, llm_model, check, tolerance
+    arguments : controllers (empty: all), references, seeds, runs, results, images (folders), workers, dask,
+        kept, beside_kept, llm_url, llm_model, check, tolerance
     """
     known = entries()
     unknown = set(arguments.controllers or ()) - known.keys()
@@ -62,7 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
         is_beside = arguments.beside_kept and not arguments.check
         drawn = drawn_jobs(arguments.references, min(arguments.seeds), llm) if is_beside else []
         if not arguments.kept:
-            run_all([*asked, *(job for job in drawn if job not in asked)], arguments.runs, arguments.workers)
+            missing = [*asked, *(job for job in drawn if job not in asked)]
+            run_all(missing, arguments.runs, arguments.workers, arguments.dask)
     done = [job for job in asked if is_kept(job, arguments.runs)]
     if not done:
         raise DataError(f"{arguments.runs}: no run is kept there")

@@ -1,11 +1,12 @@
-"""One run of the comparison, and where it is kept: `python -m training.control.job ENTRY REFERENCE SEED`."""
+"""One run of the comparison, where it is kept, and all of them side by side."""
 
-import argparse
 import hashlib
 import json
 import tempfile
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,9 @@ from training.control.chamber_rows import ChamberRows
 from training.control.clairvoyant import ReferenceCourse, best_plan
 from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
 from training.control.draw_references import FOLDER
-from training.control.rig import NO_LLM, TWIN, ComparisonEntry, entries, install_twin, settings_for
+from training.control.rig import NO_LLM, TWIN, ComparisonEntry, install_twin, settings_for
+from training.sweep import sweep
 
-RUNS = Path("out/control")
 SECTIONS = ("control", "estimator", "sensor_health", "safety")  # that a run depends on
 FIRST_TICK_S = 1.0  # when the board has greeted and sent its first report
 
@@ -43,6 +44,9 @@ class ComparisonJob:
     reference: str
     seed: int
     llm: LlmSettings = NO_LLM
+
+    def __str__(self) -> str:
+        return f"{self.entry.name} on {self.reference}, seed {self.seed}"
 
     @property
     def profile(self) -> Path:
@@ -169,20 +173,15 @@ def read(job: ComparisonJob, root: Path) -> ClosedLoopLog:
         )
 
 
-def main() -> None:
-    """One run in a process of its own."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("entry", choices=entries())
-    parser.add_argument("reference")
-    parser.add_argument("seed", type=int)
-    parser.add_argument("--runs", type=Path, default=RUNS, help=f"where it is kept (usual: {RUNS})")
-    parser.add_argument("--llm-url", default="", help="base URL of an OpenAI-compatible endpoint")
-    parser.add_argument("--llm-model", default="", help="the model's name there")
-    arguments = parser.parse_args()
-    llm = LlmSettings(url=arguments.llm_url, model=arguments.llm_model)
-    job = ComparisonJob(entries()[arguments.entry], arguments.reference, arguments.seed, llm)
-    keep(job, run(job), arguments.runs)
+def run_all(jobs: Sequence[ComparisonJob], root: Path, workers: int, dask: str | None = None) -> None:
+    """Do and keep those that are missing. Errors: SweepError with what a failed run said"""
+    waiting = [job for job in jobs if not is_kept(job, root)]
+
+    def tell(done: int, job: ComparisonJob, nothing: None) -> None:
+        print(f"{job}: done, {len(waiting) - done} left", flush=True)
+
+    sweep(partial(_do, root.resolve()), waiting, workers, dask, tell)
 
 
-if __name__ == "__main__":
-    main()
+def _do(root: Path, job: ComparisonJob) -> None:
+    keep(job, run(job), root)

@@ -22,7 +22,8 @@ from edge.forecasts.conformal import CLAIMED, Interval, Intervals, half_width, w
 from edge.forecasts.scorer import PERSISTENCE
 from edge.formats.run_file import RecordedRun
 from training.evaluate import fresh_runs
-from training.evaluate.forecast_errors import PROCESSES, Errors, Load, errors_of, predictors_in
+from training.evaluate.forecast_errors import Errors, Load, errors_of, predictors_in
+from training.sweep import add_arguments
 
 Floats = NDArray[np.float64]
 RESULTS = Path(__file__).parents[1] / "results"
@@ -53,17 +54,19 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path, nargs="?", help="a bundle's files")
     parser.add_argument("--runs", type=Path, default=Path("out/coverage"), help="where the runs are kept")
     parser.add_argument("--results", type=Path, default=RESULTS, help="where coverage.txt and .json go")
+    add_arguments(parser)
     given = parser.parse_args(words)
+    place = (given.workers, given.dask)
     load = partial(predictors_in, given.folder)
     predictors = load()
-    runs = {kind: fresh_runs.runs(kind, given.runs) for kind in fresh_runs.COUNTS}
-    intervals = calibrate(runs["calibration"], load)
+    runs = {kind: fresh_runs.runs(kind, given.runs, None, *place) for kind in fresh_runs.COUNTS}
+    intervals = calibrate(runs["calibration"], load, *place)
     if given.folder is not None:
         write_intervals(intervals, given.folder / INTERVALS)
     rows = measure(
         intervals,
-        errors_of(runs["interpolation"], load),
-        errors_of(runs["extrapolation"], load),
+        errors_of(runs["interpolation"], load, *place),
+        errors_of(runs["extrapolation"], load, *place),
     )
     text = table(rows, predictors)
     print(text, end="")
@@ -78,12 +81,14 @@ def main(words: Sequence[str] | None = None) -> None:
     (given.results / "coverage.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def calibrate(runs: Sequence[RecordedRun], load: Load, processes: int = PROCESSES) -> Intervals:
+def calibrate(
+    runs: Sequence[RecordedRun], load: Load, workers: int = 2, dask: str | None = None
+) -> Intervals:
     """Half widths per predictor and horizon. Errors: DataError for a test run: it calibrates nothing."""
     for run in runs:
         if run.facts.get("role") != "calibrate":
             raise DataError(f"{run.path}: role: {run.facts.get('role')!r} is not 'calibrate'")
-    predictors, errors = load(), errors_of(runs, load, processes)
+    predictors, errors = load(), errors_of(runs, load, workers, dask)
     widths = {key: half_width([rows[:, 0] for rows in by_run]) for key, by_run in errors.items()}
     rows = tuple(
         Interval(name, predictors[name].version, horizon, round(width, 4), len(runs), REGIME)

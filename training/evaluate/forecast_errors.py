@@ -1,8 +1,9 @@
 """Errors of forecasts over recorded runs, made and scored as the daemon makes and scores them."""
 
+import pickle
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from multiprocessing import get_context
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,12 @@ from edge.models.ham import read_ham
 from edge.models.lstm import read_lstm
 from edge.models.pbm import Pbm, read_twin
 from edge.tick.estimator import Estimator
+from training.sweep import sweep
 
 Floats = NDArray[np.float64]
 Load = Callable[[], Mapping[str, Predictor]]
 Errors = dict[tuple[str, int], list[Floats]]  # predictor, horizon [min] -> by run: residual, measured [n, 2]
-PROCESSES = 2
 STEP_S = 60.0
-_predictors: Mapping[str, Predictor] = {}  # of a worker process
 
 
 def predictors_in(folder: Path | None) -> dict[str, Predictor]:
@@ -41,17 +41,17 @@ def predictors_in(folder: Path | None) -> dict[str, Predictor]:
     return found
 
 
-def errors_of(runs: Sequence[RecordedRun], load: Load, processes: int = PROCESSES) -> Errors:
+def errors_of(runs: Sequence[RecordedRun], load: Load, workers: int = 2, dask: str | None = None) -> Errors:
     """Residuals (measured minus forecast) [K] and what was measured [°C], of every tick, by run in order.
 
     load : makes the predictors, once in each process: an ONNX session can't be handed over
     """
-    if processes == 1:
+    if workers or dask:
+        key = pickle.dumps(load)
+        by_run = sweep(_errors_of_run, [(key, run) for run in runs], workers, dask)
+    else:
         predictors = load()
         by_run = [errors_of_run(run, predictors) for run in runs]
-    else:
-        with get_context("spawn").Pool(processes, _begin, (load,)) as pool:
-            by_run = pool.map(_errors_of_run, runs, chunksize=1)
     keys = sorted({key for found in by_run for key in found})
     return {key: [found.get(key, np.empty((0, 2))) for found in by_run] for key in keys}
 
@@ -85,10 +85,12 @@ def _readings(run: RecordedRun, row: int, time_s: float) -> dict[str, Reading]:
     return readings
 
 
-def _begin(load: Load) -> None:
-    global _predictors
-    _predictors = load()
+@lru_cache(1)
+def _loaded(key: bytes) -> Mapping[str, Predictor]:
+    load: Load = pickle.loads(key)
+    return load()
 
 
-def _errors_of_run(run: RecordedRun) -> dict[tuple[str, int], Floats]:
-    return errors_of_run(run, _predictors)
+def _errors_of_run(job: tuple[bytes, RecordedRun]) -> dict[tuple[str, int], Floats]:
+    key, run = job
+    return errors_of_run(run, _loaded(key))

@@ -7,7 +7,6 @@ them, the trimmed mean of the last 5 s. The daemon itself is left out: 240 runs 
 import random
 from collections.abc import Sequence
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
 
@@ -19,24 +18,23 @@ from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
 from firmware_protocol.virtual_board.profiles.generate import PLANS, SequencePlan, draw
 from firmware_protocol.virtual_board.profiles.record import SAMPLE_S, WINDOW_S, RecordedRow, drive
+from training.sweep import sweep
 
 Kind = Literal["calibration", "interpolation", "extrapolation"]
 COUNTS: dict[Kind, int] = {"calibration": 100, "interpolation": 100, "extrapolation": 30}
 FIRST_SEEDS: dict[Kind, int] = {"calibration": 1000, "interpolation": 2000, "extrapolation": 3000}
 ROLES: dict[Kind, str] = {"calibration": "calibrate", "interpolation": "test", "extrapolation": "test"}
 HOTTER = SequencePlan(212, (0.70, 1.00), 0.20, 0.15, (8, 30), (39.0, 45.0))  # training ends at 36.9 degC
-PROCESSES = 2
 
 
-def runs(kind: Kind, folder: Path, count: int | None = None) -> list[RecordedRun]:
+def runs(
+    kind: Kind, folder: Path, count: int | None = None, workers: int = 2, dask: str | None = None
+) -> list[RecordedRun]:
     """All runs of one kind, read from `folder` where they were made before, else made and kept there."""
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(FIRST_SEEDS[kind], FIRST_SEEDS[kind] + (COUNTS[kind] if count is None else count))
     missing = [(kind, seed, folder) for seed in seeds if not _path(kind, seed, folder).exists()]
-    if missing:
-        with get_context("spawn").Pool(min(PROCESSES, len(missing))) as pool:
-            for _ in pool.imap_unordered(keep, missing):
-                pass
+    sweep(keep, missing, workers, dask)
     return [read_run(_path(kind, seed, folder)) for seed in seeds]
 
 

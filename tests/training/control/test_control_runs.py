@@ -1,13 +1,10 @@
 """Runs of the comparison: a board in this process is one behind a line, and a kept run is not repeated."""
 
-import os
-import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,9 +16,8 @@ from edge.config.settings import ControlSettings
 from edge.core.errors import DataError
 from edge.models.arx_file import read_arx
 from training.control import job as control_job
-from training.control import runner
 from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
-from training.control.job import ComparisonJob, is_kept, keep, read, run
+from training.control.job import ComparisonJob, is_kept, keep, read, run, run_all
 from training.control.rig import entries
 
 LENGTH_S = 900.0
@@ -74,13 +70,13 @@ def test_a_run_of_another_policy_is_another_run(tmp_path, monkeypatch):
 def test_what_is_kept_is_not_run_again(near, tmp_path, monkeypatch):
     job = ComparisonJob(entries()["rules"], "tuning_1", 101)
     keep(job, near, tmp_path)
-    monkeypatch.setattr(runner.subprocess, "Popen", lambda *words, **more: pytest.fail("it was run"))
-    runner.run_all([job], tmp_path, workers=1)
+    monkeypatch.setattr(control_job, "run", lambda job: pytest.fail("it was run"))
+    run_all([job], tmp_path, workers=0)
 
 
 def test_a_run_that_fails_says_why(tmp_path):
     with pytest.raises(Exception, match="no_such_reference"):
-        runner.run_all([ComparisonJob(entries()["rules"], "no_such_reference", 1)], tmp_path, workers=1)
+        run_all([ComparisonJob(entries()["rules"], "no_such_reference", 1)], tmp_path, workers=1)
 
 
 def test_a_comparison_that_is_ended_leaves_no_run_behind(tmp_path):
@@ -88,30 +84,14 @@ def test_a_comparison_that_is_ended_leaves_no_run_behind(tmp_path):
     folders = [word for name in ("runs", "results", "images") for word in (f"--{name}", str(tmp_path / name))]
     with subprocess.Popen([sys.executable, "-m", "training", *words, *folders]) as comparison:
         give_up_s = time.monotonic() + 60.0
-        while not (started := _children(comparison.pid)) and time.monotonic() < give_up_s:
+        # The run's, and that in which Python counts what processes share: it ends a little after the others.
+        while len(started := _children(comparison.pid)) < 2 and time.monotonic() < give_up_s:
             time.sleep(0.05)
         comparison.terminate()
         assert comparison.wait(20.0) == 130
-    assert len(started) == 1
-    assert not Path(f"/proc/{started[0]}").exists()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_in_the_middle_of_a_start_leaves_no_run_behind(number, tmp_path, monkeypatch):
-    started = []
-
-    def popen(words, **more):
-        started.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], **more))
-        os.kill(os.getpid(), number)
-        return started[0]
-
-    monkeypatch.setattr(runner, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3, PIPE=-1))
-    handler = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt):
-        runner.run_all([ComparisonJob(entries()["rules"], "tuning_1", 101)], tmp_path, workers=1)
-    assert started[0].returncode == -signal.SIGTERM
-    assert signal.getsignal(number) is handler
-    assert started[0].stderr.closed
+    assert len(started) == 2
+    while any(Path(f"/proc/{pid}").exists() for pid in started):
+        assert time.monotonic() < give_up_s
 
 
 def _children(pid: int) -> list[int]:

@@ -93,8 +93,8 @@ def test_the_half_width_is_the_quantile_over_the_runs():
     # ten runs whose errors after 5 min are about 0.1, 0.2, .., 1 K: the tenth is the ceil(11 * 0.9)-th
     runs = [warming_run(drift_k=0.02 * k) for k in range(1, 11)]
     predictors = {"arx": RampPredictor(), "pbm": RampPredictor(version="p")}
-    errors = errors_of(runs, lambda: predictors, processes=1)
-    intervals = coverage.calibrate(runs, lambda: predictors, processes=1)
+    errors = errors_of(runs, lambda: predictors, workers=0)
+    intervals = coverage.calibrate(runs, lambda: predictors, workers=0)
     worst = np.abs(errors["arx", 5][-1][:, 0])
     assert worst.min() - 1e-4 <= intervals.half_width("arx", "1", 5) <= worst.max() + 1e-4
     assert intervals.half_width("pbm", "p", 60) is not None
@@ -105,7 +105,7 @@ def test_the_half_width_is_the_quantile_over_the_runs():
 def test_a_run_of_another_role_calibrates_nothing(role):
     runs = [*(warming_run() for _ in range(9)), warming_run(role=role)]
     with pytest.raises(DataError, match=f"'{role}' is not 'calibrate'"):
-        coverage.calibrate(runs, lambda: {"arx": RampPredictor()}, processes=1)
+        coverage.calibrate(runs, lambda: {"arx": RampPredictor()}, workers=0)
 
 
 # coverage

@@ -253,7 +253,10 @@ def test_an_error_of_the_data_ends_in_one_line(
 ) -> None:
     monkeypatch.setattr(study, "training_runs", lambda regime: [box_run(1, role="test")])
     assert __main__.main(["linear", "--out", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.startswith("greenhouse-train linear: box_1.csv")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("greenhouse-train linear: ")
+    assert "TrainingJob(name='linear'" in line
+    assert "box_1.csv: role" in line
 
 
 def test_losses_are_logged_for_tensorboard(tmp_path: Path) -> None:
