@@ -1,5 +1,6 @@
 # make run     the daemon against a virtual board, live; Ctrl-C ends it
 # make test    everything, on a clean machine too: installs what the tests need
+# make quick   the tests of edge/ and the protocol that take no seconds each (a minute)
 # make lint    ruff and mypy
 # make bench   the tables of the README (up to an hour)
 # make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
@@ -9,13 +10,16 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test lint bench model train tools clean
+.PHONY: run test quick lint bench model train tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
 
 test: $(VENV)/dev.installed tools
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+
+quick: $(VENV)/dev.installed
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests/edge tests/firmware_protocol tests/test_*.py $(ARGS)
 
 lint: $(VENV)/dev.installed
 	$(BIN)/ruff check .

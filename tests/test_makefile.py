@@ -9,7 +9,6 @@ import pytest
 from bench.support.daemon_process import ROOT
 
 MAKEFILE = (ROOT / "Makefile").read_text()
-SCREEN = 50  # lines
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 
@@ -38,10 +37,6 @@ def test_every_make_command_of_the_readme_is_a_target() -> None:
 
 def test_every_command_has_a_rule() -> None:
     assert {name for name in phony() if not re.search(rf"^{name}:", MAKEFILE, re.MULTILINE)} == set()
-
-
-def test_the_makefile_fits_a_screen() -> None:
-    assert len(MAKEFILE.splitlines()) <= SCREEN
 
 
 @needs_make

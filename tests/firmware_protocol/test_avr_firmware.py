@@ -38,6 +38,8 @@ from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.c_core import SOURCES
 from firmware_protocol.virtual_board.core import BoardCore
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent / "avr"
 VECTORS = json.loads((Path(firmware_protocol.__file__).parent / "vectors.json").read_text(encoding="utf-8"))
 HANGS, KEEPS_INTERRUPTS_OFF, STOPS_THE_CLOCK, TELLS_NOTHING = 1, 2, 3, 4

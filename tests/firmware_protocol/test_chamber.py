@@ -13,6 +13,8 @@ from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, load
 from firmware_protocol.virtual_board.effects import EFFECT_NAMES, LARGEST_SCALE, Effects
 
+pytestmark = pytest.mark.slow
+
 PARAMETERS, DEFAULT_SET = load()
 QUIET = dataclasses.replace(
     DEFAULT_SET,

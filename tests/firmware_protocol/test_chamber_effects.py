@@ -11,6 +11,8 @@ from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
 from firmware_protocol.virtual_board.effects import EFFECT_NAMES, LARGEST_SCALE, SIGNED, Effects
 
+pytestmark = pytest.mark.slow
+
 Scenario = Callable[[Chamber], None]
 
 

@@ -6,6 +6,8 @@ from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
 from firmware_protocol.virtual_board.profiles.record import RecordedRow, paths, read, record, write
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def runs() -> list[list[dict[str, float]]]:

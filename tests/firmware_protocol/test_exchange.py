@@ -13,6 +13,8 @@ from line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, GoodLine, 
 from firmware_protocol.link import BoardReset, LinkEcho, LinkLost, LinkUp, Report, RequestTimedOut
 from firmware_protocol.messages import ClearTrip, CommandMessage, EmergencyStop, HeaterOffCause, TripCause
 
+pytestmark = pytest.mark.slow
+
 LEASE_S = 5.0
 LINES: dict[str, Callable[[int], GoodLine]] = {
     "good": lambda seed: GoodLine(),

@@ -19,6 +19,8 @@ from firmware_protocol.virtual_board.line import FaultyLine
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.sensor_faults import SensorFaults
 
+pytestmark = pytest.mark.slow
+
 LEASE_S = 10.0
 CORES = ("python", "c")
 

@@ -13,6 +13,8 @@ from firmware_protocol import gen, gen_spec
 from firmware_protocol.gen_spec import MessageSpec, read_spec
 from firmware_protocol.messages import CLASS_OF_KIND, LAYOUT_OF_KIND
 
+pytestmark = pytest.mark.slow
+
 SPEC = read_spec()
 WITH_FIELDS = [message for message in SPEC.messages if message.fields]
 C_TYPES = {"u8": ctypes.c_uint8, "u16": ctypes.c_uint16, "u32": ctypes.c_uint32, "u64": ctypes.c_uint64,

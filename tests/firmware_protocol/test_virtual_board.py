@@ -27,6 +27,8 @@ from firmware_protocol.messages import (
     unpack,
 )
 
+pytestmark = pytest.mark.slow
+
 CORES = ("python", "c")
 NOISE = [
     {"name": "flip_bits", "rate": 0.01},

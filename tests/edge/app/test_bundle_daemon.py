@@ -14,6 +14,8 @@ from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
 from edge.bundle.store import PACKAGED_FOLDER
 from training.data.datasets import data_sha256, training_runs
 
+pytestmark = pytest.mark.slow
+
 MINUTES = 100
 SPEED = 600.0  # simulated seconds a second: the daemon runs for 10 s
 

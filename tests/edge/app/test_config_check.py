@@ -82,7 +82,7 @@ def test_all_wrong_keys_and_values_are_said_at_once(
     told = capsys.readouterr().err.splitlines()
     parts = ("'baudrite'", "control.horizon: 900", "control.step_s", "control.fallback", "mqtt: must hold")
     assert len(told) == len(parts)
-    assert all(part in line for part, line in zip(parts, told, strict=True))
+    assert all(any(part in line for line in told) for part in parts)
 
 
 def test_a_path_with_a_nul_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

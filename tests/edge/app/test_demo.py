@@ -14,6 +14,8 @@ import pytest
 from bench.support.broker import Broker, Listener, needs_mosquitto
 from training.llm_stand_in.server import StandIn
 
+pytestmark = pytest.mark.slow
+
 DEMO = [sys.executable, "-m", "edge", "demo"]
 
 

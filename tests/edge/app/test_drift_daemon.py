@@ -24,6 +24,8 @@ from edge.drift import monitor
 from edge.twin.twin_file import read_twin_file, write_twin_file
 from training.lab import Lab
 
+pytestmark = pytest.mark.slow
+
 MINUTES = 75
 SETTLED_S = 600.0  # the simulated box begins at rest, as the filter does: an hour would prove no more
 ROOT = "greenhouse/rig-1"

@@ -32,6 +32,8 @@ from edge.tick.orders_json import to_dict
 from edge.tick.standing import StandingState, read_standing
 from training.lab import Lab
 
+pytestmark = pytest.mark.slow
+
 TWELVE_MINUTES = "time_s,heater_duty,fan_on\n0,0.5,0\n180,0,1\n360,1,0\n480,0.25,1\n720,0,0\n"
 
 

@@ -4,6 +4,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pytest
 from history_records import HandClock, History, tick
 from loop_rig import FakeClock
 
@@ -14,6 +15,8 @@ from edge.config.settings import DriftSettings
 from edge.core.messages import Command, Echo, Reading, ReadingQuality
 from edge.storage import Storage
 from edge.twin.twin_file import write_twin_file
+
+pytestmark = pytest.mark.slow
 
 NIGHT = datetime(2026, 7, 1, 3, 0, tzinfo=UTC).timestamp()
 ROWS = 420

@@ -20,6 +20,8 @@ from bench.support.daemon_process import ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import VirtualBoard, die_with_parent, virtual_board
 from edge.app.outlet import WAITING_MAX, Outlet, standard_output
 
+pytestmark = pytest.mark.slow
+
 FILLED = 200_000  # bytes, more than a pipe holds
 
 

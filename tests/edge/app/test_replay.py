@@ -17,6 +17,8 @@ from edge.models.arx import Arx
 from edge.models.pbm import Pbm
 from edge.twin.model import BoxTwin
 
+pytestmark = pytest.mark.slow
+
 STEP_S = 10.0
 LOGS = Path(__file__).parents[4] / "shared" / "data" / "heated_box"
 

@@ -15,6 +15,8 @@ from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.app.systemd import WATCHDOG_MIN_S, Notifier, watchdog_s
 from edge.config.settings import ControlSettings
 
+pytestmark = pytest.mark.slow
+
 PATIENCE_S = 20.0
 RULES = {"model": "", "controller": "rules", "fallback": "rules"}  # need no model for 1 s
 

@@ -38,6 +38,8 @@ from training.models import ham_guarded
 from training.models.registry import HAM_GIVEN, TWIN_FILE, TWIN_GIVEN, over
 from training.models.twin_step import TwinStep
 
+pytestmark = pytest.mark.slow
+
 SHA = "d" * 64
 ORIGIN = Origin(
     data_sha256=SHA,

@@ -19,6 +19,8 @@ from bench.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.tick.order_words import in_words
 
+pytestmark = pytest.mark.slow
+
 LEASE_S = 10.0  # firmware_protocol/PROTOCOL.md
 TICKS = f"{RIG}/history/tick"
 

@@ -17,6 +17,8 @@ from edge.assistant.llm.key_mask import MASK, key_pattern
 from training.llm_stand_in.behaviours import Sending, refused
 from training.llm_stand_in.server import StandIn
 
+pytestmark = pytest.mark.slow
+
 KEY = "sk-ve/y+secret_0123456789~"
 Write = Callable[[str], str]
 

@@ -15,6 +15,8 @@ from edge.sockets.control_socket import request
 from training.lab import Lab
 from training.llm_stand_in.server import StandIn
 
+pytestmark = pytest.mark.slow
+
 PATIENT = YAML.replace("decision_deadline_s: 1.0", "decision_deadline_s: 4.0")
 
 

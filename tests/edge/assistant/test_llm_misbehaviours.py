@@ -16,6 +16,8 @@ from edge.core.messages import TickRecord
 from training.lab import Lab
 from training.llm_stand_in.server import StandIn
 
+pytestmark = pytest.mark.slow
+
 TICKS = 2  # per misbehaviour
 WARM_UP = 12  # ticks of honest answers before the first
 HASTY = YAML.replace("decision_deadline_s: 1.0", "decision_deadline_s: 0.2")

@@ -27,6 +27,8 @@ from edge.tick.reference import Reference
 from edge.tick.steering import DailyTarget, FanRest, Steering, problem
 from edge.tick.steering_at_work import limited, reference_of, steered
 
+pytestmark = pytest.mark.slow
+
 H = 3600.0
 LIMITS = ReferenceSettings()
 TWIN = read_twin(DEFAULT_PATH.parent / "default_bundle" / "twin.yaml").twin

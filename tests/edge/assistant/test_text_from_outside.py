@@ -14,6 +14,8 @@ from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import VirtualBoard, virtual_board
 from training.llm_stand_in.server import StandIn
 
+pytestmark = pytest.mark.slow
+
 EVIL = "\ud800\x1b[2J\x00\u202e"
 
 

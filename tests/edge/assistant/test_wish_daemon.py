@@ -14,6 +14,8 @@ from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.__main__ import main
 from training.llm_stand_in.server import StandIn
 
+pytestmark = pytest.mark.slow
+
 WISH = "keep 26 by day and 20 at night, go easy on the fan"
 RULES = {"model": "", "controller": "rules"}
 

@@ -14,6 +14,8 @@ from edge.config import loading as config
 from edge.core.errors import DataError
 from edge.twin.model import BoxTwin
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = config.parse("timezone: UTC")
 
 

@@ -23,6 +23,8 @@ from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def workshop(tmp_path: Path) -> Workshop:

@@ -18,7 +18,7 @@ from edge.bundle.orders import carry_out
 from edge.bundle.serving import choose
 from edge.bundle.store import BundleStore
 
-pytestmark = pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")]
 
 WORK = """
 import os, sys

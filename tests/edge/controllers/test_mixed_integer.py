@@ -20,6 +20,8 @@ from edge.controllers.mixed_integer.tangent import tangent
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.core.errors import DataError
 
+pytestmark = pytest.mark.slow
+
 FOREVER = TimeBox(1e9)
 MANY_NODES = 10**7
 short = problems(st.integers(1, 2), st.just(20))

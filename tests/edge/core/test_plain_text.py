@@ -13,6 +13,8 @@ from edge.core.plain_text import plain, shown, storable
 from edge.formats.strict_json import parse_object
 from edge.formats.tick_json import json_value
 
+pytestmark = pytest.mark.slow
+
 ANY_TEXT = st.text(st.characters(exclude_categories=()))  # lone surrogates and control characters too
 ANY_JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | ANY_TEXT,

@@ -39,6 +39,8 @@ from edge.diagnosis.report.wording import (
     where_found,
 )
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 VOID = {"meta", "br", "img", "path", "use", "image", "rect"}
 HEADLINES = {

@@ -23,6 +23,8 @@ from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
+pytestmark = pytest.mark.slow
+
 SEEDS = (1, 2, 3)
 HIDDEN: Effects = {
     "infiltration": {"F_inf": 0.001},

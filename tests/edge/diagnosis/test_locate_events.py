@@ -7,6 +7,8 @@ from locate_runs import BASE, NOISE_K, made, names
 from edge.diagnosis.locate.events import find_events
 from edge.twin.model import BoxTwin
 
+pytestmark = pytest.mark.slow
+
 DOOR = {**BASE, "door_opening": {"G_door": 10.0}}
 WALLED = {
     "extra_capacity": {"kC": 4.0},

@@ -19,6 +19,8 @@ from edge.twin.recorded import Recorded, recorded
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
+pytestmark = pytest.mark.slow
+
 LAG = {"heater_lag": {"tau_h": 200.0}}
 ROWS = 80
 

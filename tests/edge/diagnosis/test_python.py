@@ -14,6 +14,8 @@ import edge
 from edge import DiagnosisResult, Run, Twin, diagnose
 from edge.core.errors import DataError
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "docs" / "examples" / "diagnosis"
 NOTEBOOK = ROOT / "examples" / "diagnosis.ipynb"

@@ -12,6 +12,8 @@ from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
+pytestmark = pytest.mark.slow
+
 HIDDEN = {"heater_lag": {"tau_h": 300.0}}
 ROWS, BAD = 120, 10
 Change = Callable[[Sequence[RecordedRun]], Sequence[RecordedRun]]

@@ -15,6 +15,8 @@ from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.value import Value
 
+pytestmark = pytest.mark.slow
+
 # Enough to be mistaken for each other, few enough to be fast; test_twin_diagnose.py tries them all.
 CANDIDATES = (
     *("wall_loss", "infiltration", "soil_mass", "extra_capacity", "heater_lag", "heater_deadtime"),

@@ -15,6 +15,8 @@ from bench.support.simulated_runs import BOX, search_over, simulated
 from edge.core.processors import processors
 from edge.diagnosis.side_by_side import AT_ONCE, SideBySide
 
+pytestmark = pytest.mark.slow
+
 PARENT = os.getpid()
 RUNS = [simulated({**BOX, "heater_lag": {"tau_h": 240.0}}, seed, 100) for seed in (1, 2)]
 

@@ -22,6 +22,8 @@ from edge.models.pbm import read_twin
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 
+pytestmark = pytest.mark.slow
+
 RUNS, ROWS = 4, 60  # time goes with the rows of a run, not with how many there are
 CANDIDATES = ("infiltration", "heater_lag", "heater_efficiency", "fan_effectiveness", "sensor_lag")
 LAG: Effects = {"heater_lag": {"tau_h": 200.0}}

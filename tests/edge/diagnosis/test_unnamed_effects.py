@@ -16,6 +16,8 @@ from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.value import Value
 
+pytestmark = pytest.mark.slow
+
 BASE = {"wall_loss": {"UA": 5.0}, "extra_capacity": {"kC": 4.0}}
 HEAT = {"unnamed_heat": {"P_x": 20.0, "T_x": 30.0, "w_x": 1.0}}
 CUT = {"unnamed_cut": {"f_x": 1.0, "T_x": 30.0, "w_x": 0.5}}

@@ -9,6 +9,8 @@ from edge.drift.evidence import ALLOWED, CUT, Evidence
 from edge.drift.monitor import Promise
 from edge.drift.regimes import CELLS, REGIMES, situation
 
+pytestmark = pytest.mark.slow
+
 ALL = np.ones(len(REGIMES), dtype=bool)
 NAMES = [regime.name for regime in REGIMES]
 THRESHOLD = evidence.log_threshold(90.0, 60.0)

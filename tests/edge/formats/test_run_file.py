@@ -27,6 +27,8 @@ from edge.formats.run_file import (
 from edge.storage import Outbox, Storage
 from edge.storage.runs import events_between, export_run, import_run, name_run
 
+pytestmark = pytest.mark.slow
+
 HEADER = "time_s,temp_air_c,temp_ambient_c,heater_duty,fan_on\n"
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 LOGS = [Path(__file__).parents[2] / "data" / "made_irregular_run.csv", *sorted(SHARED.glob("*/*.csv"))]

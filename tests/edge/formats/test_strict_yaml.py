@@ -12,6 +12,8 @@ from edge.formats.run_file import read_run
 from edge.formats.strict_json import DEPTH_MAX
 from edge.formats.strict_yaml import VALUES_MAX, parse_yaml
 
+pytestmark = pytest.mark.slow
+
 BOMB = "a: &a [1]\n" + "".join(
     f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n"
     for before, name in zip("abcdefghi", "bcdefghij", strict=True)

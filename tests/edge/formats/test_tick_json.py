@@ -10,6 +10,8 @@ from bench.support.mqtt_rig import record
 from edge.core.messages import Command, Decision
 from edge.formats.tick_json import json_value, number, tick_json
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("value", [None, math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_null(value):

@@ -13,6 +13,8 @@ from edge.mqtt import connection, drain, telemetry
 from edge.mqtt.drain import BATCH_ROWS, REFUSED_PAUSE_S, Drain
 from edge.mqtt.telemetry import Telemetry
 
+pytestmark = pytest.mark.slow
+
 HISTORY = f"{ROOT}/history"
 
 

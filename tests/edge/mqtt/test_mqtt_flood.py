@@ -19,6 +19,8 @@ from bench.support.virtual_board import virtual_board
 from edge.core.allowance import Allowance
 from edge.mqtt.telemetry import COMMANDS_WAITING_MAX, Telemetry
 
+pytestmark = pytest.mark.slow
+
 # Behind a flood it would wait for minutes; how long it does wait: `python -m bench attack`.
 HELD_UP_S = 10.0
 FLOOD = """

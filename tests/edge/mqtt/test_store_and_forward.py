@@ -16,7 +16,7 @@ from edge.mqtt import connection, telemetry
 from edge.mqtt.telemetry import Telemetry
 from edge.storage import Outbox, Storage
 
-pytestmark = needs_mosquitto
+pytestmark = [pytest.mark.slow, needs_mosquitto]
 TICKS = f"{ROOT}/history/tick"
 
 

@@ -36,6 +36,8 @@ from edge.safety.supervisor import (
 )
 from edge.safety.thermal_supervision import ThermalMemory
 
+pytestmark = pytest.mark.slow
+
 LIMITS = SafetySettings()
 HEAT = Command(heater_duty=1.0)
 FAN = Command(fan_on=True)

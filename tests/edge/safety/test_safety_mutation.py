@@ -1,11 +1,14 @@
 """Change the safety supervisor one operator, number or rule at a time: its tests must notice every change."""
 
 import mutation
+import pytest
 import test_safety
 
 from edge.safety import memory as safety_state
 from edge.safety import rules as safety_rules
 from edge.safety import supervisor as safety
+
+pytestmark = pytest.mark.slow
 
 MODULES = [safety, safety_rules, safety_state]
 TABLES = [

@@ -25,6 +25,8 @@ from edge.safety.thermal_supervision import (
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
 
+pytestmark = pytest.mark.slow
+
 REST = Observation(60.0, 21.0, 21.0, heater_duty=0.0, fan_on=False, led=0.0)
 
 

@@ -19,6 +19,8 @@ from hypothesis import strategies as st
 from edge.core.errors import ConfigError, RequestError
 from edge.sockets.control_socket import CLIENTS_MAX, LINE_MAX, ControlSocket, request
 
+pytestmark = pytest.mark.slow
+
 
 def echo(message):
     return {"ok": True, "heard": dict(message)}

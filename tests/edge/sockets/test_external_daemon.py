@@ -6,10 +6,14 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.config.settings import ExternalSettings
 from training.lab import Lab
+
+pytestmark = pytest.mark.slow
 
 ANSWERED = 3
 

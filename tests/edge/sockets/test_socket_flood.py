@@ -15,6 +15,8 @@ import pytest
 from bench.support.daemon_process import DaemonProcess
 from bench.support.virtual_board import VirtualBoard, virtual_board
 
+pytestmark = pytest.mark.slow
+
 # Behind a flood it would wait for minutes; how long it does wait: `python -m bench attack`.
 HELD_UP_S = 10.0
 FLOOD = """

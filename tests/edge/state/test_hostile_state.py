@@ -23,6 +23,8 @@ from edge.tick.orders_json import to_dict
 from edge.tick.standing import read_standing
 from edge.tick.steering import DailyTarget, FanRest, Steering
 
+pytestmark = pytest.mark.slow
+
 UTC = 1.8e9
 STEERING = Steering("a", "warmer", UTC + 60, (DailyTarget(0.0, 25.0),), 1.0, 1.0, 0.5, (FanRest(0.0, 60.0),))
 SOUND = {

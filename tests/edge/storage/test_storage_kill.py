@@ -8,9 +8,12 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
+import pytest
 from history_records import HandClock, History
 
 from edge.storage import Storage
+
+pytestmark = pytest.mark.slow
 
 KILLS = 12
 QUEUE_TICKS = 50

@@ -12,6 +12,8 @@ from edge.core.names import SIGNALS
 from edge.models.arx import Arx
 from edge.tick.estimator import HISTORY_ROWS, Estimator
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = EstimatorSettings(measurement_sd_k=0.1, process_sd_k=0.05, offset_sd_k=0.01)
 STEADY = replace(SETTINGS, offset_sd_k=1e-6)  # for a plant whose disturbance does not wander
 ONE_LAG = Arx(np.array([0.9]), np.array([2.0]), np.array([-1.5]), 0.1, 0.0, 60.0)

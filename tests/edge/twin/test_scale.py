@@ -18,6 +18,8 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
 
+pytestmark = pytest.mark.slow
+
 EVERY = [(name, item) for name, effect in EFFECTS.items() for item in effect.parameters]
 
 
