@@ -150,10 +150,7 @@ def _zip(rng: np.random.Generator, content: bytes) -> bytes:
 
 
 def _bundle() -> bytes:
-    with tempfile.TemporaryFile() as file:
-        pack(PACKAGED_FOLDER, file)
-        file.seek(0)
-        return file.read()
+    return pack(PACKAGED_FOLDER)
 
 
 @cache

@@ -16,8 +16,8 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import read_file
 from edge.formats.strict_json import parse_object
 
@@ -45,7 +45,9 @@ def ask(
     folder.mkdir(parents=True, exist_ok=True)
     request, answer = folder / REQUEST, folder / ANSWER
     answer.unlink(missing_ok=True)
-    _write(request, {"words": list(words), "log": str(log), "patience_s": patience_s})
+    # Who sees the file sees all of it.
+    asked = {"words": list(words), "log": str(log), "patience_s": patience_s}
+    write_atomically(request, json.dumps(asked))
     try:
         _wait(lambda: not request.exists(), START_MAX_S, is_over, "greenhouse-diagnosis.path is not active")
         _wait(answer.exists, patience_s + END_MAX_S, is_over, "greenhouse-diagnosis.service gave no answer")
@@ -66,7 +68,7 @@ def serve(folder: Path, program: Sequence[str] = GREENHOUSE) -> int:
         code = _run(command, log, float(request["patience_s"]), folder)
     finally:
         if folder.exists():
-            _write(folder / ANSWER, {"code": code})
+            write_atomically(folder / ANSWER, json.dumps({"code": code}))
     return 0
 
 
@@ -95,13 +97,6 @@ def _wait(condition: Callable[[], bool], at_most_s: float, is_over: Callable[[],
         if time.monotonic() > until:
             raise NoUnit(failed)
         time.sleep(LOOK_S)
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    """In one piece: who sees the file sees all of it."""
-    partial = path.with_name(f"{path.name}.partial")
-    partial.write_text(json.dumps(content), encoding="utf-8")
-    partial.replace(path)
 
 
 if __name__ == "__main__":

@@ -8,24 +8,23 @@ import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, BinaryIO
 
-from edge.bundle.durable import write_new
 from edge.bundle.manifest import FILE_NAME
 from edge.core.errors import DataError
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import MODEL, open_file
 
 FILES_MAX = 64
 FILE_BYTES_MAX = MODEL
 TOTAL_BYTES_MAX = 32 << 20
-_CHUNK = 1 << 20
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same files make the same archive
 
 
-def pack(folder: Path, out: BinaryIO) -> None:
+def pack(folder: Path) -> bytes:
     """All files of `folder` as an archive, the same bytes for the same files. Errors: DataError, OSError"""
+    out = io.BytesIO()
     paths = sorted(folder.iterdir())
     _check_sizes([(path.name, _regular_size(path)) for path in paths])
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -35,6 +34,7 @@ def pack(folder: Path, out: BinaryIO) -> None:
             info.external_attr = (stat.S_IFREG | 0o644) << 16
             with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW), "rb") as file:
                 archive.writestr(info, file.read(FILE_BYTES_MAX))
+    return out.getvalue()
 
 
 def open_archive(source: Path) -> BinaryIO:
@@ -42,9 +42,7 @@ def open_archive(source: Path) -> BinaryIO:
     try:
         if not source.is_dir():
             return open_file(source)
-        packed = io.BytesIO()  # bounded by what `pack` takes
-        pack(source, packed)
-        return packed
+        return io.BytesIO(pack(source))  # bounded by what `pack` takes
     except OSError as error:
         raise DataError(f"{source}: {error.strerror or error}") from error
     except DataError as error:
@@ -64,7 +62,7 @@ def unpack(source: BinaryIO, into: Path) -> None:
             _check_sizes([(entry.filename, entry.file_size) for entry in entries])
             for entry in entries:
                 with archive.open(entry) as file:
-                    write_new(into / entry.filename, _bounded(file, entry.filename, entry.file_size))
+                    write_atomically(into / entry.filename, _bounded(file, entry.filename, entry.file_size))
     # RuntimeError: encrypted; NotImplementedError: a compression that zipfile does not know
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise DataError(f"no bundle archive, or damaged: {error}") from error
@@ -92,11 +90,9 @@ def _check_sizes(entries: list[tuple[str, int]]) -> None:
         raise DataError(f"{total} bytes are more than a bundle may have, {TOTAL_BYTES_MAX}")
 
 
-def _bounded(file: IO[bytes], name: str, size: int) -> Iterator[bytes]:
-    """Never more than `size` bytes, whatever the file turns out to hold."""
-    left = size
-    while chunk := file.read(min(_CHUNK, left + 1)):
-        left -= len(chunk)
-        if left < 0:
-            raise DataError(f"{name}: holds more than its {size} bytes")
-        yield chunk
+def _bounded(file: IO[bytes], name: str, size: int) -> bytes:
+    """Return all that the file holds. Errors: DataError where that is more than `size` bytes"""
+    content = file.read(size + 1)
+    if len(content) > size:
+        raise DataError(f"{name}: holds more than its {size} bytes")
+    return content

@@ -31,6 +31,7 @@ from edge.bundle.manifest import (
 from edge.core.controller_names import RL
 from edge.core.errors import DataError
 from edge.core.version import __version__
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import read_file
 from edge.models.pbm import read_twin
 
@@ -116,8 +117,7 @@ def build_bundle(folder: Path, out: Path, facts: ManifestFacts, key: Path) -> Ma
         for path in folder.iterdir():
             shutil.copyfile(path, copy / path.name)
         manifest = sign_folder(copy, facts, key)
-        with out.open("wb") as archive:
-            pack(copy, archive)
+        write_atomically(out, pack(copy))
     return manifest
 
 

@@ -24,13 +24,13 @@ from typing import BinaryIO
 from edge.bundle.admitted import Admitted, read_admitted, release, write_admitted
 from edge.bundle.archive import unpack
 from edge.bundle.check import check_folder, read_checked
-from edge.bundle.durable import make_folder, move, sync_folder
 from edge.bundle.manifest import MANIFEST, PACKAGED, VERSION, Manifest
 from edge.bundle.policies import load_policies
 from edge.bundle.roles import Roles, installed, rolled_back
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
+from edge.formats.atomic_file import make_folder, move, sync_folder
 from edge.formats.input_file import Folder, read_file
 from edge.models.onnx_policy import OnnxPolicy
 from edge.state import state_file

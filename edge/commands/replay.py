@@ -18,6 +18,7 @@ from edge.core.controller_names import MPC_TWIN
 from edge.core.errors import DataError
 from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.messages import TickRecord
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import TABLE, read_text
 from edge.formats.run_file import read_run
 from edge.formats.strict_json import parse_object
@@ -140,4 +141,4 @@ def _read(path: Path) -> list[dict[str, Any]]:
 
 def _write(path: Path, records: Sequence[TickRecord]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(json.dumps(tick_json(record)) + "\n" for record in records))
+    write_atomically(path, "".join(json.dumps(tick_json(record)) + "\n" for record in records))

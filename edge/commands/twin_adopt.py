@@ -7,8 +7,6 @@ trusted keys. Without a rig, --to replaces a twin file and keeps the one before.
 """
 
 import argparse
-import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -24,6 +22,7 @@ from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.core.names import SIGNALS
 from edge.core.plain_text import plain, shown
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import MODEL, read_file
 from edge.formats.strict_json import parse_object
 from edge.models.pbm import read_twin
@@ -101,8 +100,8 @@ def _adopt(twin: Path, arguments: argparse.Namespace) -> None:
         adopted = with_twin(store, twin, _changed(twin), _key(arguments.key, settings), folder)
         _refuse_without_planner(adopted, settings, arguments.bundle_out is not None)
         if arguments.bundle_out is not None:
-            with writing(arguments.bundle_out), arguments.bundle_out.open("wb") as file:
-                pack(folder, file)
+            with writing(arguments.bundle_out):
+                write_atomically(arguments.bundle_out, pack(folder))
             print(f"{arguments.bundle_out}: bundle {adopted.manifest.version}, signed")
         else:
             with open_archive(folder) as archive:
@@ -174,12 +173,8 @@ def _replace(twin: Path, target: Path) -> None:
         if target.exists():
             if target.resolve() == twin.resolve():
                 raise RequestError(f"--to: {target} is the file of the report itself")
-            shutil.copyfile(target, _before(target))
-        new = target.with_name(f"{target.name}.new")
-        shutil.copyfile(twin, new)
-        with new.open("rb") as file:
-            os.fsync(file.fileno())
-        new.replace(target)
+            write_atomically(_before(target), target.read_bytes())
+        write_atomically(target, twin.read_bytes())
     kept = f"; the one before is {_before(target)}" if _before(target).exists() else ""
     print(f"{target}: {twin}{kept}")
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from edge.commands.output import writing
 from edge.core.errors import RequestError
+from edge.formats.atomic_file import write_atomically
 from edge.twin.new_file import CONDUCTIVITY_W_M_K, BoxDescription, check, text
 from edge.twin.twin_file import FAN_ROLES, read_twin_file
 
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     check(box)
     with writing(arguments.file):
-        arguments.file.write_text(text(box), encoding="utf-8")
+        write_atomically(arguments.file, text(box))
     read_twin_file(arguments.file)
     print(f"{arguments.file}: written. Next:")
     print(f"  greenhouse twin diagnose RUN... --twin {arguments.file} --out report/")

@@ -12,6 +12,7 @@ from edge.core.plain_text import shown
 from edge.data_intake.cells import FileLayout
 from edge.data_intake.times import KINDS, zone_of
 from edge.data_intake.units import BY_TARGET, TARGETS, UNITS
+from edge.formats.atomic_file import write_atomically
 from edge.formats.checked import nearest
 from edge.formats.input_file import YAML, read_text
 from edge.formats.run_file import ABSENT
@@ -74,7 +75,7 @@ def write_map(found: LogMap, path: Path) -> None:
             text = text.removesuffix("\n").removesuffix("\n...")
             guess = found.guesses.get(f"{section}.{key}")
             lines.append(f"  {key}: {text}" + (f"  # GUESS: {guess}" if guess else ""))
-    path.write_text(TOP + "\n".join(lines) + "\n", encoding="utf-8")
+    write_atomically(path, TOP + "\n".join(lines) + "\n")
 
 
 def _document(source: Source) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_schema import Schema, schema
+from edge.formats.atomic_file import write_atomically
 
 FILE_NAME = "diagnosis.json"
 _KINDS: Mapping[str, type | tuple[type, ...]] = {
@@ -41,7 +42,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """Write a diagnosis, a line a key. Errors: DataError as of `check_diagnosis`; OSError"""
     check_diagnosis(document)
     lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in document.items()]
-    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    write_atomically(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def _check(value: Any, rule: Schema, place: str) -> None:

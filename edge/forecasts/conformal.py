@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import Source, read_file
 from edge.formats.strict_json import parse_object
 
@@ -84,7 +85,7 @@ def write_intervals(intervals: Intervals, path: Path) -> None:
         ],
         "provenance": dict(intervals.provenance),
     }
-    path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_atomically(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def read_intervals(path: Source) -> Intervals:

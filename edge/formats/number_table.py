@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.plain_text import plain, shown
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import TABLE, read_text
 
 Floats = NDArray[np.float64]
@@ -66,8 +67,9 @@ def write_table(path: Path, columns: Mapping[str, Floats], facts: Mapping[str, s
         text = f"{key}: {value}"
         if text != text.strip() or not key or ":" in key or len(text.splitlines()) != 1:
             raise DataError(f"{path}: {text!r} is no line `# key: value`")
-    with path.open("w", encoding="utf-8", newline="") as file:
-        print_table(file, columns, facts)
+    file = io.StringIO()
+    print_table(file, columns, facts)
+    write_atomically(path, file.getvalue())
 
 
 def print_table(file: TextIO, columns: Mapping[str, Floats], facts: Mapping[str, str]) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from edge.formats.atomic_file import write_atomically
 from edge.formats.checked import Rule, Section
 from edge.formats.input_file import Source
 from edge.formats.reader import parse_json, read, read_bytes
@@ -66,7 +67,7 @@ def write_arx(model: Arx, path: Path, provenance: Mapping[str, Any]) -> None:
         "validity": {key: list(pair) for key, pair in model.validity.items()},
         "provenance": dict(provenance),
     }
-    path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_atomically(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def read_arx(path: Source = DEFAULT_PATH) -> Arx:

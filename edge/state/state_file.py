@@ -6,12 +6,12 @@ old one or the new one and never half of one.
 """
 
 import json
-import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import read_file
 from edge.formats.strict_json import parse_object
 
@@ -39,17 +39,9 @@ def read(path: Path) -> dict[str, Any] | None:
 
 def write(path: Path, values: dict[str, Any]) -> None:
     """Replace the file whole. Errors: OSError."""
-    beside = path.with_name(path.name + ".new")
-    with beside.open("w") as file:
-        json.dump(values, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-    directory = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
+    if not path.is_file():  # a FIFO, or a link to a device, would swallow the values
+        path.unlink(missing_ok=True)
+    write_atomically(path, json.dumps(values, indent=1))
 
 
 class StateWriter:

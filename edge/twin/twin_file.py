@@ -10,6 +10,7 @@ import yaml
 
 from edge.core.errors import DataError
 from edge.core.plain_text import shown
+from edge.formats.atomic_file import write_atomically
 from edge.formats.checked import nearest
 from edge.formats.input_file import YAML, Source, read_text
 from edge.formats.strict_yaml import parse_yaml
@@ -134,7 +135,7 @@ def write_twin_file(file: TwinFile, path: Path) -> None:
     }
     # Flow style for the innermost mappings alone: `UA: {value: 5.1, low: 4.8, high: 5.4}`.
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-    path.write_text(text, encoding="utf-8")
+    write_atomically(path, text)
 
 
 def _twin_file(document: Any) -> TwinFile:

@@ -21,6 +21,7 @@ from edge.controllers.rules import Rules
 from edge.core.controller import Controller
 from edge.core.errors import DataError
 from edge.core.names import HEATER_LEVELS
+from edge.formats.atomic_file import write_atomically
 from edge.formats.profile_file import read_profile
 from edge.models.arx_file import read_arx
 from edge.tick.reference import reference_from_profile
@@ -152,7 +153,7 @@ def keep(job: ComparisonJob, log: ClosedLoopLog, root: Path) -> None:
         "time_boxes": log.time_boxes,
         "tokens": log.tokens,
     }
-    (folder / "run.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    write_atomically(folder / "run.json", json.dumps(facts, indent=1) + "\n")
 
 
 def read(job: ComparisonJob, root: Path) -> ClosedLoopLog:

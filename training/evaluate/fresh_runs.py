@@ -42,9 +42,7 @@ def keep(task: tuple[Kind, int, Path]) -> None:
     """Make one run (kind, seed, folder) and write it, whole or not at all."""
     kind, seed, folder = task
     path = _path(kind, seed, folder)
-    beside = path.with_suffix(".new")
-    write_run(replace(make_run(kind, seed), path=path), beside)
-    beside.replace(path)
+    write_run(replace(make_run(kind, seed), path=path), path)
 
 
 def make_run(kind: Kind, seed: int) -> RecordedRun:

@@ -17,6 +17,7 @@ from onnx import ModelProto
 
 from edge.core.errors import DataError, GreenhouseError
 from edge.core.predictor import Predictor
+from edge.formats.atomic_file import write_atomically
 from edge.formats.run_file import RecordedRun, inside_names
 from edge.models import contract
 from edge.models.ham import read_ham
@@ -86,7 +87,7 @@ def export(network: Network, facts: ExportFacts, run: RecordedRun, path: Path) -
         "software": versions() | {"onnx": importlib.metadata.version("onnx")},
     }
     model.metadata_props.add(key=contract.KEY, value=json.dumps(document, allow_nan=False))
-    path.write_bytes(model.SerializeToString(deterministic=True))
+    write_atomically(path, model.SerializeToString(deterministic=True))
     if kind == "lstm":
         return read_lstm(path, facts.sample_s)
     return read_ham(path, facts.twin_sha256, facts.sample_s)

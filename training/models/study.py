@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from edge.core.predictor import Predictor
+from edge.formats.atomic_file import write_atomically
 from edge.formats.run_file import RecordedRun
 from training.data.datasets import data_sha256, test_run, training_runs
 from training.data.pairs import INPUTS, split_all, stretches
@@ -81,7 +82,7 @@ def study(job: TrainingJob, train: Train, out: Path, log: Path | None) -> dict[s
     }
     kept.mkdir(parents=True, exist_ok=True)
     trained.save(kept, {key: record[key] for key in FACTS})
-    (kept / RESULT_FILE).write_text(json.dumps(record, indent=1) + "\n")
+    write_atomically(kept / RESULT_FILE, json.dumps(record, indent=1) + "\n")
     return record
 
 

@@ -1,7 +1,7 @@
 """All that a learner knows, as one file that is replaced whole: after a kill it goes on from the last one."""
 
+import io
 import json
-import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import torch
 from stable_baselines3 import DQN
 
 from edge.core.errors import DataError
+from edge.formats.atomic_file import write_atomically
 
 FORMAT = 1
 _COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -35,12 +36,9 @@ def save(agent: DQN, facts: dict[str, Any], path: Path) -> None:
         "random": _random_states(agent),
         "facts": json.dumps(facts),
     }
-    new = path.with_name(f"{path.name}.new")
-    with new.open("wb") as file:
-        torch.save(content, file)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
+    file = io.BytesIO()
+    torch.save(content, file)
+    write_atomically(path, file.getvalue())
 
 
 def restore(agent: DQN, path: Path) -> dict[str, Any]:

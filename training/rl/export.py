@@ -16,6 +16,7 @@ from onnx import ModelProto
 from torch import nn
 
 from edge.core.errors import DataError
+from edge.formats.atomic_file import write_atomically
 from edge.models import policy_contract as contract
 from edge.models.onnx_policy import INPUT, OUTPUT, OnnxPolicy, read_policy
 from edge.models.policy_actions import ACTIONS
@@ -46,7 +47,7 @@ def export(
     software = {name: importlib.metadata.version(name) for name in ("stable-baselines3", "torch", "onnx")}
     document = contract.document_of(chosen, values, {**facts, "software": software})
     model.metadata_props.add(key=contract.KEY, value=json.dumps(document, allow_nan=False))
-    path.write_bytes(model.SerializeToString(deterministic=True))
+    write_atomically(path, model.SerializeToString(deterministic=True))
     return read_policy(path, name, facts["sample_s"])
 
 

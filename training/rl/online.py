@@ -17,6 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import ActionNoise
 
+from edge.formats.atomic_file import write_atomically
 from edge.formats.run_file import data_sha256
 from training.data.datasets import training_runs
 from training.rl import checkpoint
@@ -183,5 +184,5 @@ def _finish(agent: DQN, job: OnlineJob, course: TrainingCourse, folder: Path) ->
     }
     policy = keep(agent.policy.q_net.q_net, facts, runs, folder)
     record = facts | {"policy": policy.version, "wall_s": course.wall_s, "versions": software()}
-    (folder / RECORD_FILE).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_atomically(folder / RECORD_FILE, json.dumps(record, indent=1) + "\n")
     return record

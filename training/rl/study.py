@@ -10,6 +10,7 @@ from typing import Any
 from stable_baselines3 import DQN
 from torch import nn
 
+from edge.formats.atomic_file import write_atomically
 from edge.formats.run_file import RecordedRun, data_sha256
 from edge.models.onnx_policy import OnnxPolicy
 from edge.models.policy_observation import table_sha256
@@ -72,7 +73,7 @@ def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
         "cpu_s": cpu_s,
         "versions": software(),
     }
-    (folder / RECORD_FILE).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_atomically(folder / RECORD_FILE, json.dumps(record, indent=1) + "\n")
     return record
 
 

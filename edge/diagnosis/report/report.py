@@ -6,6 +6,7 @@ from edge.diagnosis.diagnosis_file import FILE_NAME, write_json
 from edge.diagnosis.report.page import page
 from edge.diagnosis.report.pictures import pictures
 from edge.diagnosis.report.story import Story
+from edge.formats.atomic_file import write_atomically
 
 PAGE_NAME = "report.html"
 
@@ -18,4 +19,4 @@ def write_report(folder: Path, story: Story) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / FILE_NAME, story.document)
     text = page(story.document, pictures(story), str(folder))
-    (folder / PAGE_NAME).write_text(text, encoding="utf-8", errors="backslashreplace")
+    write_atomically(folder / PAGE_NAME, text.encode(errors="backslashreplace"))

@@ -179,11 +179,9 @@ def test_a_file_that_is_no_key_is_told(workshop: Workshop) -> None:
 def test_an_archive_gives_back_what_went_in_and_is_the_same_each_time(workshop: Workshop) -> None:
     folder, into = workshop.signed_folder("good"), workshop.folder / "into"
     into.mkdir()
-    first, second = io.BytesIO(), io.BytesIO()
-    pack(folder, first)
-    pack(folder, second)
-    assert first.getvalue() == second.getvalue()
-    unpack(first, into)
+    packed = pack(folder)
+    assert packed == pack(folder)
+    unpack(io.BytesIO(packed), into)
     assert {p.name: p.read_bytes() for p in into.iterdir()} == {
         p.name: p.read_bytes() for p in folder.iterdir()
     }
@@ -224,8 +222,8 @@ def test_an_archive_that_reaches_beyond_is_refused(
 
 def test_a_file_that_is_longer_than_it_says_is_cut_off(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="a: holds more than its 3 bytes"):
-        list(archive._bounded(io.BytesIO(b"four"), "a", 3))
-    assert list(archive._bounded(io.BytesIO(b"four"), "a", 4)) == [b"four"]
+        archive._bounded(io.BytesIO(b"four"), "a", 3)
+    assert archive._bounded(io.BytesIO(b"four"), "a", 4) == b"four"
 
 
 def test_an_archive_with_a_link_in_it_makes_a_plain_file(tmp_path: Path) -> None:

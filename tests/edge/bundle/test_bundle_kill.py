@@ -42,9 +42,15 @@ def work(place):
 def waste(scratch, number):
     if kind == "mkdir":
         os.mkdir(scratch / str(number))
-    elif kind == "rename":
+    elif kind in ("rename", "renameat", "linkat"):
+        place = os.open(scratch, os.O_RDONLY)
         (scratch / "x").touch()
-        os.rename(scratch / "x", scratch / "y")
+        (scratch / "y").unlink(missing_ok=True)
+        if kind == "rename":
+            os.rename(scratch / "x", scratch / "y")
+        else:
+            call = os.link if kind == "linkat" else os.rename
+            call("x", "y", src_dir_fd=place, dst_dir_fd=place)
     else:
         with (scratch / "x").open("wb") as file:
             file.write(b"x") if kind == "write" else os.fsync(file.fileno())
@@ -98,9 +104,12 @@ def run(folder: Path, kind: str, children: int, strace: list[str]) -> list[int]:
     return [int(word) for word in done.stdout.split()]
 
 
-# Calls of each kind that the work makes: five files, the new folder and its parent, admitted.json and twice
-# roles.json, each with its folder.
-@pytest.mark.parametrize(("kind", "calls"), [("fsync", 13), ("rename", 4), ("mkdir", 1), ("write", 8)])
+# Calls of each kind that the work makes: five files, admitted.json and twice roles.json, each with its
+# folder, and the new folder with its own. Only the new folder is renamed by its path.
+@pytest.mark.parametrize(
+    ("kind", "calls"),
+    [("fsync", 18), ("rename", 1), ("renameat", 8), ("linkat", 8), ("mkdir", 1), ("write", 8)],
+)
 def test_a_kill_at_any_call_leaves_a_working_bundle(tmp_path: Path, kind: str, calls: int) -> None:
     workshop = prepare(tmp_path)
     inject = [
@@ -135,31 +144,34 @@ def test_a_kill_at_any_call_leaves_a_working_bundle(tmp_path: Path, kind: str, c
 def test_everything_is_synced_before_the_rename_that_names_it_and_the_folder_after(tmp_path: Path) -> None:
     prepare(tmp_path)
     trace = tmp_path / "trace"
-    run(tmp_path, "trace", 1, ["-y", "-o", str(trace), "-e", "trace=write,fsync,rename,openat"])
+    kinds = "trace=write,fsync,rename,renameat,linkat"
+    run(tmp_path, "trace", 1, ["-y", "-o", str(trace), "-e", kinds])
     place = tmp_path / "trace-0"
     calls = [line.split(" ", 1)[1].strip() for line in trace.read_text().splitlines() if str(place) in line]
-    renames = [i for i, call in enumerate(calls) if call.startswith("rename(")]
+    links = [i for i, call in enumerate(calls) if call.startswith("linkat(")]
+    renames = [i for i, call in enumerate(calls) if call.startswith(("rename(", "renameat("))]
     assert (
-        len(renames) == 4
-    )  # the bundle's folder; admitted.json; roles.json for the shadow, and for the active bundle
+        len(links) == 8
+    )  # five files, admitted.json, and roles.json for the shadow and for the active bundle
+    for at in links:
+        file = re.search(r'"/proc/self/fd/(\d+)"', calls[at]).group(1)
+        last_write = max(i for i in range(at) if calls[i].startswith(f"write({file}<"))
+        assert any(call.startswith(f"fsync({file}<") for call in calls[last_write:at]), calls[at]
+    assert len(renames) == len(links) + 1  # and the bundle's folder
     for at in renames:
-        source, target = (Path(name) for name in re.findall(r'"([^"]+)"', calls[at]))
-        written = {path_of(call) for call in calls[:at] if call.startswith("write(")}
-        mine = {path for path in written if path == source or path.parent == source}
-        assert mine, f"nothing was written for {source}"
-        for path in mine:
-            last_write = max(
-                i for i in range(at) if calls[i].startswith("write(") and path_of(calls[i]) == path
-            )
-            assert synced(calls[last_write:at], path), f"{path} is renamed before it is synced"
-        if source.name == ".incoming":
-            assert synced(calls[max(i for i in range(at) if f"{source}/" in calls[i]) : at], source)
         after = calls[at + 1 : next((i for i in renames if i > at), None)]
-        assert synced(after[:3], target.parent), f"the folder of {target} is not synced after the rename"
+        if calls[at].startswith("renameat("):
+            folder = path_of(calls[at])
+        else:
+            source, target = (Path(name) for name in re.findall(r'"([^"]+)"', calls[at]))
+            folder = target.parent
+            assert source.name == ".incoming"
+            assert synced(calls[at - 1 : at], source), "the bundle's folder is renamed before it is synced"
+        assert synced(after[:3], folder), f"the folder of {calls[at]} is not synced after the rename"
 
 
 def path_of(call: str) -> Path:
-    """The file that the call's descriptor stands for."""
+    """The file that the call's first descriptor stands for."""
     return Path(re.search(r"<([^>]+)>", call).group(1))
 
 
@@ -167,12 +179,14 @@ def synced(calls: list[str], path: Path) -> bool:
     return any(call.startswith("fsync(") and path_of(call) == path for call in calls)
 
 
-def test_a_kill_before_anything_was_installed_leaves_the_packaged_bundle(tmp_path: Path) -> None:
+# The rename of the bundle's folder, and that of admitted.json after five files.
+@pytest.mark.parametrize(("kind", "when"), [("rename", 1), ("renameat", 6)])
+def test_a_kill_before_anything_was_installed_leaves_the_packaged_bundle(
+    tmp_path: Path, kind: str, when: int
+) -> None:
     workshop = prepare(tmp_path)
     shutil.rmtree(tmp_path / "before")
     (tmp_path / "before").mkdir()
-    inject = ["-o", "/dev/null", "-e", "trace=rename", "-e", "inject=rename:signal=SIGKILL:when=2"]
-    ended = run(tmp_path, "rename", 2, inject)
-    assert ended == [9, 9]
-    for number in range(len(ended)):
-        assert choose(store_at(workshop, tmp_path / f"rename-{number}")).active.name == PACKAGED
+    inject = ["-o", "/dev/null", "-e", f"trace={kind}", "-e", f"inject={kind}:signal=SIGKILL:when={when}"]
+    assert run(tmp_path, kind, 1, inject) == [9]
+    assert choose(store_at(workshop, tmp_path / f"{kind}-0")).active.name == PACKAGED

@@ -1,0 +1,136 @@
+"""The one writer of files whose loss or half would hurt somebody: states, twins, models, reports, exports.
+
+A kill or a power cut at any moment leaves the file before or the new one, whole. The content is written into
+a file without a name, so that a kill leaves nothing else in the folder.
+"""
+
+import errno
+import os
+import secrets
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+# Answers of file systems and kernels that have no files without a name (NFS, exFAT, an old overlay).
+_NEEDS_A_NAME = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL)
+
+
+def write_atomically(path: Path, content: bytes | str) -> None:
+    """Replace the file at `path`, on the disk itself when the call returns.
+
+    Mode and owner of the file before are preserved. A link stays, and the file that it points to is
+    replaced. A device or a FIFO is written directly.
+
+    content : text is written as UTF-8
+    Errors : OSError, which names `path`; the file before is untouched then
+    """
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        before = _status(path)
+        if before is not None and not stat.S_ISREG(before.st_mode):
+            path.write_bytes(data)
+        else:
+            _replace(Path(os.path.realpath(path)), data, before)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def sync_folder(path: Path) -> None:
+    """Names in a folder outlive a power cut only after this. Errors: OSError"""
+    descriptor = _open_folder(path)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_folder(path: Path) -> None:
+    """Make `path` and missing folders above it, each written through to the disk. Errors: OSError"""
+    if path.is_dir():
+        return
+    make_folder(path.parent)
+    path.mkdir(exist_ok=True)
+    sync_folder(path.parent)
+
+
+def move(path: Path, target: Path) -> None:
+    """Rename within one folder, wholly or not at all even in a power cut. Errors: OSError"""
+    path.rename(target)
+    sync_folder(target.parent)
+
+
+def _status(path: Path) -> os.stat_result | None:
+    try:
+        return path.stat()
+    except FileNotFoundError:
+        return None
+
+
+def _open_folder(path: Path) -> int:
+    return os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+
+
+def _replace(target: Path, data: bytes, before: os.stat_result | None) -> None:
+    folder, draft = _open_folder(target.parent), ""
+    try:
+        descriptor, draft = _new_file(folder)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            _take_over(descriptor, before)
+            os.fsync(descriptor)
+            if not draft:
+                _give_name(folder, descriptor, target.name)
+        if draft:
+            os.rename(draft, target.name, src_dir_fd=folder, dst_dir_fd=folder)
+        os.fsync(folder)
+    finally:
+        if draft:
+            _unlink(folder, draft)
+        os.close(folder)
+
+
+def _new_file(folder: int) -> tuple[int, str]:
+    """Open a new file in `folder`; its name, "" where the file system has files without one."""
+    flags = os.O_WRONLY | os.O_CLOEXEC
+    try:
+        return os.open(".", flags | os.O_TMPFILE, 0o666, dir_fd=folder), ""
+    except OSError as error:
+        if error.errno not in _NEEDS_A_NAME:
+            raise
+    draft = f".{secrets.token_hex(8)}.new"  # drawn: another writer of the same file does not meet it
+    return os.open(draft, flags | os.O_CREAT | os.O_EXCL, 0o666, dir_fd=folder), draft
+
+
+def _give_name(folder: int, file: int, name: str) -> None:
+    """Name a file that has none, by way of a second name: `linkat` replaces nothing."""
+    second = f".{name}.new"  # always the same one, so that the next write removes what a kill left here
+    try:
+        while True:
+            _unlink(folder, second)
+            try:
+                # Only the `linkat` that a folder's descriptor asks for follows /proc to the file itself.
+                os.link(f"/proc/self/fd/{file}", second, src_dir_fd=folder, dst_dir_fd=folder)
+            except FileExistsError:  # another writer of the same file was faster
+                continue
+            with suppress(FileNotFoundError):  # another writer took the second name away
+                os.rename(second, name, src_dir_fd=folder, dst_dir_fd=folder)
+                return
+    finally:
+        _unlink(folder, second)
+
+
+def _unlink(folder: int, name: str) -> None:
+    with suppress(FileNotFoundError):
+        os.unlink(name, dir_fd=folder)
+
+
+def _take_over(file: int, before: os.stat_result | None) -> None:
+    """Give a new file the owner and the mode of the one before it, the owner as far as this user may."""
+    if before is None:
+        return
+    own = os.fstat(file)
+    if (own.st_uid, own.st_gid) != (before.st_uid, before.st_gid):
+        with suppress(PermissionError):
+            os.fchown(file, before.st_uid, before.st_gid)
+    os.fchmod(file, stat.S_IMODE(before.st_mode) & 0o777)
