@@ -243,7 +243,8 @@ class Chamber:
         """Mean air temperature."""
         upper, lower = self._network.temps[5:]
         share = self._p.box.heater_zone_share
-        return share * upper + (1.0 - share) * lower
+        mean: float = share * upper + (1.0 - share) * lower
+        return mean
 
     def _light(self) -> float:
         """Light in the box, share of the lamp's full light."""

@@ -11,10 +11,15 @@ coefficients of the step's beginning, so a step of 1 s is right for air that ans
 without mass keeps its balance. h, p, s and o touch only w, u and b, so they are eliminated by hand; what
 remains is 3 x 3. Each flow is taken at the same mean temperatures at both of its ends: energy is conserved
 to rounding.
+
+`NetworkEquations` takes floats and, by the four methods that `training.control.chamber_rows` replaces, arrays
+of many boxes; so the board needs no NumPy.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
 from firmware_protocol.virtual_board.effects import Effects
@@ -33,7 +38,8 @@ MASSLESS_PASSES = 6  # of Newton, for such an element
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 _SECOND_STAGE = (1.0 - GAMMA) / GAMMA
 
-Temperatures = list[float]  # h p s o w u b [degC]; replaced, never changed in place
+Number = Any  # a float, or an array with an element for each box
+Temperatures = Sequence[Number]  # h p s o w u b [degC]; replaced, never changed in place
 
 
 @dataclass(slots=True)
@@ -43,21 +49,21 @@ class Loads:
     room_c: float = 20.0
     draught: float = 1.0  # factor on the outer film
     ageing: float = 1.0  # factor on the loss to the room
-    fan_speed: float = 0.0  # 0..1
-    ventilation_w_k: float = 0.0  # heat capacity rate of the fan's flow
-    leak_w_k: float = 0.0  # of leaks and the door, half from each zone
-    heater_w: float = 0.0
-    upper_w: float = 0.0
-    lower_w: float = 0.0
-    plant_w: float = 0.0
-    soil_w: float = 0.0
-    cover_w: float = 0.0
+    fan_speed: Number = 0.0  # 0..1
+    ventilation_w_k: Number = 0.0  # heat capacity rate of the fan's flow
+    leak_w_k: Number = 0.0  # of leaks and the door, half from each zone
+    heater_w: Number = 0.0
+    upper_w: Number = 0.0
+    lower_w: Number = 0.0
+    plant_w: Number = 0.0
+    soil_w: Number = 0.0
+    cover_w: Number = 0.0
 
 
-class ThermalNetwork:
-    """Temperatures of the nodes, and the heat that has left the box by each way."""
+class NetworkEquations:
+    """One step of the nodes' temperatures."""
 
-    def __init__(self, parameters: ChamberParameters, effects: Effects, temp_c: float) -> None:
+    def __init__(self, parameters: ChamberParameters, effects: Effects) -> None:
         self._p, self._e = parameters, effects
         box, heater = parameters.box, parameters.heater
         self.capacities = _capacities(parameters, effects)
@@ -71,44 +77,28 @@ class ThermalNetwork:
             effects.radiative_split * view for view in self._views
         )
         self._to_upper = 1.0 - effects.radiative_split
-        self.temps: Temperatures = [temp_c] * 7
-        self.start = self.mean = self.temps  # mean: over the last step
-        self.radiated_w = 0.0  # by the heater, mean over the last step
-        self.cover_j = self.floor_j = self.air_j = 0.0  # heat that has left
 
-    def stored_j(self) -> float:
-        """Heat stored since the start [J]."""
-        return sum(c * (t - t0) for c, t, t0 in zip(self.capacities, self.temps, self.start, strict=True))
-
-    def step(self, dt_s: float, loads: Loads) -> None:
-        """Move on by dt_s, which is short against all nodes with mass but the air."""
-        self._link_surfaces(loads)
-        self._link_heater(loads)
+    def after(self, temps: Temperatures, dt_s: float, loads: Loads) -> tuple[Temperatures, Temperatures]:
+        """Temperatures after dt_s, short against all nodes with mass but the air, and their mean over it."""
+        self._link_surfaces(temps, loads)
+        self._link_heater(temps, loads)
         self._eliminate(GAMMA * dt_s, loads)
-        first = self._stage(self.temps, loads)
-        base = [old + _SECOND_STAGE * (new - old) for old, new in zip(self.temps, first, strict=True)]
-        self.temps = self._stage(base, loads)
-        self.mean = [a + GAMMA * (b - a) for a, b in zip(first, self.temps, strict=True)]
-        h, _, s, o, _, u, b = self.mean
-        room = loads.room_c
-        self.radiated_w = self._rad_w + self._rad_w_k * h
-        self.cover_j += dt_s * self._oa * (o - room)
-        self.floor_j += dt_s * self._sa * (s - room)
-        leak = 0.5 * loads.leak_w_k
-        self.air_j += dt_s * ((loads.ventilation_w_k + leak) * (u - room) + leak * (b - room))
+        first = self._stage(temps, loads)
+        end = self._stage(self._between(temps, first, _SECOND_STAGE), loads)
+        return end, self._between(first, end, GAMMA)
 
-    def _link_surfaces(self, loads: Loads) -> None:
+    def _link_surfaces(self, temps: Temperatures, loads: Loads) -> None:
         """Conductances between air, sheets, soil, leaf and room at the present temperatures."""
-        _, p, s, o, w, u, b = self.temps
+        _, p, s, o, w, u, b = temps
         cover, soil, plant, air, effects = self._p.cover, self._p.soil, self._p.plant, self._p.air, self._e
         room, speed, cover_m2 = loads.room_c, loads.fan_speed, self._p.box.cover_m2
         forced = cover.inner_film_fan_w_m2_k * speed
         power = 0.25 * effects.natural_convection
         reference = cover.film_reference_k
-        self._wu = self._upper_m2 * (cover.inner_film_w_m2_k * _growth(u - w, reference, power) + forced)
-        self._wb = self._lower_m2 * (cover.inner_film_w_m2_k * _growth(b - w, reference, power) + forced)
+        self._wu = self._upper_m2 * (cover.inner_film_w_m2_k * self._growth(u - w, reference, power) + forced)
+        self._wb = self._lower_m2 * (cover.inner_film_w_m2_k * self._growth(b - w, reference, power) + forced)
         self._wo = cover_m2 * cover.gap_w_m2_k * loads.ageing
-        outer_film = cover.outer_film_w_m2_k * _growth(o - room, reference, power)
+        outer_film = cover.outer_film_w_m2_k * self._growth(o - room, reference, power)
         self._oa = (
             cover_m2 * outer_film * loads.draught * loads.ageing * effects.wall_loss
             + effects.longwave_radiation * longwave_conductance(cover_m2 * cover.emissivity, o, room)
@@ -122,11 +112,11 @@ class ThermalNetwork:
         mixing_flow = air.mixing_flow_m3_s + air.fan_mixing_flow_m3_s * speed
         exchange = mixing_flow * air.density_kg_m3 * air.heat_capacity_j_kg_k
         scale = effects.imperfect_mixing
-        self._ub = min(exchange / scale, WELL_MIXED_W_K) if scale > 0.0 else WELL_MIXED_W_K
+        self._ub = self._at_most_mixed(exchange / scale) if scale > 0.0 else WELL_MIXED_W_K
 
-    def _link_heater(self, loads: Loads) -> None:
+    def _link_heater(self, temps: Temperatures, loads: Loads) -> None:
         """Film of the element and the tangent of its radiation, q = _rad_w + _rad_w_k T."""
-        h, p, s, _, w, u, _ = self.temps
+        h, p, s, _, w, u, _ = temps
         cover, soil, plant = self._views
         sinks = cover * (w + KELVIN) ** 4 + soil * (s + KELVIN) ** 4 + plant * (p + KELVIN) ** 4
         passes = 1 if self.capacities[0] > LIGHT_J_K else MASSLESS_PASSES
@@ -138,11 +128,11 @@ class ThermalNetwork:
             if passes > 1:  # without mass the element jumps: follow it before the tangent is drawn
                 h = (loads.heater_w - self._rad_w + self._hu * u) / (self._hu + self._rad_w_k)
 
-    def _heater_film(self, difference_k: float, fan_speed: float) -> float:
+    def _heater_film(self, difference_k: Number, fan_speed: Number) -> Number:
         """Convection of the element [W/K]: horizontal cylinder, 1.32 (dT/D)^0.25 (Holman 2010, table 7-2)."""
         heater = self._p.heater
-        growth = _growth(difference_k, HEATER_REFERENCE_K, 0.25 * self._e.natural_convection)
-        still: float = 1.32 * (HEATER_REFERENCE_K / heater.diameter_m) ** 0.25 * growth
+        growth = self._growth(difference_k, HEATER_REFERENCE_K, 0.25 * self._e.natural_convection)
+        still = 1.32 * (HEATER_REFERENCE_K / heater.diameter_m) ** 0.25 * growth
         return heater.surface_m2 * still * (1.0 + (heater.fan_convection_factor - 1.0) * fan_speed)
 
     def _eliminate(self, theta_s: float, loads: Loads) -> None:
@@ -201,21 +191,60 @@ class ThermalNetwork:
         h = (h_in + self._hu * u) / self._dh
         p = (p_in + self._to_plant * self._via * u + self._pb * b + self._pw * w) / self._dp
         s = (s_in + self._to_soil * self._via * u + self._sb * b + self._sw * w) / self._ds
-        return [h, p, s, (o_in + self._wo * w) / self._do, w, u, b]
+        return self._nodes(h, p, s, (o_in + self._wo * w) / self._do, w, u, b)
+
+    def _between(self, one: Temperatures, other: Temperatures, share: float) -> Temperatures:
+        """Return the temperatures at a share of the way from one to the other."""
+        return [a + share * (b - a) for a, b in zip(one, other, strict=True)]
+
+    def _nodes(self, *temps: Number) -> Temperatures:
+        return temps
+
+    def _growth(self, difference_k: Number, reference_k: float, power: float) -> Number:
+        """Factor on a film of natural convection whose value is given at reference_k."""
+        return math.pow(max(abs(difference_k), SMALLEST_DIFFERENCE_K) / reference_k, power)
+
+    def _at_most_mixed(self, exchange_w_k: Number) -> Number:
+        return min(exchange_w_k, WELL_MIXED_W_K)
 
 
-def longwave_conductance(area_m2: float, one_c: float, other_c: float) -> float:
+class ThermalNetwork(NetworkEquations):
+    """Temperatures of the nodes, and the heat that has left the box by each way."""
+
+    def __init__(self, parameters: ChamberParameters, effects: Effects, temp_c: float) -> None:
+        super().__init__(parameters, effects)
+        room: Temperatures = (temp_c,) * 7
+        self.temps, self.start = room, room
+        self.mean = room  # over the last step
+        self.radiated_w = 0.0  # by the heater, mean over the last step
+        self.cover_j = self.floor_j = self.air_j = 0.0  # heat that has left
+
+    def stored_j(self) -> float:
+        """Heat stored since the start [J]."""
+        stored: float = sum(
+            c * (t - t0) for c, t, t0 in zip(self.capacities, self.temps, self.start, strict=True)
+        )
+        return stored
+
+    def step(self, dt_s: float, loads: Loads) -> None:
+        """Move on by dt_s, which is short against all nodes with mass but the air."""
+        self.temps, self.mean = self.after(self.temps, dt_s, loads)
+        h, _, s, o, _, u, b = self.mean
+        room = loads.room_c
+        self.radiated_w = self._rad_w + self._rad_w_k * h
+        self.cover_j += dt_s * self._oa * (o - room)
+        self.floor_j += dt_s * self._sa * (s - room)
+        leak = 0.5 * loads.leak_w_k
+        self.air_j += dt_s * ((loads.ventilation_w_k + leak) * (u - room) + leak * (b - room))
+
+
+def longwave_conductance(area_m2: float, one_c: Number, other_c: Number) -> Number:
     """Heat per kelvin between two surfaces, exact in T^4 [W/K]; area_m2 is area times emissivity."""
     one, other = one_c + KELVIN, other_c + KELVIN
     return area_m2 * STEFAN_BOLTZMANN * (one * one + other * other) * (one + other)
 
 
-def _growth(difference_k: float, reference_k: float, power: float) -> float:
-    """Factor on a film of natural convection whose value is given at reference_k."""
-    return math.pow(max(abs(difference_k), SMALLEST_DIFFERENCE_K) / reference_k, power)
-
-
-def _capacities(parameters: ChamberParameters, effects: Effects) -> Temperatures:
+def _capacities(parameters: ChamberParameters, effects: Effects) -> list[float]:
     """Heat capacities of the nodes [J/K]."""
     box, air, cover = parameters.box, parameters.air, parameters.cover
     contact = max(1.0 + effects.extra_capacity * (air.contact_capacity_factor - 1.0), 0.1)

@@ -1,7 +1,7 @@
 """The virtual rig's chamber for many boxes at once, each with inputs of its own and one future of the room.
 
-It shares parameters and disturbances with `firmware_protocol.virtual_board.chamber` and its equations by
-arrays; CO2, light, watering and noise of sensors do not act on heat and are left out.
+It shares parameters, disturbances and thermal network with `firmware_protocol.virtual_board.chamber`, and has
+its water by arrays; CO2, light, watering and noise of sensors do not act on heat and are left out.
 """
 
 import math
@@ -21,8 +21,13 @@ from firmware_protocol.virtual_board.humidity import (
     saturation_pressure,
     vapour_density,
 )
+from firmware_protocol.virtual_board.network import (
+    SMALLEST_DIFFERENCE_K,
+    WELL_MIXED_W_K,
+    Loads,
+    NetworkEquations,
+)
 from firmware_protocol.virtual_board.weather import Weather
-from training.control.network_rows import LoadRows, NetworkRows
 
 Floats = NDArray[np.float64]
 ABSENT = (  # effects that this copy does not have
@@ -53,6 +58,25 @@ class BoxStates:
         )
 
 
+class _NetworkRows(NetworkEquations):
+    """The same equations for temperatures [7, B]."""
+
+    def _between(self, one: Floats, other: Floats, share: float) -> Floats:
+        return one + share * (other - one)
+
+    def _nodes(self, *temps: Floats) -> Floats:
+        return np.stack(temps)
+
+    def _growth(self, difference_k: Floats, reference_k: float, power: float) -> Floats:
+        ratio = np.maximum(np.abs(difference_k), SMALLEST_DIFFERENCE_K) / reference_k
+        return (
+            np.sqrt(np.sqrt(ratio)) if power == 0.25 else np.asarray(ratio**power)
+        )  # a power takes ten roots' time
+
+    def _at_most_mixed(self, exchange_w_k: Floats) -> Floats:
+        return np.minimum(exchange_w_k, WELL_MIXED_W_K)
+
+
 class ChamberRows:
     """Moves boxes on; the room's future is the seed's, asked in the order of time."""
 
@@ -62,7 +86,7 @@ class ChamberRows:
             if getattr(effects, name) != 0.0:
                 raise ValueError(f"effects.{name}: {getattr(effects, name):g}, only 0 is known here")
         self.p, self.e = parameters, effects
-        self._network = NetworkRows.of(parameters, effects)
+        self._network = _NetworkRows(parameters, effects)
         self._weather = Weather(parameters, effects, seed)
         self._heater = HeaterSupply(parameters, effects, seed)
         self._moisture = Moisture(parameters, effects, 0.0)
@@ -95,7 +119,7 @@ class ChamberRows:
         capacity = p.air.density_kg_m3 * p.air.heat_capacity_j_kg_k
         latent, boxes = self._water(boxes, dt_s, flow + leak)
         motor = e.fan_motor_heat * p.fan.motor_heat_w * mean_speed
-        loads = LoadRows(
+        loads = Loads(
             room_c=self._weather.temp_c,
             draught=self._weather.draught,
             ageing=ageing,
@@ -109,7 +133,7 @@ class ChamberRows:
             soil_w=-latent[1],
             cover_w=-latent[2],
         )
-        temps, mean = self._network.step(boxes.temps, dt_s, loads)
+        temps, mean = self._network.after(boxes.temps, dt_s, loads)
         lag_s = e.sensor_lag * p.sensors.air_lag_s
         follow = -math.expm1(-dt_s / lag_s) if lag_s > 0.0 else 1.0
         sensor = boxes.sensor + follow * (mean[6] - boxes.sensor)

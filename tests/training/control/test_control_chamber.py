@@ -1,5 +1,7 @@
 """The chamber by arrays is the chamber: step by step, over hours, with everything moving."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,13 +10,16 @@ from firmware_protocol.virtual_board.chamber_parameters import load
 from firmware_protocol.virtual_board.effects import Effects
 from training.control.chamber_rows import ABSENT, ChamberRows
 
-HOURS = 1
+WITHOUT_LAG = {"heater_lag": 0.0, "imperfect_mixing": 0.0}  # the element jumps, the two zones are one
 
 
-def test_many_boxes_move_as_one_chamber_each():
+@pytest.mark.parametrize(
+    ("minutes", "changed"), [(60, {}), (10, WITHOUT_LAG)], ids=["as it is", "without lag"]
+)
+def test_many_boxes_move_as_one_chamber_each(minutes, changed):
     parameters, effects = load()
+    effects = replace(effects, **changed)
     rng = np.random.default_rng(5)
-    minutes = HOURS * 60
     duty, fan = rng.integers(0, 21, (minutes, 3)) / 20.0, rng.integers(0, 2, (minutes, 3)).astype(float)
     chambers = [Chamber(parameters, effects, 7) for _ in range(3)]
     rows = ChamberRows(parameters, effects, 7)
