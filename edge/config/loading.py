@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,18 +19,23 @@ def default() -> Settings:
 
 def load(path: str | Path) -> Settings:
     """Settings from a YAML file. Raises ConfigError, which names file and key."""
-    try:
+    with _all_problems(path):
         return read_yaml(Settings, Path(path))
-    except DocumentError as error:
-        raise ConfigError(str(error)) from error
 
 
 def parse(source: str, place: str = "edge.yaml") -> Settings:
     """Settings from YAML text; `place` is named in errors."""
-    try:
+    with _all_problems(place):
         return read(Settings, parse_yaml(source, place), place, null_is_empty=True)
+
+
+@contextmanager
+def _all_problems(place: str | Path) -> Iterator[None]:
+    """A line for each problem: a person corrects them in one go."""
+    try:
+        yield
     except DocumentError as error:
-        raise ConfigError(str(error)) from error
+        raise ConfigError("\n".join(f"{place}: {problem}" for problem in error.problems)) from error
 
 
 def config_hash(settings: Settings) -> str:

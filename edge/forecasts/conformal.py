@@ -14,15 +14,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.formats.atomic_file import write_atomically
-from edge.formats.input_file import Source, read_file
-from edge.formats.strict_json import parse_object
+from edge.formats.checked import Rule
+from edge.formats.input_file import Source
+from edge.formats.reader import read_json
 
 Floats = NDArray[np.float64]
 CLAIMED = 0.9  # share of the measurements that an interval shall hold
@@ -37,7 +38,7 @@ class Interval:
     predictor: str
     version: str  # of the predictor that made the errors; for another one they say nothing
     horizon_min: int
-    half_width_k: float
+    half_width_k: Annotated[float, Rule(above=0.0)]
     runs: int  # calibrated on so many
     regime: str  # what they were: "interpolation"
 
@@ -54,6 +55,17 @@ class Intervals:
         key = (predictor, version, horizon_min)
         rows = (row for row in self.rows if (row.predictor, row.version, row.horizon_min) == key)
         return next((row.half_width_k for row in rows), None)
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalsDocument:
+    """The file, key by key."""
+
+    format: Literal[1]
+    claimed: Annotated[float, Rule(choices=(CLAIMED,))]
+    intervals: tuple[Interval, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
 def half_width(errors: Sequence[Floats], claimed: float = CLAIMED) -> float:
@@ -90,33 +102,5 @@ def write_intervals(intervals: Intervals, path: Path) -> None:
 
 def read_intervals(path: Source) -> Intervals:
     """The calibration in `path`. Errors: DataError, naming the file and the row."""
-    try:
-        document = parse_object(read_file(path))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise DataError(f"{path}: not JSON: {error}") from error
-    if document.get("format") != _FORMAT:
-        raise DataError(f"{path}: format: not a table of intervals of format {_FORMAT}")
-    if document.get("claimed") != CLAIMED:
-        raise DataError(f"{path}: claimed: {document.get('claimed')!r} is not {CLAIMED}")
-    rows = document.get("intervals")
-    if not isinstance(rows, list):
-        raise DataError(f"{path}: intervals: not a list")
-    return Intervals(
-        tuple(_row(f"{path}: intervals[{i}]", row) for i, row in enumerate(rows)),
-        dict(document.get("provenance", {})),
-    )
-
-
-def _row(place: str, row: Any) -> Interval:
-    kinds = {"predictor": str, "version": str, "horizon_min": int, "half_width_k": float, "runs": int,
-             "regime": str}  # fmt: skip
-    if not isinstance(row, dict) or row.keys() != kinds.keys():
-        raise DataError(f"{place}: its keys are not {', '.join(kinds)}")
-    for key, kind in kinds.items():
-        if type(row[key]) is not kind:
-            raise DataError(f"{place}: {key}: {row[key]!r} is not of type {kind.__name__}")
-    if not 0.0 < row["half_width_k"] < math.inf:
-        raise DataError(f"{place}: half_width_k: {row['half_width_k']} is not above 0 and finite")
-    return Interval(**row)
+    document = read_json(IntervalsDocument, path)
+    return Intervals(document.intervals, document.provenance)

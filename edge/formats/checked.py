@@ -33,9 +33,10 @@ class Rule:
     pattern: str = ""
     example: str = ""  # YAML of one item, for lists that are empty by default
     above: float = -math.inf  # a lower bound that is not allowed itself
-    most: int = TEXT_MAX  # characters or items
+    most: int = 0  # characters or items; 0: TEXT_MAX characters, any number of items
     least: int = 0
     key: str = ""  # in the document, where Python reserves the word
+    required: bool = False  # in a document, though an object made in code has a default
 
 
 class SettingError(ConfigError):
@@ -47,8 +48,21 @@ class SettingError(ConfigError):
         self.problem = problem
 
 
+class Checked:
+    """Base of a document's class with a check of its values against each other."""
+
+    __slots__ = ()
+
+    def cross_check(self) -> None:
+        """What must hold between the values; overridden where something must, called when one is read."""
+
+    def refuse(self, key: str, problem: str) -> NoReturn:
+        """Raise with the place named."""
+        raise SettingError(key, problem)
+
+
 @dataclass(frozen=True, slots=True)
-class Section:
+class Section(Checked):
     """Base of all settings. Raises SettingError when made with a value its rules do not allow."""
 
     def __post_init__(self) -> None:
@@ -57,13 +71,6 @@ class Section:
             if problem:
                 self.refuse(item.name, problem)
         self.cross_check()
-
-    def cross_check(self) -> None:
-        """What must hold between the values of a section; overridden where something must."""
-
-    def refuse(self, key: str, problem: str) -> NoReturn:
-        """Raise with the place named."""
-        raise SettingError(key, problem)
 
 
 def number(default: float, doc: str, unit: str, low: float, high: float, hard: bool = False) -> Any:
@@ -110,22 +117,28 @@ def value_problem(value: object, rule: Rule | None) -> str:
         return _number_problem(value, rule)
     if isinstance(value, str):
         return _text_problem(value, rule)
-    if isinstance(value, tuple | Mapping) and not rule.least <= len(value) <= rule.most:
-        return f"must hold {rule.least} to {rule.most}, not {len(value)}"
+    if isinstance(value, tuple | Mapping) and not rule.least <= len(value) <= (rule.most or len(value)):
+        bounds = f"{rule.least} to {rule.most}" if rule.most else f"at least {rule.least}"
+        return f"must hold {bounds}, not {len(value)}"
     return ""
 
 
 def _text_problem(value: str, rule: Rule) -> str:
-    if len(value) > rule.most or not value.isprintable():
-        return f"{shown(value)} is longer than {rule.most} characters or has some that are not printable"
+    most = rule.most or TEXT_MAX
+    if len(value) > most or not value.isprintable():
+        return f"{shown(value)} is longer than {most} characters or has some that are not printable"
     if rule.pattern and not re.fullmatch(rule.pattern, value):
         return f"{shown(value)} does not match {rule.pattern}"
     return ""
 
 
 def _number_problem(value: float, rule: Rule) -> str:
-    if not math.isfinite(value):
-        return f"{value} is not a finite number"
+    try:
+        is_finite = math.isfinite(value)
+    except OverflowError:  # a whole number with more digits than a float has
+        is_finite = False
+    if not is_finite:
+        return f"{shown(value)} is not a finite number"
     if value > rule.high:
         return f"{value:g} is above the {'hard limit' if rule.hard else 'largest allowed,'} {rule.high:g}"
     if value < rule.low:

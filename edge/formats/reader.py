@@ -22,27 +22,26 @@ import yaml
 from edge.core.errors import DataError
 from edge.core.plain_text import plain, shown
 from edge.formats import strict_json, strict_yaml
-from edge.formats.checked import Rule, SettingError, nearest, value_problem
+from edge.formats.checked import Checked, Rule, SettingError, nearest, value_problem
 from edge.formats.input_file import SMALL, YAML, Source, read_file, read_text
 
-SHOWN_MAX = 20  # problems that one error names
+SHOWN_MAX = 4  # problems that one line names
 
 Document = TypeVar("Document")
 Problem = tuple[str, str]  # key, why
 
 
 class DocumentError(DataError):
-    """A document that can't be read; a line for each problem, `twin.yaml: effects.wall_loss.UA: missing`.
+    """A document that can't be read, in one line: `twin.yaml: effects.wall_loss.UA: missing; sample_s: ...`.
 
-    first : the first problem alone, fit for a one-line answer to the sender
+    problems : each with its key, without the file's name
     """
 
     def __init__(self, place: str, problems: Sequence[Problem]) -> None:
-        lines = [_line(place, *problem) for problem in problems[:SHOWN_MAX]]
-        if len(problems) > SHOWN_MAX:
-            lines.append(f"{place}: and {len(problems) - SHOWN_MAX} more")
-        super().__init__("\n".join(lines))
-        self.first = _line("", *problems[0])
+        self.problems = [f"{key}: {problem}" if key else problem for key, problem in problems]
+        more = len(problems) - SHOWN_MAX
+        text = "; ".join(self.problems[:SHOWN_MAX]) + (f"; and {more} more" if more > 0 else "")
+        super().__init__(f"{place}: {text}" if place else text)
 
 
 def read(
@@ -118,10 +117,6 @@ def _unreadable(path: Source, error: OSError) -> DocumentError:
     return DocumentError(str(path), [("", f"cannot be read: {error.strerror}")])
 
 
-def _line(place: str, key: str, problem: str) -> str:
-    return ": ".join(part for part in (place, key, problem) if part)
-
-
 def _below(key: str, name: object) -> str:
     return f"{key}.{name}" if key else str(name)
 
@@ -144,7 +139,8 @@ def _entries(kind: Any) -> dict[str, _Entry]:
     for item in fields(kind):
         if item.init:
             rule = item.metadata.get("rule")
-            required = item.default is MISSING and item.default_factory is MISSING
+            has_default = item.default is not MISSING or item.default_factory is not MISSING
+            required = not has_default or (rule is not None and rule.required)
             key = rule.key if rule is not None and rule.key else item.name
             found[key] = _Entry(item.name, types[item.name], rule, required)
     return found
@@ -232,6 +228,8 @@ class _Reading:
             self._refuse(key, f"must be a list, not {shown(value)}")
             return ()
         kinds = get_args(kind)
+        if kinds[0] is float and all(type(item) is float and math.isfinite(item) for item in value):
+            kinds = (Any, *kinds[1:])  # nothing is wrong with any of them; arrays are large
         if kinds[-1] is Ellipsis:
             return tuple(self.value(kinds[0], item, f"{key}[{place}]") for place, item in enumerate(value))
         if len(value) != len(kinds):
@@ -244,8 +242,10 @@ class _Reading:
         names, kinds = get_args(kind)
         found = {}
         for name, item in self._keys(value, key).items():
-            place = _below(key, plain(str(name), 40))
-            found[self.value(names, name, place)] = self.value(kinds, item, place)
+            before, place = len(self.wrong), _below(key, plain(str(name), 40))
+            known = self.value(names, name, place)
+            if len(self.wrong) == before:
+                found[known] = self.value(kinds, item, place)
         return found
 
     def _section(self, kind: Any, value: object, key: str) -> Any:
@@ -265,7 +265,10 @@ class _Reading:
         if len(self.wrong) > before:
             return None
         try:
-            return kind(**values)
+            found = kind(**values)
+            if isinstance(found, Checked):
+                found.cross_check()
+            return found
         except SettingError as error:
             self._refuse(_below(key, error.key), error.problem)
             return None

@@ -6,18 +6,19 @@ golden vectors are rollouts of the trained network; the edge runs the graph on t
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from edge.core.errors import DataError
 from edge.core.names import ACTUATORS, SIGNALS
+from edge.core.plain_text import shown
 from edge.core.predictor import Floats
-from edge.formats.strict_json import parse_object
+from edge.formats.checked import Checked, Rule
+from edge.formats.input_file import MODEL
+from edge.formats.reader import parse_json, read
 
 KEY = "greenhouse_contract"  # of the metadata
-VERSION = 1
 FEATURES = {  # kind -> columns of the window, in their order
     "lstm": ("temp_air", "heater_duty", "fan_on"),
     "ham": ("temp_air", "temp_ambient", "heater_duty", "fan_on"),
@@ -25,10 +26,9 @@ FEATURES = {  # kind -> columns of the window, in their order
 }
 STEP_TOLERANCE_K = 1e-4  # golden vectors of one step
 ROLLOUT_TOLERANCE_K = 1e-3  # of more steps
-_ROWS_MAX = 120  # of history, see `edge.core.predictor.Predictor`
+ROWS_MAX = 120  # of history, see `edge.core.predictor.Predictor`
 _FACTS = ("scaler", "data_sha256", "command", "seed", "metrics", "software")  # for people, not looked into
-_KEYS = {"contract", "kind", "features", "units", "sample_s", "window", "scaler", "validity", "tolerance",
-         "golden", "twin_sha256", "data_sha256", "command", "seed", "metrics", "software"}  # fmt: skip
+Rows = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,112 +85,97 @@ def keys(kind: str) -> tuple[str, ...]:
     return tuple(known[name] for name in FEATURES[kind])
 
 
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far the graph may be from the golden vectors: of one step, of more steps [K]."""
+
+    step_k: Annotated[float, Rule(above=0.0, high=STEP_TOLERANCE_K)]
+    rollout_k: Annotated[float, Rule(above=0.0, high=ROLLOUT_TOLERANCE_K)]
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenDocument:
+    """One rollout as it stands in the file."""
+
+    window: Rows
+    controls: tuple[Rows, ...]
+    temps: Rows
+    ambient: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ContractDocument(Checked):
+    """The document, key by key; those without a type are for people."""
+
+    contract: Literal[1]
+    kind: Literal["lstm", "ham", "ham_guarded"]
+    features: tuple[str, ...]
+    units: Mapping[str, str]
+    sample_s: Annotated[float, Rule(above=0.0)]
+    window: Annotated[int, Rule(low=1, high=ROWS_MAX)]
+    scaler: Any
+    validity: Mapping[str, tuple[float, float]]
+    tolerance: Tolerance
+    golden: Annotated[tuple[GoldenDocument, ...], Rule(least=1)]
+    twin_sha256: str | None
+    data_sha256: Any
+    command: Any
+    seed: Any
+    metrics: Any
+    software: Any
+
+    def cross_check(self) -> None:
+        """Of the kind that it names."""
+        for key, expected in (("features", FEATURES[self.kind]), ("units", units(self.kind))):
+            if (found := getattr(self, key)) != expected:
+                self.refuse(key, f"{shown(found)} is not {expected!r}")
+        if set(self.validity) != set(keys(self.kind)):
+            self.refuse("validity", f"does not bound exactly {', '.join(keys(self.kind))}")
+        for key, (low, high) in self.validity.items():
+            if not low <= high:
+                self.refuse(f"validity.{key}", f"{low:g}, {high:g} are not a lowest and a highest value")
+        if self.kind != "lstm" and not self.twin_sha256:
+            self.refuse("twin_sha256", f"{shown(self.twin_sha256)} is no hash of a twin")
+
+
 def parse_contract(text: str) -> Contract:
     """The contract in `text`. Errors: DataError that names the key."""
-    try:
-        document = parse_object(text)
-    except ValueError as error:
-        raise DataError(f"{KEY}: {error}") from None
-    if document.get("contract") != VERSION:
-        raise DataError(f"contract: {document.get('contract')!r} is not {VERSION}, the one known here")
-    if odd := sorted(_KEYS ^ document.keys()):
-        raise DataError(f"{odd[0]}: {'missing' if odd[0] in _KEYS else 'unknown key'}")
-    kind = document["kind"]
-    if kind not in FEATURES:
-        raise DataError(f"kind: {kind!r} is none of {', '.join(FEATURES)}")
-    _expect("features", document["features"], list(FEATURES[kind]))
-    _expect("units", document["units"], units(kind))
-    window = document["window"]
-    if isinstance(window, bool) or not isinstance(window, int) or not 1 <= window <= _ROWS_MAX:
-        raise DataError(f"window: {window!r} is not a number of rows from 1 to {_ROWS_MAX}")
+    found = read(ContractDocument, parse_json(text, KEY, MODEL))
+    golden = tuple(_golden(f"golden[{i}]", found, entry) for i, entry in enumerate(found.golden))
+    if max(entry.temps.shape[1] for entry in golden) < 2:
+        raise DataError("golden: no rollout of more than one step")
     return Contract(
-        kind=kind,
-        sample_s=_positive("sample_s", document["sample_s"]),
-        window=window,
-        validity=_validity(kind, document["validity"]),
-        step_tolerance_k=_tolerance(document["tolerance"], "step_k", STEP_TOLERANCE_K),
-        rollout_tolerance_k=_tolerance(document["tolerance"], "rollout_k", ROLLOUT_TOLERANCE_K),
-        golden=_goldens(kind, document["golden"], window),
-        twin_sha256=_twin(kind, document["twin_sha256"]),
-        facts={
-            key: document[key] for key in ("scaler", "data_sha256", "command", "seed", "metrics", "software")
-        },
+        kind=found.kind,
+        sample_s=found.sample_s,
+        window=found.window,
+        validity=found.validity,
+        step_tolerance_k=found.tolerance.step_k,
+        rollout_tolerance_k=found.tolerance.rollout_k,
+        golden=golden,
+        twin_sha256="" if found.kind == "lstm" else found.twin_sha256 or "",
+        facts={key: getattr(found, key) for key in _FACTS},
     )
 
 
-def _expect(key: str, value: Any, expected: list[str] | dict[str, str]) -> None:
-    if value != expected:
-        raise DataError(f"{key}: {value!r} is not {expected!r}")
-
-
-def _positive(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (isfinite(value) and value > 0.0):
-        raise DataError(f"{key}: {value!r} is not a number above 0")
-    return float(value)
-
-
-def _validity(kind: str, value: Any) -> dict[str, tuple[float, float]]:
-    if not isinstance(value, dict) or set(value) != set(keys(kind)):
-        raise DataError(f"validity: does not bound exactly {', '.join(keys(kind))}")
-    box = {}
-    for key, pair in value.items():
-        bounds = _numbers(f"validity.{key}", pair, 1)
-        if len(bounds) != 2 or not bounds[0] <= bounds[1]:
-            raise DataError(f"validity.{key}: {pair!r} is not a lowest and a highest value")
-        box[key] = (float(bounds[0]), float(bounds[1]))
-    return box
-
-
-def _tolerance(value: Any, key: str, largest: float) -> float:
-    place = f"tolerance.{key}"
-    if not isinstance(value, dict):
-        raise DataError("tolerance: is no object")
-    found = _positive(place, value.get(key))
-    if found > largest:
-        raise DataError(f"{place}: {found:g} K is more than {largest:g} K")
-    return found
-
-
-def _twin(kind: str, value: Any) -> str:
-    if kind == "lstm":
-        return ""
-    if not isinstance(value, str) or not value:
-        raise DataError(f"twin_sha256: {value!r} is no hash of a twin")
-    return value
-
-
-def _goldens(kind: str, value: Any, window: int) -> tuple[Golden, ...]:
-    if not isinstance(value, list) or not value:
-        raise DataError("golden: no rollouts to prove the graph with")
-    goldens = tuple(_golden(f"golden[{i}]", kind, entry, window) for i, entry in enumerate(value))
-    if max(golden.temps.shape[1] for golden in goldens) < 2:
-        raise DataError("golden: no rollout of more than one step")
-    return goldens
-
-
-def _golden(place: str, kind: str, entry: Any, window: int) -> Golden:
-    if not isinstance(entry, dict):
-        raise DataError(f"{place}: is no object")
-    temps = _numbers(f"{place}.temps", entry.get("temps"), 2)
+def _golden(place: str, contract: ContractDocument, entry: GoldenDocument) -> Golden:
+    temps = array(f"{place}.temps", entry.temps, 2)
     batch, horizon = temps.shape
-    shapes: dict[str, tuple[int, ...]] = {
-        "window": (window, len(FEATURES[kind])),
-        "controls": (batch, horizon, 2),
-    }
-    if "temp_ambient" in FEATURES[kind]:
-        shapes["ambient"] = (horizon,)
-    found = {key: _numbers(f"{place}.{key}", entry.get(key), len(shape)) for key, shape in shapes.items()}
-    for key, numbers in found.items():
-        if numbers.shape != shapes[key]:
-            raise DataError(f"{place}.{key}: shape {numbers.shape}, not {shapes[key]}")
-    return Golden(temps=temps, **found)
+    features = FEATURES[contract.kind]
+    window = array(f"{place}.window", entry.window, 2, (contract.window, len(features)))
+    controls = array(f"{place}.controls", entry.controls, 3, (batch, horizon, 2))
+    if "temp_ambient" not in features:
+        return Golden(window, controls, temps)
+    return Golden(window, controls, temps, array(f"{place}.ambient", entry.ambient, 1, (horizon,)))
 
 
-def _numbers(place: str, value: Any, rank: int) -> Floats:
+def array(place: str, values: Any, rank: int, shape: tuple[int, ...] | None = None) -> Floats:
+    """Numbers that were read as an array of this shape. Errors: DataError, also for ragged rows"""
     try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        numbers = np.array(values, dtype=np.float64)
+    except ValueError:
         numbers = np.empty(0)
-    if numbers.ndim != rank or not numbers.size or not np.isfinite(numbers).all():
+    if numbers.ndim != rank or not numbers.size:
         raise DataError(f"{place}: not numbers in {rank} dimensions")
+    if shape is not None and numbers.shape != shape:
+        raise DataError(f"{place}: shape {numbers.shape}, not {shape}")
     return numbers

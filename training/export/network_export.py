@@ -69,7 +69,7 @@ def export(network: Network, facts: ExportFacts, run: RecordedRun, path: Path) -
     """
     kind, window, model, eager = _parts(network)
     document = {
-        "contract": contract.VERSION,
+        "contract": 1,
         "kind": kind,
         "features": list(contract.FEATURES[kind]),
         "units": contract.units(kind),

@@ -63,14 +63,12 @@ def test_a_policy_for_another_step_spoils_the_bundle(workshop: Workshop) -> None
 @pytest.mark.parametrize(
     ("policies", "problem"),
     [
-        ([], "policies: is no object"),
-        ({"MPC": {"file": "rl-off.onnx", "kind": "onnx-policy"}}, "policies.MPC: no controller runs"),
+        ({"MPC": {"file": "rl-off.onnx", "kind": "onnx-policy"}}, "policies.MPC: 'MPC' is none of RL-Off"),
         (
             {"RL-Off": {"file": "none.onnx", "kind": "onnx-policy"}},
             "policies.RL-Off.file: 'none.onnx' is not",
         ),
         ({"RL-Off": {"file": "rl-off.onnx", "kind": "onnx"}}, "policies.RL-Off.kind: 'onnx' is not"),
-        ({"RL-Off": {"file": "rl-off.onnx"}}, "policies.RL-Off: must hold file and kind"),
     ],
 )
 def test_a_wrong_entry_is_refused_by_its_key(workshop: Workshop, policies, problem: str) -> None:

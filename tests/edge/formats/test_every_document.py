@@ -7,14 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import onnx_files
+import policy_files
 import pytest
 
+from edge.bundle.manifest import MANIFEST, Manifest, parse_manifest
+from edge.bundle.store import PACKAGED_FOLDER
 from edge.config import loading
 from edge.config.settings import Settings
 from edge.core.errors import ConfigError
+from edge.forecasts.conformal import IntervalsDocument, read_intervals
 from edge.formats.input_file import MemoryFile
 from edge.formats.reader import DocumentError
 from edge.models.arx_file import DEFAULT_PATH, ArxDocument, read_arx
+from edge.models.contract import ContractDocument, parse_contract
+from edge.models.policy_contract import PolicyDocument, parse_policy_contract
 
 ROOT = Path(__file__).parents[3]
 FILE = Path("document")
@@ -34,12 +41,30 @@ def in_file(read: Callable[[MemoryFile], object]) -> Callable[[str], object]:
     return lambda text: read(MemoryFile(FILE, text.encode()))
 
 
+def of_text(read: Callable[[bytes], object]) -> Callable[[str], object]:
+    return lambda text: read(text.encode())
+
+
+def packaged(name: str) -> Any:
+    return json.loads((PACKAGED_FOLDER / name).read_text())
+
+
 KINDS: dict[type, DocumentKind] = {
     Settings: DocumentKind(
         loading.parse, lambda: {"control": {"step_s": 60.0}}, ("control", "step_s"), ConfigError
     ),
     ArxDocument: DocumentKind(
         in_file(read_arx), lambda: json.loads(DEFAULT_PATH.read_text()), ("temp_air", 0)
+    ),
+    Manifest: DocumentKind(of_text(parse_manifest), lambda: packaged(MANIFEST), ("sample_s",)),
+    IntervalsDocument: DocumentKind(
+        in_file(read_intervals), lambda: packaged("intervals.json"), ("intervals", 0, "half_width_k")
+    ),
+    ContractDocument: DocumentKind(
+        parse_contract, lambda: onnx_files.document_of("ham"), ("golden", 0, "temps", 0, 0)
+    ),
+    PolicyDocument: DocumentKind(
+        parse_policy_contract, lambda: policy_files.document(), ("golden", "values", 0, 0)
     ),
 }
 every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=[kind.__name__ for kind in KINDS])

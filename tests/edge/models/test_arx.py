@@ -183,7 +183,7 @@ def test_the_duty_to_hold_is_a_duty(temp, duty):
         ("model", "lstm", "model: 'lstm' is not 'arx'"),
         ("format", 1, "format: 1 is not 2"),
         ("fan_input", "off", "fan_input: 'off' is none of on, excess"),
-        ("temp_air", [], "temp_air: must hold 1"),
+        ("temp_air", [], "temp_air: must hold at least 1"),
         ("heater_duty", [1.0], "fan_on: 3 coefficients, heater_duty has 1"),
         ("step_s", 0.0, "step_s: 0 is not above 0"),
         ("validity", {"temp_air_c": ["nan", 5.0]}, "validity.temp_air_c[0]: must be a number"),

@@ -72,7 +72,7 @@ def test_a_hybrid_does_not_run_on_another_twin(kind: str, twin: str, tmp_path: P
         read_ham(path, twin)
 
 
-@pytest.mark.parametrize("value", ["", None, 1])
+@pytest.mark.parametrize("value", ["", None])
 def test_a_hybrid_says_which_twin_it_belongs_to(value: object, tmp_path: Path) -> None:
     path = write_onnx(tmp_path / "ham.onnx", "ham", changed={"twin_sha256": value})
     with pytest.raises(DataError, match=r"ham\.onnx: twin_sha256: .* is no hash of a twin"):
