@@ -10,8 +10,8 @@ from bench.hidden_effects.cases import GIVEN_ROWS
 from bench.hidden_effects.peers_terms import TERMS, TermColumns
 from edge.formats.run_file import RecordedRun, resample
 from edge.twin.effects.signal import vapour_deficit_kpa
-from edge.twin.march import Commands, March
 from edge.twin.model import BoxTwin
+from edge.twin.rollout import Commands, March
 from edge.twin.warm_start import PastColumns, at_rest, held, state_now
 
 Floats = NDArray[np.float64]

@@ -20,14 +20,14 @@ from edge.diagnosis.linearised import (
     difference,
     explained,
     filters_of,
-    linearise,
     neighbours,
     nominal,
+    normal_equations,
     prior_cost,
 )
 from edge.diagnosis.trial import Fitted, SizedTerm, Trial, start_of
 from edge.diagnosis.unknowns import placed
-from edge.twin.ensemble import EnsembleRun, responses
+from edge.twin.linearise import EnsembleRun, responses
 from edge.twin.recorded import Recorded
 
 Floats = NDArray[np.float64]
@@ -74,7 +74,7 @@ def glance(trials: Sequence[Trial], runs: Recorded) -> list[tuple[Trial, float]]
 
 def _improve(states: list[TrialState], owners: Indices, filters: FilterGains, runs: Recorded) -> None:
     """One step of each, the better of a bold and a careful one. owners : their places among the filters"""
-    linear = linearise(states, owners, filters, runs)
+    linear = normal_equations(states, owners, filters, runs)
     for state, found in zip(states, linear, strict=True):
         state.cost = cost(found, state)
     tries = [
@@ -118,7 +118,7 @@ def gains_of(trial: Trial, terms: Sequence[SizedTerm], runs: Recorded) -> Floats
     """What one more term brings a trial whose unknowns stand still, for each of `terms` [nats]."""
     state = begun_from(replace(trial, nuisances=(*trial.nuisances, *terms), free=()))
     filters = filters_of([state], runs, runs.measured)
-    (found,) = linearise([state], np.array([0]), filters, runs)
+    (found,) = normal_equations([state], np.array([0]), filters, runs)
     own = len(trial.nuisances)
     normal, gradient = found.normal, found.gradient
     known = np.linalg.solve(normal[:own, :own], np.column_stack([normal[:own, own:], gradient[:own]]))
@@ -164,7 +164,7 @@ def _costs(
 
 def _finished(states: list[TrialState], runs: Recorded, measured: NDArray[np.bool_]) -> list[Fitted]:
     filters = filters_of(states, runs, measured)
-    linear = linearise(states, np.arange(len(states)), filters, runs)
+    linear = normal_equations(states, np.arange(len(states)), filters, runs)
     found = []
     for i, (state, own) in enumerate(zip(states, linear, strict=True)):
         spreads = np.log(filters.sd[:, i].T)[measured].sum()

@@ -22,7 +22,7 @@ from edge.diagnosis.trial import Fitted, SizedTerm, Trial, start_of
 from edge.diagnosis.unknowns import UnknownValue, placed, unknowns
 from edge.twin.effects.effect import Offer, ParameterKind
 from edge.twin.effects.library import EFFECTS, parameter_at
-from edge.twin.ensemble import EnsembleRun, responses
+from edge.twin.linearise import EnsembleRun, responses
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 

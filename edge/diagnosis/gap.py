@@ -12,11 +12,10 @@ from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whitened
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.trial import start_of, start_spread
 from edge.formats.run_file import RecordedRun, inside_names
-from edge.twin.ensemble import EnsembleRun, responses
-from edge.twin.linear_steps import linear_steps
-from edge.twin.march import Commands
+from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
+from edge.twin.rollout import Commands
 from edge.twin.warm_start import PastColumns, held, state_now
 
 Floats = NDArray[np.float64]
@@ -101,7 +100,7 @@ def alone(named: NamedRun, guess: RunForecast, room_c: Floats) -> Recorded:
 
 def one_step(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
     """The temperature of each row of one run from all measured before it [rows]; seen : [rows]."""
-    steps = linear_steps(twin, runs)
+    steps = linearise(twin, runs)
     filters = gains([FilterInput(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
     shown = responses([EnsembleRun(steps, start_of(twin, runs), steps.driven)])
     error = runs.temp[None, :, 1:] - shown
@@ -114,7 +113,7 @@ def floor_squares(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDAr
 
     Sensor and room noise, unknown heat and mains power, from a start that is known.
     """
-    steps = linear_steps(twin, runs)
+    steps = linearise(twin, runs)
     known = FilterInput(steps, levels, np.zeros(len(steps.states)), twin.step_s)
     filters = gains([known], np.zeros((1, runs.fan.shape[1]), dtype=bool))
     return np.asarray(filters.sd[seen[1:], 0, 0] ** 2)

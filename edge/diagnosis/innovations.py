@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.linear_steps import LinearSteps
+from edge.twin.linearise import LinearSteps
 
 Floats = NDArray[np.float64]
 BLOCK = 128  # rows whose matrices are made at a time

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from edge.diagnosis.innovations import FilterGains, FilterInput, gains, whitened
 from edge.diagnosis.trial import Trial, start_of, start_spread
 from edge.diagnosis.unknowns import UnknownValue, path_priors, placed, unknowns
-from edge.twin.ensemble import EnsembleRun, responses
-from edge.twin.linear_steps import LinearSteps, linear_steps
+from edge.twin.linearise import EnsembleRun, LinearSteps, linearise, responses
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 
@@ -75,7 +74,7 @@ def neighbours(state: TrialState, runs: Recorded) -> list[tuple[BoxTwin, LinearS
     return found
 
 
-def linearise(
+def normal_equations(
     states: list[TrialState], owners: Indices, filters: FilterGains, runs: Recorded
 ) -> list[Linearised]:
     """Residuals and their derivatives, whitened."""
@@ -105,7 +104,7 @@ def nominal(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, Line
 
 def _at(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, LinearSteps]:
     twin = placed(state.trial.file, state.free, x).twin()
-    return twin, linear_steps(twin, runs)
+    return twin, linearise(twin, runs)
 
 
 def difference(item: UnknownValue, x: float) -> float:

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.innovations import FilterInput, NoiseLevels, log_likelihoods
 from edge.diagnosis.trial import Fitted, Trial, start_of, start_spread
-from edge.twin.ensemble import EnsembleRun, responses
-from edge.twin.linear_steps import LinearSteps, linear_steps
+from edge.twin.linearise import EnsembleRun, LinearSteps, linearise, responses
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile
 
@@ -115,7 +114,7 @@ class _Base:
 
     def __init__(self, found: Fitted, runs: Recorded) -> None:
         self.twin = found.file.twin()
-        self.steps: LinearSteps = linear_steps(self.twin, runs)
+        self.steps: LinearSteps = linearise(self.twin, runs)
         terms = [term.response(self.steps) for term in found.trial.nuisances]
         self.spread = start_spread(self.twin, runs)
         shown = responses([EnsembleRun(self.steps, start_of(self.twin, runs), self.steps.driven), *terms])

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.innovations import FilterInput, gains, whitened
 from edge.diagnosis.trial import Fitted, start_of, start_spread
-from edge.twin.ensemble import EnsembleRun, responses
-from edge.twin.linear_steps import linear_steps
+from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import held
 
@@ -110,7 +109,7 @@ def wrong_starts(found: Fitted, runs: Recorded) -> Mask:
 def expected(found: Fitted, runs: Recorded) -> Floats:
     """Each temperature as the twin expected it from all before, [B, N + 1]: without its reading's noise."""
     twin = found.file.twin()
-    steps = linear_steps(twin, runs)
+    steps = linearise(twin, runs)
     terms = found.trial.nuisances
     shown = responses(
         [EnsembleRun(steps, start_of(twin, runs), steps.driven), *(term.response(steps) for term in terms)]

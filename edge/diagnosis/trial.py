@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.unknowns import UnknownValue
-from edge.twin.ensemble import EnsembleRun
-from edge.twin.linear_steps import LinearSteps
+from edge.twin.linearise import EnsembleRun, LinearSteps
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import TwinFile

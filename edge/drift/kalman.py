@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.core.predictor import Columns
 from edge.twin.filter import expectation, predict, update
-from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
+from edge.twin.rollout import Commands
 from edge.twin.signals import Conditions
 from edge.twin.warm_start import at_rest, drift, spread
 

@@ -15,8 +15,8 @@ from edge.core.errors import DataError
 from edge.twin.discretisation import Transition, discretise
 from edge.twin.effects.library import Effects, build, day_counter, needs
 from edge.twin.geometry import Geometry
-from edge.twin.march import Commands, March
 from edge.twin.network import AIR, LinearSystem
+from edge.twin.rollout import Commands, March, rollout
 from edge.twin.signals import Conditions, Signals, columns_of
 
 DAY_S = 86400.0
@@ -180,7 +180,7 @@ class BoxTwin:
                 driven[:, :, i] += offset[:, None]
         if len(self.states) == 1:
             return _one_state(states[:, 0], transition.state[:, 0, 0][index], driven[:, :, 0])
-        return _many_states(states, transition.state, index, driven)
+        return rollout(transition.state, index, states, driven).T
 
     def march(
         self,
@@ -229,13 +229,4 @@ def _one_state(start: Floats, decay: Floats, driven: Floats) -> Floats:
         np.multiply(decay[k], temp, out=temps[k])
         temps[k] += driven[k]
         temp = temps[k]
-    return temps.T
-
-
-def _many_states(states: Floats, matrices: Floats, index: Indices, driven: Floats) -> Floats:
-    """states : [B, n]; matrices : [K, n, n]; index : [N, B]; driven : [N, B, n]. Returns : [B, N]"""
-    temps = np.empty(index.shape)
-    for k in range(len(index)):
-        states = np.einsum("bij,bj->bi", matrices[index[k]], states) + driven[k]
-        temps[k] = states[:, 0]
     return temps.T

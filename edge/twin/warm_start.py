@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from edge.core.errors import DataError
 from edge.twin.filter import predict, update
-from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
+from edge.twin.rollout import Commands
 from edge.twin.signals import Conditions
 
 Floats = NDArray[np.float64]

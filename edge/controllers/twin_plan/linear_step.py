@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.names import HEATER_LEVELS
-from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
+from edge.twin.rollout import Commands
 from edge.twin.signals import Conditions
 
 Floats = NDArray[np.float64]

@@ -20,8 +20,7 @@ from edge.diagnosis.formulas import PREFIX, formulas
 from edge.diagnosis.innovations import FilterInput, gains, whitened
 from edge.diagnosis.nuisances import ROOM_SD_K, curved_loss
 from edge.diagnosis.trial import Fitted, SizedTerm
-from edge.twin.ensemble import responses
-from edge.twin.linear_steps import LinearSteps, linear_steps
+from edge.twin.linearise import LinearSteps, linearise, responses
 from edge.twin.recorded import Recorded
 from edge.twin.twin_file import Place
 from edge.twin.warm_start import spread
@@ -89,7 +88,7 @@ class Separation:
             twin, plain = item.file.twin(), self.around.recorded(inputs, self.start_c)
             free = free_run(twin, plain)
             guess = replace(plain, temp=np.concatenate([plain.temp[:, :1], free], axis=1))
-            own = linear_steps(twin, guess)
+            own = linearise(twin, guess)
             again = _again(item, guess, self.row_s)
             shown.append(free + np.einsum("q,qbn->bn", item.sizes, _effects(again, own, free.shape)))
             runs.append(guess)

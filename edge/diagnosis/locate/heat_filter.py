@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.twin.filter import InnovationGain, predict, symmetric, update_many, weigh
-from edge.twin.march import Commands, March
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
+from edge.twin.rollout import Commands, March
 from edge.twin.warm_start import at_rest, spread
 
 Floats = NDArray[np.float64]

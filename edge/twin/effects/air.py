@@ -13,7 +13,7 @@ from edge.twin.effects.effect import (
 )
 from edge.twin.network import Network
 
-_SPEED_STEP = 3e-3  # a fan's speed is rounded (edge/twin/march.py): shorter steps of tau_f change nothing
+_SPEED_STEP = 3e-3  # a fan's speed is rounded (edge/twin/rollout.py): shorter steps of tau_f change nothing
 
 
 def fan_effectiveness(network: Network, eps_f: float) -> None:

@@ -12,8 +12,8 @@ from edge.controllers.twin_plan.belief import StepInputs, begin, corrected, move
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import read_twin
-from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
+from edge.twin.rollout import Commands
 from edge.twin.warm_start import at_rest
 
 DIAGNOSED = Path("training/results/paper_case/interpolation/twin.yaml")

@@ -8,7 +8,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from bench.support.simulated_runs import BOX, NOISE, STEP_S, Floats, coloured
 from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, log_likelihoods, whitened
-from edge.twin.linear_steps import linear_steps
+from edge.twin.linearise import linearise
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import spread
@@ -64,7 +64,7 @@ def dense_covariance(twin: BoxTwin, runs: Recorded, run: int, levels: NoiseLevel
 def log_density(twin: BoxTwin, runs: Recorded, levels: NoiseLevels, errors: Floats) -> Floats:
     """By the filter, of each run; `errors` [B, N], NaN where nothing was measured."""
     seen = np.isfinite(errors)
-    filters = gains([FilterInput(linear_steps(twin, runs), levels, spread(twin), STEP_S)], seen)
+    filters = gains([FilterInput(linearise(twin, runs), levels, spread(twin), STEP_S)], seen)
     white = whitened(filters, np.array([0]), np.nan_to_num(errors)[None])[0]
     spreads = np.where(seen, np.log(filters.sd[:, 0].T), 0.0).sum(axis=1)
     return -0.5 * (white**2).sum(axis=1) - spreads - 0.5 * np.log(2.0 * np.pi) * seen.sum(axis=1)
@@ -125,8 +125,8 @@ def test_twins_filtered_side_by_side_come_out_as_alone() -> None:
     seen[1, 5] = False
     other = BoxTwin(effects=BOX)
     filtered = [
-        FilterInput(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
-        FilterInput(linear_steps(other, runs), NOISE, spread(other), STEP_S),
+        FilterInput(linearise(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
+        FilterInput(linearise(other, runs), NOISE, spread(other), STEP_S),
     ]
     errors = np.random.default_rng(4).normal(0.0, 0.5, (3, 2, ROWS))
     owner = np.array([1, 0, 1])
@@ -144,8 +144,8 @@ def test_a_likelihood_is_that_of_the_whitened_errors() -> None:
     seen[1, 5] = seen[0, -1] = False
     other = BoxTwin(effects=BOX)
     filtered = [
-        FilterInput(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
-        FilterInput(linear_steps(other, runs), NOISE, spread(other), STEP_S),
+        FilterInput(linearise(SLOW, runs), LEVELS, spread(SLOW), STEP_S),
+        FilterInput(linearise(other, runs), NOISE, spread(other), STEP_S),
     ]
     errors = np.random.default_rng(4).normal(0.0, 0.5, (2, 2, ROWS))
     found, filters = log_likelihoods(filtered, seen, errors), gains(filtered, seen)
@@ -159,7 +159,7 @@ def test_a_reading_long_after_a_start_that_is_forgotten_counts_in_full() -> None
     fast = BoxTwin(effects=BOX | {"extra_capacity": {"kC": 1.0}})
     levels = replace(LEVELS, room_k=0.0, heat_w=0.0, power_share=0.0)
     seen = np.ones((1, 1500), dtype=bool)
-    filters = gains([FilterInput(linear_steps(fast, runs), levels, spread(fast), STEP_S)], seen)
+    filters = gains([FilterInput(linearise(fast, runs), levels, spread(fast), STEP_S)], seen)
     assert filters.rows[-1, 0, 0, 0, -1] == 0.0  # nothing is left to learn, to the last bit
     white = whitened(filters, np.array([0]), np.ones((1, 1, 1500)))
     assert white[0, 0, -1] == pytest.approx(1.0 / levels.sensor_k)
@@ -169,7 +169,7 @@ def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:
     runs = recording()
     seen = np.ones((2, ROWS), dtype=bool)
     seen[:, 6:] = False
-    filters = gains([FilterInput(linear_steps(SLOW, runs), LEVELS, spread(SLOW), STEP_S)], seen)
+    filters = gains([FilterInput(linearise(SLOW, runs), LEVELS, spread(SLOW), STEP_S)], seen)
     errors = np.random.default_rng(6).normal(0.0, 0.5, (1, 2, ROWS))
     everywhere = whitened(filters, np.array([0]), errors, everywhere=True)
     plain = whitened(filters, np.array([0]), errors)
@@ -196,9 +196,7 @@ def drawn(twin: BoxTwin, runs: Recorded) -> Floats:
 
 def innovations(twin: BoxTwin, runs: Recorded, levels: NoiseLevels) -> Floats:
     errors = drawn(twin, runs)
-    filters = gains(
-        [FilterInput(linear_steps(twin, runs), levels, spread(twin), STEP_S)], np.isfinite(errors)
-    )
+    filters = gains([FilterInput(linearise(twin, runs), levels, spread(twin), STEP_S)], np.isfinite(errors))
     return whitened(filters, np.array([0]), errors[None])[0]
 
 

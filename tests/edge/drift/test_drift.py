@@ -14,8 +14,8 @@ from edge.drift.kalman import Filter
 from edge.drift.memory import from_dict, to_dict
 from edge.drift.monitor import AGREE_S, SETTLE_S, DriftMonitor, Promise
 from edge.models.pbm import read_twin
-from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
+from edge.twin.rollout import Commands
 
 TWIN = read_twin(PACKAGED_FOLDER / "twin.yaml").twin
 HALF_FAN = with_fan(TWIN, 0.5)

@@ -5,7 +5,7 @@ import pytest
 
 from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whitened
 from edge.twin.filter import expectation, predict, symmetric, update, update_many, weigh
-from edge.twin.linear_steps import linear_steps
+from edge.twin.linearise import linearise
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import spread
@@ -101,7 +101,7 @@ def test_the_diagnosis_filter_of_many_twins_is_this_one():
     rows, levels = 30, NoiseLevels(sensor_k=0.15, room_k=0.3, heat_w=3.0, heat_tau_s=400.0, power_share=0.1)
     duty, fan = RNG.random((1, rows)), RNG.integers(0, 2, (1, rows)).astype(float)
     runs = Recorded(np.full((1, rows + 1), 22.0), duty, fan, np.full((1, rows), 21.0))
-    steps, errors = linear_steps(twin, runs), RNG.normal(size=rows)
+    steps, errors = linearise(twin, runs), RNG.normal(size=rows)
     seen = RNG.random((1, rows)) > 0.2
     filters = gains([FilterInput(steps, levels, spread(twin), twin.step_s)], seen)
     white = whitened(filters, np.array([0]), errors[None, None])[0, 0]

@@ -44,7 +44,7 @@ SECOND_ORDER = {
     "natural_convection": {"G_nc": 2.0},
     "respiration_heat": {"P_res": 2.0},
 }
-EXACT_K, SECOND_ORDER_K, TWO_K, ZONES_K = 2e-6, 0.01, 0.02, 0.03  # as edge/twin/march.py states
+EXACT_K, SECOND_ORDER_K, TWO_K, ZONES_K = 2e-6, 0.01, 0.02, 0.03  # as edge/twin/rollout.py states
 
 
 def commands(seed, steps=STEPS):

@@ -5,9 +5,9 @@ from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun
 from edge.models.pbm import Pbm
 from edge.twin.fit import fit_twin
-from edge.twin.march import Commands
 from edge.twin.model import BoxTwin
 from edge.twin.reference import rk45_rollout
+from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import PastColumns, at_rest, state_now

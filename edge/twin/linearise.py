@@ -1,15 +1,15 @@
-"""A twin as one linear step per row of recorded runs, also where its effects are late, slow or bent.
+"""Linearisation of a twin: one linear step per row of recorded runs, also of late, slow or bent effects.
 
 Where temperatures were measured, heat that bends with the air's temperature has a tangent there, so that
 every twin is x+ = A x + d with a matrix and a drive of its own for each row. What an input, a start or an
-unknown heat does to the temperature is then linear, exactly, and many twins can be run at once
-(`edge.twin.ensemble`).
+unknown heat does to the temperature is then linear, exactly, and `responses` runs many twins at once.
 
 Error against `BoxTwin.rollout`: rounding for linear effects; for bent ones of second order in the distance
 from what was measured: 0.01 K where noise is 0.3 K, 0.06 K where it is 1 K, 0.03 K in a hole of two rows and
-0.3 K in one of ten while the heater is switched (tests/edge/twin/test_linear_steps.py).
+0.3 K in one of ten while the heater is switched (tests/edge/twin/test_linearise.py).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -21,10 +21,10 @@ from edge.core.errors import DataError
 from edge.twin.distinct import distinct
 from edge.twin.effects.library import day_counter
 from edge.twin.fan_speeds import exponentials
-from edge.twin.march import cuts, late, spun_up
 from edge.twin.model import DAY_S, BoxTwin
 from edge.twin.network import AIR
 from edge.twin.recorded import Recorded
+from edge.twin.rollout import cuts, late, rollout, spun_up
 from edge.twin.signals import Conditions, columns_of
 from edge.twin.warm_start import held
 
@@ -75,8 +75,11 @@ class _PartInputs(NamedTuple):
     slope: Floats
 
 
-def linear_steps(twin: BoxTwin, runs: Recorded) -> LinearSteps:
-    """The rows of `runs` by `twin`. Errors: DataError naming a column that is missing, or `day0_utc`."""
+def linearise(twin: BoxTwin, runs: Recorded) -> LinearSteps:
+    """Linearise `twin` about each row of `runs`.
+
+    Errors : DataError naming a column that is missing, or `day0_utc`
+    """
     acting = _acting(twin, runs)
     places, index = _distinct(acting)
     table, drives = _whole_steps(twin, acting, places)
@@ -88,6 +91,40 @@ def linear_steps(twin: BoxTwin, runs: Recorded) -> LinearSteps:
     driven += by_duty
     driven += room * twin.signals.room(runs.ambient.T)[..., None]
     return LinearSteps(twin.states, table, index, driven, by_duty, room, heat)
+
+
+class EnsembleRun(NamedTuple):
+    """What is to be run: steps, from a start [B, n] (None: 0), driven [N, B, n] (None: by nothing)."""
+
+    steps: LinearSteps
+    start: Floats | None
+    driven: Floats | None
+
+
+def responses(wanted: Sequence[EnsembleRun]) -> Floats:
+    """What the sensor shows after each row, [len(wanted), B, N]."""
+    rows, runs = wanted[0].steps.index.shape
+    size = max(len(item.steps.states) for item in wanted)
+    tables, index, offset = [], np.empty((rows, len(wanted), runs), dtype=np.intp), 0
+    state = np.zeros((len(wanted), runs, size))
+    driven = np.zeros((rows, len(wanted), runs, size))
+    known: dict[int, int] = {}  # several responses of the same steps share a table
+    for i, (steps, start, drive) in enumerate(wanted):
+        own = len(steps.states)
+        if id(steps) not in known:
+            known[id(steps)] = offset
+            table = np.zeros((len(steps.table), size, size))
+            table[:, :own, :own] = steps.table
+            tables.append(table)
+            offset += len(steps.table)
+        index[:, i] = steps.index + known[id(steps)]
+        if start is not None:
+            state[i, :, :own] = start
+        if drive is not None:
+            driven[:, i, :, :own] = drive
+    flat = index.reshape(rows, -1)
+    shown = rollout(np.concatenate(tables), flat, state.reshape(-1, size), driven.reshape(rows, -1, size))
+    return shown.reshape(rows, len(wanted), runs).transpose(1, 2, 0)
 
 
 def _driven(drives: Floats, index: Indices, steady: Floats, acting: Floats) -> Floats:

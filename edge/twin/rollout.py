@@ -1,5 +1,6 @@
-"""Steps that one matrix per fan speed does not make: late commands, a fan that spins up, bent heat.
+"""Rollouts of a twin: the loop over linear steps, and `March` for those that one matrix per fan speed lacks.
 
+Such steps have late commands, a fan that spins up, or heat that bends with the temperature.
 A step is cut where a late command arrives, and each part is exact for inputs constant over it. Where the fan
 spins up a part has the fan's mean speed (Magnus expansion, first term), and heat that depends on the air's
 temperature is taken at the middle of a part (exponential midpoint rule, Hochbruck & Ostermann 2010, Acta
@@ -137,6 +138,19 @@ class March:
     def _bent(self, temp: Floats, k: int, columns: Conditions) -> Floats | float:
         """Heat that depends on the air's temperature, as a source [K/s], [B]."""
         return self.signals.heat_w(temp, self.room[k], columns, by_temp=True) / self.air_capacity_j_k
+
+
+def rollout(table: Floats, index: Indices, states: Floats, driven: Floats) -> Floats:
+    """Linear steps x+ = table[index] x + driven of B rollouts; return the first state after each, [N, B].
+
+    table : [K, n, n]; index : [N, B]; states : [B, n], before the first step; driven : [N, B, n]
+    """
+    shown = np.empty(index.shape)
+    for k in range(len(index)):
+        states = np.einsum("bij,bj->bi", table[index[k]], states)
+        states += driven[k]
+        shown[k] = states[:, 0]
+    return shown
 
 
 def _transitions(system: LinearSystem, modes: list[Floats], length_s: float) -> tuple[Transition, Indices]:

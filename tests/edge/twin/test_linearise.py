@@ -1,4 +1,4 @@
-"""edge/twin/linear_steps.py and edge/twin/ensemble.py: a twin as one linear step a row, many at once."""
+"""edge/twin/linearise.py: a twin as one linear step a row, many at once."""
 
 from dataclasses import replace
 
@@ -9,8 +9,7 @@ from bench.support.simulated_runs import BOX, Effects, Floats
 from edge.core.errors import DataError
 from edge.twin.effects.library import EFFECTS
 from edge.twin.effects.unnamed import UNNAMED_EFFECTS
-from edge.twin.ensemble import EnsembleRun, responses
-from edge.twin.linear_steps import linear_steps
+from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.model import BoxTwin
 from edge.twin.recorded import Recorded
 from edge.twin.warm_start import at_rest
@@ -65,7 +64,7 @@ def error_k(twin: BoxTwin, noise_k: float, missing: slice = slice(0)) -> float:
     temp = np.concatenate([runs.ambient[:, :1], expected], axis=1)
     temp += noise_k * np.random.default_rng(2).standard_normal(temp.shape)
     temp[:, missing] = np.nan
-    steps = linear_steps(twin, replace(runs, temp=temp))
+    steps = linearise(twin, replace(runs, temp=temp))
     shown = responses([EnsembleRun(steps, start, steps.driven)])[0]
     return float(np.abs(shown - expected).max())
 
@@ -135,7 +134,7 @@ def test_twins_of_different_sizes_run_side_by_side_as_alone() -> None:
     ]
     wanted = []
     for twin in twins:
-        steps = linear_steps(twin, runs)
+        steps = linearise(twin, runs)
         wanted += [EnsembleRun(steps, rest(twin, runs), steps.driven), EnsembleRun(steps, None, steps.heat)]
     together = responses(wanted)
     assert together.shape == (6, RUNS, ROWS)
@@ -147,7 +146,7 @@ def test_twins_of_different_sizes_run_side_by_side_as_alone() -> None:
 def test_each_input_does_what_a_difference_of_two_rollouts_says(name: str) -> None:
     # A linear twin: one unit more of an input moves the run by that input's response, whatever else happens.
     runs, twin = recording(), twin_with(name)
-    steps, start = linear_steps(twin, runs), rest(twin, recording())
+    steps, start = linearise(twin, runs), rest(twin, recording())
     plain = rolled(twin, runs, start)
     heat_w = np.random.default_rng(3).standard_normal((RUNS, ROWS))
     source = heat_w / twin.system.air_capacity_j_k
@@ -166,7 +165,7 @@ def test_each_input_does_what_a_difference_of_two_rollouts_says(name: str) -> No
 
 
 def test_nothing_driven_from_nothing_stays_at_zero() -> None:
-    steps = linear_steps(BoxTwin(effects=BOX), recording())
+    steps = linearise(BoxTwin(effects=BOX), recording())
     assert (responses([EnsembleRun(steps, None, None)]) == 0.0).all()
 
 
@@ -177,12 +176,12 @@ def test_a_column_that_an_effect_needs_is_named_where_it_is_missing(name: str, c
     runs = recording()
     without = {key: values for key, values in runs.conditions.items() if key != column}
     with pytest.raises(DataError, match=f"{column}: missing, the twin's {name} needs this column"):
-        linear_steps(twin_with(name), replace(runs, conditions=without))
+        linearise(twin_with(name), replace(runs, conditions=without))
 
 
 def test_walls_that_age_need_the_day_they_are_counted_from() -> None:
     with pytest.raises(DataError, match="day0_utc: missing"):
-        linear_steps(replace(twin_with("ua_drift"), day0_utc=None), recording())
+        linearise(replace(twin_with("ua_drift"), day0_utc=None), recording())
 
 
 def test_a_door_that_nobody_knows_of_stays_closed() -> None:
@@ -190,4 +189,4 @@ def test_a_door_that_nobody_knows_of_stays_closed() -> None:
     closed = replace(runs, conditions={**runs.conditions, "door_open": np.zeros((RUNS, ROWS))})
     unknown = replace(runs, conditions={})
     twin = twin_with("door_opening")
-    assert linear_steps(twin, unknown).driven == pytest.approx(linear_steps(twin, closed).driven)
+    assert linearise(twin, unknown).driven == pytest.approx(linearise(twin, closed).driven)
