@@ -58,7 +58,7 @@ class Manifest(Checked):
         bundle that was made before there were any
     """
 
-    format: Literal[1] = field(default=1, metadata={"rule": Rule(required=True)})
+    format: Literal[1] = field(default=1, metadata={"required": True})
     name: Version
     version: Version
     created_utc: str

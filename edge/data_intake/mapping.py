@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
 
@@ -13,11 +13,9 @@ from edge.data_intake.cells import FileLayout
 from edge.data_intake.times import KINDS, zone_of
 from edge.data_intake.units import BY_TARGET, TARGETS, UNITS
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import nearest
-from edge.formats.input_file import YAML, read_text
+from edge.formats.checked import Checked, Rule
+from edge.formats.reader import read, read_yaml
 from edge.formats.run_file import ABSENT
-from edge.formats.strict_yaml import parse_yaml
-from edge.twin.value import number
 
 TOP = """# What `greenhouse data look` understood. Where it says GUESS the log does not: read, correct, then
 #   greenhouse data convert FILE --map THIS --out RUNS/
@@ -28,7 +26,7 @@ TOP = """# What `greenhouse data look` understood. Where it says GUESS the log d
 class Source:
     """A column of the log for one of ours. full : the number that stands for 1, for the unit `of full`"""
 
-    column: str
+    column: str = field(metadata={"key": "from"})
     unit: str
     full: float | None = None
 
@@ -47,6 +45,35 @@ class LogMap:
     absent: tuple[str, ...] = ()
     repeated: str = "refuse"
     guesses: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class TimeDocument(Checked):
+    """How the file says when a row was taken."""
+
+    column: str | None = None
+    format: str = "seconds"
+    zone: str = "UTC"
+    period_s: float | None = None
+    repeated: Annotated[str, Rule(choices=("refuse", "first", "last"))] = "refuse"
+    gap_s: float = 600.0
+
+    def cross_check(self) -> None:
+        """A column with a known format, or a period."""
+        if (self.column is None) == (self.period_s is None):
+            self.refuse("", "needs column and format, or period_s for rows at one period")
+        if self.format not in KINDS and "%" not in self.format:
+            kinds = ", ".join(KINDS)
+            self.refuse("format", f"{shown(self.format)} is none of {kinds}, nor like %d.%m.%Y %H:%M")
+
+
+@dataclass(frozen=True, slots=True)
+class MapDocument:
+    """The file, section by section; a column is a `Source` or ABSENT."""
+
+    file: FileLayout
+    time: TimeDocument
+    columns: Mapping[Annotated[str, Rule(choices=TARGETS)], Any]
 
 
 def write_map(found: LogMap, path: Path) -> None:
@@ -85,78 +112,47 @@ def _document(source: Source) -> dict[str, Any]:
 
 def read_map(path: Path) -> LogMap:
     """Errors: DataError naming the key."""
+    document = read_yaml(MapDocument, path)
     try:
-        document = parse_yaml(read_text(path, YAML))
         return _log_map(document)
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from error
-    except yaml.YAMLError as error:
-        raise DataError(f"{path}: not YAML: {error}") from error
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
 
 
-def _log_map(document: Any) -> LogMap:
-    sections = _keys("the file", document, ("file", "time", "columns"))
-    file = _keys("file", sections["file"], ("delimiter", "decimal", "header_line", "encoding"))
-    time = _keys(
-        "time", sections["time"], ("column", "format", "zone", "period_s", "repeated", "gap_s"), True
-    )
-    if ("column" in time) == ("period_s" in time):
-        raise DataError("time: needs column and format, or period_s for rows at one period")
-    text = str(time.get("format", "seconds"))
-    if text not in KINDS and "%" not in text:
-        raise DataError(f"time.format: {shown(text)} is none of {', '.join(KINDS)}, nor like %d.%m.%Y %H:%M")
-    zone = str(time.get("zone", "UTC"))
-    zone_of(zone)
-    repeated = str(time.get("repeated", "refuse"))
-    if repeated not in ("refuse", "first", "last"):
-        raise DataError(f"time.repeated: {shown(repeated)} is none of refuse, first, last")
-    columns, absent = _columns(sections["columns"])
-    header_line = int(number("file.header_line", file["header_line"]))
-    layout = FileLayout(str(file["delimiter"]), str(file["decimal"]), header_line, str(file["encoding"]))
+def _log_map(document: MapDocument) -> LogMap:
+    time = document.time
+    zone_of(time.zone)
+    columns, absent = _columns(document.columns)
     return LogMap(
-        layout,
-        str(time.get("column", "")),
-        text,
-        zone,
+        document.file,
+        time.column or "",
+        time.format,
+        time.zone,
         columns,
-        number("time.gap_s", time.get("gap_s", 600.0)),
-        number("time.period_s", time["period_s"]) if "period_s" in time else None,
+        time.gap_s,
+        time.period_s,
         absent,
-        repeated,
+        time.repeated,
     )
 
 
-def _columns(document: Any) -> tuple[dict[str, Source], tuple[str, ...]]:
+def _columns(document: Mapping[str, Any]) -> tuple[dict[str, Source], tuple[str, ...]]:
     columns, absent = {}, []
-    for target, own in _keys("columns", document, TARGETS, True).items():
+    for target, own in document.items():
         place = f"columns.{target}"
         if own == ABSENT:
             absent.append(target)
             continue
-        source = _keys(place, own, ("from", "unit", "full"), True)
-        unit = str(source.get("unit"))
-        if "from" not in source or unit not in BY_TARGET[target]:
+        source = read(Source, own, key=place)
+        if source.unit not in BY_TARGET[target]:
             known = ", ".join(BY_TARGET[target])
-            raise DataError(f"{place}: needs `from`, a column, and `unit`, one of {known}")
-        full = number(f"{place}.full", source["full"]) if "full" in source else None
-        if UNITS[unit].needs_full and not (full is not None and full > 0.0):
-            raise DataError(f"{place}.full: the unit `{unit}` needs the number above 0 that stands for full")
-        columns[target] = Source(str(source["from"]), unit, full)
+            raise DataError(f"{place}.unit: {shown(source.unit)} is none of {known}")
+        if UNITS[source.unit].needs_full and not (source.full is not None and source.full > 0.0):
+            raise DataError(
+                f"{place}.full: the unit `{source.unit}` needs the number above 0 that stands for full"
+            )
+        columns[target] = source
     for target in ("temp_air_c", "heater_duty"):
         if target not in columns:
             raise DataError(f"columns.{target}: missing")
     return columns, tuple(absent)
-
-
-def _keys(place: str, document: Any, known: tuple[str, ...], optional: bool = False) -> dict[str, Any]:
-    if not isinstance(document, dict):
-        raise DataError(f"{place}: must be a mapping, not {shown(document)}")
-    for key in document:
-        if key not in known:
-            raise DataError(f"{place}: unknown key {shown(key)}; {nearest(str(key), known)}")
-    missing = [key for key in known if key not in document]
-    if missing and not optional:
-        raise DataError(f"{place}.{missing[0]}: missing")
-    return document

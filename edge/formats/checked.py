@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 from edge.core.errors import ConfigError
 from edge.core.plain_text import shown
 
+ABSENT: Any = None  # default of a key that may be left out of a document but not be null
 TEXT_MAX = 4096  # of a value; the longest path of Linux
 KEY_MAX = 100  # of a misspelt key that is compared with the known ones
 
@@ -35,8 +36,6 @@ class Rule:
     above: float = -math.inf  # a lower bound that is not allowed itself
     most: int = 0  # characters or items; 0: TEXT_MAX characters, any number of items
     least: int = 0
-    key: str = ""  # in the document, where Python reserves the word
-    required: bool = False  # in a document, though an object made in code has a default
 
 
 class SettingError(ConfigError):

@@ -5,11 +5,12 @@ missing keys, a key twice, NaN and infinity, true and false as numbers, numbers 
 too deep or too large.
 
 A class's fields may be bool, int, float, str, time, Any, Literal, Enum, X | None, tuple, Mapping and further
-dataclasses; `Annotated[float, Rule(...)]` bounds one. A field without a default is required.
+dataclasses; `Annotated[float, Rule(...)]` bounds one. A field without a default is required, and one with the
+metadata `required`; the metadata `key` names the document's key where Python reserves the word.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from datetime import time
 from enum import Enum
@@ -137,12 +138,10 @@ def _entries(kind: Any) -> dict[str, _Entry]:
     types = get_type_hints(kind, include_extras=True)
     found = {}
     for item in fields(kind):
-        if item.init:
-            rule = item.metadata.get("rule")
-            has_default = item.default is not MISSING or item.default_factory is not MISSING
-            required = not has_default or (rule is not None and rule.required)
-            key = rule.key if rule is not None and rule.key else item.name
-            found[key] = _Entry(item.name, types[item.name], rule, required)
+        note = item.metadata
+        has_default = item.default is not MISSING or item.default_factory is not MISSING
+        required = note.get("required", not has_default)
+        found[note.get("key", item.name)] = _Entry(item.name, types[item.name], note.get("rule"), required)
     return found
 
 
@@ -168,6 +167,9 @@ class _Reading:
 
     def _refuse(self, key: str, problem: str) -> None:
         self.wrong.append((key, problem))
+
+    def _refuse_key(self, key: str, name: object, known: Iterable[str]) -> None:
+        self._refuse(key, f"unknown key {shown(name)}; {nearest(str(name), known)}")
 
     def _typed(self, kind: Any, value: object, key: str) -> Any:
         if kind is Any:
@@ -240,8 +242,12 @@ class _Reading:
 
     def _mapping(self, kind: Any, value: object, key: str) -> dict[Any, Any]:
         names, kinds = get_args(kind)
+        rule = next((note for note in get_args(names) if isinstance(note, Rule)), Rule())
         found = {}
         for name, item in self._keys(value, key).items():
+            if rule.choices and name not in rule.choices:
+                self._refuse_key(key, name, rule.choices)
+                continue
             before, place = len(self.wrong), _below(key, plain(str(name), 40))
             known = self.value(names, name, place)
             if len(self.wrong) == before:
@@ -252,7 +258,7 @@ class _Reading:
         before, entries, given = len(self.wrong), _entries(kind), self._keys(value, key)
         for name in given:
             if name not in entries:
-                self._refuse(key, f"unknown key {shown(name)}; {nearest(str(name), entries)}")
+                self._refuse_key(key, name, entries)
         if len(self.wrong) == before:
             for name, entry in entries.items():
                 if entry.required and name not in given:
@@ -270,7 +276,7 @@ class _Reading:
                 found.cross_check()
             return found
         except SettingError as error:
-            self._refuse(_below(key, error.key), error.problem)
+            self._refuse(_below(key, error.key) if error.key else key, error.problem)
             return None
 
     def _keys(self, value: object, key: str) -> Mapping[Any, Any]:

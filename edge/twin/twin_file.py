@@ -4,27 +4,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
 
 from edge.core.errors import DataError
 from edge.core.plain_text import shown
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import nearest
-from edge.formats.input_file import YAML, Source, read_text
-from edge.formats.strict_yaml import parse_yaml
+from edge.formats.checked import Rule
+from edge.formats.input_file import Source
+from edge.formats.reader import read_yaml
 from edge.twin.effects.effect import EffectParameter
 from edge.twin.effects.library import EFFECTS, check_names
 from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin, StateNoise
 from edge.twin.scale import Scale, scale_of
-from edge.twin.value import Value, number, read_value
+from edge.twin.value import Value, read_value
 
 Place = tuple[str, ...]  # ("effects", "wall_loss", "UA") or ("geometry", "heater_max_w")
 FAN_ROLES = ("exhaust", "stirring", "none")  # what the fan does: change the air, mix it, or there is none
 NO_FLOW = 1e-9  # share of the flow that a fan which changes no air has
-SECTIONS = ("geometry", "fan_role", "sample_s", "day0_utc", "effects", "sensor", "nuisance", "provenance")
 SENSOR = ("quantisation_k", "noise_sd_k", "highest_c")
 NUISANCE = ("heater_power_run_sd", "heat_noise_sd_w")
 _SAMPLE_S = 60.0
@@ -102,14 +101,26 @@ class TwinFile:
         )
 
 
+Spread = Annotated[float, Rule(low=0.0)]  # standard deviation or step
+
+
+@dataclass(frozen=True, slots=True)
+class TwinDocument:
+    """The file, section by section; `read_value` reads the values of geometry and effects."""
+
+    geometry: Mapping[Annotated[str, Rule(choices=tuple(_PAPER))], Any] = field(default_factory=dict)
+    fan_role: Annotated[str, Rule(choices=FAN_ROLES)] = FAN_ROLES[0]
+    sample_s: float = _SAMPLE_S
+    day0_utc: str | None = None
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    sensor: Mapping[Annotated[str, Rule(choices=SENSOR)], Spread | None] = field(default_factory=dict)
+    nuisance: Mapping[Annotated[str, Rule(choices=NUISANCE)], Spread | None] = field(default_factory=dict)
+    provenance: Mapping[Any, Any] = field(default_factory=dict)
+
+
 def read_twin_file(path: Source) -> TwinFile:
     """Read `path`. Errors: DataError naming the file and the key, also for a file that can't be read."""
-    try:
-        document = parse_yaml(read_text(path, YAML))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
-    except yaml.YAMLError as error:
-        raise DataError(f"{path}: not YAML: {error}") from error
+    document = read_yaml(TwinDocument, path)
     try:
         file = _twin_file(document)
         file.twin()  # values that no twin can have are refused now
@@ -138,33 +149,28 @@ def write_twin_file(file: TwinFile, path: Path) -> None:
     write_atomically(path, text)
 
 
-def _twin_file(document: Any) -> TwinFile:
-    sections = _mapping("the file", document, SECTIONS)
-    sample_s = number("sample_s", sections.get("sample_s", _SAMPLE_S))
-    fan_role = sections.get("fan_role", FAN_ROLES[0])
-    if fan_role not in FAN_ROLES:
-        raise DataError(f"fan_role: {shown(fan_role)} is none of {', '.join(FAN_ROLES)}")
-    geometry = _geometry(_mapping("geometry", sections.get("geometry"), _PAPER))
+def _twin_file(document: TwinDocument) -> TwinFile:
+    geometry = _geometry(document.geometry)
     return TwinFile(
         geometry=geometry,
-        sample_s=sample_s,
-        effects=_effects(sections.get("effects"), scale_of(geometry["heater_max_w"].value, sample_s)),
-        sensor=_spreads("sensor", sections.get("sensor"), SENSOR),
-        nuisance=_spreads("nuisance", sections.get("nuisance"), NUISANCE),
-        provenance=_mapping("provenance", sections.get("provenance")),
-        day0_utc=_time(sections.get("day0_utc")),
-        fan_role=fan_role,
+        sample_s=document.sample_s,
+        effects=_effects(document.effects, scale_of(geometry["heater_max_w"].value, document.sample_s)),
+        sensor=document.sensor,
+        nuisance=document.nuisance,
+        provenance=document.provenance,
+        day0_utc=_time(document.day0_utc),
+        fan_role=document.fan_role,
     )
 
 
-def _time(document: Any) -> float | None:
+def _time(text: str | None) -> float | None:
     """Seconds since 1970 of an ISO 8601 time, UTC where it has no zone."""
-    if document is None:
+    if text is None:
         return None
     try:
-        moment = datetime.fromisoformat(document)
-    except (TypeError, ValueError):
-        raise DataError(f"day0_utc: {shown(document)} is no time like 2026-07-01T12:00:00Z") from None
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise DataError(f"day0_utc: {shown(text)} is no time like 2026-07-01T12:00:00Z") from None
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
@@ -178,10 +184,9 @@ def _geometry(given: Mapping[str, Any]) -> dict[str, Value]:
     }
 
 
-def _effects(document: Any, scale: Scale) -> dict[str, dict[str, Value]]:
+def _effects(document: Mapping[str, Mapping[str, Any]], scale: Scale) -> dict[str, dict[str, Value]]:
     effects = {}
-    for name, own in _mapping("effects", document).items():
-        parameters = _mapping(f"effects.{name}", own)
+    for name, parameters in document.items():
         check_names(name, parameters)
         effects[name] = {
             item.name: read_value(
@@ -190,25 +195,3 @@ def _effects(document: Any, scale: Scale) -> dict[str, dict[str, Value]]:
             for item in EFFECTS[name].parameters
         }
     return effects
-
-
-def _spreads(place: str, document: Any, known: tuple[str, ...]) -> dict[str, float | None]:
-    """Standard deviations and steps: null, or 0 or more."""
-    found: dict[str, float | None] = {}
-    for key, item in _mapping(place, document, known).items():
-        found[key] = None if item is None else number(f"{place}.{key}", item)
-        if (value := found[key]) is not None and value < 0.0:
-            raise DataError(f"{place}.{key}: {value:g} is below 0")
-    return found
-
-
-def _mapping(place: str, document: Any, known: Any = None) -> dict[str, Any]:
-    """A mapping with no key but the known ones; null is empty."""
-    if document is None:
-        return {}
-    if not isinstance(document, dict):
-        raise DataError(f"{place}: must be a mapping, not {shown(document)}")
-    for key in document:
-        if known is not None and key not in known:
-            raise DataError(f"{place}: unknown key {shown(key)}; {nearest(str(key), known)}")
-    return document

@@ -1,15 +1,12 @@
 """A number of a twin file and how it is known: exact, uncertain, to be fitted, or fitted."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from edge.core.errors import DataError
-from edge.core.plain_text import shown
-from edge.formats.checked import nearest
-
-KEYS = ("value", "rel_sd", "low", "high", "fit", "start")
+from edge.formats.checked import ABSENT, Checked, Rule
+from edge.formats.reader import read, read_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +28,31 @@ class Value:
         return given if len(given) > 1 else self.value
 
 
+@dataclass(frozen=True, slots=True)
+class KnownValue(Checked):
+    """`{value, rel_sd}` or `{value, low, high}` of a file."""
+
+    value: float
+    rel_sd: Annotated[float, Rule(above=0.0)] = ABSENT
+    low: float = ABSENT
+    high: float = ABSENT
+
+    def cross_check(self) -> None:
+        """The interval holds the value."""
+        if (self.low is None) != (self.high is None):
+            self.refuse("", "low and high go together")
+        if self.low is not None and not self.low <= self.value <= self.high:
+            self.refuse("", f"{self.value:g} is outside {self.low:g}..{self.high:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class ValueToFit:
+    """`{fit: true, start}` of a file."""
+
+    fit: Literal[True]
+    start: float = ABSENT
+
+
 def read_value(place: str, document: Any, start: float | None = None) -> Value:
     """The value that a file gives at `place`.
 
@@ -38,41 +60,12 @@ def read_value(place: str, document: Any, start: float | None = None) -> Value:
     Errors : DataError, beginning with `place`
     """
     if not isinstance(document, Mapping):
-        return Value(number(place, document))
-    for key in document:
-        if key not in KEYS:
-            raise DataError(f"{place}: unknown key {shown(key)}; {nearest(str(key), KEYS)}")
-    if "fit" in document:
-        return _to_fit(place, document, start)
-    numbers = {key: number(f"{place}.{key}", item) for key, item in document.items()}
-    if "value" not in numbers:
-        raise DataError(f"{place}.value: missing")
-    if "start" in numbers:
-        raise DataError(f"{place}.start: goes with fit: true alone")
-    if ("low" in numbers) != ("high" in numbers):
-        raise DataError(f"{place}: low and high go together")
-    if "low" in numbers and not numbers["low"] <= numbers["value"] <= numbers["high"]:
-        raise DataError(f"{place}: {numbers['value']:g} is outside {numbers['low']:g}..{numbers['high']:g}")
-    if "rel_sd" in numbers and not numbers["rel_sd"] > 0.0:
-        raise DataError(f"{place}.rel_sd: {numbers['rel_sd']:g} is not above 0")
-    return Value(numbers["value"], numbers.get("rel_sd"), numbers.get("low"), numbers.get("high"))
-
-
-def _to_fit(place: str, document: Mapping[str, Any], start: float | None) -> Value:
-    if document["fit"] is not True:
-        raise DataError(f"{place}.fit: {shown(document['fit'])} is not true; a known value has no such key")
-    for key in document:
-        if key not in ("fit", "start"):
-            raise DataError(f"{place}.{key}: does not go with fit: true")
-    if "start" in document:
-        return Value(number(f"{place}.start", document["start"]), fit=True)
-    if start is None:
+        return Value(read_number(document, place))
+    if "fit" not in document:
+        known = read(KnownValue, document, key=place)
+        return Value(known.value, known.rel_sd, known.low, known.high)
+    to_fit = read(ValueToFit, document, key=place)
+    begin = start if to_fit.start is None else to_fit.start
+    if begin is None:
         raise DataError(f"{place}.start: missing")
-    return Value(start, fit=True)
-
-
-def number(place: str, document: Any) -> float:
-    """A finite number. Errors: DataError, beginning with `place`."""
-    if isinstance(document, bool) or not isinstance(document, int | float) or not math.isfinite(document):
-        raise DataError(f"{place}: {shown(document)} is not a number")
-    return float(document)
+    return Value(begin, fit=True)

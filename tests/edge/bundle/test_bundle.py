@@ -130,7 +130,7 @@ def signed_anew(workshop: Workshop, key: str, value: object) -> Path:
         ("created_utc", "2026-07-01T12:00:00", "created_utc: .* is no time like"),
         ("models|arx|file", "none.json", "models.arx.file: 'none.json' is not among the files"),
         ("models|arx|kind", "onnx", "models.arx.kind: 'onnx' is not 'arx-json'"),
-        ("models|oracle", {}, "models.oracle: 'oracle' is none of arx"),
+        ("models|oracle", {}, "models: unknown key 'oracle'; known keys: arx"),
         ("models", {}, "models: must hold at least 1"),
         ("files|twin.yaml", None, "models.pbm.file: 'twin.yaml' is not among the files"),
         ("files|../evil", {"sha256": "0" * 64, "size": 1}, r"files.../evil: '../evil' does not match"),

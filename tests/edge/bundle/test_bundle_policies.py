@@ -63,7 +63,7 @@ def test_a_policy_for_another_step_spoils_the_bundle(workshop: Workshop) -> None
 @pytest.mark.parametrize(
     ("policies", "problem"),
     [
-        ({"MPC": {"file": "rl-off.onnx", "kind": "onnx-policy"}}, "policies.MPC: 'MPC' is none of RL-Off"),
+        ({"MPC": {"file": "rl-off.onnx", "kind": "onnx-policy"}}, "policies: unknown key 'MPC'"),
         (
             {"RL-Off": {"file": "none.onnx", "kind": "onnx-policy"}},
             "policies.RL-Off.file: 'none.onnx' is not",

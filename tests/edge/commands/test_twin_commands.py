@@ -204,7 +204,7 @@ def test_no_recording_is_overwritten(
         ("effects: {wall_loss: {U: 5}}", "effects.wall_loss: unknown parameter 'U'"),
         ("effects: {wall_loss: {UA: {fit: true}}}", "effects.wall_loss.UA: is still to be fitted"),
         ("effects: {wall_loss: {UA: -1}}", "effects.wall_loss.UA: -1 is outside"),
-        ("effects: [wall_loss]", "effects: must be a mapping"),
+        ("effects: [wall_loss]", "effects: must hold keys and values"),
         ("geometry: {volume_l: 150}", "geometry: unknown key 'volume_l'"),
         ("{", "not YAML"),
     ],

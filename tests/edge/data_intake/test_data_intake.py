@@ -221,7 +221,7 @@ def test_what_is_not_understood_is_refused_by_line_and_column(
         (
             "unit: share",
             "unit: percentage",
-            "columns.heater_duty: needs `from`, a column, and `unit`, one of share",
+            "columns.heater_duty.unit: 'percentage' is none of share",
         ),
         (
             "unit: share",

@@ -1,6 +1,7 @@
 """Every kind of document refuses the same bad inputs, and nothing is parsed past the one reader."""
 
 import ast
+import copy
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,18 +11,22 @@ from typing import Any
 import onnx_files
 import policy_files
 import pytest
+import yaml
 
-from edge.bundle.manifest import MANIFEST, Manifest, parse_manifest
+from edge.bundle.manifest import MANIFEST, TWIN, Manifest, parse_manifest
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.config import loading
 from edge.config.settings import Settings
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, DataError
+from edge.data_intake.mapping import MapDocument, Source, read_map
 from edge.forecasts.conformal import IntervalsDocument, read_intervals
 from edge.formats.input_file import MemoryFile
-from edge.formats.reader import DocumentError
+from edge.formats.reader import parse_yaml
 from edge.models.arx_file import DEFAULT_PATH, ArxDocument, read_arx
 from edge.models.contract import ContractDocument, parse_contract
 from edge.models.policy_contract import PolicyDocument, parse_policy_contract
+from edge.twin.twin_file import TwinDocument, read_twin_file
+from edge.twin.value import KnownValue, ValueToFit, read_value
 
 ROOT = Path(__file__).parents[3]
 FILE = Path("document")
@@ -34,7 +39,7 @@ class DocumentKind:
     read: Callable[[str], object]
     good: Callable[[], Any]
     number: tuple[str | int, ...]
-    error: type[Exception] = DocumentError
+    error: type[Exception] = DataError
 
 
 def in_file(read: Callable[[MemoryFile], object]) -> Callable[[str], object]:
@@ -49,6 +54,18 @@ def packaged(name: str) -> Any:
     return json.loads((PACKAGED_FOLDER / name).read_text())
 
 
+def of_yaml(read: Callable[[str, Any], object]) -> Callable[[str], object]:
+    return lambda text: read("a", parse_yaml(text))
+
+
+LOG_MAP: dict[str, Any] = {
+    "file": {"delimiter": ",", "decimal": ".", "header_line": 1, "encoding": "utf-8"},
+    "time": {"column": "t", "format": "seconds", "gap_s": 600.0},
+    "columns": {
+        "temp_air_c": {"from": "T", "unit": "degC"},
+        "heater_duty": {"from": "W", "unit": "of full", "full": 100.0},
+    },
+}
 KINDS: dict[type, DocumentKind] = {
     Settings: DocumentKind(
         loading.parse, lambda: {"control": {"step_s": 60.0}}, ("control", "step_s"), ConfigError
@@ -66,13 +83,20 @@ KINDS: dict[type, DocumentKind] = {
     PolicyDocument: DocumentKind(
         parse_policy_contract, lambda: policy_files.document(), ("golden", "values", 0, 0)
     ),
+    TwinDocument: DocumentKind(
+        in_file(read_twin_file), lambda: yaml.safe_load((PACKAGED_FOLDER / TWIN).read_text()), ("sample_s",)
+    ),
+    KnownValue: DocumentKind(of_yaml(read_value), lambda: {"value": 1.0, "rel_sd": 0.1}, ("value",)),
+    ValueToFit: DocumentKind(of_yaml(read_value), lambda: {"fit": True, "start": 1.0}, ("start",)),
+    MapDocument: DocumentKind(in_file(read_map), lambda: LOG_MAP, ("time", "gap_s")),
+    Source: DocumentKind(in_file(read_map), lambda: LOG_MAP, ("columns", "heater_duty", "full")),
 }
 every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=[kind.__name__ for kind in KINDS])
 
 
 def with_number(kind: DocumentKind, number: str) -> str:
     """The good document with another text where its number was."""
-    document = here = kind.good()
+    document = here = copy.deepcopy(kind.good())
     for key in kind.number[:-1]:
         here = here[key]
     assert not isinstance(here[kind.number[-1]], bool | str)

@@ -38,7 +38,7 @@ class Bicycle(Checked):
     format: Literal[1]
     wheels: Annotated[tuple[Wheel, ...], Rule(least=1, most=3)]
     colour: Paint = Paint.RED
-    owner: str = field(default="", metadata={"rule": Rule(key="from", pattern="[a-z]*")})
+    owner: str = field(default="", metadata={"rule": Rule(pattern="[a-z]*"), "key": "from"})
     gears: Mapping[Annotated[str, Rule(pattern="g[0-9]")], float] = field(default_factory=dict)
     span: tuple[float, float] | None = None
     lights: bool = False
