@@ -102,7 +102,7 @@ def _exchanged(found: Fitted) -> Iterator[Floats]:
     """Coordinates at which a lag and the air have changed places: a slow and a fast answer in a row."""
     values = found.file.values()
     for i, item in enumerate(found.free):
-        if not _is(ParameterKind.AIR_LAG, item):
+        if not _has_kind(ParameterKind.AIR_LAG, item):
             continue
         without = {name: own for name, own in found.file.effects.items() if name != item.place[1]}
         if (air_s := answer_s(replace(found.file, effects=without).twin())) is None:
@@ -110,12 +110,12 @@ def _exchanged(found: Fitted) -> Iterator[Floats]:
         places = found.coordinates.copy()
         places[i] = item.coordinate(air_s)
         for j, other in enumerate(found.free):
-            if _is(ParameterKind.AIR_CAPACITIES, other):
+            if _has_kind(ParameterKind.AIR_CAPACITIES, other):
                 places[j] = other.coordinate(values[other.place].value * values[item.place].value / air_s)
         yield places
 
 
-def _is(kind: ParameterKind, item: UnknownValue) -> bool:
+def _has_kind(kind: ParameterKind, item: UnknownValue) -> bool:
     parameter = parameter_at(item.place)
     return parameter is not None and parameter.kind is kind
 

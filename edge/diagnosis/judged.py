@@ -274,7 +274,7 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) ->
 
 
 def _moves(effect: Effect, runs: Recorded) -> bool:
-    """Whether the commands change without which the effect says nothing."""
+    """Return True where all commands change without which the effect says nothing."""
     commands = {"heater_duty": runs.duty, "fan_on": runs.fan}
     return all(np.ptp(commands[key]) > 0.0 for key in effect.must_change)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bench.support.simulated_runs import NOISE, diagnosed, silent, simulated, twin_file
+from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.handed import OPEN, JudgedTwin, opened
@@ -69,6 +70,18 @@ def test_values_that_the_runs_contradict_are_opened_and_that_is_said() -> None:
     assert fitted.value == pytest.approx(9.0, rel=0.1) or found.verdict.kind == "named"
     if OPEN in found.judged.handed.added:
         assert any("wall_loss.UA is" in line for line in found.judged.told)
+
+
+def test_a_known_effect_of_a_fan_that_never_runs_is_no_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {"heater_efficiency": EFFECTS["heater_efficiency"]}
+    monkeypatch.setattr(candidates, "USUAL_EFFECTS", few)
+    file = twin_file({**BASE, "fan_heat": {"P_fan": 3.0}})
+    runs = [
+        simulated(BASE, seed, 60, fan=False, further=lambda _, __, excess: 12.0 * np.sin(excess))
+        for seed in (1, 2, 3)
+    ]
+    found = diagnose(file, diagnosed(runs, file=file), silent, "")
+    assert "fan_heat" in found.adopted.effects  # as the file has it
 
 
 def test_opened_values_are_adopted_like_any_other() -> None:
