@@ -1,11 +1,13 @@
-"""Every test that asks for `new_board` runs over the Python board, the C board and the sanitized C board."""
+"""Every test that asks for `new_board` runs over the Python board and the sanitized C board.
+
+The C board as the virtual board loads it is held against the Python board in test_board_differential.py.
+"""
 
 import functools
 
 import pytest
 from board_kinds import Driver, SanitizedBoard, compile_driver
 
-from firmware_protocol.virtual_board.c_core import CBoardCore
 from firmware_protocol.virtual_board.core import BoardCore
 
 
@@ -14,13 +16,11 @@ def driver_program(tmp_path_factory):
     return compile_driver(tmp_path_factory.mktemp("driver"))
 
 
-@pytest.fixture(scope="module", params=["python", "c", "c_sanitized"])
+@pytest.fixture(scope="module", params=["python", "c"])
 def new_board(request):
     """Makes a board: (config, persistent, reset_cause, boot_count) -> board. One at a time is in use."""
     if request.param == "python":
         yield BoardCore
-    elif request.param == "c":
-        yield CBoardCore
     else:
         driver = Driver(request.getfixturevalue("driver_program"))
         yield functools.partial(SanitizedBoard, driver)

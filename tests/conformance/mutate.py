@@ -2,8 +2,8 @@
 
     python tests/conformance/mutate.py [gh_safety.c ...]        about 25 minutes
 
-Not part of `make test`: a change that nobody notices costs a run of the suite over the C board, without and
-with the sanitizers, and there are some six hundred changes.
+Not part of `make test`: a change that nobody notices costs a run of the suite over the C board with
+the sanitizers, and there are some six hundred changes.
 """
 
 import functools
@@ -84,8 +84,7 @@ class Mutation:
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         self._session = session
-        in_c = [item for item in session.items if "[python" not in item.name]
-        self._order = sorted(in_c, key=lambda item: "[c_sanitized" in item.name)
+        self._order = [item for item in session.items if "[python" not in item.name]
         if self._noticed(SOURCES):
             raise pytest.UsageError("the tests fail without a change")
         for file in self._files:
