@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from edge.config.settings import LlmSettings
-from training.control.comparison import RunResult, column, references_of
-from training.control.effort import FAMILIES, lines, training_s
+from training.control.comparison import RunResult, references_of
 from training.control.energy import energy_picture
 from training.control.job import ComparisonJob, read
-from training.control.pictures import bars_picture, radar_picture, runs_picture
+from training.control.pictures import bars_picture, runs_picture
 from training.control.rig import SPARING, entries
-from training.control.spread import mean_of
 
 DRAWN = {  # picture -> controllers side by side, those that have run
     "": ("MPC-BFGS", "RL-Off", "LLM-HAM-Te0", "MPC", "MPC-Twin", "clairvoyant"),
@@ -42,23 +40,7 @@ def pictures_of(
     shown_names = [name for name in names if name not in SPARING and not name.endswith("/unbounded")]
     pictures["control_mae"] = bars_picture(results, shown_names, references)
     pictures["control_energy"] = energy_picture(results, shown_names, references)
-    if families := _radar(results, references):
-        pictures["control_radar"] = radar_picture(families)
     return pictures
-
-
-def _radar(
-    results: Sequence[RunResult], references: Sequence[str]
-) -> dict[str, tuple[float, float, float, float]]:
-    rows = {}
-    for family in FAMILIES:
-        found = [mean_of(v).value for r in references if (v := column(results, family.entry, r, "mae_true"))]
-        if found:
-            mae = sum(found) / len(found)
-            remark = next((one.remark for one in results if one.entry == family.entry), "")
-            name = f"{family.name} ({remark})" if remark else family.name
-            rows[name] = (mae, training_s(family), float(lines(family.files)), float(family.knowledge))
-    return rows
 
 
 def _columns(

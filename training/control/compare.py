@@ -32,7 +32,7 @@ from training.control.kept_figures import (
 from training.control.rig import entries
 from training.control.section import section, text_of
 from training.llm_stand_in.server import StandIn
-from training.reports.comparison_report import put_section
+from training.reports.comparison_report import put_section, read_findings
 from training.reports.report_table import as_text
 
 KEPT_URL = "http://kept"  # nobody is asked
@@ -116,7 +116,7 @@ def _write(
     (folder / "times.txt").write_text("\n".join(as_text(times_table(times))), encoding="utf-8")
     (folder / FIGURES_FILE).write_text(json_of(results), encoding="utf-8")
     (folder / "comparison.txt").write_text(text_of(results, names), encoding="utf-8")
-    made = section(results, names, pictures)
+    made = section(results, names, pictures, read_findings(folder))
     (folder / "section.html").write_text(made, encoding="utf-8")
     put_section(folder.parent / "report.html", made)
     for name, content in pictures.items():

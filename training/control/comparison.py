@@ -8,7 +8,7 @@ from training.control.closed_loop import ClosedLoopLog
 from training.control.figures import DecisionTime, Figures, figures
 from training.control.job import ComparisonJob
 from training.control.rig import entries
-from training.control.spread import Mean, difference, mean_of, ratio, told_apart
+from training.control.spread import Mean, mean_of, ratio
 from training.llm_stand_in import MODEL as STAND_IN
 from training.reports.report_table import Table
 
@@ -45,15 +45,6 @@ def column(results: Results, entry: str, reference: str, name: str) -> list[floa
     return [float(getattr(one.figures, name)) for one in mine]
 
 
-def paired(
-    results: Results, entry: str, other: str, reference: str, names: tuple[str, str]
-) -> tuple[list[float], list[float]]:
-    """Figures of two controllers on the seeds that both have run."""
-    both = seeds_of(results, entry, reference) & seeds_of(results, other, reference)
-    rows = [one for one in results if one.reference == reference and one.seed in both]
-    return column(rows, entry, reference, names[0]), column(rows, other, reference, names[1])
-
-
 def regret(results: Results, entry: str, reference: str, by_sensor: bool) -> Mean | None:
     """Return the cost by the limit's of the same weight, None without a run of either.
 
@@ -67,15 +58,6 @@ def regret(results: Results, entry: str, reference: str, by_sensor: bool) -> Mea
     rows = [one for one in results if one.reference == reference and one.seed in both]
     best = [min(getattr(one.figures, cost) for one in rows if one.seed == seed) for seed in sorted(both)]
     return ratio(column(rows, entry, reference, cost), best) if both else None
-
-
-def mae_against(results: Results, entry: str, other: str, reference: str) -> tuple[Mean, str] | None:
-    """Difference of the true MAE, and what it is worth by the sensor's class."""
-    mine, theirs = paired(results, entry, other, reference, ("mae_true", "mae_true"))
-    if not mine:
-        return None
-    found = difference(mine, theirs)
-    return found, told_apart(found)
 
 
 COLUMNS = {  # heading -> figure, digits

@@ -1,4 +1,4 @@
-"""The pictures of the comparison, as PNG bytes, in the paper's form: runs, MAE bars, radar chart."""
+"""The pictures of the comparison, as PNG bytes, in the paper's form: runs and MAE bars."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 
 from training.control.comparison import Results, column
 from training.control.spread import mean_of
-from training.reports.report_pictures import radar_radii
 
 Floats = NDArray[np.float64]
 DPI = 74  # the pictures lie in the repository
 COLUMN_IN, ROWS_IN = 3.6, (2.8, 0.6, 1.2)  # width of a controller's column; temperature, fan, heater
-RADAR_AXES = ("error", "training time", "implementation\neffort", "knowledge")
-FASTEST_S = 0.01  # nothing to train: the innermost of the axis
 
 
 def runs_picture(title: str, runs: Mapping[str, Mapping[str, Floats]]) -> bytes:
@@ -75,36 +72,6 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
     title = "-P: with penalty. " + "".join(remarks) + "Grey: within the sensor's ±0.5 K"
     axes.set_title(title, fontsize="medium")
     axes.legend(fontsize="small")
-    return png(figure)
-
-
-def radar_picture(rows: Mapping[str, tuple[float, float, float, float]]) -> bytes:
-    """The paper's axes: MAE [K], training [s], lines of code, knowledge; smaller is better.
-
-    rows : by family, in the axes' order; what is not recorded is infinite and leaves its corner open
-    """
-    table = np.array(list(rows.values()))
-    table[:, 1] = np.maximum(table[:, 1], FASTEST_S)
-    radii = np.full(table.shape, np.nan)
-    for i in range(table.shape[1]):
-        known = np.isfinite(table[:, i])
-        radii[known, i] = radar_radii(list(table[known, i]))
-    angles = np.linspace(0.0, 2.0 * np.pi, len(RADAR_AXES), endpoint=False) + np.pi / 4.0
-    figure = Figure(figsize=(6.6, 5.8), layout="constrained")
-    axes = figure.subplots(subplot_kw={"projection": "polar"})
-    for name, row in zip(rows, radii, strict=True):
-        axes.plot(np.append(angles, angles[0]), np.append(row, row[0]), "o-", label=name, markersize=4)
-    units = ("K", "s", "lines", "of 5")
-    limits = [
-        f"{axis}\n{column.min():.4g} to {column.max():.4g} {unit}"
-        for axis, unit, column in zip(RADAR_AXES, units, (c[np.isfinite(c)] for c in table.T), strict=True)
-    ]
-    axes.set_xticks(angles, limits)
-    axes.tick_params(axis="x", pad=26)
-    axes.set_yticks([0.15, 1.0], ["", ""])
-    axes.set_ylim(0.0, 1.05)
-    axes.set_title("Inside is better; each axis logarithmic", fontsize="medium")
-    figure.legend(loc="outside lower center", ncols=3, fontsize="small")
     return png(figure)
 
 

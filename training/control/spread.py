@@ -1,4 +1,4 @@
-"""Means over seeds with 95 % confidence intervals; seeds are paired where two controllers are compared."""
+"""Means over seeds with 95 % confidence intervals; seeds are paired where a ratio is formed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t
 
-SENSOR_K = 0.5  # the class of the air sensor: MAE that differ by less are not told apart (as in the paper)
 CONFIDENCE = 0.95
 
 
@@ -17,11 +16,6 @@ class Mean:
     value: float
     half: float
     n: int
-
-    @property
-    def sure(self) -> bool:
-        """Whether the interval leaves out 0."""
-        return abs(self.value) > self.half
 
 
 def mean_of(values: Sequence[float]) -> Mean:
@@ -36,18 +30,6 @@ def mean_of(values: Sequence[float]) -> Mean:
     return Mean(float(array.mean()), half, n)
 
 
-def difference(one: Sequence[float], other: Sequence[float]) -> Mean:
-    """One less the other, seed by seed."""
-    return mean_of([a - b for a, b in zip(one, other, strict=True)])
-
-
 def ratio(one: Sequence[float], other: Sequence[float]) -> Mean:
     """One by the other, seed by seed."""
     return mean_of([a / b for a, b in zip(one, other, strict=True)])
-
-
-def told_apart(mae_difference: Mean) -> str:
-    """ "better", "worse", or "undecided" inside the sensor's class or the seeds' spread."""
-    if not abs(mae_difference.value) > SENSOR_K or not mae_difference.sure:
-        return "undecided"
-    return "better" if mae_difference.value < 0.0 else "worse"

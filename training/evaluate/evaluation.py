@@ -22,7 +22,7 @@ from training.evaluate.scores import ScoredRun, TrainingScore, scored, swapped
 from training.models.fit_network import make_deterministic
 from training.models.study import SCENARIOS
 from training.models.trained import Kept, read_trained, unguarded
-from training.reports.comparison_report import report
+from training.reports.comparison_report import read_findings, report
 from training.reports.report_pictures import MODELS, bars_picture, radar_picture, scenario_picture
 from training.reports.report_table import as_text
 from training.reports.report_tables import Evaluation, costs_table, tables
@@ -134,7 +134,7 @@ def _write(
     cost = costs(trainings)
     cost_text = "\n".join([COMMAND, "", *as_text(costs_table(cost))])
     print(cost_text)
-    files = _files(figures, found, cost, _controllers(arguments.results))
+    files = _files(figures, found, cost, _words(arguments.results))
     files["cost.json"] = (json.dumps([asdict(one) for one in cost], indent=1) + "\n").encode()
     files["cost.txt"] = (cost_text + "\n").encode()
     files[MACHINE_FILE] = (json.dumps(machine(), indent=1) + "\n").encode()
@@ -145,21 +145,21 @@ def _write(
         (folder / name).write_bytes(content)
 
 
-def _controllers(results: Path) -> str:
-    """Their part of the report, as `greenhouse-train compare` has left it."""
+def _words(results: Path) -> tuple[str, str]:
+    """Findings on the models, and the controllers' part as `greenhouse-train compare` has left it."""
     path = results / "control" / "section.html"
-    return path.read_text(encoding="utf-8") if path.exists() else ""
+    return read_findings(results), path.read_text(encoding="utf-8") if path.exists() else ""
 
 
 def _files(
-    figures: Evaluation, found: Sequence[ScoredRun], cost: Sequence[ModelCost], controllers: str
+    figures: Evaluation, found: Sequence[ScoredRun], cost: Sequence[ModelCost], words: tuple[str, str]
 ) -> dict[str, bytes]:
     """All that follows from the figures, and from costs that were measured."""
     pictures = pictures_of(found, cost)
     return {
         "evaluation.json": json_of(figures).encode(),
         "evaluation.txt": text_of(figures).encode(),
-        "report.html": report(figures, cost, pictures, controllers).encode(),
+        "report.html": report(figures, cost, pictures, *words).encode(),
         **{f"{name}.png": content for name, content in pictures.items()},
     }
 
@@ -178,9 +178,7 @@ def _check(figures: Evaluation, found: Sequence[ScoredRun], arguments: argparse.
     difference = next((one for one in found_in if one), "")
     if not difference and same and not arguments.tolerance:
         cost = [ModelCost(**row) for row in _json(results / "cost.json")]
-        difference = _first_file(
-            _files(figures, found, cost, _controllers(results)), results, arguments.images
-        )
+        difference = _first_file(_files(figures, found, cost, _words(results)), results, arguments.images)
     print(difference or "the same as what is kept")
     return 1 if difference else 0
 

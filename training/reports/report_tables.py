@@ -82,7 +82,7 @@ def costs_table(costs: Sequence[ModelCost]) -> Table:
         "see. Edge: a fresh process without torch that loads the model (networks as ONNX) and forecasts; "
         "latency of one call for 1 and for 42 sequences of 20 steps, median of 50."
     )
-    return Table("ModelCost", heads, tuple(rows), note)
+    return Table("Cost", heads, tuple(rows), note)
 
 
 def spread(values: Floats) -> str:

@@ -1,4 +1,4 @@
-"""Tables and findings of a comparison, from a handful of made-up results."""
+"""Tables of a comparison, from a handful of made-up results."""
 
 import argparse
 import json
@@ -16,13 +16,11 @@ from training.control.comparison import (
     RunResult,
     column,
     knowledge,
-    mae_against,
     ranking,
     regret,
     table,
 )
 from training.control.figures import DecisionTime, Figures
-from training.control.findings import beyond, findings
 from training.control.kept_figures import (
     FIGURES_FILE,
     TIMES_FILE,
@@ -35,7 +33,7 @@ from training.control.kept_figures import (
     times_beside,
     times_json,
 )
-from training.control.section import text_of
+from training.control.section import section, text_of
 from training.llm_stand_in import MODEL as STAND_IN
 from training.reports.comparison_report import put_section
 
@@ -95,62 +93,10 @@ def test_a_controller_is_ranked_among_those_that_know_as_much():
     ]
 
 
-def test_ours_is_set_against_the_papers_that_knows_as_much():
-    found = [
-        made(name, seed, sensor_cost_0=cost + seed)
-        for name, cost in {"MPC-Twin": 100, "MPC-Twin/present": 200, "MPC-BFGS": 250}.items()
-        for seed in (1, 2)
-    ]
-    (text,) = beyond(found, ["reference_1"])
-    assert "MPC-Twin/present" in text
-    assert "MPC-BFGS costs 1.25" in text
-
-
-def spent(name: str, effort: float, mae_true: float = 0.4) -> list[RunResult]:
-    """Two seeds that differ a little in the effort."""
-    return [made(name, seed, mae_true=mae_true, cost_1=effort + seed, sensor_cost_0=1.0) for seed in (1, 2)]
-
-
-@pytest.mark.parametrize(
-    ("with_penalty", "verdict"), [(200.0, "holds in part"), (199.0, "holds in part"), (150.0, "holds")]
-)
-def test_as_much_effort_with_a_penalty_as_without_is_not_less(with_penalty, verdict):
-    found = findings([*spent("LLM-Te0", 200.0), *spent("LLM-Te0-P", with_penalty)], "reference_1")
-    assert {each.paper[:24]: each.verdict for each in found}["With penalty the LLM use"] == verdict
-
-
-def test_a_penalty_that_changes_nothing_makes_nothing_sparser():
-    found = findings([*spent("RL-Off", 200.0), *spent("RL-Off-P", 200.0)], "reference_1")
-    assert {each.paper[:9]: each.verdict for each in found}["A penalty"] == "does not hold"
-
-
-def test_an_mpc_that_is_as_good_as_the_others_is_not_the_best():
-    found = findings([*spent("MPC-BFGS", 1.0), *spent("RL-Off", 1.0)], "reference_1")
-    assert found[0].verdict == "does not hold"
-
-
-def test_two_controllers_are_compared_on_the_seeds_of_both():
-    found, worth = mae_against(RESULTS, "MPC-Twin", "MPC-BFGS", "reference_1")
-    assert (found.value, found.n, worth) == (pytest.approx(-1.0), 2, "better")
-
-
 def test_a_stand_in_is_called_one_in_the_table():
     rows = {row[0]: row for row in table(RESULTS, ["MPC-Twin", "LLM-Te0"], "reference_1").rows}
     assert rows["LLM-Te0"][-1] == STAND_IN
     assert rows["MPC-Twin"][-1] == ""
-
-
-def test_findings_about_controllers_that_have_not_run_are_left_out():
-    papers = [finding.paper for finding in findings(RESULTS, "reference_1")]
-    assert any("lowest MAE" in paper for paper in papers)
-    assert not any(paper.startswith("Without penalty the RL") for paper in papers)
-
-
-def test_a_verdict_follows_the_figures():
-    first = findings(RESULTS, "reference_1")[0]
-    assert first.verdict == "holds"
-    worse = [*RESULTS, *(made("RL-Off", seed, mae_true=0.5) for seed in (1, 2))]
-    assert findings(worse, "reference_1")[0].verdict == "holds in part"
 
 
 def test_figures_come_back_with_all_their_digits():
@@ -204,9 +150,14 @@ def test_the_controllers_part_takes_its_own_place_in_the_report(tmp_path: Path):
     assert page.read_text() == "<p>models</p>\n<!-- controllers -->\n<p>two</p>\n</body></html>\n"
 
 
-def test_a_few_controllers_have_pictures_without_a_radar(tmp_path: Path):
+def test_a_few_controllers_have_pictures(tmp_path: Path):
     few = [made("MPC/HAM", 1, mae_true=0.3)]
     assert set(pictures_of(few, [], tmp_path, ["MPC/HAM"])) == {"control_mae", "control_energy"}
+
+
+def test_the_findings_that_a_person_has_written_stand_in_the_controllers_part() -> None:
+    made = section(RESULTS, ["MPC-Twin"], {}, "# Ours\n\n**Said.** *Holds.* a < b\n")
+    assert "<h2>Ours</h2>\n<p><b>Said.</b> <em>Holds.</em> a &lt; b</p>\n" in made
 
 
 def kept_in(folder: Path, results: list[RunResult], times: dict[str, list[DecisionTime]]) -> Path:
