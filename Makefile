@@ -2,7 +2,8 @@
 # make test    everything, on a clean machine too: installs what the tests need
 # make quick   the tests of edge/ and the protocol that take no seconds each (a minute)
 # make lint    ruff and mypy
-# make bench   the tables of the README (up to an hour)
+# make docs    the manual, out/manual/index.html; every link and the generated reference are checked
+# make bench   the tables of the manual (up to an hour)
 # make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
@@ -10,7 +11,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint bench model train tools clean
+.PHONY: run test quick lint docs bench model train tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -25,6 +26,9 @@ lint: $(VENV)/dev.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: $(VENV)/docs.installed
+	$(BIN)/python -m mkdocs build --strict $(ARGS)
 
 bench: $(VENV)/bench.installed tools
 	$(BIN)/python -m bench $(ARGS)

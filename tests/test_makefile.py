@@ -70,4 +70,5 @@ def test_ci_runs_lint_and_the_readmes_test_command() -> None:
     assert [line for line in script.read_text().splitlines() if line.startswith("make")] == [
         "make lint",
         "make test",
+        "make docs",
     ]

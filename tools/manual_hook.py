@@ -1,0 +1,74 @@
+"""MkDocs hook of the manual: generated pages, pages and pictures that stand elsewhere, links to the code.
+
+A page links to a file of the repository by its relative path, which works in a checkout and on a forge. In
+the built manual such a link leads to the page made of that file, or becomes the file's path in code letters.
+A path that does not exist is a warning, which `mkdocs build --strict` refuses.
+"""
+
+import logging
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+from tools.reference import PAGES
+
+ROOT = Path(__file__).parent.parent
+ELSEWHERE = {  # page or picture of the manual -> its file in the repository
+    "deploy.md": "deploy/README.md",
+    "wire-protocol.md": "firmware_protocol/PROTOCOL.md",
+    "c-firmware.md": "firmware_protocol/c/README.md",
+    "virtual-board.md": "firmware_protocol/virtual_board/README.md",
+    "chamber.md": "firmware_protocol/virtual_board/CHAMBER.md",
+    "recorded-runs.md": "training/data/README.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+    "images/waterfall.png": "training/results/paper_case/waterfall.png",
+}
+LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
+log = logging.getLogger("mkdocs.hooks.manual")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated reference and what stands elsewhere."""
+    for name, page in PAGES.items():
+        files.append(File.generated(config, f"reference/{name}", content=page()))
+    for name, path in ELSEWHERE.items():
+        if files.get_file_from_path(name) is None:
+            files.append(File.generated(config, name, abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, files: Files, **_: Any) -> str:
+    """Lead links to files of the repository to where a reader of the built manual finds them."""
+    source = page.file.src_uri
+    origin = ELSEWHERE.get(source, posixpath.join("docs", source))
+
+    def led(found: "re.Match[str]") -> str:
+        bang, text, target = found.groups()
+        path, hash_, anchor = target.partition("#")
+        if not path or "://" in path or path.startswith("mailto:"):
+            return found[0]
+        file = posixpath.normpath(posixpath.join(posixpath.dirname(origin), path))
+        inside = _manual_path(file, files)
+        if inside is not None:
+            away = posixpath.relpath(inside, posixpath.dirname(source) or ".")
+            return f"{bang}[{text}]({away}{hash_}{anchor})"
+        if not (ROOT / file).exists():
+            log.warning("%s: %s is not in the repository", source, target)
+        return text if text.strip("`") == file else f"{text} (`{file}`)"
+
+    return LINK.sub(led, markdown)
+
+
+def _manual_path(file: str, files: Files) -> str | None:
+    """Return the manual's path of a file of the repository, None where the manual does not hold it."""
+    for name, path in ELSEWHERE.items():
+        if path == file:
+            return name
+    inside = file.removeprefix("docs/")
+    return inside if inside != file and files.get_file_from_path(inside) is not None else None
