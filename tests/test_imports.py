@@ -37,6 +37,8 @@ FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "edge": ("training", "torch", "stable_baselines3", "tests", "bench"),
     "training": ("tests", "bench"),
     "firmware_protocol/virtual_board/chamber.py": ("edge",),
+    # The control thread encodes nothing: whoever writes to the wire or the disk does, in a thread of its own.
+    "edge/tick/loop.py": ("json", "edge.formats", "edge.state", "edge.tick.orders_json"),
 }
 # Values in, values out: no file, port, thread or clock.
 PURE = (

@@ -8,9 +8,9 @@ from edge.config.settings import MqttSettings, Settings
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Decision, Echo, Estimate, Event, Reading, ReadingQuality, TickRecord
-from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
+from edge.mqtt.telemetry import Telemetry
 from edge.tick.orders import Desk, Operation, operate
-from edge.tick.orders_json import to_dict
+from edge.tick.status import LoopStatus, status_json
 
 ROOT = "greenhouse/rig-1"
 
@@ -74,15 +74,21 @@ class ControlLoop:
         answered(self.ask(request))
 
     def status(self) -> dict[str, Any]:
-        return {
-            "operation": to_dict(self.operation),
-            "trips": list(self.trips),
-            "tick": tick_json(self.last_record),
-            "echo": echo_json(self.echo or self.last_record.echo),
-            "link_up": int(self.last_record.link_up),
-            "skill": skill_json(self.last_record.skill),
-            "drift": drift_json(self.last_record.drift),
-        }
+        """As JSON, without the line's counters, as of a recorded board."""
+        values = status_json(self.values())
+        del values["line"]
+        return values
+
+    def values(self) -> LoopStatus:
+        record = self.last_record
+        echo = self.echo or record.echo
+        return LoopStatus(self.operation, 0.0, self.trips, record, echo, record.link_up, {})
+
+
+def tick(telemetry: Telemetry, made: TickRecord, loop: ControlLoop | None = None) -> None:
+    """Hand a tick out, as the loop does."""
+    telemetry.write(made)
+    telemetry.show((loop or ControlLoop()).values())
 
 
 @dataclass(frozen=True)

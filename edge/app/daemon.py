@@ -50,6 +50,7 @@ from edge.tick.reference import Reference, make_reference, zone_of
 from edge.tick.rig import Rig, SaveState, Sink
 from edge.tick.sensor_health import SensorHealth
 from edge.tick.standing import StateSink, read_standing
+from edge.tick.status import LoopStatus
 
 REQUESTS_VARIABLE = "GREENHOUSE_DIAGNOSIS"  # folder of requests to the diagnosis's unit, set by the daemon's
 ANSWER_SHARE = 0.9  # of the decision's deadline that a client of `external` may take
@@ -139,7 +140,7 @@ class Daemon:
         sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else []), *self.more_sinks]
         drift = self._drift(sinks)
         nightly = self._nightly(sinks, bundles)
-        show: Callable[[], None] = lambda: None  # noqa: E731
+        show: Callable[[LoopStatus], None] = lambda status: None  # noqa: E731
         if settings.mqtt.enabled:
             telemetry = Telemetry(settings, routes.ask, inbox.post, lambda: outbox_of(settings))
             stack.callback(telemetry.close)

@@ -27,6 +27,7 @@ from edge.mqtt.connection import make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, MessageQueue
 from edge.mqtt.lane import Lane, end
 from edge.mqtt.topics import Topics
+from edge.tick.status import LoopStatus, reply_json, status_json
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
 Post = Callable[[Mapping[str, Any], Callable[[dict[str, Any]], None]], None]
@@ -63,8 +64,8 @@ class Telemetry:
         self._fault = ""
         self._ticks_late = 0
         self._ticks_skipped = 0
-        self._updates = 0  # ticks, orders and changes of the outputs
-        self._updates_shown = 0
+        self._status: LoopStatus | None = None  # the newest, with a tick
+        self._status_published: LoopStatus | None = None
         self._greet = False
         self._events: deque[Event] = deque(maxlen=EVENTS_WAITING_MAX)
         self._proposals: deque[Mapping[str, Any]] = deque(maxlen=COMMANDS_WAITING_MAX)
@@ -91,16 +92,17 @@ class Telemetry:
     # called by the control thread: nothing here waits
 
     def write(self, record: TickRecord) -> None:
-        """A new tick: its state is published, as soon as there is a broker; only the newest matters."""
+        """Count a tick, and take its events; its state comes by `show`."""
         self._ticks_late += record.late_s > LATE_SHARE * record.step_s
         self._ticks_skipped += record.ticks_skipped
         self._events.extend(record.events)
-        self.show()
-
-    def show(self) -> None:
-        """Publish the state as it is now, as soon as there is a broker."""
-        self._updates += 1
         self._wake.set()
+
+    def show(self, status: LoopStatus) -> None:
+        """Publish a state, as soon as there is a broker; only the newest matters."""
+        if status.record is not None:
+            self._status = status
+            self._wake.set()
 
     def show_proposal(self, proposal: Mapping[str, Any]) -> None:
         """What came of a wish, told by the desk's thread: published, whoever asked."""
@@ -242,7 +244,10 @@ class Telemetry:
             self._publish_news()
 
     def _answer_commands(self) -> None:
-        answers = [self._answers.popleft() for _ in range(len(self._answers))]
+        answers = [
+            (what, reply_json(reply))
+            for what, reply in (self._answers.popleft() for _ in range(len(self._answers)))
+        ]
         for what, answer in answers:
             self._reply(what, _short(answer))
         if answers and answers[-1][1].get("tick"):
@@ -268,15 +273,13 @@ class Telemetry:
             self._reply("", {"ok": False, "error": error})
 
     def _publish_news(self) -> None:
-        greet, updates = self._greet, self._updates
+        greet, status = self._greet, self._status
         if greet:
             self._publish(self._topics.discovery, discovery.device(self._settings), qos=1, retain=True)
-        if greet or updates != self._updates_shown:
-            status = self._ask({"do": "status"})
-            if status.get("tick"):
-                self._publish_state(status)
-            # What has come up meanwhile stays to be done.
-            self._greet, self._updates_shown = self._greet and not greet, updates
+        if status is not None and (greet or status is not self._status_published):
+            self._publish_state(status_json(status))
+        # What has come up meanwhile stays to be done.
+        self._greet, self._status_published = self._greet and not greet, status
         while self._proposals:
             self._publish(self._topics.proposal, self._proposals.popleft(), qos=1)
         while self._events:

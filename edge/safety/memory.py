@@ -113,6 +113,11 @@ def remember(memory: SafetyMemory, sent: Command, ramp: float, view: SafetyView)
     )
 
 
+def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:
+    """Return True where both leave the same behind for the next process."""
+    return (memory.trips, memory.doses) == (other.trips, other.doses)
+
+
 def memory_to_dict(memory: SafetyMemory) -> dict[str, Any]:
     """What must outlive the process, as JSON values: latched trips and the water of the last day."""
     return {"trips": list(memory.trips), "doses": [[dose.utc, dose.length_s] for dose in memory.doses]}

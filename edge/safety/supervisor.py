@@ -22,6 +22,7 @@ from edge.safety.memory import (
     memory_from_dict,
     memory_to_dict,
     remember,
+    survives_as,
 )
 from edge.safety.rules import (
     FAN_FORCED,
@@ -62,6 +63,7 @@ __all__ = [
     "memory_to_dict",
     "planning_limits",
     "supervise",
+    "survives_as",
 ]
 
 CLEAR_BELOW_K = 3.0  # a trip is cleared only when the air is this far below the trip, as on the board

@@ -26,6 +26,7 @@ from edge.core.errors import RequestError
 from edge.formats.strict_json import parse_object
 from edge.sockets.unix_socket import listen
 from edge.tick.inbox import is_urgent
+from edge.tick.status import reply_json
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
 Post = Callable[[Mapping[str, Any], Callable[[dict[str, Any]], None]], None]
@@ -185,7 +186,7 @@ class ControlSocket:
         while self._answers:
             question, reply = self._answers.popleft()
             if question.is_wanted:
-                question.client.answer(reply)
+                question.client.answer(reply_json(reply))
                 self._serve(question.client, 0)
 
     def _accept_all(self) -> None:

@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from edge.tick.status import reply_json
+
 Request = Mapping[str, Any]
 Reply = dict[str, Any]
 
@@ -67,16 +69,22 @@ class Inbox:
         os.set_blocking(self._ring, False)
 
     def ask(self, request: Request, timeout_s: float = 10.0) -> Reply:
-        """Hand over a request and wait for its answer. Called from any thread but the control thread."""
+        """Hand over a request and wait for its answer, as JSON values.
+
+        Called from any thread but the control thread.
+        """
         answer: queue.SimpleQueue[Reply] = queue.SimpleQueue()
         self.post(request, answer.put)
         try:
-            return answer.get(timeout=timeout_s)
+            return reply_json(answer.get(timeout=timeout_s))
         except queue.Empty:
             return {"ok": False, "error": f"the control loop did not answer within {timeout_s:g} s"}
 
     def post(self, request: Request, answered: Callable[[Reply], None]) -> None:
-        """Hand over a request without waiting; `answered` is called once, from any thread."""
+        """Hand over a request without waiting; `answered` is called once, from any thread.
+
+        The answer's status is not encoded yet, see `edge.tick.status.reply_json`.
+        """
         refused: list[_Answers] = []
         with self._posting:
             if self._closed:

@@ -9,7 +9,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from edge.core.allowance import Allowance
 from edge.core.controller import Context
@@ -27,15 +26,14 @@ from edge.core.messages import (
     Severity,
     TickRecord,
 )
-from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
 from edge.safety.supervisor import (
     SafetyMemory,
     SafetyVerdict,
     SafetyView,
     clear_trip,
-    memory_to_dict,
     planning_limits,
     supervise,
+    survives_as,
 )
 from edge.tick.conditions import Conditions
 from edge.tick.context import TickTime, context_of
@@ -44,6 +42,7 @@ from edge.tick.inbox import ORDINARY, Letter, Reply, Request
 from edge.tick.light import led_level
 from edge.tick.order_words import in_words
 from edge.tick.orders import (
+    UTC_MAX,
     Desk,
     Operation,
     acts_at_once,
@@ -53,9 +52,9 @@ from edge.tick.orders import (
     operate,
     refuse_unknown_keys,
 )
-from edge.tick.orders_json import UTC_MAX, to_dict
 from edge.tick.reference import seconds_of_day
 from edge.tick.rig import Rig
+from edge.tick.status import STATUS, LoopStatus
 from edge.tick.water import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
@@ -242,7 +241,7 @@ class Loop:
             dt_s=self._step_s,
         )
         verdict = supervise(wanted, view, self._memory, rig.settings.safety)
-        if memory_to_dict(verdict.memory) != memory_to_dict(self._memory):
+        if not survives_as(verdict.memory, self._memory):
             rig.save_state(self._operation, verdict.memory)
         self._memory = verdict.memory
         return verdict
@@ -296,7 +295,7 @@ class Loop:
         self.last_record = record
         for sink in self._rig.sinks:
             sink.write(record)
-        self._shown = self._outputs()
+        self._show()
         self._rig.after_tick(record)
 
     def _stop_board(self) -> None:
@@ -340,7 +339,7 @@ class Loop:
 
     def _show(self) -> None:
         self._shown = self._outputs()
-        self._rig.show()
+        self._rig.show(self.status())
 
     def _answer_urgent(self) -> None:
         """Obey stop and maintenance while a controller thinks; the tick ends under the new orders."""
@@ -354,7 +353,7 @@ class Loop:
             match request.get("do"):
                 case "status":
                     refuse_unknown_keys(request, ())
-                    letter.answer.put({"ok": True, **self.status()})
+                    letter.answer.put({"ok": True, STATUS: self.status()})
                     return
                 case "clear_trip":
                     refuse_unknown_keys(request, ())
@@ -364,26 +363,25 @@ class Loop:
         except RequestError as error:
             letter.answer.put({"ok": False, "error": str(error)})
             return
-        reply: Reply = {"ok": True, **self.status()} | ({"warning": warning} if warning else {})
+        reply: Reply = {"ok": True, STATUS: self.status()} | ({"warning": warning} if warning else {})
         self._show()
         # The state writer's thread answers: this one never waits for the disk.
         self._rig.save_state(
             self._operation, self._memory, lambda error: letter.answer.put(_as_saved(reply, error))
         )
 
-    def status(self) -> dict[str, Any]:
-        """Standing orders, the last tick, what the board drives now, the line's counters; as JSON values."""
-        return {
-            "operation": to_dict(self._operation),
-            "since_start_s": self._rig.clock.now() - self._start_s,
-            "trips": list(self._memory.trips),
-            "tick": None if self.last_record is None else tick_json(self.last_record),
-            "skill": {} if self.last_record is None else skill_json(self.last_record.skill),
-            "drift": drift_json(self.last_record.drift if self.last_record else None),
-            "echo": echo_json(self._rig.board.echo),
-            "link_up": int(self._rig.board.link_up),
-            "line": dict(self._rig.board.statistics),
-        }
+    def status(self) -> LoopStatus:
+        """Standing orders, the last tick, what the board drives now, the line's counters."""
+        board = self._rig.board
+        return LoopStatus(
+            self._operation,
+            self._rig.clock.now() - self._start_s,
+            self._memory.trips,
+            self.last_record,
+            board.echo,
+            board.link_up,
+            dict(board.statistics),
+        )
 
     def _order(self, request: Request) -> str:
         """Change the standing orders; return what a person has to know of a stop that is not in force yet."""

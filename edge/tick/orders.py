@@ -19,6 +19,8 @@ from edge.tick.steering import Steering, problem
 from edge.tick.steering import from_dict as steering_from_dict
 from edge.tick.steering_at_work import steered
 
+UTC_MAX = 1e11  # the year 5138; a calendar ends at 9999 [s since 1970]
+
 
 class Mode(Enum):
     """Who decides. The names are those of a Home Assistant climate entity, and `manual`."""

@@ -9,10 +9,9 @@ from edge.core.messages import Command
 from edge.core.names import ACTUATORS
 from edge.core.plain_text import shown
 from edge.tick import steering as steerings
-from edge.tick.orders import Before, FanMode, Mode, Operation
+from edge.tick.orders import UTC_MAX, Before, FanMode, Mode, Operation
 from edge.tick.steering import Steering
 
-UTC_MAX = 1e11  # the year 5138; a calendar ends at 9999 [s since 1970]
 REFERENCE_C = (
     -20.0,
     80.0,

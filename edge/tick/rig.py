@@ -27,6 +27,7 @@ from edge.tick.inbox import Inbox
 from edge.tick.orders import Operation
 from edge.tick.reference import Reference
 from edge.tick.sensor_health import SensorHealth
+from edge.tick.status import LoopStatus
 from edge.twin.model import BoxTwin
 
 Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
@@ -127,6 +128,6 @@ class Rig:
     inbox: Inbox
     save_state: SaveState
     after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
-    show: Callable[[], None] = lambda: None  # publish orders and outputs that changed between two ticks
+    show: Callable[[LoopStatus], None] = lambda status: None  # publish a tick, or what changed between two
     stop_at_s: float = math.inf  # end of an experiment
     drift: DriftWatch | None = None  # watches the running twin

@@ -21,6 +21,7 @@ from edge.tick.orders import Operation
 from edge.tick.reference import make_reference
 from edge.tick.rig import NoForecasts, Rig
 from edge.tick.sensor_health import SensorHealth
+from edge.tick.status import reply_json
 
 UTC_0 = 1_750_000_000.0
 
@@ -201,7 +202,7 @@ class LoopRig:
             more_events=list,
             inbox=self.inbox,
             save_state=self._save,
-            show=lambda: self.shown.append(self.board.echo),
+            show=lambda status: self.shown.append(status.echo),
         )
         self.rig = rig
         self.loop = Loop(rig, Operation("MPC"), SafetyMemory(), first_seq=1)
@@ -215,7 +216,7 @@ class LoopRig:
         """The answer to a request that the disk takes; {} while it waits for the disk."""
         answers: queue.SimpleQueue[Reply] = queue.SimpleQueue()
         self.loop._answer(Letter(request, answers))
-        return {} if answers.empty() else answers.get()
+        return {} if answers.empty() else reply_json(answers.get())
 
     def _save(self, operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
         self.saved.append(operation)

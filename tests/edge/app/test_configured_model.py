@@ -105,9 +105,9 @@ def test_a_controller_chosen_when_there_was_a_model_gives_way_to_the_configured_
     state_file.write(tmp_path / "state.json", state)
     with Daemon(settings, RealClock()) as daemon:
         assert daemon._loop is not None
-        standing = daemon._loop.status()["operation"]
-    assert standing["controller"] == "rules"
-    assert standing["reference_c"] == 27.0
+        standing = daemon._loop.status().operation
+    assert standing.controller == "rules"
+    assert standing.reference_c == 27.0
 
 
 def test_an_experiment_with_a_controller_that_needs_a_model_is_refused(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from edge.__main__ import COMMANDS, GROUPS, main, parser_for
 from edge.commands.orders import ORDERS
 from edge.commands.status_text import status_lines
 from edge.core.version import __version__
+from edge.tick.status import status_json
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
@@ -81,7 +82,7 @@ def test_a_number_that_makes_no_sense_is_refused_by_its_option(
 def status() -> dict[str, Any]:
     rig = LoopRig()
     rig.tick()
-    found: dict[str, Any] = json.loads(json.dumps(rig.loop.status()))
+    found: dict[str, Any] = json.loads(json.dumps(status_json(rig.loop.status())))
     rig.close()
     return found
 

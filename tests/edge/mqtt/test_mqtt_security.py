@@ -6,7 +6,7 @@ import pytest
 from certificates import make_certificates
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings
+from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
 from edge.core.errors import ConfigError
 from edge.mqtt import connection, telemetry
 from edge.mqtt.connection import make_client
@@ -59,7 +59,7 @@ def test_a_client_certificate_opens_a_broker_that_demands_one(tmp_path, certific
             client_key=str(certificates / "client.key"),
         )
         try:
-            own.write(record())
+            tick(own, record())
             wait_for(lambda: listener.objects(f"{ROOT}/state"))
         finally:
             own.close()
@@ -70,7 +70,7 @@ def test_a_broker_signed_by_a_stranger_gets_nothing(tmp_path, certificates):
     with tls_broker(tmp_path, certificates) as broker:
         own = start(broker.port, tls=True, ca=str(certificates / "stranger.crt"))
         try:
-            own.write(record())
+            tick(own, record())
             wait_for(lambda: "can't be reached" in fault(own))
         finally:
             own.close()

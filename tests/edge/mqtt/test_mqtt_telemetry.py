@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings
+from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
 from edge.__main__ import main
 from edge.core.errors import ConfigError, RequestError
 from edge.core.messages import Echo, Event, Severity
@@ -51,7 +51,7 @@ def running(port, loop=None, outbox=None, **mqtt):
 
 def test_a_tick_is_published_with_discovery_and_availability(broker):
     with Listener(broker.port) as listener, running(broker.port) as own:
-        own.write(record())
+        tick(own, record())
         wait_for(lambda: listener.payloads(STATE) and listener.payloads(f"{ROOT}/forecast"))
         assert listener.objects(STATE)[-1]["temp_air_c"] == 24.5
         assert listener.objects(f"{ROOT}/decision")[-1]["controller"] == "MPC"
@@ -63,7 +63,7 @@ def test_a_tick_is_published_with_discovery_and_availability(broker):
 
 def test_a_late_subscriber_finds_all_that_is_retained(broker):
     with running(broker.port) as own:
-        own.write(record())
+        tick(own, record())
         with Listener(broker.port) as listener:
             wanted = {AVAILABILITY, STATE, f"{ROOT}/decision", f"{ROOT}/forecast", DISCOVERY}
             wanted |= {f"{ROOT}/forecasts", f"{ROOT}/skill", f"{ROOT}/drift"}
@@ -76,7 +76,7 @@ def test_replies_events_and_proposals_are_not_retained(broker):
         with Listener(broker.port) as listener:
             wait_for(lambda: not own.faults())
             listener.send(f"{ROOT}/set/temperature", "28.5")
-            own.write(record(events=(moment,)))
+            tick(own, record(events=(moment,)))
             own.show_proposal({"state": "ready"})
             wait_for(lambda: all(listener.payloads(topic) for topic in (REPLY, EVENT, f"{ROOT}/proposal")))
         with Listener(broker.port, name="late") as late:
@@ -120,7 +120,7 @@ def test_the_last_will_speaks_for_a_killed_process(broker):
 def test_a_broker_that_is_down_at_the_start_is_waited_for(tmp_path):
     broker = Broker(tmp_path)
     with running(broker.port) as own:
-        own.write(record())
+        tick(own, record())
         wait_for(lambda: "can't be reached" in own.faults().get("telemetry.offline", ""))
         with broker, Listener(broker.port) as listener:
             wait_for(lambda: listener.objects(STATE))
@@ -129,7 +129,7 @@ def test_a_broker_that_is_down_at_the_start_is_waited_for(tmp_path):
 
 def test_online_and_discovery_come_again_after_every_reconnection(broker):
     with running(broker.port) as own:
-        own.write(record())
+        tick(own, record())
         wait_for(lambda: not own.faults())
         broker.kill()
         wait_for(own.faults)
@@ -142,7 +142,7 @@ def test_online_and_discovery_come_again_after_every_reconnection(broker):
 
 def test_home_assistant_is_told_everything_again_when_it_starts(broker):
     with Listener(broker.port) as listener, running(broker.port) as own:
-        own.write(record())
+        tick(own, record())
         wait_for(lambda: listener.payloads(STATE))
         listener.heard.clear()
         listener.send("homeassistant/status", "offline")
@@ -167,11 +167,11 @@ def test_a_command_reaches_the_loop_and_is_answered_and_shown_at_once(broker):
 def test_an_order_of_another_door_and_a_change_of_the_pins_are_shown_between_two_ticks(broker):
     loop = ControlLoop()
     with Listener(broker.port) as listener, running(broker.port, loop) as own:
-        own.write(record())
+        tick(own, record())
         wait_for(lambda: listener.objects(STATE) and listener.objects(STATE)[-1]["heater_duty"] == 0.35)
         loop.operation = replace(loop.operation, emergency_stop=True)
         loop.echo = Echo(0.0, False, 0.0, False, True, "emergency_stop", 101.0)
-        own.show()
+        own.show(loop.values())
         wait_for(lambda: listener.objects(STATE)[-1]["emergency_stop"] == 1)
         shown = listener.objects(STATE)[-1]
         assert (shown["heater_duty"], shown["fan_on"], shown["action"]) == (0.0, 0, "off")
@@ -242,7 +242,7 @@ def test_a_command_given_while_the_rig_was_away_never_acts(broker):
 def test_events_of_a_tick_are_published_one_by_one(broker):
     events = tuple(Event(f"test.{n}", Severity.ALARM, "too hot", 0.0, 1.7e9) for n in range(3))
     with Listener(broker.port) as listener, running(broker.port) as own:
-        own.write(record(events=events))
+        tick(own, record(events=events))
         wait_for(lambda: len(listener.objects(EVENT)) == 3)
         assert [event["key"] for event in listener.objects(EVENT)] == ["test.0", "test.1", "test.2"]
 
@@ -250,9 +250,9 @@ def test_events_of_a_tick_are_published_one_by_one(broker):
 def test_ticks_that_were_late_or_skipped_are_counted(broker):
     with Listener(broker.port) as listener, running(broker.port) as own:
         wait_for(lambda: not own.faults())
-        own.write(record(late_s=6.0))  # of a step of 60 s: on the limit
-        own.write(record(late_s=6.1, ticks_skipped=2))
-        own.write(record(ticks_skipped=1))
+        tick(own, record(late_s=6.0))  # of a step of 60 s: on the limit
+        tick(own, record(late_s=6.1, ticks_skipped=2))
+        tick(own, record(ticks_skipped=1))
         wait_for(lambda: listener.objects(STATE) and listener.objects(STATE)[-1]["ticks_skipped"] == 3)
         assert listener.objects(STATE)[-1]["ticks_late"] == 1
 
@@ -270,20 +270,18 @@ def test_a_resend_command_fills_the_outbox_again(broker):
 
 def test_a_slow_loop_holds_up_neither_the_network_nor_the_control_thread(broker):
     loop = ControlLoop()
-    loop.ask = lambda request: {"ok": False, "error": "the control loop did not answer within 10 s"}
     with Listener(broker.port) as listener, running(broker.port, loop, MemoryOutbox(10)) as own:
-        own.write(record())
+        tick(own, record())
         wait_for(lambda: len(listener.objects(HISTORY)) == 10)
-        assert listener.payloads(STATE) == []
+        wait_for(lambda: listener.payloads(STATE))
+        assert loop.requests == []  # nothing of a tick is asked for
 
 
 def test_a_bug_is_told_and_takes_neither_commands_nor_the_outbox_away(broker):
     loop, outbox = ControlLoop(), MemoryOutbox()
-    answer = loop.ask
-    loop.ask = lambda request: answer(request) if request["do"] != "status" else 1 / 0
     with Listener(broker.port) as listener, running(broker.port, loop, outbox) as own:
-        own.write(record())
-        wait_for(lambda: "ZeroDivisionError" in str(own.faults()))
+        own.show(replace(loop.values(), record=record(readings=None)))
+        wait_for(lambda: "AttributeError" in str(own.faults()))
         listener.send(f"{ROOT}/set/emergency_stop", "PRESS")
         wait_for(lambda: listener.objects(REPLY) == [{"command": "emergency_stop", "ok": True}])
         assert loop.operation.emergency_stop
@@ -308,7 +306,7 @@ def test_an_outbox_that_cannot_be_read_is_told_and_tried_again(broker):
 
 def test_remove_takes_everything_retained_away(broker):
     with running(broker.port) as own:
-        own.write(record())
+        tick(own, record())
         wait_for(lambda: not own.faults())
     telemetry.remove(settings(broker.port))
     with Listener(broker.port) as listener:

@@ -1,0 +1,49 @@
+"""The loop's answer to "status": values in the control thread, JSON in the thread of the one who asked."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edge.core.messages import Echo, TickRecord
+from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
+from edge.tick.orders import Operation
+from edge.tick.orders_json import to_dict
+
+STATUS = "status"  # the key of a reply whose value is a LoopStatus
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStatus:
+    """Standing orders, the last tick, the outputs that the board drives now, the line's counters."""
+
+    operation: Operation
+    since_start_s: float
+    trips: tuple[str, ...]
+    record: TickRecord | None  # of the last tick
+    echo: Echo | None
+    link_up: bool
+    line: Mapping[str, int]
+
+
+def status_json(status: LoopStatus) -> dict[str, Any]:
+    """Return JSON values; "tick" is null before the first tick."""
+    record = status.record
+    return {
+        "operation": to_dict(status.operation),
+        "since_start_s": status.since_start_s,
+        "trips": list(status.trips),
+        "tick": None if record is None else tick_json(record),
+        "skill": {} if record is None else skill_json(record.skill),
+        "drift": drift_json(record.drift if record else None),
+        "echo": echo_json(status.echo),
+        "link_up": int(status.link_up),
+        "line": dict(status.line),
+    }
+
+
+def reply_json(reply: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a reply of the loop as JSON values, its status in place of the key STATUS."""
+    encoded: dict[str, Any] = {}
+    for key, value in reply.items():
+        encoded |= status_json(value) if isinstance(value, LoopStatus) else {key: value}
+    return encoded
