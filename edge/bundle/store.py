@@ -25,15 +25,27 @@ from edge.bundle.admitted import Admitted, read_admitted, release, write_admitte
 from edge.bundle.archive import unpack
 from edge.bundle.check import check_folder, read_checked
 from edge.bundle.manifest import MANIFEST, PACKAGED, VERSION, Manifest
-from edge.bundle.policies import load_policies
 from edge.bundle.roles import Roles, installed, rolled_back
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
 from edge.formats.atomic_file import make_folder, move, sync_folder
 from edge.formats.input_file import Folder, read_file
-from edge.models.onnx_policy import OnnxPolicy
+from edge.models.onnx_policy import OnnxPolicy, read_policy
 from edge.state import state_file
+
+
+def load_policies(folder: Folder, manifest: Manifest) -> dict[str, OnnxPolicy]:
+    """Policies by the controller that they are for, in the manifest's order; each proved as it is read.
+
+    folder : a bundle whose hashes have been checked
+    Errors : DataError beginning with the file
+    """
+    return {
+        name: read_policy(folder / entry.file, name, manifest.sample_s)
+        for name, entry in manifest.policies.items()
+    }
+
 
 PACKAGED_FOLDER = Path(__file__).parent.parent / "models" / "default_bundle"
 INTERVALS = "intervals.json"

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from datetime import tzinfo
+from datetime import datetime, tzinfo
 
 import numpy as np
 
@@ -13,9 +13,24 @@ from edge.drift import evidence, noise, where
 from edge.drift.evidence import CLEAR, Evidence
 from edge.drift.kalman import DriftFilterState, Filter, Innovation
 from edge.drift.memory import DriftMemory
-from edge.drift.regimes import CELLS, REGIMES, situation
-from edge.drift.words import in_words
+from edge.drift.regimes import CELLS, REGIMES, WORDS, situation
 from edge.twin.model import BoxTwin
+
+
+def in_words(drift: Drift, zone: tzinfo | None) -> str:
+    """`the twin disagrees since ..., mostly with the fan on: ...`; in `zone`, None: the machine's own."""
+    if drift.state is DriftState.DISAGREES and drift.since_utc is not None:
+        since = datetime.fromtimestamp(drift.since_utc, zone)
+        sign = "warmer" if drift.error_k > 0.0 else "colder"
+        return (
+            f"the twin disagrees since {since:%Y-%m-%d %H:%M}, mostly {WORDS[drift.where]}: "
+            f"there the air ends each step {abs(drift.error_k):.2f} K {sign} than it expects"
+        )
+    if drift.state is DriftState.UNKNOWN:
+        return f"the twin is not judged: {drift.reason}"
+    learning = f" ({drift.learnt:.0%} of its ordinary errors learnt)" if drift.learnt < 1.0 else ""
+    return f"the twin agrees{learning}"
+
 
 SETTLE_S = 3600.0  # a filter that began at rest is not judged so long: walls and element are not known
 AGREE_S = 3600.0  # time in which it is judged and no evidence is left, before agreement is told

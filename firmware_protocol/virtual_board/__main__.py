@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import signal
+import socket
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,13 +12,36 @@ from firmware_protocol.messages import Capability, ResetCause
 from firmware_protocol.virtual_board.board_config import RIG_PARTS, BoardConfig
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
-from firmware_protocol.virtual_board.claim import PathInUse, claim
 from firmware_protocol.virtual_board.device import Boot, Core, Device
 from firmware_protocol.virtual_board.faults import FaultError, read_script
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.port import PseudoTerminal
 from firmware_protocol.virtual_board.server import Server
 from firmware_protocol.virtual_board.store import Eeprom, StoreError
+
+
+class PathInUse(Exception):
+    """The path belongs to a living board, or is none of ours."""
+
+
+def claim(path: Path) -> socket.socket:
+    """Own `path` for as long as the socket returned lives, and clear it of a dead board's rest.
+
+    The kernel frees an abstract socket name when its process ends, however that was; a lock file would stay.
+    Errors: PathInUse.
+    """
+    owner = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        owner.bind(f"\0virtual_board:{path.absolute()}")
+    except OSError as error:
+        owner.close()
+        raise PathInUse(f"{path}: in use by a running board") from error
+    if path.is_symlink() or path.is_socket():
+        path.unlink()
+    elif path.exists():
+        owner.close()
+        raise PathInUse(f"{path}: there is a file that no board has made")
+    return owner
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

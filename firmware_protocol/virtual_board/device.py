@@ -3,15 +3,76 @@
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from firmware_protocol.messages import ResetCause
-from firmware_protocol.virtual_board.board_clock import BoardClock
+from firmware_protocol.frame import FrameDecoder, encode
+from firmware_protocol.messages import LAYOUTS, ErrorCode, ErrorMessage, Hello, ResetCause, read_header
 from firmware_protocol.virtual_board.core import Pins
 from firmware_protocol.virtual_board.faults import BoardFault, Schedule
 from firmware_protocol.virtual_board.line import FaultyLine
-from firmware_protocol.virtual_board.other_protocol import OtherProtocol
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.sensor_faults import Sample, SensorFaults
 from firmware_protocol.virtual_board.store import Eeprom
+
+_HELLO, _ERROR = LAYOUTS[Hello].kind, LAYOUTS[ErrorMessage].kind
+_VERSION, _BODY = 0, 4  # where a payload has its version, and its body
+_SESSION_LENGTH = 4  # of hello; protocol_min and protocol_max follow
+
+
+class OtherProtocol:
+    """Stands between the line and the firmware."""
+
+    def __init__(self, version: int) -> None:
+        self.version = version
+        self._from_host = FrameDecoder()
+        self._from_firmware = FrameDecoder()
+
+    def to_firmware(self, data: bytes) -> bytes:
+        """The host's version is foreign to this board."""
+        return b"".join(self._frame(bytearray(payload)) for payload in self._from_host.feed(data))
+
+    def to_host(self, data: bytes) -> bytes:
+        """What this board says is of its version, and it says so."""
+        frames = b""
+        for received in self._from_firmware.feed(data):
+            payload = bytearray(received)
+            kind = read_header(received).kind
+            if kind == _HELLO:
+                first = _BODY + _SESSION_LENGTH
+                payload[first : first + 2] = bytes([self.version] * 2)
+            elif kind == _ERROR and payload[_BODY] == ErrorCode.VERSION:
+                payload[_BODY + 1] = self.version
+            frames += self._frame(payload)
+        return frames
+
+    def _frame(self, payload: bytearray) -> bytes:
+        payload[_VERSION] = self.version
+        return encode(bytes(payload))
+
+
+WRAP_MS = 1 << 32
+
+
+class BoardClock:
+    """Maps simulated time to board_ms."""
+
+    def __init__(self, now_ms: int) -> None:
+        self._since_ms = now_ms
+        self._board_ms = 0.0
+        self._factor = 1.0
+
+    def read(self, now_ms: int) -> int:
+        """board_ms, 0 .. 2^32 - 1."""
+        return int(self._board_ms + (now_ms - self._since_ms) * self._factor) % WRAP_MS
+
+    def set_factor(self, factor: float, now_ms: int) -> None:
+        """Run this much faster than time from now on."""
+        if factor != self._factor:
+            self._board_ms += (now_ms - self._since_ms) * self._factor
+            self._since_ms, self._factor = now_ms, factor
+
+    def set_before_wrap(self, before_s: float, now_ms: int) -> None:
+        """Jump to this long before the wrap."""
+        self._since_ms, self._board_ms = now_ms, WRAP_MS - before_s * 1000.0
+
 
 STEP_MS = 100  # firmware runs at least this often
 TURNAROUND_MS = 5  # a request of 30 bytes takes 3 ms at 115200 baud, then the firmware answers

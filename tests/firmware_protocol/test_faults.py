@@ -11,8 +11,8 @@ from line_host import LineHost
 from bench.support.virtual_board import virtual_board
 from firmware_protocol.link import BoardReset, LinkLost, LinkUp, Nonsense, VersionRefused
 from firmware_protocol.messages import Capability, Quality
-from firmware_protocol.virtual_board.board_clock import BoardClock
 from firmware_protocol.virtual_board.core import Pins
+from firmware_protocol.virtual_board.device import BoardClock
 from firmware_protocol.virtual_board.fault_table import KINDS
 from firmware_protocol.virtual_board.faults import FaultError, Schedule, make_fault
 from firmware_protocol.virtual_board.line import FaultyLine

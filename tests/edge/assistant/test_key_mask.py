@@ -1,4 +1,4 @@
-"""edge/assistant/llm/key_mask.py: a key that a server echoes is found however it is written."""
+"""edge/assistant/llm/endpoint.py: a key that a server echoes is found however it is written."""
 
 import base64
 import itertools
@@ -13,7 +13,7 @@ import pytest
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import virtual_board
-from edge.assistant.llm.key_mask import MASK, key_pattern
+from edge.assistant.llm.endpoint import MASK, key_pattern
 from training.llm_stand_in.behaviours import Sending, refused
 from training.llm_stand_in.server import StandIn
 

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.assistant.requests.answer import SCHEMA, understood
+from edge.assistant.requests.desk import messages
 from edge.assistant.requests.effect import DayStart, Wanted, coming_day
 from edge.assistant.requests.prediction import predicted
-from edge.assistant.requests.prompt import messages
 from edge.assistant.requests.words import describe, effect_table
 from edge.config import loading as config
 from edge.config.settings import ReferenceSettings

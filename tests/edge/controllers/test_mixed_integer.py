@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from mixed_integer_problems import every_plan, problems, true_optimum
 
 from edge.controllers.mixed_integer.descent import descended
-from edge.controllers.mixed_integer.dominance import undominated
 from edge.controllers.mixed_integer.polish import polished
 from edge.controllers.mixed_integer.problem import FanRules, Plan, PlanningProblem, lower_toeplitz
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
-from edge.controllers.mixed_integer.search import search
+from edge.controllers.mixed_integer.search import search, undominated
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.tangent import tangent
 from edge.controllers.mixed_integer.time_box import TimeBox

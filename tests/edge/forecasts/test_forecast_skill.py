@@ -9,7 +9,7 @@ from edge.bundle.rivals import rival_rows
 from edge.forecasts.conformal import Interval, Intervals
 from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
 from edge.forecasts.skill import SkillState, half_widths, skills, updated
-from edge.forecasts.skill_json import from_dict, to_dict
+from edge.forecasts.skill_state import from_dict, to_dict
 
 NONE = Intervals()
 CALIBRATED = Intervals((Interval("arx", "1", 5, 0.5, 100, "interpolation"),))
