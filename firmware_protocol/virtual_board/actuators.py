@@ -4,7 +4,7 @@ import copy
 import math
 from collections import deque
 
-from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
+from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, Number
 from firmware_protocol.virtual_board.effects import Effects
 from firmware_protocol.virtual_board.noise import Wander, normal
 
@@ -115,7 +115,7 @@ class Fan:
     def __init__(self, parameters: ChamberParameters, effects: Effects) -> None:
         fan = parameters.fan
         self._spinup_s = effects.fan_spinup * fan.spinup_s
-        self._flow_m3_s = (
+        self.full_flow_m3_s = (
             fan.flow_m3_s
             * max(1.0 - effects.fan_effectiveness * (1.0 - fan.effectiveness), 0.0)
             * max(1.0 - effects.short_circuit * fan.short_circuit, 0.0)
@@ -126,15 +126,17 @@ class Fan:
         self.mean_speed = 0.0  # over the last step
         self.flow_m3_s = 0.0  # air really exchanged, mean over the last step
 
+    def spun_up(self, speed: Number, on: Number, dt_s: float) -> tuple[Number, Number]:
+        """Speed after dt_s towards `on` (0 or 1), and its mean; exact for a first-order spin-up."""
+        if self._spinup_s <= 0.0:
+            return on, on
+        part = self._spinup_s / dt_s * -math.expm1(-dt_s / self._spinup_s)
+        return on + (speed - on) * math.exp(-dt_s / self._spinup_s), on + (speed - on) * part
+
     def step(self, dt_s: float, on: float) -> None:
-        """Run towards on (0 or 1) for dt_s; exact for a first-order spin-up."""
-        if self._spinup_s > 0.0:
-            part = self._spinup_s / dt_s * -math.expm1(-dt_s / self._spinup_s)
-            self.mean_speed = on + (self.speed - on) * part
-            self.speed = on + (self.speed - on) * math.exp(-dt_s / self._spinup_s)
-        else:
-            self.mean_speed = self.speed = on
+        """Run towards on (0 or 1) for dt_s."""
+        self.speed, self.mean_speed = self.spun_up(self.speed, on, dt_s)
         self._run_s += self.mean_speed * dt_s
         self.flow_m3_s = (
-            self._flow_m3_s * self.mean_speed * max(1.0 - self._clogging_per_s * self._run_s, 0.0)
+            self.full_flow_m3_s * self.mean_speed * max(1.0 - self._clogging_per_s * self._run_s, 0.0)
         )

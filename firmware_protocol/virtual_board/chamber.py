@@ -252,12 +252,13 @@ class Chamber:
 
     def _room_vapour(self) -> float:
         room_c = self._weather.temp_c
-        return vapour_density(self._weather.vapour_share * saturation_pressure(room_c), room_c)
+        density: float = vapour_density(self._weather.vapour_share * saturation_pressure(room_c), room_c)
+        return density
 
     def _rel_humidity_pct(self) -> float:
         """Relative humidity where the sensor is."""
         lower_c = self._network.temps[6]
-        pressure = vapour_pressure(self._moisture.vapour_kg_m3, lower_c)
+        pressure: float = vapour_pressure(self._moisture.vapour_kg_m3, lower_c)
         return min(100.0 * pressure / saturation_pressure(lower_c), 100.0)
 
 

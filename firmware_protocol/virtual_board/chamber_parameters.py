@@ -11,6 +11,7 @@ import yaml
 from firmware_protocol.virtual_board.effects import Effects
 
 DEFAULT_FILE = Path(__file__).with_name("chamber.yaml")
+Number = Any  # a float, or an array with an element for each box
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

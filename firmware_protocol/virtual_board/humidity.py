@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
+from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, Number
 from firmware_protocol.virtual_board.effects import Effects
 
 KELVIN = 273.15
@@ -16,12 +16,12 @@ def saturation_pressure(temp_c: float) -> float:
     return 0.6112 * math.exp(17.62 * temp_c / (243.12 + temp_c))
 
 
-def vapour_pressure(density_kg_m3: float, temp_c: float) -> float:
+def vapour_pressure(density_kg_m3: Number, temp_c: Number) -> Number:
     """Pressure of vapour as an ideal gas [kPa]."""
     return density_kg_m3 * VAPOUR_GAS_CONSTANT * (temp_c + KELVIN) / 1000.0
 
 
-def vapour_density(pressure_kpa: float, temp_c: float) -> float:
+def vapour_density(pressure_kpa: Number, temp_c: Number) -> Number:
     """Inverse of vapour_pressure [kg/m³]."""
     return 1000.0 * pressure_kpa / (VAPOUR_GAS_CONSTANT * (temp_c + KELVIN))
 

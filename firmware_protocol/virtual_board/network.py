@@ -19,9 +19,8 @@ of many boxes; so the board needs no NumPy.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
+from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, Number
 from firmware_protocol.virtual_board.effects import Effects
 
 STEFAN_BOLTZMANN = 5.670374e-8  # [W/(m² K⁴)]
@@ -38,7 +37,6 @@ MASSLESS_PASSES = 6  # of Newton, for such an element
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 _SECOND_STAGE = (1.0 - GAMMA) / GAMMA
 
-Number = Any  # a float, or an array with an element for each box
 Temperatures = Sequence[Number]  # h p s o w u b [degC]; replaced, never changed in place
 
 

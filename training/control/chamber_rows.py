@@ -10,16 +10,15 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.virtual_board.actuators import HeaterSupply
+from firmware_protocol.virtual_board.actuators import Fan, HeaterSupply
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
 from firmware_protocol.virtual_board.effects import Effects
 from firmware_protocol.virtual_board.humidity import (
     EVAPORATION_HEAT,
-    KELVIN,
-    VAPOUR_GAS_CONSTANT,
     Moisture,
     saturation_pressure,
     vapour_density,
+    vapour_pressure,
 )
 from firmware_protocol.virtual_board.network import (
     SMALLEST_DIFFERENCE_K,
@@ -89,6 +88,7 @@ class ChamberRows:
         self._network = _NetworkRows(parameters, effects)
         self._weather = Weather(parameters, effects, seed)
         self._heater = HeaterSupply(parameters, effects, seed)
+        self._fan = Fan(parameters, effects)
         self._moisture = Moisture(parameters, effects, 0.0)
 
     def start(self, count: int = 1) -> BoxStates:
@@ -112,8 +112,8 @@ class ChamberRows:
         p, e = self.p, self.e
         middle_s = time_s + 0.5 * dt_s
         self._weather.at(middle_s)
-        speed, mean_speed = self._fan(boxes.fan, fan, dt_s)
-        flow = self._flow_m3_s() * mean_speed
+        speed, mean_speed = self._fan.spun_up(boxes.fan, fan, dt_s)
+        flow = self._fan.full_flow_m3_s * mean_speed
         ageing = max(1.0 + e.ua_drift * p.cover.ua_drift_per_day * self._weather.day, 0.1)
         leak = e.infiltration * p.air.leak_flow_m3_s * (1.0 - mean_speed) * ageing
         capacity = p.air.density_kg_m3 * p.air.heat_capacity_j_kg_k
@@ -139,31 +139,16 @@ class ChamberRows:
         sensor = boxes.sensor + follow * (mean[6] - boxes.sensor)
         return replace(boxes, temps=temps, sensor=sensor, fan=speed)
 
-    def _fan(self, speed: Floats, on: Floats, dt_s: float) -> tuple[Floats, Floats]:
-        """Speed after dt_s, and its mean."""
-        spinup_s = self.e.fan_spinup * self.p.fan.spinup_s
-        if spinup_s <= 0.0:
-            return on, on
-        part = spinup_s / dt_s * -math.expm1(-dt_s / spinup_s)
-        return on + (speed - on) * math.exp(-dt_s / spinup_s), on + (speed - on) * part
-
-    def _flow_m3_s(self) -> float:
-        """Of the fan at full speed."""
-        fan, e = self.p.fan, self.e
-        effective = max(1.0 - e.fan_effectiveness * (1.0 - fan.effectiveness), 0.0)
-        return fan.flow_m3_s * effective * max(1.0 - e.short_circuit * fan.short_circuit, 0.0)
-
     def _water(self, boxes: BoxStates, dt_s: float, air_m3_s: Floats) -> tuple[Floats, BoxStates]:
         """Heat that water takes from plant, soil and inner sheet [3, B] [W], and the boxes' water after."""
         moisture, soil = self._moisture, self.p.soil
         _, plant_c, soil_c, _, cover_c, _, _ = boxes.temps
         wetness = np.minimum(boxes.soil / (soil.dry_below * soil.water_capacity_kg), 1.0)
-        air_k = self.air(boxes) + KELVIN
-        pressure = boxes.vapour * VAPOUR_GAS_CONSTANT * air_k / 1000.0
+        pressure = vapour_pressure(boxes.vapour, self.air(boxes))
         plant_w = moisture.plant_w_kpa * moisture.dark_share * wetness
         plant_w = plant_w * np.maximum(_saturation(plant_c) - pressure, 0.0)
         soil_w = moisture.soil_w_kpa * wetness * np.maximum(_saturation(soil_c) - pressure, 0.0)
-        saturated = 1000.0 * _saturation(cover_c) / (VAPOUR_GAS_CONSTANT * (cover_c + KELVIN))
+        saturated = vapour_density(_saturation(cover_c), cover_c)
         condensed = np.maximum(moisture.film_m3_s * (boxes.vapour - saturated), -boxes.film / dt_s)
         evaporated = (plant_w + soil_w) / EVAPORATION_HEAT
         volume = self.p.box.volume_m3
