@@ -1,16 +1,13 @@
 """The environments of reinforcement learning: models that step side by side, episodes, reward, checkers."""
 
-import warnings
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
 
 from edge.core.errors import DataError
-from edge.models.policy_actions import ACTIONS, LEVELS
+from edge.models.policy_actions import LEVELS
 from edge.models.policy_observation import NAMES
 from edge.twin.twin_file import read_twin_file
 from training.data.datasets import training_runs
@@ -19,7 +16,6 @@ from training.models.predictors import GuardedHamPredictor, LstmPredictor
 from training.models.summary import best_seed, records
 from training.models.weights import load_network
 from training.rl.boxes import START_ROWS, EpisodeBoxes, World
-from training.rl.env import GreenhouseEnv
 from training.rl.episodes import (
     DrawnEpisodes,
     Episode,
@@ -33,7 +29,7 @@ from training.rl.models import Window
 from training.rl.play import play
 from training.rl.read_model import KEPT, TRAINED, drawn, read_model
 from training.rl.reward import WEIGHTS, Weights, reward
-from training.rl.vec_env import BoxesVecEnv
+from training.rl.vec_env import OBSERVATION_SPACE, BoxesVecEnv
 
 SHORT = EpisodeSettings(steps=12)
 TWIN = TRAINED / "ham_guarded" / "interpolation" / "seed_0" / "twin.yaml"
@@ -195,32 +191,15 @@ def test_an_episode_that_is_given_is_lived_through(runs):
 # environments
 
 
-def test_gymnasiums_checker_passes(runs):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=".*(Box observation space m|The environment is not).*")
-        check_env(GreenhouseEnv(world_of(runs)), skip_render_check=True)
+def test_the_same_seed_gives_the_same_episodes_inside_the_space(runs):
+    def episodes(seed):
+        env = BoxesVecEnv(world_of(runs), 2, seed)
+        return np.array([env.reset(), *(env.step(np.array([k, k + 1]))[0] for k in range(SHORT.steps))])
 
-
-def test_stable_baselines_checker_passes(runs):
-    check_env_of_sb3(GreenhouseEnv(world_of(runs)))
-
-
-def test_the_same_seed_gives_the_same_episode(runs):
-    env = GreenhouseEnv(world_of(runs))
-
-    def episode():
-        seen = [env.reset(seed=5)[0]]
-        return np.array(seen + [env.step(np.int64(k % ACTIONS))[0] for k in range(SHORT.steps)])
-
-    assert np.array_equal(episode(), episode())
-
-
-def test_an_episode_is_truncated_and_never_terminated(runs):
-    env = GreenhouseEnv(world_of(runs))
-    env.reset(seed=1)
-    ends = [env.step(np.int64(0))[2:4] for _ in range(SHORT.steps)]
-    assert ends == [(False, False)] * (SHORT.steps - 1) + [(False, True)]
+    seen = episodes(5)
+    assert all(OBSERVATION_SPACE.contains(one) for one in seen.reshape(-1, seen.shape[-1]))
+    assert np.array_equal(seen, episodes(5))
+    assert not np.array_equal(seen, episodes(6))
 
 
 def test_one_box_of_many_is_as_one_alone(runs):
