@@ -7,14 +7,16 @@ them.
 """
 
 import argparse
+import base64
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 
 from edge.config.settings import LlmSettings
 from edge.core.errors import DataError
-from training.control.all_pictures import drawn_jobs, pictures_of
-from training.control.comparison import STAND_IN_MODEL, RunResult, result, times_table
+from training.control.comparison import STAND_IN_MODEL, RunResult, references_of, result, table, times_table
+from training.control.energy import energy_picture, energy_tables
 from training.control.figures import DecisionTime, decision_time
 from training.control.job import ComparisonJob, is_kept, read, run_all
 from training.control.kept_figures import (
@@ -29,12 +31,17 @@ from training.control.kept_figures import (
     times_beside,
     times_json,
 )
-from training.control.rig import entries
-from training.control.section import section, text_of
+from training.control.pictures import bars_picture, runs_picture
+from training.control.rig import SPARING, entries
 from training.llm_stand_in.server import StandIn
-from training.reports.comparison_report import put_section, read_findings
-from training.reports.report_table import as_text
+from training.reports.comparison_report import put_section, read_findings, words_as_html
+from training.reports.report_table import Table, as_html, as_text
 
+COMMAND = "greenhouse-train compare"
+DRAWN = {  # picture -> controllers side by side, those that have run
+    "": ("MPC-BFGS", "RL-Off", "LLM-HAM-Te0", "MPC", "MPC-Twin", "clairvoyant"),
+    "_penalty": ("MPC-BFGS-P", "RL-Off-P", "LLM-HAM-Te0-P", "MPC-P", "MPC-Twin-P", "clairvoyant-P"),
+}
 KEPT_URL = "http://kept"  # nobody is asked
 
 
@@ -128,3 +135,73 @@ def _check(results: Sequence[RunResult], kept: Sequence[RunResult], tolerance: f
     near = f"within {100.0 * tolerance:g} % of" if tolerance else "the same as"
     print(difference or f"{len(results)} of the {len(kept)} runs: {near} what is kept")
     return 1 if difference else 0
+
+
+def text_of(results: Sequence[RunResult], names: Sequence[str]) -> str:
+    """The tables."""
+    lines = [line for each in _tables(results, names) for line in as_text(each)]
+    return "\n".join([COMMAND, "", *lines]) + "\n"
+
+
+def section(
+    results: Sequence[RunResult], names: Sequence[str], pictures: Mapping[str, bytes], findings: str
+) -> str:
+    """The controllers' part of the report, as HTML; findings : as `words_as_html` takes it."""
+    return "\n".join(_section(results, names, pictures, findings)) + "\n"
+
+
+def _section(
+    results: Sequence[RunResult], names: Sequence[str], pictures: Mapping[str, bytes], findings: str
+) -> Iterator[str]:
+    yield "<h1>Controllers on the virtual rig, compared</h1>"
+    yield f"<p>Made by <code>{COMMAND}</code>: the whole daemon with each controller, the same rooms.</p>"
+    yield from words_as_html(findings)
+    for each in _tables(results, names):
+        yield from as_html(each)
+    for name, content in pictures.items():
+        data = base64.b64encode(content).decode("ascii")
+        yield f'<p><img alt="{escape(name)}" src="data:image/png;base64,{data}"></p>'
+
+
+def _tables(results: Sequence[RunResult], names: Sequence[str]) -> list[Table]:
+    references = references_of(results)
+    tables = [table(results, names, reference) for reference in references]
+    return tables + [one for each in references for one in energy_tables(results, names, each)]
+
+
+def drawn_jobs(references: Sequence[str], seed: int, llm: LlmSettings) -> list[ComparisonJob]:
+    """What the pictures show minute by minute, which figures alone do not tell."""
+    known = entries()
+    names = [name for side in DRAWN.values() for name in side]
+    return [ComparisonJob(known[name], reference, seed, llm) for reference in references for name in names]
+
+
+def pictures_of(
+    results: Sequence[RunResult], jobs: Sequence[ComparisonJob], runs: Path, names: Sequence[str]
+) -> dict[str, bytes]:
+    """PNG by file name without its ending; runs of the first seed that there is."""
+    references = references_of(results)
+    labels = {one.entry: f"{one.entry}\n{one.remark}".strip() for one in results}
+    pictures = {}
+    for reference in references:
+        for ending, drawn in DRAWN.items():
+            found = _columns(jobs, reference, drawn, runs)
+            shown = {labels[name]: columns for name, columns in found.items()}
+            if shown:
+                title = f"{reference.replace('_', ' ')}, {'with' if ending else 'without'} penalty"
+                pictures[f"control_{reference}{ending}"] = runs_picture(title, shown)
+    shown_names = [name for name in names if name not in SPARING and not name.endswith("/unbounded")]
+    pictures["control_mae"] = bars_picture(results, shown_names, references)
+    pictures["control_energy"] = energy_picture(results, shown_names, references)
+    return pictures
+
+
+def _columns(
+    jobs: Sequence[ComparisonJob], reference: str, drawn: Sequence[str], runs: Path
+) -> dict[str, Mapping]:  # type: ignore[type-arg]
+    shown = {}
+    for name in drawn:
+        mine = [job for job in jobs if (job.entry.name, job.reference) == (name, reference)]
+        if mine:
+            shown[name] = read(min(mine, key=lambda job: job.seed), runs).columns
+    return shown

@@ -10,8 +10,7 @@ import requests
 
 from edge.core.errors import DataError
 from training.control import compare
-from training.control.all_pictures import pictures_of
-from training.control.compare import _endpoint, run
+from training.control.compare import _endpoint, pictures_of, run, section, text_of
 from training.control.comparison import (
     RunResult,
     column,
@@ -33,7 +32,6 @@ from training.control.kept_figures import (
     times_beside,
     times_json,
 )
-from training.control.section import section, text_of
 from training.llm_stand_in import MODEL as STAND_IN
 from training.reports.comparison_report import put_section
 
