@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from bench.support.broker import wait_for
-from bench.support.virtual_board import die_with_parent
+from edge.board.virtual_rig import die_with_parent
 from edge.core.errors import RequestError
 from edge.models.arx import Arx
 from edge.models.arx_file import write_arx

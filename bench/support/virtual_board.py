@@ -1,8 +1,6 @@
 """A virtual board's process for tests: ready when it is handed over, surely dead afterwards."""
 
-import ctypes
 import json
-import signal
 import socket
 import subprocess
 import sys
@@ -15,7 +13,8 @@ from typing import Any
 
 import yaml
 
-_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, linux/prctl.h
+from edge.board.virtual_rig import die_with_parent
+
 READY_S = 20.0  # the C core is compiled first
 
 
@@ -68,11 +67,6 @@ def virtual_board(
         process.kill()
         process.wait()
         process.stderr.close()
-
-
-def die_with_parent() -> None:
-    """For `preexec_fn`: a test that is killed leaves no process."""
-    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 def _wait_until_ready(board: VirtualBoard) -> None:

@@ -17,8 +17,9 @@ import pytest
 
 from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT, DaemonProcess, run_command
-from bench.support.virtual_board import VirtualBoard, die_with_parent, virtual_board
+from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.app.outlet import WAITING_MAX, Outlet, standard_output
+from edge.board.virtual_rig import die_with_parent
 
 pytestmark = pytest.mark.slow
 
