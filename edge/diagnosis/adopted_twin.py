@@ -29,7 +29,7 @@ class Added:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a twin comes from.
+    """The origin of an adopted twin.
 
     data_sha256 : of the runs that it was fitted on
     before, after : errors of free runs, `{"train": {"rmse_k": 0.4, "mae_k": 0.3}, "test": ...}`, without and
@@ -112,7 +112,7 @@ def _rounded(value: float) -> float:
 
 
 def _numbers(document: Any) -> Any:
-    """The same with plain numbers in place of NumPy's."""
+    """Return the document with plain numbers in place of NumPy's."""
     if isinstance(document, Mapping):
         return {str(key): _numbers(item) for key, item in document.items()}
     if isinstance(document, list | tuple):

@@ -14,7 +14,9 @@ Named = tuple[str, RecordedRun]
 
 
 def averaged(train: Sequence[Named], test: Sequence[Named]) -> tuple[list[Named], list[Named], list[str]]:
-    """The recordings with the mean of both sensors as air, as they are where not all have both; sentences."""
+    """Return the recordings with the mean of both air sensors as their air, and sentences that say
+    so. Runs without both sensors in every file stay as they are.
+    """
     every = [*train, *test]
     with_second = [run for _, run in every if np.isfinite(_apart(run)).any()]
     if not with_second:
@@ -33,7 +35,9 @@ def _apart(run: RecordedRun) -> np.ndarray:
 
 
 def _mean(run: RecordedRun) -> RecordedRun:
-    """Where one of them has no reading the other one stands for it, as far off as it usually is."""
+    """Return a run with the mean of both sensors. Where one has no reading, the other
+    replaces it, shifted by their usual difference.
+    """
     first, second, apart = run.columns["temp_air_c"], run.columns[SECOND], _apart(run)
     half_k = 0.5 * float(np.nanmedian(apart))
     either = np.where(np.isfinite(first), first + half_k, second - half_k)

@@ -101,7 +101,7 @@ def _effect(item: MissingEffect, found: Diagnosis) -> EffectEntry:
 
 
 def _values(found: Diagnosis) -> dict[str, ValueEntry]:
-    """What the runs say of what the twin file leaves open or is uncertain of."""
+    """Return the fitted values of what the twin file leaves open or uncertain."""
     fitted, given = found.judged.handed.fitted, found.known.file.values()
     own: dict[str, ValueEntry] = {}
     for i, item in enumerate(fitted.free):
@@ -112,7 +112,7 @@ def _values(found: Diagnosis) -> dict[str, ValueEntry]:
 
 
 def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float | None]:
-    """What rows that no fit saw say of a name."""
+    """Return the evidence that left-out rows give for a name."""
     standing = found.judged.standings[item.name]
     return {
         "gain_nats": standing.gain_nats,
@@ -124,7 +124,7 @@ def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float | None]:
 
 
 def _left_out(found: Diagnosis) -> LeftOutErrors:
-    """What free runs miss by over rows that no fit saw."""
+    """Return the errors of free runs over rows that no fit saw."""
     compared = found.judged.comparison
     return {
         "given_k": compared.tried[frozenset()].rmse_k,
@@ -207,7 +207,7 @@ def _prediction(found: Diagnosis, i: int) -> PredictionEntry:
 
 
 def traces(found: Diagnosis, located: Located) -> tuple[Trace, ...]:
-    """The series of each run for the report's pictures."""
+    """Return the series of each run for the report's pictures."""
     pairs = [
         *zip(found.data.train, found.before.train, found.after.train, strict=True),
         *zip(found.data.test, found.before.test, found.after.test, strict=True),

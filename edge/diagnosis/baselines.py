@@ -48,7 +48,7 @@ def _open(file: TwinFile, names: Sequence[str]) -> TwinFile:
 
 
 def arx_weights(order: int, runs: Recorded, seen: Mask) -> Floats | None:
-    """Of T[k+1] = sum a_i T[k+1-i] + sum b_i u[k+1-i] + c fan (T - T_amb)[k] + d T_amb[k] + e.
+    """Fit T[k+1] = sum a_i T[k+1-i] + sum b_i u[k+1-i] + c fan (T - T_amb)[k] + d T_amb[k] + e.
 
     seen : [B, N], temperatures after a row that it is fitted to
     Returns : [2 order + 3], None of too few rows

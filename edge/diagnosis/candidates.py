@@ -1,4 +1,4 @@
-"""What may be missing from a twin, and what it costs to name it.
+"""Candidates for the missing effect, and the penalty for naming each.
 
 Each value found costs half log(rows) (BIC, Schwarz 1978) and each effect chosen among others log(candidates)
 (Chen & Chen 2008, Biometrika 95: the extended BIC), so that the chance that any of the candidates is named
@@ -65,7 +65,7 @@ class Candidates:
         return int(self.runs.measured.sum())
 
     def penalty(self, name: str) -> float:
-        """Of naming an effect, or of a formula [nats]."""
+        """Return the penalty for naming an effect or a formula [nats]."""
         if name in self.formulas:
             return 0.5 * float(np.log(self.rows)) + float(np.log(len(self.formulas))) + FORMULA_NATS
         effect = EFFECTS[name]

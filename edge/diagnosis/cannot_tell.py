@@ -1,4 +1,4 @@
-"""What recordings can't tell, whatever is computed from them: said before anything is fitted."""
+"""Limits of the recordings that no computation removes, stated before anything is fitted."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -35,7 +35,9 @@ def cannot_tell(
 
 
 def _beyond(name: str, test: RecordedRun, runs: Sequence[RecordedRun]) -> Iterable[str]:
-    """Where a test run goes to what no training run shows: an error there tells less of what is missing."""
+    """Yield the conditions of a test run that no training run covers: its
+    error says less about the missing effect.
+    """
     ran, runs_now = (_levels(own, "fan_on") or {0.0} for own in (runs, [test]))
     if max(ran) == 0.0 < max(runs_now):
         yield f"{name} is in another regime: the fan runs there, in no training run"
@@ -156,7 +158,7 @@ def _levels(runs: Sequence[RecordedRun], key: str) -> set[float]:
 
 
 def _moves(runs: Sequence[RecordedRun], key: str) -> bool:
-    """Whether it changes within a run: from run to run much else changes too."""
+    """Return whether a column changes within a run. Between runs, much else changes too."""
     return any(np.ptp(known) > 0.0 for run in runs if len(known := _known(run, key)))
 
 

@@ -67,7 +67,7 @@ class Diagnosis:
 
     @property
     def is_offered(self) -> bool:
-        """Whether there is a new twin that is worth adopting."""
+        """True if there is a new twin that is worth adopting."""
         return bool(self.judged.handed.added) and not self.against_adopting
 
     @property
@@ -218,7 +218,7 @@ def _one_step(side: Side, named: NamedRun, guess: RunForecast, known: PreparedRu
 def _floor_k(
     side: Side, runs: tuple[NamedRun, ...], free: tuple[RunForecast, ...], known: PreparedRuns
 ) -> float | None:
-    """What a right twin's free runs would miss by, over the rows behind their starts."""
+    """Return the error that free runs of a correct twin would have, over the rows behind their starts [K]."""
     twin, squares = side.file.twin(), []
     for named, guess in zip(runs, free, strict=True):
         seen = np.isfinite(guess.measured)
@@ -236,7 +236,7 @@ def _floor_k(
 
 
 def _settled(fitted: TwinFile, names: Sequence[str]) -> TwinFile:
-    """The twin with values that are known, without what its effects replace."""
+    """Return the twin with its values as known ones, without the effects that the new ones replace."""
     plain = fitted.with_values({place: Value(value.value) for place, value in fitted.values().items()})
     gone = _replaced(names)
     return replace(plain, effects={name: own for name, own in plain.effects.items() if name not in gone})
@@ -247,7 +247,9 @@ def _replaced(names: Iterable[str]) -> set[str]:
 
 
 def _adopted(file: TwinFile, result: Judged, origin: Origin) -> TwinFile:
-    """The twin file to adopt: effects with intervals, and what the runs say of the values that were open."""
+    """Return the twin file to adopt: new effects with intervals, and fitted
+    values in the place of open ones.
+    """
     fitted, names = result.handed.fitted, result.handed.added - {OPEN}
     gone = _replaced(names)
     kept = replace(file, effects={name: own for name, own in file.effects.items() if name not in gone})

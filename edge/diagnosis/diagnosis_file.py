@@ -46,7 +46,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def _check(value: Any, rule: Schema, place: str) -> None:
-    """The keywords of JSON Schema that our own schema uses, and no others."""
+    """Check a value by the keywords of JSON Schema that this schema uses, and no others."""
     if "enum" in rule:
         if value not in rule["enum"]:
             raise _wrong(place, f"{value!r} is none of {', '.join(rule['enum'])}")
@@ -86,7 +86,7 @@ def _check_keys(value: dict[str, Any], rule: Schema, place: str) -> None:
 
 
 def _check_plain(value: Any, place: str) -> None:
-    """What the schema leaves open is still JSON."""
+    """Check that a value which the schema leaves open is JSON."""
     if isinstance(value, dict):
         _check_keys(value, {}, place)
     elif isinstance(value, (list, tuple)):
@@ -106,7 +106,7 @@ def _check_number(value: float, rule: Schema, place: str) -> None:
 
 
 def _is(value: Any, kind: str) -> bool:
-    """Whether `value` is of a kind of JSON; True and False are no numbers there."""
+    """Return whether `value` is of a kind of JSON. True and False are not numbers there."""
     return isinstance(value, _KINDS[kind]) and (kind == "boolean" or not isinstance(value, bool))
 
 

@@ -95,7 +95,7 @@ def _improve(states: list[TrialState], owners: Indices, filters: FilterGains, ru
 
 
 def slopes(found: Fitted, runs: Recorded) -> list[SizedTerm]:
-    """What moves with a fitted twin, as terms of a twin beside it: its unknowns, frozen where they are."""
+    """Return the unknowns of a fitted twin, frozen, as terms that can be fitted with another effect."""
     state = TrialState(found.trial, found.free, found.coordinates)
     twin, steps = nominal(state, state.x, runs)
     wanted = [EnsembleRun(steps, start_of(twin, runs), steps.driven)]
@@ -115,7 +115,9 @@ def slopes(found: Fitted, runs: Recorded) -> list[SizedTerm]:
 
 
 def gains_of(trial: Trial, terms: Sequence[SizedTerm], runs: Recorded) -> Floats:
-    """What one more term brings a trial whose unknowns stand still, for each of `terms` [nats]."""
+    """Return the gain in log likelihood of each further term while the
+    trial's unknowns stand still [nats].
+    """
     state = begun_from(replace(trial, nuisances=(*trial.nuisances, *terms), free=()))
     filters = filters_of([state], runs, runs.measured)
     (found,) = normal_equations([state], np.array([0]), filters, runs)
@@ -128,7 +130,7 @@ def gains_of(trial: Trial, terms: Sequence[SizedTerm], runs: Recorded) -> Floats
 
 
 def _moved(state: TrialState, found: Linearised, damping: float) -> Floats:
-    """The unknowns after a damped step, inside their bounds; nuisances follow on their own."""
+    """Return the unknowns after a damped step, inside their bounds. Nuisances follow by themselves."""
     p = len(state.free)
     normal = found.normal + damping * np.diag(np.diag(found.normal))
     move = np.linalg.lstsq(normal, found.gradient, rcond=1e-12)[0][:p]
@@ -147,7 +149,7 @@ def _costs(
     filters: FilterGains,
     runs: Recorded,
 ) -> Floats:
-    """What the next place of each state would cost, by the terms from where it stands."""
+    """Return the cost of each state's next place, with the terms linearised at its present place."""
     wanted = []
     for state, x in zip(states, tried, strict=True):
         twin, steps = nominal(state, x, runs)

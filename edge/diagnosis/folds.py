@@ -13,7 +13,9 @@ FIRST_ROWS = 10  # of a run, that are always seen: a forecast begins there
 
 
 def folds(runs: Recorded, count: int = FOLDS) -> list[Mask]:
-    """The measured rows in so many parts, [B, N] each: a part of every run, contiguous, the last its end."""
+    """Return the measured rows in `count` parts, [B, N] each. A part is
+    contiguous in every run; the last part is the end.
+    """
     numbers = parts(runs, count)
     return [numbers == i for i in range(count)]
 
@@ -34,7 +36,7 @@ def halves(runs: Recorded) -> Indices:
 
 
 def block_sums(values: NDArray[np.float64], runs: Recorded) -> NDArray[np.float64]:
-    """Of rows in each block of time; values : [B, N], what is not finite counts as 0."""
+    """Return sums over blocks of time. values : [B, N]; a value that is not finite counts as 0"""
     each = max(1, round(BLOCKS / len(runs.temp)))
     numbers = parts(runs, each) + each * np.arange(len(runs.temp))[:, None]
     chosen = parts(runs, 1) >= 0

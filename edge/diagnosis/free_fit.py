@@ -83,7 +83,9 @@ def fit_values(
 
 
 def another(found: Fitted, runs: Recorded, noise_k: float, shared: SideBySide) -> Fitted | None:
-    """The same twin with clearly other values that fit as well, where other starts lead to them."""
+    """Return a second fit of the same twin that is as good with clearly other
+    values, None if other starts find none.
+    """
     free, levels = found.free, free_levels(ROUGH_K)
     starts = [
         replace(found.trial, file=placed(found.file, free, x), free=free, levels=levels)
@@ -163,7 +165,7 @@ def _here(free: Sequence[UnknownValue], file: TwinFile) -> Floats:
 
 
 def _begun(file: TwinFile, free: Sequence[UnknownValue], near: Fitted) -> list[TwinFile]:
-    """The file with each start of the one effect that a near twin has not."""
+    """Return the file with each start of the one effect that the near twin lacks."""
     known = {item.place for item in near.free}
     new = {item.place[1] for item in free if item.place not in known and item.place[0] == "effects"}
     if len(new) != 1:
@@ -210,7 +212,7 @@ def _followed(found: Fitted, noise_k: float, runs: Recorded) -> Trial:
 
 
 def rms_k(found: Fitted, runs: Recorded) -> float:
-    """Of the errors of free runs where temperatures were measured [K]."""
+    """Return the RMS error of free runs over measured rows [K]."""
     return float(np.sqrt(np.mean(free_errors(found, runs, ROUGH_K)[runs.measured] ** 2)))
 
 
@@ -233,7 +235,7 @@ def free_errors(found: Fitted, runs: Recorded, error_k: float) -> Floats:
 
 
 def _errors(state: TrialState, sizes: Floats, runs: Recorded) -> Floats:
-    """Of a run from rest, [B, N]."""
+    """Return the errors of free runs that begin at rest, [B, N]."""
     twin, steps = nominal(state, state.x, runs)
     wanted = [EnsembleRun(steps, start_of(twin, runs), steps.driven)]
     shown = responses(wanted + [term.response(steps) for term in state.trial.nuisances])
@@ -246,7 +248,7 @@ def _errors(state: TrialState, sizes: Floats, runs: Recorded) -> Floats:
 def left_out_errors(
     found: Sequence[Fitted], folds: Sequence[NDArray[np.bool_]], runs: Recorded, shared: SideBySide
 ) -> list[tuple[Floats, Floats]]:
-    """Of each fit what its free runs miss over rows that it did not see, and how far its values go meanwhile.
+    """Return, for each fit, the free-run errors over rows that it did not see, and how far its values moved.
 
     folds : [B, N], the rows that are left out, each in one of them
     Returns : errors [B, N], NaN where nothing was read; sds of the coordinates [p] by the grouped jackknife

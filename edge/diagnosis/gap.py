@@ -67,7 +67,7 @@ def forecast(twin: BoxTwin, named: NamedRun, room_c: Floats) -> RunForecast:
 
 
 def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:
-    """A run's columns by their names inside, inputs and conditions without holes."""
+    """Return a run's columns by their internal names, inputs and conditions without holes."""
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in inside_names(run).items()}
     rows = len(run)
     columns.setdefault("fan_on", np.zeros(rows))
@@ -76,8 +76,10 @@ def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:
 
 
 def _start_row(temp: Floats, named: NamedRun) -> int:
-    """The last measured row before the part that a run judges by, or where it has no such part the last one
-    without a hole from the first measured one on, of the first rows."""
+    """Return the row from which the free run begins. A run with a scored part begins at the last measured row
+    before that part. Any other begins at the last of the first rows that follow the first reading without a
+    hole.
+    """
     known = np.isfinite(temp)
     if named.from_s is not None:
         before = known & (named.run.columns["time_s"] < named.from_s)
@@ -99,7 +101,7 @@ def alone(named: NamedRun, guess: RunForecast, room_c: Floats) -> Recorded:
 
 
 def one_step(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
-    """The temperature of each row of one run from all measured before it [rows]; seen : [rows]."""
+    """Predict each row's temperature from all readings before it [rows]. seen : [rows]"""
     steps = linearise(twin, runs)
     filters = gains([FilterInput(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
     shown = responses([EnsembleRun(steps, start_of(twin, runs), steps.driven)])

@@ -1,4 +1,4 @@
-"""What a diagnosis works on: the training runs as arrays, cleaned, their doors, and the twin as given."""
+"""Inputs of a diagnosis: cleaned training runs as arrays, the doors found in them, and the twin as given."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -52,19 +52,19 @@ class PreparedRuns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the training runs."""
+        """Names of the training runs."""
         return tuple(named.name for named in self.train)
 
     @property
     def told(self) -> tuple[str, ...]:
-        """What was taken out, sentences."""
+        """Sentences about the data that were taken out."""
         if not self.wrong:
             return ()
         count = "1 temperature" if self.wrong == 1 else f"{self.wrong} temperatures"
         return (f"{count} of the training runs can't be what the air had and counted as missing",)
 
     def as_fitted(self) -> tuple[NamedRun, ...]:
-        """The training runs without wrong readings, and with the doors that were found as `door_open`."""
+        """Return the training runs without wrong readings, with the doors that were found as `door_open`."""
         return tuple(self._as_fitted(i, named) for i, named in enumerate(self.train))
 
     def _as_fitted(self, i: int, named: NamedRun) -> NamedRun:
@@ -79,7 +79,7 @@ class PreparedRuns:
         return replace(named, run=replace(named.run, columns=columns))
 
     def room_of(self, named: NamedRun) -> Floats:
-        """The room temperature over each row of a run, [rows].
+        """Return the ambient temperature over each row of a run, [rows].
 
         Where none was recorded, of a run that was not fitted on: where it begins at rest, as far from its
         first temperature as those that did were, as long as it begins no warmer nor colder than they; else
@@ -127,7 +127,7 @@ def _begun_well(file: TwinFile, data: DiagnosisRuns) -> TwinFile:
 
 
 def _begun_later(named: NamedRun) -> NamedRun:
-    """The run without its first reading."""
+    """Return the run without its first reading."""
     temp = named.run.columns["temp_air_c"].copy()
     temp[np.isfinite(temp).argmax()] = np.nan
     return replace(named, run=replace(named.run, columns={**named.run.columns, "temp_air_c": temp}))
@@ -160,7 +160,7 @@ def _with_room(item: PreparedRuns) -> PreparedRuns:
 
 
 def _fitted(item: PreparedRuns, iterations: int = ITERATIONS) -> Fitted:
-    """The twin as it fits best before anything is added."""
+    """Fit the twin before any effect is added."""
     trial = Trial(item.file, first_levels(item.file, item.runs), item.terms)
     levelled = find_levels(fit([trial], item.runs, iterations), item.file, item.runs)
     return fit(levelled, item.runs, FEW)[0]

@@ -49,7 +49,7 @@ class JudgedTwin:
 
     @property
     def open_values(self) -> list[tuple[UnknownValue, float]]:
-        """What was fitted, and its coordinate, without values that another effect replaces."""
+        """Fitted unknowns and their coordinates, without values that another effect replaces."""
         return list(zip(self.fitted.free, map(float, self.fitted.coordinates), strict=True))
 
     @property
@@ -59,7 +59,7 @@ class JudgedTwin:
 
     @property
     def spreads(self) -> list[tuple[UnknownValue, float, float]]:
-        """What was fitted, its coordinate and the coordinate's sd."""
+        """Fitted unknowns, their coordinates, and the standard deviations of these."""
         sds = np.sqrt(np.maximum(np.diag(self.fitted.covariance), 0.0))
         return [(own, x, float(sd)) for (own, x), sd in zip(self.open_values, sds, strict=False)]
 
@@ -125,7 +125,8 @@ class Comparison:
         return twins | {name: item.rmse_k for name, item in self.arx.items()}
 
     def choose(self, names: Names) -> JudgedTwin:
-        """The simplest of those that predict as well as the best, among those with the names that stand.
+        """Choose among twins that contain the standing names: the simplest of
+        those that predict as well as the best.
 
         What has no name is added only where it is clearly better.
         """
@@ -143,7 +144,8 @@ class Comparison:
         return min(near, key=lambda item: (len(item.open_values), item.rmse_k))
 
     def from_start_k(self, item: JudgedTwin) -> float:
-        """Of free runs over the training runs from their first rows, hidden states at rest [K].
+        """Return the RMSE of free runs over the training runs from their first
+        rows, hidden states at rest [K].
 
         A body that may begin anywhere is a heat that no input makes: it helps where what was before is seen,
         and misleads in a run of its own.
@@ -155,16 +157,18 @@ class Comparison:
         return not self.is_impossible(item) and self.from_start_k(item) <= most_start_k
 
     def is_impossible(self, item: JudgedTwin) -> bool:
-        """Whether an effect that was added has a value that can't be in this box."""
+        """Return whether an added effect has a value that is impossible in this greenhouse."""
         runs, step_s = self.known.runs, self.known.file.sample_s
         return any(impossible(name, item.fitted, runs, step_s) for name in item.added - {OPEN})
 
     def is_better(self, item: JudgedTwin, than: JudgedTwin, errors: float = 1.0) -> bool:
-        """Whether free runs of one miss left-out rows by much less, and by so many standard errors."""
+        """Return whether one twin's free runs miss left-out rows by much less,
+        and by `errors` standard errors.
+        """
         return item.rmse_k < MUCH_BETTER * than.rmse_k and self.behind(than, item) > errors
 
     def is_better_throughout(self, item: JudgedTwin, than: JudgedTwin) -> bool:
-        """Whether it is clearly better, in all fifths of the runs but one, and at their ends."""
+        """Return whether a twin is clearly better, in all fifths of the runs but one, and at their ends."""
         if not self.is_better(item, than, CLEARLY):
             return False
         parts = folds(self.known.runs)
@@ -188,7 +192,7 @@ class Comparison:
         return float(off.mean()) / max(float(off.std(ddof=1)) / float(np.sqrt(len(off))), 1e-12)
 
     def _near(self, names: Names) -> Fitted | None:
-        """The best twin that was judged with all of these effects but one."""
+        """Return the best judged twin that has all of these effects but one."""
         others = [item for key, item in self.tried.items() if key < names and len(names - key) == 1]
         best = min(others, key=lambda item: item.rmse_k, default=None)
         return None if best is None else best.fitted
@@ -212,7 +216,7 @@ def opened(file: TwinFile) -> TwinFile:
 
 
 def rmse(errors: Floats) -> float:
-    """Of what is known, infinite where an error is [K]."""
+    """Return the RMSE over known errors, infinite if one is infinite [K]."""
     known = errors[~np.isnan(errors)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 

@@ -57,7 +57,7 @@ def history_runs(
 
 
 def _newest(runs: Sequence[RecordedRun], rows_max: int) -> list[RecordedRun]:
-    """The newest rows of all runs together; the run in which the boundary lies is cut there."""
+    """Return the newest rows of all runs together; the run in which the boundary lies is cut there."""
     found: list[RecordedRun] = []
     for run in reversed(runs):
         rows = min(len(run), rows_max)

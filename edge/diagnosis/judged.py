@@ -152,7 +152,7 @@ def _other_values(found: Fitted, other: Fitted) -> str:
 
 
 def scored(search: Search, names: Names) -> ScoredSet:
-    """A set of names as the likelihood has it."""
+    """Return a set of names with its likelihood."""
     base = search.sets.base()
     return search.sets.fitted({names: search.sets.as_usual(base, names)})[0] if names else base
 
@@ -190,7 +190,7 @@ def _exchanged(
 
 
 def _files(file: TwinFile, search: Search, effects: Iterable[MissingEffect]) -> dict[Names, TwinFile]:
-    """Sets to be compared: the names, fewer, more, and another one in the place of each."""
+    """Return the sets to compare: the names, one fewer, one more, and another name in the place of each."""
     names = [effect.name for effect in effects]
     keys = [frozenset(names[:count]) for count in range(len(names) + 1)]
     keys += [frozenset(names) - {name} for name in names]
@@ -280,7 +280,7 @@ def _moves(effect: Effect, runs: Recorded) -> bool:
 
 
 def _is_moved(handed: JudgedTwin, item: JudgedTwin) -> bool:
-    """Whether an effect is something else beside what was added: that then stands for it."""
+    """Return whether an effect changes its value once another is added, so that the other stands for it."""
     there = {own.place: (x, sd) for own, x, sd in item.spreads}
     for own, x, sd in handed.spreads:
         is_added = own.place[0] == "effects" and own.place[1] in handed.added
@@ -308,7 +308,7 @@ def _said(
     shapes: Mapping[str, FormulaShape],
     noise_k: float,
 ) -> DiagnosisVerdict:
-    """The verdict with the names that stand and the values that are handed over."""
+    """Return the verdict with the standing names and the values that are handed over."""
     valued = tuple(_valued(effect, handed) for effect in effects)
     if valued:
         return replace(found, kind="named", effects=valued, depends_on=())

@@ -1,4 +1,4 @@
-"""Where the twin disagrees before anything is added, and what is left there after."""
+"""Disagreement of the twin before anything is added, and its remainder afterwards."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -37,7 +37,7 @@ class Located:
     step_s: float = 60.0
 
     def whiteness(self, when: str) -> dict[str, WhitenessEntry]:
-        """Of the innovations `before` or `after`, by run."""
+        """Test the innovations `before` or `after`, by run."""
         runs = self.white_before if when == "before" else self.white_after
         return {name: _whiteness(values, self.step_s) for name, values in runs.items()}
 
@@ -96,7 +96,7 @@ def _innovations(found: Diagnosis, item: ScoredSet) -> dict[str, Floats]:
 def _afterwards(
     masks: tuple[NDArray[np.bool_], ...], names: list[str], after: Mapping[str, Residuals]
 ) -> RegimeAfterEntry:
-    """The same rows with the effects added."""
+    """Return the error of the new twin over the same rows."""
     if not after:
         return {}
     pairs = [(mask, after[name]) for mask, name in zip(masks, names, strict=True)]

@@ -32,7 +32,7 @@ WORTH_A_STEP = 0.05  # nats
 
 
 def first_levels(file: TwinFile, runs: Recorded) -> NoiseLevels:
-    """What the file declares, and first values for the rest."""
+    """Return the noise that the file declares, and first values for the rest."""
     step_k = file.sensor.get("quantisation_k") or 0.0
     sensor_k = file.sensor.get("noise_sd_k")
     heat_w = file.nuisance.get("heat_noise_sd_w")
@@ -69,7 +69,7 @@ def _curl(values: Floats, runs: Recorded) -> float:
 def find_levels(
     found: Sequence[Fitted], file: TwinFile, runs: Recorded, factor: float = FIRST_FACTOR
 ) -> list[Trial]:
-    """The trials again, each from its best values and with the noise that makes them likeliest.
+    """Fit the trials again, each from its best values and with the likeliest noise.
 
     factor : of the first steps
     """
@@ -160,7 +160,7 @@ class _Sought:
             self._factor = max(float(np.sqrt(self._factor)), LAST_FACTOR)
 
     def _newton(self, tried: Sequence[NoiseLevels], scores: Floats) -> tuple[Floats, float]:
-        """The step to the top, in powers of the factor, and by how much it should be higher [nats]."""
+        """Return the Newton step to the maximum, in powers of the factor, and the expected gain [nats]."""
         count = len(self._free)
         up, down = scores[1 : 2 * count : 2], scores[2 : 2 * count + 1 : 2]
         slope, bend = 0.5 * (up - down), np.diag(up + down - 2.0 * scores[0])
@@ -203,7 +203,7 @@ def level_prior(levels: NoiseLevels, file: TwinFile) -> float:
 
 
 def unexplained_heat(found: Fitted, file: TwinFile, runs: Recorded) -> bool:
-    """Whether more heat is unknown than the file declares, or than such a box has where it declares none."""
+    """Return whether the unknown heat exceeds the declared one, or the usual one where none is declared."""
     declared = file.nuisance.get("heat_noise_sd_w")
     usual_w = MOST_HEAT * _heater_w(file) if declared is None else declared
     open_file = replace(file, nuisance={**file.nuisance, "heat_noise_sd_w": None})

@@ -1,4 +1,4 @@
-"""What every twin of this kind gets a little wrong and nobody wants named."""
+"""Nuisances: small errors of every twin of this kind that need no name."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ def nuisances(file: TwinFile, runs: Recorded, temps: Floats) -> tuple[SizedTerm,
 
 
 def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> SizedTerm:
-    """A loss that grows with T - T_amb: Q = -k (|T - T_amb| - E) (T - T_amb) / 10 K.
+    """Return a loss that grows with T - T_amb: Q = -k (|T - T_amb| - E) (T - T_amb) / 10 K.
 
     E is where these runs tell a straight loss best, so that k takes nothing of what that one is.
     """
@@ -60,20 +60,20 @@ def answer_s(twin: BoxTwin) -> float | None:
 
 
 def begins_at_rest(temps: Floats) -> bool:
-    """Whether a run's first temperature may be its room's. temps : [N], NaN where not measured"""
+    """Return whether a run's first temperature may be the ambient's. temps : [N], NaN where not measured"""
     known = temps[np.isfinite(temps)]
     falls_k = max(FALLS_K, FALLS_SHARE * float(np.ptp(known)))
     return bool(known[0] <= WARMEST_ROOM_C and known[0] - known.min() <= falls_k)
 
 
 def assumed_room(temps: Floats) -> float:
-    """Of a run in which none was recorded. temps : [N], NaN where not measured"""
+    """Return the ambient assumed for a run that recorded none. temps : [N], NaN where not measured"""
     known = temps[np.isfinite(temps)]
     return float(known[0]) if begins_at_rest(temps) else min(ROOM_C, float(known.min()))
 
 
 def rooms(runs: Recorded) -> tuple[SizedTerm, ...]:
-    """A room temperature per run where none was recorded: how far it is from the one assumed."""
+    """Return an ambient offset per run that recorded none: the distance from the assumed one."""
     count, rows = runs.duty.shape
     sds = [ROOM_SD_K if begins_at_rest(temps) else ANY_ROOM_SD_K for temps in runs.temp]
     return tuple(

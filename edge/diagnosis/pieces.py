@@ -14,7 +14,7 @@ USUAL_STEP_S = 60.0
 
 
 def pieces(run: RecordedRun, step_s: float = USUAL_STEP_S) -> list[RecordedRun]:
-    """The run cut where its rows are more than GAP_S apart, and what is longer than WHOLE_S into equal parts.
+    """Cut a run where rows are more than GAP_S apart, and cut what is longer than WHOLE_S into equal parts.
 
     What a body had stored is not known where a part begins.
 

@@ -33,7 +33,8 @@ def plausible_run(
     highest_c: float | None = None,
     step_s: float = STEP_MAX_S,
 ) -> tuple[RecordedRun, list[str]]:
-    """The table as a run in which every number can be what its column says; and in words what was left out.
+    """Return the table as a run in which every number is possible for its
+    column, and sentences about what was left out.
 
     without : columns that the table may lack, as in `read_run`
     highest_c : that the air may have, as the twin file says; None: what greenhouses have
@@ -70,7 +71,9 @@ def _check_humidity(table: NumberTable) -> None:
 
 
 def _temperatures(table: NumberTable, key: str, highest_c: float | None) -> tuple[Floats, list[str]]:
-    """The column without what no air temperature can be. Errors: DataError where that is more than slips."""
+    """Return the column without impossible air temperatures. Errors:
+    DataError where they are more than slips
+    """
     signal = next(signal for signal in SIGNALS.values() if signal.key == key.replace("_second", ""))
     values = table.columns[key]
     high = signal.high if highest_c is None else highest_c

@@ -1,4 +1,6 @@
-"""Whether an effect's values can be: in a box of this size, and seen in runs of this length."""
+"""Checks that an effect's values are possible in a greenhouse of this
+size and visible in runs of this length.
+"""
 
 import numpy as np
 
@@ -14,7 +16,9 @@ PERIODS = 3.0  # of the longest run: a slower time constant can't be seen in it
 
 
 def impossible(name: str, fitted: Fitted, runs: Recorded, step_s: float) -> list[str]:
-    """What can't be of its values in this box and in runs of this length."""
+    """Return sentences about the impossible values of an effect in this
+    greenhouse and in runs of this length.
+    """
     values = {key: value.value for key, value in fitted.file.effects.get(name, {}).items()}
     geometry = fitted.file.twin().geometry
     stores = _stores(name, values, geometry.air_capacity_j_k)

@@ -19,6 +19,8 @@ def evidence(tempered_nats: float, with_k: float, without_k: float) -> tuple[flo
 
 
 def probability(numbers: tuple[float, float]) -> float:
-    """That a name is right, or one of those that can't be told from it, of its `evidence`."""
+    """Return the probability that a name, or one that cannot be told from
+    it, is right, from its `evidence`.
+    """
     odds = INTERCEPT + NATS * numbers[0] + RATIO * numbers[1]
     return min(MOST_SURE, 1.0 / (1.0 + math.exp(-odds)))

@@ -1,4 +1,4 @@
-"""What a long computation is doing, told while it does it, and how much of it is done."""
+"""Progress of a long computation: its present step, and the share that is done."""
 
 import math
 import shutil

@@ -77,7 +77,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """What is known of a box, as a twin file says it."""
+    """The known facts about a greenhouse, as a twin file states them."""
 
     file: TwinFile
 
@@ -91,7 +91,7 @@ class Twin:
         write_twin_file(self.file, Path(path))
 
     def predict(self, run: Run) -> Floats:
-        """A free run from the first rows on, with the inputs that were recorded, [rows] [°C].
+        """Return a free run from the first rows on, with the recorded inputs, [rows] [°C].
 
         Errors : DataError for a run without a room temperature, or whose rows are not the twin's step apart
         """
@@ -108,7 +108,7 @@ class Twin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisResult:
-    """What a diagnosis found.
+    """The result of a diagnosis.
 
     document : as diagnosis.json has it
     """
@@ -155,7 +155,7 @@ def diagnose(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
-    """Where a twin disagrees with recordings, what is missing, and the twin with it.
+    """Find where a twin disagrees with recordings, name the missing effect, and fit the twin with it.
 
     runs : to fit on; tests : to judge by, which may be empty
     jobs : processes, which change the time and not the answer

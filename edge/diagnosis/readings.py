@@ -35,7 +35,7 @@ def spikes(runs: Recorded) -> Mask:
 
 
 def _worst(readings: Floats, runs: Recorded) -> Mask:
-    """Of those that are too far off, the ones that no neighbour exceeds."""
+    """Return the readings that are too far off and exceed their neighbours."""
     before = np.stack([held(row) for row in readings])
     after = np.stack([held(row[::-1])[::-1] for row in readings])
     low, high = np.minimum(before[:, :-2], after[:, 2:]), np.maximum(before[:, :-2], after[:, 2:])
@@ -57,7 +57,8 @@ def _worst(readings: Floats, runs: Recorded) -> Mask:
 
 
 def stuck(runs: Recorded) -> Mask:
-    """Readings that repeat for longer than chance lets them, but for the first of each stretch, [B, N + 1].
+    """Return the readings that repeat for longer than chance allows,
+    without the first of each stretch, [B, N + 1].
 
     Only where readings mostly differ from one row to the next: a coarse or steady sensor repeats itself.
     """
@@ -86,7 +87,9 @@ def _stretches(same: Mask) -> Iterator[tuple[int, int, int]]:
 
 
 def wrong_starts(found: Fitted, runs: Recorded) -> Mask:
-    """Runs whose first reading stands alone, and which the twin explains far better begun a row later [B]."""
+    """Return the runs whose first reading stands alone and which the twin
+    explains far better from the next row on [B].
+    """
     temp = np.stack([held(row[::-1])[::-1] for row in runs.temp[:, :4]])
     off = np.abs(temp[:, 1] - temp[:, 0])
     alone = (off > SPIKE_K) & (np.abs(temp[:, 2] - temp[:, 1]) < FIRST_AGREE * off)

@@ -32,7 +32,7 @@ def refined(
     again: int = AGAIN,
     shared: SideBySide | None = None,
 ) -> list[Fitted]:
-    """The likelier fit of each trial, in the order given.
+    """Return the likelier fit of each trial, in the order given.
 
     given : the twin as it was before anything was added; again : how many, the best, may begin again
     """

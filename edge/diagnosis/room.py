@@ -9,7 +9,7 @@ LEAST_ROWS = 10
 
 
 def smoothed(ambient: Floats) -> Floats:
-    """The room as it wanders, without the noise of its readings; ambient : [B, N], without holes.
+    """Return the ambient without the noise of its readings. ambient : [B, N], without holes
 
     A random walk seen through white noise (local level model; Harvey 1989, Forecasting, ch. 2), the ratio of
     the two by maximum likelihood over all runs.
@@ -28,7 +28,7 @@ def smoothed(ambient: Floats) -> Floats:
 
 
 def _log_likelihoods(values: Floats, ratios: Floats) -> Floats:
-    """Of each ratio, up to a constant, the noise's size at its best."""
+    """Return the log likelihood of each ratio, up to a constant, at the best noise size."""
     level = np.repeat(values[:, 0][None], len(ratios), axis=0)
     variance, square, spread = np.ones(len(ratios)), np.zeros(len(ratios)), np.zeros(len(ratios))
     for reading in values.T[1:]:
@@ -52,5 +52,5 @@ WAYS = {"held": lambda ambient: ambient, "between": between}  # how the room goe
 
 
 def over_rows(ambient: Floats, way: str) -> Floats:
-    """The room over each row, [B, N]."""
+    """Return the ambient over each row, [B, N]."""
     return np.asarray(WAYS[way](smoothed(ambient)))

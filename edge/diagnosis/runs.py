@@ -1,4 +1,4 @@
-"""What a diagnosis is made on: recordings read, checked, cut into pieces and brought to the twin's step."""
+"""Recordings of a diagnosis: read, checked, cut into pieces and resampled to the twin's step."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -110,7 +110,7 @@ def diagnosis_runs(
     twin: TwinFile,
     told: Sequence[str] = (),
 ) -> DiagnosisRuns:
-    """Recordings with their names as a diagnosis needs them. Errors: DataError, as `read_runs`."""
+    """Return named recordings in the form that a diagnosis needs. Errors: DataError, as `read_runs`"""
     sha256 = data_sha256([run for _, run in train])
     ends = {data_sha256([run]): name for name, run in train}
     rests = {name: ends.get(data_sha256([run]), "") for name, run in test}
@@ -154,7 +154,7 @@ def _refuse_twice(train: Sequence[RecordedRun], test: Sequence[RecordedRun]) -> 
 
 
 def _until_validation(run: RecordedRun) -> RecordedRun:
-    """The part that may be fitted on."""
+    """Return the part of a run that may be fitted."""
     if (from_s := _validate_from_s(run)) is None:
         return run
     rows = int((run.columns["time_s"] < from_s).sum())

@@ -52,7 +52,7 @@ class Screening:
         return self._known[_key(item)]
 
     def closely_beside(self, items: Sequence[ScoredSet]) -> list[list[ScreenedCandidate]]:
-        """The same of each set, its first few names as good as they get: a start may lie far from the top."""
+        """Fit the first few candidates of each set fully, since a start may lie far from the maximum."""
         self._look(items)
         self._look_closely([item for item in items if _key(item) not in self._close])
         return [self._known[_key(item)] for item in items]
@@ -98,7 +98,7 @@ class Screening:
         return sorted(found, key=lambda item: self.candidates.penalty(item.name) - item.gain)
 
     def _still(self, item: ScoredSet) -> Trial:
-        """A trial whose own values move in proportion."""
+        """Return a trial whose own values move in proportion."""
         base = item.fitted
         terms = (*base.trial.nuisances, *slopes(base, self.runs))
         return Trial(settled(base.file), base.trial.levels, terms)
@@ -151,7 +151,7 @@ def _key(item: ScoredSet) -> Key:
 def _best(
     names: Sequence[tuple[int, str]], found: Sequence[tuple[Trial, float]]
 ) -> dict[tuple[int, str], Trial]:
-    """The likeliest of each name beside each set."""
+    """Return the likeliest trial of each name for each set."""
     best: dict[tuple[int, str], tuple[Trial, float]] = {}
     for name, (trial, nats) in zip(names, found, strict=True):
         if name not in best or nats > best[name][1]:

@@ -74,11 +74,11 @@ class Search:
         self.sets = Sets(self.candidates, self.progress, self.nuisances, self.shared)
 
     def penalty(self, name: str) -> float:
-        """Of naming an effect, or of a formula [nats]."""
+        """Return the penalty for naming an effect or a formula [nats]."""
         return self.candidates.penalty(name)
 
     def missing(self) -> ScoredSet:
-        """The set that is worth most: of names, of formulas, or of names with what formulas leave of them.
+        """Return the best set: of names, of formulas, or of names with formulas for their remainder.
 
         Names are sought by themselves first, as a formula can stand for two of them and so end the search.
         """
@@ -88,7 +88,7 @@ class Search:
         return max((named, both, vague), key=lambda item: item.score)
 
     def unnamed(self) -> ScoredSet:
-        """The set of formulas alone that is worth most, the twin as it is given where none is."""
+        """Return the best set of formulas alone, the twin as given without any."""
         return self._extended(self.sets.base(), FORMULAS)
 
     def _names(self, rival: float) -> ScoredSet:
@@ -105,7 +105,7 @@ class Search:
         return best
 
     def _next(self, best: ScoredSet) -> ScoredSet:
-        """A better set: a body taken apart, one more effect or one exchanged; `best` where there is none."""
+        """Return a better set: a body split, one more effect or one exchanged; `best` if none is better."""
         apart = self._apart(best)
         if apart is not None:
             return apart
@@ -117,7 +117,7 @@ class Search:
         return exchanged if exchanged is not best else self._merged(best)
 
     def _extended(self, item: ScoredSet, most: int) -> ScoredSet:
-        """A set with up to so many formulas, as far as each is worth it."""
+        """Return a set with up to `most` formulas, each only if it is worth its penalty."""
         for _ in range(most):
             found = self.screening.formulas_beside(item)
             grown = best_of(self._looked_at(item, self._promising(found)))
@@ -127,7 +127,7 @@ class Search:
         return item
 
     def _apart(self, best: ScoredSet) -> ScoredSet | None:
-        """The set with a body that stood for two taken apart, where that explains more."""
+        """Return the set with a body split that stood for two, where that explains more."""
         wanted = {}
         for name in sorted(best.added & EFFECTS.keys()):
             for parts in EFFECTS[name].taken_apart:
@@ -141,7 +141,7 @@ class Search:
         return found if found.score > best.score + margin else None
 
     def _grown(self, beside: ScoredSet) -> list[ScoredSet]:
-        """A set with one more effect, those that promise most."""
+        """Return sets with one more effect, the most promising ones."""
         screened = self.screening.beside(beside)
         self.rounds.append(self._round(beside, screened))
         return self._looked_at(beside, self._promising([item for item in screened if item.file is not None]))
@@ -152,7 +152,7 @@ class Search:
         return self.sets.fitted(wanted)
 
     def _exchanged(self, item: ScoredSet) -> ScoredSet:
-        """The set with one member exchanged for a better one, if there is one."""
+        """Return the set with one member exchanged for a better one, if there is one."""
         names = sorted(item.added)
         if len(names) > MOST_EXCHANGED:
             names = sorted(names, key=self.sets.worth(item, names).__getitem__)[:MOST_EXCHANGED]
@@ -160,7 +160,7 @@ class Search:
         return self._better([other for own in found.values() for other in own], item)
 
     def _merged(self, item: ScoredSet) -> ScoredSet:
-        """The set with two members exchanged for one that does what both did, if there is one."""
+        """Return the set with two members exchanged for one that explains both, if there is one."""
         names = sorted(item.added & EFFECTS.keys())
         if len(item.added) < SEVERAL or len(names) < 2:
             return item
@@ -210,7 +210,9 @@ class Search:
     def _in_place(
         self, item: ScoredSet, places: Sequence[tuple[ScoredSet, Sequence[ScreenedCandidate]]]
     ) -> list[list[ScoredSet]]:
-        """What is left of a set, with candidates in the place of what is gone; noise from the set's on."""
+        """Return the rest of a set with candidates in the place of the removed
+        members. Noise starts from the set's own.
+        """
         levels = item.fitted.trial.levels
         trials = [
             {
@@ -224,7 +226,7 @@ class Search:
         return [[fitted[key] for key in own] for own in trials]
 
     def _promising(self, screened: Sequence[ScreenedCandidate]) -> Sequence[ScreenedCandidate]:
-        """The first, and those not far behind it, as long as they explain something."""
+        """Return the first candidate and those close behind it, if they explain anything."""
         worth = [item.gain - self.penalty(item.name) for item in screened]
         if not worth:
             return []
@@ -237,7 +239,7 @@ class Search:
         return Round(beside.added, tuple(tried))
 
     def _pruned(self, item: ScoredSet) -> ScoredSet:
-        """The set without effects that the others make needless."""
+        """Return the set without effects that the others make needless."""
         while len(item.added) > 1:
             least = best_of(self.sets.less(item, sorted(item.added)))
             if least is None or least.score < item.score - NEXT_MARGIN:

@@ -19,7 +19,7 @@ from edge.twin.twin_file import TwinFile
 
 
 def best_of(sets: Sequence[ScoredSet]) -> ScoredSet | None:
-    """The one that is worth most, None of none."""
+    """Return the best set, None of an empty list."""
     return max(sets, key=lambda item: item.score, default=None)
 
 
@@ -36,14 +36,14 @@ class Sets:
     _as_they_are: dict[tuple[ScoredSet, tuple[str, ...]], ScoredSet] = field(default_factory=dict)
 
     def base(self) -> ScoredSet:
-        """The twin as it is given."""
+        """Return the twin as given."""
         file, runs = self.candidates.file, self.candidates.runs
         if frozenset() not in self._known:
             self._refined({frozenset(): Trial(file, first_levels(file, runs), self.nuisances)})
         return self._known[frozenset()]
 
     def fitted(self, wanted: Mapping[Names, Trial], again: int = AGAIN) -> list[ScoredSet]:
-        """Sets with noise levels of their own; trials are for those that are not known.
+        """Fit sets with noise levels of their own. Trials are given for those not yet known.
 
         again : how many of these, the best, may begin again
         """
@@ -56,11 +56,13 @@ class Sets:
         return {name: item.score - found.score for name, found in zip(names, less, strict=True)}
 
     def without(self, item: ScoredSet, name: str) -> ScoredSet:
-        """The set less one effect."""
+        """Return the set without one effect."""
         return self.less(item, [name])[0]
 
     def less(self, item: ScoredSet, names: Sequence[str]) -> list[ScoredSet]:
-        """The set less one effect, for each of them: fitted from here too, where it may have ended lower."""
+        """Return the set without each of these effects in turn, fitted from here too,
+        since an earlier fit may have ended lower.
+        """
         keys = {item.added - {name}: name for name in names}
         new = {key: name for key, name in keys.items() if (item.added, name) not in self._shortened}
         self._shortened |= {(item.added, name) for name in new.values()}
@@ -68,7 +70,9 @@ class Sets:
         return [self._known[key] for key in keys]
 
     def as_they_are(self, item: ScoredSet, groups: Sequence[Sequence[str]]) -> list[ScoredSet]:
-        """The set less some effects, with its own noise: levels found without them might swallow them."""
+        """Return the set without some effects at its own noise: noise fitted
+        without them might absorb them.
+        """
         keys = [(item, tuple(names)) for names in groups]
         new = [key for key in keys if key not in self._as_they_are]
         trials = [self.shortened(item, *names) for _, names in new]
@@ -78,7 +82,7 @@ class Sets:
         return [self._as_they_are[key] for key in keys]
 
     def as_usual(self, like: ScoredSet, names: Names) -> Trial:
-        """A trial of a set of effects that begins at their usual values."""
+        """Return a trial of a set of effects that begins at their usual values."""
         given = self.candidates.file
         file = replace(like.fitted.file, effects=dict(given.effects))
         for name in sorted(names - self.candidates.formulas.keys()):
@@ -86,7 +90,7 @@ class Sets:
         return begun(self._trial(file, like.fitted.trial), given, self.candidates.runs)
 
     def thawed(self, beside: ScoredSet, found: ScreenedCandidate) -> Trial:
-        """A screened candidate with all that may move."""
+        """Return a screened candidate with every value free."""
         file, like = beside.fitted.file, beside.fitted.trial
         if found.file is None:
             formula = self.candidates.formulas[found.name]
@@ -95,14 +99,14 @@ class Sets:
         return self._trial(replace(file, effects=effects), like)
 
     def shortened(self, item: ScoredSet, *names: str) -> Trial:
-        """A trial of a set less some effects, from where the set stands."""
+        """Return a trial of a set without some effects, from the set's present values."""
         file, like = item.fitted.file, item.fitted.trial
         effects = {own: values for own, values in file.effects.items() if own not in names}
         kept = tuple(term for term in like.nuisances if term.name not in names)
         return self._trial(replace(file, effects=effects), replace(like, nuisances=kept))
 
     def _trial(self, file: TwinFile, like: Trial) -> Trial:
-        """A trial that starts at a file's values, with the priors of what was given."""
+        """Return a trial that starts at a file's values, with the priors of the given twin."""
         given = self.candidates.file
         replaced = {EFFECTS[name].replaces for name in file.effects} & set(given.effects)
         file = replace(file, effects={**file.effects, **{name: given.effects[name] for name in replaced}})

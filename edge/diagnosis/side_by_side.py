@@ -45,7 +45,7 @@ class SideBySide:
     def map(
         self, function: Callable[[Sequence[Item]], Sequence[Found]], items: Sequence[Item]
     ) -> list[Found]:
-        """What `function` makes of each item, in their order.
+        """Return `function` of each item, in their order.
 
         function : can be pickled, and makes of an item the same in every lot
         """
@@ -77,7 +77,7 @@ class SideBySide:
 
 
 def _end_with_parent() -> None:
-    """An interrupt ends it without a word, and so does its parent's death, however that came."""
+    """End a worker on an interrupt, silently, and when its parent dies."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = parent_process()
     assert parent is not None

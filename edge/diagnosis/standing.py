@@ -29,7 +29,7 @@ AGAINST_NATS = 3.0  # by which a half may be against a name
 
 @dataclass(frozen=True, slots=True)
 class NameEvidence:
-    """What speaks for a name, and what against it.
+    """Evidence for a name, and against it.
 
     gain_nats : of rows that were left out, and of what the twin file declares as known
     tempered_nats : the same, errors that go together counted once
@@ -92,7 +92,7 @@ def standing(
 
 
 def is_proven(names: Names, name: str, compared: Comparison) -> bool:
-    """Whether free runs miss left-out rows by much less with a name, wherever one looks."""
+    """Return whether free runs miss left-out rows by much less with a name, in every part of the runs."""
     own, less = compared.tried[names], compared.tried[names - {name}]
     return own.rmse_k < HALF * less.rmse_k and compared.is_better_throughout(own, less)
 

@@ -10,7 +10,7 @@ from edge.twin.value import Value
 
 
 def with_usual(file: TwinFile, name: str) -> TwinFile:
-    """The file with one more effect, to be fitted, from its usual values."""
+    """Return the file with one more effect to be fitted from its usual values."""
     return _added(
         file,
         name,
@@ -19,7 +19,7 @@ def with_usual(file: TwinFile, name: str) -> TwinFile:
 
 
 def with_effect(file: TwinFile, name: str) -> list[TwinFile]:
-    """The file with one more effect, to be fitted, from each of its starts."""
+    """Return the file with one more effect to be fitted, from each of its starts."""
     effect = EFFECTS[name]
     if effect.starts_beside is not None:
         replaced = {key: value.value for key, value in file.effects.get(effect.replaces, {}).items()}
@@ -48,5 +48,5 @@ def _added(file: TwinFile, name: str, values: Values) -> TwinFile:
 
 
 def settled(file: TwinFile) -> TwinFile:
-    """The file with its values as they are, none to be fitted."""
+    """Return the file with fixed values."""
     return file.with_values({place: Value(value.value) for place, value in file.values().items()})

@@ -32,7 +32,7 @@ class SizedTerm:
     of_room: bool = False
 
     def response(self, steps: LinearSteps) -> EnsembleRun:
-        """What it does to the temperature, where that goes through the twin."""
+        """Return the term's effect on the temperature where it passes through the twin."""
         if self.of_reading:
             return EnsembleRun(steps, None, None)
         gain = steps.room if self.of_room else steps.heat
@@ -75,7 +75,7 @@ class Fitted:
 
 
 def start_of(twin: BoxTwin, runs: Recorded) -> Floats:
-    """Where runs begin, [B, n]: at rest with the first temperature."""
+    """Return the initial states of runs, [B, n]: at rest with the first temperature."""
     return at_rest(twin, runs.temp[:, 0], runs.ambient[:, 0])
 
 

@@ -35,7 +35,7 @@ class UnknownValue:
     sd: float
 
     def coordinate(self, value: float) -> float:
-        """Of a value, kept inside the bounds."""
+        """Return the coordinate of a value, inside the bounds."""
         inside = min(max(value, self.low), self.high)
         return float(np.log(inside)) if self.log else inside / self.scale
 
@@ -45,7 +45,7 @@ class UnknownValue:
         return min(max(raw, self.low), self.high)
 
     def is_at_bound(self, coordinate: float) -> bool:
-        """Whether a fit ended at one of its bounds."""
+        """Return whether a fit ended at one of its bounds."""
         low, high = self.bounds
         margin = AT_BOUND * min(high - low, 2.0 * self.sd)
         return not low + margin < coordinate < high - margin
@@ -57,7 +57,9 @@ class UnknownValue:
 
 
 def unknowns(file: TwinFile) -> tuple[UnknownValue, ...]:
-    """What `file` has to be fitted or is uncertain of, without what another effect replaces."""
+    """Return the values of `file` that are to be fitted or uncertain,
+    without those that another effect replaces.
+    """
     acting = set(applied(file.effects))
     return tuple(
         _unknown(file, place, value)
@@ -93,7 +95,7 @@ def _linear(place: Place, value: Value, parameter: EffectParameter, factor: floa
 
 
 def placed(file: TwinFile, free: Sequence[UnknownValue], coordinates: Floats) -> TwinFile:
-    """The file with the unknowns at `coordinates`; they stay to be fitted."""
+    """Return the file with the unknowns at `coordinates`, still to be fitted."""
     values = file.values()
     return file.with_values(
         {

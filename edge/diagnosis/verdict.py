@@ -1,4 +1,4 @@
-"""What the search has found, in the words of diagnosis.json."""
+"""The verdict of the search, in the terms of diagnosis.json."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class MissingEffect:
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """Of a formula's term, with its 95 % interval."""
+    """The coefficient of a formula's term, with its 95 % interval."""
 
     text: str
     value: float
@@ -59,7 +59,7 @@ class DiagnosisVerdict:
 
 
 def verdict(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerdict:
-    """The best set, read."""
+    """Return the best set as a verdict."""
     best = search.missing()
     if best.added and _is_refuted(best.fitted):
         best = search.unnamed()
@@ -78,7 +78,7 @@ def verdict(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerd
 
 
 def read(search: Search, best: ScoredSet) -> tuple[MissingEffect, ...]:
-    """The names of a set with their rivals, the one that is worth most first."""
+    """Return the names of a set with their rivals, the strongest first."""
     worth = search.sets.worth(best, sorted(best.added))
     order = sorted(best.added, key=lambda name: -worth[name])
     named = [name for name in order if not name.startswith(PREFIX)]
@@ -89,7 +89,7 @@ def read(search: Search, best: ScoredSet) -> tuple[MissingEffect, ...]:
 
 
 def unnamed(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerdict:
-    """What is said where no name stands: the best formulas, or none."""
+    """Return the verdict without a standing name: the best formulas, or none."""
     best = search.unnamed()
     formula = sorted(best.added)
     depends_on = _dependences(formula, shapes) or (NOTHING,)
@@ -97,7 +97,7 @@ def unnamed(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerd
 
 
 def _is_refuted(fitted: Fitted) -> bool:
-    """Whether its errors still follow from those before: a gap that shrank under a wrong name.
+    """Return whether the errors still depend on those before: a gap that shrank under a wrong name.
 
     Lag-1 autocorrelation of the innovations over all runs, which is 0 for a right twin with its right noise
     """
@@ -151,6 +151,6 @@ def intervals(fitted: Fitted, name: str) -> tuple[dict[str, Value], tuple[str, .
 
 
 def interval(item: UnknownValue, x: float, variance: float) -> Value:
-    """A value with its 95 % interval."""
+    """Return a value with its 95 % interval."""
     sd = float(np.sqrt(max(variance, 0.0)))
     return Value(item.value(x), low=item.value(x - SDS_95 * sd), high=item.value(x + SDS_95 * sd))

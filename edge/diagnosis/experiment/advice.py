@@ -1,4 +1,4 @@
-"""What a person can do beside heater and fan: calibrate a value, let the room's temperature swing."""
+"""Advice for a person beyond heater and fan: calibrate a value, let the ambient temperature vary."""
 
 from dataclasses import dataclass, replace
 
@@ -37,7 +37,8 @@ class ValueCalibration:
 def calibrate_first(
     found: Separation, pairs: NDArray[np.bool_], chosen: Evaluated | None, expected: float
 ) -> ValueCalibration | None:
-    """The value whose calibration brings most, if more is needed and it brings what is worth the trouble.
+    """Return the value whose calibration helps most, None where the
+    experiment suffices or the help is too small.
 
     pairs : those that the advice is for; expected : log odds without a calibration
     """
@@ -64,7 +65,8 @@ def _uncertain(found: Separation) -> list[Place]:
 
 
 def swung(found: Separation, tried: Evaluated, pairs: NDArray[np.bool_]) -> float | None:
-    """Expected log odds if the room warms by 3 K in the course of it; None where that brings too little.
+    """Return the expected log odds if the ambient warms by 3 K during the
+    experiment, None where that helps too little.
 
     pairs : those that are hard to tell without
     """

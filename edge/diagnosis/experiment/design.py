@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 
 def next_experiment(found: Diagnosis, limits: ExperimentLimits) -> PlannedExperiment | None:
-    """Of the effects that were named and their rivals; None where none is near."""
+    """Plan the experiment that separates the named effects from their rivals; None where no rival is near."""
     rivals = open_rivals(found)
     if rivals is None:
         return None
@@ -32,7 +32,7 @@ def next_experiment(found: Diagnosis, limits: ExperimentLimits) -> PlannedExperi
 
 
 def designed(plan: Separation, limits: ExperimentLimits) -> PlannedExperiment:
-    """The experiment that is worth most; one without a profile where none tells anything."""
+    """Return the most informative experiment, one without a profile where no experiment is informative."""
     passed = cool(plan, candidates(limits, plan.row_s, _lit(plan)), limits)
     pairs = plan.rivals.pairs
     if passed is None:
@@ -50,7 +50,7 @@ def designed(plan: Separation, limits: ExperimentLimits) -> PlannedExperiment:
 
 
 def _lit(plan: Separation) -> bool:
-    """Whether the light acts by any model, and was recorded."""
+    """Return whether the light was recorded and acts in any of the models."""
     needs = {column for model in plan.models for column in model.file.twin().needs}
     return "light" in needs & set(plan.around.columns)
 
@@ -90,14 +90,14 @@ def _without_profile(plan: Separation, every: Evaluated, same: Mask) -> PlannedE
 
 
 def _likely(pairs: tuple[RivalPair, ...], which: Mask) -> Mask:
-    """Of these pairs those in which both may well be the true one, if there are such."""
+    """Return the pairs in which both effects are likely; all pairs if there are none."""
     shares = {pair.true: pair.share for pair in pairs}
     both = np.array([min(pair.share, shares[pair.other]) >= LIKELY for pair in pairs])
     return which & both if (which & both).any() else which
 
 
 def _profile(inputs: SequenceInputs, lit: bool) -> tuple[ProfileRow, ...]:
-    """A row where an input changes, and one at the end."""
+    """Return a row where an input changes, and one at the end."""
     rows = int(inputs.within[0].sum())
     columns = np.stack([inputs.wanted[0, :rows], inputs.fan[0, :rows], inputs.light[0, :rows]])
     changed = np.flatnonzero(np.any(np.diff(columns, axis=1, prepend=-1.0) != 0.0, axis=0))
@@ -114,13 +114,13 @@ def _profile(inputs: SequenceInputs, lit: bool) -> tuple[ProfileRow, ...]:
 
 
 def _either_way(pairs: tuple[RivalPair, ...], holds: Mask) -> Mask:
-    """Whether it holds for a pair, or with the two exchanged."""
+    """Return whether a condition holds for a pair in either order."""
     known = {frozenset((pair.true, pair.other)) for pair, own in zip(pairs, holds, strict=True) if own}
     return np.array([frozenset((pair.true, pair.other)) in known for pair in pairs])
 
 
 def _both_ways(pairs: tuple[RivalPair, ...], holds: Mask) -> Mask:
-    """Whether it holds for a pair whichever of the two is the true one."""
+    """Return whether a condition holds for a pair in both orders."""
     known = {(pair.true, pair.other) for pair, own in zip(pairs, holds, strict=True) if own}
     return np.array([{(pair.true, pair.other), (pair.other, pair.true)} <= known for pair in pairs])
 

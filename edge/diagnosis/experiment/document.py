@@ -39,7 +39,7 @@ def experiment_document(found: PlannedExperiment) -> NextExperiment:
 
 
 def write_profile(found: PlannedExperiment | None, folder: Path) -> None:
-    """An experiment's profile into a folder, in the place of an older one. Errors: OSError"""
+    """Write an experiment's profile into a folder and replace an older one. Errors: OSError"""
     path = folder / PROFILE
     if found is None or not found.profile:
         path.unlink(missing_ok=True)

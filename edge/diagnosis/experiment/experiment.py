@@ -10,7 +10,7 @@ Sides = tuple[tuple[str, ...], ...]  # effects that are told from one another; s
 
 @dataclass(frozen=True, slots=True)
 class ProfileRow:
-    """What holds from `time_s` on; the last row marks the end."""
+    """Inputs from `time_s` on; the last row marks the end."""
 
     time_s: float
     heater_duty: float
@@ -20,7 +20,7 @@ class ProfileRow:
 
 @dataclass(frozen=True, slots=True)
 class PlannedExperiment:
-    """What is to be done next.
+    """The next experiment.
 
     profile : rows for `greenhouse experiment`; none where no experiment with heater and fan can tell anything
     kind : of experiment, in words; separates : what it tells apart, for each effect's place

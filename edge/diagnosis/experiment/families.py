@@ -18,7 +18,9 @@ SEED = 7  # of the pseudo-random sequences: the same data give the same experime
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What a family fills: rows, the heater's level, the shortest state of the fan [rows], a row [s]."""
+    """The frame of a sequence: rows, the heater's level, the fan's shortest
+    state [rows], a row's length [s].
+    """
 
     rows: int
     level: float
@@ -59,7 +61,7 @@ def staircase(frame: Frame, fan: float = 0.0) -> Sequence:
 
 
 def aired_staircase(frame: Frame) -> Sequence:
-    """The fan takes the heat out, so that the upper levels can be reached."""
+    """Raise the heater in steps while the fan removes the heat, so that the upper levels can be reached."""
     return staircase(frame, 1.0)
 
 
@@ -73,7 +75,7 @@ def switched_staircase(frame: Frame) -> Sequence:
 
 
 def random_fan(frame: Frame) -> Sequence:
-    """The fan's own dynamics, in a box that is warm already."""
+    """Switch the fan at random in a warm greenhouse, which reveals the fan's own dynamics."""
     random = np.random.default_rng(SEED)
     parts = [SequencePart(max(frame.rows // 4, 1), frame.level, 0.0)]
     left, fan = frame.rows - parts[0].rows, 1.0
@@ -86,14 +88,14 @@ def random_fan(frame: Frame) -> Sequence:
 
 
 def slow_duty(frame: Frame) -> Sequence:
-    """What stores heat."""
+    """Switch the duty slowly, which reveals heat stores."""
     return tuple(
         SequencePart(length, frame.level * ((i + 1) % 2), 0.0) for i, length in enumerate(frame.lengths(6))
     )
 
 
 def fast_duty(frame: Frame) -> Sequence:
-    """What is late."""
+    """Switch the duty fast, which reveals lags and dead times."""
     count = max(frame.rows // frame.of(FAST_S), 2)
     return tuple(
         SequencePart(length, frame.level * ((i + 1) % 2), 0.0)
@@ -102,19 +104,19 @@ def fast_duty(frame: Frame) -> Sequence:
 
 
 def aired_duty(frame: Frame) -> Sequence:
-    """What is late, in a box that answers fast."""
+    """Switch the duty fast with the fan on, which reveals lags in a greenhouse that answers fast."""
     lengths = frame.lengths(10, frame.dwell)
     return tuple(SequencePart(length, frame.level * ((i + 1) % 2), 1.0) for i, length in enumerate(lengths))
 
 
 def cool_down(frame: Frame) -> Sequence:
-    """What has been stored comes back, and what is there without the heater stays."""
+    """Heat, then cool down: stored heat comes back and decays, constant heat stays."""
     warm = max(frame.rows // 3, 1)
     return SequencePart(warm, frame.level, 0.0), SequencePart(frame.rows - warm, 0.0, 0.0)
 
 
 def lamp(frame: Frame) -> Sequence:
-    """The light on and off, the heater steady."""
+    """Switch the light with a steady heater."""
     return tuple(
         SequencePart(length, frame.level, 0.0, float(i % 2))
         for i, length in enumerate(frame.lengths(6, frame.dwell))

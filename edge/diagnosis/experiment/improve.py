@@ -31,12 +31,12 @@ class Cool:
     highest_c: Floats
 
     def chosen(self, which: NDArray[np.intp]) -> "Cool":
-        """Some of them."""
+        """Return the experiments that `which` selects."""
         kept = tuple(self.candidates[i] for i in which)
         return Cool(kept, self.inputs.chosen(which), self.highest_c[which])
 
     def strongest(self) -> "Cool":
-        """Of each family and duration those of the highest levels, which come first."""
+        """Return the experiments of the highest levels of each family and duration, which come first."""
         seen: Counter[tuple[str, int]] = Counter()
         which = []
         for i, item in enumerate(self.candidates):
@@ -49,7 +49,7 @@ class Cool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluated:
-    """What each experiment is expected to tell of each pair [pairs, B]."""
+    """The expected evidence of each experiment for each pair, [pairs, B]."""
 
     cool: Cool
     log_odds: Floats
@@ -63,7 +63,7 @@ class Evaluated:
         return np.asarray(weights @ np.log1p(self.log_odds) - HOUR * hours)
 
     def best(self, weights: Floats) -> "Evaluated":
-        """The one that is worth most."""
+        """Return the experiment of the highest value."""
         i = int(np.argmax(self.worth(weights)))
         return Evaluated(self.cool.chosen(np.array([i])), self.log_odds[:, i : i + 1])
 
@@ -83,12 +83,12 @@ def cool(found: Separation, tried: Many[ExperimentCandidate], limits: Experiment
 
 
 def evaluated(found: Separation, items: Cool) -> Evaluated:
-    """What each is expected to tell."""
+    """Return the expected evidence of each experiment."""
     return Evaluated(items, found.log_odds(items.inputs))
 
 
 def improved(found: Separation, first: Evaluated, weights: Floats, limits: ExperimentLimits) -> Evaluated:
-    """The experiment after a search nearby, never a worse one."""
+    """Search near the first experiment; return the best one found, never a worse one."""
     random, best = np.random.default_rng(SEED), first
     most = int(limits.longest_s / found.row_s)
     for _ in range(PASSES):
@@ -113,7 +113,7 @@ def _changed(sequence: Sequence, random: Generator, most: int) -> Sequence:
 
 
 def _moved_switch(parts: list[SequencePart], random: Generator) -> Sequence:
-    """A switch earlier or later; the last one is the end."""
+    """Move a switch to an earlier or later row; the last one is the end."""
     i, by = int(random.integers(len(parts))), int(random.choice(SHIFTS))
     parts[i] = parts[i]._replace(rows=max(parts[i].rows + by, 1))
     if i + 1 < len(parts):

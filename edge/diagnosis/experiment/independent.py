@@ -1,4 +1,4 @@
-"""What would tell of an effect without heater and fan: a measurement that a person can make."""
+"""Independent checks of an effect: measurements that a person can make without heater and fan."""
 
 from collections.abc import Iterable, Mapping
 
@@ -17,7 +17,7 @@ GEOMETRY: Mapping[str, str] = {
 
 
 def checks(names: Iterable[str]) -> tuple[str, ...]:
-    """What would tell of these effects, each once."""
+    """Return the independent checks of these effects, each once."""
     return tuple(dict.fromkeys(check for name in names if (check := EFFECTS[name].check)))
 
 

@@ -1,4 +1,4 @@
-"""What an experiment may do: the safety supervisor's limits, so that what is planned is what will be sent."""
+"""Limits of an experiment: those of the safety supervisor, so that every planned command can be sent."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -34,7 +34,9 @@ class ExperimentLimits:
         return self.safety.temp_air_max_c - self.margin_k
 
     def row_s(self, sample_s: float) -> float:
-        """A row of the plan: the fewest control steps that are no shorter than the twin's step [s]."""
+        """Return the length of a plan's row: the fewest control steps that are
+        no shorter than the twin's step [s].
+        """
         return float(self.step_s * np.ceil(sample_s / self.step_s - ROUNDING))
 
     def dwell_rows(self, row_s: float) -> int:
@@ -43,7 +45,7 @@ class ExperimentLimits:
         return max(1, int(np.ceil(longest_s / row_s - ROUNDING)))
 
     def duty(self, level: float) -> float:
-        """The next lower duty that may be sent."""
+        """Return the next lower duty that may be sent."""
         return (
             float(np.floor(min(level, self.safety.heater_max_duty) * HEATER_LEVELS + ROUNDING))
             / HEATER_LEVELS
@@ -69,7 +71,9 @@ class ExperimentLimits:
         )
 
     def _keeps_relay(self, fan: Floats, row_s: float) -> bool:
-        """The first state may be as short as it likes: it has been so before; so may the last."""
+        """Return whether the relay's shortest times hold. The first state may be
+        short, since it began earlier; so may the last.
+        """
         switches = np.flatnonzero(np.diff(fan, prepend=0.0))
         for begin, end in pairwise(switches):
             least_s = self.safety.fan_min_on_s if fan[begin] else self.safety.fan_min_off_s

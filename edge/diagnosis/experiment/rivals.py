@@ -46,7 +46,7 @@ class Rivals:
 
 
 def open_rivals(found: Diagnosis) -> Rivals | None:
-    """Of all named effects; None where nothing is open."""
+    """Return the rivals of all named effects, None where no question is open."""
     best = found.verdict.final
     named = [effect.name for effect in found.verdict.effects]
     near = [

@@ -31,7 +31,7 @@ EXACT_SD = 0.005  # of a calibrated value, in its coordinate: half a percent
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedRuns:
-    """What each model says of the experiments: temperatures and their steps.
+    """Temperatures and step matrices that each model predicts for the experiments.
 
     shown : [M, B, N] [°C]
     """
@@ -62,7 +62,9 @@ class Separation:
         )
 
     def log_odds(self, inputs: SequenceInputs, exact: Place | None = None) -> Floats:
-        """Expected by each experiment for each pair, [pairs, B]; exact : a value that is calibrated first."""
+        """Return the expected log odds of each experiment for each pair, [pairs, B].
+        exact : a value that is calibrated first
+        """
         predicted = self._predicted(inputs)
         found = np.empty((len(self.rivals.pairs), len(inputs.fan)))
         for other in range(len(self.models)):
@@ -73,7 +75,7 @@ class Separation:
         return found
 
     def by_calibration(self, place: Place) -> Floats:
-        """Expected log odds by knowing this value alone, without an experiment [pairs]."""
+        """Return the expected log odds of knowing one value exactly, without an experiment [pairs]."""
         found = []
         for pair in self.rivals.pairs:
             other = self.models[pair.other]
@@ -136,13 +138,13 @@ class Separation:
 
 
 def separation(rivals: Rivals, around: Surroundings, row_s: float) -> Separation:
-    """The rivals at the plan's rows."""
+    """Return the rivals at the plan's rows."""
     models = tuple(_at_rows(item, row_s) for item in rivals.models)
     return Separation(rivals, models, around, row_s, resting_c(models[0].file.twin(), around))
 
 
 def _at_rows(item: Fitted, row_s: float) -> Fitted:
-    """The same model with steps of a row."""
+    """Return the same model with steps as long as a row."""
     return replace(
         item,
         file=replace(item.file, sample_s=row_s),
@@ -151,7 +153,7 @@ def _at_rows(item: Fitted, row_s: float) -> Fitted:
 
 
 def _again(item: Fitted, runs: Recorded, row_s: float) -> tuple[SizedTerm, ...]:
-    """A model's nuisances over other runs; those that belonged to a run that is over do nothing."""
+    """Return a model's nuisances over other runs. Nuisances that belong to a past run have no effect."""
     names = [term.name for term in item.trial.nuisances]
     shapes = {"curved loss": curved_loss(runs, runs.temp, 1.0).shape}
     if any(name.startswith(PREFIX) for name in names):
@@ -161,7 +163,7 @@ def _again(item: Fitted, runs: Recorded, row_s: float) -> tuple[SizedTerm, ...]:
 
 
 def _effects(terms: Sequence[SizedTerm], steps: LinearSteps, shape: tuple[int, ...]) -> Floats:
-    """What each term does to the temperature at a size of 1, [q, B, N]."""
+    """Return the effect on the temperature of each term at a size of 1, [q, B, N]."""
     if not terms:
         return np.zeros((0, *shape))
     shown = responses([term.response(steps) for term in terms])
@@ -198,7 +200,7 @@ def _left(misses: Floats, moves: Floats) -> Floats:
 
 
 def _calibrated(true: Fitted, other: Fitted, place: Place) -> tuple[Floats, float]:
-    """What a calibration reads of the other's values, and what it misses by, in standard deviations."""
+    """Return the reading of a calibration under the other model, and its error in standard deviations."""
     i = [item.place for item in true.free].index(place)
     j = [item.place for item in other.free].index(place)
     column = np.zeros(len(other.covariance))

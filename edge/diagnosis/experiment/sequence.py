@@ -46,7 +46,7 @@ class SequenceInputs:
     allowed: NDArray[np.bool_]
 
     def chosen(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> "SequenceInputs":
-        """Some of the sequences."""
+        """Return the sequences that `which` selects."""
         return SequenceInputs(
             self.row_s,
             self.wanted[which],
@@ -59,7 +59,7 @@ class SequenceInputs:
 
 
 def inputs_of(sequences: Many[Sequence], limits: ExperimentLimits, row_s: float) -> SequenceInputs:
-    """What the sequences make of heater, fan and light."""
+    """Return heater, fan and light under the sequences."""
     rows = max(rows_of(sequence) for sequence in sequences)
     columns = np.zeros((4, len(sequences), rows))
     for i, sequence in enumerate(sequences):

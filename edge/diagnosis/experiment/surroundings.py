@@ -1,4 +1,4 @@
-"""What an experiment begins with and runs in: the room and the other columns as they were last."""
+"""Surroundings of an experiment: the ambient and other columns hold their last recorded values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Surroundings:
     swing_k: float = 0.0
 
     def recorded(self, inputs: SequenceInputs, start_c: float) -> Recorded:
-        """The inputs as runs whose temperatures are not known yet but for the first."""
+        """Return the inputs as runs of which only the first temperature is known."""
         shape = inputs.fan.shape
         temp = np.full((shape[0], shape[1] + 1), np.nan)
         temp[:, 0] = start_c
@@ -61,7 +61,7 @@ def surroundings(runs: Recorded, guessed: bool) -> Surroundings:
 
 
 def resting_c(twin: BoxTwin, around: Surroundings) -> float:
-    """What the sensor shows of a box in which nothing is driven; the room where it does not come to rest."""
+    """Return the sensor's reading in an undriven greenhouse at rest, the ambient where there is no rest."""
     system, signals = twin.system, twin.signals
     room = np.array([around.room_c])
     shown = signals.room(room)

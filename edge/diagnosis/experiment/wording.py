@@ -8,12 +8,12 @@ from edge.diagnosis.search import RIVAL_NATS
 
 
 def why(found: PlannedExperiment) -> str:
-    """What it is for, what it is expected to bring, and what it cannot."""
+    """Return the experiment's purpose, its expected evidence and its limits."""
     return " ".join([*_planned(found), *_same(found), *_weak(found), *_calibrated(found)])
 
 
 def asks(found: PlannedExperiment) -> list[str]:
-    """What a person does beside it."""
+    """Return the further steps that a person is asked to take."""
     told = []
     if found.profile:
         told.append("Begin with the box at rest at the room's temperature, the door shut.")

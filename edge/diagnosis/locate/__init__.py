@@ -1,1 +1,1 @@
-"""Where, when and how much a twin disagrees with measured runs, and what the disagreement depends on."""
+"""Localisation: where, when and by how much a twin disagrees with measured runs, and the inputs involved."""

@@ -73,7 +73,7 @@ class RunShapes:
         return _found(numerator, self.door_information)
 
     def spikes(self, innovations: Floats) -> ShapeScores:
-        """A wrong reading after each step, L = 1."""
+        """Score a wrong reading after each step, L = 1."""
         return _found(score(self.spike, innovations)[:, None], (self.spike**2).sum(axis=1)[:, None])
 
     def jumps(self, innovations: Floats) -> ShapeScores:

@@ -1,4 +1,4 @@
-"""What may be said of a row: the fan is off, T - T_amb > 6 K, the heater has just gone on."""
+"""Conditions of a row in words: the fan is off, T - T_amb > 6 K, the heater has just switched on."""
 
 from collections.abc import Iterator
 from itertools import pairwise

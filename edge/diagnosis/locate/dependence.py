@@ -63,7 +63,7 @@ def depends_on(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W
 
 
 def explained(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W) -> Explanation:
-    """The best small formula for the unexplained heat, and the signals that it can't do without."""
+    """Fit the best small formula for the unexplained heat; return it and the signals that it needs."""
     told = sum(int((run.white != 0.0).sum()) for run in runs)
     if told < FEWEST_ROWS:
         return NOTHING
@@ -113,7 +113,7 @@ def _regressors(
 
 
 def _without_own_size(columns: Floats, own: Floats) -> Floats:
-    """A run's columns whitened for what has a size of its own in each run: times (1 + own own')^-1/2."""
+    """Return a run's columns whitened for a size that differs between runs: times (1 + own own')^-1/2."""
     square = float(own @ own)
     if not square > 0.0:
         return columns
@@ -124,7 +124,7 @@ def _without_own_size(columns: Floats, own: Floats) -> Floats:
 def _holding(
     runs: Sequence[Residuals], columns: Floats, innovations: Floats, chosen: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """The terms without which parts of the runs that had no share in the fit are clearly worse forecast."""
+    """Return the terms without which left-out parts of the runs are forecast clearly worse."""
     pieces = max(1, -(-FEWEST_PARTS // len(runs)))
     lengths = [len(part) for run in runs for part in np.array_split(run.white, pieces)]
     part = np.repeat(np.arange(len(lengths)), lengths)

@@ -61,12 +61,12 @@ def full_w_k(opening: Opening) -> float:
 
 
 def is_long(opening: Opening) -> bool:
-    """Whether it has inner rows."""
+    """Return whether an opening has inner rows."""
     return len(_own(opening)) >= LONG
 
 
 def shares(opening: Opening, full: float) -> Floats:
-    """Of each row, 0..1, for a door of `full` W/K: inner rows whole, those at either end in part."""
+    """Return the share of each row, 0..1, for a door of `full` W/K: inner rows whole, both ends in part."""
     part = np.clip(opening.conductance_w_k / full, 0.0, 1.0)
     place = np.arange(len(part)) + opening.begin
     inner = (place > opening.shape.begin) & (place < opening.shape.end - 1)

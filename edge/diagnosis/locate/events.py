@@ -91,7 +91,7 @@ def _places(found: list[list[EventShape]]) -> list[list[tuple[str, int, int]]]:
 
 
 def _loosened(steps: Steps, found: list[list[EventShape]]) -> Steps:
-    """Steps without what was found: any heat may have come in a door's rows, wrong readings are missing."""
+    """Return the steps without the events: doors may bring any heat, wrong readings count as missing."""
     loose, temp = steps.loose.copy(), steps.temp.copy()
     for i, part in enumerate(found):
         for shape in part:
@@ -140,7 +140,7 @@ def _pursued(
 def _best(
     run: RunShapes, innovations: Floats, usual: dict[str, Floats], threshold: float
 ) -> EventShape | None:
-    """What explains most, None when nothing is above what is usual by so much."""
+    """Return the shape that explains most, None if no shape exceeds the usual by the threshold."""
     door = _largest("door", run.doors(innovations))
     spike, jump = _largest("spike", run.spikes(innovations)), _largest("jump", run.jumps(innovations))
     rival = max(spike, jump, key=lambda shape: abs(shape.z))
@@ -192,12 +192,14 @@ def _told(
 
 
 def _touches(shape: EventShape, doors: list[EventShape]) -> bool:
-    """Whether it is a part of what a door does, which a constant conductance over whole rows did not fit."""
+    """Return whether a shape is part of a door's effect, which a constant conductance did not fit."""
     return any(shape.begin <= door.end and door.begin <= shape.end for door in doors)
 
 
 def _stands_alone(spike: EventShape, every: list[EventShape]) -> bool:
-    """Whether a wrong reading is one: beside something else it is what that one's shape leaves."""
+    """Return whether a wrong reading stands alone. Next to another event, a
+    spike is that event's remainder.
+    """
     others = (shape for shape in every if shape is not spike)
     return spike.kind == "spike" and all(
         shape.end + ALONE_ROWS < spike.begin or spike.end + ALONE_ROWS < shape.begin for shape in others

@@ -26,7 +26,7 @@ MOST = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DisagreementRegime:
-    """Where the twin disagrees.
+    """A condition under which the twin disagrees.
 
     where : in words
     share_of_squared_error : of the free runs, 0..1, with its 95 % interval; share_of_rows : 0..1
@@ -48,7 +48,8 @@ class DisagreementRegime:
 
 
 def regimes(runs: Sequence[Residuals]) -> list[DisagreementRegime]:
-    """The regimes that surely have more of the squared error than of the rows, the most telling first.
+    """Return the regimes whose share of the squared error clearly exceeds
+    their share of the rows, the strongest first.
 
     Confidence by a block bootstrap (Künsch 1989, Annals of Statistics 17). [] where the error is spread
     evenly, or the rows are too few to tell.
@@ -121,7 +122,9 @@ class _Blocks:
         )
 
     def _shares(self, mask: Mask) -> tuple[Floats, Floats]:
-        """Of the squared error and of the rows, first as they are, then as drawn, [1 + DRAWS] each."""
+        """Return the shares of the squared error and of the rows, as recorded,
+        then resampled, [1 + DRAWS] each.
+        """
         total, every = self._drawn(self.squared), self._drawn(np.ones_like(self.squared))
         return self._drawn(np.where(mask, self.squared, 0.0)) / total, self._drawn(mask) / every
 
@@ -135,13 +138,13 @@ class _Blocks:
 
 
 def _joined(a: Condition, b: Condition) -> str:
-    """What the inputs say before what the temperatures do."""
+    """Join two conditions in words, inputs before temperatures."""
     first, second = sorted((a, b), key=lambda item: (item.where.startswith(("in ", "T")), item.where))
     return f"{first.where} and {second.where}"
 
 
 def _unlike(ranked: list[Condition], squared: Floats) -> list[Condition]:
-    """The first of those that are much alike."""
+    """Return the first of each group of similar conditions."""
     chosen: list[Condition] = []
     for item in ranked:
         if len(chosen) == MOST:

@@ -59,7 +59,7 @@ def residual_heat(
 
 
 def likeliest(steps: Steps, sensor_k: float, wander_w: Sequence[float] = WANDER_W) -> HeatNoise:
-    """The noise levels, of those tried, at which all runs together are most likely."""
+    """Return the noise levels, of those tried, at which all runs together are likeliest."""
     wander, fresh = (axis.ravel() for axis in np.meshgrid(wander_w, FRESH_W))
     best = int(log_likelihoods(steps, sensor_k, HeatNoise(wander, fresh), NOISE_ROWS).argmax())
     return HeatNoise(float(wander[best]), float(fresh[best]))
@@ -87,7 +87,9 @@ def _smoothed(steps: Steps, way: HeatFilterResult) -> tuple[Floats, Floats]:
 
 
 def _told_by_row(way: HeatFilterResult, k: int, score: Floats, information: Floats) -> tuple[Floats, Floats]:
-    """What the row after step k tells, added to what the later ones do: of the state before its update."""
+    """Return the information of the row after step k about the state before
+    its update, added to that of later rows.
+    """
     keeps = -way.gain[k][:, :, None] * np.eye(score.shape[-1])[0] + np.eye(score.shape[-1])
     weight = np.where(np.isfinite(way.innovation[k]), 1.0 / way.variance[k], 0.0)
     score = (keeps.swapaxes(-1, -2) @ score[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""What a twin leaves unexplained of one run, row by row, with the inputs beside it."""
+"""Residuals of a twin over one run, row by row, with the inputs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -70,7 +70,7 @@ def residuals_of(
     sensor_k: float | None = None,
     heat: ResidualHeat | None = None,
 ) -> list[Residuals]:
-    """The residuals of each run, up to its last measurement.
+    """Return the residuals of each run, up to its last measurement.
 
     names : of the B runs; sensor_k : sd of a measured temperature [K], the twin's own where None
     heat : of the same twin and runs, where it is known already
@@ -128,5 +128,5 @@ def _misfit(heat: ResidualHeat) -> float:
 
 
 def _without_heat(steps: Steps) -> Steps:
-    """The same steps for a twin that is believed: no unknown heat at the start."""
+    """Return the steps of a twin that is trusted: no unknown heat at the start."""
     return replace(steps, start_sd=np.append(steps.start_sd[:-2], [0.0, 0.0]))

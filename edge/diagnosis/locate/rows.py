@@ -46,7 +46,7 @@ class Rows:
 
 
 def rows_of(runs: Sequence[Residuals]) -> Rows:
-    """The rows of which the error is known. Errors: ValueError for no run."""
+    """Return the rows of which the error is known. Errors: ValueError without a run"""
     kept = [run.counted for run in runs]
 
     def column(values: list[Floats]) -> Floats:

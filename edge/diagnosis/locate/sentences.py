@@ -1,4 +1,4 @@
-"""What was located, in plain words."""
+"""Sentences about the located disagreement."""
 
 from collections.abc import Sequence
 from math import floor, log10

@@ -29,7 +29,9 @@ class Stretch:
 
 
 def stretches(runs: Sequence[Residuals]) -> list[Stretch]:
-    """The largest first; each the rows whose squared error beyond `ABOVE` times the mean adds up to most."""
+    """Return the stretches of time in which the squared error beyond `ABOVE`
+    times the mean adds up to most, largest first.
+    """
     squared = [np.nan_to_num(run.free_run_k) ** 2 for run in runs]
     total = float(sum(part.sum() for part in squared))
     count = sum(int(np.isfinite(run.free_run_k).sum()) for run in runs)

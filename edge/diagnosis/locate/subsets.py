@@ -47,7 +47,7 @@ class SumRegression:
         return float(self.rows * np.log(self.left(subset) / self.rows) + len(subset) * price)
 
     def best(self, allowed: Sequence[int]) -> tuple[int, ...]:
-        """The subset of `allowed` of least cost, found by a beam over sizes."""
+        """Return the subset of `allowed` of least cost, found by a beam over sizes."""
         library = len(self.product)
         beam: list[tuple[int, ...]] = [()]
         winner: tuple[int, ...] = ()

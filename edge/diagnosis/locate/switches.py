@@ -25,7 +25,7 @@ class Switches:
 
     @classmethod
     def of(cls, runs: Recorded) -> "Switches":
-        """Of heater, fan and light."""
+        """Return the switches of heater, fan and light."""
         count, rows = runs.duty.shape
         kind = np.zeros((count, rows + 1), dtype=np.intp)
         light = [runs.conditions["light"]] if "light" in runs.conditions else []

@@ -1,4 +1,4 @@
-"""What an unknown heat may be in proportion to: signals, bent or slow ones, and products of two."""
+"""Terms that an unknown heat may be proportional to: signals, bent or slow ones, and products of two."""
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
@@ -26,7 +26,7 @@ class FormulaTerm(NamedTuple):
     value: Heat
 
     def times(self, other: "FormulaTerm") -> "FormulaTerm":
-        """The product."""
+        """Return the product of two terms."""
         signals = tuple(dict.fromkeys(self.signals + other.signals))
         return FormulaTerm(
             f"{self.formula} {other.formula}", signals, lambda run: self.value(run) * other.value(run)
@@ -60,7 +60,7 @@ ALONE = (
 
 
 def library(runs: Sequence[Residuals]) -> list[FormulaTerm]:
-    """The terms that these runs have the columns and the time for."""
+    """Return the terms that these runs have the columns and the duration for."""
     lit = [_LIGHT] if all(run.light is not None for run in runs) else []
     humid = [_HUMIDITY, _DEFICIT] if all(run.rel_humidity is not None for run in runs) else []
     times = _times(runs)

@@ -1,4 +1,4 @@
-"""What something small in the measured world does to the filter's innovations, in standard deviations.
+"""Effect of small disturbances on the filter's innovations, in standard deviations.
 
 A filter is linear, so what heat, a wrong reading or a jump in a row would add to all later innovations is
 known beforehand; how well that fits those seen tells how likely it was (Willsky & Jones 1976, IEEE TAC 21).
@@ -24,12 +24,12 @@ def pulses(steps: Steps, way: HeatFilterResult) -> Floats:
 
 
 def jumps(steps: Steps, way: HeatFilterResult) -> Floats:
-    """The same, for 1 W from step i on."""
+    """Return the innovations for 1 W from step i on."""
     return _responses(steps, way, steps.matrix[..., -2])
 
 
 def spikes(steps: Steps, way: HeatFilterResult) -> Floats:
-    """The same, for the reading after step i 1 K too high and no other."""
+    """Return the innovations if only the reading after step i is 1 K too high."""
     shown = _scaled(way, np.ones_like(way.innovation), 0)
     later = -np.einsum("kbij,kbj->kbi", steps.matrix[1:], way.gain[:-1])
     rest = _responses(steps, way, np.concatenate([np.zeros_like(way.gain[:1]), later]))

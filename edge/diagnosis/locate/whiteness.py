@@ -1,4 +1,4 @@
-"""Whether innovations are white: what a right model with a right noise leaves."""
+"""Tests for white innovations, which a correct model with correct noise leaves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Whiteness:
 
 
 def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
-    """Of innovations in standard deviations, NaN where nothing was measured; gaps are left out, not filled.
+    """Test innovations in standard deviations, NaN where not measured. Gaps are left out, not filled.
 
     Ljung & Box 1978, Biometrika 65, with the number of pairs that there are at each lag; the period by
     the periodogram, its false alarm by Fisher's exact test of the largest ordinate (1929, Proc. R. Soc. A
@@ -56,7 +56,7 @@ def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
 
 
 def together(parts: Sequence[Whiteness]) -> Whiteness:
-    """Runs as one: tests added, correlations averaged by rows, the period that is the least chance."""
+    """Combine runs: sum the test statistics, average correlations by rows, take the least likely period."""
     told = [part for part in parts if part.ljung_box_p is not None]
     rows = sum(part.rows for part in told)
     if not told:

@@ -1,4 +1,4 @@
-"""What each candidate would gain, round by round."""
+"""Picture of the gain of each candidate, round by round."""
 
 from typing import TYPE_CHECKING
 
@@ -68,7 +68,7 @@ def _draw(axes: "Axes", candidates: list[CandidateEntry]) -> None:
 
 
 def _ranked(search_round: RoundEntry) -> list[CandidateEntry]:
-    """The largest gains of a round, and what was kept."""
+    """Return the largest gains of a round, and the candidates that were kept."""
     known = [one for one in search_round["candidates"] if one["gain_nats"] is not None]
     ranked = sorted(known, key=_gain, reverse=True)
     return [one for place, one in enumerate(ranked) if place < SHOWN or one["kept"]]

@@ -64,7 +64,7 @@ def rivals(document: DiagnosisDocument) -> Iterator[str]:
 
 
 def tried(document: DiagnosisDocument) -> Iterator[str]:
-    """The whole search, and what these runs could not tell."""
+    """Yield the whole search, and the limits of these runs."""
     if told := noticed(document):
         yield paragraph("To be kept in mind:")
         yield bullets(told)
@@ -76,7 +76,7 @@ def tried(document: DiagnosisDocument) -> Iterator[str]:
 
 
 def left(document: DiagnosisDocument) -> Iterator[str]:
-    """Whether anything but noise remains."""
+    """Yield the section on the remainder: noise, or more."""
     innovations = document.get("innovations")
     if not innovations:
         yield paragraph("The innovations were not tested.", "soft")
@@ -159,7 +159,7 @@ def _rival_rows(effects: list[EffectEntry]) -> Iterator[tuple[str, ...]]:
 
 
 def _candidates(candidates: list[CandidateEntry]) -> Iterator[str]:
-    """The largest gain first."""
+    """Yield a table of candidates, the largest gain first."""
     ranked = sorted(
         candidates, key=lambda one: -(one["gain_nats"] if one["gain_nats"] is not None else -1e300)
     )

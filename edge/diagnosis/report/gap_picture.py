@@ -73,7 +73,7 @@ def error_axis(axes: "Axes", shown: list[float]) -> float:
 
 
 def _draw(axes: "Axes", names: list[str], errors: list[float], low: float) -> None:
-    """A bar a step, its end labelled; pale from there to where the step before ended."""
+    """Draw a bar per step, its end labelled, pale up to the end of the step before."""
     rows = range(len(names))
     colours = [BEFORE] + [AFTER] * (len(names) - 1)
     axes.barh(rows, [error - low for error in errors], left=low, color=colours, height=0.62, zorder=2)

@@ -12,7 +12,7 @@ OPEN_RUNS = 8  # a longer table of runs is folded
 
 
 def tiles(document: DiagnosisDocument) -> Iterator[str]:
-    """The gap at a glance."""
+    """Yield the gap at a glance."""
     role, floor = scored(document), document["gap"]["noise_floor"][scored(document)]
     where = "held out" if role == "test" else "on the training runs"
     yield '<div class="tiles">'
@@ -54,7 +54,7 @@ def _errors(document: DiagnosisDocument) -> list[TableColumn]:
 
 
 def _sides(document: DiagnosisDocument) -> dict[When, str]:
-    """What is told of the gap, and the word for it; where nothing was added before is all there is."""
+    """Return the sides of the gap and their words; only `before` where nothing was added."""
     return {"before": " before", "after": " after"} if changed(document) else {"before": ""}
 
 
@@ -65,7 +65,7 @@ def _role_row(document: DiagnosisDocument, role: Role) -> list[str]:
 
 
 def _run_rows(document: DiagnosisDocument, role: Role) -> list[list[str]]:
-    """A row a run, the largest error first."""
+    """Return a row per run, the largest error first."""
     gaps = [document["gap"][when][role] for when in _sides(document)]
     sides = [gap["per_run"] if gap else {} for gap in gaps]
     word = "training" if role == "train" else "held out"

@@ -49,7 +49,7 @@ def heat_picture(story: Story, adds: bool) -> Picture | None:
 
 
 def _chosen(story: Story, traces: list[Trace], heat: Floats) -> Variable | None:
-    """What the diagnosis says that it depends on, if that can be drawn; else what explains the most."""
+    """Return the variable that the diagnosis names, if it can be drawn, else the one that explains most."""
     known = variables(traces)
     by_key = {one.key: one for one in known}
     for name in story.document["depends_on"]:

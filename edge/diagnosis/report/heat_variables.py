@@ -1,4 +1,4 @@
-"""What the residual heat may depend on, and which of it tells the most."""
+"""Variables that the residual heat may depend on, and the one that explains most."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -79,7 +79,7 @@ def _series(traces: Sequence[Trace], of: Callable[[Trace], Floats | None]) -> Fl
 
 
 def _last(values: Floats | None) -> Floats | None:
-    """Of the row before."""
+    """Return the values of the row before."""
     return None if values is None else np.append(np.nan, values[:-1])
 
 

@@ -19,7 +19,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def kelvin(value: float | None) -> str:
-    """An error: hundredths of a kelvin, thousandths below a tenth, whole ones from a hundred on."""
+    """Format an error: hundredths of a kelvin, thousandths below a tenth, whole kelvins from a hundred on."""
     if value is None:
         return DASH
     decimals = 3 if abs(value) < 0.0995 else 2 if abs(value) < 99.95 else 0
@@ -27,7 +27,7 @@ def kelvin(value: float | None) -> str:
 
 
 def percent(share: float | None) -> str:
-    """A share of 1: `71 %`; neither 0 nor 100 where it is not."""
+    """Format a share of 1 as `71 %`; never 0 or 100 unless exact."""
     if share is None:
         return DASH
     if 0.0 < share < 0.005:
@@ -36,7 +36,7 @@ def percent(share: float | None) -> str:
 
 
 def plus_minus(value: float | None, error: float | None) -> str:
-    """A value with its standard error, to the digits that the error leaves: `-38 ± 3`, `2.31 ± 0.14`."""
+    """Format a value with its standard error, to the error's digits: `-38 ± 3`, `2.31 ± 0.14`."""
     if value is None or not error:
         return number(value)
     exponent = math.floor(math.log10(error))
@@ -45,7 +45,7 @@ def plus_minus(value: float | None, error: float | None) -> str:
 
 
 def nats(value: float | None) -> str:
-    """A log likelihood, a gain, log odds [nat]: tenths at most."""
+    """Format a log likelihood, a gain or log odds [nat], at most to tenths."""
     if value is None:
         return DASH
     return f"{value + 0.0:.{1 if abs(value) < 99.95 else 0}f}".replace("-0.0", "0.0")
@@ -64,7 +64,7 @@ def odds(log_odds: float | None) -> str:
 
 
 def probability(value: float | None) -> str:
-    """A probability: `0.93`; one that is not known is a dash."""
+    """Format a probability as `0.93`, an unknown one as a dash."""
     return DASH if value is None else f"{value:.2f}"
 
 

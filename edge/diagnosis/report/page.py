@@ -44,7 +44,7 @@ _VERDICTS = {"named": "Named", "nothing_missing": "Nothing missing", "unknown": 
 
 
 def page(document: DiagnosisDocument, pictures: Mapping[str, tuple[Picture, ...]] | None, folder: str) -> str:
-    """The report.
+    """Return the report.
 
     pictures : by section (run, gap, where, sure, left); None where they can't be drawn
     folder : of the report, for the command that adopts the new twin
@@ -115,7 +115,7 @@ def _next(document: DiagnosisDocument, folder: str) -> Iterator[str]:
 
 
 def _experiment(experiment: Mapping[str, Any], folder: str) -> Iterator[str]:
-    """What the schema words, then whatever else the design says."""
+    """Yield the known facts of the experiment, then its further keys."""
     if "why" in experiment:
         yield paragraph(experiment["why"])
     facts = []

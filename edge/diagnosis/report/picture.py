@@ -1,4 +1,4 @@
-"""What all pictures share: colours, lettering, and the way into a page that is light or dark."""
+"""Shared parts of all pictures: colours, lettering, and embedding in a light or dark page."""
 
 import io
 import re
@@ -78,7 +78,7 @@ def new_figure(height_in: float) -> "Figure":
 
 
 def svg(figure: "Figure") -> str:
-    """The figure as an element in the page's own colours, which change with light and dark."""
+    """Return the figure as an element in the page's colours, which change between light and dark."""
     out = io.BytesIO()
     figure.savefig(out, format="svg", dpi=150)
     text = out.getvalue().decode("utf-8")
@@ -94,7 +94,9 @@ def svg(figure: "Figure") -> str:
 
 
 def drawable(name: str, letters: int) -> str:
-    """A name cut to so many letters, without what no font has: bytes of a file name that are no text."""
+    """Cut a name to so many letters, without characters that fonts lack,
+    such as undecodable bytes of a file name.
+    """
     name = name.encode("utf-8", "replace").decode("utf-8")
     return name if len(name) <= letters else name[: letters - 1] + "…"
 
@@ -105,7 +107,7 @@ def time_axis(seconds: float) -> tuple[float, str]:
 
 
 def legend_above(axes: "Axes", columns: int, room_pt: float = 0.0) -> None:
-    """A legend between the title and the panel, over no line. room_pt : for what stands between them"""
+    """Place a legend between the title and the panel. room_pt : space for text between them"""
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2 + room_pt / 8.4,
         handlelength=1.6, columnspacing=1.4, borderpad=0.0,

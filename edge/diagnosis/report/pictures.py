@@ -40,7 +40,9 @@ def pictures(story: Story) -> Mapping[str, tuple[Picture, ...]] | None:
 
 
 def told_runs(story: Story) -> list[Trace]:
-    """The test runs, those with temperatures first; where none has them the worst training run leads."""
+    """Return the test runs, those with temperatures first. Where no test run
+    has any, the worst training run leads.
+    """
     tests = sorted(
         (one for one in story.traces if one.role == "test" and one.before is not None),
         key=lambda one: not one.scored,

@@ -87,7 +87,9 @@ def _draw_heat(axes: "Axes", time: Floats, trace: Trace) -> None:
 
 
 def _end_to_end(axes: "Axes", traces: Sequence[Trace], draw: Callable[[Floats, Trace, bool], None]) -> None:
-    """Runs one after another. draw : is given the times of the axis, the run, and whether it is the first"""
+    """Draw runs one after another. draw : receives the times of the axis,
+    the run, and whether it is the first
+    """
     lengths = [float(one.time_s[-1] - one.time_s[0] + _step(one)) for one in traces]
     divisor, unit = time_axis(sum(lengths))
     begins = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -109,7 +111,7 @@ def draw_residuals(axes: "Axes", time: Floats, trace: Trace, adds: bool, labelle
 
 
 def _frame(axes: "Axes", trace: Trace, begin: float, end: float, share: float) -> None:
-    """Where a run ends, whether it was held out, and its name if it has room."""
+    """Mark a run's end, whether it was held out, and its name where there is space."""
     axes.axvline(end, color=PLAIN, lw=0.7, alpha=0.8)
     if trace.role == "test":
         axes.axvspan(begin, end, color=PLAIN, alpha=0.16, lw=0)

@@ -1,4 +1,4 @@
-"""What a report tells: the diagnosis, and the series behind its pictures."""
+"""Contents of a report: the diagnosis, and the series behind its pictures."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -59,7 +59,7 @@ class Trace:
 
     @property
     def scored(self) -> bool:
-        """Whether there are measurements beyond the first rows of a forecast."""
+        """True if there are measurements beyond the first rows of a forecast."""
         return self.measured is not None and bool(np.isfinite(self.measured).mean() > 0.5)
 
 
@@ -72,7 +72,7 @@ class Story:
 
 
 def worst_stretch(trace: Trace, length_s: float) -> Trace:
-    """The part of that length in which the free run before is furthest off; all of a shorter run."""
+    """Return the part of that length with the largest free-run error before, all of a shorter run."""
     if trace.time_s[-1] - trace.time_s[0] <= length_s:
         return trace
     residual = trace.residual("before")

@@ -32,7 +32,7 @@ REGIMES = 2
 
 
 def summary_text(document: DiagnosisDocument, folder: str = "report", page: str | None = None) -> str:
-    """The facts of the report, in its order.
+    """Return the facts of the report, in its order.
 
     folder : of the report, for what lies there;  page : its page there, None where none was written
     """
@@ -68,7 +68,7 @@ def _regimes(document: DiagnosisDocument) -> Iterator[str]:
 
 
 def _effects(document: DiagnosisDocument) -> Iterator[str]:
-    """What is missing, how sure, and its rivals."""
+    """Yield the missing effects, their probabilities and their rivals."""
     if document["effects"]:
         yield "What is missing, by how much, and how sure:"
     for effect in document["effects"]:

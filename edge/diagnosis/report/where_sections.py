@@ -13,7 +13,7 @@ OPEN_FINDINGS = 3  # more are folded
 
 
 def where_tables(document: DiagnosisDocument) -> Iterator[str]:
-    """Findings, regimes, events."""
+    """Yield findings, regimes and events."""
     if found := where_found(document):
         yield bullets(found[:OPEN_FINDINGS])
     if more := found[OPEN_FINDINGS:]:

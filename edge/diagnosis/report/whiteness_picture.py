@@ -47,7 +47,7 @@ def whiteness_picture(story: Story, adds: bool) -> Picture | None:
 
 
 def autocorrelation(parts: Sequence[Floats]) -> Floats:
-    """Of several series together, at lags 1 to LAGS or a quarter of the longest.
+    """Return the autocorrelation of several series together, at lags 1 to LAGS or a quarter of the longest.
 
     No lag crosses from a series to the next; what is missing is left out.
     """
@@ -74,7 +74,7 @@ def _draw(axes: "Axes", values: Floats, label: str, step_min: float) -> None:
 
 
 def _limits(values: Floats, band: float) -> tuple[float, float]:
-    """A correlation that is small looks small."""
+    """Return axis limits by which a small correlation looks small."""
     reach = max(LEAST_REACH, 1.15 * band, 1.1 * float(np.abs(values).max(initial=0.0)))
     return -reach, reach
 

@@ -29,7 +29,7 @@ WHITE_P = 0.05  # a run's innovations count as white from this p-value on
 
 
 def headline(document: DiagnosisDocument) -> str:
-    """The verdict, for a person."""
+    """Return the verdict as a headline."""
     effects = document["effects"]
     if document["verdict"] == "nothing_missing":
         return "Nothing is missing: no effect of the library makes the twin better"
@@ -44,12 +44,12 @@ def headline(document: DiagnosisDocument) -> str:
 
 
 def dependences(document: DiagnosisDocument) -> list[str]:
-    """What an unknown effect depends on, without the word that says nothing is known of it."""
+    """Return the signals that an unknown effect depends on, without the placeholder for none."""
     return [name for name in document["depends_on"] if name != NOTHING]
 
 
 def meaning(document: DiagnosisDocument) -> list[str]:
-    """What a verdict means that is no name, a sentence or two each."""
+    """Return the meaning of a verdict without a name, a sentence or two each."""
     sentences = []
     if document["verdict"] == "nothing_missing":
         sentences.append(
@@ -88,7 +88,7 @@ def predicting(document: DiagnosisDocument) -> list[str]:
 
 
 def beaten(document: DiagnosisDocument) -> list[str]:
-    """Where a simpler model predicts better than the new twin, a sentence each."""
+    """Return a sentence for each simpler model group that predicts better than the new twin."""
     known = document.get("left_out")
     if not known or not changed(document):
         return []
@@ -106,7 +106,7 @@ def beaten(document: DiagnosisDocument) -> list[str]:
 
 
 def best_simple(document: DiagnosisDocument, key: Literal["simple_k", "test_k"]) -> str:
-    """The baseline with the least error: `0.14 heater lag`; "" where there is none. key : of `left_out`"""
+    """Return the baseline with the least error, `0.14 heater lag`, "" without any. key : of `left_out`"""
     left_out = document.get("left_out")
     errors = left_out[key] if left_out else {}
     known = {name: error for name, error in errors.items() if error is not None}
@@ -135,28 +135,30 @@ def gap_sentence(document: DiagnosisDocument) -> str:
 
 
 def gloss(effect: EffectEntry) -> str:
-    """An effect in plain words, the equation left out: `heater_lag: the element warms up before it heats.`"""
+    """Return an effect in plain words without its equation: `heater_lag:
+    the element warms up before it heats.`
+    """
     plain = effect.get("equation", "").partition(":")[0].rstrip(". ")
     return f"{effect['name']}: {plain[:1].lower()}{plain[1:]}." if plain else f"{effect['name']}."
 
 
 def where_found(document: DiagnosisDocument) -> list[str]:
-    """Findings that tell where, and when, the error lies."""
+    """Return the findings that locate the error."""
     return [text for text in document.get("findings", []) if ERROR_SHARE in text]
 
 
 def noticed(document: DiagnosisDocument) -> list[str]:
-    """The other findings: what was left out, and what these runs can't tell."""
+    """Return the other findings: left-out data, and limits of these runs."""
     return [text for text in document.get("findings", []) if ERROR_SHARE not in text]
 
 
 def cautions(document: DiagnosisDocument) -> list[str]:
-    """What the reader must know to take the figures for what they are, a sentence each."""
+    """Return the cautions that a reader of the figures needs, a sentence each."""
     return [f"{text}." for text in document.get("findings", []) if any(key in text for key in CAUTIONS)]
 
 
 def heat_text(regime: RegimeEntry) -> str:
-    """A regime's heat: `the twin gains 38 ± 3 W too much`."""
+    """Return a regime's heat in words: `the twin gains 38 ± 3 W too much`."""
     heat, error = regime["heat_w"], regime["heat_w_se"]
     if heat is None:
         return "the heat is not known"
@@ -166,7 +168,7 @@ def heat_text(regime: RegimeEntry) -> str:
 
 
 def changed(document: DiagnosisDocument) -> bool:
-    """Whether after is another twin than before."""
+    """Return whether the twin after differs from the twin before."""
     return bool(document["gap"]["before"] != document["gap"]["after"])
 
 
@@ -197,7 +199,9 @@ def shrink(document: DiagnosisDocument, role: Role) -> float | None:
 
 
 def effect_text(effect: EffectEntry) -> str:
-    """An effect, or a class that the data cannot tell apart: `fan_effectiveness (or short_circuit)`."""
+    """Return an effect, or a group that the data cannot tell apart:
+    `fan_effectiveness (or short_circuit)`.
+    """
     rivals = effect["alternatives"]
     return f"{effect['name']} (or {listed(rivals)})" if rivals else str(effect["name"])
 
@@ -216,13 +220,13 @@ def interval_text(parameter: ParameterEntry) -> str:
 
 
 def formula_text(formula: FormulaEntry) -> str:
-    """The formula and its parameters in a line."""
+    """Return the formula and its parameters in one line."""
     parameters = [parameter_text(name, value) for name, value in formula["parameters"].items()]
     return ", with ".join([formula["text"], *([", ".join(parameters)] if parameters else [])])
 
 
 def white_runs(document: DiagnosisDocument, when: When) -> tuple[int, int]:
-    """Runs whose innovations are white, of how many that were tested."""
+    """Return the number of runs with white innovations, and of runs that were tested."""
     innovations = document.get("innovations")
     found = innovations[when] if innovations else {}
     tested = [one["ljung_box_p"] for one in found.values() if one["ljung_box_p"] is not None]
@@ -230,7 +234,7 @@ def white_runs(document: DiagnosisDocument, when: When) -> tuple[int, int]:
 
 
 def step_names(waterfall: Sequence[WaterfallStep]) -> list[str]:
-    """What each step of the waterfall changes: `the twin as given`, `+ heater_lag`, `- wall_loss`."""
+    """Return the change of each step of the waterfall: `the twin as given`, `+ heater_lag`, `- wall_loss`."""
     names = []
     for step, last in zip(waterfall, [None, *waterfall[:-1]], strict=True):
         had = last["effects"] if last is not None else []
@@ -246,5 +250,5 @@ def step_error(step: WaterfallStep, role: Role) -> float | None:
 
 
 def listed(names: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Join names: `a`, `a and b`, `a, b and c`."""
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
