@@ -54,6 +54,8 @@ def exponential(rates: Floats, step_s: float | Floats) -> tuple[Floats, Floats]:
         return np.exp(exponent), step_s * np.where(
             still, 1.0, np.expm1(exponent) / np.where(still, 1.0, exponent)
         )
+    # Scaling and squaring by hand (Moler & Van Loan 2003, SIAM Review 45(1)): SciPy stays out of the daemon's
+    # memory, and the integral, doubled along, needs no inverse of rates that may be singular.
     scaled = rates * step_s
     norm = np.abs(scaled).sum(axis=-1).max(initial=0.0)
     halvings = max(0, int(np.ceil(np.log2(norm / _TAYLOR_NORM)))) if np.isfinite(norm) and norm > 0.0 else 0

@@ -103,6 +103,7 @@ class EnsembleRun(NamedTuple):
 
 def responses(wanted: Sequence[EnsembleRun]) -> Floats:
     """What the sensor shows after each row, [len(wanted), B, N]."""
+    # Twins of fewer states are padded with zeros, so that one loop over the rows serves all of them.
     rows, runs = wanted[0].steps.index.shape
     size = max(len(item.steps.states) for item in wanted)
     tables, index, offset = [], np.empty((rows, len(wanted), runs), dtype=np.intp), 0

@@ -161,6 +161,7 @@ class BoxTwin:
         Returns : [B, N] [°C]
         Errors : DataError naming a column that is missing
         """
+        # Where one matrix per fan speed is exact, the inputs of all steps are added up before the loop.
         states = np.broadcast_to(start, (fan.shape[0], len(self.states)))
         if not self.signals.steady:
             march = self.march(Commands(duty, fan), ambient, source, conditions, before)

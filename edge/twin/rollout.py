@@ -79,6 +79,7 @@ class March:
         before: Commands | None,
     ) -> "March":
         """All matrices at once; the arguments as in `edge.twin.model.Twin.march`."""
+        # All steps at once: matrices are made for the modes that occur, not in the loop over the steps.
         shape = (commands.fan.shape[1], commands.fan.shape[0])
         room = _in_time(ambient, shape)
         steps = {name: _in_time(column, shape) for name, column in columns.items()}

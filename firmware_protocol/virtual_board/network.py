@@ -135,6 +135,7 @@ class NetworkEquations:
 
     def _eliminate(self, theta_s: float, loads: Loads) -> None:
         """Diagonals of h, p, s, o and the 3 x 3 system that is left, for a stage of length theta_s."""
+        # By hand, as the board has no NumPy to solve 7 x 7 equations in every step.
         h, p, s, o, w, u, b = self._rates = [c / theta_s for c in self.capacities]
         leak = 0.5 * loads.leak_w_k
         self._dh = dh = h + self._rad_w_k + self._hu

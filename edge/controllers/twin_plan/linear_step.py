@@ -56,6 +56,7 @@ def linear_step(twin: BoxTwin, state: Floats, ambient: float, conditions: Condit
 
     Errors : DataError naming a column that is missing
     """
+    # By unit differences of one batch of steps: exact for linear effects, late and slow ones too.
     size = len(state)
     rows = size + 5  # as it is, each state, room, duty now, duty before, heat: one more each
     states = np.tile(state, (len(MODES) * rows, 1))
