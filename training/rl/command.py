@@ -5,8 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge.core.errors import DataError
+from training.sweep import add_arguments, sweep
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
+    from training.rl.study import PolicyJob
+
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]
 
 POLICIES = Path("training/results/policies")
@@ -36,6 +39,7 @@ def _add_offline(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument("--steps", type=int, help="of the environment (usual: 100000)")
     sub.add_argument("--out", type=Path, default=POLICIES, help=f"policies, records (usual: {POLICIES})")
+    add_arguments(sub, workers=0)
     sub.set_defaults(run=_offline)
 
 
@@ -44,11 +48,12 @@ def _offline(arguments: argparse.Namespace) -> int:
     from dataclasses import replace
 
     from training.rl.settings import DqnSettings
-    from training.rl.study import PolicyJob, study
+    from training.rl.study import PolicyJob
 
     settings = DqnSettings()
     if arguments.steps is not None:
         settings = replace(settings, steps=arguments.steps)
+    jobs = []
     for variant in arguments.variant:
         for seed in arguments.seed:
             words = f"greenhouse-train rl --variant {variant} --model {arguments.model} --seed {seed}"
@@ -57,8 +62,21 @@ def _offline(arguments: argparse.Namespace) -> int:
             variants = VARIANTS if arguments.randomise else 1
             job = PolicyJob(variant, arguments.model, seed, words, variants, settings)
             folder = folder_of(arguments.out, variant, arguments.model, seed, arguments.randomise)
-            print(_line(study(job, folder)), flush=True)
+            jobs.append((job, folder))
+    sweep(
+        _study,
+        jobs,
+        arguments.workers,
+        arguments.dask,
+        lambda done, job, record: print(_line(record), flush=True),
+    )
     return 0
+
+
+def _study(place: "tuple[PolicyJob, Path]") -> dict[str, Any]:
+    from training.rl.study import study
+
+    return study(*place)
 
 
 def _add_online(sub: argparse.ArgumentParser) -> None:
