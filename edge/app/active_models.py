@@ -75,7 +75,7 @@ class ActiveModels:
         return {name: registry.make(name, parts) for name in self._names if name not in without}
 
     def versions(self) -> dict[str, str]:
-        """Of every model that forecasts."""
+        """Return the version of every model that forecasts."""
         return {name: model.version for name, model in self._forecasting_parts()[0].items()}
 
     def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
@@ -106,7 +106,7 @@ class ActiveModels:
         return made
 
     def _chosen(self) -> tuple[Predictor, Predictor]:
-        """The model that estimates and plans, and the linear one that proposes plans to it."""
+        """Return the model that estimates and plans, and the linear one that proposes plans to it."""
         if self._configured is not None:
             return self._configured, self._configured
         active = _active(self._serving)
@@ -140,5 +140,5 @@ def _active(serving: Serving | None) -> Mapping[str, Predictor]:
 
 
 def _bundle(serving: Serving | None) -> Loaded | None:
-    """The active one."""
+    """Return the active bundle."""
     return None if serving is None else serving.active

@@ -1,4 +1,4 @@
-"""What a configuration names on this machine: is each file, folder, socket and port there and of its kind?
+"""Check of a configuration on this machine: each file, folder, socket and port exists and is of its kind.
 
 An error would end the daemon or leave a part of it without work. A warning may be right at another moment or
 for another user: a board that is not plugged in, a credential that only systemd hands over.
@@ -79,7 +79,7 @@ def _port(path: str) -> Iterator[ConfigProblem]:
 
 
 def _data_file(key: str, path: Path, check: Callable[[Path], str]) -> Iterator[ConfigProblem]:
-    """A file that the daemon makes where it is missing."""
+    """Check a file that the daemon creates where it is missing."""
     mode = _mode(path)
     if mode is None:
         yield from _place(key, path)

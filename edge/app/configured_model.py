@@ -11,7 +11,8 @@ from edge.models.persistence import Persistence
 
 
 def configured_model(control: ControlSettings) -> Predictor:
-    """The ARX model of `control.model`, else the packaged one; a rig that runs by rules alone needs neither.
+    """Return the ARX model of `control.model`, else the packaged one. A rig
+    that runs by rules alone needs neither.
 
     Errors : ConfigError when the model is made for another step than `control.step_s`; DataError by its file
     """

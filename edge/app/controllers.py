@@ -20,7 +20,7 @@ from edge.models.pbm import Pbm
 
 @dataclass(frozen=True, slots=True)
 class ControllerParts:
-    """What controllers are made of.
+    """The parts that controllers are made from.
 
     model : estimates, and MPC and MPC-P plan with it
     linear : the ARX model whose plan a search over another `model` begins with
@@ -38,7 +38,7 @@ class ControllerParts:
 
 
 def make(name: str, parts: ControllerParts) -> Controller:
-    """The controller called `name`. Raises : RequestError for a name there is not, with the nearest one"""
+    """Make the controller called `name`. Raises : RequestError for an unknown name, with the nearest one"""
     if name not in names.CONTROLLERS:
         raise RequestError(f"controller: there is no {name!r}; {nearest(name, names.CONTROLLERS)}")
     if name == names.RULES:
@@ -112,7 +112,7 @@ def _llm(name: str, parts: ControllerParts) -> Controller:
 
 
 def _assisting(assistance: str, parts: ControllerParts) -> tuple[Predictor | None, str]:
-    """The predictor that a variant simulates with, and why there is none where it needs one."""
+    """Return the predictor that a variant simulates with, and the reason if a required one is missing."""
     if assistance in ("", "sql"):
         return None, ""
     if assistance == "arx":

@@ -182,7 +182,9 @@ class Daemon:
         return loop
 
     def _external(self) -> External:
-        """It stops waiting a little before the one who asks it does, so that its reason is heard."""
+        """Return the external controller. Its wait ends a little before the
+        caller's, so that its reason arrives.
+        """
         control = self.settings.control
         proposals = ExternalProposals(Path(self.settings.external.socket))
         self._stack.callback(proposals.close)
@@ -213,7 +215,7 @@ class Daemon:
         return model
 
     def _desk(self, inbox: Inbox, models: ActiveModels, llm: LanguageModel | None) -> WishDesk:
-        """Where an operator's wishes are worked on."""
+        """Return the desk for operators' requests."""
         model = None if llm is None else partial(settings_from, llm)
         around = DeskParts(self.settings, model, inbox.ask, lambda: models.twin, self.clock.utc)
         desk = WishDesk(around)
@@ -260,7 +262,7 @@ class Daemon:
         )
 
     def _save(self, state: StateSink, standing: Operation) -> SaveState:
-        """Of orders given in an experiment only stops outlive it."""
+        """Return the sink that saves orders. Only stops outlive an experiment."""
         if not self.experiment:
             return state.save
 

@@ -21,7 +21,7 @@ FOLDER_MAX = 80  # bytes; with the names of the sockets in it below the 108 of s
 
 
 def demos_directory() -> Path:
-    """Where the demos of this user are found."""
+    """Return the folder of this user's demos."""
     return Path(tempfile.gettempdir()) / f"greenhouse-demos-{os.getuid()}"
 
 

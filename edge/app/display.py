@@ -1,4 +1,4 @@
-"""What happens, live: a line per tick, or on a terminal a page that redraws itself (rich, imported late)."""
+"""Live display: a line per tick, or on a terminal a page that redraws itself (rich, imported late)."""
 
 import textwrap
 from collections import deque
@@ -41,7 +41,7 @@ def tick_line(tick: Mapping[str, Any], columns: int | None = None) -> str:
 
 
 def _models(forecasts: Mapping[str, Any]) -> str:
-    """What each model expects in MODELS_MIN, "" where none does."""
+    """Return each model's forecast for MODELS_MIN, "" without any."""
     expected = {
         name: forecast["temp_c"][str(MODELS_MIN)]
         for name, forecast in forecasts.items()
@@ -63,7 +63,7 @@ class LineDisplay:
         self._out.write_later(lambda: tick_line(tick_json(record)) + "\n")
 
     def faults(self) -> Mapping[str, str]:
-        """The outlet's."""
+        """Return the outlet's faults."""
         return self._out.faults()
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class PageDisplay:
         self._events.extend(record.events)
 
     def faults(self) -> Mapping[str, str]:
-        """The outlet's."""
+        """Return the outlet's faults."""
         return self._out.faults()
 
     def close(self) -> None:
@@ -117,5 +117,5 @@ def _clock(utc: float) -> str:
 
 
 def make_display(out: Outlet, footer: str = "") -> LineDisplay | PageDisplay:
-    """The page on a terminal, with `footer` as its last line; lines anywhere else."""
+    """Return the page on a terminal, with `footer` as its last line, and lines anywhere else."""
     return PageDisplay(out, footer) if out.isatty() else LineDisplay(out)

@@ -25,7 +25,7 @@ ROLES = ("train", "validate", "test")
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What is applied.
+    """The profile of an experiment and its options.
 
     profile : inputs (open loop), or a reference for `controller`
     length_s : a shorter time than the profile's, else infinity
@@ -45,7 +45,7 @@ class Experiment:
 
 @dataclass(slots=True)
 class ExperimentCourse:
-    """What happened, tick by tick.
+    """The course of an experiment, tick by tick.
 
     record_from_s : since the first tick, when the run begins
     """
@@ -118,7 +118,7 @@ def describe_changes(changes: Mapping[str, int]) -> str:
 
 
 def _checked(experiment: Experiment, settings: Settings) -> Settings:
-    """The settings for this experiment. Errors as `run_experiment`."""
+    """Return the settings for this experiment. Errors as `run_experiment`"""
     profile, step_s = experiment.profile, settings.control.step_s
     recorded_s = experiment.end_s - profile.record_from_s
     if not recorded_s >= step_s:
@@ -141,7 +141,7 @@ def _checked(experiment: Experiment, settings: Settings) -> Settings:
 
 
 def _refuse_stopped(settings: Settings) -> None:
-    """An experiment on a rig that is held off would record hours of nothing."""
+    """Refuse an experiment on a rig that is held off: it would record hours of nothing."""
     standing = read_standing(Path(settings.state_file), settings)
     if standing.broken:
         raise GreenhouseError(f"state_file: {standing.broken}")
@@ -166,7 +166,7 @@ def _has_air_temperature(record: TickRecord) -> bool:
 def _recorded(
     experiment: Experiment, settings: Settings, first: TickRecord, last: TickRecord, course: ExperimentCourse
 ) -> RecordedRun:
-    """The run as the history holds it."""
+    """Return the run as the history holds it."""
     profile = experiment.profile
     facts = {
         "rig": settings.mqtt.rig,

@@ -90,7 +90,7 @@ def _facts(record: TickRecord, columns: int) -> list[Line]:
 
 
 def _explanation(record: TickRecord, columns: int) -> Iterator[Line]:
-    """The first sentences of the decision's "why" that fit two lines, and a drift of the twin."""
+    """Yield the first sentences of the decision's "why" that fit two lines, and a drift of the twin."""
     sentences: list[str] = []
     room = 2 * (columns - len("why        "))
     for sentence in reasons(record.decision.why):
@@ -115,7 +115,7 @@ def _cut(text: str, columns: int) -> str:
 
 
 def forecast_facts(record: TickRecord) -> list[tuple[str, str]]:
-    """A row per model: its forecast for MODELS_MIN, and its mean error lately."""
+    """Return a row per model: its forecast for MODELS_MIN and its recent mean error."""
     errors = {
         skill.predictor: f"off by {skill.mae_k:.2f} K lately"
         for skill in record.skill

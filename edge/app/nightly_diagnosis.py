@@ -45,7 +45,7 @@ _HOW = {"shadow": "--shadow", "activate": "--activate"}  # settings.drift.adopt 
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Where a diagnosis finds what it needs.
+    """The files and folders of a diagnosis.
 
     twin : file of the running twin, None while none runs
     config : edge.yaml of this daemon, None where it has none
@@ -97,11 +97,11 @@ class NightlyDiagnosis:
             self._jobs.put(datetime.fromtimestamp(record.utc, self._zone).strftime("%Y-%m-%d_%H%M"))
 
     def faults(self) -> Mapping[str, str]:
-        """A diagnosis that fails is told as an event; nothing here lasts."""
+        """Return no fault: a failed diagnosis is an event, nothing here lasts."""
         return {}
 
     def events_pending(self) -> list[Event]:
-        """What was done since the last call. Called by the control thread."""
+        """Return the events since the last call. The control thread calls this."""
         now, utc = self._clock.now(), self._clock.utc()
         told = [self._told.popleft() for _ in range(len(self._told))]
         return [Event(key, severity, text, now, utc) for key, severity, text in told]
@@ -168,7 +168,9 @@ class NightlyDiagnosis:
             raise _Failed(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
 
     def _ended(self, words: Sequence[str], log: Path, patience_s: float) -> int | str:
-        """The exit code, below 0 the signal that ended it; LATE. Errors: _Failed"""
+        """Wait for the command and return its exit code, below 0 the signal
+        that ended it; LATE. Errors: _Failed
+        """
         if self._places.requests is not None:
             try:
                 return ask(self._places.requests, words, log, patience_s, lambda: self._closing)
@@ -201,7 +203,7 @@ class _Failed(Exception):
 
 
 def is_due(before_utc: float, utc: float, at: time, zone: tzinfo | None) -> bool:
-    """Whether the local time `at` lies between two ticks, and not long ago."""
+    """Return whether the local time `at` lies between two ticks that are not far apart."""
     at_s = at.hour * 3600.0 + at.minute * 60.0
     ago_s = (seconds_of_day(utc, zone) - at_s) % 86400.0
     return ago_s < min(utc - before_utc, LATE_MAX_S)
@@ -243,13 +245,13 @@ def _in_words(found: Mapping[str, Any]) -> str:
 
 
 def _cause(code: int | str, said: str) -> str:
-    """The command's last words, and that its memory was limited where that ended it."""
+    """Return the command's last words, and that its memory limit ended it where that is so."""
     if code == -signal.SIGKILL or "MemoryError" in said:
         return f"it needed more memory than it may have; {said}"
     return said
 
 
 def _last_line(log: Path) -> str:
-    """Of what the command said, "" where it said nothing."""
+    """Return the command's last line, "" where it said nothing."""
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return lines[-1] if lines else ""

@@ -42,20 +42,20 @@ class Outlet(io.TextIOBase):
         self._put(text)
 
     def writable(self) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def isatty(self) -> bool:
-        """True where the stream behind it is a terminal."""
+        """Return whether the stream behind the outlet is a terminal."""
         return self._stream.isatty()
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """Of the stream behind it."""
+        """The encoding of the stream behind the outlet."""
         return getattr(self._stream, "encoding", None) or "utf-8"
 
     def faults(self) -> Mapping[str, str]:
-        """The row of the failure table that holds, while texts are lost."""
+        """Return the fault of the failure table while texts are lost."""
         return {"output.behind": self._error or "nobody reads"} if self._lost else {}
 
     def finish(self, timeout_s: float = CLOSE_S) -> None:
@@ -106,7 +106,9 @@ class Outlet(io.TextIOBase):
 
 @contextlib.contextmanager
 def standard_output() -> Iterator[Outlet]:
-    """Standard output, and error, that nobody in this process waits for until the block ends."""
+    """Replace standard output and error by outlets that nobody in this
+    process waits for, until the block ends.
+    """
     out, errors = Outlet(sys.stdout), Outlet(sys.stderr)
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):

@@ -33,7 +33,7 @@ COLORS = {Severity.ALARM: "#c0392b", Severity.WARNING: "#d68910", Severity.INFO:
 
 
 def plot_history(path: str | Path, since_utc: float | None, until_utc: float | None, out: str | Path) -> None:
-    """A picture of a stretch of the history, with its events. Errors: DataError, RequestError, OSError"""
+    """Draw a stretch of the history with its events. Errors: DataError, RequestError, OSError"""
     from edge.storage.runs import events_between, export_run
 
     run = export_run(path, since_utc=since_utc, until_utc=until_utc)
@@ -42,7 +42,7 @@ def plot_history(path: str | Path, since_utc: float | None, until_utc: float | N
 
 
 def plot_run(run: RecordedRun, out: str | Path, events: Sequence[Event] = ()) -> None:
-    """A picture of a run; the ending of `out` says which kind (.png, .svg, .pdf).
+    """Draw a run. The ending of `out` gives the kind (.png, .svg, .pdf).
 
     events : placed by their `utc`, and so only for a run that says when it began
     Errors : RequestError without matplotlib or for an unknown kind; OSError
@@ -128,7 +128,7 @@ def _draw_heater(axes: "Axes", time: Floats, duty: Floats) -> None:
 
 
 def _draw_events(panels: list["Axes"], run: RecordedRun, events: Sequence[Event], divisor: float) -> None:
-    """A line through all panels for each event; above them the numbers of the listed ones."""
+    """Draw a line through all panels for each event, with the numbers of the listed ones above."""
     start_utc = run.start_utc or 0.0
     for event in events:
         for axes in panels:
@@ -161,7 +161,7 @@ def _groups(events: Sequence[Event], gap_s: float) -> list[tuple[int, list[Event
 
 
 def _listed(events: Sequence[Event]) -> list[Event]:
-    """The gravest ones, in the order of time."""
+    """Return the gravest events, in the order of time."""
     gravest = sorted(events, key=lambda event: list(COLORS).index(event.severity))[:LISTED_MAX]
     return sorted(gravest, key=lambda event: event.utc)
 

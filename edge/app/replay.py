@@ -52,7 +52,7 @@ class Tape:
         self.records.append(record)
 
     def faults(self) -> dict[str, str]:
-        """A list has none."""
+        """Return no fault: a list has none."""
         return {}
 
 

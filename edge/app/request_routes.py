@@ -41,7 +41,7 @@ class Routes:
     desk: WishDesk
 
     def ask(self, request: Request) -> Reply:
-        """The answer; never raises."""
+        """Return the answer; never raises."""
         what = request.get("do")
         if isinstance(what, str) and what in KEYS:
             try:

@@ -25,7 +25,7 @@ class Notifier:
 
     @classmethod
     def from_environment(cls) -> "Notifier":
-        """The manager that started this process, if one did."""
+        """Return the notifier of the manager that started this process, if one did."""
         address = os.environ.get("NOTIFY_SOCKET", "")
         # A leading @ stands for the NUL byte of an abstract socket.
         watched = bool(os.environ.get("WATCHDOG_USEC"))
@@ -41,7 +41,7 @@ class Notifier:
         self._send(f"WATCHDOG=1\nSTATUS={status}")
 
     def stopping(self) -> None:
-        """The daemon is on its way down."""
+        """Tell the manager that the daemon is stopping."""
         self._send("STOPPING=1")
 
     def close(self) -> None:

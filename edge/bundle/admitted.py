@@ -1,4 +1,4 @@
-"""What a store remembers of its installs: the newest version, and which bundles have proved their models."""
+"""Record of a store's installs: the newest version, and the bundles that have proved their models."""
 
 import re
 from dataclasses import asdict, dataclass, replace
@@ -21,13 +21,15 @@ class Admitted:
     proved: tuple[str, ...] = ()
 
     def with_install(self, version: str, manifest_sha256: str) -> "Admitted":
-        """The record after a bundle was installed; an older one by the operator's word sets `newest` back."""
+        """Return the record after an install. An older bundle that the operator
+        allowed sets `newest` back.
+        """
         others = tuple(sha256 for sha256 in self.proved if sha256 != manifest_sha256)
         return replace(self, newest=version, proved=(*others, manifest_sha256)[-PROVED_MAX:])
 
 
 def release(version: str) -> tuple[int, ...]:
-    """The numbers that a version begins with, to compare by: (2,) for "2.0-twin-3f2a"; () without any."""
+    """Return the leading numbers of a version, for comparisons: (2,) for "2.0-twin-3f2a", () without any."""
     found = _RELEASE.match(version)
     numbers = [int(part) for part in found[0].split(".")] if found else []
     while numbers and numbers[-1] == 0:  # 2.0 is 2
@@ -36,7 +38,7 @@ def release(version: str) -> tuple[int, ...]:
 
 
 def read_admitted(folder: Path) -> Admitted | None:
-    """The store's record, None where there is none. Errors: DataError"""
+    """Read the store's record, None where there is none. Errors: DataError"""
     path = folder / FILE
     try:
         values = state_file.read(path)

@@ -36,7 +36,7 @@ class Adopted:
 
 
 def is_adopted(version: str | None) -> bool:
-    """Whether a bundle of this version was made by `with_twin`."""
+    """Return whether a bundle of this version was made by `with_twin`."""
     return version is not None and _SUFFIX.search(version) is not None
 
 
@@ -82,7 +82,7 @@ def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folde
 
 
 def _data_sha256(file: TwinFile, before: Manifest) -> str:
-    """Of the runs that the twin was fitted on; of those of the models before, where it does not say."""
+    """Return the hash of the runs that the twin was fitted on, else of the former models' runs."""
     told = file.provenance.get("data_sha256")
     return told if isinstance(told, str) and _SHA256.fullmatch(told) else before.data_sha256
 

@@ -38,7 +38,7 @@ def pack(folder: Path) -> bytes:
 
 
 def open_archive(source: Path) -> BinaryIO:
-    """The archive `source`, or the folder `source` as one. Errors: DataError"""
+    """Open the archive `source`, or pack the folder `source` as one. Errors: DataError"""
     try:
         if not source.is_dir():
             return open_file(source)

@@ -32,7 +32,7 @@ def read_checked(folder: Path, keys: Path) -> tuple[Manifest, MemoryFolder]:
 
 
 def check_folder(folder: Path, keys: Path) -> Manifest:
-    """The manifest of the bundle in `folder`, checked as by `read_checked`. Errors: DataError"""
+    """Check the bundle in `folder` as `read_checked` does and return its manifest. Errors: DataError"""
     return read_checked(folder, keys)[0]
 
 
@@ -56,7 +56,7 @@ def _checked_files(folder: Path, manifest: Manifest) -> dict[str, bytes]:
 
 
 def _read(path: Path, bytes_max: int) -> bytes:
-    """A plain file's bytes."""
+    """Return a plain file's bytes."""
     try:
         status = path.lstat()
     except FileNotFoundError:

@@ -100,13 +100,13 @@ class BundleKeeper:
         return {"bundle.refused": "; ".join(problems)} if problems else {}
 
     def events_pending(self) -> list[Event]:
-        """What was done since the last call. Called by the control thread."""
+        """Return the events since the last call. The control thread calls this."""
         now, utc = self._clock.now(), self._clock.utc()
         told = [self._told.popleft() for _ in range(len(self._told))]
         return [Event(key, severity, text, now, utc) for severity, key, text in told]
 
     def twin_file(self) -> Path | None:
-        """Of the active bundle; from any thread."""
+        """Return the twin file of the active bundle. Thread-safe."""
         active = self.serving.active
         return None if active is None else self._store.folder_of(active.name) / TWIN
 

@@ -104,7 +104,7 @@ class Manifest(Checked):
 
 
 def write_manifest(manifest: Manifest) -> bytes:
-    """The file's bytes: those that are signed."""
+    """Return the file's bytes, over which the signature is made."""
     document = asdict(manifest)
     if not manifest.policies:
         del document["policies"]
@@ -112,7 +112,9 @@ def write_manifest(manifest: Manifest) -> bytes:
 
 
 def parse_manifest(content: bytes) -> Manifest:
-    """The manifest in `content`, whole and fit for this software. Errors: DataError naming the key."""
+    """Parse the manifest in `content`, complete and fit for this software.
+    Errors: DataError naming the key
+    """
     return read(Manifest, parse_json(content, MANIFEST), MANIFEST)
 
 

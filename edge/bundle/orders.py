@@ -1,4 +1,4 @@
-"""What a person, or the scores, may ask of the store: one table for the command line and for the daemon."""
+"""Orders to the store, from a person or from the scores: one table for the command line and the daemon."""
 
 from collections.abc import Callable
 from functools import partial

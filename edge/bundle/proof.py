@@ -19,7 +19,7 @@ from edge.core.plain_text import plain
 
 @dataclass(frozen=True, slots=True)
 class ProofLimits:
-    """What proving a bundle may take; the packaged one takes 1 s and 80 MB."""
+    """Limits for proving a bundle; the packaged one takes 1 s and 80 MB."""
 
     cpu_s: int = 60  # a single-board computer needs a tenth of it
     wall_s: float = 180.0  # beside a daemon that works

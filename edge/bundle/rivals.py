@@ -10,7 +10,9 @@ from edge.forecasts.skill import RIVAL, SkillState
 def rival_rows(
     state: SkillState, active: Mapping[str, Predictor], rivals: Mapping[str, Predictor]
 ) -> tuple[HorizonScore, ...]:
-    """A row per model of both bundles and horizon, of their present versions; the shortest horizon first."""
+    """Return a row per horizon and model of both bundles, in their present
+    versions, the shortest horizon first.
+    """
     rows = []
     for (name, horizon, reference), pair in sorted(state.pairs.items(), key=lambda item: item[0][1]):
         if name != reference + RIVAL or reference not in active or reference not in rivals:

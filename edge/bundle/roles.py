@@ -26,7 +26,7 @@ class Roles:
 
 
 def installed(roles: Roles, version: str) -> Roles:
-    """A new bundle runs in shadow; one that is in use goes on as it is."""
+    """Put a new bundle in shadow; a bundle in use stays as it is."""
     if version in (roles.active, roles.rival):
         return roles
     return replace(roles, shadow=version)
@@ -48,21 +48,21 @@ def activated(roles: Roles, version: str | None) -> Roles:
 
 
 def rolled_back(roles: Roles) -> Roles:
-    """The previous bundle is active again, without one the packaged. Errors: RequestError"""
+    """Make the previous bundle active again, without one the packaged. Errors: RequestError"""
     if roles.active == PACKAGED and roles.previous is None:
         raise RequestError("the packaged bundle is active and there is none before it")
     return Roles(roles.previous or PACKAGED, None, roles.shadow)
 
 
 def marked_good(roles: Roles) -> Roles:
-    """The active bundle has proved itself. Errors: RequestError"""
+    """Record that the active bundle has proved itself. Errors: RequestError"""
     if not roles.on_probation:
         raise RequestError(f"bundle {roles.active} is not on probation")
     return replace(roles, on_probation=False)
 
 
 def rejected(roles: Roles) -> Roles:
-    """The shadow is no better: it stays installed and runs no more. Errors: RequestError"""
+    """End a shadow that is not better; it stays installed. Errors: RequestError"""
     if roles.shadow is None:
         raise RequestError("no bundle runs in shadow")
     return replace(roles, shadow=None)

@@ -11,7 +11,7 @@ from edge.core.errors import DataError, RequestError
 
 @dataclass(frozen=True, slots=True)
 class Serving:
-    """What forecasts at each tick. Exchanged whole, never changed."""
+    """The models that forecast at each tick. Exchanged whole, never changed."""
 
     active: Loaded | None  # None: not even the packaged bundle is fit for this rig
     rival: Loaded | None = None  # runs beside it and is scored
@@ -20,7 +20,7 @@ class Serving:
 
 
 def choose(store: BundleStore, loaded: Mapping[str, Loaded] | None = None) -> Serving:
-    """The active bundle; where it is damaged the previous one, where that is too the packaged one.
+    """Choose the active bundle, the previous one if that is damaged, else the packaged one.
 
     loaded : bundles that are in memory already, by name: they are not read again
 

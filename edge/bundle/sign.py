@@ -46,7 +46,7 @@ PUBLIC_SUFFIX = ".pub"
 
 @dataclass(frozen=True, slots=True)
 class ManifestFacts:
-    """What a manifest says that can't be read off the files."""
+    """Facts of a manifest that cannot be read off the files."""
 
     version: str
     created_utc: str  # 2026-07-01T12:00:00Z
@@ -58,7 +58,8 @@ class ManifestFacts:
 
 
 def generate_key(path: Path) -> Path:
-    """A new private key at `path`, readable by its owner alone. Returns the public key's file beside it.
+    """Write a new private key to `path`, readable by its owner alone.
+    Returns the public key's file, in the same folder.
 
     Errors : DataError when either file is there already: a lost key can't be made again
     """
@@ -111,7 +112,7 @@ def sign_folder(folder: Path, facts: ManifestFacts, key: Path) -> Manifest:
 
 
 def build_bundle(folder: Path, out: Path, facts: ManifestFacts, key: Path) -> Manifest:
-    """The files of `folder` as a signed archive `out`; the folder stays. Errors: DataError, OSError"""
+    """Pack the files of `folder` as a signed archive `out`; the folder stays. Errors: DataError, OSError"""
     with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
         copy = Path(temporary)
         for path in folder.iterdir():

@@ -102,13 +102,13 @@ class BundleStore:
         return sorted(path.name for path in self.folder.iterdir() if path.is_dir() and path.name[0] != ".")
 
     def folder_of(self, version: str) -> Path:
-        """Where a bundle lies, or would. Errors: RequestError for what is no version"""
+        """Return the folder of a bundle, installed or not. Errors: RequestError for an invalid version"""
         if not VERSION.fullmatch(version):
             raise RequestError(f"{version!r} is no version of a bundle")
         return self._packaged if version == PACKAGED else self.folder / version
 
     def load(self, version: str) -> Loaded:
-        """A bundle whose signature and hashes are right and whose models work.
+        """Load a bundle whose signature and hashes are right and whose models work.
 
         Errors : DataError with the reason; RequestError when it is not installed
         """
@@ -124,7 +124,9 @@ class BundleStore:
             raise DataError(f"bundle {version}: {error}") from error
 
     def load_folder(self, folder: Path, name: str = "") -> Loaded:
-        """The bundle in `folder`; what was checked is what is loaded, byte for byte. Errors: DataError"""
+        """Load the bundle in `folder`; the bytes that were checked are those
+        that are loaded. Errors: DataError
+        """
         manifest, files = read_checked(folder, self._keys)
         calibrated = INTERVALS in manifest.files
         intervals = read_intervals(files / INTERVALS) if calibrated else Intervals()
@@ -132,7 +134,7 @@ class BundleStore:
         return Loaded(name or manifest.version, manifest, predictors, intervals, policies)
 
     def verify(self, archive: BinaryIO) -> Manifest:
-        """A bundle that is not installed, checked as for `install`. Errors: DataError"""
+        """Check a bundle that is not installed, as for `install`. Errors: DataError"""
         with tempfile.TemporaryDirectory(prefix="greenhouse-bundle-") as folder:
             unpack(archive, Path(folder))
             manifest = check_folder(Path(folder), self._keys)
@@ -193,7 +195,7 @@ class BundleStore:
             return False
 
     def _admitted(self, allow_older: bool) -> Admitted:
-        """The record; of a store that has none yet what is installed speaks, of a spoilt one the operator."""
+        """Return the record. Without one the installed bundles count; a spoilt one needs the operator."""
         try:
             admitted = read_admitted(self.folder)
         except DataError as error:
@@ -203,7 +205,8 @@ class BundleStore:
         return admitted or Admitted(max(self.versions(), key=release, default=""))
 
     def _newest(self, newest: str, version: str, allow_older: bool) -> str:
-        """The newest version after an install. Errors: DataError for an older one that nobody asked for
+        """Return the newest version after an install. Errors: DataError for an
+        older one that was not asked for
 
         A bundle made from the active one (another twin) is no older than that.
         """
@@ -231,7 +234,7 @@ class BundleStore:
         move(incoming, place)
 
     def _clear_garbage(self) -> None:
-        """What interrupted installs have left; nobody else is at it, the lock is ours."""
+        """Remove the remains of interrupted installs. The lock keeps other processes out."""
         for name in (_INCOMING, _DAMAGED):
             if (self.folder / name).exists():
                 shutil.rmtree(self.folder / name)
@@ -244,7 +247,9 @@ class BundleStore:
         return True
 
     def _roles_or_fresh(self) -> Roles:
-        """A spoilt file is replaced by the next change; until then the packaged bundle is active."""
+        """Return the roles. A spoilt file is replaced by the next change; until
+        then the packaged bundle is active.
+        """
         try:
             return self.roles()
         except DataError:

@@ -36,7 +36,7 @@ class Scores:
 
 
 class TrialVerdict(Enum):
-    """What follows from the scores; the values are what the log says."""
+    """The verdict of the scores; the values are the words of the log."""
 
     WAIT = "goes on"
     PROMOTE = "promote"
@@ -54,7 +54,7 @@ class Judgement:
 
 
 def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
-    """What to do with the bundle on trial.
+    """Decide about the bundle on trial.
 
     on_probation : the active bundle is on trial against the one before it; else the shadow is
     ticks : scored forecasts at every horizon before anything is decided
@@ -80,7 +80,7 @@ def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
 
 
 def _unscored(scores: Scores, ticks: int) -> str:
-    """What is missing before anything can be said, "" when there is nothing.
+    """Return the reason why nothing can be decided yet, "" if there is none.
 
     A model that fails in one of the bundles is never scored: such a trial is for a person to end.
     """

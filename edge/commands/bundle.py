@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def store_of(settings: Settings, keys: Path | None = None) -> BundleStore:
-    """The rig's store. keys: other trusted ones than the configured"""
+    """Return the rig's store. keys : trusted keys in the place of the configured ones"""
     trusted = keys or Path(settings.bundle.trusted_keys)
     step_s = settings.control.step_s
     return BundleStore(Path(settings.bundle.path), trusted, loader(step_s), prove=Prover(trusted, step_s))
@@ -169,12 +169,12 @@ def _roles_in_words(roles: Roles) -> dict[str, str | None]:
 
 
 def print_roles(roles: Roles) -> None:
-    """What does what, in a line."""
+    """Print each role and its bundle in a line."""
     print("; ".join(f"{word}: {name}" for word, name in _roles_in_words(roles).items() if name))
 
 
 def print_serving(reply: dict[str, Any]) -> None:
-    """The same, as the daemon has it."""
+    """Print the roles as the daemon has them."""
     probation = ", on probation" if reply["on_probation"] else ""
     print(f"active: {reply['active']}{probation}; beside it: {reply['rival'] or 'none'} (the daemon has it)")
     for problem in reply["problems"]:
@@ -182,7 +182,9 @@ def print_serving(reply: dict[str, Any]) -> None:
 
 
 def _ask(settings: Settings, action: str, version: str | None) -> dict[str, Any] | None:
-    """The daemon's state after the job, None where no daemon runs. Errors: RequestError when it refuses"""
+    """Return the daemon's state after the job, None where no daemon runs.
+    Errors: RequestError for a refusal
+    """
     socket = Path(settings.control_socket.path)
     try:
         job = _accepted(request(socket, {"do": "bundle", "action": action, "version": version}))["job"]

@@ -110,7 +110,7 @@ def _controller(arguments: argparse.Namespace, profile: Profile) -> str:
 
 @contextmanager
 def _rig(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
-    """The rig of the configuration, or a virtual one with files of its own."""
+    """Yield the rig of the configuration, or a virtual one with files of its own."""
     if not arguments.virtual:
         yield config.load(arguments.config or RIG_CONFIG), RealClock()
         return

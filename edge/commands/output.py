@@ -9,7 +9,7 @@ from edge.core.errors import DataError
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """A file that can't be written is told in one line. Errors: DataError"""
+    """Report a file that cannot be written in one line. Errors: DataError"""
     try:
         yield
     except OSError as error:

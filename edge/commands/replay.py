@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def settings_for(step_s: float, controller: str, reference_c: float) -> Settings:
-    """The default settings at another step, in shadow: limits in degrees and seconds stay as they are."""
+    """Return the default settings at another step, in shadow. Limits in degrees and seconds stay."""
     settings = config.default()
     return replace(
         settings,

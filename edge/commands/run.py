@@ -30,7 +30,7 @@ class _Report:
         self._ready = False
 
     def tick(self, record: TickRecord) -> None:
-        """Called by the loop at the end of a whole tick, and from nowhere else."""
+        """Show a record. Only the loop calls this, at the end of a whole tick."""
         status = f"tick {record.seq}, {record.decision.controller}, mode {record.mode}"
         if not self._ready:
             self.notifier.ready(status, record.step_s)

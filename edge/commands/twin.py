@@ -27,5 +27,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """What the action's module returns."""
+    """Run the action's module and return its exit code."""
     return int(arguments.run_action(arguments))

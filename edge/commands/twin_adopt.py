@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def reported_twin(report: Path) -> Path:
-    """The twin file of a report. Errors: DataError where there is none, or where nothing was found"""
+    """Return the twin file of a report. Errors: DataError where none is there, or nothing was found"""
     if report.is_file():
         read_twin(report)
         return report
@@ -83,7 +83,7 @@ def reported_twin(report: Path) -> Path:
 
 
 def _diagnosis(path: Path) -> dict[str, Any]:
-    """The machine's answer. Errors: DataError"""
+    """Return the diagnosis of a report. Errors: DataError"""
     try:
         return parse_object(read_file(path, MODEL))
     except OSError as error:
@@ -123,7 +123,7 @@ def _key(given: Path | None, settings: Settings) -> Path:
 
 
 def _refuse_without_planner(adopted: Adopted, settings: Settings, elsewhere: bool) -> None:
-    """A rig that plans with the hybrid would be left without its model."""
+    """Refuse a twin without which a rig that plans with the hybrid would lack its model."""
     if not elsewhere and settings.control.predictor in adopted.dropped and not settings.control.model:
         name = settings.control.predictor
         raise RequestError(
@@ -168,7 +168,7 @@ def _back(arguments: argparse.Namespace) -> None:
 
 
 def _replace(twin: Path, target: Path) -> None:
-    """A copy in place of `target`; a reader sees the one or the other, whole."""
+    """Replace `target` atomically: a reader sees either file whole."""
     with writing(target):
         if target.exists():
             if target.resolve() == twin.resolve():

@@ -80,7 +80,7 @@ def steps(arguments: argparse.Namespace) -> list[list[str]]:
 
 
 def foreign_steps(arguments: argparse.Namespace) -> list[list[str]]:
-    """The same of the suite `foreign`, which has no other solvers and scores by other figures."""
+    """Return the steps of the suite `foreign`, which has no other solvers and figures of its own."""
     which = ["--split", arguments.split, "--out", str(arguments.out.absolute() / "foreign"), *_few(arguments)]
     which += ["--kinds", arguments.kinds] if arguments.kinds else []
     which += ["--seed-from", str(arguments.seed_from), "--workers", str(arguments.workers)]

@@ -45,7 +45,9 @@ def add_data_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> DiagnosisRuns:
-    """The runs that the arguments name. Errors: DataError, RequestError for files and history together"""
+    """Return the runs that the arguments name. Errors: DataError;
+    RequestError for files and history together
+    """
     given = (arguments.history, arguments.since, arguments.until, arguments.test_share, arguments.rows)
     if all(value is None for value in given):
         if not arguments.train:

@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SimulationErrors:
-    """What a free run misses by [K], over the rows that were forecast and measured; NaN without any."""
+    """Errors of a free run over rows both forecast and measured [K]; NaN without any."""
 
     rmse_k: float
     mae_k: float
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def simulate(pbm: Pbm, run: RecordedRun, start_rows: int = START_ROWS) -> RecordedRun:
-    """The run with a column `predicted_c`, empty in the rows that it starts from.
+    """Return the run with a column `predicted_c`, empty in the rows that it starts from.
 
     run : at the twin's step, with room temperature and fan
     start_rows : from the first row with a temperature on; the last of them with one is where it starts
@@ -123,7 +123,7 @@ def simulate(pbm: Pbm, run: RecordedRun, start_rows: int = START_ROWS) -> Record
 
 
 def errors(simulated: RecordedRun) -> SimulationErrors:
-    """Of the free run in a run's `predicted_c`."""
+    """Return the errors of the free run in a run's `predicted_c`."""
     missed = simulated.columns[PREDICTED] - simulated.columns["temp_air_c"]
     missed = missed[np.isfinite(missed)]
     if not len(missed):
@@ -134,7 +134,7 @@ def errors(simulated: RecordedRun) -> SimulationErrors:
 def _recorded(
     path: Path, step_s: float, ambient_c: float | None, fan_always_on: bool, without: Collection[str]
 ) -> RecordedRun:
-    """The run at the twin's step with all that a free run needs."""
+    """Return the run at the twin's step with every input of a free run."""
     run, told = plausible_run(read_table(path), without)
     for note in told:
         print(note, file=sys.stderr)
@@ -150,7 +150,9 @@ def _recorded(
 
 
 def _outs(runs: Sequence[Path], out: Path | None) -> list[Path | None]:
-    """Where each run goes, None for standard output. Errors: RequestError before anything is overwritten."""
+    """Return the output of each run, None for standard output. Errors:
+    RequestError before anything is overwritten
+    """
     if out is None:
         return [None]
     if len(runs) == 1 and out.suffix == ".csv" and not out.is_dir():

@@ -34,11 +34,11 @@ class External:
         self._proposed: dict[str, Any] | None = None  # for the tick before
 
     def reset(self) -> None:
-        """What was proposed before another controller decided is no more of interest."""
+        """Drop proposals from before another controller decided."""
         self._proposed = None
 
     def decide(self, context: Context) -> Decision:
-        """The client's command. Raises: DataError for an observation with holes; RequestError"""
+        """Return the client's command. Raises: DataError for an observation with holes; RequestError"""
         self._tick += 1
         question = self._question(context)
         self._proposed = None
@@ -76,7 +76,7 @@ def _command(answer: Mapping[str, Any]) -> Command:
 
 
 def _kept(said: Any) -> Any:
-    """A client's reason as the history can take it: 1e999 is infinite, and "\\ud800" is no text."""
+    """Return a client's reason as the history can store it: 1e999 is infinite, "\\ud800" is not text."""
     try:
         size = len(json.dumps(said, allow_nan=False, ensure_ascii=False).encode())
     except (ValueError, RecursionError):

@@ -18,7 +18,7 @@ class InputProfile:
         """Time goes on while another controller stands in."""
 
     def decide(self, context: Context) -> Decision:
-        """The row that holds now, whatever the temperature."""
+        """Return the present row of the profile, whatever the temperature."""
         if self._start_s is None:
             self._start_s = context.now_s
         # Ticks begin some milliseconds late, rows stand on the grid.

@@ -23,7 +23,7 @@ WALL_SHARE = 0.8  # of the decision's deadline; polish and runner-up follow the 
 
 @dataclass(frozen=True, slots=True)
 class MpcSettings:
-    """What an MPC is made with.
+    """The parts and settings of an MPC.
 
     weight : on heater and fan effort, 0 for `MPC`, 1 for `MPC-P` (paper, section MPC)
     node_budget : see `mixed_integer.solver.solve`
@@ -69,7 +69,7 @@ class Mpc:
         self._previous = None
 
     def decide(self, context: Context, node_limit: int | None = None) -> Decision:
-        """The first step of the cheapest plan found.
+        """Return the first step of the cheapest plan found.
 
         node_limit : replay a decision whose time box fired after so many nodes
         Raises : DataError when the forecast or the reference is no number
@@ -100,7 +100,7 @@ class Mpc:
 def planning_problem(
     context: Context, model: Arx, weight: float, horizon: int, preview: bool, tail: int = 0
 ) -> PlanningProblem:
-    """The context as a planning problem.
+    """Return the context as a planning problem.
 
     tail : steps after the horizon that count too, at the duty that would hold the reference and with the fan
         still: a plan is judged by what it leaves behind (a terminal cost; Mayne et al., Automatica 36, 2000)
@@ -146,7 +146,7 @@ def planning_problem(
 
 
 def padded(history: Columns, rows: int) -> Columns:
-    """A history of at least so many rows: as if its oldest row had lasted, nothing on."""
+    """Return a history of at least so many rows, extended by its oldest row with all outputs off."""
     missing = rows - len(history["temp_air"])
     if missing <= 0:
         return history
@@ -155,7 +155,7 @@ def padded(history: Columns, rows: int) -> Columns:
 
 
 def shifted(previous: Previous | None, context: Context) -> tuple[Ints, Ints] | None:
-    """The last plan as seen from now, its last inputs held."""
+    """Return the last plan shifted to the present, its last inputs held."""
     if previous is None:
         return None
     steps = round((context.now_s - previous.now_s) / context.step_s)

@@ -40,7 +40,7 @@ class MpcRollout:
         self._linear: Previous | None = None  # the planner's own, so that it goes on as `Mpc` would
 
     def decide(self, context: Context, node_limit: int | None = None) -> Decision:
-        """The first step of the cheapest plan found.
+        """Return the first step of the cheapest plan found.
 
         node_limit : replay a decision whose time box fired after so many nodes and rollouts
         Raises : DataError when the forecast or the reference is no number, or the predictor fails
@@ -69,7 +69,7 @@ class MpcRollout:
         return Decision(first_command(best.plan), self.name, forecast, why, planned(best.plan))
 
     def _last(self, problem: PlanningProblem, context: Context) -> list[Plan]:
-        """The last plan as seen from now, where it is allowed."""
+        """Return the last plan shifted to the present, if it is allowed."""
         last = shifted(self._previous, context)
         if last is None or len(last[0]) != problem.horizon or not problem.allows(*last):
             return []

@@ -71,7 +71,7 @@ class MpcTwin:
         return Decision(first_command(plan), self.name, tuple(found.shown.tolist()), why, planned(plan))
 
     def _follow(self, context: Context) -> tuple[Belief, LinearStep]:
-        """The state now, from the last tick's or from all that is known."""
+        """Estimate the present state, from the last tick's or from the whole history."""
         history = context.history
         rows = len(history["temp_air"])
         measured = history.get("temp_air_measured", history["temp_air"])
@@ -94,7 +94,7 @@ class MpcTwin:
         return belief, step
 
     def _linear(self, belief: Belief, context: Context) -> LinearStep:
-        """The twin's step as it is now; where nothing bends it, always the same."""
+        """Linearise the twin's step at the present state; a linear twin always has the same."""
         if self._step is None or self._twin.signals.bends or self._twin.needs:
             now: Conditions = {name: held(context.history[name])[-1:] for name in self._twin.needs}
             self._step = linear_step(self._twin, belief.state, context.estimate.temp_ambient, now)
@@ -102,7 +102,7 @@ class MpcTwin:
 
 
 def _inputs(context: Context, row: int) -> StepInputs:
-    """Of the step that begins at a row of the history, what is not known being off."""
+    """Return the inputs of the step that begins at a row of the history; unknown ones count as off."""
     history, before = context.history, max(row - 1, 0)
     duty, fan = np.nan_to_num(history["heater_duty"]), np.nan_to_num(history["fan_on"])
     ambient = float(history["temp_ambient"][row])
@@ -110,7 +110,7 @@ def _inputs(context: Context, row: int) -> StepInputs:
 
 
 def _goal(context: Context, weight: float, preview: bool) -> PlanningProblem:
-    """What a plan shall reach and keep; how the box answers is the twin's to say."""
+    """Return a plan's goal and limits, without the response, which the twin gives."""
     limits, asked, steps = context.limits, context.penalty, HORIZON + TAIL
     nothing: Floats = np.zeros(steps)
     return PlanningProblem(

@@ -1,4 +1,4 @@
-"""What plans cost by a predictor's real rollouts."""
+"""Costs of plans by a predictor's own rollouts."""
 
 from dataclasses import dataclass, replace
 
@@ -44,7 +44,7 @@ class PlanRollouts:
 
 
 def plan_rollouts(context: Context, model: Predictor, linear: PlanningProblem, held: float) -> PlanRollouts:
-    """The plans of a context.
+    """Return the rollouts and costs for a context.
 
     linear : the linear planner's problem for it, of which reference, weights and limits are taken
     held : a first guess of the duty that holds the reference
@@ -62,7 +62,7 @@ def plan_rollouts(context: Context, model: Predictor, linear: PlanningProblem, h
 
 
 def forecast(model: Predictor, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-    """The predictor's rollout [B, N] [°C]; however it fails, a DataError with its name."""
+    """Roll a predictor out, [B, N] [°C]. Errors: DataError with its name, however it fails"""
     try:
         temps = model.rollout(history, controls, ahead)
     except Exception as error:  # of any library behind the seam; the fallback controller decides then
@@ -77,7 +77,7 @@ def forecast(model: Predictor, history: Columns, controls: Floats, ahead: Column
 
 
 def ahead_with_offset(context: Context, steps: int) -> Columns:
-    """The coming steps' columns: what is measured stays as last known, time goes on."""
+    """Return the columns of the coming steps: measured values hold, time goes on."""
     ahead = {
         name: np.full(steps, last_known(column)[-1])
         for name, column in context.history.items()

@@ -1,4 +1,4 @@
-"""What a planning controller says of its plan: costs, constraints, the next best, the first command."""
+"""Explanation of a plan: costs, constraints, the runner-up, the first command."""
 
 from edge.controllers.mixed_integer.problem import Ints, Plan, PlanningProblem
 from edge.core.controller import Floats
@@ -7,7 +7,7 @@ from edge.core.names import HEATER_LEVELS
 
 
 def cost_split(problem: PlanningProblem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
-    """What a plan's cost is made of."""
+    """Split a plan's cost into its parts."""
     heater = float(problem.heater_weight * (duty**2).sum())
     fan_cost = float(problem.fan_weight * fan.sum())
     tracking = float(problem.tracking(temps).sum())
@@ -20,7 +20,7 @@ def cost_split(problem: PlanningProblem, duty: Floats, fan: Ints, temps: Floats)
 
 
 def binding(problem: PlanningProblem, plan: Plan, temps: Floats) -> list[str]:
-    """The constraints that shape the plan, those of the first step first."""
+    """Return the constraints that shape the plan, those of the first step first."""
     rules, found = problem.fan_rules, []
     if plan.levels[0] == problem.heater_levels:
         found.append("heater at its upper limit")
@@ -34,7 +34,7 @@ def binding(problem: PlanningProblem, plan: Plan, temps: Floats) -> list[str]:
 
 
 def runner_up(plan: Plan, other: Plan | None) -> dict[str, float | bool] | None:
-    """The best plan known that begins otherwise, and what it costs more; None where there is no other."""
+    """Return the best known plan with another first step, and its extra cost; None if there is none."""
     if other is None:
         return None
     command = first_command(other)
@@ -46,7 +46,7 @@ def runner_up(plan: Plan, other: Plan | None) -> dict[str, float | bool] | None:
 
 
 def first_command(plan: Plan) -> Command:
-    """What the plan wants of the step that begins now."""
+    """Return the plan's command for the step that begins now."""
     return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))
 
 

@@ -26,7 +26,7 @@ class Rl:
         """Nothing to forget: a policy looks at the history alone."""
 
     def decide(self, context: Context) -> Decision:
-        """The allowed action of the highest value, of equal ones the first.
+        """Return the allowed action of the highest value, of equal ones the first.
 
         Raises : DataError without a policy, and where observation or values are not numbers
         """

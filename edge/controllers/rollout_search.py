@@ -95,7 +95,7 @@ class Meter:
         self.spent += 0 if self.fired else rollouts
 
     def linear_plan(self, problem: PlanningProblem, node_budget: int, warm: tuple[Ints, Ints] | None) -> Plan:
-        """The exact planner's plan for a linear problem, its nodes counted."""
+        """Solve a linear problem with the exact planner and count its nodes."""
         left = None if self.node_limit is None else self.node_limit - self.spent
         solution = solve(problem, node_budget, self.time_box, left, warm)
         self.spent += solution.nodes
@@ -143,7 +143,7 @@ class RolloutSearch:
                 plan = self._better(plan, first=len(looked_around) == 1)
 
     def _better(self, plan: Plan, first: bool) -> Plan | None:
-        """A plan near `plan` that costs less; None where none is found or the search must end."""
+        """Return a cheaper plan near `plan`, None where none is found or the search must end."""
         goal = self.rollouts.goal
         local = self._picture(plan)
         if local is None:
@@ -164,7 +164,7 @@ class RolloutSearch:
         return None
 
     def _picture(self, plan: Plan) -> Local | None:
-        """What each single change of the plan does; None when there is no time for it.
+        """Return the effect of each single change of the plan, None without time for it.
 
         The heater goes one level up, or down where it is at its top; a changed plan may break the relay's
         rules, it is no proposal.
@@ -206,7 +206,7 @@ class RolloutSearch:
 
 
 def _linear_problem(goal: PlanningProblem, local: Local) -> PlanningProblem:
-    """The picture as the exact planner takes it: one response for all steps, the mean of theirs."""
+    """Return the local model in the exact planner's form: one response for all steps, the mean of theirs."""
     n, steps = goal.horizon, len(goal.reference)
 
     def mean_response(responses: Floats) -> Floats:

@@ -43,7 +43,7 @@ class Cells:
     lines: tuple[int, ...]
 
     def column(self, name: str) -> list[str]:
-        """The cells of a column, stripped. Errors: DataError"""
+        """Return the cells of a column, stripped. Errors: DataError"""
         if name not in self.names:
             raise DataError(
                 f"{self.path}: there is no column {shown(name)}, only {shown(list(self.names), 500)}"
@@ -52,17 +52,17 @@ class Cells:
         return [row[place].strip() for row in self.rows]
 
     def place(self, row: int, name: str) -> str:
-        """Where a cell is: `log.csv: line 12: T_in`."""
+        """Return a cell's place in words: `log.csv: line 12: T_in`."""
         return f"{self.path}: line {self.lines[row]}: {name}"
 
 
 def is_missing(cell: str) -> bool:
-    """Whether a cell has no value."""
+    """Return whether a cell has no value."""
     return cell.strip().lower() in MISSING
 
 
 def number(cell: str, decimal: str) -> float | None:
-    """The cell's number, None where it is none."""
+    """Return the cell's number, None if it is not a number."""
     text = cell.replace(",", ".") if decimal == "," and DECIMAL_COMMA.fullmatch(cell) else cell
     return float(text) if NUMBER.fullmatch(text) else None
 
@@ -103,7 +103,9 @@ def _text(path: Path, content: bytes) -> tuple[str, str]:
 
 
 def _delimiter(text: str) -> str:
-    """The one that cuts most lines into the same number of cells, more than one; a blank where none does."""
+    """Return the delimiter that cuts most lines into the same number of
+    cells, more than one; a blank if none does.
+    """
     lines = [line for line in text.splitlines()[:SAMPLE_LINES] if line.strip()]
     best, most = " ", 0
     for delimiter in DELIMITERS:
@@ -129,7 +131,7 @@ def _records(path: Path, text: str, delimiter: str) -> list[tuple[int, list[str]
 
 
 def _sheet(path: Path, content: bytes) -> list[tuple[int, list[str]]]:
-    """Of the first sheet with anything in it."""
+    """Return the rows of the first sheet that is not empty."""
     try:
         import openpyxl
     except ImportError:
@@ -170,7 +172,9 @@ def _decimal(records: Sequence[tuple[int, list[str]]], delimiter: str) -> str:
 
 
 def _header(records: Sequence[tuple[int, list[str]]]) -> int:
-    """The line before the first row of numbers that is as wide and has none; 0 where there is none."""
+    """Return the line of the header: the last one without numbers, as wide
+    as the rows of numbers; 0 without one.
+    """
     widths = Counter(len(row) for _, row in records[:SAMPLE_LINES])
     width = widths.most_common(1)[0][0] if widths else 0
     before: tuple[int, list[str]] | None = None
@@ -183,7 +187,7 @@ def _header(records: Sequence[tuple[int, list[str]]]) -> int:
 
 
 def _cells(path: Path, layout: FileLayout, records: Sequence[tuple[int, list[str]]]) -> Cells:
-    """The rows under the header, which are as wide as it. Errors: DataError"""
+    """Return the rows under the header that are as wide as it. Errors: DataError"""
     below = [(line, row) for line, row in records if line > layout.header_line]
     head = next((row for line, row in records if line == layout.header_line), None)
     if not below:

@@ -97,7 +97,7 @@ def _values(cells: Cells, target: str, source: Source) -> Floats:
 
 
 def _held(cells: Cells, column: str, values: Floats) -> Floats:
-    """An input holds until it is told again. Errors: DataError where it is not known at first"""
+    """Return an input that holds until its next value. Errors: DataError where its first value is missing"""
     known = np.isfinite(values)
     if not known[0]:
         raise DataError(f"{cells.place(0, column)}: empty in the first row; an input must be known")

@@ -1,4 +1,4 @@
-"""What a log seems to hold: its time, its columns and their units, every guess with its reason."""
+"""First look at a log: guesses of its time, columns and units, each with its reason."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -81,7 +81,7 @@ def look(paths: Sequence[Path]) -> Looked:
 
 
 def numbers_of(cells: Cells, name: str) -> Floats:
-    """A column's numbers, 1 and 0 for words like on and off, NaN for what is neither."""
+    """Return a column's numbers: 1 and 0 for words such as on and off, NaN for others."""
     found = []
     for cell in cells.column(name):
         value = number(cell, cells.layout.decimal)

@@ -59,7 +59,7 @@ class TimeDocument(Checked):
     gap_s: float = 600.0
 
     def cross_check(self) -> None:
-        """A column with a known format, or a period."""
+        """Check that the time is a column with a known format, or a period."""
         if (self.column is None) == (self.period_s is None):
             self.refuse("", "needs column and format, or period_s for rows at one period")
         if self.format not in KINDS and "%" not in self.format:

@@ -55,7 +55,7 @@ def words_of(name: str) -> list[str]:
 
 
 def is_time(name: str) -> bool:
-    """Whether a name sounds like a time."""
+    """Return whether a name sounds like a time."""
     return any(word in TIME_WORDS for word in words_of(name))
 
 

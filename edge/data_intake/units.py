@@ -59,7 +59,9 @@ def truth(cell: str) -> float | None:
 
 
 def guess_unit(target: str, values: Floats, words: str) -> tuple[str, float | None, str]:
-    """Unit of a column by its name's words and numbers, `full` where it needs one, and why ("" if sure)."""
+    """Guess a column's unit from the words of its name and its numbers; `full`
+    for shares, and the reason ("" if sure).
+    """
     most = float(np.nanmax(np.abs(values), initial=0.0))
     if target in TEMPERATURES:
         return _temperature(float(np.nanmedian(values)), words)
@@ -79,7 +81,7 @@ def guess_unit(target: str, values: Floats, words: str) -> tuple[str, float | No
 
 
 def _by_size(target: str, most: float) -> tuple[str, float | None, str]:
-    """The first unit of a target, or its second where no number is as large as the first would have."""
+    """Return the first unit of a target, or its second where every number is too small for the first."""
     usual, *other = BY_TARGET[target]
     if other and most <= SMALL[target]:
         return other[0], None, f"no value is above {SMALL[target]:g}, so it is taken for {other[0]}"

@@ -1,4 +1,4 @@
-"""What was found in a log, for the terminal."""
+"""Text for the terminal about a log's guesses."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ NAME, EXAMPLE = 24, 20  # characters of a cell of the table
 
 
 def told(found: Looked, paths: Sequence[Path], place: Path) -> str:
-    """A table of the columns, the guesses, and what to do next."""
+    """Return a table of the columns and guesses, and the next steps."""
     return "\n".join(_lines(found, paths, place)) + "\n"
 
 

@@ -54,7 +54,7 @@ def log_threshold(false_alarm_days: float, step_s: float) -> float:
 
 
 def heard(evidence: Evidence, white: Floats, regimes: Flags, start_utc: float, threshold: float) -> Evidence:
-    """The evidence with one more innovation.
+    """Return the evidence with one more innovation.
 
     white : [*paths]; regimes : [regimes], those of the step before it
     start_utc : begin of that step
@@ -81,6 +81,6 @@ def change_utc(evidence: Evidence) -> float:
 
 
 def by_regime(evidence: Evidence) -> Floats:
-    """The strongest evidence in each regime, [regimes]; of one path."""
+    """Return the strongest evidence in each regime of one path, [regimes]."""
     strongest: Floats = evidence.cusum.max(axis=-1)
     return strongest

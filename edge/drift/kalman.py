@@ -21,7 +21,7 @@ SAME_TIME_S = 1e-3  # two times of one tick
 
 
 class DriftFilterState(NamedTuple):
-    """What the twin believes at a tick."""
+    """The twin's estimate at a tick."""
 
     time_s: float
     mean: Floats  # [n]
@@ -86,7 +86,7 @@ class Filter:
         return DriftFilterState(float(times[-1]), mean, covariance, state.begun_s), innovation
 
     def _advance(self, mean: Floats, history: Columns, k: int) -> tuple[Floats, Floats]:
-        """The state after row k's step, and what that makes of a small difference."""
+        """Return the state after row k's step, and the derivative of the step."""
         twin = self.twin
         past = slice(max(0, k - self._rows), k + 1)
         duty, fan = (off_where_unknown(history[name][past]) for name in ("heater_duty", "fan_on"))
@@ -102,7 +102,7 @@ class Filter:
         return march.step(0, mean[None])[0], march.matrix(0)[0]
 
     def _inputs(self, duty: float, fan: Floats, room: Floats, columns: Conditions) -> Floats:
-        """What acts over a step, as `edge.twin.network.INPUTS`."""
+        """Return the inputs of a step, as `edge.twin.network.INPUTS`."""
         signals = self.twin.signals
         if self._plain:
             return np.array((duty, float(room[0]), 0.0))
@@ -117,7 +117,7 @@ def off_where_unknown(commands: Floats) -> Floats:
 
 
 def _known(history: Columns, needs: Mapping[str, str], k: int) -> dict[str, Floats]:
-    """The needed columns at row k, the last known value holding. Errors: DataError"""
+    """Return the needed columns at row k, the last known value holding. Errors: DataError"""
     found = {}
     for name, effect in needs.items():
         column = history.get(name, np.empty(0))[: k + 1]

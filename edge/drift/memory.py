@@ -1,4 +1,4 @@
-"""What a drift monitor knows from tick to tick, and from process to process."""
+"""Memory of a drift monitor, from tick to tick and from process to process."""
 
 import math
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ class DriftMemory:
 
     @property
     def disagrees(self) -> bool:
-        """Whether the alarm stands."""
+        """True while the alarm stands."""
         return math.isfinite(self.since_utc)
 
 

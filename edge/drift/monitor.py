@@ -18,7 +18,9 @@ from edge.twin.model import BoxTwin
 
 
 def in_words(drift: Drift, zone: tzinfo | None) -> str:
-    """`the twin disagrees since ..., mostly with the fan on: ...`; in `zone`, None: the machine's own."""
+    """Return `the twin disagrees since ..., mostly with the fan on: ...`;
+    in `zone`, None: the machine's own.
+    """
     if drift.state is DriftState.DISAGREES and drift.since_utc is not None:
         since = datetime.fromtimestamp(drift.since_utc, zone)
         sign = "warmer" if drift.error_k > 0.0 else "colder"
@@ -39,7 +41,7 @@ CAUTIOUS_AGREE = 24.0  # times longer where the cell is not learnt: there small 
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """What the test holds to.
+    """The false-alarm rate and delay that the test promises.
 
     step_s : time between ticks [s]
     false_alarm_days : mean time to a false alarm is at least this
@@ -95,12 +97,12 @@ class DriftMonitor:
             return self._unwatched(self._off)
 
     def take_events(self) -> list[Event]:
-        """What began or ended since the last call."""
+        """Return the beginnings and ends of alarms since the last call."""
         events, self._events = self._events, []
         return events
 
     def _let_go(self) -> None:
-        """Of the filter: it begins anew."""
+        """Drop the filter's state, so that it begins anew."""
         self._filter: Filter | None = None
         self._state: DriftFilterState | None = None
         self._past: noise.InnovationPast | None = None
@@ -194,7 +196,7 @@ class DriftMonitor:
         return replace(drift, text=in_words(drift, self._zone))
 
     def _told(self, reason: str = "") -> Drift:
-        """What holds now; an alarm stands until the twin has been seen to agree."""
+        """Return the present drift. An alarm stands until the twin has been seen to agree."""
         memory = self.memory
         if memory is None:
             return self._unwatched(reason)

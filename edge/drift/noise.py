@@ -1,4 +1,4 @@
-"""What the twin's ordinary errors look like, learnt in each cell, and innovations made white by it.
+"""Ordinary errors of the twin, learnt in each cell, and innovations whitened by them.
 
 In a cell (heater on or off, fan on or off) the innovations z, in units of the twin's own noise, are taken as
 z = bias + phi z' + psi m' + scale e: z' the one before, m' the mean of the last half hour, so that e is near
@@ -28,24 +28,24 @@ _RIDGE = 1e-6  # of regressors that never moved
 
 
 class InnovationPast(NamedTuple):
-    """What went before an innovation, [*paths]."""
+    """The innovations before one, [*paths]."""
 
     last: Floats  # z'
     mean: Floats  # m'
 
 
 def followed(past: InnovationPast, z: Floats, step_s: float) -> InnovationPast:
-    """The past of the next innovation."""
+    """Return the past of the next innovation."""
     return InnovationPast(z, past.mean + min(1.0, step_s / SLOW_S) * (z - past.mean))
 
 
 def nothing_learnt(paths: tuple[int, ...] = ()) -> Floats:
-    """Sums over no tick, [*paths, CELLS, 4, 4]: products of (1, z', m', z) with one another."""
+    """Return sums over no tick, [*paths, CELLS, 4, 4]: products of (1, z', m', z) with one another."""
     return np.zeros((*paths, CELLS, _TERMS, _TERMS))
 
 
 def learnt(sums: Floats, cell: int, z: Floats, past: InnovationPast) -> Floats:
-    """The sums with one more tick."""
+    """Return the sums with one more tick."""
     terms = _terms(z, past)
     more = sums.copy()
     more[..., cell, :, :] += terms[..., :, None] * terms[..., None, :]
@@ -58,7 +58,7 @@ def count(sums: Floats, cell: int) -> float:
 
 
 def share_learnt(sums: Floats, ticks: int) -> float:
-    """Of the ticks in cells that were visited at all, 0..1; of one path."""
+    """Return the share of ticks, in visited cells, that have been learnt, 0..1; of one path."""
     counts = np.minimum(sums[:, 0, 0], ticks)
     return float(counts.sum()) / (max(1, int(np.count_nonzero(counts))) * ticks)
 
@@ -69,7 +69,7 @@ def cautious(paths: tuple[int, ...] = ()) -> Floats:
 
 
 def weights(sums: Floats, cell: int) -> Floats:
-    """What makes an innovation of the cell white: e = weights . (1, z', m', z), [*paths, 4]."""
+    """Return the weights that whiten an innovation of the cell: e = weights . (1, z', m', z), [*paths, 4]."""
     products = sums[..., cell, :, :] / np.maximum(sums[..., cell, :1, :1], 1.0)
     left = products[..., :3, :3] + _RIDGE * np.eye(3)
     slopes = np.linalg.solve(left, products[..., :3, 3:])[..., 0]
@@ -87,7 +87,7 @@ def weights(sums: Floats, cell: int) -> Floats:
 
 
 def whitened(known: Floats, z: Floats, past: InnovationPast) -> Floats:
-    """The innovation in units of what is ordinary, [*paths]. known: as `weights` or `cautious`"""
+    """Return the innovation in units of the ordinary, [*paths]. known : as `weights` or `cautious`"""
     white: Floats = known[..., 0] + known[..., 1] * past.last + known[..., 2] * past.mean + known[..., 3] * z
     return white
 

@@ -1,4 +1,4 @@
-"""What the box was doing over a step: overlapping regimes to blame, and disjoint cells to learn noise in."""
+"""State of the greenhouse over a step: overlapping regimes for blame, disjoint cells for learning noise."""
 
 from typing import NamedTuple
 
@@ -39,7 +39,7 @@ CELLS = 4  # heater on or off, fan on or off
 
 
 class StepSituation(NamedTuple):
-    """Of the step that ends at the newest row; known before its end was measured."""
+    """The situation of the step that ends at the newest row, known before its end was measured."""
 
     regimes: NDArray[np.bool_]  # [len(REGIMES)]
     cell: int

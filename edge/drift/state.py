@@ -12,7 +12,9 @@ from edge.state.state_file import StateFileBroken
 
 
 def read_memory(path: Path) -> DriftMemory | None:
-    """Of the process before; where it can't be read the test begins anew, which endangers nothing."""
+    """Read the memory of an earlier process. Where it is unreadable the test
+    begins anew, which endangers nothing.
+    """
     try:
         values = state_file.read(path)
         return None if values is None else from_dict(values)
@@ -21,7 +23,7 @@ def read_memory(path: Path) -> DriftMemory | None:
 
 
 def drift_keeping(monitor: DriftMonitor, path: Path) -> StateKeeping:
-    """The sink that saves the monitor's memory."""
+    """Return the sink that saves the monitor's memory."""
 
     def memory() -> dict[str, Any] | None:
         return None if monitor.memory is None else to_dict(monitor.memory)
@@ -30,7 +32,7 @@ def drift_keeping(monitor: DriftMonitor, path: Path) -> StateKeeping:
 
 
 class _Turns:
-    """Whether a record is the first to disagree, or the last."""
+    """A check for the first and the last record that disagrees."""
 
     def __init__(self) -> None:
         self._state = DriftState.UNKNOWN

@@ -16,12 +16,12 @@ _COLUMNS = 4  # count, squares, squares of squares, errors
 
 
 def empty() -> Floats:
-    """The table, [regimes, 4]."""
+    """Return the empty table, [regimes, 4]."""
     return np.zeros((len(REGIMES), _COLUMNS))
 
 
 def noted(table: Floats, white: float, error_k: float, regimes: Flags, step_s: float) -> Floats:
-    """The table one tick later."""
+    """Return the table one tick later."""
     square = min(white**2, CUT**2)
     kept: Floats = table * np.exp(-step_s / MEMORY_S)
     kept[regimes] += (1.0, square, square**2, error_k)

@@ -19,7 +19,7 @@ WIDTH_MAX_K = 1e4  # a number at all: the paper's PBM is hundreds of K off after
 
 
 def tracked(half_width_k: float, residual_k: float) -> float:
-    """The half width after one more forecast [K]; a residual that is no number teaches nothing."""
+    """Return the half width after one more forecast [K]. A NaN residual changes nothing."""
     if not math.isfinite(residual_k):
         return half_width_k
     missed = float(abs(residual_k) > half_width_k)

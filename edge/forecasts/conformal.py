@@ -69,7 +69,8 @@ class IntervalsDocument:
 
 
 def half_width(errors: Sequence[Floats], claimed: float = CLAIMED) -> float:
-    """The interval's half width from the errors of each run, shape [n_k] each; runs without any don't count.
+    """Return the interval's half width from the errors of each run, shape
+    [n_k] each; empty runs do not count.
 
     Returns : [K]; infinity where there are too few runs for the claim (fewer than 9 for 90 %)
     Raises : DataError for an error that is no number
@@ -101,6 +102,6 @@ def write_intervals(intervals: Intervals, path: Path) -> None:
 
 
 def read_intervals(path: Source) -> Intervals:
-    """The calibration in `path`. Errors: DataError, naming the file and the row."""
+    """Read the calibration in `path`. Errors: DataError, naming the file and the row"""
     document = read_json(IntervalsDocument, path)
     return Intervals(document.intervals, document.provenance)

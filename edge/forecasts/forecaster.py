@@ -1,4 +1,4 @@
-"""What each predictor expects, from where the rig stands and under the inputs that are planned."""
+"""Forecasts of each predictor from the rig's present state, under the planned inputs."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
@@ -53,7 +53,7 @@ def forecasts(
 
 
 def planned_inputs(driven: Command, plan: Sequence[tuple[float, float]]) -> Floats:
-    """Inputs from now on, [n, 2]: the plan where it is what the board drives, else that alone.
+    """Return the inputs from now on, [n, 2]: the plan where the board drives it, else the driven inputs held.
 
     plan : heater_duty and fan_on of each step as the controller wanted them, () where it has no plan
     """

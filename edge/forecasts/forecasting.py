@@ -45,7 +45,7 @@ class Forecasting:
     def tick(
         self, history: Columns, decision: Decision, driven: Command, confirmed: bool
     ) -> tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]:
-        """The forecasts from now on, and the skill so far. Never raises for what a predictor does.
+        """Return the forecasts from now on, and the skill so far. No failure of a predictor raises.
 
         history : `Estimator.history()` after `record_sent(driven)`
         confirmed : the board said that it drives `driven`

@@ -41,7 +41,7 @@ def roll(predictor: Predictor, history: Columns, controls: Floats, step_s: float
 
 
 def ahead_of(history: Columns, steps: int, step_s: float) -> dict[str, Floats]:
-    """The coming steps' columns: what is measured stays as it is, time goes on; row 0 is now.
+    """Return the columns of the coming steps: measured values hold, time goes on; row 0 is now.
 
     No offset: that is what the estimator's own model misses, and here models are compared by themselves.
     """

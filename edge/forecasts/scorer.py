@@ -51,7 +51,7 @@ class Scorer:
     def observe(
         self, predictors: Mapping[str, Predictor], history: Columns, inputs_known: bool
     ) -> list[ScoredForecast]:
-        """The forecasts of all predictors that began `longest` steps ago, scored; then begin another.
+        """Score the forecasts that began `longest` steps ago, then begin new ones.
 
         predictors : by the name they are scored under
         history : `Estimator.history()` after the tick's inputs were recorded

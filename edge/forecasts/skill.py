@@ -55,7 +55,7 @@ class SkillState:
 def updated(
     state: SkillState, scored: Sequence[ScoredForecast], intervals: Intervals, step_s: float
 ) -> SkillState:
-    """The state after one tick's scored forecasts."""
+    """Return the state after one tick's scored forecasts."""
     if not scored:
         return state
     by_name = {(one.predictor, one.horizon_min): one for one in scored}
@@ -73,7 +73,7 @@ def updated(
 
 
 def without_rivals(state: SkillState) -> SkillState:
-    """The state when other rivals come: what was scored against others counts no more."""
+    """Return the state for other rivals: scores against the former ones no longer count."""
     return replace(
         state, pairs={key: pair for key, pair in state.pairs.items() if not key[0].endswith(RIVAL)}
     )
@@ -133,7 +133,7 @@ def _compared(pair: ErrorPair | None, one: ScoredForecast, other: ScoredForecast
 
 
 def _current(state: SkillState, intervals: Intervals, name: str, version: str, horizon: int) -> Width | None:
-    """The width of this very version: as it has followed, else as calibrated."""
+    """Return the width of this version: the tracked one, else the calibrated one."""
     width = state.widths.get((name, horizon))
     if width is not None and width.version == version:
         return width

@@ -12,7 +12,7 @@ from edge.state.state_file import StateFileBroken
 
 
 def to_dict(state: SkillState) -> dict[str, Any]:
-    """A list of lists for each part, keys first."""
+    """Return a list of lists for each part, keys first."""
     return {
         "pairs": [
             [*key, *pair.versions, pair.scored, pair.mae_k, pair.reference_mae_k]
@@ -62,7 +62,9 @@ def _above_0(value: Any) -> float:
 
 
 def read_skill(path: Path) -> SkillState:
-    """Of the process before; where it can't be read the scores begin anew, which endangers nothing."""
+    """Read the scores of an earlier process. Where they are unreadable they
+    begin anew, which endangers nothing.
+    """
     try:
         return from_dict(state_file.read(path) or {"pairs": [], "widths": []})
     except (StateFileBroken, ValueError):
@@ -70,5 +72,5 @@ def read_skill(path: Path) -> SkillState:
 
 
 def skill_keeping(state: Callable[[], SkillState], path: Path) -> StateKeeping:
-    """The sink that saves the scores."""
+    """Return the sink that saves the scores."""
     return StateKeeping(lambda: to_dict(state()), path)

@@ -21,7 +21,7 @@ _NUMBER = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")  # no "nan", no "1_0", no
 
 
 def parse(what: str, payload: bytes, reference: ReferenceSettings) -> Request:
-    """The request that `payload` on the topic `set/<what>` means.
+    """Return the request that `payload` on the topic `set/<what>` means.
 
     reference : gives the range of temperatures an operator may ask for
     Errors : RequestError with a text for the sender
@@ -88,7 +88,7 @@ def _proposal(text: str, reference: ReferenceSettings) -> Request:
 
 
 def _why(text: str, reference: ReferenceSettings) -> Request:
-    """An empty payload asks for the newest command."""
+    """Return the request for an explanation; an empty payload asks for the newest command."""
     if not text:
         return {"do": "why", "at_utc": None}
     if not _NUMBER.fullmatch(text):

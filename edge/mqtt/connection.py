@@ -17,7 +17,7 @@ CONNECT_TIMEOUT_S = 5.0
 
 
 def make_client(settings: MqttSettings, lane: str = "") -> Client:
-    """A client that is not connected yet. Errors: ConfigError for what no waiting can mend.
+    """Return a client that is not connected yet. Errors: ConfigError for a fault that waiting cannot mend
 
     lane : name of a connection beside the main one, which alone speaks for the rig by its last will
     """
@@ -56,7 +56,7 @@ def _set_credentials(client: Client, settings: MqttSettings) -> None:
 
 
 def tls_context(settings: MqttSettings) -> ssl.SSLContext:
-    """Authority and client certificate as configured. Errors: ConfigError."""
+    """Return the TLS context with authority and client certificate as configured. Errors: ConfigError"""
     try:
         context = ssl.create_default_context(cafile=settings.ca or None)
     except OSError as error:

@@ -29,7 +29,7 @@ ENTITY_TEXT_MAX = 255  # a state holds no more
 
 
 def device(settings: Settings) -> Json:
-    """The payload for `Topics.discovery`."""
+    """Return the payload for `Topics.discovery`."""
     topics = Topics.of(settings.mqtt)
     return {
         "device": {
@@ -307,5 +307,5 @@ def _value(key: str) -> str:
 
 
 def _percent(key: str) -> str:
-    """A share as percent; an unknown one stays unknown."""
+    """Return the template of a share as percent; an unknown one stays unknown."""
     return f"{{{{ None if value_json.{key} is none else (value_json.{key} * 100) | round(1) }}}}"

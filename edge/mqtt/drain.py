@@ -51,7 +51,8 @@ class Drain:
         self._pause_until = 0.0
 
     def answered(self, mid: int, refusal: str) -> None:
-        """The broker answered the message `mid`, one of ours or not. Called by the network thread.
+        """Note the broker's answer to the message `mid`, one of the drain's or
+        not. The network thread calls this.
 
         paho's own MQTTMessageInfo can't be asked: for a message queued without a connection it raises, even
         long after the message has been sent.

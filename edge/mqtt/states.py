@@ -1,4 +1,4 @@
-"""What the live topics say, made from the control loop's own status answer."""
+"""Payloads of the live topics, made from the control loop's status."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -54,7 +54,7 @@ def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json
 
 
 def decision(status: Mapping[str, Any]) -> Json:
-    """What the controller wanted, what was sent, and why."""
+    """Return the wanted and the sent command, and the reason."""
     tick = status["tick"]
     keys = ("seq", "utc", "mode", "controller", "reference_c", "wanted", "sent", "changes", "why")
     return {key: tick[key] for key in keys}
@@ -79,7 +79,7 @@ def skill(status: Mapping[str, Any]) -> Json:
 
 
 def drift(status: Mapping[str, Any]) -> Json:
-    """Whether the running twin agrees with the box; unknown where it is not watched."""
+    """Return whether the running twin agrees with the greenhouse; unknown where it is not watched."""
     tick = status["tick"]
     found = status.get("drift") or {"state": "unknown", "text": "the twin is not watched"}
     return {"seq": tick["seq"], "utc": tick["utc"], **found}
@@ -96,7 +96,7 @@ def _measurements(readings: Mapping[str, Any]) -> Json:
 
 
 def _reference(tick: Mapping[str, Any], operation: Mapping[str, Any]) -> float | None:
-    """An order counts at once, the tick's own reference until then."""
+    """Return the reference: an order counts at once, the tick's own reference until then."""
     ordered: float | None = operation["reference_c"]
     return tick["reference_c"] if ordered is None else ordered
 
@@ -107,7 +107,7 @@ def _in_maintenance(tick: Mapping[str, Any], operation: Mapping[str, Any]) -> bo
 
 
 def _hvac_mode(operation: Mapping[str, Any]) -> str | None:
-    """A mode Home Assistant knows; null (unknown) while a person drives by hand."""
+    """Return a mode that Home Assistant knows, null (unknown) in manual mode."""
     if operation["emergency_stop"]:
         return "off"
     return None if operation["mode"] == "manual" else operation["mode"]
@@ -125,7 +125,9 @@ def _action(operation: Mapping[str, Any], echo: Mapping[str, Any] | None) -> str
 
 
 def _line_counters(line: Mapping[str, int] | None) -> Json:
-    """A counter that never counted is not in `line`; without `line` (a recorded board) none is known."""
+    """Return the counters. One that never counted is not in `line`; without
+    `line` (a recorded board) none is known.
+    """
     return {f"line_{key}": None if line is None else line.get(key, 0) for key in LINE_COUNTERS}
 
 
@@ -142,7 +144,9 @@ def _is_tripped(status: Mapping[str, Any]) -> bool:
 
 
 def _has_problem(status: Mapping[str, Any]) -> bool:
-    """A person should look: tripped, no board, no confirmation, or no trustworthy air temperature."""
+    """Return whether a person should look: tripped, no board, no
+    confirmation, or no trustworthy air temperature.
+    """
     tick = status["tick"]
     air = tick["readings"].get(SIGNALS["temp_air"].key)
     air_is_good = air is not None and air["quality"] == "good"

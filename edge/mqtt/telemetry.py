@@ -105,12 +105,12 @@ class Telemetry:
             self._wake.set()
 
     def show_proposal(self, proposal: Mapping[str, Any]) -> None:
-        """What came of a wish, told by the desk's thread: published, whoever asked."""
+        """Publish the outcome of an operator's request, whoever asked. The desk's thread calls this."""
         self._proposals.append(proposal)
         self._wake.set()
 
     def faults(self) -> Mapping[str, str]:
-        """What is wrong now, by key of the failure table."""
+        """Return the present faults, by key of the failure table."""
         refusal = self._drain.refusal if self._drain else ""
         detail = self._offline or self._fault or (refusal and f"the broker refuses: {refusal}")
         faults = {"telemetry.offline": detail} if detail else {}
@@ -179,7 +179,9 @@ class Telemetry:
         self._wake.set()
 
     def _hear(self, what: str, payload: bytes) -> None:
-        """A command on the main connection: a flood ends here, before anything is parsed or answered."""
+        """Receive a command on the main connection. A flood ends here, before
+        anything is parsed or answered.
+        """
         lane = self._lane_of.get(what)
         if lane is not None:
             if not lane.is_open or (what == STOP and not self._is_heard_by_lane()):
@@ -194,7 +196,7 @@ class Telemetry:
             time.sleep(REFUSAL_PAUSE_S)
 
     def _is_heard_by_lane(self) -> bool:
-        """False where a stop does not come in by its own connection too: that one may have died unnoticed."""
+        """Return whether a stop also arrives on its own connection, which may have died unnoticed."""
         since_s = time.monotonic() - STOP_REPEATED_S
         if self._stop_heard_s < since_s:
             self._stop_heard.clear()
@@ -202,7 +204,7 @@ class Telemetry:
         return self._stop_heard_s >= since_s
 
     def _hear_lane(self, what: str, payload: bytes) -> None:
-        """A command on a connection of its own, whose thread calls this."""
+        """Receive a command on a connection of its own, whose thread calls this."""
         if what == STOP:
             self._stop_heard_s = time.monotonic()
             self._stop_heard.set()

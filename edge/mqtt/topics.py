@@ -15,7 +15,7 @@ class Topics:
 
     @classmethod
     def of(cls, settings: MqttSettings) -> "Topics":
-        """The topics that the settings give."""
+        """Return the topics that the settings give."""
         return cls(
             root=f"{settings.topic_prefix}/{settings.rig}",
             discovery=f"{settings.discovery_prefix}/device/{settings.rig}/config",
@@ -29,7 +29,7 @@ class Topics:
 
     @property
     def state(self) -> str:
-        """What holds now: one flat JSON object, retained."""
+        """The present state: one flat JSON object, retained."""
         return f"{self.root}/state"
 
     @property
@@ -39,7 +39,7 @@ class Topics:
 
     @property
     def forecasts(self) -> str:
-        """What each predictor expects at each horizon, with its interval; retained."""
+        """Each predictor's forecast at each horizon, with its interval; retained."""
         return f"{self.root}/forecasts"
 
     @property
@@ -49,7 +49,9 @@ class Topics:
 
     @property
     def drift(self) -> str:
-        """Whether the running twin agrees with the box, since when not and where; retained."""
+        """The agreement of the running twin with the greenhouse, the begin of a
+        drift and its place; retained.
+        """
         return f"{self.root}/drift"
 
     @property
@@ -60,7 +62,7 @@ class Topics:
 
     @property
     def decision(self) -> str:
-        """What the controller wanted, what safety made of it, and why; retained."""
+        """The wanted command, the sent one, and the reason; retained."""
         return f"{self.root}/decision"
 
     @property
@@ -70,7 +72,7 @@ class Topics:
 
     @property
     def proposal(self) -> str:
-        """What came of an operator's wish: to be confirmed, or not."""
+        """The outcome of an operator's request: to be confirmed, or not."""
         return f"{self.root}/proposal"
 
     @property
@@ -79,5 +81,5 @@ class Topics:
         return f"{self.root}/reply"
 
     def command(self, what: str) -> str:
-        """Where the command `what` is received; "+" for all."""
+        """Return the topic on which the command `what` is received; "+" for all."""
         return f"{self.root}/set/{what}"

@@ -212,7 +212,7 @@ class ControlSocket:
         self._listens = False
 
     def _dispensable(self, now: float) -> _Client | None:
-        """The client that has been idle for longest, None while all of them are new.
+        """Return the client that has been idle for longest, None while all of them are new.
 
         A client that waits for an answer comes last, above all where it has asked for a stop.
         """
@@ -303,7 +303,7 @@ class ControlSocket:
                 self._answer(question, _error(f"internal error: {error!r}"))
 
     def _answer(self, question: _Question, reply: dict[str, Any]) -> None:
-        """Called from any thread."""
+        """Answer a question. Thread-safe."""
         self._answers.append((question, reply))
         self._wake_up()
 

@@ -45,7 +45,7 @@ class ExternalProposals:
         self._client: socket.socket | None = None
 
     def ask(self, question: Mapping[str, Any], deadline_s: float) -> dict[str, Any]:
-        """The client's answer to this tick. Errors: RequestError with the reason why there is none."""
+        """Return the client's answer to this tick. Errors: RequestError with the reason for its absence"""
         give_up_s = time.monotonic() + deadline_s
         client = self._present_client()
         if client is None:
@@ -58,7 +58,7 @@ class ExternalProposals:
             raise RequestError(str(broken)) from None
 
     def wait_for_client(self, timeout_s: float) -> bool:
-        """Whether somebody is connected, or does so in time; before the first tick."""
+        """Wait for a client before the first tick; return whether one is connected."""
         if self._present_client() is None:
             select.select([self._listener], [], [], timeout_s)
         return self._present_client() is not None
@@ -72,7 +72,7 @@ class ExternalProposals:
                 self._path.unlink()
 
     def _present_client(self) -> socket.socket | None:
-        """The client as of now; others that wait are refused."""
+        """Return the present client; further clients are refused."""
         if self._client is not None and not _is_there(self._client):
             self._hang_up()
         while (connection := self._accepted()) is not None:
@@ -101,7 +101,7 @@ class _Broken(Exception):
 
 
 def _is_there(client: socket.socket) -> bool:
-    """Whether it still is; what it has sent unasked is thrown away, up to as much as anybody may."""
+    """Return whether the client is still connected. Unasked input is discarded, up to a limit."""
     try:
         for _ in range(LINE_MAX // _CHUNK):
             if not client.recv(_CHUNK):
@@ -132,7 +132,7 @@ def _send(client: socket.socket, message: Mapping[str, Any], give_up_s: float) -
 
 
 def _answer(client: socket.socket, tick: int, give_up_s: float) -> dict[str, Any]:
-    """The first line that answers this tick. Errors: _Broken; RequestError when it comes too late."""
+    """Return the first line that answers this tick. Errors: _Broken; RequestError when it comes too late"""
     unread = b""
     while True:
         line, end, rest = unread.partition(b"\n")

@@ -13,7 +13,7 @@ MODE = 0o660
 
 
 def listen(path: Path, key: str) -> tuple[socket.socket, int]:
-    """A listening socket at `path` that never blocks, and its inode; a stale file is replaced.
+    """Listen at `path` with a socket that never blocks; return it and its inode. A stale file is replaced.
 
     key : of the configuration, for errors
     Errors : ConfigError when somebody listens there already, or the place can't hold a socket

@@ -87,7 +87,7 @@ class Archive:
         self.last_sign = None if sign is None or None in sign else LastSign(*sign)
 
     def needs_migration(self) -> bool:
-        """Whether the indexes of the newest schema are missing."""
+        """Return whether the indexes of the newest schema are missing."""
         version = self.opened().execute("PRAGMA user_version").fetchone()[0]
         return bool(version < SCHEMA_VERSION)
 
@@ -160,7 +160,7 @@ class Archive:
             newcomer.execute("SELECT max(seq) FROM ticks").fetchone()
 
     def opened(self) -> sqlite3.Connection:
-        """The connection, opened where it is not."""
+        """Return the connection, opened if it was not."""
         if self._connection is None:
             self.open()
         assert self._connection is not None

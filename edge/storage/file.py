@@ -13,7 +13,7 @@ CACHE_KB = 1024
 
 
 class FileFault(Enum):
-    """What an sqlite3 error calls for."""
+    """The reaction that an sqlite3 error calls for."""
 
     WAIT = "wait"  # locked, full, read-only, no such directory: try again later
     REPLACE = "replace"  # corrupt, no database, from newer software: set it aside
@@ -28,7 +28,7 @@ _REPLACE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT
 
 
 def fault_of(error: Exception) -> FileFault:
-    """What to do about `error`. Anything that is not SQLite's word about its file is the record's fault."""
+    """Classify `error`. Any error that is not SQLite's report about its file is the record's fault."""
     if isinstance(error, Unusable):
         return FileFault.REPLACE
     code = getattr(error, "sqlite_errorcode", None)

@@ -28,7 +28,7 @@ class NumbersFile:
         self._path = Path(f"{history}-numbers")
 
     def read(self) -> Reserved | None:
-        """The last reservation, None without a readable one."""
+        """Return the last reservation, None without a readable one."""
         try:
             values = json.loads(self._path.read_bytes()[:_BYTES])
             return Reserved(int(values["first_seq"]), int(values["below"]), bool(values["is_final"]))

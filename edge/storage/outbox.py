@@ -95,7 +95,7 @@ class Outbox:
             self._connection = None
 
     def _open(self) -> sqlite3.Connection:
-        """The connection to the file that is at the path now."""
+        """Return a connection to the file that is at the path now."""
         if self._connection is None or identity(self._path) != self._identity:
             self.close()
             if not self._path.exists():

@@ -41,7 +41,7 @@ ON CONFLICT DO UPDATE SET  -- a window that an earlier chunk began
 
 
 class RetentionSettings(Protocol):
-    """What is needed of edge.config.settings.HistorySettings."""
+    """The part of edge.config.settings.HistorySettings that retention needs."""
 
     @property
     def retention_days(self) -> float: ...
@@ -69,7 +69,7 @@ def thin(connection: sqlite3.Connection, settings: RetentionSettings) -> tuple[b
 
 
 def _recorded_utc(connection: sqlite3.Connection) -> float:
-    """The time that ages are counted from; -inf without a tick: nothing is old then."""
+    """Return the time that ages are counted from; -inf without a tick: nothing is old then."""
     newest = "SELECT utc FROM ticks WHERE seq > 0 ORDER BY seq DESC LIMIT ?"
     utc = connection.execute(f"SELECT min(utc) FROM ({newest})", (CLOCK_TICKS,)).fetchone()[0]
     return -math.inf if utc is None else float(utc)

@@ -31,7 +31,8 @@ def export_run(
     since_utc: float | None = None,
     until_utc: float | None = None,
 ) -> RecordedRun:
-    """A stretch of the history at `path` as a run: a named one, or what lies within all the bounds given.
+    """Return a stretch of the history at `path` as a run: a named one, or
+    the ticks within all the bounds given.
 
     Readings that were not good are missing. Inputs are what the board confirmed; what it did not confirm
     counts as off, as in the loop. Time follows the loop's grid, and from session to session the wall clock.
@@ -117,7 +118,7 @@ def import_run(path: str | Path, run: RecordedRun, name: str) -> tuple[int, int]
 
 @contextmanager
 def reading(path: str | Path) -> Iterator[sqlite3.Connection]:
-    """A connection that can't write. Errors: DataError"""
+    """Open a read-only connection. Errors: DataError"""
     # Not opened to look: closing it would drop the locks of other connections of this process.
     if Path(path).exists() and not Path(path).is_file():
         raise DataError(f"{path}: not a regular file")
@@ -145,7 +146,7 @@ def _check_tables(connection: sqlite3.Connection, path: str | Path) -> None:
 
 @contextmanager
 def _writing(path: str | Path, new: bool = False) -> Iterator[sqlite3.Connection]:
-    """A connection in a transaction of its own. Errors: DataError"""
+    """Open a connection in a transaction of its own. Errors: DataError"""
     if not new and not Path(path).exists():
         raise DataError(f"{path}: there is no history")
     try:
@@ -185,7 +186,7 @@ def _named(connection: sqlite3.Connection, path: str | Path, name: str) -> tuple
 
 
 def _text(stored: bytes) -> str:
-    """A damaged letter is one, not the end of the command that reads it."""
+    """Return a stored text; a damaged letter does not end the command that reads it."""
     return stored.decode(errors="replace")
 
 

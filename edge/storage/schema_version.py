@@ -1,4 +1,4 @@
-"""What identifies a history file: its application, its schema's version, its read views. Plain constants.
+"""Identity of a history file: its application, its schema's version, its read views. Plain constants.
 
 They stand apart from `schema.py`, which imports sqlite_utils and so is imported only to migrate a file.
 """

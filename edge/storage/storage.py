@@ -23,7 +23,7 @@ CLOSE_S = 5.0  # a history that can't be written may hold up the end of the daem
 
 
 class HistoryOptions(Protocol):
-    """What is needed of edge.config.settings.HistorySettings."""
+    """The part of edge.config.settings.HistorySettings that the storage needs."""
 
     @property
     def path(self) -> str: ...
@@ -112,7 +112,7 @@ class Storage:
         return faults
 
     def events_pending(self) -> list[Event]:
-        """What happened to the history since the last call."""
+        """Return the history's events since the last call."""
         return [self._events.popleft() for _ in range(len(self._events))]
 
     def wait_written(self, seq: int, timeout_s: float) -> bool:
@@ -131,7 +131,7 @@ class Storage:
         return self._ended
 
     def _first_number(self, before: Reserved | None) -> int:
-        """The first number that no tick can have, by the open file and the last reservation."""
+        """Return the first free tick number, by the open file and the last reservation."""
         archive = self._archive
         following = archive.last_seq + 1
         if before is not None and (before.is_final or before.first_seq > archive.session_first_seq):

@@ -13,7 +13,7 @@ from edge.storage.ticks_as_run import Tick, run_of_ticks, ticks_between
 def export_stretches(
     path: str | Path, since_utc: float | None = None, until_utc: float | None = None
 ) -> list[RecordedRun]:
-    """What this rig recorded between two times, in its order; imported runs are left out.
+    """Return the rig's recordings between two times, in their order, without imported runs.
 
     From session to session only the wall clock could tell how much time passed, so none crosses one. Ticks
     of a named run of role test are stretches of their own and carry that role. Inputs are as `export_run`'s:

@@ -79,7 +79,7 @@ def insert_ticks(connection: sqlite3.Connection, records: Sequence[TickRecord], 
 
 
 def read_ticks(connection: sqlite3.Connection, seqs: Iterable[int]) -> dict[int, TickRecord]:
-    """The stored ticks with these numbers, without those that are not there or damaged.
+    """Return the stored ticks with these numbers, without missing or damaged ones.
 
     Monotonic times come back as NaN: they mean nothing after their process.
     """

@@ -84,7 +84,9 @@ def _readings(connection: sqlite3.Connection, seqs: list[int]) -> dict[str, Floa
 
 
 def _inputs(ticks: list[Tick]) -> dict[str, Floats]:
-    """What the board drove, 0 where it did not confirm, NaN where an imported run is silent; the target."""
+    """Return the driven inputs, 0 where the board did not confirm, NaN where
+    an imported run is silent; the target.
+    """
     table = np.array([[*tick[7:10], tick[5]] for tick in ticks], dtype=np.float64)
     unconfirmed = np.array([tick[6] for tick in ticks], dtype=bool)
     table[unconfirmed, :3] = 0.0

@@ -31,7 +31,7 @@ class Conversation:
     _mistakes: set[str] = field(default_factory=set)  # kinds that the model was told of once
 
     def run(self, deadline_s: float, stop: Interrupt) -> str | None:
-        """The text of the model's last message.
+        """Return the text of the model's last message.
 
         deadline_s : for all exchanges [s]
         Errors : LlmFailure; two mistakes of one kind in calling tools are a failure too
@@ -60,7 +60,7 @@ class Conversation:
         return reply
 
     def _answer(self, call: ToolCall) -> str:
-        """What the model is told of its call."""
+        """Return the reply to the model's tool call."""
         tool = next((tool for tool in self.tools if tool.spec.name == call.name), None)
         if tool is None:
             self._mistake("unknown_tool", f"{plain(call.name, 40)!r}")

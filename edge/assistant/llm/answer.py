@@ -28,7 +28,7 @@ class ModelAnswer:
 
 
 def answer_schema(with_simulation: bool) -> Schema:
-    """The JSON schema of the answer; a strict one lists every property as required."""
+    """Return the JSON schema of the answer. A strict schema lists every property as required."""
     properties: dict[str, Any] = {
         "heater_duty": {"type": "number", "minimum": 0, "maximum": 1},
         "fan_on": {"type": "boolean"},
@@ -48,7 +48,7 @@ def answer_schema(with_simulation: bool) -> Schema:
 
 
 def read_answer(content: str | None, with_simulation: bool) -> ModelAnswer:
-    """The answer in a model's last message: one JSON object, alone or in one fence.
+    """Read the answer in a model's last message: one JSON object, alone or in one fence.
 
     Errors : LlmFailure: malformed, wrong_schema or out_of_range
     """
@@ -73,7 +73,7 @@ def read_answer(content: str | None, with_simulation: bool) -> ModelAnswer:
 
 
 def nearest_level(duty: float) -> float:
-    """The heater duty as the board takes it, in steps of 1/20."""
+    """Round a heater duty to the board's steps of 1/20."""
     return round(duty * HEATER_LEVELS) / HEATER_LEVELS
 
 
@@ -89,7 +89,7 @@ def read_object(content: str | None) -> Mapping[str, Any]:
 
 
 def _number(values: Mapping[str, Any], key: str) -> float:
-    """A finite number. Errors: LlmFailure; a bool is not a number."""
+    """Return a finite number. Errors: LlmFailure; a bool is not a number"""
     value = values[key]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise LlmFailure("wrong_schema", f"{key} must be a number")

@@ -29,11 +29,11 @@ class Question(Generic[T]):
         self._thread.start()
 
     def wait(self, seconds: float) -> bool:
-        """Whether it is over within so long."""
+        """Wait at most so long; return whether the question is over."""
         return self._done.wait(seconds)
 
     def answer(self) -> T:
-        """Of a question that is over. Errors: LlmFailure"""
+        """Return the answer of a question that is over. Errors: LlmFailure"""
         if self._failure is not None:
             raise self._failure
         assert self._answer is not None

@@ -1,4 +1,4 @@
-"""What a language model may cost on a UTC day: charged before it is spent, corrected by what was counted."""
+"""Daily budget of a language model by UTC day: charged before a request, corrected by the counted tokens."""
 
 import math
 import threading
@@ -19,7 +19,7 @@ KEPT_EVERY_S = 60.0  # five exchanges a step would be five writes to the card; a
 
 @dataclass(frozen=True, slots=True)
 class Spent:
-    """Of one UTC day."""
+    """Tokens and requests spent on one UTC day."""
 
     day: str
     tokens: int = 0
@@ -28,7 +28,9 @@ class Spent:
 
 
 def read_spent(path: Path, today: str) -> Spent:
-    """Of the process before; a file of another day, or one that can't be read, holds nothing of today."""
+    """Read what an earlier process spent today. A file of another day, or an
+    unreadable one, counts as nothing spent.
+    """
     try:
         values = state_file.read(path) or {}
         spent = Spent(
@@ -41,7 +43,7 @@ def read_spent(path: Path, today: str) -> Spent:
 
 
 class Budget:
-    """Of all who ask, from any thread; kept over restarts in a file of its own."""
+    """The budget of all clients, thread-safe, saved over restarts in a file of its own."""
 
     def __init__(self, settings: LlmSettings, path: Path, utc: Callable[[], float]) -> None:
         self._settings = settings

@@ -55,7 +55,7 @@ def energies(text: str) -> list[Said]:
 
 
 def fits(said: Said, values: Iterable[float]) -> bool:
-    """Whether one of the values would be written so, rounded to the digits given."""
+    """Return whether one of the values reads like this when rounded to the digits given."""
     most = said.quantum * (0.5 + _ROUNDING)
     return any(abs(said.value - value) <= most for value in values)
 
@@ -116,7 +116,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What a text is held against."""
+    """The facts that a text is checked against."""
 
     context: Context
     ledger: Ledger
@@ -124,13 +124,13 @@ class Known:
 
 
 def check_claims(text: str, known: Known) -> list[Claim]:
-    """The claims of `text` that can be judged, in its order."""
+    """Return the claims of `text` that can be judged, in its order."""
     found = [claim for sentence in _SENTENCE.split(text) for claim in _claims(sentence.strip(), known)]
     return found[:CLAIMS_MAX]
 
 
 def _claims(sentence: str, known: Known) -> Iterator[Claim]:
-    """A sentence may claim several things; what it says of tools is a claim even as a prediction."""
+    """Yield the claims of a sentence. A statement about tools is a claim even as a prediction."""
     yield from _actions(sentence, known.context.last_sent)
     if _SIMULATED.search(sentence):
         yield from _numbers(sentence, "simulation", known, _simulated)
@@ -144,7 +144,9 @@ def _claims(sentence: str, known: Known) -> Iterator[Claim]:
 
 
 def _actions(sentence: str, driven: Command) -> Iterator[Claim]:
-    """The model can't act: what it says it did holds only where the board had it so before."""
+    """Yield claims of actions. The model cannot act: a claimed action is
+    true only if the board already did it.
+    """
     for match in _ACTED.finditer(sentence):
         rest = match["rest"].lower()
         if "fan" not in rest and "heater" not in rest:
@@ -170,7 +172,9 @@ def _states(sentence: str, driven: Command) -> Iterator[Claim]:
 
 
 def _told(sentence: str, context: Context) -> Iterator[Claim]:
-    """A clause with one name and one temperature: the target is, the ambient temperature is."""
+    """Yield claims of a clause with one name and one temperature: the
+    target is, the ambient temperature is.
+    """
     values = {
         "reference": float(context.reference[0]),
         "ambient": context.estimate.temp_ambient,
@@ -194,7 +198,9 @@ def _numbers(
 
 
 def _simulated(sentence: str, known: Known) -> tuple[list[float], str]:
-    """Of the simulation that is named, else of all; the target and now may be spoken of beside them."""
+    """Return the values of the simulation that is named, else of all. The target
+    and the present value may stand with them.
+    """
     entries = [entry for entry in known.ledger.entries if entry.tool == "simulate"]
     cited = set(_CITED.findall(sentence))
     entries = [entry for entry in entries if not cited or entry.id in cited]

@@ -43,7 +43,7 @@ class LlmController:
         self._under_way = self._arrived = None
 
     def decide(self, context: Context) -> Decision:
-        """The model's proposal. Raises : LlmFailure, with its kind and how often each kind has occurred"""
+        """Return the model's proposal. Raises : LlmFailure, with its kind and the count of each kind"""
         if self._unequipped:
             raise self._counted(LlmFailure("unequipped", self._unequipped))
         self._look_after(context.now_s)
@@ -59,7 +59,9 @@ class LlmController:
         raise self._counted(LlmFailure("late", f"no answer within {self._wait_s:.2g} s; it goes on"))
 
     def _look_after(self, now_s: float) -> None:
-        """What an earlier tick asked: put aside when it has arrived, dropped when it is too old."""
+        """Collect the answer to an earlier tick's question when it has arrived,
+        and drop one that is too old.
+        """
         if self._under_way is not None:
             if self._under_way.wait(0.0):
                 self._arrived, self._under_way = self._under_way, None

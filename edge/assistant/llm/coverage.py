@@ -1,4 +1,4 @@
-"""What an answer of the history covers: how much, since when, with which holes, how old."""
+"""Coverage of a history answer: rows, time span, gaps, age."""
 
 from collections.abc import Sequence
 from contextlib import closing
@@ -24,7 +24,7 @@ _TIMES = ("utc", "start_utc", "hour_utc")
 def coverage(
     history: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]], truncated: bool, utc: float
 ) -> dict[str, Any]:
-    """Of the rows that were found, and of the whole record they were looked for in.
+    """Return the coverage of the rows found, and of the whole record that was searched.
 
     truncated : there were more rows than are shown
     Errors : sqlite3.Error
@@ -62,7 +62,7 @@ def _note(rows: int, recorded: int, truncated: bool) -> str:
 
 
 def _span(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> tuple[float, float] | None:
-    """Of the rows' own times, where they have them."""
+    """Return the time span of the rows, if they have times."""
     place = next((columns.index(name) for name in _TIMES if name in columns), None)
     if place is None:
         return None

@@ -1,4 +1,6 @@
-"""What comes from history, sensors or tools is shown to a model as data: labelled, and with no way out."""
+"""Data blocks: history, sensor values and tool results reach a model as
+labelled data that cannot be escaped.
+"""
 
 import json
 from typing import Any

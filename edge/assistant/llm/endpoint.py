@@ -36,7 +36,7 @@ _URLSAFE = str.maketrans("+/", "-_")
 
 
 def key_pattern(key: str) -> re.Pattern[str] | None:
-    """The pattern of everything that gives `key` away, None for a key that is not a secret.
+    """Return the pattern of every text that reveals `key`, None for a key that is not a secret.
 
     Found are the key itself, its hex digits and its base64 (the usual and the URL-safe alphabet, alone and
     inside a longer text such as "Bearer ..."), each also escaped as JSON or URLs escape, however often.
@@ -53,13 +53,15 @@ def key_pattern(key: str) -> re.Pattern[str] | None:
 
 
 def base64_inside(raw: bytes, padding: int) -> str:
-    """The characters that `raw` alone decides where `padding` bytes (modulo 3) stand before it."""
+    """Return the base64 characters that `raw` alone decides where `padding`
+    bytes (modulo 3) stand before it.
+    """
     encoded = base64.b64encode(b"\0" * padding + raw).decode().rstrip("=")
     return encoded[-(-padding * 8 // 6) : (padding + len(raw)) * 8 // 6]
 
 
 def _letter(letter: str) -> str:
-    """The letter, or how JSON (at any depth of quoting) and URLs escape it."""
+    """Return a pattern of a letter and of its escapes in JSON (at any depth of quoting) and in URLs."""
     code = ord(letter)
     url = "".join(f"%(?:25){{0,4}}{byte:02x}" for byte in letter.encode())
     return rf"(?:\\{{0,8}}{re.escape(letter)}|(?i:\\{{1,8}}u{code:04x}|{url}))"
@@ -178,7 +180,7 @@ class Endpoint:
         raise LlmFailure("bad_request", said)
 
     def _masked(self, response: HttpResponse) -> HttpResponse:
-        """The response as UTF-8 from which the key cannot be read: a server may echo it."""
+        """Return the response as UTF-8 with the key masked, since a server may echo it."""
         text = response.raw.decode(errors="replace")
         pattern = None if self.key is None else key_pattern(self.key.value)
         return replace(response, raw=(text if pattern is None else pattern.sub(MASK, text)).encode())

@@ -15,7 +15,7 @@ class Interrupt:
 
     @property
     def fired(self) -> bool:
-        """Whether the work shall end."""
+        """True when the work must end."""
         return self._fired.is_set()
 
     def fire(self) -> None:
@@ -34,7 +34,7 @@ class Interrupt:
             self.fire()
 
     def wait(self, seconds: float) -> bool:
-        """A pause that ends early, with True, when fired."""
+        """Pause; return True early when interrupted."""
         return self._fired.wait(seconds)
 
     def let_go(self) -> None:

@@ -35,7 +35,7 @@ class LanguageModel:
         self._events.put(event)
 
     def events_pending(self) -> list[Event]:
-        """What was told since the last call."""
+        """Return the events since the last call."""
         return [self._events.get_nowait() for _ in range(self._events.qsize())]
 
     def under_way(self, question: Question[Any]) -> None:

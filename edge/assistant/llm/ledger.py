@@ -1,4 +1,4 @@
-"""What the tools were really asked for one answer, and what they really said."""
+"""Ledger of tool calls: the arguments and results behind one answer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ class Tool(Protocol):
         ...
 
     def call(self, arguments: Mapping[str, Any]) -> Any:
-        """The result, JSON values only. Errors: ToolError"""
+        """Return the result, JSON values only. Errors: ToolError"""
         ...
 
 
@@ -42,16 +42,16 @@ class Ledger:
     errors: int = 0  # calls that went back with an error
 
     def record(self, tool: str, arguments: Mapping[str, Any], result: Any) -> AnsweredCall:
-        """Number and keep a call."""
+        """Number and save a call."""
         number = 1 + sum(entry.tool == tool for entry in self.entries)
         entry = AnsweredCall(f"{tool}-{number}", tool, arguments, result)
         self.entries.append(entry)
         return entry
 
     def find(self, cited: str) -> AnsweredCall | None:
-        """The call with this id."""
+        """Return the call with this id, None if there is none."""
         return next((entry for entry in self.entries if entry.id == cited), None)
 
     def results(self, tool: str) -> list[Any]:
-        """Of all calls of one tool."""
+        """Return the results of all calls of one tool."""
         return [entry.result for entry in self.entries if entry.tool == tool]

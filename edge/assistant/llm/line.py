@@ -63,7 +63,7 @@ def post(
 
 
 def _failure(error: Exception, own: Interrupt, stop: Interrupt, deadline_s: float) -> LlmFailure:
-    """The exception's kind alone: its text may hold the URL with all that stands in it."""
+    """Return the failure by the exception's kind alone: its text may hold the URL and any secret in it."""
     import requests
 
     if stop.fired:
@@ -85,7 +85,9 @@ def _read(raw: Any) -> bytes:
 
 
 def _session(interrupts: tuple[Interrupt, ...], ca: str) -> Any:
-    """A session whose connections the interrupts hold; proxies and .netrc of the environment are not used."""
+    """Return a session whose connections can be interrupted. Proxies and
+    .netrc of the environment are not used.
+    """
     import requests
     from requests.adapters import HTTPAdapter
     from urllib3.connection import HTTPConnection, HTTPSConnection

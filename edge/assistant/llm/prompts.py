@@ -1,4 +1,4 @@
-"""What a controlling model is told: the paper's prompt, the rig it is for, the form of the answer."""
+"""Prompts of a controlling model: the paper's prompt, the rig, the form of the answer."""
 
 from edge.assistant.llm import simulate_tool, sql_tool
 from edge.assistant.llm.data_block import RULE
@@ -25,7 +25,7 @@ _SIMULATE = (
 
 
 def system_prompt(variant: LlmVariant, context: Context, horizon: int) -> str:
-    """The rig, its limits at this tick, the tools and the form of the answer."""
+    """Return the system prompt: the rig, its limits at this tick, the tools and the form of the answer."""
     parts = [
         "You choose the controls of a miniature greenhouse for one step. You can't act: you propose, a "
         "safety supervisor checks, and the board confirms what it does. So never write that you have "
@@ -40,7 +40,7 @@ def system_prompt(variant: LlmVariant, context: Context, horizon: int) -> str:
 
 
 def question(variant: LlmVariant, context: Context) -> str:
-    """The paper's prompt, with or without penalty, and what the board drives now."""
+    """Return the paper's prompt, with or without penalty, and the present outputs of the board."""
     estimate, last = context.estimate, context.last_sent
     asked = _QUESTION.format(
         target=float(context.reference[0]), current=estimate.temp_air, ambient=estimate.temp_ambient
@@ -54,7 +54,7 @@ def question(variant: LlmVariant, context: Context) -> str:
 
 
 def _operators_weights(penalty: Penalty) -> str:
-    """What an operator asked for in words, by the cost that the planning controllers have; "" for nothing."""
+    """Return an operator's request in words, by the costs of the planning controllers; "" without one."""
     asked = [
         f"{weight:g} times {use}"
         for weight, use in ((penalty.heater, "heater_duty squared"), (penalty.fan, "1 while the fan is on"))

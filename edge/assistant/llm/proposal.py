@@ -25,7 +25,7 @@ _ARCHITECTURES = {"": "simple", "sql": "sql"}
 
 @dataclass(frozen=True, slots=True)
 class ModelProposal:
-    """What a model proposes, after all checks but safety's."""
+    """A model's proposal after all checks but safety's."""
 
     command: Command
     forecast: tuple[float, ...]  # after each step from the question on [°C]; () without a simulation
@@ -107,7 +107,9 @@ class Architecture:
 
 
 def _in_short(ledger: Ledger) -> list[dict[str, Any]]:
-    """Calls as they fit into a history of every minute: what was asked, and in one number what came out."""
+    """Return the calls in short for a history with a row a minute: the
+    arguments, and one number of the result.
+    """
     return [_simulation(entry) if entry.tool == "simulate" else _query(entry) for entry in ledger.entries]
 
 

@@ -70,7 +70,7 @@ class SimulateTool:
         )
 
     def call(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """The simulated steps, with the duties as the board would take them. Errors: ToolError"""
+        """Simulate and return the steps, with duties rounded as the board does. Errors: ToolError"""
         controls = self._controls(arguments)
         try:
             temps = self._simulator.temperatures(controls)
@@ -110,7 +110,7 @@ def _is_duty(value: object) -> bool:
 
 
 def cited_forecast(answer: ModelAnswer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:
-    """The temperatures behind an answer's controls, simulated here once more [°C].
+    """Simulate an answer's controls again and return the temperatures behind it [°C].
 
     Errors : LlmFailure: uncited, where no call of this answer is named; unfaithful, where that call began
         with other controls or its result does not come out again

@@ -86,7 +86,7 @@ def _select(connection: sqlite3.Connection, query: str) -> tuple[list[str], list
 
 
 def _cell(value: Any) -> Any:
-    """A JSON value; a text of reasonable length."""
+    """Return a JSON value, a text cut to a reasonable length."""
     if isinstance(value, bytes):
         return f"{len(value)} bytes"
     if isinstance(value, float):

@@ -59,7 +59,7 @@ class Usage:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What one exchange brought: text, tool calls or both."""
+    """One reply: text, tool calls or both."""
 
     content: str | None
     tool_calls: tuple[ToolCall, ...]
@@ -69,13 +69,13 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """What a server takes beside the common ground; learnt from what it refuses."""
+    """The features that a server accepts beyond the common ones, learnt from its refusals."""
 
     response_format: bool = True
     tokens_key: str = "max_tokens"  # newer models of OpenAI's insist on max_completion_tokens
 
     def after_refusal(self, said: str) -> "Dialect | None":
-        """What to try after a 400 that said this; None when nothing is left."""
+        """Return the next dialect to try after a 400 with this text, None when none is left."""
         if "max_completion_tokens" in said and self.tokens_key == "max_tokens":
             return replace(self, tokens_key="max_completion_tokens")
         return replace(self, response_format=False) if self.response_format else None
@@ -120,7 +120,7 @@ def estimated_tokens(text: str | bytes) -> int:
 
 
 def read_document(raw: bytes) -> dict[str, Any]:
-    """The JSON object of a reply. Errors: LlmFailure, malformed"""
+    """Read the JSON object of a reply. Errors: LlmFailure, malformed"""
     try:
         return parse_object(raw)
     except ValueError as error:
@@ -128,7 +128,7 @@ def read_document(raw: bytes) -> dict[str, Any]:
 
 
 def read_usage(document: Mapping[str, Any]) -> Usage | None:
-    """The tokens that a server counted; None where it did not, or where they can't be."""
+    """Read the token counts of a server, None where they are missing or impossible."""
     usage = document.get("usage")
     if not isinstance(usage, Mapping):
         return None
@@ -141,7 +141,7 @@ def _is_count(value: object) -> TypeGuard[int]:
 
 
 def read_reply(document: Mapping[str, Any], usage: Usage) -> Reply:
-    """The first choice. Errors: LlmFailure: malformed, truncated or refusal"""
+    """Read the first choice. Errors: LlmFailure: malformed, truncated or refusal"""
     choices = document.get("choices")
     if not isinstance(choices, list) or not choices or not isinstance(choices[0], Mapping):
         raise LlmFailure("malformed", "the reply has no choices")
@@ -179,7 +179,7 @@ def _tool_call(call: object, place: int) -> ToolCall:
 
 
 def assistant_message(reply: Reply) -> dict[str, Any]:
-    """The model's own turn, as it is sent back to it before the answers to its calls."""
+    """Return the model's own message, to be sent back before the results of its calls."""
     message: dict[str, Any] = {"role": "assistant", "content": reply.content}
     if reply.tool_calls:
         message["tool_calls"] = [
@@ -190,7 +190,7 @@ def assistant_message(reply: Reply) -> dict[str, Any]:
 
 
 def tool_message(call: ToolCall, content: str) -> dict[str, Any]:
-    """The answer to one call."""
+    """Return the message with one call's result."""
     return {"role": "tool", "tool_call_id": call.id, "content": content}
 
 

@@ -1,4 +1,6 @@
-"""What a language model has to answer to an operator's wish, and the check that makes a Steering of it."""
+"""Answer of a language model to an operator's request: its form, and
+the check that makes a Steering of it.
+"""
 
 import math
 import re
@@ -49,7 +51,7 @@ SCHEMA = _object(
 
 @dataclass(frozen=True, slots=True)
 class Understood:
-    """What came back: a steering, or a question to the operator; `text` is the model's own word for it."""
+    """A steering, or a question to the operator. `text` is the model's own wording."""
 
     steering: Steering | None
     text: str
@@ -59,7 +61,7 @@ class Understood:
 def understood(
     document: Mapping[str, Any], id: str, words: str, now_utc: float, limits: ReferenceSettings
 ) -> Understood:
-    """The model's answer as a steering, held to the rig's limits.
+    """Return the model's answer as a steering within the rig's limits.
 
     Errors : RequestError that names the key
     """

@@ -1,4 +1,4 @@
-"""What a steering would do over the next day, by the twin: the same planner with it and without it.
+"""Predicted effect of a steering over the next day: the twin with the same planner, with and without it.
 
 The planner is a plain one: at each step it takes, of the 42 pairs of heater level and fan, the one that costs
 least over the next ten (the paper's stage cost), the heater held and the fan for this step alone, since a few
@@ -28,7 +28,7 @@ _FAN = np.repeat([0.0, 1.0], HEATER_LEVELS + 1)
 
 @dataclass(frozen=True, slots=True)
 class DayStart:
-    """Where the day begins; the room is taken to stay as it is."""
+    """The start of the day. The ambient is assumed to stay constant."""
 
     temp_air: float
     temp_ambient: float
@@ -38,7 +38,7 @@ class DayStart:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the planner is asked for.
+    """The planner's goal.
 
     heater_penalty, fan_penalty : weights of the stage cost
     steering : its constraints hold, None for none
@@ -75,7 +75,7 @@ class PredictedDay:
 
 
 def coming_day(twin: BoxTwin, now: DayStart, wanted: Wanted) -> PredictedDay:
-    """The next 24 hours. Errors: DataError for a twin that needs more than the room's temperature."""
+    """Predict the next 24 hours. Errors: DataError for a twin that needs more than the ambient temperature"""
     steps = round(DAY_S / twin.step_s)
     offsets: Floats = twin.step_s * np.arange(steps + LOOK_STEPS, dtype=np.float64)
     clock = now.since_midnight_s + offsets

@@ -12,6 +12,6 @@ ANSWER_S = 120.0  # nobody waits for it but the operator
 
 
 def settings_from(model: LanguageModel, messages: list[dict[str, str]]) -> Mapping[str, Any]:
-    """The object that the model answered. Errors: LlmFailure"""
+    """Return the object in the model's answer. Errors: LlmFailure"""
     reply = model.endpoint.chat(messages, schema=Schema("settings", SCHEMA), deadline_s=ANSWER_S)
     return read_object(reply.content)

@@ -1,4 +1,4 @@
-"""What a proposal is called: short enough to be typed."""
+"""Ids of proposals, short enough to type."""
 
 import secrets
 
@@ -7,5 +7,5 @@ PROPOSAL_ID = f"[0-9a-f]{{{2 * _BYTES}}}"  # a regular expression
 
 
 def new_id() -> str:
-    """Of a new proposal."""
+    """Return a new id."""
     return secrets.token_hex(_BYTES)

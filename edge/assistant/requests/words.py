@@ -37,7 +37,7 @@ def _lines(steering: Steering, zone: tzinfo | None) -> Iterator[str]:
 
 
 def effect_table(effect: Mapping[str, Any]) -> list[str]:
-    """The figures of the next day as it stands and with the steering.
+    """Return the figures of the next day, without and with the steering.
 
     effect : `now` and `then`, both of `Course.figures`; or `reason`, why there are none
     """

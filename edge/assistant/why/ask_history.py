@@ -41,7 +41,9 @@ def why(path: str | Path, at_utc: float | None, zone: tzinfo | None) -> Json:
 
 
 def _seq(connection: sqlite3.Connection, at_utc: float | None) -> int | None:
-    """The newest tick that the daemon recorded at or before a time; imported runs have negative numbers."""
+    """Return the newest tick that the daemon recorded at or before a time.
+    Imported runs have negative numbers.
+    """
     before, values = ("", ()) if at_utc is None else ("AND utc <= ?", (at_utc,))
     row = connection.execute(
         f"SELECT seq FROM ticks WHERE seq > 0 {before} ORDER BY utc DESC, seq DESC LIMIT 1", values
@@ -50,7 +52,7 @@ def _seq(connection: sqlite3.Connection, at_utc: float | None) -> int | None:
 
 
 def _ago(seconds: float) -> str:
-    """A length of time in words, in whole units of which there are at least two."""
+    """Return a length of time in words, in the largest unit of which there are at least two."""
     for unit, length_s in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length_s:
             return f"{seconds / length_s:.0f} {unit}"

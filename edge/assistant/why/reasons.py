@@ -1,11 +1,11 @@
-"""What a controller says of its own decision, in sentences, whichever controller it was."""
+"""Reasons for a decision, in sentences, for every controller."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 
 def reasons(why: Mapping[str, Any]) -> Iterator[str]:
-    """The sentences that its `why` has the values for."""
+    """Yield the sentences for which `why` has values."""
     for tell in (_rule, _plan, _binding, _next_best, _values, _said, _claims):
         yield from tell(why)
 
@@ -42,7 +42,7 @@ def _next_best(why: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _values(why: Mapping[str, Any]) -> Iterator[str]:
-    """A policy's: what it takes its actions to be worth."""
+    """Yield a policy's estimate of the value of its actions."""
     if "policy" in why:
         margin = (
             f", {_number(why['margin'])} more than the next best" if why.get("margin") is not None else ""
@@ -51,7 +51,7 @@ def _values(why: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _said(why: Mapping[str, Any]) -> Iterator[str]:
-    """A language model's: told as its word, not as a fact."""
+    """Yield a language model's reason, marked as its own words."""
     if "rationale" in why:
         yield f'The language model said: "{why["rationale"]}"'
 
@@ -63,7 +63,7 @@ def _claims(why: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _number(value: Any) -> str:
-    """What was no number when it was recorded is null in the history."""
+    """Format a number; a value that was NaN when recorded is null in the history."""
     if not isinstance(value, int | float):
         return "not known"
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -64,7 +64,7 @@ def _curvature(problem: PlanningProblem, push: Floats, temps: Floats) -> Floats 
 
 
 def _within(top: int, levels: Ints, move: Ints, step: Ints) -> Ints:
-    """The steps [B], shortened so that no level leaves 0..top."""
+    """Return the steps [B], shortened so that no level leaves 0..top."""
     up, down = levels[:, move > 0], levels[:, move < 0]
     most, least = (top - up).min(axis=1), -up.min(axis=1)
     if down.shape[1]:

@@ -42,7 +42,7 @@ class Local:
 
 
 def polished(problem: PlanningProblem, plan: Plan) -> Plan:
-    """The best plan found by repeated small changes; `plan` itself where none is better."""
+    """Return the best plan after repeated small changes, `plan` itself where none is better."""
     n = problem.horizon
     heater, fan = lower_toeplitz(problem.heater, n).T, lower_toeplitz(problem.fan, n).T
     for _ in range(_ROUNDS):
@@ -75,7 +75,7 @@ def _cheapest(cost: Floats, count: int) -> Ints:
 
 
 def _fan_plans(fan: Ints) -> Ints:
-    """The plan itself, every one or two steps switched, every rest of it on or off; each once."""
+    """Return the plan, and each variant with one or two steps switched or a whole rest on or off, once."""
     n = len(fan)
     one, two = np.triu_indices(n)
     flips = np.zeros((len(one), n), dtype=np.int64)

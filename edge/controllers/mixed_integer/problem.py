@@ -15,7 +15,7 @@ TRACKING_WEIGHT = 10.0  # paper, section MPC: w_T
 
 @dataclass(frozen=True, slots=True)
 class FanRules:
-    """What the fan's relay allows from now on."""
+    """The switching rules of the fan's relay from now on."""
 
     on: bool = False  # its state in the step before the first
     hold: int = 0  # steps for which it must keep that state
@@ -28,7 +28,9 @@ class FanRules:
         return max(self.hold, self.min_on - 1, self.min_off - 1) + 1
 
     def next_hold(self, before: Ints, hold: Ints, after: Ints) -> tuple[Ints, NDArray[np.bool_]]:
-        """Steps to hold after going from state `before` to `after`, and whether that was allowed."""
+        """Return the steps to hold after a change from `before` to `after`, and
+        whether the change is allowed.
+        """
         switched = before != after
         begun = np.where(after == 1, self.min_on, self.min_off) - 1
         return np.where(switched, begun, np.maximum(hold - 1, 0)), ~(switched & (hold > 0))
@@ -71,7 +73,7 @@ class PlanningProblem:
     limit_weight: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raises DataError for a value that is no number: no comparison in the search would hold."""
+        """Refuse NaN, with which no comparison in the search would hold. Raises : DataError"""
         for name in ("free", "heater", "fan", "reference"):
             if not np.isfinite(getattr(self, name)).all():
                 raise DataError(f"planning problem: {name}: a value is no number")
@@ -95,7 +97,7 @@ class PlanningProblem:
         return cost
 
     def tracking_slope(self, temps: Floats) -> Floats:
-        """Derivative of `tracking` with respect to each air temperature [N + M]."""
+        """Return the derivative of `tracking` with respect to each air temperature [N + M]."""
         slope: Floats = 2.0 * TRACKING_WEIGHT * (temps - self.reference)
         if self.limit_weight:
             slope = slope + 2.0 * self.limit_weight * np.maximum(temps - self.temp_max, 0.0)

@@ -74,7 +74,7 @@ class Level:
     hold: Ints
 
     def only(self, mask: NDArray[np.bool_]) -> "Level":
-        """Some of the nodes."""
+        """Return the nodes that `mask` selects."""
         return Level(self.cost[mask], self.bound[mask], self.free[mask], self.fan[mask], self.hold[mask])
 
 
@@ -179,7 +179,7 @@ def _children(
 
 
 def _lowest(kept: Ints, bound: Floats, width: int) -> tuple[Ints, float]:
-    """The `width` nodes of lowest bound, in their order, and the lowest bound of the others."""
+    """Return the `width` nodes of lowest bound, in their order, and the lowest bound of the others."""
     split = np.argpartition(bound, width)
     return kept[np.sort(split[:width])], float(bound[split[width]])
 
@@ -193,7 +193,7 @@ def _next_level(
     bound: Floats,
     hold: Ints,
 ) -> tuple[Level, Ints, Ints]:
-    """The kept children as a level, with their parents' places and their options."""
+    """Return the remaining children as a level, with the places of their parents and their options."""
     parent, choice = np.divmod(kept, len(options.levels))
     left = level.free.shape[1]
     free = level.free[parent, 1:] + options.duty[choice, None] * problem.heater[1:left]

@@ -42,7 +42,7 @@ def solve(
     node_limit: int | None = None,
     warm: tuple[Ints, Ints] | None = None,
 ) -> Solution:
-    """The cheapest plan, or the best there is when the budget or the time is used up.
+    """Return the cheapest plan, or the best one found within the budget or the time.
 
     node_budget : nodes that may be looked into; the same budget gives the same plan, bit for bit
     time_box : once over, no further level is begun; without `warm` the first, narrow search ends
@@ -81,7 +81,9 @@ def solve(
 
 
 def _look_around(problem: PlanningProblem, best: Plan, narrow: Plan) -> Plan:
-    """The best plan near three that differ: the best known, the first one found, one with fewer fan steps."""
+    """Return the best plan near three different ones: the best known, the
+    first found, one with fewer fan steps.
+    """
     costly = replace(problem, fan_weight=problem.fan_weight + _FAN_WEIGHT_MORE)
     sparing = search(costly, tangent(costly, relaxed_temperatures(costly)), _WIDTHS[0], np.inf).plan
     assert sparing is not None  # nothing is known that it must be better than
@@ -90,7 +92,7 @@ def _look_around(problem: PlanningProblem, best: Plan, narrow: Plan) -> Plan:
 
 
 def _next_width(width: int, affordable: int) -> int:
-    """The next wider search, as far as the nodes that are left allow; 0 when there is none."""
+    """Return the width of the next search, as far as the nodes suffice; 0 if there is none."""
     wider = min((listed for listed in _WIDTHS if listed > width), default=0)
     return min(wider, affordable) if affordable > width else 0
 

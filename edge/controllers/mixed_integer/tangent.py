@@ -33,7 +33,7 @@ class Tangent:
 
 
 def tangent(problem: PlanningProblem, temps: Floats) -> Tangent:
-    """The bound from the tangent at `temps` [N + M] [°C]."""
+    """Return the bound from the tangent at `temps` [N + M] [°C]."""
     slope = problem.tracking_slope(temps)
     n = problem.horizon
     heater = slope @ lower_toeplitz(problem.heater, n)  # what duty 1 at step k adds to all later steps

@@ -21,7 +21,7 @@ KIND_K = 0.02  # nodes whose air would then be closer than this are of one kind
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanStart:
-    """Where a plan begins. state [n]; disturbance [K/step]; ambient [°C]; what was sent before: level, fan"""
+    """The start of a plan. state [n]; disturbance [K/step]; ambient [°C]; level and fan sent before"""
 
     state: Floats
     disturbance: float
@@ -55,7 +55,7 @@ class _Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Children:
-    """Of M nodes, fans and levels: cost, how warm the air would be later [M, 2, 21]; state at level 0."""
+    """Children of M nodes by fan and level: cost, later air temperature [M, 2, 21], state at level 0."""
 
     cost: Floats
     stored: Floats
@@ -65,7 +65,7 @@ class _Children:
 
 
 def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int) -> BeamResult:
-    """The cheapest plan that a beam of `width` nodes finds; the same arguments give the same plan.
+    """Find the cheapest plan with a beam of `width` nodes; the same arguments give the same plan.
 
     goal : weights, reference, limits and relay rules, its tail too; its own forecast does not count
     """
@@ -189,5 +189,5 @@ def _traced(trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:
 
 
 def relay(on: bool, hold: int, min_on: int, min_off: int, horizon: int) -> FanRules:
-    """The relay's rules as a plan of `horizon` steps needs them."""
+    """Return the relay's rules for a plan of `horizon` steps."""
     return FanRules(on, min(max(hold, 0), horizon), max(min_on, 1), max(min_off, 1))

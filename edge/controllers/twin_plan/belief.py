@@ -1,4 +1,4 @@
-"""What is believed of a twin's state, from tick to tick: a Kalman filter with a disturbance it has to find.
+"""Belief about a twin's state from tick to tick: a Kalman filter that also estimates a disturbance.
 
 The disturbance is heat into the air that the twin does not know, a random walk, so that a plan which adds it
 has no steady-state error (offset-free MPC: Pannocchia and Rawlings, AIChE J. 49(2), 2003).
@@ -40,7 +40,7 @@ class Belief:
 
 @dataclass(frozen=True, slots=True)
 class StepInputs:
-    """What acted in a step, and before it. duty : 0..1; fan : 0 or 1; ambient [°C]"""
+    """Inputs of a step and of the one before. duty : 0..1; fan : 0 or 1; ambient [°C]"""
 
     duty: float
     fan: int

@@ -52,7 +52,7 @@ class LinearStep:
 
 
 def linear_step(twin: BoxTwin, state: Floats, ambient: float, conditions: Conditions) -> LinearStep:
-    """The step of `twin` at a state [n], with columns of one row each as they are now.
+    """Linearise the step of `twin` at a state [n], with columns of one row each as they are now.
 
     Errors : DataError naming a column that is missing
     """
