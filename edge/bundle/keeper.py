@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from edge.bundle.manifest import TWIN
 from edge.bundle.orders import ACTIONS, carry_out
@@ -22,6 +22,8 @@ from edge.core.clock import Clock
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event, Severity, TickRecord
 from edge.core.plain_text import plain, shown
+from edge.formats.checked import Rule
+from edge.tick.orders import read_request
 
 JOBS_REMEMBERED = 32
 JOBS_WAITING = 8
@@ -40,6 +42,15 @@ class _Job:
     action: str
     version: str | None
     why: str
+
+
+@dataclass(frozen=True, slots=True)
+class BundleRequest:
+    """Keys of the request; job : whose outcome is asked for with the status."""
+
+    action: Annotated[str, Rule(choices=("status", *ACTIONS))]
+    version: str | None = None
+    job: int | None = None
 
 
 class BundleKeeper:
@@ -65,14 +76,13 @@ class BundleKeeper:
 
     def answer(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Reply to a request `{"do": "bundle", "action": ..., "version": ..., "job": ...}`; never waits."""
-        action, version = request.get("action"), request.get("version")
-        if action == "status":
-            return {"ok": True, **self._status(request.get("job"))}
-        if not isinstance(action, str) or action not in ACTIONS:
-            return _refused(f"action: {shown(action)} is none of status, {', '.join(ACTIONS)}")
-        if version is not None and not isinstance(version, str):
-            return _refused(f"version: {shown(version)} is no version of a bundle")
-        job = self._post(action, version, "asked for")
+        try:
+            asked = read_request(BundleRequest, request)
+        except RequestError as error:
+            return _refused(str(error))
+        if asked.action == "status":
+            return {"ok": True, **self._status(asked.job)}
+        job = self._post(asked.action, asked.version, "asked for")
         return _refused("too many requests wait") if job is None else {"ok": True, "job": job}
 
     def consider(self, serving: Serving, rows: Sequence[HorizonScore]) -> None:
@@ -150,10 +160,10 @@ class BundleKeeper:
         self._told.append((severity, f"bundle.{job.action}", f"{why}; {_in_words(self.serving)}"))
         return ""
 
-    def _status(self, job: object) -> dict[str, Any]:
+    def _status(self, job: int | None) -> dict[str, Any]:
         serving, judgement = self.serving, self._judgement
         with self._posting:
-            error = self._outcomes.get(job) if isinstance(job, int) else None
+            error = None if job is None else self._outcomes.get(job)
         return {
             "active": serving.active.name if serving.active else None,
             "rival": serving.rival.name if serving.rival else None,

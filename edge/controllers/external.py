@@ -2,18 +2,29 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any, Protocol
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Protocol
 
 from edge.core.controller import Context
 from edge.core.controller_names import EXTERNAL
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Decision
 from edge.core.names import HEATER_LEVELS
-from edge.core.plain_text import shown
+from edge.formats.checked import Rule
+from edge.formats.reader import DocumentError, read
 from edge.models.policy_observation import by_name, observe_tick
 
 WHY_MAX = 2000  # of a client's own reasons; longer ones are left out of the history [bytes of JSON]
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A client's answer; the tick was looked at where it came in."""
+
+    heater_duty: Annotated[float, Rule(low=0.0, high=1.0)]
+    fan_on: bool
+    tick: Any = None
+    why: Any = None
 
 
 class Proposals(Protocol):
@@ -43,10 +54,11 @@ class External:
         question = self._question(context)
         self._proposed = None
         answer = self._proposals.ask(question, self._deadline_s)
-        command = _command(answer)
+        proposal = _proposal(answer)
+        command = Command(round(proposal.heater_duty * HEATER_LEVELS) / HEATER_LEVELS, proposal.fan_on)
         self._proposed = {"heater_duty": command.heater_duty, "fan_on": command.fan_on}
         why = {"tick": self._tick, "reference_c": question["reference_c"]}
-        said = answer.get("why")
+        said = proposal.why
         return Decision(command, self.name, why=why if said is None else {**why, "client": _kept(said)})
 
     def _question(self, context: Context) -> dict[str, Any]:
@@ -65,14 +77,12 @@ class External:
         }
 
 
-def _command(answer: Mapping[str, Any]) -> Command:
+def _proposal(answer: Mapping[str, Any]) -> Proposal:
     """Errors: RequestError for what is no duty or no state of a relay"""
-    duty, fan_on = answer.get("heater_duty"), answer.get("fan_on")
-    if isinstance(duty, bool) or not isinstance(duty, int | float) or not 0.0 <= duty <= 1.0:
-        raise RequestError(f"heater_duty: {shown(duty)} is not a number from 0 to 1")
-    if not isinstance(fan_on, bool):
-        raise RequestError(f"fan_on: {shown(fan_on)} is neither true nor false")
-    return Command(heater_duty=round(duty * HEATER_LEVELS) / HEATER_LEVELS, fan_on=fan_on)
+    try:
+        return read(Proposal, answer)
+    except DocumentError as error:
+        raise RequestError(str(error)) from None
 
 
 def _kept(said: Any) -> Any:

@@ -148,5 +148,7 @@ def _number_problem(value: float, rule: Rule) -> str:
 def nearest(key: str, known: Iterable[str]) -> str:
     """A hint for a misspelt key: the nearest known one, or all of them."""
     names = sorted(known)
+    if not names:
+        return "it takes none"
     close = difflib.get_close_matches(key[:KEY_MAX], names, n=1)
     return f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(names)}"

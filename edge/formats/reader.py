@@ -32,6 +32,12 @@ Document = TypeVar("Document")
 Problem = tuple[str, str]  # key, why
 
 
+class Foreign:
+    """Base of a class for documents of others' software: keys that they have in addition are ignored."""
+
+    __slots__ = ()
+
+
 class DocumentError(DataError):
     """A document that can't be read, in one line: `twin.yaml: effects.wall_loss.UA: missing; sample_s: ...`.
 
@@ -257,7 +263,7 @@ class _Reading:
     def _section(self, kind: Any, value: object, key: str) -> Any:
         before, entries, given = len(self.wrong), _entries(kind), self._keys(value, key)
         for name in given:
-            if name not in entries:
+            if name not in entries and not issubclass(kind, Foreign):
                 self._refuse_key(key, name, entries)
         if len(self.wrong) == before:
             for name, entry in entries.items():

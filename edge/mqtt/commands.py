@@ -2,22 +2,38 @@
 
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 from edge.config.settings import ReferenceSettings
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
-from edge.formats.strict_json import parse_object
-from edge.tick.orders import FanMode, Mode
+from edge.formats.checked import Checked, Rule
+from edge.formats.reader import DocumentError, parse_json, read
+from edge.tick.orders import FanMode, Mode, SetManual
 
 Request = dict[str, Any]
 
 PAYLOAD_MAX = 1024  # [bytes]
 SEQ_MAX = 2**63 - 1  # SQLite's largest integer
+Seq = Annotated[int, Rule(low=1, high=SEQ_MAX)]
 NO_PRESET = "none"
 PRESS = "PRESS"  # what a Home Assistant button sends
 _NUMBER = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")  # no "nan", no "1_0", no digits of other scripts
+
+
+@dataclass(frozen=True, slots=True)
+class Resend(Checked):
+    """Keys of the request to queue recorded ticks again."""
+
+    first_seq: Seq
+    last_seq: Seq
+
+    def cross_check(self) -> None:
+        """A span."""
+        if self.last_seq < self.first_seq:
+            self.refuse("last_seq", f"{self.last_seq} is before first_seq, {self.first_seq}")
 
 
 def parse(what: str, payload: bytes, reference: ReferenceSettings) -> Request:
@@ -61,22 +77,14 @@ def _maintenance(text: str, reference: ReferenceSettings) -> Request:
 
 
 def _manual(text: str, reference: ReferenceSettings) -> Request:
-    values = _object(text, ("heater_duty", "fan_on", "led"))
-    for key, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
-            raise RequestError(f"{key}: {value!r} is not a number from 0 to 1")
+    values = _values(SetManual, text)
+    if not values:
+        raise RequestError("payload must hold heater_duty, fan_on or led")
     return {"do": "set_manual", **values}
 
 
 def _resend(text: str, reference: ReferenceSettings) -> Request:
-    values = _object(text, ("first_seq", "last_seq"))
-    for key in ("first_seq", "last_seq"):
-        value = values.get(key)
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= SEQ_MAX:
-            raise RequestError(f"{key}: {value!r} is not a sequence number")
-    if values["last_seq"] < values["first_seq"]:
-        raise RequestError("last_seq is before first_seq")
-    return {"do": "resend", **values}
+    return {"do": "resend", **_values(Resend, text)}
 
 
 def _wish(text: str, reference: ReferenceSettings) -> Request:
@@ -116,14 +124,13 @@ def _number(text: str, low: float, high: float) -> float:
     return float(text)
 
 
-def _object(text: str, known: tuple[str, ...]) -> dict[str, Any]:
+def _values(kind: type, text: str) -> dict[str, Any]:
+    """The payload's keys, once they are known to be those of a `kind`."""
     try:
-        values = parse_object(text)
-    except ValueError as error:
-        raise RequestError(f"payload: {error}") from None
-    unknown = values.keys() - set(known)
-    if unknown or not values:
-        raise RequestError(f"payload must be a JSON object with {', '.join(known)}")
+        values = parse_json(text, "payload")
+        read(kind, values, "payload")
+    except DocumentError as error:
+        raise RequestError(str(error)) from None
     return values
 
 

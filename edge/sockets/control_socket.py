@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.errors import RequestError
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import DocumentError, parse_json
 from edge.sockets.unix_socket import listen
 from edge.tick.inbox import is_urgent
 from edge.tick.status import reply_json
@@ -32,6 +32,7 @@ Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
 Post = Callable[[Mapping[str, Any], Callable[[dict[str, Any]], None]], None]
 
 LINE_MAX = 65536  # longest request [bytes]
+ANSWER_MAX = 16 << 20  # longest answer [bytes]
 CLIENTS_MAX = 64
 IDLE_MAX_S = 30.0  # without a whole request
 GRACE_S = 0.05  # in which a new client can send its request before another one may take its place
@@ -257,9 +258,9 @@ class ControlSocket:
             client.answer(_error(f"request is longer than {LINE_MAX} bytes"))
             return
         try:
-            question = _Question(client, parse_object(line))
-        except ValueError as error:
-            client.answer(_error(f"request: {error}"))
+            question = _Question(client, parse_json(line, "request"))
+        except DocumentError as error:
+            client.answer(_error(str(error)))
             return
         client.waits_for = question
         if question.is_urgent:
@@ -329,7 +330,7 @@ def request(path: Path, message: Mapping[str, Any], timeout_s: float = 15.0) -> 
         raise RequestError(f"{path}: {error.strerror or error}") from None
     if not answer.endswith(b"\n"):
         raise RequestError(f"the daemon at {path} went away before it answered")
-    return parse_object(answer)
+    return parse_json(answer, str(path), ANSWER_MAX)
 
 
 def _importance(client: _Client) -> tuple[int, float]:

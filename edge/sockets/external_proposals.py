@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.errors import RequestError
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import DocumentError, parse_json
 from edge.sockets.unix_socket import listen
 
 LINE_MAX = 65536  # longest answer, and most that may wait between two ticks [bytes]
@@ -162,9 +162,9 @@ def _received(client: socket.socket) -> bytes:
 
 def _parsed(line: bytes) -> dict[str, Any]:
     try:
-        return parse_object(line)
-    except ValueError as error:
-        raise _Broken(f"answer: {error}") from None
+        return parse_json(line, "answer")
+    except DocumentError as error:
+        raise _Broken(str(error)) from None
 
 
 def _line(message: Mapping[str, Any]) -> bytes:

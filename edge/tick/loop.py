@@ -44,13 +44,14 @@ from edge.tick.order_words import in_words
 from edge.tick.orders import (
     UTC_MAX,
     Desk,
+    NoKeys,
     Operation,
     acts_at_once,
     apply_orders,
     has_lost_date,
     is_released,
     operate,
-    refuse_unknown_keys,
+    read_request,
 )
 from edge.tick.reference import seconds_of_day
 from edge.tick.rig import Rig
@@ -352,11 +353,11 @@ class Loop:
         try:
             match request.get("do"):
                 case "status":
-                    refuse_unknown_keys(request, ())
+                    read_request(NoKeys, request)
                     letter.answer.put({"ok": True, STATUS: self.status()})
                     return
                 case "clear_trip":
-                    refuse_unknown_keys(request, ())
+                    read_request(NoKeys, request)
                     self._clear_trip()
                 case _:
                     warning = self._order(request)

@@ -8,13 +8,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from enum import Enum
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.core.messages import Change, Command
 from edge.core.names import HEATER_LEVELS
 from edge.core.plain_text import plain, shown
+from edge.formats.checked import ABSENT, Rule
+from edge.formats.reader import DocumentError, read, read_number
 from edge.tick.steering import Steering, problem
 from edge.tick.steering import from_dict as steering_from_dict
 from edge.tick.steering_at_work import steered
@@ -89,6 +91,8 @@ def is_released(before: Operation, after: Operation) -> bool:
 
 
 Request = Mapping[str, Any]
+Keys = TypeVar("Keys")
+Share = Annotated[float, Rule(low=0.0, high=1.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,91 +155,135 @@ def operate(operation: Operation, request: Request, desk: Desk) -> Operation:
         near = get_close_matches(plain(str(kind)), ORDERS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(ORDERS)}"
         raise RequestError(f"unknown request {shown(kind)}{hint}")
-    refuse_unknown_keys(request, order.keys)
-    return order.carry_out(operation, request, desk)
+    try:
+        return order.carry_out(operation, read_request(order.keys, request), desk)
+    except DocumentError as error:
+        raise RequestError(str(error)) from None
 
 
-def refuse_unknown_keys(request: Request, known: tuple[str, ...]) -> None:
-    """Errors: RequestError that names the first key that a request of this kind does not have."""
-    for key in request:
-        if key != "do" and key not in known:
-            takes = f"known keys: {', '.join(known)}" if known else "it takes none"
-            raise RequestError(f"{plain(str(request.get('do')), 40)}: unknown key {shown(key)}; {takes}")
+def read_request(kind: type[Keys], request: Request) -> Keys:
+    """The keys of `request` but "do", as an object of `kind`. Errors: RequestError"""
+    try:
+        given = {key: value for key, value in request.items() if key != "do"}
+        return read(kind, given, plain(str(request.get("do")), 40))
+    except DocumentError as error:
+        raise RequestError(str(error)) from None
+
+
+@dataclass(frozen=True, slots=True)
+class NoKeys:
+    """A request that says all by its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Keys of the request."""
+
+    mode: Mode
+
+
+@dataclass(frozen=True, slots=True)
+class SetFanMode:
+    """Keys of the request."""
+
+    fan_mode: FanMode
+
+
+@dataclass(frozen=True, slots=True)
+class SetReference:
+    """Keys of the request; null is the configured reference."""
+
+    reference_c: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SetController:
+    """Keys of the request; null is the configured controller."""
+
+    name: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetManual:
+    """Keys of the request; what is absent stays."""
+
+    heater_duty: Share = ABSENT
+    fan_on: Share = ABSENT
+    led: Share = ABSENT
+
+
+@dataclass(frozen=True, slots=True)
+class StartMaintenance:
+    """Keys of the request; 0 ends it."""
+
+    minutes: Annotated[float, Rule(low=0.0, high=MAINTENANCE_MAX_MIN)]
+
+
+@dataclass(frozen=True, slots=True)
+class Steer:
+    """Keys of the request."""
+
+    steering: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
     """What a request does to the standing orders, and the keys that it may have."""
 
-    carry_out: Callable[[Operation, Request, Desk], Operation]
-    keys: tuple[str, ...] = ()
+    carry_out: Callable[[Operation, Any, Desk], Operation]
+    keys: type = NoKeys
 
 
-def _number(request: Request, key: str, low: float, high: float) -> float:
-    value = request.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise RequestError(f"{key}: {shown(value)} is not a number from {low:g} to {high:g}")
-    return float(value)
+def _set_mode(operation: Operation, asked: SetMode, desk: Desk) -> Operation:
+    return replace(operation, mode=asked.mode)
 
 
-def _choice(request: Request, key: str, known: tuple[str, ...]) -> str:
-    value = request.get(key)
-    if value not in known:
-        raise RequestError(f"{key}: {shown(value)} is not one of {', '.join(known)}")
-    return str(value)
+def _set_fan_mode(operation: Operation, asked: SetFanMode, desk: Desk) -> Operation:
+    return replace(operation, fan_mode=asked.fan_mode)
 
 
-def _set_mode(operation: Operation, request: Request, desk: Desk) -> Operation:
-    return replace(operation, mode=Mode(_choice(request, "mode", tuple(mode.value for mode in Mode))))
-
-
-def _set_fan_mode(operation: Operation, request: Request, desk: Desk) -> Operation:
-    return replace(
-        operation, fan_mode=FanMode(_choice(request, "fan_mode", tuple(mode.value for mode in FanMode)))
-    )
-
-
-def _set_reference(operation: Operation, request: Request, desk: Desk) -> Operation:
-    if request.get("reference_c") is None:
+def _set_reference(operation: Operation, asked: SetReference, desk: Desk) -> Operation:
+    if asked.reference_c is None:
         return replace(operation, reference_c=None)
-    return replace(
-        operation, reference_c=_number(request, "reference_c", desk.reference_min_c, desk.reference_max_c)
-    )
+    low, high = desk.reference_min_c, desk.reference_max_c
+    return replace(operation, reference_c=read_number(asked.reference_c, "reference_c", low, high))
 
 
-def _set_controller(operation: Operation, request: Request, desk: Desk) -> Operation:
-    """A name of None asks for the configured controller."""
-    named = {"name": desk.configured_controller} if request.get("name", "") is None else request
-    if reason := desk.unready(str(named.get("name"))):
+def _set_controller(operation: Operation, asked: SetController, desk: Desk) -> Operation:
+    name = desk.configured_controller if asked.name is None else asked.name
+    if reason := desk.unready(name):
         raise RequestError(f"name: {reason}")
-    return replace(operation, controller=_choice(named, "name", desk.controllers))
+    if name not in desk.controllers:
+        raise RequestError(f"name: {shown(name)} is not one of {', '.join(desk.controllers)}")
+    return replace(operation, controller=name)
 
 
-def _set_manual(operation: Operation, request: Request, desk: Desk) -> Operation:
-    duty = _number({"heater_duty": operation.manual.heater_duty, **request}, "heater_duty", 0.0, 1.0)
-    fan = _number({"fan_on": int(operation.manual.fan_on), **request}, "fan_on", 0, 1)
-    led = _number({"led": operation.manual.led, **request}, "led", 0.0, 1.0)
-    manual = Command(math.floor(duty * HEATER_LEVELS + 1e-9) / HEATER_LEVELS, fan >= 1, led)
+def _set_manual(operation: Operation, asked: SetManual, desk: Desk) -> Operation:
+    stands = operation.manual
+    duty = stands.heater_duty if asked.heater_duty is None else asked.heater_duty
+    fan_on = stands.fan_on if asked.fan_on is None else asked.fan_on >= 1.0
+    led = stands.led if asked.led is None else asked.led
+    manual = Command(math.floor(duty * HEATER_LEVELS + 1e-9) / HEATER_LEVELS, fan_on, led)
     return replace(operation, mode=Mode.MANUAL, manual=manual)
 
 
-def _emergency_stop(operation: Operation, request: Request, desk: Desk) -> Operation:
+def _emergency_stop(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
     return replace(operation, emergency_stop=True)
 
 
-def _release(operation: Operation, request: Request, desk: Desk) -> Operation:
+def _release(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
     return replace(operation, emergency_stop=False)
 
 
-def _maintenance(operation: Operation, request: Request, desk: Desk) -> Operation:
-    minutes = _number(request, "minutes", 0.0, MAINTENANCE_MAX_MIN)
-    return replace(operation, maintenance_until_utc=desk.utc + minutes * 60 if minutes > 0 else None)
+def _maintenance(operation: Operation, asked: StartMaintenance, desk: Desk) -> Operation:
+    until_utc = desk.utc + asked.minutes * 60 if asked.minutes > 0 else None
+    return replace(operation, maintenance_until_utc=until_utc)
 
 
-def _steer(operation: Operation, request: Request, desk: Desk) -> Operation:
+def _steer(operation: Operation, asked: Steer, desk: Desk) -> Operation:
     """A confirmed steering; a temperature that was set by hand before gives way to its reference."""
     try:
-        steering = steering_from_dict(request["steering"])
+        steering = steering_from_dict(asked.steering)
     except (KeyError, TypeError, ValueError) as error:
         raise RequestError(f"steering: {plain(str(error))}") from None
     if wrong := problem(steering, desk.utc, desk.reference_min_c, desk.reference_max_c):
@@ -245,7 +293,7 @@ def _steer(operation: Operation, request: Request, desk: Desk) -> Operation:
     return replace(operation, reference_c=reference_c, steering=steering, before=before)
 
 
-def _undo(operation: Operation, request: Request, desk: Desk) -> Operation:
+def _undo(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
     before = operation.before
     if before is None:
         raise RequestError("undo: nothing that was asked for in words is standing")
@@ -253,14 +301,14 @@ def _undo(operation: Operation, request: Request, desk: Desk) -> Operation:
 
 
 ORDERS: dict[str, Order] = {
-    "set_mode": Order(_set_mode, ("mode",)),
-    "set_fan_mode": Order(_set_fan_mode, ("fan_mode",)),
-    "set_reference": Order(_set_reference, ("reference_c",)),
-    "set_controller": Order(_set_controller, ("name",)),
-    "set_manual": Order(_set_manual, ("heater_duty", "fan_on", "led")),
+    "set_mode": Order(_set_mode, SetMode),
+    "set_fan_mode": Order(_set_fan_mode, SetFanMode),
+    "set_reference": Order(_set_reference, SetReference),
+    "set_controller": Order(_set_controller, SetController),
+    "set_manual": Order(_set_manual, SetManual),
     "emergency_stop": Order(_emergency_stop),
     "release_emergency_stop": Order(_release),
-    "maintenance": Order(_maintenance, ("minutes",)),
-    "steer": Order(_steer, ("steering",)),
+    "maintenance": Order(_maintenance, StartMaintenance),
+    "steer": Order(_steer, Steer),
     "undo": Order(_undo),
 }

@@ -10,7 +10,7 @@ from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.ledger import Ledger, Tool, ToolError
 from edge.assistant.llm.wire import Message, Reply, Schema, ToolCall, Usage, assistant_message, tool_message
 from edge.core.plain_text import plain
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import DocumentError, parse_json
 
 CALLS_MAX = 8  # in one reply
 
@@ -67,10 +67,10 @@ class Conversation:
             known = ", ".join(tool.spec.name for tool in self.tools) or "none"
             return _error(f"there is no tool of this name; there are: {known}")
         try:
-            arguments = parse_object(call.arguments)
-        except ValueError as error:
-            self._mistake("malformed", f"arguments of {call.name}: {error}")
-            return _error(f"the arguments are no JSON object: {error}")
+            arguments = parse_json(call.arguments, "arguments")
+        except DocumentError as error:
+            self._mistake("malformed", f"{call.name}: {error}")
+            return _error(str(error))
         try:
             result = tool.call(arguments)
         except ToolError as error:

@@ -10,7 +10,7 @@ from edge.assistant.llm.wire import Schema
 from edge.core.messages import Command
 from edge.core.names import HEATER_LEVELS
 from edge.core.plain_text import plain
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import DocumentError, parse_json, read
 
 RATIONALE_MAX = 1200  # characters that are kept
 SNAP = 1e-6  # a duty this near a level is that level
@@ -25,6 +25,22 @@ class ModelAnswer:
     rationale: str
     simulation: str  # id of the simulation it cites, "" without one
     rounded_from: float | None = None  # the duty as it was said, where it was no level
+
+
+@dataclass(frozen=True, slots=True)
+class SaidControls:
+    """The answer as a model gives it."""
+
+    heater_duty: float
+    fan_on: bool
+    rationale: str
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedControls(SaidControls):
+    """The answer of a model that can simulate."""
+
+    simulation: str = ""
 
 
 def answer_schema(with_simulation: bool) -> Schema:
@@ -52,22 +68,19 @@ def read_answer(content: str | None, with_simulation: bool) -> ModelAnswer:
 
     Errors : LlmFailure: malformed, wrong_schema or out_of_range
     """
-    values = read_object(content)
-    known = ["heater_duty", "fan_on", "rationale", *(["simulation"] if with_simulation else [])]
-    if unknown := sorted(values.keys() - set(known)):
-        raise LlmFailure("wrong_schema", f"unknown key {plain(str(unknown[0]), 40)!r}")
-    if missing := [key for key in known if key not in values and key != "simulation"]:
-        raise LlmFailure("wrong_schema", f"{missing[0]} is missing")
-    said = _number(values, "heater_duty")
+    document = read_object(content)
+    try:
+        values = read(SimulatedControls if with_simulation else SaidControls, document)
+    except DocumentError as error:
+        raise LlmFailure("wrong_schema", str(error)) from None
+    said = values.heater_duty
     if not 0.0 <= said <= 1.0:
         raise LlmFailure("out_of_range", f"heater_duty is {said:g}, not 0 to 1")
     duty = nearest_level(said)
-    if not isinstance(values["fan_on"], bool):
-        raise LlmFailure("wrong_schema", "fan_on must be true or false")
     return ModelAnswer(
-        command=Command(heater_duty=duty, fan_on=values["fan_on"]),
-        rationale=plain(_text(values, "rationale"), RATIONALE_MAX),
-        simulation=plain(_text(values, "simulation"), 40) if "simulation" in values else "",
+        command=Command(heater_duty=duty, fan_on=values.fan_on),
+        rationale=plain(values.rationale, RATIONALE_MAX),
+        simulation=plain(values.simulation, 40) if isinstance(values, SimulatedControls) else "",
         rounded_from=None if abs(said - duty) <= SNAP else said,
     )
 
@@ -83,20 +96,6 @@ def read_object(content: str | None) -> Mapping[str, Any]:
         raise LlmFailure("malformed", "the answer is empty")
     fenced = _FENCED.fullmatch(content)
     try:
-        return parse_object(fenced["json"] if fenced else content)
-    except ValueError as error:
-        raise LlmFailure("malformed", f"the answer is no JSON object: {error}") from None
-
-
-def _number(values: Mapping[str, Any], key: str) -> float:
-    """Return a finite number. Errors: LlmFailure; a bool is not a number"""
-    value = values[key]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise LlmFailure("wrong_schema", f"{key} must be a number")
-    return float(value)
-
-
-def _text(values: Mapping[str, Any], key: str) -> str:
-    if not isinstance(values[key], str):
-        raise LlmFailure("wrong_schema", f"{key} must be text")
-    return str(values[key])
+        return parse_json(fenced["json"] if fenced else content, "the answer")
+    except DocumentError as error:
+        raise LlmFailure("malformed", str(error)) from None

@@ -1,8 +1,8 @@
 """Suggested controls tried on a predictor before one of them is chosen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from edge.controllers.plan_rollouts import ahead_with_offset, forecast
 from edge.core.controller import Context, Floats
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
+from edge.formats.checked import Checked, Rule
+from edge.formats.reader import DocumentError, read
 
 NAME = "simulate"
 SAME_K = 1e-6  # two rollouts of one predictor under the same inputs differ by no more
@@ -41,6 +43,19 @@ class Simulator:
         history = padded(context.history, self.predictor.rows_needed)
         temps: Floats = forecast(self.predictor, history, controls[None], ahead)[0]
         return temps
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateArguments(Checked):
+    """One value per step."""
+
+    heater_duty: Annotated[tuple[Annotated[float, Rule(low=0.0, high=1.0)], ...], Rule(least=1)]
+    fan_on: tuple[bool, ...]
+
+    def cross_check(self) -> None:
+        """Both for the same steps."""
+        if len(self.heater_duty) != len(self.fan_on):
+            self.refuse("fan_on", f"{len(self.fan_on)} steps, heater_duty has {len(self.heater_duty)}")
 
 
 class SimulateTool:
@@ -86,27 +101,14 @@ class SimulateTool:
         }
 
     def _controls(self, arguments: Mapping[str, Any]) -> Floats:
-        duties, fans = (_items(arguments, key, self._simulator.horizon) for key in ("heater_duty", "fan_on"))
-        if arguments.keys() != {"heater_duty", "fan_on"}:
-            raise ToolError("give heater_duty and fan_on, and nothing else")
-        if len(duties) != len(fans):
-            raise ToolError(f"heater_duty has {len(duties)} steps and fan_on {len(fans)}: must be equal")
-        if not all(_is_duty(value) for value in duties):
-            raise ToolError("heater_duty: every value must be a number from 0 to 1")
-        if not all(isinstance(value, bool) for value in fans):
-            raise ToolError("fan_on: every value must be true or false")
-        return np.array([[nearest_level(duty), float(fan)] for duty, fan in zip(duties, fans, strict=True)])
-
-
-def _items(arguments: Mapping[str, Any], key: str, most: int) -> Sequence[Any]:
-    values = arguments.get(key)
-    if not isinstance(values, list) or not 1 <= len(values) <= most:
-        raise ToolError(f"{key}: must be a list of 1 to {most} values")
-    return values
-
-
-def _is_duty(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= 1.0
+        try:
+            asked = read(SimulateArguments, arguments)
+        except DocumentError as error:
+            raise ToolError(str(error)) from None
+        if len(asked.heater_duty) > self._simulator.horizon:
+            raise ToolError(f"heater_duty: must hold at most {self._simulator.horizon} values")
+        pairs = zip(asked.heater_duty, asked.fan_on, strict=True)
+        return np.array([[nearest_level(duty), float(fan)] for duty, fan in pairs])
 
 
 def cited_forecast(answer: ModelAnswer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:

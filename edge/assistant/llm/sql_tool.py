@@ -4,6 +4,7 @@ import math
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from edge.assistant.llm.coverage import UNITS, coverage
 from edge.assistant.llm.ledger import ToolError
 from edge.assistant.llm.sql_guard import open_guarded, refusal
 from edge.assistant.llm.wire import ToolSpec
+from edge.formats.reader import DocumentError, read
 
 NAME = "sql"
 ROWS_MAX = 200
@@ -33,6 +35,13 @@ _DESCRIPTION = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class SqlArguments:
+    """Of a call."""
+
+    query: str
+
+
 class SqlTool:
     """Opens the history anew for each statement."""
 
@@ -53,9 +62,10 @@ class SqlTool:
 
     def call(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Columns, rows and coverage. Errors: ToolError; its text is SQLite's, for the model to learn from"""
-        query = arguments.get("query")
-        if not isinstance(query, str) or arguments.keys() != {"query"}:
-            raise ToolError("give query, a text, and nothing else")
+        try:
+            query = read(SqlArguments, arguments).query
+        except DocumentError as error:
+            raise ToolError(str(error)) from None
         if reason := refusal(query):
             raise ToolError(reason)
         try:

@@ -6,14 +6,17 @@ Servers differ: `content` may be null, `arguments` is a string that may be no JS
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeGuard
+from typing import Annotated, Any, TypeVar
 
 from edge.assistant.llm.failure import LlmFailure
 from edge.core.plain_text import plain
-from edge.formats.strict_json import parse_object
+from edge.formats.checked import Rule
+from edge.formats.reader import DocumentError, Foreign, parse_json, read
 
 Message = Mapping[str, Any]
+Answer = TypeVar("Answer")
 TOKENS_MAX = 10**9  # what a server says beyond this is no count
+Count = Annotated[int, Rule(low=0, high=TOKENS_MAX)]
 CHARACTERS_PER_TOKEN = 4  # of English text, by the vendors' rule of thumb
 
 
@@ -119,63 +122,101 @@ def estimated_tokens(text: str | bytes) -> int:
     return len(text) // CHARACTERS_PER_TOKEN + 1
 
 
+@dataclass(frozen=True, slots=True)
+class UsageDocument(Foreign):
+    """Tokens as a server counts them."""
+
+    prompt_tokens: Count
+    completion_tokens: Count = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceMessage(Foreign):
+    """A message whose text and calls are looked into where it is whole."""
+
+    refusal: Any = None
+    content: Any = None
+    tool_calls: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReplyChoice(Foreign):
+    """One answer of the model."""
+
+    message: ChoiceMessage
+    finish_reason: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChoicesDocument(Foreign):
+    """A server's reply."""
+
+    choices: Annotated[tuple[ReplyChoice, ...], Rule(least=1)]
+
+
+@dataclass(frozen=True, slots=True)
+class CalledFunction(Foreign):
+    """What a call asks for."""
+
+    name: str
+    arguments: str
+
+
+@dataclass(frozen=True, slots=True)
+class CallDocument(Foreign):
+    """A call as a server passes it on."""
+
+    id: str
+    function: CalledFunction
+
+
+@dataclass(frozen=True, slots=True)
+class SaidMessage:
+    """A whole message."""
+
+    content: str | None
+    tool_calls: tuple[CallDocument, ...] | None
+
+
 def read_document(raw: bytes) -> dict[str, Any]:
     """Read the JSON object of a reply. Errors: LlmFailure, malformed"""
     try:
-        return parse_object(raw)
-    except ValueError as error:
-        raise LlmFailure("malformed", f"the reply is no JSON object: {error}") from None
+        return parse_json(raw, "the reply")
+    except DocumentError as error:
+        raise LlmFailure("malformed", str(error)) from None
 
 
 def read_usage(document: Mapping[str, Any]) -> Usage | None:
     """Read the token counts of a server, None where they are missing or impossible."""
-    usage = document.get("usage")
-    if not isinstance(usage, Mapping):
+    try:
+        usage = read(UsageDocument, document.get("usage"))
+    except DocumentError:
         return None
-    sent, received = usage.get("prompt_tokens"), usage.get("completion_tokens", 0)
-    return Usage(sent, received) if _is_count(sent) and _is_count(received) else None
-
-
-def _is_count(value: object) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= TOKENS_MAX
+    return Usage(usage.prompt_tokens, usage.completion_tokens)
 
 
 def read_reply(document: Mapping[str, Any], usage: Usage) -> Reply:
     """Read the first choice. Errors: LlmFailure: malformed, truncated or refusal"""
-    choices = document.get("choices")
-    if not isinstance(choices, list) or not choices or not isinstance(choices[0], Mapping):
-        raise LlmFailure("malformed", "the reply has no choices")
-    message, finish = choices[0].get("message"), choices[0].get("finish_reason")
-    if not isinstance(message, Mapping):
-        raise LlmFailure("malformed", "choices[0].message is no object")
-    if refusal := message.get("refusal"):
+    choice = _malformed_unless(ChoicesDocument, document).choices[0]
+    if refusal := choice.message.refusal:
         raise LlmFailure("refusal", f"the model refuses: {plain(str(refusal))}")
-    if finish == "content_filter":
+    if choice.finish_reason == "content_filter":
         raise LlmFailure("refusal", "a content filter ended the answer")
-    if finish == "length":
+    if choice.finish_reason == "length":
         raise LlmFailure("truncated", "the answer is longer than llm.answer_tokens")
-    content = message.get("content")
-    if not (content is None or isinstance(content, str)):
-        raise LlmFailure("malformed", "choices[0].message.content is neither text nor null")
-    return Reply(content, _tool_calls(message.get("tool_calls")), str(finish), usage)
+    said = {"content": choice.message.content, "tool_calls": choice.message.tool_calls}
+    message = _malformed_unless(SaidMessage, said, "choices[0].message")
+    calls = (
+        ToolCall(call.id, call.function.name, call.function.arguments) for call in message.tool_calls or ()
+    )
+    return Reply(message.content, tuple(calls), str(choice.finish_reason), usage)
 
 
-def _tool_calls(calls: object) -> tuple[ToolCall, ...]:
-    if calls is None:
-        return ()
-    if not isinstance(calls, list):
-        raise LlmFailure("malformed", "choices[0].message.tool_calls is no list")
-    return tuple(_tool_call(call, place) for place, call in enumerate(calls))
-
-
-def _tool_call(call: object, place: int) -> ToolCall:
-    function = call.get("function") if isinstance(call, Mapping) else None
-    if not isinstance(call, Mapping) or not isinstance(function, Mapping):
-        raise LlmFailure("malformed", f"tool_calls[{place}] has no function")
-    found = (call.get("id"), function.get("name"), function.get("arguments"))
-    if not all(isinstance(value, str) for value in found):
-        raise LlmFailure("malformed", f"tool_calls[{place}]: id, name and arguments must be text")
-    return ToolCall(*map(str, found))
+def _malformed_unless(kind: type[Answer], document: Mapping[str, Any], key: str = "") -> Answer:
+    try:
+        return read(kind, document, key=key)
+    except DocumentError as error:
+        raise LlmFailure("malformed", str(error)) from None
 
 
 def assistant_message(reply: Reply) -> dict[str, Any]:

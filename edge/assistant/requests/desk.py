@@ -20,6 +20,7 @@ from edge.core.errors import GreenhouseError, RequestError
 from edge.core.plain_text import plain, shown
 from edge.tick import steering as steerings
 from edge.tick.inbox import is_in_force
+from edge.tick.orders import NoKeys, read_request
 from edge.tick.reference import seconds_of_day, zone_of
 from edge.tick.steering import HOURS_MAX, WORDS_MAX, Steering
 from edge.twin.model import BoxTwin
@@ -117,6 +118,20 @@ class DeskParts:
     utc: Callable[[], float]
 
 
+@dataclass(frozen=True, slots=True)
+class WishRequest:
+    """Keys of a request in words."""
+
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalRequest:
+    """Keys of a request about a proposal."""
+
+    id: str
+
+
 class WishDesk:
     """Takes `ask`, `proposal`, `confirm` and `undo`; each is answered at once."""
 
@@ -134,13 +149,15 @@ class WishDesk:
         try:
             match request.get("do"):
                 case "ask":
-                    return self._ask(request.get("words"))
+                    return self._ask(read_request(WishRequest, request).words)
                 case "proposal":
-                    return {"ok": True, "proposal": self._known(request.get("id")).as_json()}
+                    proposal = self._known(read_request(ProposalRequest, request).id)
+                    return {"ok": True, "proposal": proposal.as_json()}
                 case "undo":
+                    read_request(NoKeys, request)
                     return self._undo()
                 case _:
-                    return self._confirm(self._known(request.get("id")))
+                    return self._confirm(self._known(read_request(ProposalRequest, request).id))
         except RequestError as error:
             return {"ok": False, "error": str(error)}
 
@@ -151,10 +168,10 @@ class WishDesk:
         if self._expiry is not None:
             self._expiry.cancel()
 
-    def _ask(self, words: object) -> Json:
+    def _ask(self, words: str) -> Json:
         if self._around.model is None:
             raise RequestError("ask: llm.url is empty: this rig has no language model to ask")
-        if not isinstance(words, str) or not words.strip() or len(words) > WORDS_MAX:
+        if not words.strip() or len(words) > WORDS_MAX:
             raise RequestError(f"ask: say in 1 to {WORDS_MAX} characters what you want")
         with self._lock:
             if any(proposal.state == "thinking" for proposal in self._proposals.values()):
@@ -194,9 +211,9 @@ class WishDesk:
             self._publish(proposal)
         return answer
 
-    def _known(self, id: object) -> PendingRequest:
+    def _known(self, id: str) -> PendingRequest:
         with self._lock:
-            proposal = self._proposals.get(str(id))
+            proposal = self._proposals.get(id)
             if proposal is None:
                 raise RequestError(f"proposal: there is no {shown(id)}: it was never made or is forgotten")
             gone_s = self._around.utc() - proposal.asked_utc

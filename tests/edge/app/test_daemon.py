@@ -10,7 +10,10 @@ from edge.app.request_routes import resend
 from edge.config import loading as config
 from edge.config.settings import HistorySettings, Settings
 from edge.core.clock import RealClock
+from edge.core.errors import RequestError
+from edge.mqtt.commands import Resend
 from edge.storage import Storage
+from edge.tick.orders import read_request
 from edge.tick.standing import read_standing
 
 
@@ -28,7 +31,7 @@ def settings(tmp_path: Path) -> Settings:
 
 @pytest.mark.parametrize(("first", "last", "queued"), [(1, 1, 1), (2, 3, 2), (1, 2**63 - 1, 3), (9, 9, 0)])
 def test_a_span_of_numbers_is_queued_again(settings: Settings, first: int, last: int, queued: int) -> None:
-    assert resend(settings, {"first_seq": first, "last_seq": last}) == {"ok": True, "queued": queued}
+    assert resend(settings, Resend(first, last)) == {"ok": True, "queued": queued}
 
 
 @pytest.mark.parametrize(
@@ -46,16 +49,15 @@ def test_a_span_of_numbers_is_queued_again(settings: Settings, first: int, last:
         (None, 2),
     ],
 )
-def test_what_is_no_span_of_numbers_is_refused(settings: Settings, first: object, last: object) -> None:
-    answer = resend(settings, {"first_seq": first, "last_seq": last})
-    assert not answer["ok"]
-    assert "not a span of sequence numbers" in answer["error"]
+def test_what_is_no_span_of_numbers_is_refused(first: object, last: object) -> None:
+    with pytest.raises(RequestError, match=r"^resend: (first|last)_seq: "):
+        read_request(Resend, {"do": "resend", "first_seq": first, "last_seq": last})
 
 
 def test_a_resend_without_a_history_is_refused_and_makes_none(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
     settings = replace(config.default(), history=HistorySettings(path=str(path)))
-    assert not resend(settings, {"first_seq": 1, "last_seq": 2})["ok"]
+    assert not resend(settings, Resend(1, 2))["ok"]
     assert not path.exists()
 
 

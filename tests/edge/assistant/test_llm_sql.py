@@ -241,7 +241,7 @@ def test_a_recursion_is_denied_where_no_word_is_looked_at(history: Path) -> None
     [{}, {"query": None}, {"query": 3}, {"query": ["SELECT 1"]}, {"query": "SELECT 1", "path": "/x"}],
 )
 def test_other_arguments_are_refused(history: Path, arguments: dict[str, Any]) -> None:
-    with pytest.raises(ToolError, match="give query"):
+    with pytest.raises(ToolError, match="query"):
         tool(history).call(arguments)
 
 

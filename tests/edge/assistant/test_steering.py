@@ -93,7 +93,7 @@ def test_an_answer_becomes_a_steering() -> None:
         ({"hours": 168.1}, "hours"),
         ({"hours": None}, "hours"),
         ({"understood": 3}, "understood"),
-        ({"more": 1}, "more: unknown key"),
+        ({"more": 1}, "unknown key 'more'"),
     ],
 )
 def test_an_answer_out_of_range_is_refused_by_its_key(values: dict[str, Any], place: str) -> None:

@@ -110,9 +110,9 @@ def test_the_control_thread_never_waits_for_models_that_load(workshop: Workshop)
     ("request_", "words"),
     [
         ({"action": "fly"}, "action: 'fly' is none of status, activate"),
-        ({}, "action: None is none of"),
-        ({"action": ["activate"]}, "is none of"),
-        ({"action": "activate", "version": 1}, "version: 1 is no version"),
+        ({}, "action: missing"),
+        ({"action": ["activate"]}, "action: must be text"),
+        ({"action": "activate", "version": 1}, "version: must be text, not 1"),
     ],
 )
 def test_a_request_that_is_none_is_refused(workshop: Workshop, request_, words) -> None:

@@ -223,10 +223,10 @@ def test_what_came_between_ticks_is_thrown_away(proposals, path):
     ("answer", "reason"),
     [
         (b"nonsense\n", "answer: "),
-        (b"[1]\n", "answer: not a JSON object"),
-        (b'{"tick": NaN}\n', "answer: NaN is not JSON"),
-        (b"\xff\n", "answer: not UTF-8"),
-        (b"[" * 10000 + b"\n", "answer: nested too deep"),
+        (b"[1]\n", "answer: not JSON: not a JSON object"),
+        (b'{"tick": NaN}\n', "answer: not JSON: NaN is not JSON"),
+        (b"\xff\n", "answer: not JSON: not UTF-8"),
+        (b"[" * 10000 + b"\n", "answer: not JSON: nested too deep"),
         (b"x" * (LINE_MAX + 1), "an answer of more than"),
     ],
 )

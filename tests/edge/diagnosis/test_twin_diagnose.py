@@ -431,7 +431,7 @@ def test_a_test_run_without_the_room_that_the_others_have_is_refused(
         ("effects: {wall_loss: {UA: .nan}}", "effects.wall_loss.UA: nan is not a number"),
         ("geometry: {volume_m3: 0}", "geometry.volume_m3: 0 is not a finite number above 0"),
         ("sample_s: -1", "sample_s: -1 is not a finite number above 0"),
-        ("nuisances: {}", "the file: unknown key 'nuisances'"),
+        ("nuisances: {}", "unknown key 'nuisances'"),
         ("effects: [", "not YAML"),
     ],
 )  # fmt: skip
