@@ -11,7 +11,7 @@ __all__ = ["DiagnosisResult", "Run", "Twin", "__version__", "diagnose"]
 
 
 def __getattr__(name: str) -> Any:
-    """What a notebook needs, imported when it is asked for: the daemon needs none of it."""
+    """Import the names that a notebook needs on first use; the daemon needs none of them."""
     if name in __all__:
         import edge.diagnosis.python
 

@@ -52,7 +52,7 @@ With one: `greenhouse check-config /etc/greenhouse/edge.yaml`, then start it.
 
 
 def parser_for(command: str | None) -> argparse.ArgumentParser:
-    """The parser with every command's name, and the arguments of the one that was called."""
+    """Return the parser with every command's name and the arguments of the called one."""
     parser = argparse.ArgumentParser(
         prog="greenhouse",
         description="Run and observe a miniature greenhouse and its digital twin.",
@@ -106,7 +106,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _bounded(text: str) -> str:
-    """The text without control characters, and not longer than a screen."""
+    """Return the text without control characters, at most a screen long."""
     text = storable(text)
     return text if len(text) <= MESSAGE_MAX else f"{text[:MESSAGE_MAX]}..."
 

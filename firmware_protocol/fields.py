@@ -70,12 +70,14 @@ class Layout:
         return self.struct.pack(*(field.to_raw(getattr(message, field.name)) for field in self.fields))
 
     def first_refused(self, raws: tuple[int, ...]) -> int | None:
-        """Number of the first field (from 0) whose raw integer is out of range, None when all are good."""
+        """Return the number of the first field (from 0) whose raw integer is
+        out of range, None when all are good.
+        """
         for i, (raw, (low, high, none)) in enumerate(zip(raws, self._bounds, strict=True)):
             if not low <= raw <= high and raw != none:
                 return i
         return None
 
     def values(self, raws: tuple[int, ...]) -> list[Any]:
-        """The values of raw integers that are all good."""
+        """Return the values of raw integers that are all good."""
         return [read(raw) for read, raw in zip(self._reads, raws, strict=True)]

@@ -20,7 +20,7 @@ def crc16(data: bytes) -> int:
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """`data` without a zero byte in it; one byte longer for each 254 begun."""
+    """Encode `data` without a zero byte; one byte longer for each 254 begun."""
     out = bytearray()
     *blocks, last = data.split(b"\0")
     for block in blocks:
@@ -46,7 +46,7 @@ def _put_full_blocks(out: bytearray, block: bytes) -> None:
 
 
 def cobs_decode(encoded: bytes) -> bytes | None:
-    """The data of `encoded`, None when that is no COBS: empty, holding a zero, or ending inside a block."""
+    """Decode `encoded`; None for invalid COBS: empty, holding a zero, or ending inside a block."""
     if not encoded or 0 in encoded:
         return None
     out = bytearray()
@@ -64,7 +64,9 @@ def cobs_decode(encoded: bytes) -> bytes | None:
 
 
 def encode(payload: bytes) -> bytes:
-    """The frame that carries a payload of MIN_PAYLOAD to MAX_PAYLOAD bytes. Raises ValueError otherwise."""
+    """Return the frame that carries a payload of MIN_PAYLOAD to MAX_PAYLOAD
+    bytes. Raises ValueError otherwise
+    """
     if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"a payload of {len(payload)} bytes; {MIN_PAYLOAD} to {MAX_PAYLOAD} can be framed")
     return cobs_encode(payload + crc16(payload).to_bytes(CRC_LENGTH, "big")) + b"\0"
@@ -86,7 +88,9 @@ class FrameDecoder:
         return self.too_long + self.bad_cobs + self.too_short + self.bad_crc
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The payloads that `data` completes, each MIN_PAYLOAD to MAX_PAYLOAD bytes with a good CRC."""
+        """Return the payloads that `data` completes, each MIN_PAYLOAD to
+        MAX_PAYLOAD bytes with a good CRC.
+        """
         *complete, rest = data.split(b"\0")
         payloads = []
         for piece in complete:

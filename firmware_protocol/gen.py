@@ -11,7 +11,7 @@ HERE = Path(__file__).parent
 
 
 def outputs(spec: Spec) -> dict[Path, str]:
-    """Generated text by path below this folder."""
+    """Return the generated text by path below this folder."""
     return {HERE / "messages.py": python_source(spec), HERE / "c" / "gh_messages.h": c_source(spec)}
 
 

@@ -159,13 +159,15 @@ class Link:
         return events
 
     def disconnected(self, now: float) -> list[LinkEvent]:
-        """The port is gone: forget half a frame, end the session, greet again."""
+        """Handle a closed port: forget half a frame, end the session, greet again."""
         events, self._untold = self._untold, []
         self._decoder.reset()
         return events + self._end_session(now)
 
     def outgoing(self) -> bytes:
-        """The bytes to write now; at most one frame, since a newer one replaces one that was not taken."""
+        """Return the bytes to write now; at most one frame, since a newer one
+        replaces one that was not taken.
+        """
         data, self._outgoing = self._outgoing, b""
         return data
 

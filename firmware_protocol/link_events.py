@@ -1,4 +1,4 @@
-"""What the host's end of the link tells its caller."""
+"""Events of the link's host end."""
 
 from dataclasses import dataclass
 
@@ -43,7 +43,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class LinkEcho:
-    """What the board drives; `request` is the one it answers, None when it was sent unasked."""
+    """The board's outputs; `request` is the one it answers, None when it was sent unasked."""
 
     state: StateEcho
     request: Message | None

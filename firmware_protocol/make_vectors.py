@@ -195,7 +195,7 @@ def vectors_text() -> str:
 
 
 def examples_text(found: list[dict[str, Any]]) -> str:
-    """The worked examples of the contract, from the first vectors."""
+    """Return the worked examples of the contract, from the first vectors."""
     blocks = []
     for vector in found[:_EXAMPLES]:
         payload = vector["payloads"][0]

@@ -47,7 +47,7 @@ STANDING = (wire_messages.EmergencyStop, wire_messages.Maintenance)
 
 @dataclass(frozen=True, slots=True)
 class DriveOrder:
-    """What the board is told to do, and until when without a new decision."""
+    """The board's order, and the time until which it holds without a new decision."""
 
     command: Command
     cutoff_open: bool
@@ -100,12 +100,12 @@ class Board:
         return self._link.statistics
 
     def take_samples(self) -> list[Sample]:
-        """The sensor reports since the last call, oldest first."""
+        """Return the sensor reports since the last call, oldest first."""
         samples, self._samples = self._samples, []
         return samples
 
     def take_events(self) -> list[Event]:
-        """What happened on the line since the last call; bounded, however often the link comes and goes."""
+        """Return the line's events since the last call, bounded however often the link comes and goes."""
         return self._events.take()
 
     def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
@@ -323,7 +323,7 @@ def _readable(descriptor: int) -> bool:
 
 
 def _message(driven: DriveOrder, parts: Capability, lease_s: float) -> wire_messages.CommandMessage:
-    """The command without what this board does not have: it refuses one that drives a missing part whole."""
+    """Return the command without parts that this board lacks: it refuses a command that drives one."""
     command = driven.command
     return wire_messages.CommandMessage(
         heater_steps=round(command.heater_duty * HEATER_LEVELS),

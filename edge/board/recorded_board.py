@@ -70,16 +70,16 @@ class RecordedBoard:
         return {}
 
     def take_samples(self) -> list[Mapping[str, Reading]]:
-        """The rows since the last call."""
+        """Return the rows since the last call."""
         samples, self._waiting = self._waiting, []
         return samples
 
     def take_events(self) -> list[Event]:
-        """A recording has none."""
+        """Return no event: a recording has none."""
         return []
 
     def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
-        """The command is not carried out; what was recorded is."""
+        """Ignore the command; the recorded one applies."""
         now = self._clock.now()
         rows = (self._times >= now - 1e-9) & (self._times < now + self._step_s - 1e-9)
         duty = float(np.nanmean(self._heater[rows])) if np.isfinite(self._heater[rows]).any() else 0.0
@@ -94,7 +94,7 @@ class RecordedBoard:
         self._deliver()
 
     def serve_until_echo(self, timeout_s: float) -> Echo | None:
-        """What was driven; known at once."""
+        """Return the recorded outputs, known at once."""
         return self.echo
 
     def serve_until_answered(self, timeout_s: float) -> bool:

@@ -60,7 +60,7 @@ class SimClock:
         self._anchor = (time.monotonic(), self._now_s)
 
     def now(self) -> float:
-        """Simulated time since the board's start [s]."""
+        """Return the simulated time since the board's start [s]."""
         return self._now_s
 
     def utc(self) -> float:
@@ -80,7 +80,7 @@ class SimClock:
         self.request({"fault": fault})
 
     def truth(self) -> Mapping[str, Any]:
-        """What is really so in the simulated box."""
+        """Return the true state of the simulated greenhouse."""
         return self.request({"truth": True})
 
     def quit(self) -> None:
@@ -124,7 +124,7 @@ class SimClock:
                 self._gone = True
 
     def _bytes_pending(self) -> bool:
-        """The port has something to read: bytes, or that it has been unplugged."""
+        """Return whether the port has something to read: bytes, or the news that it was unplugged."""
         return self._port is not None and (self._gone or self._board_bytes > self._port.bytes_in)
 
     def _slice_s(self) -> float:

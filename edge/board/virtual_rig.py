@@ -20,14 +20,16 @@ START_PATIENCE_S = 20.0  # real time; a single-board computer imports slowly
 
 @dataclass(frozen=True, slots=True)
 class VirtualRig:
-    """Where the virtual board can be reached."""
+    """The addresses of the virtual board."""
 
     port: Path
     control: Path
 
 
 def settings_in(folder: Path, settings: Settings) -> Settings:
-    """The same rig with its board and all its files in a folder, and no broker: no real one is touched."""
+    """Return settings of the same rig with its board and all files in a folder and
+    no broker, so that no real one is touched.
+    """
     return replace(
         settings,
         state_file=str(folder / "state.json"),

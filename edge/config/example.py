@@ -16,7 +16,7 @@ HEAD = """\
 
 
 def document(settings: Settings) -> str:
-    """`settings` as YAML with unit, range and meaning of every key."""
+    """Return `settings` as YAML with unit, range and meaning of every key."""
     return HEAD + "\n".join(_lines(settings, "")) + "\n"
 
 

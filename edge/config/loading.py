@@ -13,25 +13,25 @@ from edge.formats.reader import DocumentError, parse_yaml, read, read_yaml
 
 
 def default() -> Settings:
-    """Settings of an empty file."""
+    """Return the settings of an empty file."""
     return Settings()
 
 
 def load(path: str | Path) -> Settings:
-    """Settings from a YAML file. Raises ConfigError, which names file and key."""
+    """Load settings from a YAML file. Raises ConfigError, which names file and key"""
     with _all_problems(path):
         return read_yaml(Settings, Path(path))
 
 
 def parse(source: str, place: str = "edge.yaml") -> Settings:
-    """Settings from YAML text; `place` is named in errors."""
+    """Parse settings from YAML text; `place` is named in errors."""
     with _all_problems(place):
         return read(Settings, parse_yaml(source, place), place, null_is_empty=True)
 
 
 @contextmanager
 def _all_problems(place: str | Path) -> Iterator[None]:
-    """A line for each problem: a person corrects them in one go."""
+    """Report each problem in a line, so that a person corrects them in one go."""
     try:
         yield
     except DocumentError as error:

@@ -19,7 +19,7 @@ class Secret:
 
 
 def secret_path(name: str, setting: str) -> Path:
-    """Where a secret lies; a bare name is a systemd credential (LoadCredential= in the unit).
+    """Return the path of a secret; a bare name is a systemd credential (LoadCredential= in the unit).
 
     setting : name of the key, for messages, e.g. "mqtt.password_file"
     Errors : ConfigError when it is missing, not a file, or readable by others
@@ -38,7 +38,7 @@ def secret_path(name: str, setting: str) -> Path:
 
 
 def read_secret(name: str, setting: str) -> Secret:
-    """The secret's text without the newline at its end. Errors: ConfigError; it never holds the text."""
+    """Read a secret without the newline at its end. Errors: ConfigError, which never holds the text"""
     path = secret_path(name, setting)
     try:
         with path.open("rb") as file:

@@ -145,7 +145,7 @@ class LlmSettings(Section):
     price_out: float = number(0.0, "of a million tokens received", "1", 0.0, 1e6)
 
     def cross_check(self) -> None:
-        """An endpoint needs a model's name; a cost budget needs prices."""
+        """Check that an endpoint has a model's name and a cost budget has prices."""
         if self.url and not self.model:
             self.refuse("model", "is empty but url is given")
         if self.cost_per_day and not (self.price_in or self.price_out):
@@ -267,7 +267,7 @@ class ReferenceSettings(Section):
     csv: str = text("", "csv: a profile with the columns time_s and reference_c")
 
     def cross_check(self) -> None:
-        """The chosen kind has what it needs, in order, inside min_c..max_c."""
+        """Check that the chosen kind has its keys, in order, inside min_c..max_c."""
         if not self.min_c < self.max_c:
             self.refuse("min_c", f"must be below max_c, {self.max_c:g}")
         for key, value in self._targets():
@@ -344,7 +344,7 @@ class CalibrationSettings(Section):
     tank_level: SensorCalibration = field(default_factory=SensorCalibration)
 
     def cross_check(self) -> None:
-        """A wrong calibration of the air temperature would defeat every temperature limit."""
+        """Refuse a calibration of the air temperature that would defeat every temperature limit."""
         air = self.temp_air
         if not abs(air.offset) <= hard.AIR_OFFSET_MAX_K:
             self.refuse(
@@ -394,7 +394,7 @@ class SafetySettings(Section):
     soil_moisture_max: float = number(0.8, "at, above or unknown: no water", "1", 0.05, 1.0)
 
     def cross_check(self) -> None:
-        """The latch lies above the plain limit."""
+        """Check that the latch lies above the plain limit."""
         if not self.temp_air_max_c < self.temp_trip_c:
             self.refuse("temp_trip_c", f"must be above temp_air_max_c, {self.temp_air_max_c:g}")
 
@@ -409,7 +409,7 @@ class LightingSettings(Section):
     level: float = number(1.0, "LED level while on", "1", 0.0, 1.0)
 
     def cross_check(self) -> None:
-        """A photoperiod of nothing or of a whole day is a slip."""
+        """Refuse a photoperiod of nothing or of a whole day."""
         if self.on == self.off:
             self.refuse("off", "is the same time as on")
 
@@ -451,7 +451,7 @@ class Settings(Section):
     watering: WateringSettings = field(default_factory=WateringSettings)
 
     def cross_check(self) -> None:
-        """What must hold between sections."""
+        """Check the conditions between sections."""
         if not self.reference.max_c < self.safety.temp_air_max_c:
             self.refuse(
                 "reference.max_c", f"must be below safety.temp_air_max_c, {self.safety.temp_air_max_c:g}"

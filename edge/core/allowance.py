@@ -19,7 +19,7 @@ class Allowance:
         self.refused_s = float("-inf")  # when the last one was refused
 
     def take(self) -> bool:
-        """True where one more is let in."""
+        """Take one place; return False when none is left."""
         with self._lock:
             now = self._clock()
             self._left = min(self._burst, self._left + self._per_s * (now - self._at_s))

@@ -7,7 +7,9 @@ from typing import Protocol
 
 
 class Port(Protocol):
-    """What the clock needs of an open serial port: a file descriptor, and counted bytes for lock-step."""
+    """The part of an open serial port that the clock needs: a file
+    descriptor, and counted bytes for lock-step.
+    """
 
     bytes_out: int
     bytes_in: int
@@ -34,7 +36,9 @@ class Clock(Protocol):
 
 
 def boot_id() -> str:
-    """Of the machine's boot: within one, CLOCK_MONOTONIC goes on from process to process. "": not known."""
+    """Return the id of the machine's boot, "" if unknown. Within a boot
+    CLOCK_MONOTONIC continues between processes.
+    """
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:

@@ -16,7 +16,7 @@ Columns = Mapping[str, Floats]
 
 @dataclass(frozen=True, slots=True)
 class ControlLimits:
-    """What the safety supervisor will let through now; a controller plans inside it."""
+    """The limits of the safety supervisor now; a controller plans inside them."""
 
     heater_max_duty: float = 1.0
     fan_hold_steps: int = 0  # steps for which the relay must keep its present state (minimum on/off time)
@@ -27,7 +27,7 @@ class ControlLimits:
 
 @dataclass(frozen=True, slots=True)
 class Penalty:
-    """What an operator asked the use of the actuators to cost; None: as the controller's name says."""
+    """The costs of actuator use that an operator requested; None: those of the controller's name."""
 
     heater: float | None = None
     fan: float | None = None

@@ -10,7 +10,7 @@ RL = ("RL-Off", "RL-Off-P", "RL-On-P", "RL-Tr-P")
 
 @dataclass(frozen=True, slots=True)
 class LlmVariant:
-    """What a language model that controls is given.
+    """The inputs and tools of a controlling language model.
 
     assistance : "" none, "sql" the history, else the predictor whose simulations it may ask for
     temperature : of the sampling

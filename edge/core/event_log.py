@@ -32,7 +32,7 @@ class EventLog:
                 self._last[event.key] = replace(event, severity=gravest)
 
     def take(self) -> list[Event]:
-        """The events since the last call."""
+        """Return the events since the last call."""
         summaries = [self._summary(event) for event in self._last.values()]
         events = [*self._events, *summaries]
         self._events, self._counts, self._last = [], Counter(), {}

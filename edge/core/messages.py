@@ -34,7 +34,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the actuators shall do. The default is the safe one: nothing on."""
+    """A command to the actuators. The default is the safe one: everything off."""
 
     heater_duty: float = 0.0  # 0..1 in steps of 1/20
     fan_on: bool = False
@@ -89,7 +89,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a controller wants, and its why."""
+    """A controller's wanted command, and its reason."""
 
     command: Command
     controller: str  # public name, e.g. "MPC-P"
@@ -100,7 +100,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What one predictor expects under the planned inputs, by horizon in minutes."""
+    """One predictor's forecast under the planned inputs, by horizon in minutes."""
 
     temps: Mapping[int, float] = field(default_factory=dict)  # [°C]; empty where there is none
     half_widths: Mapping[int, float] = field(default_factory=dict)  # of the interval, where calibrated [K]
@@ -124,7 +124,7 @@ class ForecastSkill:
 
 
 class DriftState(Enum):
-    """What the drift monitor says of the running twin."""
+    """The drift monitor's verdicts on the running twin."""
 
     AGREES = "agrees"
     DISAGREES = "disagrees"  # until it was seen to agree again
@@ -142,7 +142,7 @@ class DriftRow:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Whether the running twin still agrees with the box."""
+    """The agreement of the running twin with the greenhouse."""
 
     state: DriftState = DriftState.UNKNOWN
     text: str = ""  # for people
@@ -157,7 +157,7 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """What the board really drives."""
+    """The outputs that the board reports."""
 
     heater_duty: float
     fan_on: bool
@@ -173,7 +173,7 @@ class Echo:
         return self.trip_cause in ("emergency_stop", "maintenance", "storage_damaged")
 
     def drives_as(self, other: "Echo | None") -> bool:
-        """True when both say the same of the pins and the trip."""
+        """Return whether both report the same pins and the same trip."""
         return other is not None and replace(self, time_s=other.time_s) == other
 
 

@@ -13,7 +13,7 @@ _UNSTORABLE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def storable(text: str) -> str:
-    """The text with U+FFFD for each lone surrogate and a space for each control character."""
+    """Return the text with U+FFFD for each lone surrogate and a space for each control character."""
     return text if text.isprintable() else _UNSTORABLE.sub(_replacement, text)
 
 
@@ -28,7 +28,7 @@ def plain(text: str, longest: int = 200) -> str:
 
 
 def shown(value: Any, longest: int = 60) -> str:
-    """A value as it is quoted in an error."""
+    """Return a value as errors quote it."""
     return plain(repr(value), longest)
 
 

@@ -22,7 +22,7 @@ BLOCK = 128  # rows whose matrices are made at a time
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
-    """What the twin can't know, standard deviations.
+    """Noise of a twin's states and readings, standard deviations.
 
     sensor_k : of a reading, its rounding included; room_k : of the room's reading
     heat_w, heat_tau_s : unknown heat into the air, and how long it goes together
@@ -47,7 +47,7 @@ class FilterInput(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterGains:
-    """Of C filters over N rows of B runs, m states each, padded.
+    """Gains of C filters over N rows of B runs, m states each, padded.
 
     rows : [N, C, B, m + 1, m + 1], what a row makes of the states and its reading, behind each other: the
         states after it, and what the reading was expected to be; the last column is 0 where nothing was read
@@ -78,7 +78,7 @@ def gains(twins: Sequence[FilterInput], measured: NDArray[np.bool_]) -> FilterGa
 
 
 def log_likelihoods(twins: Sequence[FilterInput], measured: NDArray[np.bool_], errors: Floats) -> Floats:
-    """Of errors of free runs by each filter, up to a constant of the data, [C].
+    """Return the log likelihood of free-run errors by each filter, up to a constant of the data, [C].
 
     measured : [B, N]; errors : [C, B, N] [K], finite
     """
@@ -153,7 +153,8 @@ class _Walk:
 
 
 def _start(item: FilterInput, size: int) -> Floats:
-    """Standard deviations of the states before the first row, the unknown heat's and the power's last.
+    """Return the standard deviations of the states before the first row,
+    the unknown heat's and the power's last.
 
     Returns : [m], or [B, m]
     """
@@ -192,7 +193,7 @@ def whitened(
 
 
 def _places(owner: NDArray[np.intp], filters: int) -> NDArray[np.intp]:
-    """Of each column among those of its filter."""
+    """Return the place of each column among those of its filter."""
     before = np.zeros(filters, dtype=np.intp)
     found = np.empty_like(owner)
     for i, own in enumerate(owner):

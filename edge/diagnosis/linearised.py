@@ -48,7 +48,7 @@ class Linearised:
 
 
 def filters_of(states: list[TrialState], runs: Recorded, measured: NDArray[np.bool_]) -> FilterGains:
-    """Of the states as they stand."""
+    """Return the filter gains of the present states."""
     filtered = []
     for state in states:
         twin, steps = nominal(state, state.x, runs)
@@ -57,7 +57,7 @@ def filters_of(states: list[TrialState], runs: Recorded, measured: NDArray[np.bo
 
 
 def begun_from(trial: Trial) -> TrialState:
-    """Where a trial's file begins."""
+    """Return the state that a trial's file begins with."""
     free = unknowns(trial.file) if trial.free is None else trial.free
     values = trial.file.values()
     x = np.array([item.coordinate(values[item.place].value) for item in free])
@@ -65,7 +65,7 @@ def begun_from(trial: Trial) -> TrialState:
 
 
 def neighbours(state: TrialState, runs: Recorded) -> list[tuple[BoxTwin, LinearSteps]]:
-    """The twin a little off in each unknown."""
+    """Return the twin displaced a little in each unknown."""
     found = []
     for j, item in enumerate(state.free):
         near = state.x.copy()
@@ -93,7 +93,7 @@ def normal_equations(
 
 
 def nominal(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, LinearSteps]:
-    """The twin there; where a step ends the next one begins."""
+    """Return the twin at `x`; each step begins where the last one ended."""
     place = x.tobytes()
     if place not in state.seen:
         while len(state.seen) >= REMEMBERED:
@@ -108,7 +108,7 @@ def _at(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, LinearSt
 
 
 def difference(item: UnknownValue, x: float) -> float:
-    """Of a coordinate for a derivative, towards the inside of its bounds."""
+    """Return the difference of a coordinate for a derivative, towards the inside of its bounds."""
     return DIFFERENCE if x + DIFFERENCE <= item.bounds[1] else -DIFFERENCE
 
 

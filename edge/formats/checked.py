@@ -23,7 +23,7 @@ KEY_MAX = 100  # of a misspelt key that is compared with the known ones
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What one key allows. `hard` tells that the upper bound stands in edge/core/hard_limits.py."""
+    """The rule of one key. `hard`: the upper bound stands in edge/core/hard_limits.py."""
 
     doc: str = ""
     unit: str = ""
@@ -53,7 +53,7 @@ class Checked:
     __slots__ = ()
 
     def cross_check(self) -> None:
-        """What must hold between the values; overridden where something must, called when one is read."""
+        """Check the conditions between the values, on reading; a subclass overrides it."""
 
     def refuse(self, key: str, problem: str) -> NoReturn:
         """Raise with the place named."""
@@ -73,32 +73,32 @@ class Section(Checked):
 
 
 def number(default: float, doc: str, unit: str, low: float, high: float, hard: bool = False) -> Any:
-    """A real number; its key carries the unit."""
+    """Declare a real number; its key carries the unit."""
     return _field(default, Rule(doc, unit, low, high, hard))
 
 
 def whole(default: int, doc: str, low: int, high: int, choices: tuple[int, ...] = ()) -> Any:
-    """A whole number."""
+    """Declare a whole number."""
     return _field(default, Rule(doc, "", low, high, choices=choices))
 
 
 def text(default: str, doc: str, choices: tuple[str, ...] = (), pattern: str = "") -> Any:
-    """A string, one of `choices` or wholly matched by `pattern` where given."""
+    """Declare a string, one of `choices` or wholly matched by `pattern` where given."""
     return _field(default, Rule(doc, choices=choices, pattern=pattern))
 
 
 def flag(default: bool, doc: str) -> Any:
-    """true or false."""
+    """Declare a value of true or false."""
     return _field(default, Rule(doc))
 
 
 def clock(default: str, doc: str) -> Any:
-    """A local time of day, "HH:MM"."""
+    """Declare a local time of day, "HH:MM"."""
     return _field(time.fromisoformat(default), Rule(doc, "local time"))
 
 
 def items(doc: str, example: str) -> Any:
-    """A list of sections, empty by default."""
+    """Declare a list of sections, empty by default."""
     return _field((), Rule(doc, example=example))
 
 
@@ -146,7 +146,7 @@ def _number_problem(value: float, rule: Rule) -> str:
 
 
 def nearest(key: str, known: Iterable[str]) -> str:
-    """A hint for a misspelt key: the nearest known one, or all of them."""
+    """Return a hint for a misspelt key: the nearest known one, or all of them."""
     names = sorted(known)
     if not names:
         return "it takes none"

@@ -34,7 +34,7 @@ class NumberTable:
     lines: tuple[int, ...]  # line of the file that each row stands on
 
     def place(self, row: int, column: str) -> str:
-        """Where a cell is, to begin a message with: `run.csv: line 12: heater_duty`."""
+        """Return a cell's place, to begin a message with: `run.csv: line 12: heater_duty`."""
         return f"{self.path}: line {self.lines[row]}: {column}"
 
     def refuse(self, column: str, bad: NDArray[np.bool_], why: str) -> None:
@@ -73,7 +73,7 @@ def write_table(path: Path, columns: Mapping[str, Floats], facts: Mapping[str, s
 
 
 def print_table(file: TextIO, columns: Mapping[str, Floats], facts: Mapping[str, str]) -> None:
-    """The lines of `write_table`, for facts that are known to be right. Errors: OSError."""
+    """Print the lines of `write_table`, for facts that are known to be right. Errors: OSError"""
     file.writelines(f"# {key}: {value}\n" for key, value in facts.items())
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(columns)

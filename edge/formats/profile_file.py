@@ -35,7 +35,7 @@ class Profile:
 
     @property
     def is_reference(self) -> bool:
-        """Whether it says a target, not inputs."""
+        """True if the profile gives a reference instead of inputs."""
         return "reference_c" in self.columns
 
     @property
@@ -44,7 +44,7 @@ class Profile:
         return float(self.columns["time_s"][-1])
 
     def at(self, time_s: float) -> dict[str, float]:
-        """The values that hold at `time_s` since the start; before 0 those of the first row."""
+        """Return the values that hold at `time_s` since the start; before 0 those of the first row."""
         row = max(0, int(np.searchsorted(self.columns["time_s"], time_s, side="right")) - 1)
         return {key: float(values[row]) for key, values in self.columns.items() if key != "time_s"}
 
@@ -71,7 +71,7 @@ def read_profile(path: Path) -> Profile:
 
 
 def _record_from_s(table: NumberTable) -> float:
-    """The fact of this name, 0 where there is none. Errors: DataError."""
+    """Return the fact of this name, 0 where there is none. Errors: DataError"""
     text = table.facts.get("record_from_s", "0")
     try:
         value = float(text)

@@ -140,7 +140,7 @@ class _Entry:
 
 @cache
 def _entries(kind: Any) -> dict[str, _Entry]:
-    """The keys of a dataclass, as a document has them."""
+    """Return the document's keys of a dataclass."""
     types = get_type_hints(kind, include_extras=True)
     found = {}
     for item in fields(kind):

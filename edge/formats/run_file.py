@@ -78,7 +78,7 @@ def read_run(path: str | Path, without: Collection[str] = ()) -> RecordedRun:
 
 
 def run_of(table: NumberTable, without: Collection[str] = ()) -> RecordedRun:
-    """The table as a run. Errors: DataError, as `read_run`."""
+    """Return the table as a run. Errors: DataError, as `read_run`"""
     _check_names(table, without)
     for name in set(SHARES) & set(table.columns):
         _check_share(table, name)
@@ -88,7 +88,7 @@ def run_of(table: NumberTable, without: Collection[str] = ()) -> RecordedRun:
 
 
 def absence_facts(run: RecordedRun) -> RecordedRun:
-    """The run with a fact `NAME: none` for every column of OPTION_WITHOUT that it lacks."""
+    """Return the run with a fact `NAME: none` for every column of OPTION_WITHOUT that it lacks."""
     absent = {name: ABSENT for name in OPTION_WITHOUT if name not in run.columns}
     return replace(run, facts={**run.facts, **absent})
 
@@ -105,7 +105,7 @@ def refuse_test(run: RecordedRun) -> None:
 
 
 def data_sha256(runs: Sequence[RecordedRun]) -> str:
-    """Of the numbers in their order: of every column's name and values, wherever the files lie."""
+    """Return a hash of the numbers in their order: every column's name and values, wherever the files lie."""
     digest = hashlib.sha256()
     for run in runs:
         for name in sorted(run.columns):
@@ -116,7 +116,7 @@ def data_sha256(runs: Sequence[RecordedRun]) -> str:
 
 
 def inside_names(run: RecordedRun) -> dict[str, Floats]:
-    """The run's columns by their names inside the program, with `utc` where the run says when it began."""
+    """Return the run's columns by their internal names, with `utc` where the run states its start."""
     keys = {signal.key: name for name, signal in SIGNALS.items()} | {"solar_w_m2": "solar"}
     columns = {keys.get(key, key): values for key, values in run.columns.items()}
     start_utc = run.start_utc
@@ -135,7 +135,7 @@ def cut(run: RecordedRun, begin: int, end: int) -> RecordedRun:
 
 
 def period(run: RecordedRun) -> float:
-    """The one period of the rows [s]. Errors: DataError for a single row or irregular ones."""
+    """Return the period of the rows [s]. Errors: DataError for a single row or irregular ones"""
     time_s = run.columns["time_s"]
     if len(time_s) < 2:
         raise DataError(f"{run.path}: one row has no period")
@@ -149,7 +149,7 @@ def period(run: RecordedRun) -> float:
 
 
 def resample(run: RecordedRun, step_s: float) -> RecordedRun:
-    """The run at rows 0, `step_s`, 2 `step_s`, ... as far as it reaches.
+    """Return the run at rows 0, `step_s`, 2 `step_s`, ... up to its end.
 
     Inputs are the mean of what held during the new step, so that no heat is gained or lost; at the old period
     or a shorter one that is what held. Readings are interpolated at the new instants: a mean over the step

@@ -14,7 +14,7 @@ DIGITS_MAX = 300  # of a whole number; one of more does not fit into a float
 
 
 def parse_object(text: bytes | str) -> dict[str, Any]:
-    """The object that `text` is. Errors: ValueError, fit to be shown to the one who sent it."""
+    """Parse an object. Errors: ValueError, whose text may be shown to the sender"""
     try:
         value = _cleaned(
             json.loads(
@@ -34,7 +34,7 @@ def parse_object(text: bytes | str) -> dict[str, Any]:
 
 
 def _cleaned(value: Any, depth: int) -> Any:
-    """The value with storable texts: "\\ud800" is JSON, and no text that can be stored."""
+    """Return the value with storable texts: "\\ud800" is JSON, but no storable text."""
     if isinstance(value, str):
         return storable(value)
     if isinstance(value, list | dict) and depth > DEPTH_MAX:

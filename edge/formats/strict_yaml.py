@@ -59,7 +59,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        """A whole number in base 10, also with zeros before it; PyYAML takes 010 for 8."""
+        """Read a whole number in base 10, also with leading zeros; PyYAML takes 010 for 8."""
         if len(node.value) > DIGITS_MAX:
             _refuse(f"a whole number of {len(node.value)} digits", node)
         return int(node.value)

@@ -34,7 +34,7 @@ def json_value(value: Any) -> Any:
 
 
 def command_json(command: Command) -> dict[str, Any]:
-    """A command with units in its keys."""
+    """Return a command with units in its keys."""
     return {
         "heater_duty": number(command.heater_duty),
         "fan_on": int(command.fan_on),
@@ -44,7 +44,7 @@ def command_json(command: Command) -> dict[str, Any]:
 
 
 def event_json(event: Event) -> dict[str, Any]:
-    """An event; `utc` in seconds since 1970."""
+    """Return an event; `utc` in seconds since 1970."""
     return {
         "key": event.key,
         "severity": event.severity.value,
@@ -54,7 +54,7 @@ def event_json(event: Event) -> dict[str, Any]:
 
 
 def echo_json(echo: Echo | None) -> dict[str, Any] | None:
-    """What the board drives; None when it did not say."""
+    """Return the board's outputs, None where it did not report them."""
     if echo is None:
         return None
     return {
@@ -94,7 +94,7 @@ def skill_json(skill: Sequence[ForecastSkill]) -> dict[str, Any]:
 
 
 def drift_json(drift: Drift | None) -> dict[str, Any] | None:
-    """What the drift monitor says; None where there is none. Times in seconds since 1970."""
+    """Return the drift monitor's verdict, None without one. Times in seconds since 1970."""
     if drift is None:
         return None
     return {
@@ -118,7 +118,9 @@ def drift_json(drift: Drift | None) -> dict[str, Any] | None:
 
 
 def tick_json(record: TickRecord) -> dict[str, Any]:
-    """The record without its skill and drift (`skill_json`, `drift_json`); a missing number is null."""
+    """Return the record without its skill and drift (`skill_json`,
+    `drift_json`); a missing number is null.
+    """
     return {
         "seq": record.seq,
         "utc": number(record.utc, 3),

@@ -92,7 +92,8 @@ class Arx:
         return float(min(max(lacking / gain, 0.0), 1.0)) if gain > 0.0 else 0.0
 
     def responses(self, steps: int) -> tuple[Floats, Floats]:
-        """What one step of full heat, and one of the fan, adds to the air temperature of each step [steps].
+        """Return what one step of full heat, and one of the fan, adds to the
+        air temperature of each step [steps].
 
         [K]; the fan's per kelvin of excess [K/K] where it enters by that.
         """
@@ -107,7 +108,7 @@ class Arx:
         return added[order:]
 
     def _drift(self, ahead: Columns, horizon: int) -> Floats:
-        """What moves the air at each step whatever the inputs [horizon]."""
+        """Return the air temperature at each step without any input [horizon]."""
         drift = np.full(horizon, self.intercept)
         if self.ambient != 0.0:
             drift = drift + self.ambient * ahead["temp_ambient"][:horizon]
@@ -122,6 +123,8 @@ class Arx:
 
 
 def _with_past(column: Floats, ahead: Floats, lags: int) -> Floats:
-    """The last `lags` - 1 decided inputs (the last row's is not decided yet), then `ahead`, [B, ..]."""
+    """Return the last `lags` - 1 decided inputs (the last row's is not
+    decided yet), then `ahead`, [B, ..].
+    """
     past = column[len(column) - lags : len(column) - 1]
     return np.concatenate([np.broadcast_to(past, (len(ahead), lags - 1)), ahead], axis=1)

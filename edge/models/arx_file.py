@@ -71,7 +71,7 @@ def write_arx(model: Arx, path: Path, provenance: Mapping[str, Any]) -> None:
 
 
 def read_arx(path: Source = DEFAULT_PATH) -> Arx:
-    """The model in `path`; its version is the first 12 hex digits of the file's sha256.
+    """Read the model in `path`; its version is the first 12 hex digits of the file's sha256.
 
     Raises : DataError naming the file and the key
     """

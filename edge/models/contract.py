@@ -1,4 +1,4 @@
-"""What an ONNX file promises about itself: one JSON document in its metadata, checked before it is believed.
+"""Contract of an ONNX file: one JSON document in its metadata, checked before the model is trusted.
 
 The file holds one graph: from a window of measured rows and the inputs of N steps to N temperatures. Its
 golden vectors are rollouts of the trained network; the edge runs the graph on them before it uses it.
@@ -72,14 +72,14 @@ class Contract:
 
 
 def units(kind: str) -> dict[str, str]:
-    """Unit of everything that goes into or comes out of a graph of this kind."""
+    """Return the unit of every input and output of a graph of this kind."""
     known = {name: signal.unit for name, signal in SIGNALS.items()}
     known |= {name: actuator.unit for name, actuator in ACTUATORS.items()}
     return {name: known[name] for name in FEATURES[kind]} | {"offset": "K/step", "sample_s": "s"}
 
 
 def keys(kind: str) -> tuple[str, ...]:
-    """The features by their keys at a border."""
+    """Return the features by their keys at a border."""
     known = {name: signal.key for name, signal in SIGNALS.items()}
     known |= {name: actuator.key for name, actuator in ACTUATORS.items()}
     return tuple(known[name] for name in FEATURES[kind])
@@ -125,7 +125,7 @@ class ContractDocument(Checked):
     software: Any
 
     def cross_check(self) -> None:
-        """Of the kind that it names."""
+        """Check that the contract fits its kind."""
         for key, expected in (("features", FEATURES[self.kind]), ("units", units(self.kind))):
             if (found := getattr(self, key)) != expected:
                 self.refuse(key, f"{shown(found)} is not {expected!r}")
@@ -139,7 +139,7 @@ class ContractDocument(Checked):
 
 
 def parse_contract(text: str) -> Contract:
-    """The contract in `text`. Errors: DataError that names the key."""
+    """Parse the contract in `text`. Errors: DataError that names the key"""
     found = read(ContractDocument, parse_json(text, KEY, MODEL))
     golden = tuple(_golden(f"golden[{i}]", found, entry) for i, entry in enumerate(found.golden))
     if max(entry.temps.shape[1] for entry in golden) < 2:

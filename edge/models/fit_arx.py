@@ -49,7 +49,7 @@ def fit_arx(
     fan_input: FanInput | None = "on",
     with_ambient: bool = True,
 ) -> ArxFit:
-    """The model of the orders (p, q) that forecasts the validation runs best.
+    """Fit models of several orders (p, q); return the one that forecasts the validation runs best.
 
     step_s : period of the model; runs recorded at another one are resampled
     fan_input : see `Arx`; None leaves the fan out (its constant effect goes into the intercept)
@@ -117,7 +117,7 @@ def free_run_rmse(model: Arx, runs: Sequence[Mapping[str, Floats]], steps: int =
 def provenance(
     fit: ArxFit, training: Sequence[RecordedRun], validation: Sequence[RecordedRun], command: str
 ) -> dict[str, Any]:
-    """Where the model comes from, as JSON values for its file."""
+    """Return the model's origin as JSON values for its file."""
     return {
         "command": command,
         "training_sha256": {str(run.path): _sha256(run.path) for run in training},
@@ -136,7 +136,7 @@ def _sha256(path: Path | None) -> str:
 
 
 def _columns(run: RecordedRun, step_s: float, inputs: Sequence[str]) -> dict[str, Floats]:
-    """The run at `step_s`; an input that is left out becomes 0."""
+    """Return the run at `step_s`; an input that is left out becomes 0."""
     place = str(run.path) if run.path is not None else "run"
     for key in ("time_s", "temp_air_c", *inputs):
         if key not in run.columns:

@@ -7,7 +7,7 @@ KINDS = ("ham", "ham_guarded")  # the paper's, and the one that falls back to it
 
 
 def read_ham(path: Source, twin_sha256: str, step_s: float | None = None) -> OnnxPredictor:
-    """The predictor "ham" in `path`, proved by its golden vectors; which hybrid it is says its `kind`.
+    """Read the predictor "ham" in `path`, proved by its golden vectors; its `kind` names the hybrid.
 
     twin_sha256 : `Twin.sha256` of the twin beside it: a hybrid corrects one twin and no other
     step_s : the control step that it has to be made for [s], None for any

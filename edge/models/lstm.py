@@ -5,7 +5,7 @@ from edge.models.onnx_predictor import OnnxPredictor, read_onnx
 
 
 def read_lstm(path: Source, step_s: float | None = None) -> OnnxPredictor:
-    """The predictor "lstm" in `path`, proved by its golden vectors.
+    """Read the predictor "lstm" in `path`, proved by its golden vectors.
 
     step_s : the control step that it has to be made for [s], None for any
     Errors : DataError that names the file and the key

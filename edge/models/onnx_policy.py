@@ -31,7 +31,7 @@ class OnnxPolicy:
         return self.contract.sample_s
 
     def values(self, observations: Floats) -> Floats:
-        """What each action is worth, [B, ACTIONS]; observations : [B, features]. Errors: DataError"""
+        """Return the value of each action, [B, ACTIONS]. observations : [B, features]. Errors: DataError"""
         try:
             values = self.session.run([OUTPUT], {INPUT: observations.astype(np.float32)})[0]
         except Exception as error:  # onnxruntime's own errors have no other base
@@ -52,7 +52,7 @@ class OnnxPolicy:
 
 
 def read_policy(path: Source, name: str, step_s: float | None = None) -> OnnxPolicy:
-    """The policy in `path`; its version is the first 12 hex digits of the file's sha256.
+    """Read the policy in `path`; its version is the first 12 hex digits of the file's sha256.
 
     step_s : the control step that it has to be made for [s], None for any
     Errors : DataError that names the file and the key

@@ -81,7 +81,7 @@ class OnnxPredictor:
         return temps
 
     def _run(self, window: Floats, controls: Floats, steps: Mapping[str, Floats]) -> Floats:
-        """The graph, in batches; window [rows, features], controls [B, N, 2], steps [N] each."""
+        """Run the graph in batches; window [rows, features], controls [B, N, 2], steps [N] each."""
         feed = {name: values.astype(np.float32) for name, values in {"window": window, **steps}.items()}
         size = BATCH[self.kind]
         parts = [
@@ -112,7 +112,7 @@ class OnnxPredictor:
 def read_onnx(
     path: Source, name: str, kinds: Sequence[str], step_s: float | None, twin_sha256: str = ""
 ) -> OnnxPredictor:
-    """The predictor in `path`; its version is the first 12 hex digits of the file's sha256.
+    """Read the predictor in `path`; its version is the first 12 hex digits of the file's sha256.
 
     kinds : those that may be in it; step_s : the control step [s], None for any
     twin_sha256 : of the twin that a hybrid is to run on
@@ -151,7 +151,7 @@ def _check_use(contract: Contract, kinds: Sequence[str], step_s: float | None, t
 
 
 def _check_shapes(contract: Contract, session: Any) -> None:
-    """The graph takes and gives what the contract says; a size that may be any is a name."""
+    """Check that the graph's inputs and outputs are those of the contract; a free size has a name."""
     features = contract.features
     expected = {"window": [contract.window, len(features)], "controls": ["B", "N", 2], "offset": ["N"]}
     if "temp_ambient" in features:

@@ -10,7 +10,7 @@ from edge.core.errors import DataError
 
 
 def open_session(content: bytes) -> Any:
-    """A session on the bytes of an ONNX file. Errors: DataError where they are none that can be run."""
+    """Open a session on the bytes of an ONNX file. Errors: DataError where they cannot be run"""
     os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # newer than the pinned version, it would call its maker
     import onnxruntime
 

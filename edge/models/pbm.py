@@ -60,7 +60,7 @@ class Pbm:
         return (*self.twin.needs, "door_open")
 
     def _start(self, history: Columns) -> Floats:
-        """The state at the last row [n]."""
+        """Return the state at the last row [n]."""
         temp = np.asarray(history["temp_air"], dtype=np.float64)
         if len(self.twin.states) == 1 and np.isfinite(temp[-1]):
             return temp[-1:]
@@ -77,7 +77,7 @@ def _cut(columns: Columns, names: tuple[str, ...], rows: slice) -> Columns:
 
 
 def read_twin(path: Source) -> Pbm:
-    """The predictor of a twin file.
+    """Read the predictor of a twin file.
 
     Errors : DataError naming file and key, also for a value that is still to be fitted
     """

@@ -17,6 +17,8 @@ class Persistence:
     rows_needed: int = 1
 
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
-        """The newest air temperature, as `edge.core.predictor.Predictor.rollout`, shape [B, N] [°C]."""
+        """Return the newest air temperature, as
+        `edge.core.predictor.Predictor.rollout`, shape [B, N] [°C].
+        """
         batch, horizon, _ = controls.shape
         return np.full((batch, horizon), history["temp_air"][-1])

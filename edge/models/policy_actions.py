@@ -1,4 +1,4 @@
-"""What a policy can choose between: every level of the heater with the fan off, then all with the fan on."""
+"""Actions of a policy: every level of the heater with the fan off, then all with the fan on."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,17 @@ ACTIONS = 2 * LEVELS
 
 
 def command_of(action: int) -> Command:
-    """The command that an action, 0 to ACTIONS - 1, stands for."""
+    """Return the command of an action, 0 to ACTIONS - 1."""
     return Command(heater_duty=action % LEVELS / HEATER_LEVELS, fan_on=action >= LEVELS)
 
 
 def duties_and_fans(actions: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The same of many: duty 0..1 and fan 0 or 1."""
+    """Return the commands of many actions: duty 0..1 and fan 0 or 1."""
     return actions % LEVELS / HEATER_LEVELS, (actions >= LEVELS).astype(np.float64)
 
 
 def action_of(command: Command) -> int:
-    """The action that comes nearest to a command."""
+    """Return the action nearest to a command."""
     return round(command.heater_duty * HEATER_LEVELS) + LEVELS * command.fan_on
 
 

@@ -1,4 +1,4 @@
-"""What a policy's file promises of itself: one JSON document in its metadata, as a predictor's has.
+"""Contract of a policy's file: one JSON document in its metadata, as a predictor's.
 
 The graph takes `observation` [B, features], as `policy_observation.observe` gives it, and gives `values`
 [B, ACTIONS]: what each action is worth from here on.
@@ -37,7 +37,7 @@ class PolicyContract:
 
 
 def document_of(observations: Floats, values: Floats, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """The document of a policy that was trained with this software's table; JSON values."""
+    """Return the document of a policy that was trained with this software's table; JSON values."""
     return {
         "policy": 1,
         "features": list(NAMES),
@@ -86,7 +86,7 @@ class PolicyDocument(Checked):
 
 
 def parse_policy_contract(text: str) -> PolicyContract:
-    """The contract in `text`. Errors: DataError that names the key."""
+    """Parse the contract in `text`. Errors: DataError that names the key"""
     found = read(PolicyDocument, parse_json(text, KEY, MODEL))
     rows = len(found.golden.observations)
     return PolicyContract(

@@ -1,4 +1,4 @@
-"""What a policy sees at a tick: the table that training and the rig share, and the one way to compute it.
+"""Observation of a policy at a tick: the table that training and the rig share, computed in one place.
 
 The hash of the table goes into a policy's file, and a policy made with another table is refused.
 """
@@ -76,7 +76,9 @@ _RULES: dict[str, Callable[[Recent, int], Floats]] = {
 
 
 def observe(recent: Recent) -> Floats:
-    """The table of B rigs, [B, features], each in units of its scale; NaN where something is not known."""
+    """Return the table of B rigs, [B, features], each in units of its
+    scale; NaN where something is unknown.
+    """
     table = np.empty((len(recent.air), len(FEATURES)))
     for column, feature in enumerate(FEATURES):
         table[:, column] = _RULES[feature.of](recent, feature.steps) / feature.scale
@@ -84,7 +86,9 @@ def observe(recent: Recent) -> Floats:
 
 
 def observe_tick(context: Context) -> Floats:
-    """The table at one tick of the daemon, [features]. Errors: DataError that names what is not known."""
+    """Return the table at one tick of the daemon, [features]. Errors:
+    DataError that names the unknown value
+    """
     history = context.history
     if not len(history["temp_air"]):
         raise DataError("observation: no history")
@@ -103,7 +107,7 @@ def observe_tick(context: Context) -> Floats:
 
 
 def by_name(observation: Floats) -> dict[str, float]:
-    """The table in its units, for people and for JSON."""
+    """Return the table in its units, for people and for JSON."""
     return {
         feature.name: round(float(value) * feature.scale, 6)
         for feature, value in zip(FEATURES, observation, strict=True)
@@ -111,13 +115,13 @@ def by_name(observation: Floats) -> dict[str, float]:
 
 
 def table_sha256() -> str:
-    """Of all that makes an observation: order, rules, scales."""
+    """Return a hash of everything that makes an observation: order, rules, scales."""
     rows = [asdict(feature) for feature in FEATURES]
     text = json.dumps([AIR_ROWS, INPUT_ROWS, rows], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _last(column: Floats, rows: int, before: float) -> Floats:
-    """The last rows, [1, rows]; `before` the first one."""
+    """Return the last rows, [1, rows]; `before` the first one."""
     tail = column[-rows:]
     return np.concatenate([np.full(rows - len(tail), before), tail])[None]

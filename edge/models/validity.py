@@ -16,7 +16,7 @@ _CONTROLS = (ACTUATORS["heater_duty"].key, ACTUATORS["fan_on"].key)  # in the or
 
 
 def box_of(runs: Iterable[Columns], keys: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """The box of some runs.
+    """Return the validity range of some runs.
 
     runs : columns by their keys at a border, NaN where missing; keys : those to bound
     Raises : KeyError for a column that a run has not, ValueError for one without any value

@@ -1,4 +1,4 @@
-"""What the safety supervisor sees, remembers and answers. All frozen; see edge/safety/supervisor.py."""
+"""Inputs, memory and verdicts of the safety supervisor. All frozen; see edge/safety/supervisor.py."""
 
 import math
 from collections.abc import Mapping
@@ -60,7 +60,7 @@ class SafetyMemory:
 
 @dataclass(frozen=True, slots=True)
 class SafetyVerdict:
-    """What may be sent, and why it differs from what was wanted."""
+    """The command that may be sent, and why it differs from the wanted one."""
 
     sent: Command
     changes: tuple[Change, ...]
@@ -98,7 +98,7 @@ def water_s(memory: SafetyMemory, now_s: float, utc: float) -> float:
 
 
 def remember(memory: SafetyMemory, sent: Command, ramp: float, view: SafetyView) -> SafetyMemory:
-    """The memory after `sent` went out."""
+    """Return the memory after `sent` went out."""
     doses = tuple(dose for dose in memory.doses if dose.is_recent(view.now_s, view.utc))
     if sent.valve_pulse_s > 0.0:
         doses = (*doses, Dose(view.now_s, view.utc, sent.valve_pulse_s))
@@ -119,7 +119,9 @@ def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:
 
 
 def memory_to_dict(memory: SafetyMemory) -> dict[str, Any]:
-    """What must outlive the process, as JSON values: latched trips and the water of the last day."""
+    """Return the part that must outlive the process, as JSON values:
+    latched trips and the last day's water.
+    """
     return {"trips": list(memory.trips), "doses": [[dose.utc, dose.length_s] for dose in memory.doses]}
 
 

@@ -19,7 +19,7 @@ LONGEST_S = 1500.0  # the fan's relay may have to finish its minimum on time bef
 
 @dataclass(frozen=True, slots=True)
 class RelayProof:
-    """What is known since the relay was last seen off."""
+    """The evidence since the relay was last seen off."""
 
     since_s: float = 0.0
     heated_s: float = 0.0
@@ -36,7 +36,7 @@ class RelayProof:
 def follow(
     proof: RelayProof, dt_s: float, temp_air: float, heated: bool, fan_on: bool, quiet: bool
 ) -> RelayProof:
-    """The proof after one more step.
+    """Return the proof after one more step.
 
     dt_s : since the last one [s]; temp_air : [°C]
     heated, fan_on : what the board was told in it

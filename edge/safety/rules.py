@@ -23,7 +23,7 @@ ROUNDING = 1e-9  # 0.3 is 5.999999999999999 levels of 1/20
 
 @dataclass(frozen=True, slots=True)
 class RuleInput:
-    """What every rule may look at."""
+    """The input of every rule."""
 
     view: SafetyView
     memory: SafetyMemory
@@ -50,7 +50,9 @@ class Limit:
 
 
 def known(view: SafetyView, signal: str, age_max_s: float) -> float | None:
-    """A measurement to rely on: good, a number, at most `age_max_s` old, not from the future."""
+    """Return a reliable measurement: good, a number, at most `age_max_s`
+    old, not from the future; else None.
+    """
     reading = view.readings.get(signal)
     if reading is None or reading.quality is not ReadingQuality.GOOD or reading.value is None:
         return None

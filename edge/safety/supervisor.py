@@ -72,7 +72,7 @@ CLEAR_BELOW_K = 3.0  # a trip is cleared only when the air is this far below the
 def supervise(
     wanted: Command, view: SafetyView, memory: SafetyMemory, settings: SafetySettings
 ) -> SafetyVerdict:
-    """What may be sent of `wanted` now, why it differs, and what to remember."""
+    """Return the part of `wanted` that may be sent now, why it differs, and the new memory."""
     temp_air = known(view, "temp_air", settings.reading_age_max_s)
     memory = book_heat(memory, view.now_s, view.dt_s)
     memory, events = _latch(view, memory, settings, temp_air)
@@ -100,7 +100,7 @@ def supervise(
 def planning_limits(
     memory: SafetyMemory, settings: SafetySettings, now_s: float, step_s: float
 ) -> ControlLimits:
-    """What safety will let through in the step that begins now, for a controller that plans."""
+    """Return the safety limits of the step that begins now, for a controller that plans."""
     duty = 0.0 if memory.trips or memory.thermal.proof.running else settings.heater_max_duty
     for window_s in (HOUR_S, DAY_S):
         duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s))
@@ -114,7 +114,7 @@ def planning_limits(
 
 
 def clear_trip(memory: SafetyMemory, settings: SafetySettings, temp_air: float | None) -> SafetyMemory:
-    """The memory without its trips. Errors: RequestError while the cause may still be there.
+    """Return the memory without its trips. Errors: RequestError while the cause may still be there
 
     temp_air : [°C]; None unless good
     """
@@ -190,7 +190,7 @@ def _limited(
 
 
 def _checked(actuator: str, wanted: float, changes: list[Change]) -> float:
-    """A number from 0 up; anything else is nothing."""
+    """Return a number from 0 up; any other value becomes 0."""
     try:
         value = float(wanted)
     except (TypeError, ValueError):

@@ -57,7 +57,7 @@ GAP_MAX_STEPS = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What held since the last look, and what is seen now."""
+    """The outputs since the last look, and the present readings."""
 
     dt_s: float
     temp_air: float  # [°C]
@@ -114,7 +114,7 @@ class PartFault:
 
 
 def look(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, tuple[PartFault, ...]]:
-    """The memory after one more step, and the faults found in it."""
+    """Return the memory after one more step, and the faults found in it."""
     memory = _follow_inputs(memory, moment)
     findings = []
     for question in (_heater_works, _heat_is_ordered, _fan_works, _sensors_agree):

@@ -26,7 +26,7 @@ class StateFileBroken(Exception):
 
 
 def read(path: Path) -> dict[str, Any] | None:
-    """What was last written, or None when nothing ever was. Errors: StateFileBroken."""
+    """Read the last document, None when nothing was ever written. Errors: StateFileBroken"""
     try:
         return parse_object(read_file(path))
     except FileNotFoundError:

@@ -24,7 +24,7 @@ class Conditions:
             self._events.append(Event(f"{key}.over", Severity.INFO, text, time_s, utc))
 
     def holds(self, key: str) -> bool:
-        """Whether `key` holds since an earlier `set`."""
+        """Return whether `key` holds since an earlier `set`."""
         return key in self._since
 
     def take_events(self) -> list[Event]:

@@ -1,4 +1,4 @@
-"""What a controller is told at a tick: history, estimate, reference ahead, limits, an operator's wishes."""
+"""Context of a controller at a tick: history, estimate, reference ahead, limits, an operator's requests."""
 
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ def context_of(
     last_sent: Command,
     limits: ControlLimits,
 ) -> Context:
-    """The context of this tick. limits : what safety will let through"""
+    """Return the context of this tick. limits : those of the safety supervisor"""
     steering = operation.steering_at(moment.utc)
     penalty = Penalty()
     reference = in_force(operation.reference_c, steering, configured)

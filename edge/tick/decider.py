@@ -39,7 +39,7 @@ class Decider:
         self._events: list[Event] = []
 
     def decide(self, chosen: str, context: Context) -> tuple[Decision, float]:
-        """A decision with finite numbers, and the wall time it took [ms]."""
+        """Return a decision with finite numbers, and the wall time it took [ms]."""
         self._asked_before, self._asked = self._asked, set()
         note, now, utc = self._conditions.set, context.now_s, context.utc
         old = not now - context.estimate.time_s <= ESTIMATE_AGE_MAX_S
@@ -65,7 +65,7 @@ class Decider:
         return replace(decision, why=why), wall_ms
 
     def take_events(self) -> list[Event]:
-        """What controllers raised since the last call."""
+        """Return the controllers' events since the last call."""
         events, self._events = self._events, []
         return events
 

@@ -14,7 +14,7 @@ SLICE_S = 0.1  # the longest that an emergency stop waits for a controller that 
 
 @dataclass(frozen=True, slots=True)
 class ThreadAnswer:
-    """What came of one question: a decision, or why there is none."""
+    """The outcome of one question: a decision, or the reason for its absence."""
 
     decision: Decision | None
     failure: str  # "" with a decision; else "late" or the exception's text
@@ -29,7 +29,7 @@ class DecisionThread:
         self._start()
 
     def ask(self, controller: Controller, context: Context, deadline_s: float) -> ThreadAnswer:
-        """The controller's decision if it comes within `deadline_s` of wall time."""
+        """Return the controller's decision if it comes within `deadline_s` of wall time."""
         begun = time.perf_counter()
         questions, answers = self._questions, self._answers
         questions.put((controller, context))

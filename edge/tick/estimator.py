@@ -73,7 +73,7 @@ class Estimator:
         )
 
     def record_sent(self, command: Command) -> None:
-        """Inputs that hold from the last row's time on: what the board drives, as far as it is known."""
+        """Record the inputs that hold from the last row's time on: the board's outputs, as far as known."""
         if self._rows["heater_duty"]:
             self._rows["heater_duty"][-1] = command.heater_duty
             self._rows["fan_on"][-1] = float(command.fan_on)
@@ -118,7 +118,7 @@ class Estimator:
             self._covariance[0, 0] = math.inf
 
     def _step(self) -> float:
-        """The temperature one step on; the covariance goes there."""
+        """Predict the temperature one step on, and the covariance there."""
         predicted, by_model = self._predict()
         size = self._lags + 1
         transition = np.zeros((size, size))
@@ -162,7 +162,9 @@ class Estimator:
         return slopes
 
     def _correct(self, measured: float) -> float | None:
-        """The innovation; None without a measurement, which leaves mean and covariance as predicted."""
+        """Update and return the innovation. None without a measurement, which
+        leaves mean and covariance as predicted.
+        """
         if not math.isfinite(measured):
             return None
         temps = self._rows["temp_air"]

@@ -1,4 +1,4 @@
-"""What each failure gets: the one table. The loop, the history and the tests use these rows and no others."""
+"""Failure table: the reaction to each failure. The loop, the history and the tests use these rows only."""
 
 from dataclasses import dataclass
 

@@ -28,7 +28,7 @@ _OVERTAKEN: Reply = {"ok": False, "error": "an emergency stop was given after th
 
 
 def is_in_force(reply: Reply) -> bool:
-    """True for an order that was carried out, even where the disk has not taken it."""
+    """Return whether an order was carried out, even where the disk has not taken it."""
     return "operation" in reply or reply.get("ok") is True
 
 
@@ -108,7 +108,7 @@ class Inbox:
             return  # the pipe is full: it is awake already
 
     def take(self, lanes: int = ORDINARY + 1) -> Letter | None:
-        """The letter that is next in the first `lanes` lanes; clears the wake-up when none is left."""
+        """Return the next letter of the first `lanes` lanes; clear the wake-up when none is left."""
         with self._posting:
             lane = next((lane for lane in self._lanes[:lanes] if lane), None)
             letter = None if lane is None else Letter(*lane.popleft())
@@ -142,7 +142,7 @@ class Inbox:
         return True
 
     def _overtaken_by(self, request: Request) -> list[_Answers]:
-        """A stop goes ahead of a release that came before it, which must not end the stop afterwards."""
+        """Return earlier releases, which a stop overtakes: they must not end the stop afterwards."""
         if _lane(request) != STOP:
             return []
         lane = self._lanes[ORDINARY]

@@ -113,7 +113,7 @@ class Loop:
             self.close()
 
     def note(self, key: str, detail: str) -> None:
-        """A failure of the table that was found at start."""
+        """Note a failure of the table that was found at start."""
         self._conditions.set(key, True, self._rig.clock.now(), self._rig.clock.utc(), detail)
 
     def close(self) -> None:
@@ -182,7 +182,7 @@ class Loop:
         return context_of(moment, self._operation, rig.reference, history, estimate, self._sent, limits)
 
     def _end_steering(self, now: float, utc: float) -> None:
-        """What was asked for in words ends by itself, and that is told once."""
+        """Expire the operator's request and emit one event."""
         ended = self._operation.steering
         if ended is None or self._operation.steering_at(utc) is not None:
             return
@@ -307,7 +307,7 @@ class Loop:
             self._rig.board.maintain()
 
     def _wait_for_board(self) -> None:
-        """A first tick without readings would be a tick of alarms: give the board a moment to greet."""
+        """Give the board a moment to greet: a first tick without readings would be a tick of alarms."""
         board, clock = self._rig.board, self._rig.clock
         give_up_s = clock.now() + START_WAIT_S
         while not self._stopping and not (board.link_up and board.has_samples) and clock.now() < give_up_s:
@@ -334,7 +334,7 @@ class Loop:
         return self._rig.board.link_up, self._rig.board.echo
 
     def _has_news(self) -> bool:
-        """True when the board drives something else than was published last."""
+        """Return whether the board's outputs differ from those published last."""
         (link_up, echo), (link_shown, shown) = self._outputs(), self._shown
         return link_up != link_shown or not (echo is shown or (echo is not None and echo.drives_as(shown)))
 
@@ -437,7 +437,9 @@ class Loop:
         self._tell("operator.clear_trip", Severity.INFO, "trips cleared", clock.now())
 
     def _act_now(self) -> None:
-        """The last decision under the new orders, not a step later; told as an event, since it is no tick."""
+        """Apply new orders to the last decision at once, not a step later, and
+        emit an event, since it is not a tick.
+        """
         record = self.last_record
         if record is None:
             return
@@ -469,7 +471,7 @@ class Loop:
 
 
 def _as_saved(reply: Reply, error: str) -> Reply:
-    """The answer to a change that the disk has taken, or has not."""
+    """Return the reply to a change that the disk has taken, or has not."""
     if not error:
         return reply
     return {

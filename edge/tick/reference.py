@@ -43,7 +43,7 @@ class Reference:
 
 
 def zone_of(name: str) -> tzinfo | None:
-    """The time zone of settings.timezone; None is the machine's own."""
+    """Return the time zone of settings.timezone; None is the machine's own."""
     return None if name == "local" else ZoneInfo(name)
 
 
@@ -54,7 +54,7 @@ def seconds_of_day(utc: float, zone: tzinfo | None) -> float:
 
 
 def make_reference(settings: ReferenceSettings) -> Reference:
-    """The configured reference. Errors: DataError for a wrong CSV profile."""
+    """Return the configured reference. Errors: DataError for a wrong CSV profile"""
     match settings.kind:
         case "steps":
             pairs = [(step.at_s, step.reference_c) for step in settings.steps]
@@ -75,7 +75,7 @@ def make_reference(settings: ReferenceSettings) -> Reference:
 
 
 def reference_from_profile(path: Path) -> Reference:
-    """A profile file with `time_s,reference_c`. Errors: DataError."""
+    """Return the reference of a profile file with `time_s,reference_c`. Errors: DataError"""
     profile = read_profile(path)
     if not profile.is_reference:
         raise DataError(f"{path}: reference_c is not among the columns {shown(list(profile.columns), 500)}")

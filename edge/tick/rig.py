@@ -1,4 +1,4 @@
-"""What a loop is wired to: a board's line, sensors, models, controllers, and where records go."""
+"""Parts of a loop: a board's line, sensors, models, controllers, and the sinks of records."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +34,7 @@ Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
 
 
 class BoardLine(Protocol):
-    """What a tick needs of a board, real or recorded."""
+    """The board as a tick needs it, real or recorded."""
 
     echo: Echo | None
 
@@ -62,7 +62,7 @@ class BoardLine(Protocol):
 
 
 class Models(Protocol):
-    """What a loop asks of its models, twice a tick."""
+    """The models as a loop needs them, twice a tick."""
 
     @property
     def twin(self) -> BoxTwin | None: ...
@@ -104,7 +104,7 @@ class SaveState(Protocol):
 
 
 class Sink(Protocol):
-    """Where records go. Never waits, never raises; its own faults come back as conditions."""
+    """A destination of records. Never waits, never raises; its own faults come back as conditions."""
 
     def write(self, record: TickRecord) -> None: ...
     def faults(self) -> Mapping[str, str]: ...  # key of the failure table -> detail, for each that holds now

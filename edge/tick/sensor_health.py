@@ -26,7 +26,7 @@ TEMPERATURES = ("temp_air", "temp_ambient")  # light and moisture may jump
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What is remembered of one signal."""
+    """The memory of one signal."""
 
     newest: Reading | None = None  # whatever came last
     accepted: tuple[Reading, ...] = ()  # good samples of the last AVERAGE_S, and always the last good one
@@ -67,7 +67,7 @@ class SensorHealth:
 
 
 def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSettings) -> Track:
-    """The track after more samples, oldest first."""
+    """Return the track after more samples, oldest first."""
     if not samples:
         return track
     quiet: list[Reading] = []  # good samples that follow each other without a jump, not yet in the track
@@ -93,7 +93,7 @@ def sample_quality(sample: Reading) -> ReadingQuality:
 
 
 def _suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
-    """The track after a sample that jumped from the last accepted one."""
+    """Return the track after a sample that jumped from the last accepted one."""
     jumps_s = (*(t for t in track.jumps_s if sample.time_s - t < AVERAGE_S), sample.time_s)
     track = replace(track, jumps_s=jumps_s)
     agree = not track.suspects or not _jumps(track.suspects[-1], sample, settings)
@@ -104,7 +104,7 @@ def _suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> T
 
 
 def _accept(track: Track, samples: Sequence[Reading]) -> Track:
-    """The track after good samples in a row that did not jump, none or more."""
+    """Return the track after good samples in a row that did not jump, none or more."""
     if not samples:
         return track
     before = (track.accepted[-1].value if track.accepted else None, *(sample.value for sample in samples))
@@ -113,7 +113,7 @@ def _accept(track: Track, samples: Sequence[Reading]) -> Track:
 
 
 def _accepted(track: Track, samples: Sequence[Reading], moved_s: float | None) -> Track:
-    """The track with more samples in it; moved_s : when the raw value moved last, None: it stood still."""
+    """Return the track with more samples. moved_s : when the raw value last moved, None: it stood still"""
     last_s = samples[-1].time_s
     recent = tuple(s for s in (*track.accepted, *samples) if last_s - s.time_s < AVERAGE_S)
     track = replace(track, accepted=recent, suspects=())
@@ -143,7 +143,7 @@ def watch_stillness(track: Track, now: float, duty: float) -> Track:
 def assess(
     name: str, track: Track, now: float, settings: SensorHealthSettings, calibration: SensorCalibration
 ) -> Reading:
-    """The reading of `name` at `now`."""
+    """Return the reading of `name` at `now`."""
     newest, limit_s = track.newest, STALE_PERIODS * settings.sample_period_s
     if newest is None:
         return Reading(name, None, -math.inf, ReadingQuality.STALE)

@@ -1,4 +1,4 @@
-"""What outlives the process: standing orders and latched trips, in one file."""
+"""State that outlives the process: standing orders and latched trips, in one file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from edge.tick.orders import Operation
 
 @dataclass(frozen=True, slots=True)
 class StandingState:
-    """What outlives the process."""
+    """The state that outlives the process."""
 
     operation: Operation
     memory: SafetyMemory
@@ -55,5 +55,5 @@ class StateSink:
         """Ticks are none of its business."""
 
     def faults(self) -> Mapping[str, str]:
-        """The last failed write, until one succeeds."""
+        """Return the last failed write, until one succeeds."""
         return {"state.unwritten": self.writer.last_error} if self.writer.last_error else {}

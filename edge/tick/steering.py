@@ -1,4 +1,4 @@
-"""What an operator asked for in words, as values: a reference by the clock, penalties, constraints, an end.
+"""An operator's request in words, as values: a reference by the clock, penalties, constraints, an end.
 
 It never reaches the board: it changes what the controller is asked for, and the fan's rest is an order like
 the operating mode's. Safety stands behind both.
@@ -62,7 +62,7 @@ class Steering:
 
 
 def problem(steering: Steering, now_utc: float, min_c: float, max_c: float) -> str:
-    """What an operator may not ask for, "" where all is allowed."""
+    """Return why an operator may not request this, "" where everything is allowed."""
     if not now_utc < steering.until_utc <= now_utc + 3600.0 * HOURS_MAX:
         return f"until: has to lie within the next {HOURS_MAX:g} h"
     for target in steering.daily:

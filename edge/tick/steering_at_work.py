@@ -13,7 +13,7 @@ from edge.tick.steering import Steering
 
 
 def reference_of(steering: Steering) -> Reference | None:
-    """The target over the day; None where it is not spoken of."""
+    """Return the reference over the day, None where the request has none."""
     if not steering.daily:
         return None
     times = np.array([target.from_s for target in steering.daily])
@@ -21,7 +21,9 @@ def reference_of(steering: Steering) -> Reference | None:
 
 
 def in_force(by_hand_c: float | None, steering: Steering | None, configured: Reference) -> Reference:
-    """A temperature set by hand, else what was asked for in words, else as configured."""
+    """Return the reference in force: a temperature set by hand, else the
+    request's, else the configured one.
+    """
     if by_hand_c is not None:
         return Reference(np.zeros(1), np.array([by_hand_c]))
     asked = None if steering is None else reference_of(steering)
@@ -31,7 +33,7 @@ def in_force(by_hand_c: float | None, steering: Steering | None, configured: Ref
 def limited(
     limits: ControlLimits, steering: Steering, since_midnight_s: float, step_s: float, fan_on: bool
 ) -> ControlLimits:
-    """The limits for a controller that plans: it sees a rest of the fan as a relay that has to hold."""
+    """Return the limits for a controller that plans; a rest of the fan looks like a relay that must hold."""
     duty = limits.heater_max_duty
     if steering.heater_max_duty is not None:
         duty = min(duty, steering.heater_max_duty)
@@ -41,12 +43,12 @@ def limited(
 
 
 def penalty_of(steering: Steering) -> Penalty:
-    """The weights that it asks for."""
+    """Return the requested weights."""
     return Penalty(steering.heater_penalty, steering.fan_penalty)
 
 
 def steered(command: Command, steering: Steering, since_midnight_s: float) -> Command:
-    """The command as far as the operator's constraints allow it."""
+    """Return the command as far as the operator's constraints allow it."""
     if steering.heater_max_duty is not None and not command.heater_duty <= steering.heater_max_duty:
         command = replace(command, heater_duty=_level_below(steering.heater_max_duty))
     if command.fan_on and steering.rest_left_s(since_midnight_s) > 0.0:

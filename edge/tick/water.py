@@ -33,7 +33,7 @@ class Watering:
         return settings.pulse_s if dry and soaked and within_dose else 0.0
 
     def given(self, length_s: float, now: float) -> None:
-        """A pulse was sent; one that may or may not have reached the board counts as given."""
+        """Count a pulse that was sent; one that may not have reached the board counts too."""
         if length_s > 0.0:
             self._pulses = [pulse for pulse in self._pulses if now - pulse[0] < DAY_S]
             self._pulses.append((now, length_s))

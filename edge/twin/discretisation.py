@@ -24,7 +24,7 @@ class Transition:
 
 
 def discretise(system: LinearSystem, fan: Floats, step_s: float) -> Transition:
-    """The step of `step_s` at each fan speed.
+    """Return the step of `step_s` at each fan speed.
 
     fan : [K], share of the full flow that holds over the step
     """
@@ -34,7 +34,7 @@ def discretise(system: LinearSystem, fan: Floats, step_s: float) -> Transition:
 
 
 def discretise_modes(system: LinearSystem, modes: Floats, step_s: float) -> Transition:
-    """The same for K fan speeds, doors and days, [K, 3]."""
+    """Return the steps for K fan speeds, doors and days, [K, 3]."""
     fan, others = modes[:, 0, None, None], modes[:, 1:]
     rates = system.rates + fan * system.fan_rates + np.tensordot(others, system.other_rates, 1)
     drive = system.drive + fan * system.fan_drive + np.tensordot(others, system.other_drive, 1)
@@ -70,7 +70,7 @@ def exponential(rates: Floats, step_s: float | Floats) -> tuple[Floats, Floats]:
 
 
 def _mean_exponential(matrices: Floats) -> Floats:
-    """The mean of exp(A s) over s from 0 to 1, of matrices of a small norm, by Horner's scheme."""
+    """Return the mean of exp(A s) over s from 0 to 1, for matrices of a small norm, by Horner's scheme."""
     identity = np.eye(matrices.shape[-1])
     result = np.broadcast_to(identity, matrices.shape)
     for term in range(_TAYLOR_TERMS, 1, -1):

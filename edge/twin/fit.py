@@ -124,7 +124,9 @@ class _Problem:
         return free_run(twin, self.data, ambient, self.noise_k)
 
     def residuals(self, scaled: Floats) -> Floats:
-        """What was measured, then the starts, then the priors, each in standard deviations."""
+        """Return errors of the temperatures, then of the starts, then of the
+        priors, in standard deviations.
+        """
         run = self.free_run(scaled)
         priors = [
             (x * item.scale - item.start) / item.prior_sd

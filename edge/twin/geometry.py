@@ -1,4 +1,4 @@
-"""What is known of the box before anything is measured."""
+"""Geometry of the greenhouse, known before anything is measured."""
 
 import math
 from dataclasses import dataclass, fields

@@ -61,7 +61,7 @@ class _Bend(NamedTuple):
 
 
 class _PartInputs(NamedTuple):
-    """What acts in each of J parts of every row.
+    """The inputs that act in each of J parts of every row.
 
     lengths : [J] [s]; fan, duty, heat_w : [N, J, B]; door, day, slope : [N, B]
     """
@@ -94,7 +94,7 @@ def linearise(twin: BoxTwin, runs: Recorded) -> LinearSteps:
 
 
 class EnsembleRun(NamedTuple):
-    """What is to be run: steps, from a start [B, n] (None: 0), driven [N, B, n] (None: by nothing)."""
+    """A run to simulate: steps, from a start [B, n] (None: 0), driven [N, B, n] (None: by nothing)."""
 
     steps: LinearSteps
     start: Floats | None
@@ -102,7 +102,7 @@ class EnsembleRun(NamedTuple):
 
 
 def responses(wanted: Sequence[EnsembleRun]) -> Floats:
-    """What the sensor shows after each row, [len(wanted), B, N]."""
+    """Return the sensor's reading after each row, [len(wanted), B, N]."""
     # Twins of fewer states are padded with zeros, so that one loop over the rows serves all of them.
     rows, runs = wanted[0].steps.index.shape
     size = max(len(item.steps.states) for item in wanted)
@@ -129,7 +129,7 @@ def responses(wanted: Sequence[EnsembleRun]) -> Floats:
 
 
 def _driven(drives: Floats, index: Indices, steady: Floats, acting: Floats) -> Floats:
-    """What an input does over whole rows, [N, B, n].
+    """Return the effect of an input over whole rows, [N, B, n].
 
     drives : [J, S, n], by the end of each kind of row; steady : [N, B, n], by an input that stays at 1
     acting : [N, J, B], the input
@@ -174,7 +174,7 @@ def _columns(twin: BoxTwin, runs: Recorded) -> dict[str, Floats]:
 
 
 def _bend(twin: BoxTwin, runs: Recorded, columns: Conditions) -> _Bend:
-    """The tangent where the air was measured: in the middle of each row, held over holes."""
+    """Return the tangent at the measured air temperature in the middle of each row, held over holes."""
     shape = runs.fan.T.shape
     if not twin.signals.bends:
         return _Bend(np.zeros(shape), np.zeros(shape))
@@ -210,12 +210,14 @@ def _distinct(acting: _PartInputs) -> tuple[Indices, Indices]:
 
 @lru_cache(maxsize=64)  # twins of one search see the same fan: sorting it is what takes the time
 def _combinations(content: bytes, count: int) -> tuple[Indices, Indices]:
-    """Of rows of `count` numbers as bytes, so that they can be remembered."""
+    """Return the unique rows of `count` numbers as bytes, so that they can be cached."""
     return distinct(np.frombuffer(content).reshape(-1, count))
 
 
 def _whole_steps(twin: BoxTwin, acting: _PartInputs, places: Indices) -> tuple[Floats, Floats]:
-    """Of each kind of row the matrix [S, n, n], and what each part's inputs do by its end [J, S, n, 3]."""
+    """Return each kind of row's matrix [S, n, n], and the effect of each
+    part's inputs by its end [J, S, n, 3].
+    """
     system, count = twin.system, len(twin.states)
     door, day, slope = (
         mode.ravel()[places][:, None, None] for mode in (acting.door, acting.day, acting.slope)

@@ -26,7 +26,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class StateNoise:
-    """What the twin's state is found by; it does not enter a prediction from a known state.
+    """The noise with which the twin's state is estimated; it does not enter a prediction from a known state.
 
     sensor_k : sd of one measured temperature [K]
     heat_w : sd of the heat into the air that the twin does not know, constant over a step [W]
@@ -92,7 +92,7 @@ class BoxTwin:
         return needs(self.effects)
 
     def transitions(self, fan: Floats) -> tuple[Transition, Indices]:
-        """Steps for the fan speeds that occur, and which of them belongs to each element of `fan`."""
+        """Return steps for the fan speeds that occur, and the index of each element of `fan` among them."""
         if ((fan == 0.0) | (fan == 1.0)).all():
             return self.off_on, fan.astype(np.intp)
         speeds, index = np.unique(fan, return_inverse=True)
@@ -115,7 +115,7 @@ class BoxTwin:
     def advance(
         self, state: Floats, ambient: ArrayLike, duty: ArrayLike, fan: ArrayLike, source: ArrayLike = 0.0
     ) -> Floats:
-        """The state one step later, the commands before it having been the same.
+        """Return the state one step later, if the commands before were the same.
 
         state : [..., n], in the order of `states`; the others : scalars or of the shape [...], as in `step`
         Returns : [..., n]
@@ -191,7 +191,7 @@ class BoxTwin:
         conditions: Conditions | None = None,
         before: Commands | None = None,
     ) -> March:
-        """The N steps of a rollout, to be made one by one; the arguments as in `rollout`.
+        """Return the N steps of a rollout, to be made one by one; the arguments as in `rollout`.
 
         Errors : DataError naming a column that is missing, or `day0_utc`
         """
@@ -207,7 +207,7 @@ class BoxTwin:
 def _driven(
     transition: Transition, index: Indices, ambient: ArrayLike, duty: ArrayLike, source: ArrayLike
 ) -> Floats:
-    """What the inputs add over the step, shape of `index` + [n]."""
+    """Return the effect of the inputs over the step, shape of `index` + [n]."""
     gains = transition.drive
     total: Floats = gains[index, :, 0] * np.asarray(duty)[..., None]
     total += gains[index, :, 1] * np.asarray(ambient)[..., None]

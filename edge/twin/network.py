@@ -51,7 +51,7 @@ class LinearSystem:
 
 @dataclass(slots=True)
 class Network:
-    """What effects change: they scale what is there, add nodes, connect them, and bend the inputs."""
+    """The network that effects change: they scale it, add nodes, connect them, and bend the inputs."""
 
     geometry: Geometry
     air_capacity_scale: float = 1.0
@@ -66,7 +66,7 @@ class Network:
     paths: list[Path] = field(default_factory=list)
 
     def add_node(self, name: str, capacity_j_k: float) -> None:
-        """A body of one temperature."""
+        """Add a body of one temperature."""
         self.nodes[name] = capacity_j_k
 
     def connect(
@@ -78,7 +78,7 @@ class Network:
         door_w_k: float = 0.0,
         wall: bool = False,
     ) -> None:
-        """A path between two nodes (`AIR`, `ROOM` or an added one), see `Path`."""
+        """Add a path between two nodes (`AIR`, `ROOM` or an added one), see `Path`."""
         self.paths.append(Path(one, other, off_w_k, fan_w_k, door_w_k, wall))
 
     def heat(self, watts: HeatNow, by_temp: bool = False) -> None:
@@ -86,7 +86,7 @@ class Network:
         self.signals.heats.append(Heat(watts, by_temp))
 
     def system(self) -> LinearSystem:
-        """The network as a linear system."""
+        """Return the network as a linear system."""
         air_j_k = self.air_capacity_scale * self.geometry.air_capacity_j_k
         zones = (AIR, UPPER) if self.mixing_m3_s > 0.0 else (AIR,)
         capacities = {zone: air_j_k / len(zones) for zone in zones} | self.nodes
@@ -126,7 +126,7 @@ class Network:
         return matrices
 
     def _from_zones(self, two: bool) -> list[Path]:
-        """The paths, each zone of air having half of what the air as a whole has."""
+        """Return the paths, each zone of air having half of those of the air as a whole."""
         if not two:
             return self.paths
         found = [Path(AIR, UPPER, self.geometry.volumetric_heat_j_m3_k * self.mixing_m3_s)]
@@ -139,7 +139,7 @@ class Network:
         return found
 
     def _heated(self, capacities: dict[str, float]) -> Floats:
-        """What a watt of the heater does to each node [K/J]."""
+        """Return the effect of a watt of the heater on each node [K/J]."""
         lit = {name: share for name, share in RADIANT.items() if name in capacities}
         shares = {name: self.radiant_share * share / sum(lit.values()) for name, share in lit.items()}
         shares[UPPER if UPPER in capacities else AIR] = 1.0 - self.radiant_share
@@ -148,7 +148,7 @@ class Network:
     def _behind_element(
         self, states: tuple[str, ...], rates: Floats, drive: Floats, heated: Floats
     ) -> tuple[tuple[str, ...], Floats, Floats]:
-        """The element's heat as one more state, the last."""
+        """Add the element's heat as the last state."""
         rates, drive = _one_more(rates, drive, slice(None, -1))
         rates[0, :-1, -1] = heated
         rates[0, -1, -1] = -1.0 / self.heater_lag_s
@@ -158,7 +158,7 @@ class Network:
     def _behind_sensor(
         self, states: tuple[str, ...], rates: Floats, drive: Floats
     ) -> tuple[tuple[str, ...], Floats, Floats]:
-        """What the sensor shows as one more state, the first."""
+        """Add the sensor's reading as the first state."""
         rates, drive = _one_more(rates, drive, slice(1, None))
         rates[0, 0, 0], rates[0, 0, 1] = -1.0 / self.sensor_lag_s, 1.0 / self.sensor_lag_s
         return (SENSOR, *states), rates, drive

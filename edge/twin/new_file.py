@@ -28,7 +28,7 @@ WALL_REL_SD = 0.3  # of a loss by area and material: edges, seams and floors are
 
 @dataclass(frozen=True, slots=True)
 class BoxDescription:
-    """What a person knows of it. wall : material and thickness [m]; None where not known"""
+    """A person's facts about the greenhouse. wall : material and thickness [m]; None where not known"""
 
     volume_m3: float
     heater_w: float
@@ -73,7 +73,7 @@ def loss_w_k(box: BoxDescription) -> float | None:
 
 
 def text(box: BoxDescription) -> str:
-    """The file, with a comment on each line."""
+    """Return the file, with a comment on each line."""
     usual = Geometry()
     flow = usual.fan_max_m3_s if box.fan_m3_h is None else box.fan_m3_h / 3600.0
     loss = loss_w_k(box)
@@ -97,7 +97,7 @@ nuisance: {{heater_power_run_sd: null, heat_noise_sd_w: null}}
 
 
 def _fan(box: BoxDescription) -> str:
-    """An exhaust fan never moves what its plate says: that is against no resistance."""
+    """Return the fan's lines. An exhaust fan never reaches its rated flow, which holds without resistance."""
     if box.fan_role != "exhaust":
         return ""
     share = "eps_f: {fit: true}  # share of the fan's free flow that changes air in this box"

@@ -30,7 +30,7 @@ class FreeRun(NamedTuple):
 
 
 def free_run(twin: BoxTwin, runs: Recorded, ambient: Floats, noise_k: float) -> FreeRun:
-    """The runs again, by the twin, with the recorded inputs.
+    """Simulate the runs with the recorded inputs.
 
     ambient : [B, N] [°C]; noise_k : sd of what a free run misses, against which the prior is weighed [K]
     """
@@ -52,7 +52,7 @@ def free_run(twin: BoxTwin, runs: Recorded, ambient: Floats, noise_k: float) -> 
 
 
 def _responses(twin: BoxTwin, runs: Recorded, rest: Floats, ambient: Floats, predicted: Floats) -> Floats:
-    """What a unit of each state at the start does to what the sensor shows, [B n, N]."""
+    """Return the sensor's response to a unit of each initial state, [B n, N]."""
     count, size = rest.shape
     unit = np.repeat(np.eye(size)[None], count, axis=0).reshape(-1, size)
     fans = np.repeat(runs.fan, size, axis=0)

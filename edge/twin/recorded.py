@@ -39,18 +39,18 @@ class Recorded:
 
     @property
     def has_ambient(self) -> bool:
-        """Whether the room temperature was recorded."""
+        """True if the ambient temperature was recorded."""
         return bool(np.isfinite(self.ambient).all())
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Where a temperature was measured after a row, [B, N]: what a model is fitted to."""
+        """Rows after which a temperature was measured, [B, N]: a model is fitted to these."""
         known = np.isfinite(self.temp[:, 1:])
         return known if self.left_out is None else known & ~self.left_out
 
 
 def recorded(runs: Sequence[RecordedRun], step_s: float) -> Recorded:
-    """The runs that a model may be fitted on, at `step_s`.
+    """Return the runs as arrays at `step_s` that a model may be fitted on.
 
     A run ends where its fact `validate_from_s` says that validation begins; a fan column that is absent is a
     fan that stood still; a room temperature is held over its holes.
@@ -102,7 +102,9 @@ def _part(run: RecordedRun, step_s: float) -> Recorded:
 
 
 def _conditions(run: RecordedRun, columns: Conditions) -> Conditions:
-    """The run's columns that effects may need, by their names inside, with the time where it is known."""
+    """Return the run's columns that effects may need, by their internal
+    names, with the time where it is known.
+    """
     found = {name: columns[key] for key, name in CONDITIONS.items() if key in columns}
     if run.start_utc is not None:
         found["utc"] = run.start_utc + columns["time_s"]

@@ -107,7 +107,7 @@ class March:
         return cls(signals, system.air_capacity_j_k, carried, tuple(parts), room, steps)
 
     def step(self, k: int, states: Floats) -> Floats:
-        """The states [B, n] after step k."""
+        """Return the states [B, n] after step k."""
         air, columns = self.carried[-1], {name: column[k] for name, column in self.columns.items()}
         for part in self.parts:
             gain = part.gain[k]
@@ -120,14 +120,14 @@ class March:
         return states
 
     def matrix(self, k: int) -> Floats:
-        """What step k makes of a small difference in the states, [B, n, n]; bent heat left out."""
+        """Return the derivative of step k with respect to the states, [B, n, n], without bent heat."""
         whole: Floats = self.parts[0].matrix[k]
         for part in self.parts[1:]:
             whole = part.matrix[k] @ whole
         return whole
 
     def rollout(self, states: Floats, offset: Floats | None) -> Floats:
-        """What the sensor shows after each step, [B, N]."""
+        """Return the sensor's reading after each step, [B, N]."""
         shown = np.empty(self.room.shape)
         for k in range(len(shown)):
             states = self.step(k, states)
@@ -188,7 +188,9 @@ def _with_past(past: Floats, coming: Floats) -> Floats:
 
 
 def late(commands: Floats, dead_s: float, middles: Floats, step_s: float) -> Floats:
-    """What acts in each part of each row, [P + N, J, B]; before the first row as in the first."""
+    """Return the inputs that act in each part of each row, [P + N, J, B];
+    before the first row as in the first.
+    """
     back = np.floor((middles - dead_s) / step_s).astype(int)
     rows = np.maximum(np.arange(len(commands))[:, None] + back, 0)
     found: Floats = commands[rows]

@@ -79,7 +79,7 @@ def _value(low: float, high: float | None, unit: str) -> dict[str, Any]:
 
 
 def document() -> str:
-    """The schema as the file in this folder has it."""
+    """Return the schema as the file in this folder has it."""
     return json.dumps(schema(), indent=2) + "\n"
 
 

@@ -14,7 +14,9 @@ Conditions = Mapping[str, Floats]  # columns beside the room: light, rel_humidit
 
 
 class HeatConditions(NamedTuple):
-    """What heat can depend on, arrays of one shape. Temperatures are the true ones, not those shown."""
+    """Conditions that heat can depend on, arrays of one shape. Temperatures
+    are the true ones, not the readings.
+    """
 
     temp: Floats  # air [°C]
     ambient: Floats  # room [°C]
@@ -35,7 +37,7 @@ class Heat(NamedTuple):
 
 @dataclass(slots=True)
 class Signals:
-    """What happens to the inputs before they act; the defaults are nothing.
+    """Changes of the inputs before they act; the defaults are none.
 
     The twin's temperatures are those that the sensor shows, so a bias of the sensor moves the room instead.
     """
@@ -53,18 +55,18 @@ class Signals:
 
     @property
     def plain(self) -> bool:
-        """Whether the balance sees the inputs as they are."""
+        """True if the inputs enter the balance unchanged."""
         return self == Signals()
 
     @property
     def steady(self) -> bool:
-        """Whether one matrix per fan speed makes a step."""
+        """True if one matrix per fan speed makes a step."""
         times = self.heater_dead_s + self.fan_dead_s + self.fan_lag_s
         return times == 0.0 and not self.bends and not self.door and self.ageing_per_day == 0.0
 
     @property
     def bends(self) -> bool:
-        """Whether heat depends on the air's temperature other than in proportion."""
+        """True if heat depends on the air temperature other than in proportion."""
         return any(heat.by_temp for heat in self.heats)
 
     def duty(self, commanded: Floats) -> Floats:
@@ -77,7 +79,7 @@ class Signals:
         return np.maximum(self.ageing_per_day * since_first, -1.0) / self.ageing_per_day
 
     def room(self, measured: Floats) -> Floats:
-        """The room as the air's sensor would show it [°C]."""
+        """Return the ambient as the air's sensor would show it [°C]."""
         return measured + (self.sensor_bias_k - self.ambient_error_k)
 
     def heat_w(
@@ -89,7 +91,9 @@ class Signals:
 
 
 def columns_of(needs: Mapping[str, str], given: Conditions | None) -> Conditions:
-    """The needed columns. needs: by column, what needs it. Errors: DataError naming the missing column."""
+    """Return the needed columns. needs : by column, the effect that needs it.
+    Errors: DataError naming the missing column
+    """
     columns = given or {}
     for name, effect in needs.items():
         if name not in columns:

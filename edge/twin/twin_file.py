@@ -32,7 +32,7 @@ _PAPER = {item.name: float(item.default) for item in fields(Geometry)}  # type: 
 
 @dataclass(frozen=True, slots=True)
 class TwinFile:
-    """What a twin file says; a key of `geometry` that it leaves out is the paper's.
+    """The contents of a twin file; a missing key of `geometry` is the paper's.
 
     day0_utc : where the days begin that an effect counts [s since 1970], None where no effect counts them
     fan_role : of FAN_ROLES
@@ -52,7 +52,9 @@ class TwinFile:
     answer_s: float | None = None
 
     def twin(self) -> BoxTwin:
-        """The twin, with its start for a value that is to be fitted. Errors: DataError naming the key."""
+        """Return the twin, with its start for a value that is to be fitted.
+        Errors: DataError naming the key
+        """
         usual = StateNoise()
         geometry = {name: value.value for name, value in self.geometry.items()}
         if self.fan_role != FAN_ROLES[0]:
@@ -70,11 +72,11 @@ class TwinFile:
 
     @property
     def scale(self) -> Scale:
-        """Of the box, beside the paper's."""
+        """Scale of the greenhouse relative to the paper's."""
         return scale_of(self.geometry["heater_max_w"].value, self.sample_s, self.answer_s)
 
     def usual(self, place: Place) -> EffectParameter:
-        """An effect's parameter with the start and the range that suit this box."""
+        """Return an effect's parameter with the start and the range for this greenhouse."""
         return self.scale.usual(EFFECTS[place[1]].parameter(place[2]))
 
     def values(self) -> dict[Place, Value]:
@@ -89,7 +91,7 @@ class TwinFile:
         return [place for place, value in self.values().items() if value.fit]
 
     def with_values(self, changed: Mapping[Place, Value]) -> "TwinFile":
-        """The same file with other values at some places."""
+        """Return the file with other values at some places."""
         values = self.values() | dict(changed)
         return replace(
             self,

@@ -38,7 +38,7 @@ class KnownValue(Checked):
     high: float = ABSENT
 
     def cross_check(self) -> None:
-        """The interval holds the value."""
+        """Check that the interval holds the value."""
         if (self.low is None) != (self.high is None):
             self.refuse("", "low and high go together")
         if self.low is not None and not self.low <= self.value <= self.high:
@@ -54,7 +54,7 @@ class ValueToFit:
 
 
 def read_value(place: str, document: Any, start: float | None = None) -> Value:
-    """The value that a file gives at `place`.
+    """Read the value that a file gives at `place`.
 
     start : where a fit begins if the file does not say; None where it must
     Errors : DataError, beginning with `place`

@@ -38,7 +38,7 @@ class PastColumns(NamedTuple):
 
 
 def at_rest(twin: BoxTwin, temp: ArrayLike, ambient: ArrayLike) -> Floats:
-    """The state that would stay, fan off, with the heat that holds `temp` [°C].
+    """Return the steady state, fan off, with the heat that holds `temp` [°C].
 
     temp, ambient : scalars, or [B]. Returns : [n], or [B, n]
     """
@@ -68,12 +68,15 @@ def spread(twin: BoxTwin, excess_k: ArrayLike = 0.0) -> Floats:
 
 
 def drift(twin: BoxTwin) -> Floats:
-    """What unknown heat does over a step with the fan off and on, sd [2, n]; its parts go together."""
+    """Return the effect of unknown heat over a step with the fan off and
+    on, sd [2, n]; its parts go together.
+    """
     return twin.off_on.drive[:, :, 2] * twin.noise.heat_w / twin.system.air_capacity_j_k
 
 
 def state_now(twin: BoxTwin, past: PastColumns) -> Floats:
-    """The state [n] at the last row: a Kalman filter from rest; the air as last measured, if it was.
+    """Estimate the state [n] at the last row by a Kalman filter from rest;
+    the air as last measured, if it was.
 
     Errors : DataError when no air temperature is known, or no room temperature that the hidden states need
     """
@@ -105,7 +108,7 @@ def state_now(twin: BoxTwin, past: PastColumns) -> Floats:
 def _advances(
     twin: BoxTwin, past: PastColumns, ambient: Floats
 ) -> Callable[[int, Floats], tuple[Floats, Floats]]:
-    """What makes step k: the state after it, and what it makes of a small difference."""
+    """Return the function of step k: the state after it, and its derivative."""
     duty, fan = past.commands
     if twin.signals.plain:
         matrices, driven = twin.steps(ambient[:-1], duty, fan)
@@ -120,7 +123,7 @@ def _advances(
 
 
 def held(values: Floats) -> Floats:
-    """A column without holes: the last known value holds, the first also before it; all NaN stays."""
+    """Return a column without holes: the last known value holds, the first also before it; all NaN stays."""
     known = np.flatnonzero(np.isfinite(values))
     if not len(known):
         return values

@@ -1,4 +1,4 @@
-"""What the pins set in motion: dead times, the heater's supply, the fan."""
+"""Actuators behind the pins: dead times, the heater's supply, the fan."""
 
 import copy
 import math
@@ -20,7 +20,7 @@ class DeadTime:
         self._last = self.value = 0.0
 
     def put(self, value: float, now_s: float) -> None:
-        """The value that holds from now on."""
+        """Set the value that holds from now on."""
         if value != self._last:
             self._coming.append((now_s + self._delay_s, value))
             self._last = value
@@ -50,7 +50,7 @@ class SlidingMean:
         self._length_s = 0.0
 
     def add(self, value: float, dt_s: float) -> float:
-        """The mean after dt_s more of this value."""
+        """Return the mean after dt_s more of this value."""
         if self._window_s <= 0.0:
             return value
         self._pieces.append((dt_s, value))

@@ -1,4 +1,4 @@
-"""What a board is built with: limits, optional parts, names. The defaults are those of PROTOCOL.md."""
+"""Configuration of a board: limits, optional parts, names. The defaults are those of PROTOCOL.md."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class BoardConfig:
         pack(self.hello(0, ResetCause.POWER_ON, 0), 0)
 
     def hello(self, session: int, reset_cause: ResetCause, boot_count: int) -> Hello:
-        """The hello message of a board with this configuration."""
+        """Return the hello message of a board with this configuration."""
         return Hello(
             session=session,
             protocol_min=PROTOCOL_VERSION,
@@ -48,7 +48,7 @@ class BoardConfig:
         )
 
     def has(self, part: Capability) -> bool:
-        """Whether the board has an optional part."""
+        """Return whether the board has an optional part."""
         return bool(self.capabilities & part)
 
     @property

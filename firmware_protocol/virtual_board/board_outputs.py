@@ -1,4 +1,4 @@
-"""What the board drives, for how long, and how the heater relay makes a duty of it."""
+"""Outputs of the board, their leases, and the heater relay's slow PWM."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from firmware_protocol.virtual_board.board_time import elapsed
 
 @dataclass(frozen=True, slots=True)
 class Pins:
-    """What the board drives."""
+    """The board's outputs."""
 
     heater_relay: bool
     fan: bool
@@ -26,7 +26,7 @@ class Lease:
 
     @property
     def runs(self) -> bool:
-        """Whether the output may still be driven."""
+        """True while the output may be driven."""
         return self.length_ms > 0
 
     def grant(self, now_ms: int, length_ms: int, longest_ms: int) -> None:
@@ -44,7 +44,7 @@ class Lease:
             self.end()
 
     def left_ms(self, now_ms: int) -> int:
-        """What is left of it."""
+        """Return the time left [ms]."""
         return self.length_ms - elapsed(now_ms, self.start_ms) if self.runs else 0
 
 
@@ -72,5 +72,5 @@ class SlowPwm:
 
     @property
     def relay(self) -> bool:
-        """Whether the relay is closed."""
+        """True while the relay is closed."""
         return self.slot < self.steps

@@ -79,7 +79,7 @@ class Safety:
         return self._latches & ~_latch(TripCause.OVER_TEMPERATURE) != 0
 
     def persistent(self) -> bytes:
-        """What must survive a reset."""
+        """Return the bytes that must survive a reset."""
         body = bytes((_PERSISTENT_LAYOUT, self._latches))
         return body + crc16(body).to_bytes(2, "big")
 
@@ -175,7 +175,7 @@ class Safety:
         return HeaterOffCause.COMMANDED if self._leases.heater.runs else HeaterOffCause.LEASE_EXPIRED
 
     def lease_left_ms(self, now_ms: int) -> int:
-        """The LED's lease: it is the longest, whatever ends it ends the others."""
+        """Return the LED's lease, the longest: its end ends the others [ms]."""
         return self._leases.led.left_ms(now_ms)
 
     @property
@@ -184,7 +184,7 @@ class Safety:
         return self._command.led_pct if self._leases.led.runs else 0
 
     def pins(self) -> Pins:
-        """What the outputs must show now."""
+        """Return the outputs as they must be now."""
         leases, config = self._leases, self._config
         heater_may_run = leases.heater.runs and not self._command.cutoff_open
         fan = self.tripped or (self._command.fan_on if leases.fan.runs else config.fan_safe_on)

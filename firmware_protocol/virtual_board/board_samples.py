@@ -1,4 +1,4 @@
-"""What the board knows of its sensors: raw integers, each with a quality and an age."""
+"""Sensor samples of the board: raw integers, each with a quality and an age."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,7 +32,9 @@ class Sample:
 
 
 def to_raw(signal: str, value: float | None) -> int | None:
-    """The wire's integer for a sensor's value, in 32 bits but not yet checked; None for None and NaN."""
+    """Return the wire's integer for a sensor's value, in 32 bits but not
+    yet checked; None for None and NaN.
+    """
     if value is None or value != value:
         return None
     scaled = value * (SIGNALS[signal].per_unit or 1)
@@ -40,7 +42,7 @@ def to_raw(signal: str, value: float | None) -> int | None:
 
 
 def judge(signal: str, raw: int | None, quality: int, now_ms: int) -> Sample:
-    """A sample as it is kept: good only for a number that its field may carry and its sensor may show."""
+    """Return the stored sample: good only for a number that its field and its sensor allow."""
     found = Quality.GOOD
     if raw is None:
         found = Quality.FAULT

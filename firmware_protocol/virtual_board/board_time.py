@@ -4,7 +4,7 @@ _MASK = 0xFFFFFFFF
 
 
 def wrapped(ms: int) -> int:
-    """A time as the board's clock shows it."""
+    """Return a time as the board's clock shows it."""
     return ms & _MASK
 
 

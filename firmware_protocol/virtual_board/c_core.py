@@ -77,7 +77,7 @@ def compile_board(target: Path, *arguments: str) -> Path:
 
 @functools.cache
 def load_board() -> ctypes.CDLL:
-    """The C board as a shared library, compiled once a process."""
+    """Return the C board as a shared library, compiled once a process."""
     with tempfile.TemporaryDirectory(prefix="greenhouse-board-") as directory:  # may go once it is mapped
         library = ctypes.CDLL(str(compile_board(Path(directory) / "board.so", "-O2", "-fPIC", "-shared")))
     board, out = ctypes.c_void_p, ctypes.c_char_p
@@ -94,24 +94,24 @@ def load_board() -> ctypes.CDLL:
 
 
 def raw_config(config: BoardConfig) -> tuple[int, ...]:
-    """The fields of gh_board_config, in their order, as the integers that travel in hello."""
+    """Return the fields of gh_board_config, in their order, as the integers that travel in hello."""
     hello = config.hello(session=0, reset_cause=ResetCause.UNKNOWN, boot_count=0)
     return tuple(_FIELDS[name].to_raw(getattr(hello, name)) for name, _ in _Config._fields_)
 
 
 def raw_sample(signal: str, value: float | None) -> int:
-    """A sample as gh_board_sample takes it."""
+    """Return a sample as gh_board_sample takes it."""
     raw = to_raw(signal, value)
     return _NO_VALUE if raw is None else raw
 
 
 def raw_quality(quality: int) -> int:
-    """A quality as gh_board_sample takes it: what is no quality stays none."""
+    """Return a quality as gh_board_sample takes it; an invalid one stays invalid."""
     return quality if 0 <= quality <= 255 else 255
 
 
 def store_of(persistent: bytes) -> bytes:
-    """The four bytes of a store as gh_board_init takes them; one of another length is damaged."""
+    """Return the four bytes of a store as gh_board_init takes them; another length is a damaged store."""
     if not persistent:
         return BLANK
     return persistent if len(persistent) == len(BLANK) else bytes(len(BLANK))
@@ -137,31 +137,31 @@ class CBoardCore:
                 self._drain()
 
     def sample(self, samples: Mapping[str, tuple[float | None, int]], now_ms: int) -> None:
-        """New samples: signal -> (value in its unit or None, Quality)."""
+        """Take new samples: signal -> (value in its unit or None, Quality)."""
         for signal, (value, quality) in samples.items():
             number, raw = SIGNALS.index(signal), raw_sample(signal, value)
             self._library.gh_board_sample(self._board, number, raw, raw_quality(quality), now_ms)
 
     def step(self, now_ms: int) -> Pins:
-        """What the pins must show from now on; to be called at least every 100 ms."""
+        """Advance and return the new outputs; to be called at least every 100 ms."""
         pins = self._library.gh_board_step(self._board, now_ms)
         self._drain()
         return Pins(pins.heater_relay, pins.fan, pins.led_pct / 100, pins.valve, pins.cutoff_open)
 
     def transmit(self) -> bytes:
-        """The bytes for the line since the last call."""
+        """Return the bytes for the line since the last call."""
         data = bytes(self._waiting)
         self._waiting.clear()
         return data
 
     def persistent(self) -> bytes:
-        """What must survive a reset; to be stored when it changes."""
+        """Return the bytes that must survive a reset, to be stored when they change."""
         out = ctypes.create_string_buffer(len(BLANK))
         self._library.gh_board_persistent(self._board, out)
         return out.raw
 
     def _drain(self) -> None:
-        """Empties the board's own buffer, as a UART would meanwhile: what finds it full is lost."""
+        """Empty the board's own buffer, as a UART would meanwhile: bytes that find it full are lost."""
         out = ctypes.create_string_buffer(_TRANSMIT_SIZE)
         length = self._library.gh_board_transmit(self._board, out, _TRANSMIT_SIZE)
         self._waiting += out.raw[:length]

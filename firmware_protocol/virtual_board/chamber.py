@@ -84,13 +84,13 @@ class Chamber:
             self._waiting_s -= MAX_STEP_S
 
     def sense(self) -> dict[str, float]:
-        """What the sensors show now; keys are the fields of `sensor_report`."""
+        """Return the sensors' present values; keys are the fields of `sensor_report`."""
         self._catch_up()
         soil, tank = self.soil_kg / self._p.soil.water_capacity_kg, self.tank_kg / self._p.tank.volume_kg
         return self._sensors.read(self.time_s, self._weather.temp_c, self._light(), soil, tank)
 
     def truth(self) -> dict[str, float]:
-        """What really is: node temperatures [degC], air, water, flows."""
+        """Return the true state: node temperatures [degC], air, water, flows."""
         self._catch_up()
         temps = {f"temp_{name}_c": t for name, t in zip(_NODES, self._network.temps, strict=True)}
         return temps | {
@@ -129,7 +129,7 @@ class Chamber:
         }
 
     def copy(self) -> "Chamber":
-        """An independent copy with the same future."""
+        """Return an independent copy with the same future."""
         twin = copy.copy(self)
         for name in _DEEP_PARTS:
             setattr(twin, name, getattr(self, name).copy())

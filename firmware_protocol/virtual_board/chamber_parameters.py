@@ -243,7 +243,7 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def load(path: Path | None = None) -> tuple[ChamberParameters, Effects]:
-    """The default parameters and effects, with what the file at `path` changes.
+    """Load the default parameters and effects, changed by the file at `path`.
 
     A value is a number or `{value: number, source: text}`. Raises ValueError, which names file, section
     and key, for an unknown key, a value that is not a number or one outside its range.
@@ -262,7 +262,7 @@ def load(path: Path | None = None) -> tuple[ChamberParameters, Effects]:
 
 
 def from_sections(sections: Mapping[str, Mapping[str, Any]], place: str) -> ChamberParameters:
-    """Checked parameters from `{section: {key: value}}`, all sections and keys present."""
+    """Return checked parameters from `{section: {key: value}}`, all sections and keys present."""
     types = get_type_hints(ChamberParameters)
     return ChamberParameters(
         **{name: _section(types[name], sections[name], f"{place}.{name}") for name in types}

@@ -69,7 +69,7 @@ class BoardCore:
             self._advance(now_ms)  # a command with no lease has let go before the next frame is looked at
 
     def sample(self, samples: Mapping[str, tuple[float | None, int]], now_ms: int) -> None:
-        """New samples: a key of board_samples.SIGNALS -> (value in its unit or None, Quality)."""
+        """Take new samples: a key of board_samples.SIGNALS -> (value in its unit or None, Quality)."""
         self._advance(now_ms)
         for signal, (value, quality) in samples.items():
             sample = self._samples.take(signal, value, quality, wrapped(now_ms))
@@ -77,7 +77,7 @@ class BoardCore:
                 self._safety.sample_air(sample)
 
     def step(self, now_ms: int) -> Pins:
-        """What the pins must show from now on; to be called at least every 100 ms."""
+        """Advance and return the new outputs; to be called at least every 100 ms."""
         self._advance(now_ms)
         if self._told != (self._safety.heater_off_cause, self._safety.trip_cause):
             self._send(self._state(wrapped(now_ms)), 0)
@@ -88,13 +88,13 @@ class BoardCore:
         return self._safety.pins()
 
     def transmit(self) -> bytes:
-        """The bytes for the line since the last call."""
+        """Return the bytes for the line since the last call."""
         data = bytes(self._transmit)
         self._transmit.clear()
         return data
 
     def persistent(self) -> bytes:
-        """What must survive a reset; to be stored when it changes."""
+        """Return the bytes that must survive a reset, to be stored when they change."""
         return self._safety.persistent()
 
     def _advance(self, now_ms: int) -> None:

@@ -26,11 +26,11 @@ class OtherProtocol:
         self._from_firmware = FrameDecoder()
 
     def to_firmware(self, data: bytes) -> bytes:
-        """The host's version is foreign to this board."""
+        """Translate a host's bytes of another version for this board."""
         return b"".join(self._frame(bytearray(payload)) for payload in self._from_host.feed(data))
 
     def to_host(self, data: bytes) -> bytes:
-        """What this board says is of its version, and it says so."""
+        """Translate this board's bytes, which carry another version."""
         frames = b""
         for received in self._from_firmware.feed(data):
             payload = bytearray(received)

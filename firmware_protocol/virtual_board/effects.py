@@ -78,7 +78,7 @@ class Effects:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, float], place: str = "effects") -> "Effects":
-        """The default set with the scales named; an unknown name is refused with its place."""
+        """Return the default set with the named scales. An unknown name is refused with its place."""
         for name in mapping:
             if name not in EFFECT_NAMES:
                 raise ValueError(f"{place}: unknown effect '{name}'; known effects: {sorted(EFFECT_NAMES)}")

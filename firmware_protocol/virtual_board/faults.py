@@ -29,16 +29,16 @@ class BoardFault:
     random: random.Random
 
     def number(self, key: str) -> float:
-        """A numeric parameter."""
+        """Return a numeric parameter."""
         return float(self.parameters[key])
 
     def concerns(self, direction: str) -> bool:
-        """Whether it is a line fault of this direction, `to_host` or `to_board`."""
+        """Return whether it is a line fault of this direction, `to_host` or `to_board`."""
         return self.parameters.get("direction") in ("both", direction)
 
 
 def read_script(path: Path, seed: int) -> list[BoardFault]:
-    """The faults of a YAML list. Errors: FaultError with file and number of the fault."""
+    """Read the faults of a YAML list. Errors: FaultError with file and number of the fault"""
     try:
         script = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -52,7 +52,7 @@ def read_script(path: Path, seed: int) -> list[BoardFault]:
 
 
 def make_fault(entry: object, *, now_ms: int, seed: str, place: str) -> BoardFault:
-    """A fault from its mapping `{name, start_s, duration_s, seed, ...parameters}`.
+    """Make a fault from its mapping `{name, start_s, duration_s, seed, ...parameters}`.
 
     now_ms : its start unless it says one; it can't start before
     seed : of its dice, unless it says one

@@ -57,7 +57,7 @@ class FaultyLine:
         self._delay_ms = sum(round(fault.number("delay_s") * 1000) for fault in mine if fault.name == "delay")
 
     def garbage(self, fault: BoardFault, now_ms: int) -> None:
-        """A burst of random bytes."""
+        """Return a burst of random bytes."""
         if fault.concerns(self._direction):
             self.send(fault.random.randbytes(int(fault.number("count"))), now_ms)
 

@@ -63,13 +63,15 @@ def follow_plug(device: Device, port: PseudoTerminal) -> bool:
 
 
 def milliseconds(time_s: float) -> int:
-    """The first whole millisecond not before `time_s`, divided too: else a host could wait for ever."""
+    """Return the first whole millisecond not before `time_s`, divided too:
+    else a host could wait for ever.
+    """
     time_ms = math.ceil(time_s * 1000)
     return time_ms if time_ms / 1000 >= time_s else time_ms + 1
 
 
 def _is_this_one(port: PseudoTerminal, request: Mapping[str, Any], client: ControlClient) -> bool:
-    """Whether this port is the one the host has open, and all of its bytes are from this opening.
+    """Return whether this port is the one the host has open, and all of its bytes are from this opening.
 
     The first to speak takes the port. Another one has opened it before the board saw the first one close it:
     whose bytes are whose is not known, so it gets a hang-up, and a device of its own at its next try.

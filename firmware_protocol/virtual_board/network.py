@@ -42,7 +42,7 @@ Temperatures = Sequence[Number]  # h p s o w u b [degC]; replaced, never changed
 
 @dataclass(slots=True)
 class Loads:
-    """What acts on the network during one step; constant within it."""
+    """Loads on the network during one step, constant within it."""
 
     room_c: float = 20.0
     draught: float = 1.0  # factor on the outer film

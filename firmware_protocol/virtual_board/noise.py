@@ -17,12 +17,12 @@ def _mix(x: int) -> int:
 
 
 def uniform(seed: int, stream: int, index: int) -> float:
-    """A number in (0, 1), the same for the same arguments."""
+    """Return a number in (0, 1), the same for the same arguments."""
     return (_mix(_mix(_mix(seed & _MASK) ^ stream) ^ (index & _MASK)) + 0.5) / 2.0**64
 
 
 def normal(seed: int, stream: int, index: int) -> float:
-    """A standard normal number, the same for the same arguments (Box and Muller)."""
+    """Return a standard normal number, the same for the same arguments (Box and Muller)."""
     radius = math.sqrt(-2.0 * math.log(uniform(seed, stream, 2 * index)))
     return radius * math.cos(2.0 * math.pi * uniform(seed, stream, 2 * index + 1))
 

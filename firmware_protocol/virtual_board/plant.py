@@ -55,7 +55,7 @@ class Plant:
             self._switch(now_ms)
 
     def let_go(self, now_ms: int) -> None:
-        """The firmware has stopped: the pins float, pull-downs hold them safe."""
+        """Release the pins of a stopped firmware: they float, and pull-downs hold them safe."""
         self.drive(self.reset_pins, now_ms)
 
     def set_faults(self, faults: Set[str], now_ms: int) -> None:
@@ -65,7 +65,7 @@ class Plant:
         self._switch(now_ms)
 
     def sense(self, now_ms: int) -> Mapping[str, float]:
-        """What the sensors show now."""
+        """Return the sensors' present values."""
         self._pass_to(now_ms)
         self.hottest_c = max(self.hottest_c, self.chamber.truth()["temp_air_c"])
         sensed = self.chamber.sense()
@@ -76,7 +76,7 @@ class Plant:
         return sensed
 
     def truth(self, now_ms: int) -> dict[str, float]:
-        """What is so in the box now."""
+        """Return the true state of the greenhouse now."""
         self._pass_to(now_ms)
         return self.chamber.truth()
 

@@ -87,7 +87,7 @@ class PseudoTerminal:
 
 
 def _open_pseudo_terminal() -> tuple[int, str]:
-    """A raw, non-blocking master and the name of its device, which is not opened here.
+    """Open a raw, non-blocking master; return it and the name of its device, which is not opened here.
 
     So the master hangs up when, and only when, a host has closed the device.
     """

@@ -1,4 +1,4 @@
-"""What the sensors show, spoilt by the faults that last."""
+"""Lasting faults of the sensors."""
 
 import math
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ class SensorFaults:
         self._active = [fault for fault in active if "signal" in fault.parameters]
 
     def spoil(self, sensed: Mapping[str, float]) -> dict[str, Sample]:
-        """Samples for the board: signal -> (value, quality)."""
+        """Return samples for the board: signal -> (value, quality)."""
         samples: dict[str, Sample] = {signal: (value, _GOOD) for signal, value in sensed.items()}
         for fault in self._active:
             signal = str(fault.parameters["signal"])

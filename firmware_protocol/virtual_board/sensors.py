@@ -1,4 +1,4 @@
-"""What the sensors show: lag, bias, noise, quantisation."""
+"""Sensors: lag, bias, noise, quantisation."""
 
 import math
 

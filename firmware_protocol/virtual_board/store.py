@@ -1,4 +1,4 @@
-"""What survives a reset: the firmware's own bytes and the boot count, in memory or in a file."""
+"""Memory that survives a reset: the firmware's own bytes and the boot count, in memory or in a file."""
 
 import json
 from pathlib import Path

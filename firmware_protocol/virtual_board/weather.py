@@ -51,7 +51,7 @@ class Weather:
         return math.sin(math.pi * (hour - begin) / (end - begin)) if begin < hour < end else 0.0
 
     def copy(self) -> "Weather":
-        """An independent copy with the same future."""
+        """Return an independent copy with the same future."""
         twin = copy.copy(self)
         for name in ("_temp", "_humidity", "_co2", "_air"):
             setattr(twin, name, copy.copy(getattr(self, name)))

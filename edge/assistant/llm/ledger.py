@@ -42,7 +42,7 @@ class Ledger:
     errors: int = 0  # calls that went back with an error
 
     def record(self, tool: str, arguments: Mapping[str, Any], result: Any) -> AnsweredCall:
-        """Number and save a call."""
+        """Save a call under the next number."""
         number = 1 + sum(entry.tool == tool for entry in self.entries)
         entry = AnsweredCall(f"{tool}-{number}", tool, arguments, result)
         self.entries.append(entry)

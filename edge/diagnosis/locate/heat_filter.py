@@ -26,7 +26,7 @@ START_SHARE = 0.5  # sd of the unknown heat before the first row, share of the h
 
 
 class HeatNoise(NamedTuple):
-    """What the unknown heat does; G levels of each, or numbers.
+    """Noise of the unknown heat; G levels of each, or numbers.
 
     wander_w : sd of its change from step to step [W]
     fresh_w : sd of what is new in each step and gone in the next [W]
@@ -57,7 +57,7 @@ class Steps:
     loose: NDArray[np.bool_]
 
     def moved(self, k: int, mean: Floats) -> Floats:
-        """The mean after step k; mean : [..., B, m]."""
+        """Return the mean after step k. mean : [..., B, m]"""
         after: Floats = (self.matrix[k] @ mean[..., None])[..., 0]
         after[..., :-2] += self.driven[k]
         return after
@@ -81,7 +81,7 @@ class HeatFilterResult(NamedTuple):
 
 
 def steps_of(twin: BoxTwin, runs: Recorded, sensor_k: float) -> Steps:
-    """The runs' steps, bent heat taken where a filter that follows the readings sees the air.
+    """Return the runs' steps, with bent heat at the air temperature of a filter that follows the readings.
 
     Errors : DataError for a room that is not known, or a column that the twin needs
     """
@@ -118,7 +118,7 @@ def _straightened(steps: Steps, march: March, sensor_k: float) -> Steps:
 
 
 def log_likelihoods(steps: Steps, sensor_k: float, noise: HeatNoise, rows: int) -> Floats:
-    """Of the first `rows` steps, for each of the G noise levels, [G]."""
+    """Return the log likelihood of the first `rows` steps for each of the G noise levels, [G]."""
     wander, fresh = np.broadcast_arrays(np.asarray(noise.wander_w), np.asarray(noise.fresh_w))
     mean, covariance = _started(steps, sensor_k, fresh)
     total = np.zeros(len(wander))
@@ -133,7 +133,7 @@ def log_likelihoods(steps: Steps, sensor_k: float, noise: HeatNoise, rows: int) 
 
 
 def filtered(steps: Steps, sensor_k: float, noise: HeatNoise) -> HeatFilterResult:
-    """The filter at one noise level. sensor_k : sd of a measured temperature, its step's error included."""
+    """Filter at one noise level. sensor_k : sd of a measured temperature, its step's error included"""
     wander, fresh = np.array([noise.wander_w]), np.array([noise.fresh_w])
     mean, covariance = _started(steps, sensor_k, fresh)
     means, covariances, updated, told = [mean[0]], [covariance[0]], [mean[0]], []

@@ -148,5 +148,5 @@ class Effect:
 
 
 def by_name(*effects: Effect) -> dict[str, Effect]:
-    """A table of rows."""
+    """Return the effects by name."""
     return {effect.name: effect for effect in effects}

@@ -41,7 +41,7 @@ def add_effect(effect: Effect) -> None:
 
 
 def build(geometry: Geometry, effects: Effects, step_s: float = USUAL_STEP_S) -> Network:
-    """The base balance with effects added. Errors: DataError, `effects.wall_loss.UA: ...`."""
+    """Build the base balance with effects added. Errors: DataError, `effects.wall_loss.UA: ...`"""
     scale = scale_of(geometry.heater_max_w, step_s)
     for name, values in effects.items():
         check_names(name, values)
@@ -69,7 +69,7 @@ def check_names(name: str, parameters: Iterable[str]) -> None:
 
 
 def applied(effects: Iterable[str]) -> list[str]:
-    """The effects that act: not those that another one here replaces."""
+    """Return the effects that act: not those that another one here replaces."""
     names = list(effects)
     replaced = {EFFECTS[name].replaces for name in names}
     return [name for name in names if name not in replaced]
@@ -85,12 +85,12 @@ def needs(effects: Iterable[str]) -> dict[str, str]:
 
 
 def parameter_at(place: Sequence[str]) -> EffectParameter | None:
-    """The parameter at `("effects", NAME, PARAMETER)`, None at any other place of a twin file."""
+    """Return the parameter at `("effects", NAME, PARAMETER)`, None at any other place of a twin file."""
     return EFFECTS[place[1]].parameter(place[2]) if place[0] == "effects" else None
 
 
 def day_counter(effects: Iterable[str]) -> str:
-    """The first effect that counts days from `day0_utc`, "" where none does."""
+    """Return the first effect that counts days from `day0_utc`, "" where none does."""
     return next((name for name in effects if EFFECTS[name].counts_days), "")
 
 

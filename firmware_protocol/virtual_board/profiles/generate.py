@@ -15,7 +15,7 @@ from firmware_protocol.virtual_board.profiles.record import FOLDER, SAMPLE_S, Re
 
 @dataclass(frozen=True, slots=True)
 class SequencePlan:
-    """What one sequence is meant to do."""
+    """The aim of one sequence."""
 
     minutes: int
     duties: tuple[float, float]  # lowest and highest duty that is not 0
@@ -46,7 +46,7 @@ PLANS = (
 
 
 def draw(plan: SequencePlan, rng: random.Random) -> list[RecordedRow]:
-    """A candidate: segments of constant inputs, one row per minute, the last row with all off."""
+    """Draw a candidate: segments of constant inputs, one row per minute, the last row with all off."""
     inputs: list[tuple[float, int]] = []
     while len(inputs) < plan.minutes:
         low, high = (round(duty * 20) for duty in plan.duties)
@@ -59,7 +59,7 @@ def draw(plan: SequencePlan, rng: random.Random) -> list[RecordedRow]:
 
 
 def _find(plan: SequencePlan, seed: int) -> list[RecordedRow]:
-    """The first candidate whose measured peak lies in the plan's band."""
+    """Find the first candidate whose measured peak lies in the plan's band."""
     rng = random.Random(seed)
     parameters, effects = load()
     while True:

@@ -23,7 +23,7 @@ class RecordedRow:
 
 
 def paths() -> list[Path]:
-    """The predefined input sequences, in order."""
+    """Return the predefined input sequences, in order."""
     return sorted(FOLDER.glob("profile_*.csv"))
 
 
@@ -41,7 +41,7 @@ def read(path: Path) -> tuple[dict[str, str], list[RecordedRow]]:
 
 
 def write(path: Path, facts: dict[str, str], rows: Sequence[RecordedRow]) -> None:
-    """The file that `read` reads."""
+    """Write the file that `read` reads."""
     lines = [f"# {key}: {value}" for key, value in facts.items()] + ["time_s,heater_duty,fan_on,light"]
     lines += [f"{row.time_s},{row.heater_duty:g},{row.fan_on},{row.light:g}" for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
