@@ -1,4 +1,4 @@
-"""What a person has asked of the rig: mode, controller, reference, manual command, stop, maintenance.
+"""Standing orders of a person: mode, controller, reference, manual command, stop, maintenance.
 
 Command line, MQTT and, later, a language model end in the same `operate`. All of it survives a restart.
 """
@@ -74,18 +74,18 @@ class Operation:
 
 
 def acts_at_once(before: Operation, after: Operation) -> bool:
-    """Whether new orders change what may be sent now; reference and controller wait for a decision."""
+    """Return whether new orders change what may be sent now. Reference and controller wait for a decision."""
     waits = {name: getattr(before, name) for name in ("reference_c", "controller", "before")}
     return replace(after, **waits) != before
 
 
 def has_lost_date(until_utc: float, utc: float) -> bool:
-    """Whether no maintenance that ends at `until_utc` can have been ordered yet, by this clock."""
+    """Return whether, by this clock, a maintenance that ends at `until_utc` cannot have been ordered yet."""
     return utc < until_utc - MAINTENANCE_MAX_MIN * 60
 
 
 def is_released(before: Operation, after: Operation) -> bool:
-    """Whether an order ended an emergency stop or a maintenance, over or not."""
+    """Return whether an order ended an emergency stop or a maintenance, over or not."""
     ended = before.maintenance_until_utc is not None and after.maintenance_until_utc is None
     return ended or (before.emergency_stop and not after.emergency_stop)
 
@@ -97,7 +97,7 @@ Share = Annotated[float, Rule(low=0.0, high=1.0)]
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """What an order is checked against."""
+    """The facts that an order is checked against."""
 
     utc: float
     controllers: tuple[str, ...]
@@ -110,7 +110,7 @@ class Desk:
 def apply_orders(
     operation: Operation, command: Command, utc: float = 0.0, since_midnight_s: float = 0.0
 ) -> tuple[Command, tuple[Change, ...]]:
-    """The controller's command after the standing orders, and what they changed.
+    """Return the controller's command under the standing orders, and the changes they made.
 
     since_midnight_s : local time of day, for a rest of the fan
     """
@@ -148,7 +148,7 @@ def _ordered(operation: Operation, command: Command) -> Command:
 
 
 def operate(operation: Operation, request: Request, desk: Desk) -> Operation:
-    """The standing orders after `request`. Errors: RequestError, and nothing has changed."""
+    """Return the standing orders after `request`. Errors: RequestError, and nothing has changed"""
     kind = request.get("do")
     order = ORDERS.get(kind) if isinstance(kind, str) else None
     if order is None:
@@ -162,7 +162,7 @@ def operate(operation: Operation, request: Request, desk: Desk) -> Operation:
 
 
 def read_request(kind: type[Keys], request: Request) -> Keys:
-    """The keys of `request` but "do", as an object of `kind`. Errors: RequestError"""
+    """Read the keys of `request` but "do" as an object of `kind`. Errors: RequestError"""
     try:
         given = {key: value for key, value in request.items() if key != "do"}
         return read(kind, given, plain(str(request.get("do")), 40))
@@ -228,7 +228,7 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a request does to the standing orders, and the keys that it may have."""
+    """A request's change of the standing orders, and its permitted keys."""
 
     carry_out: Callable[[Operation, Any, Desk], Operation]
     keys: type = NoKeys
@@ -281,7 +281,7 @@ def _maintenance(operation: Operation, asked: StartMaintenance, desk: Desk) -> O
 
 
 def _steer(operation: Operation, asked: Steer, desk: Desk) -> Operation:
-    """A confirmed steering; a temperature that was set by hand before gives way to its reference."""
+    """Apply a confirmed steering; its reference replaces a temperature that was set by hand before."""
     try:
         steering = steering_from_dict(asked.steering)
     except (KeyError, TypeError, ValueError) as error:

@@ -37,7 +37,7 @@ _DESCRIPTION = (
 
 @dataclass(frozen=True, slots=True)
 class SqlArguments:
-    """Of a call."""
+    """The arguments of a call."""
 
     query: str
 

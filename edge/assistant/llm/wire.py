@@ -156,7 +156,7 @@ class ChoicesDocument(Foreign):
 
 @dataclass(frozen=True, slots=True)
 class CalledFunction(Foreign):
-    """What a call asks for."""
+    """The function and arguments of a call."""
 
     name: str
     arguments: str

@@ -89,7 +89,7 @@ class WishAnswer(Checked):
     question: str
 
     def cross_check(self) -> None:
-        """Times that can be meant."""
+        """Check that the times are possible."""
         if any(not a.start < b.start for a, b in pairwise(self.reference)):
             self.refuse("reference", "the times must rise from one to the next, each once")
         if any(rest.start == rest.until for rest in self.fan_rest):
