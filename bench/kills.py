@@ -33,7 +33,7 @@ from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.core.hard_limits import LEASE_S
 from edge.sockets.control_socket import request
-from edge.state import state_file
+from edge.state import writer
 from training.lab import Lab
 
 RIG = "greenhouse/rig-1"
@@ -128,14 +128,14 @@ def nursery(config_file: Path, control: Path) -> None:
 def _live(config_file: Path, control: Path, fsync_real_s: float) -> None:
     """One daemon, from start to its death."""
     if fsync_real_s > 0.0:
-        write = state_file.write
+        write = writer.write_document
 
         def slowly(path: Path, values: dict[str, Any]) -> None:
             time.sleep(fsync_real_s)
             write(path, values)
             time.sleep(fsync_real_s)
 
-        state_file.write = slowly
+        writer.write_document = slowly
     with Lab(
         config.load(config_file),
         board=control,

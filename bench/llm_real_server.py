@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.llm_closed_loop import REFERENCE_C, Ended, run
-from edge.assistant.llm.budget import Budget
+from edge.assistant.llm.budget import Budget, Spent
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
 from edge.config.settings import LlmSettings
@@ -93,14 +93,12 @@ def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str) -> None:
 def one_exchange(url: str, model: str, tokens: int) -> str:
     """What a single exchange brings, in words; the model ends its answer by chance alone."""
     settings = LlmSettings(url=url, model=model, answer_tokens=tokens, timeout_s=60.0)
-    budget = Budget(settings, PLACE / "llm_budget.json", time.time)
+    budget = Budget(settings, Spent(""), lambda spent: None, time.time)
     try:
         reply = Endpoint(settings, budget).chat([{"role": "user", "content": "hello"}], temperature=1.0)
         text = f"finish_reason {reply.finish_reason}, {len(reply.content or '')} characters, {reply.usage}"
     except LlmFailure as failure:
         text = str(failure)
-    finally:
-        budget.close()
     return f"one exchange of at most {tokens} tokens: {text}"
 
 

@@ -15,9 +15,9 @@ from pathlib import Path
 from edge.app.configured_model import configured_model
 from edge.config.secrets import read_secret
 from edge.config.settings import BundleSettings, ControlSocketSettings, MqttSettings, Settings
-from edge.core.errors import GreenhouseError
+from edge.core.errors import DataError, GreenhouseError
 from edge.formats.input_file import read_file
-from edge.state import state_file
+from edge.formats.state_document import read_document
 from edge.tick.reference import make_reference
 
 SOCKET_PATH_MAX = 107  # bytes of a Unix socket's address, unix(7)
@@ -93,8 +93,8 @@ def _data_file(key: str, path: Path, check: Callable[[Path], str]) -> Iterator[C
 
 def _state_problem(path: Path) -> str:
     try:
-        state_file.read(path)
-    except state_file.StateFileBroken as error:
+        read_document(path)
+    except DataError as error:
         return str(error)
     return ""
 

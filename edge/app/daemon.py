@@ -33,13 +33,13 @@ from edge.core.errors import ConfigError
 from edge.core.messages import TickRecord
 from edge.core.version import __version__
 from edge.drift.monitor import DriftMonitor, Promise
-from edge.drift.state import drift_keeping, read_memory
-from edge.forecasts.skill_state import read_skill, skill_keeping
 from edge.mqtt.telemetry import Telemetry
 from edge.safety.supervisor import SafetyMemory
 from edge.sockets.control_socket import ControlSocket
 from edge.sockets.external_proposals import ExternalProposals
-from edge.state.state_file import Answered, StateWriter
+from edge.state.sinks import DriftTurns, HourlySink, StandingSink
+from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
+from edge.state.writer import StateWriter
 from edge.storage import Session, Storage
 from edge.tick.decider import decision_deadline_s
 from edge.tick.estimator import Estimator
@@ -47,9 +47,8 @@ from edge.tick.inbox import Inbox
 from edge.tick.loop import Loop
 from edge.tick.orders import Operation
 from edge.tick.reference import Reference, make_reference, zone_of
-from edge.tick.rig import Rig, SaveState, Sink
+from edge.tick.rig import Answered, Rig, SaveState, Sink
 from edge.tick.sensor_health import SensorHealth
-from edge.tick.standing import StateSink, read_standing
 from edge.tick.status import LoopStatus
 
 REQUESTS_VARIABLE = "GREENHOUSE_DIAGNOSIS"  # folder of requests to the diagnosis's unit, set by the daemon's
@@ -105,10 +104,9 @@ class Daemon:
     def _wire(self) -> Loop:
         settings, stack = self.settings, self._stack
         bundles = self._bundles()
-        skill_file = Path(settings.state_file).with_name("skill.json")
         llm = self._language_model()
-        models = ActiveModels(settings, bundles, read_skill(skill_file), llm)
-        skill = skill_keeping(lambda: models.forecasting.state, skill_file)
+        models = ActiveModels(settings, bundles, restore(SKILL, settings), llm)
+        skill = HourlySink(SKILL, settings, lambda: models.forecasting.state)
         stack.callback(skill.close)
         controllers = models.controllers() | {each.name: each for each in self.more_controllers}
         if settings.external.socket:
@@ -118,7 +116,7 @@ class Daemon:
             reason = settings.unready(self.experiment)
             step_s = settings.control.step_s
             raise ConfigError(f"control: {reason or f'{self.experiment} needs a model for {step_s:g} s'}")
-        standing = read_standing(Path(settings.state_file), settings)
+        standing = restore(STANDING, settings)
         if standing.operation.controller not in controllers:  # chosen when the rig had a model
             chosen = replace(standing.operation, controller=settings.control.controller)
             standing = replace(standing, operation=chosen)
@@ -135,7 +133,7 @@ class Daemon:
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
         stack.callback(storage.close)
-        state = StateSink(StateWriter(Path(settings.state_file)))
+        state = StandingSink(StateWriter(STANDING, settings))
         stack.callback(state.writer.close)
         sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else []), *self.more_sinks]
         drift = self._drift(sinks)
@@ -209,8 +207,10 @@ class Daemon:
         settings = self.settings
         if not settings.llm.url:
             return None
-        budget_file = Path(settings.state_file).with_name("llm_budget.json")
-        model = open_language_model(settings.llm, Path(settings.history.path), budget_file, self.clock.utc)
+        history, spent = Path(settings.history.path), restore(LLM_BUDGET, settings)
+        writer = StateWriter(LLM_BUDGET, settings)
+        self._stack.callback(writer.close)
+        model = open_language_model(settings.llm, history, spent, writer.save, self.clock.utc)
         self._stack.callback(model.close)
         return model
 
@@ -228,9 +228,8 @@ class Daemon:
         if not settings.drift.enabled:
             return None
         promise = Promise(settings.control.step_s, settings.drift.false_alarm_days, settings.drift.learn_h)
-        path = Path(settings.state_file).with_name("drift.json")
-        monitor = DriftMonitor(promise, zone_of(settings.timezone), read_memory(path))
-        keeping = drift_keeping(monitor, path)
+        monitor = DriftMonitor(promise, zone_of(settings.timezone), restore(DRIFT, settings))
+        keeping = HourlySink(DRIFT, settings, lambda: monitor.memory, DriftTurns())
         self._stack.callback(keeping.close)
         sinks.append(keeping)
         return monitor
@@ -261,7 +260,7 @@ class Daemon:
             maintenance_until_utc=standing.maintenance_until_utc,
         )
 
-    def _save(self, state: StateSink, standing: Operation) -> SaveState:
+    def _save(self, state: StandingSink, standing: Operation) -> SaveState:
         """Return the sink that saves orders. Only stops outlive an experiment."""
         if not self.experiment:
             return state.save

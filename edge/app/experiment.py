@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -16,9 +15,9 @@ from edge.core.messages import ReadingQuality, TickRecord
 from edge.core.version import __version__
 from edge.formats.profile_file import Profile
 from edge.formats.run_file import RecordedRun
+from edge.state.store import STANDING, restore
 from edge.storage.runs import export_run, name_run
 from edge.tick.reference import Reference
-from edge.tick.standing import read_standing
 
 ROLES = ("train", "validate", "test")
 
@@ -142,7 +141,7 @@ def _checked(experiment: Experiment, settings: Settings) -> Settings:
 
 def _refuse_stopped(settings: Settings) -> None:
     """Refuse an experiment on a rig that is held off: it would record hours of nothing."""
-    standing = read_standing(Path(settings.state_file), settings)
+    standing = restore(STANDING, settings)
     if standing.broken:
         raise GreenhouseError(f"state_file: {standing.broken}")
     if standing.operation.emergency_stop or standing.memory.trips:

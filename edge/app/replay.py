@@ -26,13 +26,12 @@ from edge.formats.run_file import RecordedRun
 from edge.formats.tick_json import tick_json
 from edge.models.pbm import Pbm
 from edge.safety.supervisor import SafetyMemory
-from edge.state.state_file import Answered
 from edge.tick.estimator import Estimator
 from edge.tick.inbox import Inbox
 from edge.tick.loop import Loop
 from edge.tick.orders import Operation
 from edge.tick.reference import make_reference, zone_of
-from edge.tick.rig import NoForecasts, Rig
+from edge.tick.rig import Answered, NoForecasts, Rig
 from edge.tick.sensor_health import SensorHealth
 
 Floats = NDArray[np.float64]

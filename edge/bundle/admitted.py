@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from edge.core.errors import DataError
-from edge.state import state_file
+from edge.formats.state_document import read_document, write_document
 
 FILE = "admitted.json"
 PROVED_MAX = 64  # the newest ones; a bundle that falls out is proved again when it is loaded
@@ -40,10 +40,7 @@ def release(version: str) -> tuple[int, ...]:
 def read_admitted(folder: Path) -> Admitted | None:
     """Read the store's record, None where there is none. Errors: DataError"""
     path = folder / FILE
-    try:
-        values = state_file.read(path)
-    except state_file.StateFileBroken as error:
-        raise DataError(str(error)) from error
+    values = read_document(path)
     if values is None:
         return None
     newest, proved = values.get("newest"), values.get("proved")
@@ -56,4 +53,4 @@ def read_admitted(folder: Path) -> Admitted | None:
 
 def write_admitted(folder: Path, admitted: Admitted) -> None:
     """Replace the record. Errors: OSError"""
-    state_file.write(folder / FILE, asdict(admitted))
+    write_document(folder / FILE, asdict(admitted))

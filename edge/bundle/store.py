@@ -31,8 +31,8 @@ from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
 from edge.formats.atomic_file import make_folder, move, sync_folder
 from edge.formats.input_file import Folder, read_file
+from edge.formats.state_document import read_document, write_document
 from edge.models.onnx_policy import OnnxPolicy, read_policy
-from edge.state import state_file
 
 
 def load_policies(folder: Folder, manifest: Manifest) -> dict[str, OnnxPolicy]:
@@ -89,10 +89,7 @@ class BundleStore:
 
     def roles(self) -> Roles:
         """Which bundle does what. Errors: DataError when the file that says so can't be understood"""
-        try:
-            values = state_file.read(self.folder / "roles.json")
-        except state_file.StateFileBroken as error:
-            raise DataError(str(error)) from error
+        values = read_document(self.folder / "roles.json")
         return Roles() if values is None else _roles(self.folder / "roles.json", values)
 
     def versions(self) -> list[str]:
@@ -256,7 +253,7 @@ class BundleStore:
             return Roles()
 
     def _write(self, roles: Roles) -> None:
-        state_file.write(self.folder / "roles.json", asdict(roles))
+        write_document(self.folder / "roles.json", asdict(roles))
 
     @contextmanager
     def _lock(self) -> Iterator[None]:

@@ -1,9 +1,7 @@
 """Inputs, memory and verdicts of the safety supervisor. All frozen; see edge/safety/supervisor.py."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from edge.core.hard_limits import LEASE_S
 from edge.core.messages import Change, Command, Echo, Estimate, Event, Reading
@@ -116,21 +114,3 @@ def remember(memory: SafetyMemory, sent: Command, ramp: float, view: SafetyView)
 def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:
     """Return True where both leave the same behind for the next process."""
     return (memory.trips, memory.doses) == (other.trips, other.doses)
-
-
-def memory_to_dict(memory: SafetyMemory) -> dict[str, Any]:
-    """Return the part that must outlive the process, as JSON values:
-    latched trips and the last day's water.
-    """
-    return {"trips": list(memory.trips), "doses": [[dose.utc, dose.length_s] for dose in memory.doses]}
-
-
-def memory_from_dict(values: Mapping[str, Any]) -> SafetyMemory:
-    """Inverse of `memory_to_dict`. Errors: KeyError, TypeError, ValueError on what it never wrote."""
-    trips = values["trips"]
-    if not isinstance(trips, list) or not all(isinstance(trip, str) for trip in trips):
-        raise ValueError(f"trips: {trips!r}")
-    doses = tuple(Dose(None, float(utc), float(length_s)) for utc, length_s in values["doses"])
-    if not all(math.isfinite(dose.utc) and 0.0 <= dose.length_s < math.inf for dose in doses):
-        raise ValueError("doses: not times and lengths of 0 or more")
-    return SafetyMemory(trips=tuple(trips), doses=doses)

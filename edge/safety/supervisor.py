@@ -19,8 +19,6 @@ from edge.safety.memory import (
     SafetyVerdict,
     SafetyView,
     book_heat,
-    memory_from_dict,
-    memory_to_dict,
     remember,
     survives_as,
 )
@@ -59,8 +57,6 @@ __all__ = [
     "SafetyVerdict",
     "SafetyView",
     "clear_trip",
-    "memory_from_dict",
-    "memory_to_dict",
     "planning_limits",
     "supervise",
     "survives_as",

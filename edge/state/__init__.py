@@ -1,5 +1,5 @@
-"""State that survives a restart: one store for small documents, written atomically.
+"""State that survives a restart: one list in `store.py`, one file of codecs, one writer.
 
-What a document means stands with its owner: orders and trips in `edge.tick.standing`, the drift monitor's
-memory in `edge.drift.state`, the forecasts' skill in `edge.forecasts.skill_state`.
+Rooms below hold their values and know no file; `edge/app/` restores each value and hands changes to a writer.
+Values of an installed bundle and of the history are written by their owners, but stand in the list too.
 """

@@ -21,7 +21,6 @@ from edge.core.messages import (
     TickRecord,
 )
 from edge.safety.supervisor import SafetyMemory
-from edge.state.state_file import Answered
 from edge.tick.estimator import Estimator
 from edge.tick.inbox import Inbox
 from edge.tick.orders import Operation
@@ -30,6 +29,7 @@ from edge.tick.sensor_health import SensorHealth
 from edge.tick.status import LoopStatus
 from edge.twin.model import BoxTwin
 
+Answered = Callable[[str], None]  # called with "" when a value is on disk, else with the reason
 Forecasts = tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]
 
 

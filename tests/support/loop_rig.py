@@ -13,13 +13,12 @@ from edge.core.controller import Context
 from edge.core.messages import Command, Decision, Echo, Event, Reading, ReadingQuality, TickRecord
 from edge.models.arx_file import read_arx
 from edge.safety.supervisor import SafetyMemory
-from edge.state.state_file import Answered
 from edge.tick.estimator import Estimator
 from edge.tick.inbox import Inbox, Letter, Reply
 from edge.tick.loop import Loop
 from edge.tick.orders import Operation
 from edge.tick.reference import make_reference
-from edge.tick.rig import NoForecasts, Rig
+from edge.tick.rig import Answered, NoForecasts, Rig
 from edge.tick.sensor_health import SensorHealth
 from edge.tick.status import reply_json
 

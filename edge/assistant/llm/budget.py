@@ -1,20 +1,13 @@
 """Daily budget of a language model by UTC day: charged before a request, corrected by the counted tokens."""
 
-import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
 
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.wire import Usage
 from edge.config.settings import LlmSettings
-from edge.state import state_file
-from edge.state.state_file import StateFileBroken, StateWriter
-
-KEPT_EVERY_S = 60.0  # five exchanges a step would be five writes to the card; a kill forgets so much at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,30 +20,19 @@ class Spent:
     exchanges: int = 0
 
 
-def read_spent(path: Path, today: str) -> Spent:
-    """Read what an earlier process spent today. A file of another day, or an
-    unreadable one, counts as nothing spent.
-    """
-    try:
-        values = state_file.read(path) or {}
-        spent = Spent(
-            str(values["day"]), int(values["tokens"]), float(values["cost"]), int(values["exchanges"])
-        )
-    except (StateFileBroken, KeyError, TypeError, ValueError, OverflowError):
-        return Spent(today)
-    sound = spent.tokens >= 0 and spent.exchanges >= 0 and 0.0 <= spent.cost < math.inf
-    return spent if sound and spent.day == today else Spent(today)
-
-
 class Budget:
-    """The budget of all clients, thread-safe, saved over restarts in a file of its own."""
+    """The budget of all clients, thread-safe.
 
-    def __init__(self, settings: LlmSettings, path: Path, utc: Callable[[], float]) -> None:
+    spent : by the process before, on whatever day; save : called with every change, never waits
+    """
+
+    def __init__(
+        self, settings: LlmSettings, spent: Spent, save: Callable[[Spent], None], utc: Callable[[], float]
+    ) -> None:
         self._settings = settings
         self._utc = utc
         self._lock = threading.Lock()
-        self._spent = read_spent(path, self._today())
-        self._writer = StateWriter(path, KEPT_EVERY_S)
+        self._spent, self._save = spent, save
 
     def charge(self, most: Usage) -> None:
         """Before an exchange: what it may cost at most. Errors: LlmFailure, over_budget
@@ -79,10 +61,6 @@ class Budget:
         with self._lock:
             return self._of_today()
 
-    def close(self) -> None:
-        """Write what waits."""
-        self._writer.close()
-
     def _too_much(self, spent: Spent, most: Usage) -> str:
         """ "" where the exchange fits into the day; what is no number does not."""
         settings = self._settings
@@ -99,7 +77,7 @@ class Budget:
         self._spent = Spent(
             spent.day, max(0, spent.tokens + tokens), max(0.0, spent.cost + cost), spent.exchanges + exchanges
         )
-        self._writer.save(_to_dict(self._spent))
+        self._save(self._spent)
 
     def _of_today(self) -> Spent:
         today = self._today()
@@ -107,7 +85,3 @@ class Budget:
 
     def _today(self) -> str:
         return datetime.fromtimestamp(self._utc(), UTC).date().isoformat()
-
-
-def _to_dict(spent: Spent) -> dict[str, Any]:
-    return {"day": spent.day, "tokens": spent.tokens, "cost": spent.cost, "exchanges": spent.exchanges}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.assistant.llm.asking import Question
-from edge.assistant.llm.budget import Budget
+from edge.assistant.llm.budget import Budget, Spent
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.line import Post, post
 from edge.config.secrets import read_secret
@@ -44,18 +44,21 @@ class LanguageModel:
         self._questions.append(question)
 
     def close(self) -> None:
-        """Drop what is under way and keep what was spent."""
+        """Drop what is under way."""
         for question in self._questions:
             question.close()
-        self.budget.close()
 
 
 def open_language_model(
-    settings: LlmSettings, history: Path, budget_file: Path, utc: Callable[[], float]
+    settings: LlmSettings,
+    history: Path,
+    spent: Spent,
+    save: Callable[[Spent], None],
+    utc: Callable[[], float],
 ) -> LanguageModel:
     """Errors: ConfigError when the key or the authority's certificate can't be read."""
     key = read_secret(settings.key_file, "llm.key_file") if settings.key_file else None
-    budget = Budget(settings, budget_file, utc)
+    budget = Budget(settings, spent, save, utc)
     return LanguageModel(settings, Endpoint(settings, budget, key, open_line(settings)), budget, history, utc)
 
 

@@ -12,12 +12,12 @@ from edge.config import loading as config
 from edge.config.settings import ControlSettings
 from edge.core.clock import RealClock
 from edge.core.errors import ConfigError, DataError
+from edge.formats.state_document import write_document
 from edge.models.arx_file import DEFAULT_PATH, read_arx, write_arx
 from edge.models.persistence import Persistence
-from edge.safety.supervisor import SafetyMemory, memory_to_dict
-from edge.state import state_file
+from edge.safety.supervisor import SafetyMemory
+from edge.state.codecs import StandingState, encode_standing
 from edge.tick.orders import Operation
-from edge.tick.orders_json import to_dict
 
 
 def test_the_packaged_model_serves_the_default_step() -> None:
@@ -98,11 +98,8 @@ control: {{step_s: 5, controller: rules}}
 
 def test_a_controller_chosen_when_there_was_a_model_gives_way_to_the_configured_one(tmp_path: Path) -> None:
     settings = config.parse(PLACES.format(folder=tmp_path))
-    state = {
-        "operation": to_dict(Operation("MPC", reference_c=27.0)),
-        "safety": memory_to_dict(SafetyMemory()),
-    }
-    state_file.write(tmp_path / "state.json", state)
+    orders = StandingState(Operation("MPC", reference_c=27.0), SafetyMemory())
+    write_document(tmp_path / "state.json", encode_standing(orders))
     with Daemon(settings, RealClock()) as daemon:
         assert daemon._loop is not None
         standing = daemon._loop.status().operation

@@ -12,9 +12,9 @@ from edge.config.settings import HistorySettings, Settings
 from edge.core.clock import RealClock
 from edge.core.errors import RequestError
 from edge.mqtt.commands import Resend
+from edge.state.store import STANDING, restore
 from edge.storage import Storage
 from edge.tick.orders import read_request
-from edge.tick.standing import read_standing
 
 
 @pytest.fixture
@@ -65,13 +65,13 @@ def test_a_resend_without_a_history_is_refused_and_makes_none(tmp_path: Path) ->
 def test_a_state_file_that_is_not_understood_is_an_emergency_stop(tmp_path: Path, text: str) -> None:
     path = tmp_path / "state.json"
     path.write_text(text)
-    standing = read_standing(path, config.default())
+    standing = restore(STANDING, replace(config.default(), state_file=str(path)))
     assert standing.operation.emergency_stop
     assert standing.broken
 
 
 def test_without_a_state_file_the_configured_controller_runs(tmp_path: Path) -> None:
-    standing = read_standing(tmp_path / "state.json", config.default())
+    standing = restore(STANDING, replace(config.default(), state_file=str(tmp_path / "state.json")))
     assert standing.operation.controller == config.default().control.controller
     assert not standing.operation.emergency_stop
     assert standing.broken == ""

@@ -24,12 +24,12 @@ from edge.controllers.input_profile import InputProfile
 from edge.core.errors import DataError, GreenhouseError
 from edge.formats.profile_file import Profile, read_profile
 from edge.formats.run_file import RecordedRun, read_run
-from edge.safety.supervisor import SafetyMemory, memory_to_dict
-from edge.state import state_file
+from edge.formats.state_document import write_document
+from edge.safety.supervisor import SafetyMemory
+from edge.state.codecs import StandingState, encode_standing
+from edge.state.store import STANDING, restore
 from edge.storage.runs import export_run
 from edge.tick.orders import Operation
-from edge.tick.orders_json import to_dict
-from edge.tick.standing import StandingState, read_standing
 from training.lab import Lab
 
 pytestmark = pytest.mark.slow
@@ -55,8 +55,7 @@ def lock_step(folder: Path) -> Iterator[SimClock]:
 
 
 def stand(settings: Settings, standing: StandingState) -> None:
-    values = {"operation": to_dict(standing.operation), "safety": memory_to_dict(standing.memory)}
-    state_file.write(Path(settings.state_file), values)
+    write_document(Path(settings.state_file), encode_standing(standing))
 
 
 def test_the_board_drives_the_profile_row_by_row(tmp_path):
@@ -245,7 +244,7 @@ def test_standing_orders_wait_and_stand_again_afterwards(tmp_path):
     with lock_step(tmp_path) as clock:
         run, _ = run_experiment(Experiment(profile), settings, clock)
     assert run.facts["controllers"] == "profile"
-    assert read_standing(Path(settings.state_file), settings).operation == orders
+    assert restore(STANDING, settings).operation == orders
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +12,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from llm_parts import UTC, ScriptedLine, endpoint, says, settings
 
-from edge.assistant.llm.budget import Budget, read_spent
+from edge.assistant.llm.budget import Budget, Spent
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.line import HttpResponse
 from edge.assistant.llm.wire import Usage
+from edge.config.loading import default
+from edge.state.store import LLM_BUDGET, restore
+from edge.state.writer import StateWriter
 
 HELLO = [{"role": "user", "content": "hello"}]
 DAY_S = 86400.0
 
 
 class Days:
-    """A budget on one file, and the wall clock it goes by."""
+    """A budget that is restored from one file and saved to it, and the wall clock it goes by."""
 
     def __init__(self, folder: Path, **values: Any) -> None:
-        self.path, self.utc = folder / "llm_budget.json", UTC
-        self.budget = Budget(settings(**values), self.path, lambda: self.utc)
+        self.utc = UTC
+        place = replace(default(), state_file=str(folder / "state.json"))
+        self.writer = StateWriter(LLM_BUDGET, place)
+        spent = restore(LLM_BUDGET, place)
+        self.budget = Budget(settings(**values), spent, self.writer.save, lambda: self.utc)
 
     def spend(self, most: Usage, used: Usage) -> None:
         self.budget.charge(most)
@@ -36,7 +43,7 @@ class Days:
 def days(tmp_path: Path):
     made = Days(tmp_path, tokens_per_day=1000, price_in=2.0, price_out=10.0)
     yield made
-    made.budget.close()
+    made.writer.close()
 
 
 def test_what_was_used_counts_and_not_what_was_feared(days: Days) -> None:
@@ -67,7 +74,7 @@ def test_money_is_a_limit_too(tmp_path: Path) -> None:
     days.spend(Usage(0, 900), Usage(0, 900))
     with pytest.raises(LlmFailure, match="over_budget"):
         days.budget.charge(Usage(0, 101))
-    days.budget.close()
+    days.writer.close()
 
 
 def test_a_new_utc_day_begins_at_nothing(days: Days) -> None:
@@ -88,10 +95,10 @@ def test_an_exchange_over_midnight_leaves_no_credit(days: Days) -> None:
 
 def test_a_restart_goes_on_where_it_was(days: Days, tmp_path: Path) -> None:
     days.spend(Usage(900, 0), Usage(900, 0))
-    days.budget.close()
+    days.writer.close()
     again = Days(tmp_path, tokens_per_day=1000)
     assert again.budget.spent.tokens == 900
-    again.budget.close()
+    again.writer.close()
 
 
 @pytest.mark.parametrize(
@@ -101,9 +108,8 @@ def test_a_restart_goes_on_where_it_was(days: Days, tmp_path: Path) -> None:
      '{"day": "2026-01-01", "tokens": "x", "cost": 0, "exchanges": 0}'],
 )  # fmt: skip
 def test_a_spoilt_file_is_a_new_day(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "llm_budget.json"
-    path.write_text(text)
-    assert read_spent(path, "2026-01-01").tokens == 0
+    (tmp_path / "llm_budget.json").write_text(text)
+    assert restore(LLM_BUDGET, replace(default(), state_file=str(tmp_path / "state.json"))) == Spent("")
 
 
 @pytest.mark.parametrize(
@@ -156,4 +162,4 @@ def test_a_day_never_goes_over_what_servers_keep_to(tmp_path_factory, exchanges)
             days.spend(most, Usage(min(sent, less_sent), min(received, less_received)))
         assert 0 <= days.budget.spent.tokens <= 3000
         assert math.isfinite(days.budget.spent.cost)
-    days.budget.close()
+    days.writer.close()

@@ -7,6 +7,7 @@ import pytest
 from llm_parts import KEY, UTC, settings
 
 from bench.llm_closed_loop import REFERENCE_C, YAML, run
+from edge.assistant.llm.budget import Spent
 from edge.assistant.llm.language_model import open_language_model
 from edge.core.controller_names import LLM
 from edge.core.errors import ConfigError
@@ -91,4 +92,6 @@ def test_a_key_that_others_can_read_is_refused_at_the_start(tmp_path: Path) -> N
     key_file.write_text(KEY)
     key_file.chmod(0o644)
     with pytest.raises(ConfigError, match=r"llm\.key_file: .*lets others in"):
-        open_language_model(settings(key_file=str(key_file)), tmp_path, tmp_path / "budget.json", lambda: UTC)
+        open_language_model(
+            settings(key_file=str(key_file)), tmp_path, Spent(""), lambda spent: None, lambda: UTC
+        )

@@ -11,9 +11,9 @@ from bench.drift_box import UTC_0, Chances, DriftBox, TickInputs, heat_for, swit
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.core.messages import Drift, DriftState, Event
 from edge.drift.kalman import Filter
-from edge.drift.memory import from_dict, to_dict
 from edge.drift.monitor import AGREE_S, SETTLE_S, DriftMonitor, Promise
 from edge.models.pbm import read_twin
+from edge.state.codecs import decode_drift, encode_drift
 from edge.twin.model import BoxTwin
 from edge.twin.rollout import Commands
 
@@ -113,7 +113,7 @@ def test_a_door_that_is_open_for_five_minutes_is_no_disagreement():
 
 
 def again(monitor: DriftMonitor) -> DriftMonitor:
-    return DriftMonitor(PROMISE, memory=from_dict(json.loads(json.dumps(to_dict(monitor.memory)))))
+    return DriftMonitor(PROMISE, memory=decode_drift(json.loads(json.dumps(encode_drift(monitor.memory)))))
 
 
 def test_a_restart_keeps_what_was_learnt_and_the_alarm():
@@ -140,7 +140,7 @@ def test_what_is_kept_of_one_twin_says_nothing_of_another():
 def _memory() -> dict:
     monitor = DriftMonitor(PROMISE)
     run(monitor, lambda k: DriftBox(TWIN), 65)
-    return to_dict(monitor.memory)
+    return encode_drift(monitor.memory)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_a_memory_that_is_not_understood_is_refused(change):
     values = _memory()
     change(values)
     with pytest.raises(ValueError, match="no state of a drift monitor"):
-        from_dict(values)
+        decode_drift(values)
 
 
 # what is missing

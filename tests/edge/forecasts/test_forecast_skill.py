@@ -9,7 +9,7 @@ from edge.bundle.rivals import rival_rows
 from edge.forecasts.conformal import Interval, Intervals
 from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
 from edge.forecasts.skill import SkillState, half_widths, skills, updated
-from edge.forecasts.skill_state import from_dict, to_dict
+from edge.state.codecs import decode_skill, encode_skill
 
 NONE = Intervals()
 CALIBRATED = Intervals((Interval("arx", "1", 5, 0.5, 100, "interpolation"),))
@@ -148,7 +148,7 @@ def test_a_rival_of_another_version_has_no_row():
 
 def test_the_state_comes_back_from_json():
     state = tick(SkillState(), intervals=CALIBRATED, arx=0.1, pbm=0.2, arx_rival=0.3)
-    assert from_dict(json.loads(json.dumps(to_dict(state), allow_nan=False))) == state
+    assert decode_skill(json.loads(json.dumps(encode_skill(state), allow_nan=False))) == state
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_the_state_comes_back_from_json():
     ],
 )
 def test_a_spoilt_state_is_refused(spoil):
-    values = to_dict(tick(SkillState(), intervals=CALIBRATED, arx=0.1))
+    values = encode_skill(tick(SkillState(), intervals=CALIBRATED, arx=0.1))
     spoil(values)
     with pytest.raises(ValueError, match="no state"):
-        from_dict(values)
+        decode_skill(values)

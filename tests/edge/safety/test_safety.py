@@ -29,12 +29,12 @@ from edge.safety.rules import energy_duty
 from edge.safety.supervisor import (
     SafetyMemory,
     clear_trip,
-    memory_from_dict,
-    memory_to_dict,
     planning_limits,
     supervise,
+    survives_as,
 )
 from edge.safety.thermal_supervision import ThermalMemory
+from edge.state.codecs import decode_safety, encode_safety
 
 pytestmark = pytest.mark.slow
 
@@ -709,13 +709,25 @@ def test_a_controller_knows_the_largest_duty():
 
 def test_trips_and_water_outlive_the_process():
     memory = SafetyMemory(trips=("over_temperature", "fan_no_effect"), doses=(Dose(NOW, UTC, 2.0),))
-    again = memory_from_dict(json.loads(json.dumps(memory_to_dict(memory))))
+    again = decode_safety(json.loads(json.dumps(encode_safety(memory))))
     assert again == SafetyMemory(trips=memory.trips, doses=(Dose(None, UTC, 2.0),))
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        ({"trips": ("over_temperature",)}, False),
+        ({"doses": (Dose(NOW, UTC, 2.0),)}, False),
+        ({"heat": ((NOW, 1.0),), "time_s": NOW, "sent": Command(heater_duty=0.5)}, True),
+    ],
+)
+def test_a_change_of_trips_or_water_calls_for_a_save(change, same):
+    assert survives_as(replace(SafetyMemory(), **change), SafetyMemory()) is same
 
 
 @pytest.mark.parametrize("length_s", [0.0, 0.1, 1.0])
 def test_a_dose_of_any_length_is_read_again(length_s):
-    assert memory_from_dict({"trips": [], "doses": [[UTC, length_s]]}).doses == (Dose(None, UTC, length_s),)
+    assert decode_safety({"trips": [], "doses": [[UTC, length_s]]}).doses == (Dose(None, UTC, length_s),)
 
 
 @pytest.mark.parametrize(
@@ -727,7 +739,7 @@ def test_a_dose_of_any_length_is_read_again(length_s):
 )  # fmt: skip
 def test_a_memory_nobody_wrote_is_refused(values):
     with pytest.raises((KeyError, TypeError, ValueError)):
-        memory_from_dict(values)
+        decode_safety(values)
 
 
 # Anything at all

@@ -5,6 +5,7 @@ import math
 import os
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,14 @@ import pytest
 
 from bench.support.daemon_process import DaemonProcess
 from bench.support.virtual_board import virtual_board
-from edge.assistant.llm.budget import read_spent
 from edge.config import loading as config
+from edge.config.settings import Settings
 from edge.core.messages import Command
-from edge.drift.state import read_memory
-from edge.forecasts.skill_state import read_skill
-from edge.safety.memory import Dose, SafetyMemory, memory_to_dict
+from edge.safety.memory import Dose, SafetyMemory
+from edge.state.codecs import encode_safety
+from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
 from edge.tick.orders import Mode, Operation, apply_orders
 from edge.tick.orders_json import to_dict
-from edge.tick.standing import read_standing
 from edge.tick.steering import DailyTarget, FanRest, Steering
 
 pytestmark = pytest.mark.slow
@@ -29,7 +29,7 @@ UTC = 1.8e9
 STEERING = Steering("a", "warmer", UTC + 60, (DailyTarget(0.0, 25.0),), 1.0, 1.0, 0.5, (FanRest(0.0, 60.0),))
 SOUND = {
     "operation": to_dict(Operation("PID", Mode.MANUAL, reference_c=25.0, steering=STEERING)),
-    "safety": memory_to_dict(SafetyMemory(("air",), doses=(Dose(None, UTC, 2.0),))),
+    "safety": encode_safety(SafetyMemory(("air",), doses=(Dose(None, UTC, 2.0),))),
 }
 HOSTILE = (
     None,
@@ -51,6 +51,11 @@ HOSTILE = (
 DEEP = '{"operation":' * 100_000 + "1" + "}" * 100_000
 
 
+def settings(path: Path) -> Settings:
+    """The defaults, with the state at `path`."""
+    return replace(config.default(), state_file=str(path))
+
+
 def changed(**operation: Any) -> str:
     """A sound file but for these orders."""
     return json.dumps({**SOUND, "operation": {**SOUND["operation"], **operation}})
@@ -65,7 +70,7 @@ def places(value: Any) -> list[tuple[Any, Any]]:
 
 
 def assert_stopped(path: Path) -> None:
-    standing = read_standing(path, config.default())
+    standing = restore(STANDING, settings(path))
     assert standing.operation.emergency_stop
     assert standing.broken.startswith(str(path))
 
@@ -73,7 +78,7 @@ def assert_stopped(path: Path) -> None:
 def test_a_sound_file_is_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "state.json"
     path.write_text(json.dumps(SOUND))
-    standing = read_standing(path, config.default())
+    standing = restore(STANDING, settings(path))
     assert standing.broken == ""
     assert standing.operation.steering == STEERING
     assert standing.memory.trips == ("air",)
@@ -127,7 +132,7 @@ def test_each_value_exchanged_for_a_hostile_one_is_a_stop_or_an_order_that_can_b
             other, name = chance.choice(places(document))
             other[name] = chance.choice(HOSTILE)
         path.write_text(json.dumps(document))
-        standing = read_standing(path, config.default())
+        standing = restore(STANDING, settings(path))
         stopped += bool(standing.broken)
         assert standing.operation.emergency_stop or not standing.broken
         json.dumps(to_dict(standing.operation), allow_nan=False).encode()
@@ -143,18 +148,18 @@ def test_each_value_exchanged_for_a_hostile_one_is_a_stop_or_an_order_that_can_b
 def test_other_states_begin_anew_from_a_file_that_nobody_wrote(tmp_path: Path, text: str) -> None:
     path = tmp_path / "other.json"
     path.write_text(text)
-    assert not read_skill(path).pairs
-    assert read_memory(path) is None
-    assert read_spent(path, "2026-07-01").tokens == 0
+    for stored in (SKILL, DRIFT, LLM_BUDGET):
+        moved = replace(stored, place=lambda settings: path)
+        assert restore(moved, config.default()) == stored.otherwise(config.default(), "")
 
 
 @pytest.mark.timeout(10)
 def test_other_states_begin_anew_from_a_fifo(tmp_path: Path) -> None:
     path = tmp_path / "other.json"
     os.mkfifo(path)
-    assert not read_skill(path).pairs
-    assert read_memory(path) is None
-    assert read_spent(path, "2026-07-01").tokens == 0
+    for stored in (SKILL, DRIFT, LLM_BUDGET):
+        moved = replace(stored, place=lambda settings: path)
+        assert restore(moved, config.default()) == stored.otherwise(config.default(), "")
 
 
 @pytest.mark.parametrize("kind", ["nested", "fifo", "nan"])

@@ -7,6 +7,7 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,11 @@ from loop_rig import UTC_0, LoopRig, is_safe
 
 from edge.core.messages import Command, ReadingQuality, TickRecord
 from edge.safety.supervisor import SafetyMemory
+from edge.state.store import STANDING, restore
 from edge.tick.faults import FAILURES
 from edge.tick.inbox import ORDINARY, Letter
 from edge.tick.loop import RELEASE_EVERY_S, RELEASES, Loop
 from edge.tick.orders import Operation
-from edge.tick.standing import read_standing
 
 
 @pytest.fixture
@@ -219,7 +220,7 @@ def test_what_ails_a_sink_is_told_and_control_goes_on(rig: LoopRig, key: str) ->
 def test_a_broken_state_file_is_an_emergency_stop(rig: LoopRig, tmp_path: Any) -> None:
     path = tmp_path / "state.json"
     path.write_text('{"operation": {"mode": "auto"')
-    standing = read_standing(path, rig.settings)
+    standing = restore(STANDING, replace(rig.settings, state_file=str(path)))
     assert standing.operation.emergency_stop
     rig.loop.note("state.broken", standing.broken)
     assert begins(rig.tick(), "state.broken")

@@ -1,13 +1,16 @@
-"""edge/forecasts/skill_state.py: the forecasts' scores outlive a kill, but for the last hour."""
+"""edge/state/sinks.py: the forecasts' scores outlive a kill, but for the last hour."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from history_records import tick
 
+from edge.config.loading import default
+from edge.config.settings import Settings
 from edge.forecasts.skill import ErrorPair, SkillState
-from edge.forecasts.skill_state import read_skill, skill_keeping
-from edge.state.keeping import SAVE_S
+from edge.state.sinks import SAVE_S, HourlySink
+from edge.state.store import SKILL, restore
 
 KEY = ("ham", 3, "persistence")
 
@@ -16,21 +19,25 @@ def scored(count: int) -> SkillState:
     return SkillState(pairs={KEY: ErrorPair(("1.0", "-"), count, 0.1, 0.4)})
 
 
-def count_in(path: Path) -> int:
-    return read_skill(path).pairs[KEY].scored
+def settings(folder: Path) -> Settings:
+    return replace(default(), state_file=str(folder / "state.json"))
+
+
+def count_in(folder: Path) -> int:
+    return restore(SKILL, settings(folder)).pairs[KEY].scored
 
 
 def test_scores_are_saved_every_hour_and_at_the_end(tmp_path: Path) -> None:
-    path, now = tmp_path / "skill.json", [scored(0)]
-    keeping = skill_keeping(lambda: now[0], path)
+    now = [scored(0)]
+    keeping = HourlySink(SKILL, settings(tmp_path), lambda: now[0])
     for count, time_s in enumerate((0.0, SAVE_S - 1.0, SAVE_S, SAVE_S + 60.0)):
         now[0] = scored(count)
         keeping.write(tick(count + 1, time_s=time_s))
     keeping._writer.close()  # a kill: all that was handed over is on disk, what came later is not
-    assert count_in(path) == 2
-    again = skill_keeping(lambda: scored(5), path)
+    assert count_in(tmp_path) == 2
+    again = HourlySink(SKILL, settings(tmp_path), lambda: scored(5))
     again.close()
-    assert count_in(path) == 5
+    assert count_in(tmp_path) == 5
 
 
 @pytest.mark.parametrize("content", [None, "", "{", '{"pairs": 3}', "[]"])
@@ -38,4 +45,4 @@ def test_without_a_readable_file_scores_begin_anew(tmp_path: Path, content: str 
     path = tmp_path / "skill.json"
     if content is not None:
         path.write_text(content)
-    assert read_skill(path) == SkillState()
+    assert restore(SKILL, settings(tmp_path)) == SkillState()

@@ -1,14 +1,28 @@
-"""edge/state/state_file.py: standing orders survive, whole or not at all."""
+"""edge/state/writer.py and edge/formats/state_document.py: values survive, whole or not at all."""
 
 import queue
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from edge.state.state_file import ANSWERS_MAX, StateFileBroken, StateWriter, read, write
+from edge.config.loading import default
+from edge.core.errors import DataError
+from edge.formats.state_document import read_document as read
+from edge.formats.state_document import write_document as write
+from edge.state.store import StoredValue
+from edge.state.writer import ANSWERS_MAX, StateWriter
+
+
+def writer_at(path: Path, pause_s: float = 0.0, encode: Callable[[Any], Any] = dict) -> StateWriter[Any]:
+    """A writer of a dictionary."""
+    stored = StoredValue(
+        dict, "a test", "its end", lambda settings: path, encode, dict, lambda settings, why: {}, pause_s
+    )
+    return StateWriter(stored, default())
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -27,13 +41,13 @@ def test_nothing_written_is_none(tmp_path: Path) -> None:
 def test_a_broken_file_is_told_with_its_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "state.json"
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(StateFileBroken, match=r"state\.json"):
+    with pytest.raises(DataError, match=r"state\.json"):
         read(path)
 
 
 def test_the_writer_ends_with_the_newest_values(tmp_path: Path) -> None:
     path = tmp_path / "state.json"
-    writer = StateWriter(path)
+    writer = writer_at(path)
     for number in range(50):
         writer.save({"number": number})
     writer.close()
@@ -42,7 +56,7 @@ def test_the_writer_ends_with_the_newest_values(tmp_path: Path) -> None:
 
 def test_a_write_that_fails_is_counted_and_the_next_one_tried(tmp_path: Path) -> None:
     path = tmp_path / "missing" / "state.json"
-    writer = StateWriter(path)
+    writer = writer_at(path)
     writer.save({"number": 1})
     writer.close()
     assert writer.failures == 1
@@ -56,8 +70,8 @@ def test_an_answer_comes_when_the_values_are_on_disk_and_not_before(tmp_path, mo
         may_write.wait(5.0)
         write(path, values)
 
-    monkeypatch.setattr("edge.state.state_file.write", slowly)
-    writer = StateWriter(path)
+    monkeypatch.setattr("edge.state.writer.write_document", slowly)
+    writer = writer_at(path)
     for number in (1, 2, 3):  # one of these is never written; all are answered by a newer one on disk
         writer.save({"number": number}, lambda error: answers.put((error, read(path)["number"])))
     time.sleep(0.05)
@@ -70,9 +84,9 @@ def test_an_answer_comes_when_the_values_are_on_disk_and_not_before(tmp_path, mo
 
 
 def test_a_failed_write_is_answered_with_its_reason_and_tried_again(tmp_path, monkeypatch):
-    monkeypatch.setattr("edge.state.state_file.RETRY_S", 0.02)
+    monkeypatch.setattr("edge.state.writer.RETRY_S", 0.02)
     path, answers = tmp_path / "missing" / "state.json", queue.SimpleQueue()
-    writer = StateWriter(path)
+    writer = writer_at(path)
     writer.save({"number": 1}, answers.put)
     assert "missing" in answers.get(timeout=5.0)
     path.parent.mkdir()
@@ -85,8 +99,8 @@ def test_a_failed_write_is_answered_with_its_reason_and_tried_again(tmp_path, mo
 
 def test_answers_that_wait_for_a_disk_that_hangs_are_bounded_and_each_is_given(tmp_path, monkeypatch):
     may_write = threading.Event()
-    monkeypatch.setattr("edge.state.state_file.write", lambda path, values: may_write.wait(5.0))
-    writer = StateWriter(tmp_path / "state.json")
+    monkeypatch.setattr("edge.state.writer.write_document", lambda path, values: may_write.wait(5.0))
+    writer = writer_at(tmp_path / "state.json")
     answers: list[str] = []
     for n in range(ANSWERS_MAX + 50):
         writer.save({"n": n}, answers.append)
@@ -98,8 +112,8 @@ def test_answers_that_wait_for_a_disk_that_hangs_are_bounded_and_each_is_given(t
 
 def test_a_card_is_spared_and_the_newest_is_written_at_the_end(tmp_path, monkeypatch):
     written: list[int] = []
-    monkeypatch.setattr("edge.state.state_file.write", lambda path, values: written.append(values["n"]))
-    writer = StateWriter(tmp_path / "state.json", pause_s=60.0)
+    monkeypatch.setattr("edge.state.writer.write_document", lambda path, values: written.append(values["n"]))
+    writer = writer_at(tmp_path / "state.json", pause_s=60.0)
     for n in range(50):
         writer.save({"n": n})
         time.sleep(0.002)
@@ -107,3 +121,14 @@ def test_a_card_is_spared_and_the_newest_is_written_at_the_end(tmp_path, monkeyp
     writer.close()
     assert len(written) == 2
     assert written[-1] == 49
+
+
+def test_a_bug_of_a_codec_is_answered_and_the_next_value_is_written(tmp_path: Path) -> None:
+    path, answers = tmp_path / "state.json", queue.SimpleQueue()
+    writer = writer_at(path, encode=lambda value: {"number": 1 / value["number"]})
+    writer.save({"number": 0}, answers.put)
+    assert "division by zero" in answers.get(timeout=5.0)
+    writer.save({"number": 2}, answers.put)
+    assert answers.get(timeout=5.0) == ""
+    writer.close()
+    assert read(path) == {"number": 0.5}

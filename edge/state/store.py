@@ -1,0 +1,145 @@
+"""What survives a restart? The list is SURVIVORS: every value, its file, its owner, how long it is valid.
+
+Two things survive that are not values of the daemon: the history's ticks (edge/storage) and what the board
+latches in its own memory, a stop and its trips, whatever becomes of these files.
+
+Latched trips and a stop have stronger guarantees than the rest. They are saved in the tick that latched them,
+an order is acknowledged only when it is on the disk, a write that failed is reported and tried again, and a
+file that can't be understood starts the rig in emergency stop. Everything else begins anew where its file is
+lost, and may be as old as its row says.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from edge.assistant.llm.budget import Spent
+from edge.bundle.admitted import Admitted
+from edge.bundle.roles import Roles
+from edge.config.settings import Settings
+from edge.core.errors import DataError
+from edge.drift.memory import DriftMemory
+from edge.forecasts.skill import SkillState
+from edge.formats.state_document import read_document
+from edge.safety.memory import SafetyMemory
+from edge.state import codecs
+from edge.state.codecs import StandingState
+from edge.storage.numbers import Reserved
+from edge.tick.orders import Operation
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Survivor:
+    """A value that survives.
+
+    holds : its type; owner : the room that changes it; valid : how long, and what a kill may cost
+    place : its file
+    """
+
+    holds: type
+    owner: str
+    valid: str
+    place: Callable[[Settings], Path]
+
+
+@dataclass(frozen=True)
+class StoredValue(Survivor, Generic[Value]):
+    """A survivor that the daemon restores at its start and saves through edge/state/writer.py.
+
+    otherwise : the value where there is no file (why: "") or one that can't be understood (why: the reason)
+    pause_s : between two writes, to spare a card [s]
+    """
+
+    encode: Callable[[Value], dict[str, Any]]
+    decode: Callable[[dict[str, Any]], Value]
+    otherwise: Callable[[Settings, str], Value]
+    pause_s: float = 0.0
+
+
+def restore(stored: StoredValue[Value], settings: Settings) -> Value:
+    """Return the value of the process before; never raises."""
+    path = stored.place(settings)
+    try:
+        values = read_document(path)
+        return stored.otherwise(settings, "") if values is None else stored.decode(values)
+    except DataError as error:
+        why = str(error)
+    except Exception as error:  # whatever it is: half of a state is never used
+        why = f"{path}: {error!r}"
+    return stored.otherwise(settings, why)
+
+
+def _beside(name: str) -> Callable[[Settings], Path]:
+    return lambda settings: Path(settings.state_file).with_name(name)
+
+
+def _no_orders(settings: Settings, why: str) -> StandingState:
+    """A rig that does not know its orders stands still."""
+    return StandingState(
+        Operation(settings.control.controller, emergency_stop=bool(why)), SafetyMemory(), why
+    )
+
+
+STANDING = StoredValue(
+    StandingState,
+    "tick (orders), safety (latched trips, the water of the last day)",
+    "orders until changed, steering and maintenance to their end, trips until cleared; a kill costs nothing",
+    lambda settings: Path(settings.state_file),
+    codecs.encode_standing,
+    codecs.decode_standing,
+    _no_orders,
+)
+SKILL = StoredValue(
+    SkillState,
+    "forecasts",
+    "each score as long as its predictor has this version; a kill costs an hour",
+    _beside("skill.json"),
+    codecs.encode_skill,
+    codecs.decode_skill,
+    lambda settings, why: SkillState(),
+)
+DRIFT: StoredValue[DriftMemory | None] = StoredValue(
+    DriftMemory,
+    "drift",
+    "as long as the twin is the one of its sha256; a kill costs an hour, never an alarm",
+    _beside("drift.json"),
+    codecs.encode_drift,
+    codecs.decode_drift,
+    lambda settings, why: None,
+)
+LLM_BUDGET = StoredValue(
+    Spent,
+    "assistant",
+    "its UTC day; a kill costs a minute",
+    _beside("llm_budget.json"),
+    codecs.encode_spent,
+    codecs.decode_spent,
+    lambda settings, why: Spent(""),
+    pause_s=60.0,  # five exchanges a step would be five writes
+)
+STORED: tuple[StoredValue[Any], ...] = (STANDING, SKILL, DRIFT, LLM_BUDGET)
+SURVIVORS: tuple[Survivor, ...] = (
+    *STORED,
+    # Written by their owners: the command line changes bundles too, without a daemon.
+    Survivor(
+        Roles,
+        "bundle",
+        "until a bundle is installed, activated, rejected or rolled back; a kill costs nothing",
+        lambda settings: Path(settings.bundle.path) / "roles.json",
+    ),
+    Survivor(
+        Admitted,
+        "bundle",
+        "until the next bundle is installed; a kill costs nothing",
+        lambda settings: Path(settings.bundle.path) / "admitted.json",
+    ),
+    Survivor(
+        Reserved,
+        "storage",
+        "until the next tick numbers are reserved; overwritten in place, also on a full disk",
+        lambda settings: Path(f"{settings.history.path}-numbers"),
+    ),
+)

@@ -1,0 +1,86 @@
+"""The writer of one value that survives a restart.
+
+A small JSON file, not the history database: the file must be there when the database is not. A thread of its
+own encodes and writes, because a slow disk must not hold up control.
+"""
+
+import threading
+from typing import Generic
+
+from edge.config.settings import Settings
+from edge.formats.state_document import write_document
+from edge.state.store import StoredValue, Value
+from edge.tick.rig import Answered
+
+RETRY_S = 10.0  # between two tries to write what a full or read-only disk did not take
+ANSWERS_MAX = 200  # that wait for the disk; more come in a flood only
+
+
+class StateWriter(Generic[Value]):
+    """Writes the newest value in a thread of its own; older ones that wait are dropped.
+
+    A value that could not be written is tried again, so that a disk that recovers holds it.
+    """
+
+    def __init__(self, stored: StoredValue[Value], settings: Settings) -> None:
+        self._path = stored.place(settings)
+        self._stored = stored
+        self._condition = threading.Condition()
+        self._next: Value | None = None
+        self._unwritten: Value | None = None  # by the last try
+        self._answers: list[Answered] = []
+        self._closing = False
+        self.failures = 0  # writes that did not reach the disk
+        self.last_error = ""  # of the newest write, empty when it succeeded
+        self._thread = threading.Thread(target=self._run, name="state-file", daemon=True)
+        self._thread.start()
+
+    def save(self, value: Value, answered: Answered | None = None) -> None:
+        """Hand over a value that nobody changes any more; never waits, never raises.
+
+        answered : called once, in the writer's thread, when this value or a newer one is on disk (file and
+            folder synchronised), or could not be written; behind a disk that hangs the oldest of too many are
+            answered at once, in the caller's thread
+        """
+        oldest = None
+        with self._condition:
+            self._next = value
+            if answered is not None:
+                oldest = self._answers.pop(0) if len(self._answers) == ANSWERS_MAX else None
+                self._answers.append(answered)
+            self._condition.notify()
+        if oldest is not None:
+            oldest("the disk does not answer")
+
+    def close(self) -> None:
+        """Write what waits, then end."""
+        with self._condition:
+            self._closing = True
+            self._condition.notify()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                timeout_s = None if self._unwritten is None else RETRY_S
+                self._condition.wait_for(lambda: self._next is not None or self._closing, timeout_s)
+                if self._next is None and self._closing:
+                    return
+                value = self._unwritten if self._next is None else self._next
+                self._next = None
+                answers, self._answers = self._answers, []
+            if value is not None:
+                self._write(value, answers)
+            with self._condition:
+                self._condition.wait_for(lambda: self._closing, self._stored.pause_s)
+
+    def _write(self, value: Value, answers: list[Answered]) -> None:
+        try:
+            write_document(self._path, self._stored.encode(value))
+        except Exception as error:  # a bug of a codec must not end the thread that saves a stop
+            self.failures += 1
+            self.last_error, self._unwritten = str(error) or repr(error), value
+        else:
+            self.last_error, self._unwritten = "", None
+        for answered in answers:
+            answered(self.last_error)
