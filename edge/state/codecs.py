@@ -35,12 +35,12 @@ class StandingState:
 
 
 def encode_standing(state: StandingState) -> dict[str, Any]:
-    """Orders under "operation", safety's memory under "safety"."""
+    """Return orders under "operation", safety's memory under "safety"."""
     return {"operation": orders_json.to_dict(state.operation), "safety": encode_safety(state.memory)}
 
 
 def decode_standing(values: Mapping[str, Any]) -> StandingState:
-    """Errors: KeyError, TypeError, ValueError"""
+    """Invert `encode_standing`. Errors: KeyError, TypeError, ValueError"""
     operation = orders_json.from_dict(values["operation"])
     if operation.controller not in CONTROLLERS:
         raise ValueError(f"unknown controller {operation.controller!r}")
@@ -48,12 +48,12 @@ def decode_standing(values: Mapping[str, Any]) -> StandingState:
 
 
 def encode_safety(memory: SafetyMemory) -> dict[str, Any]:
-    """What must outlive the process, as JSON values: latched trips and the water of the last day."""
+    """Return latched trips and the water of the last day; the rest of the memory may be lost."""
     return {"trips": list(memory.trips), "doses": [[dose.utc, dose.length_s] for dose in memory.doses]}
 
 
 def decode_safety(values: Mapping[str, Any]) -> SafetyMemory:
-    """Inverse of `encode_safety`. Errors: KeyError, TypeError, ValueError on what it never wrote."""
+    """Invert `encode_safety`. Errors: KeyError, TypeError, ValueError on what it never wrote."""
     trips = values["trips"]
     if not isinstance(trips, list) or not all(isinstance(trip, str) for trip in trips):
         raise ValueError(f"trips: {trips!r}")
@@ -78,7 +78,7 @@ def encode_skill(state: SkillState) -> dict[str, Any]:
 
 
 def decode_skill(values: Mapping[str, Any]) -> SkillState:
-    """Errors: ValueError for anything that `encode_skill` does not write."""
+    """Invert `encode_skill`. Errors: ValueError for anything that it does not write."""
     try:
         pairs = {
             (str(name), int(horizon), str(reference)): ErrorPair(
@@ -114,7 +114,7 @@ def _above_0(value: Any) -> float:
 
 
 def encode_drift(memory: DriftMemory | None) -> dict[str, Any]:
-    """JSON values; numbers that JSON has not become null."""
+    """Return JSON values; numbers that JSON has not become null."""
     assert memory is not None  # there is something to save
     values = asdict(memory)
     values["evidence"] = {
@@ -125,7 +125,7 @@ def encode_drift(memory: DriftMemory | None) -> dict[str, Any]:
 
 
 def decode_drift(values: Mapping[str, Any]) -> DriftMemory:
-    """Errors: ValueError for anything that `encode_drift` does not write."""
+    """Invert `encode_drift`. Errors: ValueError for anything that it does not write."""
     try:
         since_utc, agreeing_s = values["since_utc"], float(values["agreeing_s"])
         given = values["evidence"]
@@ -158,12 +158,12 @@ def _array(values: list[float | None], like: Floats, instead_of_null: float = ma
 
 
 def encode_spent(spent: Spent) -> dict[str, Any]:
-    """A key each."""
+    """Return a key each."""
     return asdict(spent)
 
 
 def decode_spent(values: Mapping[str, Any]) -> Spent:
-    """Errors: KeyError, TypeError, ValueError, OverflowError"""
+    """Invert `encode_spent`. Errors: KeyError, TypeError, ValueError, OverflowError"""
     spent = Spent(str(values["day"]), int(values["tokens"]), float(values["cost"]), int(values["exchanges"]))
     if not (spent.tokens >= 0 and spent.exchanges >= 0 and 0.0 <= spent.cost < math.inf):
         raise ValueError(f"no costs of a day: {spent}")

@@ -1,4 +1,4 @@
-"""What survives a restart? The list is SURVIVORS: every value, its file, its owner, how long it is valid.
+"""The list of what survives a restart, SURVIVORS: every value, its file, its owner, how long it is valid.
 
 Two things survive that are not values of the daemon: the history's ticks (edge/storage) and what the board
 latches in its own memory, a stop and its trips, whatever becomes of these files.
@@ -65,11 +65,9 @@ def restore(stored: StoredValue[Value], settings: Settings) -> Value:
     try:
         values = read_document(path)
         return stored.otherwise(settings, "") if values is None else stored.decode(values)
-    except DataError as error:
-        why = str(error)
     except Exception as error:  # whatever it is: half of a state is never used
-        why = f"{path}: {error!r}"
-    return stored.otherwise(settings, why)
+        why = str(error) if isinstance(error, DataError) else repr(error)
+        return stored.otherwise(settings, why if why.startswith(str(path)) else f"{path}: {why}")
 
 
 def _beside(name: str) -> Callable[[Settings], Path]:
