@@ -1,1 +1,1 @@
-"""Benchmarks; every figure of the README is printed by one of these commands."""
+"""Benchmarks; every figure of the manual is printed by one of these commands."""

@@ -1,4 +1,4 @@
-"""python -m bench: every table of the README, one bench after the other; each table names its command.
+"""python -m bench: every table of the manual, one bench after the other; each table names its command.
 
 Tables are printed and kept in bench/results/. With --quick they are short, prove only that the benches run,
 and go to out/bench/. `python -m bench NAME OPTION ...` gives one bench its own options and keeps nothing.

@@ -1,12 +1,14 @@
-"""python -m bench.example_diagnosis: the walk-through of the README, half a minute.
+"""python -m bench.example_diagnosis: the walk-through of the manual, half a minute.
 
-The repo's example runs diagnosed by the command that the README shows: what it prints, the pictures of its
-report as files of their own, then the new twin in the place of the old one and the same command again.
-With --readme README.md its answer comes into that file anew.
+The repo's example runs diagnosed by the command that docs/whats-missing.md shows: what it prints and the
+pictures of its report as files of their own. Then the new twin takes the place of the old one, and the same
+command runs again. Also the README's picture. With --page docs/whats-missing.md its answer comes into that
+file anew.
 """
 
 import argparse
 import html
+import json
 import re
 import shlex
 import shutil
@@ -17,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from edge.diagnosis.report.page_style import STYLE
+from edge.formats.run_file import read_run
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = Path("docs/examples/diagnosis")
@@ -26,7 +29,7 @@ PICTURES = {
     "diagnosis_gap.svg": "Error of free runs",
 }  # file -> label's begin
 PICTURE = re.compile(r'<svg role="img" aria-label="([^"]*)"(.*?)</svg>', re.DOTALL)
-ANSWER = re.compile(r"(<!-- diagnosis -->\n```\n).*?(```\n)", re.DOTALL)  # in the README
+ANSWER = re.compile(r"(<!-- diagnosis -->\n```\n).*?(```\n)", re.DOTALL)  # in the manual
 SECONDS = re.compile(r"^Took .*\n", re.MULTILINE)
 
 
@@ -48,12 +51,12 @@ def walk(folder: Path) -> str:
     return "\n".join(lines)
 
 
-def with_answer(readme: str, transcript: str) -> str:
-    """The README with what the first command prints. Errors: ValueError where its mark is not there"""
+def with_answer(page: str, transcript: str) -> str:
+    """The page with what the first command prints. Errors: ValueError where its mark is not there"""
     answer = transcript.split("\n$ ")[0].partition("\n")[2].strip() + "\n"
-    if not ANSWER.search(readme):
-        raise ValueError("the README has no block behind <!-- diagnosis -->")
-    return ANSWER.sub(lambda found: found[1] + answer + found[2], readme)
+    if not ANSWER.search(page):
+        raise ValueError("the page has no block behind <!-- diagnosis -->")
+    return ANSWER.sub(lambda found: found[1] + answer + found[2], page)
 
 
 def _run(words: str) -> str:
@@ -73,7 +76,7 @@ def _expanded(word: str) -> list[str]:
 
 
 def standalone(page: str) -> Mapping[str, str]:
-    """The README's pictures of a report, each as an SVG file of its own on white.
+    """The manual's pictures of a report, each as an SVG file of its own on white.
 
     Errors: ValueError where the report lacks one
     """
@@ -99,21 +102,52 @@ def _on_white(label: str, rest: str) -> str:
     return f'{head}{title}<rect width="100%" height="100%" fill="#fff"/>{drawing}</svg>\n'
 
 
+def draw_overview(report: Path, picture: Path) -> None:
+    """Draw the held-out run twice: with the twin as it was, and with the twin of the report."""
+    import matplotlib.pyplot as plt  # late: a report of text alone needs none
+
+    document = json.loads((report / "diagnosis.json").read_text(encoding="utf-8"))
+    names = ", ".join(effect["name"].replace("_", " ") for effect in document["effects"])
+    measured = read_run(ROOT / TEST)
+    time_min = measured.columns["time_s"] / 60.0
+    with plt.rc_context({"svg.hashsalt": "overview", "font.size": 11, "svg.fonttype": "path"}):
+        figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True, layout="constrained")
+        sides = (
+            ("twin_before.yaml", "before", "Before the diagnosis", "#c2500a"),
+            ("twin.yaml", "after", f"After: {names} added", "#0f72b8"),
+        )
+        for axis, (file, when, title, colour) in zip(axes, sides, strict=True):
+            free = report / f"free_{when}.csv"
+            _run(f"greenhouse twin simulate --twin {report / file} {TEST} --out {free}")
+            error_k = document["gap"][when]["test"]["rmse_k"]
+            axis.plot(time_min, measured.columns["temp_air_c"], color="#9aa3ab", lw=5, label="measured")
+            axis.plot(time_min, read_run(free).columns["predicted_c"], color=colour, lw=2, label="twin")
+            axis.set_title(f"{title}\nerror {error_k:.2g} K", loc="left", fontsize=12, fontweight="bold")
+            axis.set_xlabel("time [min]")
+            axis.spines[["top", "right"]].set_visible(False)
+            axis.legend(loc="upper left", frameon=False)
+        axes[0].set_ylabel("air in the greenhouse [°C]")
+        figure.savefig(picture, metadata={"Date": None}, facecolor="white")
+        plt.close(figure)
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """0 when the gap is closed: the second diagnosis finds nothing missing."""
     parser = argparse.ArgumentParser(prog="python -m bench.example_diagnosis", description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "bench/results/example_diagnosis.txt")
     parser.add_argument("--images", type=Path, default=ROOT / "docs/images", help="folder for the pictures")
-    parser.add_argument("--readme", type=Path, help="file whose block is written anew")
+    parser.add_argument("--page", type=Path, help="file whose block is written anew")
     arguments = parser.parse_args(words)
     with tempfile.TemporaryDirectory(prefix="greenhouse-example-") as temporary:
         transcript = walk(Path(temporary))
-        page = (Path(temporary) / "report" / "report.html").read_text(encoding="utf-8")
+        report = Path(temporary) / "report"
+        page = (report / "report.html").read_text(encoding="utf-8")
+        draw_overview(report, arguments.images / "overview.svg")
     print(transcript)
     arguments.out.write_text(transcript, encoding="utf-8")
-    if arguments.readme is not None:
-        text = with_answer(arguments.readme.read_text(encoding="utf-8"), transcript)
-        arguments.readme.write_text(text, encoding="utf-8")
+    if arguments.page is not None:
+        text = with_answer(arguments.page.read_text(encoding="utf-8"), transcript)
+        arguments.page.write_text(text, encoding="utf-8")
     for name, text in standalone(page).items():
         (arguments.images / name).write_text(text, encoding="utf-8")
     return int("Nothing is missing" not in transcript)

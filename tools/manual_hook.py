@@ -15,6 +15,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from tools.printed_tables import TABLES_PAGE, anchor, printed_tables, results
 from tools.reference import PAGES
 
 ROOT = Path(__file__).parent.parent
@@ -27,6 +28,8 @@ ELSEWHERE = {  # page or picture of the manual -> its file in the repository
     "recorded-runs.md": "training/data/README.md",
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
+    "baselines.md": "training/results/control/baselines.md",
+    "findings.md": "training/results/control/findings.md",
     "images/waterfall.png": "training/results/paper_case/waterfall.png",
 }
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
@@ -37,6 +40,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated reference and what stands elsewhere."""
     for name, page in PAGES.items():
         files.append(File.generated(config, f"reference/{name}", content=page()))
+    files.append(File.generated(config, TABLES_PAGE, content=printed_tables()))
     for name, path in ELSEWHERE.items():
         if files.get_file_from_path(name) is None:
             files.append(File.generated(config, name, abs_src_path=str(ROOT / path)))
@@ -50,14 +54,17 @@ def on_page_markdown(markdown: str, page: Page, files: Files, **_: Any) -> str:
 
     def led(found: "re.Match[str]") -> str:
         bang, text, target = found.groups()
-        path, hash_, anchor = target.partition("#")
+        path, hash_, fragment = target.partition("#")
         if not path or "://" in path or path.startswith("mailto:"):
             return found[0]
         file = posixpath.normpath(posixpath.join(posixpath.dirname(origin), path))
-        inside = _manual_path(file, files)
+        if file in results():
+            inside, hash_, anchor_ = TABLES_PAGE, "#", anchor(file)
+        else:
+            inside, anchor_ = _manual_path(file, files), fragment
         if inside is not None:
             away = posixpath.relpath(inside, posixpath.dirname(source) or ".")
-            return f"{bang}[{text}]({away}{hash_}{anchor})"
+            return f"{bang}[{text}]({away}{hash_}{anchor_})"
         if not (ROOT / file).exists():
             log.warning("%s: %s is not in the repository", source, target)
         return text if text.strip("`") == file else f"{text} (`{file}`)"

@@ -29,6 +29,7 @@ from edge.formats.checked import Rule, Section
 from edge.mqtt import commands as mqtt_commands
 from edge.mqtt.topics import Topics
 from edge.storage.schema import MIGRATIONS, migrate
+from edge.tick.faults import FAILURES
 from edge.twin.effects.library import EFFECTS
 from tools import reference_words as words
 
@@ -233,6 +234,18 @@ def _python(folder: str) -> list[Path]:
     return sorted((ROOT / folder).rglob("*.py"))
 
 
+def failures() -> str:
+    """Return what each failure gets, the table that the loop uses."""
+    rows = [(f"`{row.key}`", row.severity.value, row.what, row.answer) for row in FAILURES.values()]
+    lines = [
+        "# Failures",
+        "",
+        "What can go wrong while the daemon runs, and the answer that it gets. The event's",
+    ]
+    lines += ["key is logged while the failure lasts; the key with `.over` behind it when it ends.", ""]
+    return "\n".join([*lines, *table(("event", "severity", "failure", "answer"), rows)])
+
+
 def signals() -> str:
     """Return every signal and actuator with unit, range and symbol."""
     measured = [
@@ -298,6 +311,7 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "topics.md": topics,
     "history.md": history,
     "environment.md": variables,
+    "failures.md": failures,
     "signals.md": signals,
     "effects.md": effects,
 }

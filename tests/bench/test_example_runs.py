@@ -1,4 +1,4 @@
-"""The repo's example runs: what is hidden in them is named, and what the README says of them was printed."""
+"""The repo's example runs: what is hidden in them is named, and what the manual says of them was printed."""
 
 import json
 import re
@@ -22,6 +22,7 @@ from edge.twin.twin_file import read_twin_file
 
 ROOT = Path(__file__).parents[2]
 RUNS = ROOT / EXAMPLE
+PAGE = ROOT / "docs" / "whats-missing.md"
 TRANSCRIPT = ROOT / "bench" / "results" / "example_diagnosis.txt"
 # What is hidden, and what stands in for it best; bench.example_diagnosis tries the whole library.
 CANDIDATES = ("infiltration", "heater_lag", "wall_mass", "soil_mass", "longwave_radiation", "sensor_lag",
@@ -31,7 +32,7 @@ HIDDEN = {place.partition(".")[2] for place in SINCE if place.startswith("effect
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The README's command, without pictures, and with fewer candidates."""
+    """The manual's command, without pictures, and with fewer candidates."""
     few = {name: USUAL_EFFECTS[name] for name in CANDIDATES}
     folder = tmp_path_factory.mktemp("example") / "report"
     train = [str(path) for path in sorted(RUNS.glob("train_*.csv"))]
@@ -80,15 +81,14 @@ def test_a_run_of_the_example_is_as_it_is_recorded(recording: Any) -> None:
     assert not run.columns["heater_duty"][:10].any()  # the rest at its beginning
 
 
-def test_the_readme_shows_the_command_that_is_played_through() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    shown = re.sub(r" \\\n +", " ", readme)
+def test_the_manual_shows_the_command_that_is_played_through() -> None:
+    shown = re.sub(r" \\\n +", " ", PAGE.read_text(encoding="utf-8"))
     assert command(EXAMPLE / "twin.yaml", Path("out/report")) in shown
 
 
-def test_the_readme_shows_what_the_command_printed() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert with_answer(readme, TRANSCRIPT.read_text(encoding="utf-8")) == readme
+def test_the_manual_shows_what_the_command_printed() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert with_answer(page, TRANSCRIPT.read_text(encoding="utf-8")) == page
 
 
 def test_an_answer_replaces_the_one_before() -> None:
@@ -100,7 +100,7 @@ def test_an_answer_replaces_the_one_before() -> None:
         with_answer("a", "$ one\nnew")
 
 
-def test_pictures_of_the_readme_need_no_page(tmp_path: Path) -> None:
+def test_pictures_of_the_manual_need_no_page(tmp_path: Path) -> None:
     write_report(tmp_path, named_story())
     page = (tmp_path / PAGE_NAME).read_text(encoding="utf-8").replace("test_01.csv", "test_1.csv")
     for text in standalone(page).values():

@@ -8,7 +8,7 @@ from edge.safety.relay_proof import BUSY_SHARE, EVERY_S, LONGEST_S, PASSED_K, Re
 from edge.safety.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Observation, ThermalMemory, look
 
 STEP_S = 60.0
-THREE_HOURS_S = 10800.0  # as the README promises
+THREE_HOURS_S = 10800.0  # as docs/safety.md promises
 BUSY = RelayProof(since_s=EVERY_S - STEP_S, heated_s=3000.0, fanned_s=3000.0)
 RUNNING = RelayProof(since_s=EVERY_S, running_s=0.0, highest_c=26.0)
 

@@ -1,0 +1,232 @@
+"""Code of the manual and the README: what a reader types runs, or at least its command and options exist.
+
+A fence without a title runs, in the order of its page, in an empty folder. So does Python whose title is the
+name of a file, from that file. Any other title says where or when the code is typed. Such code is
+only parsed: commands and options by the program's own parsers, modules and files by name.
+"""
+
+import importlib.util
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+import edge.__main__ as greenhouse
+import training.__main__ as greenhouse_train
+from bench.support.daemon_process import ROOT
+from edge.config import loading
+from edge.twin.twin_file import read_twin_file
+from tools import reference
+
+DOCS = ROOT / "docs"
+PAGES_BY_HAND = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+FENCE = re.compile(r'^```(\w+)(?: title="([^"]*)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+IN_A_LINE = re.compile(r"`((?:greenhouse|greenhouse-train|python -m|make) [^`]+)`")
+LEAVE = "leave it running"
+SHELL = {"sh", "bash"}
+# Programs of the system, and of other projects, whose options are not ours to check.
+OTHERS = {
+    *("sudo", "cp", "cd", "git", "pip", "systemctl", "journalctl", "ls", "adduser", "apt", ".", "sh", "rm"),
+    *(
+        ".venv/bin/pip",
+        "python",
+        "python3",
+        "avr-gcc",
+        "avrdude",
+        "mosquitto_sub",
+        "mosquitto_pub",
+        "sqlite3",
+    ),
+}
+TIME_MAX_S = 60.0
+
+
+@dataclass(frozen=True)
+class CodeBlock:
+    page: Path
+    language: str
+    title: str
+    code: str
+
+    @property
+    def lines(self) -> list[list[str]]:
+        """Words of each command."""
+        whole = self.code.replace("\\\n", " ").splitlines()
+        return [words for line in whole if (words := shlex.split(line, comments=True))]
+
+
+def blocks(page: Path) -> list[CodeBlock]:
+    return [CodeBlock(page, *found) for found in FENCE.findall(page.read_text(encoding="utf-8"))]
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+ALL = [block for page in PAGES_BY_HAND for block in blocks(page)]
+PARSED = [block for block in ALL if block.language in SHELL and block.title]
+RUN = [
+    page
+    for page in PAGES_BY_HAND
+    if any(b.language in {*SHELL, "python"} and not b.title for b in blocks(page))
+]
+
+
+@contextmanager
+def programs(folder: Path) -> Iterator[dict[str, str]]:
+    """An environment in which `greenhouse` and `python` are this checkout's, with a folder for its demos."""
+    own = {"greenhouse": "-m edge", "greenhouse-train": "-m training", "python": "", "python3": ""}
+    for bin_ in (folder / "bin", folder / "reader" / ".venv" / "bin"):
+        bin_.mkdir(parents=True)
+        for name, module in own.items():
+            (bin_ / name).write_text(f'#!/bin/sh\nexec {sys.executable} {module} "$@"\n')
+            (bin_ / name).chmod(0o755)
+    (folder / "tmp").mkdir()
+    yield {
+        **os.environ,
+        "PATH": f"{folder / 'bin'}:{os.environ['PATH']}",
+        "PYTHONPATH": str(ROOT),
+        "TMPDIR": str(folder / "tmp"),
+    }
+
+
+@pytest.fixture
+def short_path() -> Iterator[Path]:
+    """A folder whose path leaves room for a socket's name."""
+    with tempfile.TemporaryDirectory(prefix="gh-") as folder:
+        yield Path(folder)
+
+
+@pytest.mark.parametrize("page", RUN, ids=name_of)
+def test_the_code_of_a_page_runs(page: Path, short_path: Path) -> None:
+    place = short_path / "reader"
+    shutil.copytree(DOCS / "examples", place / "docs" / "examples")
+    with programs(short_path) as environment, ExitStack() as running:
+        for block in blocks(page):
+            if LEAVE in block.title:
+                running.enter_context(left_running(block, place, environment))
+            elif block.language in SHELL and not block.title:
+                succeed(["bash", "-e", "-c", block.code], place, environment)
+            elif block.language == "python" and (not block.title or block.title.endswith(".py")):
+                (place / (block.title or "code.py")).write_text(block.code, encoding="utf-8")
+                succeed(["python", block.title or "code.py"], place, environment)
+
+
+def succeed(command: list[str], place: Path, environment: dict[str, str]) -> None:
+    done = subprocess.run(
+        command, cwd=place, env=environment, capture_output=True, text=True, timeout=TIME_MAX_S, check=False
+    )
+    assert done.returncode == 0, f"{command[-1]}\n{done.stdout}{done.stderr}"
+
+
+@contextmanager
+def left_running(block: CodeBlock, place: Path, environment: dict[str, str]) -> Iterator[None]:
+    """A command of the first terminal, from its first line of output until the page ends."""
+    with subprocess.Popen(
+        ["bash", "-c", f"exec {block.code}"], cwd=place, env=environment, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert "tick" in "".join(process.stdout.readline() for _ in range(3))
+            yield
+        finally:
+            process.terminate()
+
+
+@pytest.mark.parametrize("block", PARSED, ids=lambda block: f"{name_of(block.page)}: {block.title}")
+def test_code_that_is_not_run_names_what_there_is(block: CodeBlock) -> None:
+    for words in block.lines:
+        check(words)
+
+
+def check(words: list[str]) -> None:
+    """Fail where a command, an option, a module, a target or a file does not exist."""
+    while words[0] == "sudo" or re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+        words = words[1:]
+    for operator in ("&&", "|", ">"):
+        if operator in words:
+            at = words.index(operator)
+            if operator != ">":
+                check(words[at + 1 :])
+            words = words[:at]
+    program, rest = words[0].removeprefix(".venv/bin/"), words[1:]
+    if program in PARSERS:
+        PARSERS[program](rest)
+    elif program == "make":
+        targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        assert {word for word in rest if "=" not in word} <= set(targets), words
+    elif program in ("python", "python3") and rest[0] == "-m":
+        check_module(rest[1], rest[2:])
+    elif program == "sh":
+        assert (ROOT / rest[0]).exists(), words
+    else:
+        assert program in OTHERS, f"{program}: add it to OTHERS where it is not a command of this project"
+
+
+def check_module(module: str, rest: list[str]) -> None:
+    """Fail where the module is missing, or an option is in none of its files."""
+    found = importlib.util.find_spec(module)
+    assert found is not None and found.origin is not None, module
+    if module.partition(".")[0] not in ("edge", "training", "bench", "firmware_protocol", "tools"):
+        return
+    if module == "bench" and rest and not rest[0].startswith("-"):
+        check_module(f"bench.{rest[0]}", rest[1:])
+        return
+    own = Path(found.origin)
+    files = own.parent.rglob("*.py") if own.name == "__init__.py" else [own]
+    source = "".join(path.read_text(encoding="utf-8") for path in files)
+    for option in (word.partition("=")[0] for word in rest if word.startswith("--")):
+        assert f'"{option}"' in source, f"{module} has no {option}"
+
+
+def parse_greenhouse(words: list[str]) -> None:
+    command = next((word for word in words if not word.startswith("-")), None)
+    greenhouse.parser_for(command).parse_args(words)
+
+
+def parse_training(words: list[str]) -> None:
+    greenhouse_train._parser().parse_args(words)
+
+
+PARSERS: dict[str, Callable[[list[str]], None]] = {
+    "greenhouse": parse_greenhouse,
+    "greenhouse-train": parse_training,
+}
+
+
+@pytest.mark.parametrize("page", PAGES_BY_HAND, ids=name_of)
+def test_commands_within_a_line_exist(page: Path) -> None:
+    for command in IN_A_LINE.findall(page.read_text(encoding="utf-8")):
+        check_loosely(shlex.split(command))
+
+
+def check_loosely(words: list[str]) -> None:
+    """The same for a command whose arguments are words such as FILE, or are left out."""
+    if words[0] in PARSERS:
+        help_ = reference.help_of(words)
+        for option in (word.partition("=")[0] for word in words if word.startswith("--")):
+            assert option in help_, f"{words}: no {option}"
+    else:
+        check(words)
+
+
+@pytest.mark.parametrize(
+    "block", [b for b in ALL if b.language == "yaml"], ids=lambda block: name_of(block.page)
+)
+def test_yaml_is_a_twin_file_or_settings(block: CodeBlock, tmp_path: Path) -> None:
+    values = yaml.safe_load(block.code)
+    if "effects" in values:
+        (tmp_path / "twin.yaml").write_text(block.code, encoding="utf-8")
+        read_twin_file(tmp_path / "twin.yaml")
+    else:
+        loading.parse(block.code, block.title)
