@@ -15,11 +15,13 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 from edge.formats.atomic_file import write_atomically
-from edge.formats.input_file import read_file
-from edge.formats.strict_json import parse_object
+from edge.formats.checked import Rule
+from edge.formats.reader import parse_json, read, read_bytes, read_json
 
 GREENHOUSE = (sys.executable, "-m", "edge")
 REQUEST, ANSWER = "request", "answer"
@@ -27,6 +29,22 @@ START_MAX_S = 120.0  # for systemd to take up a request, on a busy single-board 
 END_MAX_S = 60.0  # for an answer after the time that the request allows
 LOOK_S = 0.5
 LATE = "late"  # instead of an exit code
+
+
+@dataclass(frozen=True, slots=True)
+class UnitRequest:
+    """The file through which the daemon asks."""
+
+    words: Annotated[tuple[str, ...], Rule(least=1)]
+    log: str
+    patience_s: Annotated[float, Rule(above=0.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitAnswer:
+    """The file through which the unit answers: an exit code, or LATE."""
+
+    code: Any
 
 
 class NoUnit(Exception):
@@ -40,7 +58,7 @@ def ask(
 
     is_over : the daemon ends, and the unit with it
     Returns : its exit code, below 0 the signal that ended it; LATE
-    Errors : NoUnit; OSError and ValueError of an answer that can't be read
+    Errors : NoUnit; DataError of an answer that can't be read
     """
     folder.mkdir(parents=True, exist_ok=True)
     request, answer = folder / REQUEST, folder / ANSWER
@@ -54,18 +72,18 @@ def ask(
     except NoUnit:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    code = parse_object(read_file(answer)).get("code")
+    code = read_json(UnitAnswer, answer).code
     return code if isinstance(code, int) else LATE
 
 
 def serve(folder: Path, program: Sequence[str] = GREENHOUSE) -> int:
     """Take the request and run it; whatever way the command ends, an answer says how."""
-    request = parse_object(read_file(folder / REQUEST))
+    content = read_bytes(folder / REQUEST)
     (folder / REQUEST).unlink()  # first of all: while it is there the path unit starts this again
     code: int | str = 1
     try:
-        command, log = [*program, *map(str, request["words"])], Path(request["log"])
-        code = _run(command, log, float(request["patience_s"]), folder)
+        request = read(UnitRequest, parse_json(content))
+        code = _run([*program, *request.words], Path(request.log), request.patience_s, folder)
     finally:
         if folder.exists():
             write_atomically(folder / ANSWER, json.dumps({"code": code}))

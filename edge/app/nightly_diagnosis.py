@@ -17,14 +17,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, time, tzinfo
 from pathlib import Path
-from typing import Any
 
 from edge.app.diagnosis_request import GREENHOUSE, LATE, NoUnit, ask
 from edge.config.settings import DriftSettings
 from edge.core.clock import Clock
 from edge.core.messages import DriftState, Event, Severity, TickRecord
-from edge.formats.input_file import read_file
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import DocumentError, Foreign, read_json
 from edge.tick.reference import seconds_of_day
 
 LATE_MAX_S = 3600.0  # a night whose hour went by while the rig was off, or its clock wrong, is left out
@@ -146,9 +144,9 @@ class NightlyDiagnosis:
             twin,
         )
         self._call(("diagnose", *given, "--out", report), report / LOG, 60.0 * settings.diagnose_max_min)
-        found = _diagnosis(report / "diagnosis.json")
+        found = _findings(report / "diagnosis.json")
         self._tell("diagnosis.done", f"{_in_words(found)}; report: {report}")
-        if found.get("twin_after") and settings.adopt in _HOW:
+        if found.twin_after and settings.adopt in _HOW:
             self._adopt(report)
 
     def _adopt(self, report: Path) -> None:
@@ -198,6 +196,23 @@ class NightlyDiagnosis:
         self._told.append((key, severity, text))
 
 
+@dataclass(frozen=True, slots=True)
+class FoundEffect(Foreign):
+    """Part of diagnosis.json."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Findings(Foreign):
+    """Part of diagnosis.json: what is reported in one sentence."""
+
+    verdict: str = ""
+    effects: tuple[FoundEffect, ...] = ()
+    depends_on: tuple[str, ...] = ()
+    twin_after: str | None = None
+
+
 class _Failed(Exception):
     """A diagnosis that came to no end; the text is for people."""
 
@@ -226,21 +241,20 @@ def _kill(process: "subprocess.Popen[bytes]") -> None:
         os.killpg(process.pid, signal.SIGKILL)
 
 
-def _diagnosis(path: Path) -> dict[str, Any]:
+def _findings(path: Path) -> Findings:
     """Errors: _Failed"""
     try:
-        return parse_object(read_file(path))
-    except (OSError, ValueError) as error:
-        raise _Failed(f"{path}: {error}") from error
+        return read_json(Findings, path)
+    except DocumentError as error:
+        raise _Failed(str(error)) from error
 
 
-def _in_words(found: Mapping[str, Any]) -> str:
-    names = [str(effect.get("name")) for effect in found.get("effects") or ()]
-    if names:
-        return f"the diagnosis names {', '.join(names)}"
-    if found.get("verdict") == "nothing_missing":
+def _in_words(found: Findings) -> str:
+    if found.effects:
+        return f"the diagnosis names {', '.join(effect.name for effect in found.effects)}"
+    if found.verdict == "nothing_missing":
         return "the diagnosis finds nothing missing in the twin"
-    on = ", ".join(map(str, found.get("depends_on") or ())) or "nothing it knows"
+    on = ", ".join(found.depends_on) or "nothing it knows"
     return f"the diagnosis finds no name for what is missing; it depends on {on}"
 
 

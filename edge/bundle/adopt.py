@@ -15,8 +15,7 @@ from edge.bundle.sign import ManifestFacts, sign_folder
 from edge.bundle.store import BundleStore
 from edge.core.errors import DataError, RequestError
 from edge.core.version import __version__
-from edge.formats.input_file import read_file
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import parse_json, read_bytes
 from edge.models.pbm import read_twin
 from edge.twin.twin_file import TwinFile, read_twin_file
 
@@ -90,7 +89,7 @@ def _data_sha256(file: TwinFile, before: Manifest) -> str:
 def _note(path: Path, adopted: dict[str, Any]) -> None:
     """Say it in the report of the models, where there is one."""
     try:
-        report = parse_object(read_file(path))
-    except (OSError, ValueError):
+        report = parse_json(read_bytes(path))
+    except DataError:
         report = {}
     path.write_text(json.dumps({**report, "adopted_twin": adopted}, indent=1) + "\n", encoding="utf-8")

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-
-from yaml import YAMLError
+from typing import Any
 
 from edge.app.experiment import ROLES, Experiment, describe_changes, run_experiment
 from edge.board.sim_clock import SimClock
@@ -20,10 +19,9 @@ from edge.controllers.input_profile import InputProfile
 from edge.core.clock import Clock, RealClock
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
-from edge.formats.input_file import YAML, read_text
 from edge.formats.profile_file import Profile, read_profile
+from edge.formats.reader import read_yaml
 from edge.formats.run_file import RecordedRun, absence_facts, write_run
-from edge.formats.strict_yaml import parse_yaml
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
 HISTORY_FACTS = ("history_id", "first_seq", "last_seq")  # mean nothing where no history is kept
@@ -134,12 +132,7 @@ def _rig(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
 
 def _check_chamber(path: Path) -> None:
     """Refuse here what the virtual board's process would hang or end on. Errors: DataError."""
-    try:
-        parse_yaml(read_text(path, YAML))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
-    except YAMLError as error:
-        raise DataError(f"{path}: not YAML: {error}") from error
+    read_yaml(dict[str, Any], path)
 
 
 def _virtual_facts(arguments: argparse.Namespace) -> dict[str, str]:

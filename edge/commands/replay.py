@@ -20,8 +20,8 @@ from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.messages import TickRecord
 from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import TABLE, read_text
+from edge.formats.reader import DocumentError, parse_json
 from edge.formats.run_file import read_run
-from edge.formats.strict_json import parse_object
 from edge.formats.tick_json import tick_json
 from edge.models.arx_file import DEFAULT_PATH, read_arx
 from edge.models.pbm import read_twin
@@ -134,8 +134,8 @@ def _horizons(text: str) -> tuple[float, ...]:
 
 def _read(path: Path) -> list[dict[str, Any]]:
     try:
-        return [parse_object(line) for line in read_text(path, TABLE).splitlines()]
-    except (OSError, ValueError) as error:
+        return [parse_json(line) for line in read_text(path, TABLE).splitlines()]
+    except (OSError, DocumentError) as error:
         raise DataError(f"{path}: no ticks of an earlier replay: {error}") from error
 
 

@@ -9,9 +9,10 @@ trusted keys. Without a rig, --to replaces a twin file and keeps the one before.
 import argparse
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 from edge.bundle.adopt import Adopted, is_adopted, with_twin
 from edge.bundle.archive import open_archive, pack
@@ -23,8 +24,9 @@ from edge.core.errors import DataError, RequestError
 from edge.core.names import SIGNALS
 from edge.core.plain_text import plain, shown
 from edge.formats.atomic_file import write_atomically
-from edge.formats.input_file import MODEL, read_file
-from edge.formats.strict_json import parse_object
+from edge.formats.checked import Rule
+from edge.formats.input_file import MODEL
+from edge.formats.reader import Foreign, read_json
 from edge.models.pbm import read_twin
 
 DIAGNOSIS, TWIN = "diagnosis.json", "twin.yaml"
@@ -65,31 +67,32 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+@dataclass(frozen=True, slots=True)
+class ReportedTwin(Foreign):
+    """Part of diagnosis.json: the twin's file and why it may not be used."""
+
+    twin_after: Annotated[str, Rule(pattern=FILE_NAME.pattern)] | None = TWIN
+    against_adopting: tuple[str, ...] = ()
+    verdict: str = ""
+
+
 def reported_twin(report: Path) -> Path:
     """Return the twin file of a report. Errors: DataError where none is there, or nothing was found"""
     if report.is_file():
         read_twin(report)
         return report
-    document = _diagnosis(report / DIAGNOSIS)
-    name = document.get("twin_after", TWIN)
+    if not (report / DIAGNOSIS).exists():
+        raise DataError(f"{report / DIAGNOSIS}: does not exist: is this the folder of a diagnosis?")
+    found = read_json(ReportedTwin, report / DIAGNOSIS, MODEL)
+    name = found.twin_after
     if name is None:
-        why = document.get("against_adopting") or [f"the verdict is {document.get('verdict')}"]
-        raise DataError(f"{report / DIAGNOSIS}: there is no twin to adopt: {plain(str(why[0]), 200)}")
-    if not (isinstance(name, str) and FILE_NAME.fullmatch(name) and (report / name).is_file()):
+        why = [*found.against_adopting, f"the verdict is {found.verdict}"][0]
+        raise DataError(f"{report / DIAGNOSIS}: there is no twin to adopt: {plain(why, 200)}")
+    if not (report / name).is_file():
         raise DataError(f"{report / DIAGNOSIS}: twin_after: {shown(name)} is not a file of the report")
     twin = report / name
     read_twin(twin)
     return twin
-
-
-def _diagnosis(path: Path) -> dict[str, Any]:
-    """Return the diagnosis of a report. Errors: DataError"""
-    try:
-        return parse_object(read_file(path, MODEL))
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}: is this the folder of a diagnosis?") from error
-    except ValueError as error:
-        raise DataError(f"{path}: not JSON: {error}") from error
 
 
 def _adopt(twin: Path, arguments: argparse.Namespace) -> None:

@@ -270,7 +270,10 @@ def from_sections(sections: Mapping[str, Mapping[str, Any]], place: str) -> Cham
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
-    raw = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    try:
+        raw = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except (RecursionError, yaml.YAMLError) as error:
+        raise ValueError(f"{path.name}: {error}") from error
     if not isinstance(raw, dict) or not all(isinstance(section, dict) for section in raw.values()):
         raise ValueError(f"{path.name}: not a mapping of sections")
     return {name: {key: _bare(value) for key, value in section.items()} for name, section in raw.items()}

@@ -74,7 +74,7 @@ class BoardControlSocket:
     def _reply(self, line: bytes, client: ControlClient) -> Mapping[str, Any]:
         try:
             request = json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return {"error": f"not JSON: {error}"}
         if not isinstance(request, dict):
             return {"error": "a request is a JSON object"}

@@ -41,7 +41,7 @@ def read_script(path: Path, seed: int) -> list[BoardFault]:
     """Read the faults of a YAML list. Errors: FaultError with file and number of the fault"""
     try:
         script = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError) as error:
         raise FaultError(f"{path}: {error}") from error
     if not isinstance(script, list):
         raise FaultError(f"{path}: a fault script is a list of faults")

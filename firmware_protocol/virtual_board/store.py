@@ -35,7 +35,7 @@ class Eeprom:
             state = json.loads(path.read_text())
             self.persistent = bytes.fromhex(state["persistent"])
             self.boot_count = int(state["boot_count"])
-        except (OSError, ValueError, TypeError, KeyError) as error:
+        except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise StoreError(f"{path}: no state of a virtual board: {error!r}") from error
 
     def _save(self) -> None:

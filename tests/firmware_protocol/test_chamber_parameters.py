@@ -58,6 +58,8 @@ def test_an_empty_file_is_the_default(tmp_path):
         ("heater: {efficiency: 1.01}", r"box\.yaml\.heater\.efficiency: 1\.01 is outside 0\.\.1"),
         ("box: {heater_zone_share: 1}", r"box\.yaml\.box\.heater_zone_share: 1 is outside 0\.05\.\.0\.95"),
         ("room: 3", r"box\.yaml: not a mapping of sections"),
+        ("[" * 5000, r"box\.yaml: maximum recursion depth"),
+        ("room: {", r"box\.yaml: while parsing"),
         ("- room", r"box\.yaml: not a mapping of sections"),
         ("room: {temp_c: {value: 20}}\nroom2: {}", r"unknown key 'room2'"),
     ],

@@ -139,6 +139,7 @@ def test_bytes_the_host_claims_but_never_wrote_are_an_error(tmp_path):
         (b"{}", "one of"),
         (b"[]", "a JSON object"),
         (b"advance", "not JSON"),
+        (b"[" * 50_000, "not JSON"),
         (b'{"advance": 1}', "nearest known: 'advance_to_s'"),
         (b'{"advance_to_s": 1, "host_byte": 0}', "nearest known: 'host_bytes'"),
         (b'{"advance_to_s": 1, "truth": true}', "one of"),
@@ -220,6 +221,9 @@ def test_a_wrong_script_state_or_chamber_is_refused_with_its_place(tmp_path):
         tmp_path, "--faults", str(wrong)
     )
     assert "wrong.yaml: no state of a virtual board" in refused(tmp_path, "--state", str(wrong))
+    wrong.write_text("[" * 50_000)
+    for option in ("--faults", "--state", "--chamber"):
+        assert "wrong.yaml: " in refused(tmp_path, option, str(wrong))
     wrong.write_text("heater: {pover_w: 100}\n")
     assert "pover_w" in refused(tmp_path, "--chamber", str(wrong))
     assert not os.path.lexists(tmp_path / "port") and not (tmp_path / "control").exists()

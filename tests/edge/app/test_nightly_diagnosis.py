@@ -196,8 +196,14 @@ def test_where_it_names_nothing_nothing_is_adopted(tmp_path, found, words):
         ("", "diagnosis.json"),
         ("(Path(words[-1]) / 'diagnosis.json').write_text('[]')", "not a JSON object"),
         ("(Path(words[-1]) / 'diagnosis.json').write_text('{')", "diagnosis.json"),
-        ("(Path(words[-1]) / 'diagnosis.json').write_text('[' * 100_000)", "diagnosis.json: nested too deep"),
-        ("os.mkfifo(Path(words[-1]) / 'diagnosis.json')", "diagnosis.json: [Errno 22] not a regular file"),
+        (
+            "(Path(words[-1]) / 'diagnosis.json').write_text('[' * 100_000)",
+            "diagnosis.json: not JSON: nested too deep",
+        ),
+        (
+            "os.mkfifo(Path(words[-1]) / 'diagnosis.json')",
+            "diagnosis.json: cannot be read: not a regular file",
+        ),
         ("os.kill(os.getpid(), 9)", "ended with -9: it needed more memory than it may have"),
         ("bytearray(1 << 30)", "it needed more memory than it may have; MemoryError"),
     ],
