@@ -7,11 +7,11 @@ what that plan leaves.
 import argparse
 from dataclasses import replace
 
+from edge.formats.table import Table
 from training.control.clairvoyant import KIND_K, WIDTH, best_plan
 from training.control.draw_references import FOLDER
 from training.control.job import ComparisonJob, course_of, fresh_chamber
 from training.control.rig import entries
-from training.reports.report_table import Table, as_text
 
 LIMITS = [name for name, entry in entries().items() if entry.clairvoyant is not None]
 HEADS = ("reference", "limit", "seed", "cost", "twice the beam", "changes it by")
@@ -33,9 +33,7 @@ def main() -> None:
         for limit in told.limits
     ]
     print(
-        "\n".join(
-            as_text(Table("The clairvoyant optimum", HEADS, tuple(rows), "Costs as in the comparison."))
-        )
+        "\n".join(Table("The clairvoyant optimum", HEADS, tuple(rows), "Costs as in the comparison.").text())
     )
 
 

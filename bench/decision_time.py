@@ -8,12 +8,12 @@ a scripted stand-in answers at once.
 import argparse
 
 from edge.config.settings import LlmSettings
+from edge.formats.table import Table
 from training.control.comparison import STAND_IN_MODEL
 from training.control.figures import decision_time
 from training.control.job import ComparisonJob, run
 from training.control.rig import SPARING, entries
 from training.llm_stand_in.server import StandIn
-from training.reports.report_table import Table, as_text
 
 PEER = "MPC-BFGS"
 REFERENCE, SEED = "tuning_1", 101
@@ -37,7 +37,7 @@ def main() -> None:
         (name, f"{one.median_ms:.2f}", f"{one.p99_ms:.1f}", f"{one.median_ms / peer_ms:.3g}")
         for name, one in found.items()
     )
-    print("\n".join(as_text(Table("Decision time", HEADS, rows, f"{REFERENCE}, board {SEED}."))))
+    print("\n".join(Table("Decision time", HEADS, rows, f"{REFERENCE}, board {SEED}.").text()))
 
 
 if __name__ == "__main__":

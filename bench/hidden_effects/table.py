@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from bench.hidden_effects.run_cases import OURS
 from bench.hidden_effects.score_truth import add_place
+from edge.formats.table import Table
 
 Document = Mapping[str, Any]
 Rows = list[list[str]]
@@ -79,15 +80,15 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def text(content: Document) -> str:
     """All tables, columns aligned."""
-    return "\n\n".join(f"{title}\n{_aligned(rows)}" for title, rows in _tables(content)) + "\n"
+    return "\n".join(line for table in _tables(content) for line in table.text())
 
 
 def markdown(content: Document) -> str:
     """All tables as Markdown has them."""
-    return "\n\n".join(f"**{title}**\n\n{_piped(rows)}" for title, rows in _tables(content)) + "\n"
+    return "\n\n".join("\n".join(table.markdown()) for table in _tables(content)) + "\n"
 
 
-def _tables(content: Document) -> list[tuple[str, Rows]]:
+def _tables(content: Document) -> list[Table]:
     title = f"{content['suite']}, {content['split']}: {content['cases']} cases, shares with 95 % intervals"
     tables = [(title, _figures(content))]
     for name, own in content["solvers"].items():
@@ -96,7 +97,11 @@ def _tables(content: Document) -> list[tuple[str, Rows]]:
                 ("By kind", _kinds(own)),
                 ("By effect: first name right, or unknown said", _effects(own)),
             ]
-    return [(name, rows) for name, rows in tables if len(rows) > 1]
+    return [
+        Table(name, tuple(rows[0]), tuple(map(tuple, rows[1:])), words=True)
+        for name, rows in tables
+        if len(rows) > 1
+    ]
 
 
 def _figures(content: Document) -> Rows:
@@ -138,15 +143,3 @@ def _figure(found: Any) -> str:
 
 def _value(found: Any) -> float | None:
     return found["value"] if isinstance(found, Mapping) else found
-
-
-def _aligned(rows: Rows) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-             for row in rows]  # fmt: skip
-    return "\n".join(lines)
-
-
-def _piped(rows: Rows) -> str:
-    lines = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])

@@ -33,6 +33,7 @@ from edge.diagnosis.report.summary import summary_text
 from edge.diagnosis.runs import NamedRun, diagnosis_runs
 from edge.formats import run_file
 from edge.formats.run_file import OPTION_WITHOUT, REQUIRED, absence_facts
+from edge.formats.table import Table
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 
 Floats = NDArray[np.float64]
@@ -184,8 +185,5 @@ def _silent(_: str, __: float) -> None:
     """Nothing is told."""
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def line(cells: Sequence[str], tag: str) -> str:
-        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
-
-    return f"<table>{line(heads, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
+def _table(heads: tuple[str, ...], rows: Sequence[Sequence[str]]) -> str:
+    return "".join(Table("", heads, tuple(map(tuple, rows))).html())

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from edge.config.settings import LlmSettings
 from edge.core.errors import DataError
+from edge.formats.table import Table
 from training.control.comparison import STAND_IN_MODEL, RunResult, references_of, result, table, times_table
 from training.control.energy import energy_picture, energy_tables
 from training.control.figures import DecisionTime, decision_time
@@ -35,7 +36,6 @@ from training.control.pictures import bars_picture, runs_picture
 from training.control.rig import SPARING, entries
 from training.llm_stand_in.server import StandIn
 from training.reports.comparison_report import put_section, read_findings, words_as_html
-from training.reports.report_table import Table, as_html, as_text
 
 COMMAND = "greenhouse-train compare"
 DRAWN = {  # picture -> controllers side by side, those that have run
@@ -118,9 +118,9 @@ def _write(
     folder: Path = arguments.results
     for place in (folder, arguments.images):
         place.mkdir(parents=True, exist_ok=True)
-    print("\n".join(as_text(times_table(times))))
+    print("\n".join(times_table(times).text()))
     (folder / TIMES_FILE).write_text(times_json(times), encoding="utf-8")
-    (folder / "times.txt").write_text("\n".join(as_text(times_table(times))), encoding="utf-8")
+    (folder / "times.txt").write_text("\n".join(times_table(times).text()), encoding="utf-8")
     (folder / FIGURES_FILE).write_text(json_of(results), encoding="utf-8")
     (folder / "comparison.txt").write_text(text_of(results, names), encoding="utf-8")
     made = section(results, names, pictures, read_findings(folder))
@@ -139,7 +139,7 @@ def _check(results: Sequence[RunResult], kept: Sequence[RunResult], tolerance: f
 
 def text_of(results: Sequence[RunResult], names: Sequence[str]) -> str:
     """The tables."""
-    lines = [line for each in _tables(results, names) for line in as_text(each)]
+    lines = [line for each in _tables(results, names) for line in each.text()]
     return "\n".join([COMMAND, "", *lines]) + "\n"
 
 
@@ -157,7 +157,7 @@ def _section(
     yield f"<p>Made by <code>{COMMAND}</code>: the whole daemon with each controller, the same rooms.</p>"
     yield from words_as_html(findings)
     for each in _tables(results, names):
-        yield from as_html(each)
+        yield from each.html()
     for name, content in pictures.items():
         data = base64.b64encode(content).decode("ascii")
         yield f'<p><img alt="{escape(name)}" src="data:image/png;base64,{data}"></p>'

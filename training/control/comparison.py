@@ -4,13 +4,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from edge.core.controller_names import LLM
+from edge.formats.table import Table
 from training.control.closed_loop import ClosedLoopLog
 from training.control.figures import DecisionTime, Figures, figures
 from training.control.job import ComparisonJob
 from training.control.rig import entries
 from training.control.spread import Mean, mean_of, ratio
 from training.llm_stand_in import MODEL as STAND_IN
-from training.reports.report_table import Table
 
 LIMITS = {"": "clairvoyant", "-P": "clairvoyant-P"}
 STAND_IN_MODEL = "stand-in"  # its name as `llm.model`

@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from edge.formats.table import Table
 from training.control.comparison import Results, column, seeds_of, spread_text
 from training.control.pictures import png
 from training.control.rig import SPARING
 from training.control.spread import mean_of
-from training.reports.report_table import Table
 
 Floats = NDArray[np.float64]
 OURS = ("MPC-Twin", "MPC-Twin-P", *SPARING)

@@ -20,12 +20,12 @@ from edge.core.controller import Context, Controller, ControlLimits
 from edge.core.messages import Command, Estimate
 from edge.core.names import HEATER_LEVELS
 from edge.formats.profile_file import read_profile
+from edge.formats.table import Table
 from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.chamber_rows import BoxStates, ChamberRows
 from training.control.clairvoyant import COARSE_S, relay_share
 from training.control.draw_references import FOLDER
-from training.reports.report_table import Table, as_text
 
 Floats = NDArray[np.float64]
 Setting = tuple[float, ...]
@@ -128,7 +128,7 @@ def main() -> None:
     shown = [*found[:BEST], next(one for one in found if one[1] == grid.shipped)]
     rows = tuple((f"{cost:.0f}", *(f"{value:g}" for value in setting)) for cost, setting in shown)
     note = "The last line is the setting in use."
-    print("\n".join(as_text(Table("Settings", ("cost", *grid.heads), rows, note))))
+    print("\n".join(Table("Settings", ("cost", *grid.heads), rows, note).text()))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,6 @@ from training.models.study import SCENARIOS
 from training.models.trained import Kept, read_trained, unguarded
 from training.reports.comparison_report import read_findings, report
 from training.reports.report_pictures import MODELS, bars_picture, radar_picture, scenario_picture
-from training.reports.report_table import as_text
 from training.reports.report_tables import Evaluation, costs_table, tables
 
 COMMAND = "greenhouse-train evaluate"
@@ -59,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def text_of(figures: Evaluation) -> str:
     """The tables of errors."""
-    return "\n".join([COMMAND, "", *(line for table in tables(figures) for line in as_text(table))])
+    return "\n".join([COMMAND, "", *(line for table in tables(figures) for line in table.text())])
 
 
 def json_of(figures: Evaluation) -> str:
@@ -132,7 +131,7 @@ def _write(
     figures: Evaluation, found: Sequence[ScoredRun], trainings: Sequence[Kept], arguments: argparse.Namespace
 ) -> None:
     cost = costs(trainings)
-    cost_text = "\n".join([COMMAND, "", *as_text(costs_table(cost))])
+    cost_text = "\n".join([COMMAND, "", *costs_table(cost).text()])
     print(cost_text)
     files = _files(figures, found, cost, _words(arguments.results))
     files["cost.json"] = (json.dumps([asdict(one) for one in cost], indent=1) + "\n").encode()

@@ -16,6 +16,7 @@ import torch
 from edge.core.errors import DataError
 from edge.core.predictor import Floats, Predictor
 from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, inside_names, read_run, resample
+from edge.formats.table import Table
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx
 from edge.models.pbm import Pbm
@@ -28,7 +29,6 @@ from training.models import ham_guarded, lstm
 from training.models.fit_network import make_deterministic
 from training.models.predictors import GuardedHamPredictor, LstmPredictor
 from training.models.rollout import START_ROWS
-from training.reports.report_table import Table, as_text
 from training.reports.report_tables import spread
 
 STEP_S = 10.0
@@ -109,7 +109,7 @@ def lines(data: Data, seeds: Sequence[int] = SEEDS) -> list[str]:
         f"{TRAINING} runs train, {VALIDATION} validate, {len(data.test)} are forecast; steps of {STEP_S:g} s"
     )
     heads = ("MAE [K] at horizon", *(f"{horizon} s" for horizon in HORIZONS_S))
-    return ["greenhouse-train heated-box", "", *as_text(Table(title, heads, cells, note))]
+    return ["greenhouse-train heated-box", "", *Table(title, heads, cells, note).text()]
 
 
 def _rows(

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from edge.diagnosis.report.number_text import number
+from edge.formats.table import Table
 from training.evaluate.paper_case_chamber import Real
 from training.evaluate.paper_case_models import HAM, HAM_GUARDED, TWIN, TWIN_HELD, Improved
 from training.evaluate.scores import TrainingScore
 from training.models.study import SCENARIOS, Regime
-from training.reports.report_table import Table, as_text
 from training.reports.report_tables import LABELS, spread
 
 Twins = Mapping[Regime, Improved]
@@ -30,7 +30,7 @@ NAMES: Mapping[str, str] = {
 
 def text_of(chamber: Sequence[Real], twins: Twins, scores: Sequence[TrainingScore]) -> str:
     """All tables. scores : of the models of the comparison too"""
-    return "\n".join(line for table in tables(chamber, twins, scores) for line in as_text(table)) + "\n"
+    return "\n".join(line for table in tables(chamber, twins, scores) for line in table.text()) + "\n"
 
 
 def tables(chamber: Sequence[Real], twins: Twins, scores: Sequence[TrainingScore]) -> Iterator[Table]:

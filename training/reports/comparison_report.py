@@ -7,7 +7,6 @@ from html import escape
 from pathlib import Path
 
 from training.evaluate.resources import ModelCost
-from training.reports.report_table import as_html
 from training.reports.report_tables import Evaluation, costs_table, tables
 
 TITLE = "Predictive models of the greenhouse, compared"
@@ -59,7 +58,7 @@ def _lines(
     yield from words_as_html(findings)
     yield "<h2>Figures</h2>"
     for table in (*tables(found), costs_table(costs)):
-        yield from as_html(table)
+        yield from table.html()
     yield "<h2>Pictures</h2>"
     for name, content in pictures.items():
         data = base64.b64encode(content).decode("ascii")

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.core.predictor import Floats
+from edge.formats.table import Table
 from training.evaluate.ablation import EXCESS_K, Base, ByExcess, Unexplained
 from training.evaluate.resources import ModelCost
 from training.evaluate.scores import Swapped, TrainingScore, maes, orders
 from training.models.study import SCENARIOS, Regime
 from training.models.trained import OURS, PAPER, UNGUARDED
-from training.reports.report_table import Table
 
 LABELS = {
     "linear": "Linear",

@@ -19,7 +19,6 @@ from training.reports.report_pictures import (
     radar_radii,
     scenario_picture,
 )
-from training.reports.report_table import Table, as_html, as_text
 from training.reports.report_tables import costs_table, tables
 
 ROOT = Path(__file__).parents[3]
@@ -59,12 +58,6 @@ def test_the_first_table_holds_mean_and_spread_over_the_seeds() -> None:
     # 0.5 and 0.505 K: mean 0.5025, sd 0.0025 sqrt(2)
     assert rows["LSTM"][1] == "0.502 ± 0.004"
     assert len(rows) == len(MISSED_K)
-
-
-def test_a_table_as_text_and_as_html() -> None:
-    table = Table("A < B", ("name", "x"), (("long name", "1"),), "note")
-    assert list(as_text(table)) == ["A < B", "name       x", "long name  1", "note", ""]
-    assert next(iter(as_html(table))) == "<h3>A &lt; B</h3><table>"
 
 
 def test_radar_radii_are_logarithmic_between_the_best_and_the_worst() -> None:
