@@ -3,10 +3,10 @@
 Two things survive that are not values of the daemon: the history's ticks (edge/storage) and what the board
 latches in its own memory, a stop and its trips, whatever becomes of these files.
 
-Latched trips and a stop have stronger guarantees than the rest. They are saved in the tick that latched them,
-an order is acknowledged only when it is on the disk, a write that failed is reported and tried again, and a
-file that can't be understood starts the rig in emergency stop. Everything else begins anew where its file is
-lost, and may be as old as its row says.
+Latched trips and a stop have stronger guarantees than the rest. The writer gets them in their own tick, an
+order is acknowledged only when it is on the disk, and a write that failed is reported and tried again. A file
+that can't be understood starts the rig in emergency stop. Everything else begins anew where its file is lost,
+and may be as old as its row says.
 """
 
 from collections.abc import Callable
@@ -84,7 +84,8 @@ def _no_orders(settings: Settings, why: str) -> StandingState:
 STANDING = StoredValue(
     StandingState,
     "tick (orders), safety (latched trips, the water of the last day)",
-    "orders until changed, steering and maintenance to their end, trips until cleared; a kill costs nothing",
+    "orders until changed, steering and maintenance to their end, trips until cleared; "
+    "a kill costs nothing that was acknowledged",
     lambda settings: Path(settings.state_file),
     codecs.encode_standing,
     codecs.decode_standing,
