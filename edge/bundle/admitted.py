@@ -1,24 +1,25 @@
 """Record of a store's installs: the newest version, and the bundles that have proved their models."""
 
 import re
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from edge.core.errors import DataError
+from edge.bundle.manifest import Sha256
+from edge.formats.checked import REQUIRED
+from edge.formats.reader import read
 from edge.formats.state_document import read_document, write_document
 
 FILE = "admitted.json"
 PROVED_MAX = 64  # the newest ones; a bundle that falls out is proved again when it is loaded
 _RELEASE = re.compile(r"\d{1,9}(?:\.\d{1,9})*")
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, slots=True)
 class Admitted:
     """newest : version of the newest bundle, by number; "" before the first; proved : sha256 of manifests."""
 
-    newest: str = ""
-    proved: tuple[str, ...] = ()
+    newest: str = field(default="", metadata=REQUIRED)
+    proved: tuple[Sha256, ...] = field(default=(), metadata=REQUIRED)
 
     def with_install(self, version: str, manifest_sha256: str) -> "Admitted":
         """Return the record after an install. An older bundle that the operator
@@ -43,12 +44,7 @@ def read_admitted(folder: Path) -> Admitted | None:
     values = read_document(path)
     if values is None:
         return None
-    newest, proved = values.get("newest"), values.get("proved")
-    if not isinstance(newest, str) or not isinstance(proved, list):
-        raise DataError(f"{path}: does not say which version is the newest")
-    return Admitted(
-        newest, tuple(item for item in proved if isinstance(item, str) and _SHA256.fullmatch(item))
-    )
+    return read(Admitted, values, str(path))
 
 
 def write_admitted(folder: Path, admitted: Admitted) -> None:

@@ -11,7 +11,7 @@ from edge.core.controller_names import RL
 from edge.core.names import ACTUATORS, SIGNALS
 from edge.core.plain_text import shown
 from edge.core.version import __version__
-from edge.formats.checked import Checked, Rule
+from edge.formats.checked import REQUIRED, Checked, Rule
 from edge.formats.reader import parse_json, read
 
 MANIFEST = "manifest.json"
@@ -58,7 +58,7 @@ class Manifest(Checked):
         bundle that was made before there were any
     """
 
-    format: Literal[1] = field(default=1, metadata={"required": True})
+    format: Literal[1] = field(default=1, metadata=REQUIRED)
     name: Version
     version: Version
     created_utc: str

@@ -4,20 +4,22 @@ install -> shadow -> activate -> on probation -> good
               \\-> rejected           \\-> rolled back
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from edge.bundle.manifest import PACKAGED
+from edge.bundle.manifest import PACKAGED, Version
 from edge.core.errors import RequestError
+from edge.formats.checked import REQUIRED
 
 
 @dataclass(frozen=True, slots=True)
 class Roles:
     """The default is a rig on which nothing was ever installed."""
 
-    active: str = PACKAGED
-    previous: str | None = None  # active before, and good
-    shadow: str | None = None  # forecasts beside the active one and is scored
-    on_probation: bool = False  # the active one is new and has to prove itself against the previous
+    active: Version = field(default=PACKAGED, metadata=REQUIRED)
+    previous: Version | None = None  # active before, and good
+    shadow: Version | None = None  # forecasts beside the active one and is scored
+    # The active one is new and has to prove itself against the previous.
+    on_probation: bool = field(default=False, metadata=REQUIRED)
 
     @property
     def rival(self) -> str | None:

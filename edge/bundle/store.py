@@ -31,6 +31,7 @@ from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
 from edge.formats.atomic_file import make_folder, move, sync_folder
 from edge.formats.input_file import Folder, read_file
+from edge.formats.reader import read
 from edge.formats.state_document import read_document, write_document
 from edge.models.onnx_policy import OnnxPolicy, read_policy
 
@@ -90,7 +91,7 @@ class BundleStore:
     def roles(self) -> Roles:
         """Which bundle does what. Errors: DataError when the file that says so can't be understood"""
         values = read_document(self.folder / "roles.json")
-        return Roles() if values is None else _roles(self.folder / "roles.json", values)
+        return Roles() if values is None else read(Roles, values, str(self.folder / "roles.json"))
 
     def versions(self) -> list[str]:
         """All that is installed, whole or not, by name."""
@@ -272,19 +273,3 @@ class BundleStore:
 
 def _manifest_sha256(folder: Path) -> str:
     return hashlib.sha256(read_file(folder / MANIFEST)).hexdigest()
-
-
-def _roles(path: Path, values: Mapping[str, object]) -> Roles:
-    names = {key: _version(path, values.get(key)) for key in ("active", "previous", "shadow")}
-    on_probation = values.get("on_probation")
-    if names["active"] is None or not isinstance(on_probation, bool):
-        raise DataError(f"{path}: does not say which bundle is active")
-    return Roles(names["active"], names["previous"], names["shadow"], on_probation)
-
-
-def _version(path: Path, value: object) -> str | None:
-    if value is None:
-        return None
-    if not isinstance(value, str) or not VERSION.fullmatch(value):
-        raise DataError(f"{path}: {value!r} is no version of a bundle")
-    return value

@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 from edge.core.errors import ConfigError
 from edge.core.plain_text import shown
 
+REQUIRED = {"required": True}  # metadata: in a document, though an object made in code has a default
 ABSENT: Any = None  # default of a key that may be left out of a document but not be null
 TEXT_MAX = 4096  # of a value; the longest path of Linux
 KEY_MAX = 100  # of a misspelt key that is compared with the known ones

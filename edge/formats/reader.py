@@ -45,6 +45,7 @@ class DocumentError(DataError):
     """
 
     def __init__(self, place: str, problems: Sequence[Problem]) -> None:
+        self.named = tuple(problems)
         self.problems = [f"{key}: {problem}" if key else problem for key, problem in problems]
         more = len(problems) - SHOWN_MAX
         text = "; ".join(self.problems[:SHOWN_MAX]) + (f"; and {more} more" if more > 0 else "")
@@ -283,6 +284,8 @@ class _Reading:
             return found
         except SettingError as error:
             self._refuse(_below(key, error.key) if error.key else key, error.problem)
+        except DocumentError as error:
+            self.wrong += [(_below(key, problem_key), why) for problem_key, why in error.named]
             return None
 
     def _keys(self, value: object, key: str) -> Mapping[Any, Any]:

@@ -6,20 +6,17 @@ from typing import Any
 
 from edge.core.errors import DataError
 from edge.formats.atomic_file import write_atomically
-from edge.formats.input_file import read_file
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import parse_json, read_bytes
 
 
 def read_document(path: Path) -> dict[str, Any] | None:
     """Return the object that was written last, None without a file. Errors: DataError, which names `path`"""
     try:
-        return parse_object(read_file(path))
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise DataError(f"{path}: {error}") from error
+        return parse_json(read_bytes(path), str(path))
+    except DataError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return None
+        raise
 
 
 def write_document(path: Path, values: dict[str, Any]) -> None:

@@ -7,22 +7,38 @@ A decoder raises an error for anything that its encoder does not write. Orders h
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.assistant.llm.budget import Spent
 from edge.core.controller_names import CONTROLLERS
+from edge.core.errors import DataError
+from edge.core.plain_text import shown
 from edge.drift import noise, where
 from edge.drift.evidence import Evidence
 from edge.drift.memory import DriftMemory
 from edge.forecasts.skill import ErrorPair, SkillState, Width
+from edge.formats.checked import Rule
+from edge.formats.reader import read
 from edge.safety.memory import Dose, SafetyMemory
 from edge.tick import orders_json
 from edge.tick.orders import Operation
 
 Floats = NDArray[np.float64]
+Count = Annotated[int, Rule(low=0)]
+Size = Annotated[float, Rule(low=0.0)]
+Above0 = Annotated[float, Rule(above=0.0)]
+MaybeNumbers = tuple[float | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyDocument:
+    """Latched trips, and each dose of water: when, and how long."""
+
+    trips: tuple[str, ...]
+    doses: tuple[tuple[float, Size], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +55,21 @@ def encode_standing(state: StandingState) -> dict[str, Any]:
     return {"operation": orders_json.to_dict(state.operation), "safety": encode_safety(state.memory)}
 
 
+@dataclass(frozen=True, slots=True)
+class StandingDocument:
+    """The file, part by part."""
+
+    operation: Mapping[str, Any]
+    safety: Mapping[str, Any]
+
+
 def decode_standing(values: Mapping[str, Any]) -> StandingState:
-    """Invert `encode_standing`. Errors: KeyError, TypeError, ValueError"""
-    operation = orders_json.from_dict(values["operation"])
+    """Invert `encode_standing`. Errors: DataError"""
+    found = read(StandingDocument, values)
+    operation = orders_json.from_dict(found.operation)
     if operation.controller not in CONTROLLERS:
-        raise ValueError(f"unknown controller {operation.controller!r}")
-    return StandingState(operation, decode_safety(values["safety"]))
+        raise DataError(f"operation.controller: unknown controller {shown(operation.controller)}")
+    return StandingState(operation, decode_safety(found.safety))
 
 
 def encode_safety(memory: SafetyMemory) -> dict[str, Any]:
@@ -53,14 +78,10 @@ def encode_safety(memory: SafetyMemory) -> dict[str, Any]:
 
 
 def decode_safety(values: Mapping[str, Any]) -> SafetyMemory:
-    """Invert `encode_safety`. Errors: KeyError, TypeError, ValueError on what it never wrote."""
-    trips = values["trips"]
-    if not isinstance(trips, list) or not all(isinstance(trip, str) for trip in trips):
-        raise ValueError(f"trips: {trips!r}")
-    doses = tuple(Dose(None, float(utc), float(length_s)) for utc, length_s in values["doses"])
-    if not all(math.isfinite(dose.utc) and 0.0 <= dose.length_s < math.inf for dose in doses):
-        raise ValueError("doses: not times and lengths of 0 or more")
-    return SafetyMemory(trips=tuple(trips), doses=doses)
+    """Invert `encode_safety`. Errors: DataError on what it never wrote"""
+    found = read(SafetyDocument, values, key="safety")
+    doses = tuple(Dose(None, utc, length_s) for utc, length_s in found.doses)
+    return SafetyMemory(trips=found.trips, doses=doses)
 
 
 def encode_skill(state: SkillState) -> dict[str, Any]:
@@ -77,40 +98,26 @@ def encode_skill(state: SkillState) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True, slots=True)
+class SkillDocument:
+    """The file: predictor, horizon, reference, their versions, count, errors; the same of each width."""
+
+    pairs: tuple[tuple[str, int, str, str, str, Count, Size, Size], ...]
+    widths: tuple[tuple[str, int, str, Above0, Count, Size], ...]
+
+
 def decode_skill(values: Mapping[str, Any]) -> SkillState:
-    """Invert `encode_skill`. Errors: ValueError for anything that it does not write."""
-    try:
-        pairs = {
-            (str(name), int(horizon), str(reference)): ErrorPair(
-                (str(version), str(other)), _count(scored), _size(mae_k), _size(reference_mae_k)
-            )
-            for name, horizon, reference, version, other, scored, mae_k, reference_mae_k in values["pairs"]
-        }
-        widths = {
-            (str(name), int(horizon)): Width(str(version), _above_0(half), _count(scored), _size(covered))
-            for name, horizon, version, half, scored, covered in values["widths"]
-        }
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"no state of the forecasts' skill: {error!r}") from error
+    """Invert `encode_skill`. Errors: DataError"""
+    found = read(SkillDocument, values)
+    pairs = {
+        (name, horizon, reference): ErrorPair((version, other), scored, mae_k, reference_mae_k)
+        for name, horizon, reference, version, other, scored, mae_k, reference_mae_k in found.pairs
+    }
+    widths = {
+        (name, horizon): Width(version, half, scored, covered)
+        for name, horizon, version, half, scored, covered in found.widths
+    }
     return SkillState(pairs, widths)
-
-
-def _count(value: Any) -> int:
-    if type(value) is not int or value < 0:
-        raise ValueError(f"{value!r} is no count")
-    return value
-
-
-def _size(value: Any) -> float:
-    if isinstance(value, bool) or not 0.0 <= value < math.inf:  # NaN fails too
-        raise ValueError(f"{value!r} is no size")
-    return float(value)
-
-
-def _above_0(value: Any) -> float:
-    if not _size(value) > 0.0:
-        raise ValueError(f"{value!r} is not above 0")
-    return float(value)
 
 
 def encode_drift(memory: DriftMemory | None) -> dict[str, Any]:
@@ -124,36 +131,53 @@ def encode_drift(memory: DriftMemory | None) -> dict[str, Any]:
     return values | {"since_utc": memory.since_utc if memory.disagrees else None}
 
 
+@dataclass(frozen=True, slots=True)
+class EvidenceDocument:
+    """Arrays as lists; null is minus infinity, in the first alone."""
+
+    log_sum: MaybeNumbers
+    cusum: MaybeNumbers
+    since_utc: MaybeNumbers
+
+
+@dataclass(frozen=True, slots=True)
+class DriftDocument:
+    """The file."""
+
+    twin_sha256: str
+    evidence: EvidenceDocument
+    sums: MaybeNumbers
+    table: MaybeNumbers
+    since_utc: float | None
+    agreeing_s: float
+
+
 def decode_drift(values: Mapping[str, Any]) -> DriftMemory:
-    """Invert `encode_drift`. Errors: ValueError for anything that it does not write."""
-    try:
-        since_utc, agreeing_s = values["since_utc"], float(values["agreeing_s"])
-        given = values["evidence"]
-        fresh = Evidence.none(0.0)
-        return DriftMemory(
-            str(values["twin_sha256"]),
-            Evidence(
-                _array(given["log_sum"], fresh.log_sum, -math.inf),
-                _array(given["cusum"], fresh.cusum),
-                _array(given["since_utc"], fresh.since_utc),
-            ),
-            _array(values["sums"], noise.nothing_learnt()),
-            _array(values["table"], where.empty()),
-            math.nan if since_utc is None else float(since_utc),
-            agreeing_s if math.isfinite(agreeing_s) else 0.0,
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"no state of a drift monitor: {error!r}") from error
+    """Invert `encode_drift`. Errors: DataError"""
+    found = read(DriftDocument, values)
+    fresh = Evidence.none(0.0)
+    return DriftMemory(
+        found.twin_sha256,
+        Evidence(
+            _array(found.evidence.log_sum, fresh.log_sum, -math.inf),
+            _array(found.evidence.cusum, fresh.cusum),
+            _array(found.evidence.since_utc, fresh.since_utc),
+        ),
+        _array(found.sums, noise.nothing_learnt()),
+        _array(found.table, where.empty()),
+        math.nan if found.since_utc is None else found.since_utc,
+        found.agreeing_s,
+    )
 
 
 def _listed(array: Floats) -> list[float | None]:
     return [float(value) if math.isfinite(value) else None for value in array.flat]
 
 
-def _array(values: list[float | None], like: Floats, instead_of_null: float = math.nan) -> Floats:
+def _array(values: MaybeNumbers, like: Floats, instead_of_null: float = math.nan) -> Floats:
     found = np.array([instead_of_null if value is None else value for value in values], dtype=np.float64)
     if found.size != like.size or not (np.isfinite(found) | (found == instead_of_null)).all():
-        raise ValueError(f"{found.size} numbers, not {like.size}")
+        raise DataError(f"{found.size} numbers, not {like.size}, or null among them")
     return found.reshape(like.shape)
 
 
@@ -163,8 +187,5 @@ def encode_spent(spent: Spent) -> dict[str, Any]:
 
 
 def decode_spent(values: Mapping[str, Any]) -> Spent:
-    """Invert `encode_spent`. Errors: KeyError, TypeError, ValueError, OverflowError"""
-    spent = Spent(str(values["day"]), int(values["tokens"]), float(values["cost"]), int(values["exchanges"]))
-    if not (spent.tokens >= 0 and spent.exchanges >= 0 and 0.0 <= spent.cost < math.inf):
-        raise ValueError(f"no costs of a day: {spent}")
-    return spent
+    """Invert `encode_spent`. Errors: DataError"""
+    return read(Spent, values)

@@ -15,7 +15,7 @@ from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.core.messages import Change, Command
 from edge.core.names import HEATER_LEVELS
 from edge.core.plain_text import plain, shown
-from edge.formats.checked import ABSENT, Rule
+from edge.formats.checked import ABSENT, REQUIRED, Rule
 from edge.formats.reader import DocumentError, read, read_number
 from edge.tick.steering import Steering, problem
 from edge.tick.steering import from_dict as steering_from_dict
@@ -46,8 +46,8 @@ class FanMode(Enum):
 class Before:
     """The orders that a confirmed steering took the place of."""
 
-    reference_c: float | None = None
-    steering: Steering | None = None
+    reference_c: float | None = field(default=None, metadata=REQUIRED)
+    steering: Steering | None = field(default=None, metadata=REQUIRED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,10 +282,7 @@ def _maintenance(operation: Operation, asked: StartMaintenance, desk: Desk) -> O
 
 def _steer(operation: Operation, asked: Steer, desk: Desk) -> Operation:
     """Apply a confirmed steering; its reference replaces a temperature that was set by hand before."""
-    try:
-        steering = steering_from_dict(asked.steering)
-    except (KeyError, TypeError, ValueError) as error:
-        raise RequestError(f"steering: {plain(str(error))}") from None
+    steering = steering_from_dict(asked.steering)
     if wrong := problem(steering, desk.utc, desk.reference_min_c, desk.reference_max_c):
         raise RequestError(f"steering: {wrong}")
     before = Before(operation.reference_c, operation.steering_at(desk.utc))

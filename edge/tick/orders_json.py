@@ -2,20 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
 from edge.core.messages import Command
 from edge.core.names import ACTUATORS
-from edge.core.plain_text import shown
+from edge.formats.checked import Checked, Rule
+from edge.formats.reader import DocumentError, read, read_number
 from edge.tick import steering as steerings
 from edge.tick.orders import UTC_MAX, Before, FanMode, Mode, Operation
 from edge.tick.steering import Steering
 
-REFERENCE_C = (
-    -20.0,
-    80.0,
-)  # sanity alone: the limits of today's settings are checked when an order is given [°C]
+REFERENCE_C = (-20.0, 80.0)  # sanity: the limits of today's settings are checked when an order is given [°C]
+Reference = Annotated[float, Rule(low=REFERENCE_C[0], high=REFERENCE_C[1])]
 
 
 def to_dict(operation: Operation) -> dict[str, Any]:
@@ -38,57 +37,53 @@ def _steering_dict(steering: Steering | None) -> dict[str, Any] | None:
     return None if steering is None else steerings.to_dict(steering)
 
 
-def _steering(values: Mapping[str, Any] | None) -> Steering | None:
-    """Errors: ValueError for what no operator could have confirmed at any time."""
-    if values is None:
-        return None
-    steering = steerings.from_dict(values)
-    just_before = _number("steering.until_utc", steering.until_utc, 0.0, UTC_MAX) - 1.0
+@dataclass(frozen=True, slots=True)
+class OperationDocument(Checked):
+    """Orders as `to_dict` writes them; steering and before are not in files of earlier software."""
+
+    controller: str
+    mode: Mode
+    fan_mode: FanMode
+    reference_c: Reference | None
+    manual: Command
+    emergency_stop: bool
+    maintenance_until_utc: Annotated[float, Rule(low=0.0, high=UTC_MAX)] | None
+    steering: Steering | None = None
+    before: Before | None = None
+
+    def cross_check(self) -> None:
+        """Orders that an operator could have given at some time."""
+        for name in ("heater_duty", "led"):
+            bounds = (ACTUATORS[name].low, ACTUATORS[name].high)
+            read_number(getattr(self.manual, name), f"manual.{name}", *bounds)
+        read_number(self.manual.valve_pulse_s, "manual.valve_pulse_s", 0.0, 0.0)  # would flood
+        _check_steering(self.steering, "steering")
+        if self.before is not None:
+            _check_steering(self.before.steering, "before.steering")
+            if self.before.reference_c is not None:
+                read_number(self.before.reference_c, "before.reference_c", *REFERENCE_C)
+
+
+def _check_steering(steering: Steering | None, key: str) -> None:
+    """Errors: DataError for what no operator could have confirmed at any time"""
+    if steering is None:
+        return
+    just_before = read_number(steering.until_utc, f"{key}.until_utc", 0.0, UTC_MAX) - 1.0
     if wrong := steerings.problem(steering, just_before, -math.inf, math.inf):
-        raise ValueError(f"steering: {wrong}")
-    return steering
-
-
-def _before(values: Mapping[str, Any] | None) -> Before | None:
-    if values is None:
-        return None
-    return Before(_reference("before.reference_c", values["reference_c"]), _steering(values["steering"]))
+        raise DocumentError("", [(key, wrong)])
 
 
 def from_dict(values: Mapping[str, Any]) -> Operation:
-    """Inverse of `to_dict`. Errors: KeyError, ValueError, TypeError on values `to_dict` never wrote."""
-    until = values["maintenance_until_utc"]
-    if not isinstance(values["emergency_stop"], bool):
-        raise ValueError(f"emergency_stop: {shown(values['emergency_stop'])} is neither true nor false")
+    """Invert `to_dict`. Errors: DataError on values that `to_dict` never wrote"""
+    found = read(OperationDocument, values, key="operation")
     return Operation(
-        controller=str(values["controller"]),
-        mode=Mode(values["mode"]),
-        fan_mode=FanMode(values["fan_mode"]),
-        reference_c=_reference("reference_c", values["reference_c"]),
-        manual=_manual(Command(**values["manual"])),
-        emergency_stop=values["emergency_stop"],
-        maintenance_until_utc=None
-        if until is None
-        else _number("maintenance_until_utc", until, 0.0, UTC_MAX),
-        steering=_steering(values.get("steering")),  # not in files of earlier software
-        before=_before(values.get("before")),
+        found.controller,
+        found.mode,
+        found.fan_mode,
+        found.reference_c,
+        found.manual,
+        found.emergency_stop,
+        found.maintenance_until_utc,
+        found.steering,
+        found.before,
     )
-
-
-def _manual(command: Command) -> Command:
-    for name in ("heater_duty", "led"):
-        _number(f"manual.{name}", getattr(command, name), ACTUATORS[name].low, ACTUATORS[name].high)
-    _number("manual.valve_pulse_s", command.valve_pulse_s, 0.0, 0.0)  # a standing order would flood
-    if not isinstance(command.fan_on, bool):
-        raise ValueError(f"manual.fan_on: {shown(command.fan_on)} is neither true nor false")
-    return command
-
-
-def _reference(place: str, value: Any) -> float | None:
-    return None if value is None else _number(place, value, *REFERENCE_C)
-
-
-def _number(place: str, value: Any, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise ValueError(f"{place}: {shown(value)} is not a number from {low:g} to {high:g}")
-    return float(value)

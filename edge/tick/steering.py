@@ -4,12 +4,13 @@ It never reaches the board: it changes what the controller is asked for, and the
 the operating mode's. Safety stands behind both.
 """
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from edge.core.plain_text import plain
+from edge.formats.checked import REQUIRED
+from edge.formats.reader import read
 
 DAY_S = 86400.0
 HOURS_MAX = 168.0  # a wish that holds for longer than a week belongs into edge.yaml
@@ -50,11 +51,11 @@ class Steering:
     id: str
     words: str
     until_utc: float
-    daily: tuple[DailyTarget, ...] = ()
-    heater_penalty: float | None = None
-    fan_penalty: float | None = None
-    heater_max_duty: float | None = None
-    fan_rest: tuple[FanRest, ...] = ()
+    daily: tuple[DailyTarget, ...] = field(default=(), metadata=REQUIRED)
+    heater_penalty: float | None = field(default=None, metadata=REQUIRED)
+    fan_penalty: float | None = field(default=None, metadata=REQUIRED)
+    heater_max_duty: float | None = field(default=None, metadata=REQUIRED)
+    fan_rest: tuple[FanRest, ...] = field(default=(), metadata=REQUIRED)
 
     def rest_left_s(self, since_midnight_s: float) -> float:
         """How long the fan has to stay off from now on [s]; 0 where it may run."""
@@ -84,29 +85,6 @@ def to_dict(steering: Steering) -> dict[str, Any]:
 
 
 def from_dict(values: Mapping[str, Any]) -> Steering:
-    """Inverse of `to_dict`. Errors: KeyError, TypeError, ValueError on values it never wrote."""
-    steering = Steering(
-        id=plain(str(values["id"]), 40),
-        words=plain(str(values["words"]), WORDS_MAX),
-        until_utc=_finite(values["until_utc"]),
-        daily=tuple(DailyTarget(**target) for target in values["daily"]),
-        heater_penalty=_or_none(values["heater_penalty"]),
-        fan_penalty=_or_none(values["fan_penalty"]),
-        heater_max_duty=_or_none(values["heater_max_duty"]),
-        fan_rest=tuple(FanRest(**rest) for rest in values["fan_rest"]),
-    )
-    for target in steering.daily:
-        _finite(target.from_s), _finite(target.reference_c)
-    for rest in steering.fan_rest:
-        _finite(rest.from_s), _finite(rest.until_s)
-    return steering
-
-
-def _or_none(value: Any) -> float | None:
-    return None if value is None else _finite(value)
-
-
-def _finite(value: Any) -> float:
-    if isinstance(value, bool) or not math.isfinite(value):
-        raise ValueError(f"{value!r} is no number")
-    return float(value)
+    """Invert `to_dict`. Errors: DataError on values it never wrote"""
+    found = read(Steering, values, key="steering")
+    return replace(found, id=plain(found.id, 40), words=plain(found.words, WORDS_MAX))

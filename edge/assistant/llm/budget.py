@@ -2,12 +2,14 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Annotated
 
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.wire import Usage
 from edge.config.settings import LlmSettings
+from edge.formats.checked import REQUIRED, Rule
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,9 +17,9 @@ class Spent:
     """Tokens and requests spent on one UTC day."""
 
     day: str
-    tokens: int = 0
-    cost: float = 0.0
-    exchanges: int = 0
+    tokens: Annotated[int, Rule(low=0)] = field(default=0, metadata=REQUIRED)
+    cost: Annotated[float, Rule(low=0.0)] = field(default=0.0, metadata=REQUIRED)
+    exchanges: Annotated[int, Rule(low=0)] = field(default=0, metadata=REQUIRED)
 
 
 class Budget:

@@ -18,7 +18,7 @@ from edge.assistant.requests.words import describe, effect_table
 from edge.config import loading as config
 from edge.config.settings import ReferenceSettings
 from edge.core.controller import ControlLimits
-from edge.core.errors import RequestError
+from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.models.arx_file import DEFAULT_PATH
 from edge.models.pbm import read_twin
@@ -141,7 +141,7 @@ def test_a_steering_survives_its_json() -> None:
     ],
 )
 def test_json_that_was_never_written_is_refused(key: str, value: Any) -> None:
-    with pytest.raises((ValueError, TypeError, KeyError)):
+    with pytest.raises(DataError, match=f"steering.{key}"):
         steerings.from_dict({**steerings.to_dict(NIGHT), key: value})
 
 

@@ -6,6 +6,7 @@ import pytest
 from forecast_rig import STEP_S, RampPredictor
 
 from edge.bundle.rivals import rival_rows
+from edge.core.errors import DataError
 from edge.forecasts.conformal import Interval, Intervals
 from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
 from edge.forecasts.skill import SkillState, half_widths, skills, updated
@@ -170,5 +171,5 @@ def test_the_state_comes_back_from_json():
 def test_a_spoilt_state_is_refused(spoil):
     values = encode_skill(tick(SkillState(), intervals=CALIBRATED, arx=0.1))
     spoil(values)
-    with pytest.raises(ValueError, match="no state"):
+    with pytest.raises(DataError):
         decode_skill(values)

@@ -4,7 +4,7 @@ import ast
 import copy
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,17 @@ from edge.app.nightly_diagnosis import Findings
 from edge.app.request_routes import WhyRequest
 from edge.assistant.llm import wire
 from edge.assistant.llm.answer import SaidControls, SimulatedControls, read_answer
+from edge.assistant.llm.budget import Spent
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.simulate_tool import SimulateArguments
 from edge.assistant.llm.sql_tool import SqlArguments
 from edge.assistant.llm.wire import ChoicesDocument
 from edge.assistant.requests.answer import WishAnswer, understood
 from edge.assistant.requests.desk import ProposalRequest, WishRequest
+from edge.bundle.admitted import Admitted
 from edge.bundle.keeper import BundleRequest
 from edge.bundle.manifest import MANIFEST, TWIN, Manifest, parse_manifest
+from edge.bundle.roles import Roles
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.commands.twin_adopt import ReportedTwin
 from edge.config import loading
@@ -34,7 +37,10 @@ from edge.controllers import external
 from edge.controllers.external import Proposal
 from edge.core.errors import ConfigError, DataError, GreenhouseError, RequestError
 from edge.data_intake.mapping import MapDocument, Source, read_map
+from edge.drift.evidence import Evidence
+from edge.drift.memory import DriftMemory
 from edge.forecasts.conformal import IntervalsDocument, read_intervals
+from edge.forecasts.skill import ErrorPair, SkillState
 from edge.formats.input_file import MemoryFile
 from edge.formats.reader import parse_json, parse_yaml, read
 from edge.models.arx_file import DEFAULT_PATH, ArxDocument, read_arx
@@ -42,7 +48,10 @@ from edge.models.contract import ContractDocument, parse_contract
 from edge.models.policy_contract import PolicyDocument, parse_policy_contract
 from edge.mqtt import commands
 from edge.mqtt.commands import Resend
-from edge.tick import steering
+from edge.safety.memory import Dose, SafetyMemory
+from edge.state import codecs
+from edge.state.codecs import DriftDocument, SafetyDocument, SkillDocument, StandingDocument
+from edge.tick import orders_json, steering
 from edge.tick.orders import (
     ORDERS,
     Desk,
@@ -58,6 +67,7 @@ from edge.tick.orders import (
     operate,
     read_request,
 )
+from edge.tick.orders_json import OperationDocument
 from edge.tick.steering import DailyTarget, FanRest, Steering
 from edge.twin.twin_file import TwinDocument, read_twin_file
 from edge.twin.value import KnownValue, ValueToFit, read_value
@@ -147,6 +157,19 @@ def in_memory(kind: type, good: Any, number: tuple[str | int, ...] = ()) -> Docu
     return DocumentKind(lambda text: read(kind, parse_json(text)), lambda: good, number)
 
 
+OPERATION = orders_json.to_dict(Operation("MPC", reference_c=25.0, steering=STEERING))
+SAFETY = codecs.encode_safety(SafetyMemory(("air",), doses=(Dose(None, 1e9, 2.0),)))
+SKILL = SkillState({("arx", 5, "persistence"): ErrorPair(("1", "2"), 3, 0.1, 0.2)})
+DRIFT = DriftMemory("0" * 64, Evidence.none(0.0))
+
+
+def in_memory_by(
+    decode: Callable[[dict[str, Any]], object], good: Any, number: tuple[str | int, ...] = ()
+) -> DocumentKind:
+    """A state that was parsed before."""
+    return DocumentKind(lambda text: decode(parse_json(text)), lambda: good, number)
+
+
 KINDS: dict[type, DocumentKind] = {
     Settings: DocumentKind(
         loading.parse, lambda: {"control": {"step_s": 60.0}}, ("control", "step_s"), ConfigError
@@ -218,6 +241,15 @@ KINDS: dict[type, DocumentKind] = {
         UnitRequest, {"words": ["twin"], "log": "log", "patience_s": 1.0}, ("patience_s",)
     ),
     UnitAnswer: in_memory(UnitAnswer, {"code": 0}),
+    OperationDocument: in_memory_by(orders_json.from_dict, OPERATION, ("reference_c",)),
+    StandingDocument: in_memory_by(codecs.decode_standing, {"operation": OPERATION, "safety": SAFETY}),
+    SafetyDocument: in_memory_by(codecs.decode_safety, SAFETY, ("doses", 0, 1)),
+    Steering: in_memory_by(steering.from_dict, steering.to_dict(STEERING), ("until_utc",)),
+    SkillDocument: in_memory_by(codecs.decode_skill, codecs.encode_skill(SKILL), ("pairs", 0, 6)),
+    DriftDocument: in_memory_by(codecs.decode_drift, codecs.encode_drift(DRIFT), ("sums", 0)),
+    Spent: in_memory_by(codecs.decode_spent, codecs.encode_spent(Spent("2026-07-01", 5)), ("tokens",)),
+    Roles: in_memory(Roles, asdict(Roles())),
+    Admitted: in_memory(Admitted, asdict(Admitted("1.0", ("0" * 64,)))),
 }
 FOREIGN = {ChoicesDocument, ReportedTwin, Findings}  # may hold keys of others
 PARTS = {
@@ -302,7 +334,6 @@ PAST_THE_READER = {  # file -> why it may parse by itself
     "edge/formats/reader.py": "the reader",
     "edge/formats/strict_json.py": "the reader's JSON",
     "edge/formats/strict_yaml.py": "the reader's YAML",
-    "edge/state/state_file.py": "any object: whose state it is says what it holds",
     "edge/storage/forecast_rows.py": "rows of the database that this software wrote",
     "edge/storage/numbers.py": "128 bytes that the history overwrites in place",
     "edge/storage/runs.py": "rows of the database that this software wrote",

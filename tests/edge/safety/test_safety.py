@@ -21,7 +21,7 @@ from safety_cases import (
 )
 
 from edge.config.settings import SafetySettings
-from edge.core.errors import RequestError
+from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
 from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, water_s
 from edge.safety.relay_proof import RelayProof
@@ -738,7 +738,7 @@ def test_a_dose_of_any_length_is_read_again(length_s):
        ([math.nan, 2.0], [math.inf, 2.0], [UTC, math.nan], [UTC, math.inf], [UTC, -0.1]))],
 )  # fmt: skip
 def test_a_memory_nobody_wrote_is_refused(values):
-    with pytest.raises((KeyError, TypeError, ValueError)):
+    with pytest.raises(DataError, match=r"^safety"):
         decode_safety(values)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from edge.core.errors import RequestError
+from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.tick import steering as steerings
 from edge.tick.orders import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, operate
@@ -144,7 +144,7 @@ def test_orders_survive_the_state_file() -> None:
 def test_a_state_with_a_missing_key_is_told(key: str) -> None:
     values = to_dict(AUTO)
     del values[key]
-    with pytest.raises(KeyError):
+    with pytest.raises(DataError, match=f"operation.{key}: missing"):
         from_dict(values)
 
 
