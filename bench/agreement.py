@@ -105,7 +105,7 @@ def _values(found: Answer) -> dict[str, Mapping[str, float]]:
 
 
 def _halves(twin: Twin, train: Sequence[Run]) -> str:
-    """What the halves are sure of, or that they contradict each other."""
+    """Return what both halves are sure of, or that they contradict each other."""
     sure = []
     for first in (True, False):
         parts = [Run(run.name, _half(run, first)) for run in train]

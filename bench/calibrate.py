@@ -75,7 +75,7 @@ def _has_truths(place: str) -> bool:
 
 
 def _measured(folder: Path, split: str) -> Iterator[tuple[dict[str, Any], list[bool]]]:
-    """The same of logs of which it is known what they have."""
+    """Yield the answers about logs with known contents."""
     for log in LOGS:
         path = folder / "answers" / folder_name(log) / "diagnosis.json"
         if path.exists() and split in ("", log.split):

@@ -1,4 +1,4 @@
-"""What the plans are worth on the plant: closed loop on the two-node box."""
+"""Value of plans on the plant: closed loop on the two-node box."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -44,7 +44,7 @@ class Policy(Protocol):
 
 
 def by_model(controller: Mpc | MpcBfgs) -> Policy:
-    """A controller as the loop would ask it, with a disturbance estimate from its forecast errors."""
+    """Return a controller as the loop would call it, with a disturbance estimate from its forecast errors."""
 
     def policy(episode: RecordedEpisode, reference: float) -> Command:
         if episode.forecast is not None:
@@ -60,7 +60,7 @@ def by_model(controller: Mpc | MpcBfgs) -> Policy:
 
 
 def policies(model: Arx, excess: Arx, horizon: int, weight: float) -> dict[str, Policy]:
-    """The controllers compared, by name; `excess`: a model whose fan enters by the excess over the room."""
+    """Return the compared controllers by name. excess : a model whose fan acts on the excess over the room"""
     exact = MpcSettings(weight, horizon, _NODE_BUDGET, time_box_s=0.25)
     with_tail = replace(exact, tail=TAIL)
     return {
@@ -104,5 +104,5 @@ def plan_on_box(state: Floats, reference: float, horizon: int, weight: float) ->
 
 
 def stage_cost(temp: Floats, reference: float, weight: float, duty: Floats, fan: Floats) -> Floats:
-    """The paper's cost of one step."""
+    """Return the paper's cost of one step."""
     return np.asarray(TRACKING_WEIGHT * (reference - temp) ** 2 + weight * (duty**2 + fan))

@@ -80,7 +80,7 @@ class Day:
 
 
 def run_day(controller: str, seed: int, hours: float, yaml: str = DAY_YAML) -> Day:
-    """The daemon with `controller` on a virtual board with `seed`, from midnight on."""
+    """Run the daemon with `controller` on a virtual board with `seed`, from midnight on."""
     settings = config.parse(yaml, "closed_loop_day")
     settings = replace(settings, control=replace(settings.control, controller=controller))
     with closed_loop(settings, seed=seed, chamber=CHAMBER) as lab:

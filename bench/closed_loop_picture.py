@@ -83,7 +83,7 @@ def _day(axes: Mapping[str, "Axes"], day: DayColumns) -> None:
 
 
 def _moment(axis: "Axes", day: DayColumns, row: int, title: str) -> None:
-    """What was measured around a row, and what the controller expected at some of its steps."""
+    """Draw the measurements around a row, and the controller's expectations at some of its steps."""
     hours, columns = _hours(day), day.columns
     step_h = float(np.median(np.diff(hours)))
     _temperatures(axis, day, 1.6)

@@ -54,7 +54,7 @@ class Lateness:
 
 
 def memory_with(imports: str) -> ProcessMemory:
-    """Of an interpreter that has imported this and does nothing."""
+    """Return the memory of an idle interpreter with these imports."""
     program = f"{imports}\nprint(flush=True)\ninput()"
     with subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
@@ -80,7 +80,7 @@ def start_s(daemon: DaemonProcess) -> float:
 
 @contextmanager
 def rig() -> Iterator[tuple[Path, Broker]]:
-    """A folder with a board in real time, and a broker."""
+    """Yield a folder with a board in real time, and a broker."""
     with tempfile.TemporaryDirectory(prefix="gh-") as name:
         folder = Path(name)
         with virtual_board(folder, "--real-time"), Broker(folder) as broker:
@@ -88,7 +88,7 @@ def rig() -> Iterator[tuple[Path, Broker]]:
 
 
 def start_times(count: int) -> tuple[float, list[float]]:
-    """Of a first start, which makes the history, and of `count` later ones [s]."""
+    """Return the time of a first start, which makes the history, and of `count` later ones [s]."""
     with rig() as (folder, broker):
         daemon = DaemonProcess(folder, broker.port)
         first = start_s(daemon)
@@ -143,7 +143,7 @@ def waiting(path: Path) -> int:
 
 
 def bytes_in_use(path: Path) -> int:
-    """Of the file, without free pages."""
+    """Return the size of the file without free pages."""
     with closing(sqlite3.connect(path)) as connection:
         size, count, free = (
             connection.execute(f"PRAGMA {name}").fetchone()[0]
@@ -159,7 +159,7 @@ def percentiles(values: Sequence[float]) -> str:
 
 
 def default_costs(ticks: int) -> Iterator[str]:
-    """The table of memory and CPU at the default settings."""
+    """Yield the table of memory and CPU at the default settings."""
     runs = [(name, False) for name in CONTROLLERS] + [(CONTROLLERS[-1], True)]
     yield f"{f'{ticks} ticks of 60 s; [MB], [ms]':40}    RSS    PSS    USS   peak  CPU per tick  threads"
     with tempfile.TemporaryDirectory(prefix="gh-") as name, Broker(Path(name)) as broker:
@@ -170,7 +170,7 @@ def default_costs(ticks: int) -> Iterator[str]:
 
 
 def report(seconds: float, starts: int, hours: float) -> Iterator[str]:
-    """The tables, line by line as they come."""
+    """Yield the tables, line by line as they come."""
     yield f"python {platform.python_version()}, numpy {np.__version__}, onnxruntime {version('onnxruntime')}"
     yield ""
     yield from default_costs(round(60 * hours))

@@ -1,4 +1,4 @@
-"""What the daemon costs at its default settings: 60 s steps and the packaged bundle with its four predictors.
+"""Cost of the daemon at its default settings: 60 s steps and the packaged bundle with its four predictors.
 
 The daemon runs in a process of its own, in lock-step with a virtual board, with history and MQTT on. The CPU
 time of the lock-step (asking the simulated board to advance) is the bench's and is subtracted.

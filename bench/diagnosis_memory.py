@@ -34,7 +34,7 @@ CASES = {  # name: stuck readings, effects that the twin lacks
 
 
 def recorded(days: float, stuck: int, lacking: dict[str, dict[str, float]]) -> RecordedRun:
-    """A run of 60 s steps."""
+    """Return a run of 60 s steps."""
     own = read_twin_file(TWIN).effects.items()
     effects = {name: {key: value.value for key, value in values.items()} for name, values in own}
     run = simulated({**effects, **lacking}, seed=1, rows=round(days * DAY_ROWS))
@@ -45,7 +45,7 @@ def recorded(days: float, stuck: int, lacking: dict[str, dict[str, float]]) -> R
 
 
 def write_history(path: Path, run: RecordedRun) -> None:
-    """The run as ticks of one session."""
+    """Write the run as ticks of one session."""
     columns = {key: values.tolist() for key, values in run.columns.items()}
     seqs = range(1, len(run) + 1)
     with closing(connect(path, 1.0)) as connection:
@@ -105,7 +105,7 @@ def diagnosed(history: Path, folder: Path, rows: int | None) -> tuple[float, flo
 
 
 def report(days: float) -> Iterator[str]:
-    """The table, line by line as it comes."""
+    """Yield the table, line by line as it comes."""
     yield head()
     yield f"{f'{days:g} days of 60 s':28} {'rows':>8} {'peak [MB]':>10} {'CPU [s]':>8}"
     for name, (stuck, lacking) in CASES.items():

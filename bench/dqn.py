@@ -72,18 +72,18 @@ class Rk45Twin(TwinModel):
 
 
 def paper_model() -> StepModel:
-    """The hybrid over RK45."""
+    """Return the hybrid over RK45."""
     folder = kept_folder("ham")
     return ham_over(Rk45Twin(read_twin_file(folder / TWIN_FILE).twin()), folder / NETWORK_FILE)
 
 
 def world(model: StepModel) -> World:
-    """Where both ways learn."""
+    """Return the world in which both ways learn."""
     return World(model, DrawnEpisodes(training_runs("interpolation"), START_ROWS), WEIGHTS[VARIANT])
 
 
 def steps_per_cpu_s(model: StepModel, settings: DqnSettings) -> float:
-    """Steps of the environment alone, actions at random."""
+    """Return the rate of the environment alone, actions at random."""
     env = BoxesVecEnv(world(model), settings.boxes, seed=1)
     rng, done = np.random.default_rng(1), 0
     env.reset()
@@ -109,12 +109,14 @@ def judged(network: nn.Module) -> float:
 
 
 def trained(settings: DqnSettings, seed: int, steps: int) -> nn.Module:
-    """A network after a training."""
+    """Return a network after a training."""
     return train(world(read_model("ham")), seed, replace(settings, steps=steps)).policy.q_net
 
 
 def kept(seed: int) -> nn.Module:
-    """The one that `greenhouse-train rl` has left. Errors: DataError for one with other settings"""
+    """Return the network that `greenhouse-train rl` has saved. Errors:
+    DataError for one with other settings
+    """
     folder = POLICIES / FOLDERS[VARIANT] / f"seed_{seed}"
     if read_record(folder)["settings"] != json.loads(json.dumps(asdict(OURS) | {"variants": 1})):
         raise DataError(f"{folder}: kept with other settings than the ones here")

@@ -123,7 +123,7 @@ def _drawn(random: np.random.Generator, degrees: float, paths: int) -> Floats:
 
 
 def false_alarms(paths: int, days: float, promise: Promise) -> None:
-    """A row for each colour of noise."""
+    """Print a row for each colour of noise."""
     print(f"| innovations | false alarms in {paths * days:g} days | per {promise.false_alarm_days:g} days |")
     print("|---|---|---|")
     for colour in COLOURS:
@@ -137,7 +137,7 @@ def false_alarms(paths: int, days: float, promise: Promise) -> None:
 def first_alarm(
     change: DriftBox, believed: BoxTwin, promise: Promise, heat_w: float, seed: int
 ) -> Alarm | None:
-    """Of one box that changes after CHANGE_H and is then watched for a day."""
+    """Return the first alarm of a box that changes after CHANGE_H and is then watched for a day."""
     begin = round(CHANGE_H * 3600.0 / STEP_S)
     same = DriftBox(believed)
     told = ticks(
@@ -155,7 +155,7 @@ def first_alarm(
 
 
 def delays(boxes: int, promise: Promise) -> None:
-    """A row for each change, and for none."""
+    """Print a row for each change, and for none."""
     twin = read_twin(PACKAGED_FOLDER / "twin.yaml").twin
     changes = {
         "none": DriftBox(twin),

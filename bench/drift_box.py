@@ -48,7 +48,7 @@ def switching(ticks: int, seed: int) -> list[TickInputs]:
 
 @dataclass(frozen=True, slots=True)
 class DriftBox:
-    """What is really there at a tick: the physics, further heat [W], and the sensor's bias [K]."""
+    """The truth at a tick: the physics, further heat [W], and the sensor's bias [K]."""
 
     twin: BoxTwin
     heat_w: float = 0.0
@@ -64,7 +64,7 @@ def ticks(
     chances: Chances = Chances(),
     columns: Callable[[dict[str, Floats], int], None] = lambda rows, k: None,
 ) -> Iterator[Drift]:
-    """What the monitor says at each tick.
+    """Yield the monitor's verdict at each tick.
 
     believed : the twin that is watched; box : what is there at tick k
     columns : may change the rows before tick k is shown: missing readings
@@ -88,7 +88,7 @@ def ticks(
 
 
 def with_fan(twin: BoxTwin, share: float) -> BoxTwin:
-    """The same box with a fan that moves so much of the air it moved."""
+    """Return the same box with a fan that moves this share of the air."""
     effects = {name: dict(values) for name, values in twin.effects.items()}
     effects["fan_effectiveness"]["eps_f"] *= share
     return replace(twin, effects=effects)

@@ -52,7 +52,7 @@ def walk(folder: Path) -> str:
 
 
 def with_answer(page: str, transcript: str) -> str:
-    """The page with what the first command prints. Errors: ValueError where its mark is not there"""
+    """Return the page with the first command's output. Errors: ValueError where its mark is missing"""
     answer = transcript.split("\n$ ")[0].partition("\n")[2].strip() + "\n"
     if not ANSWER.search(page):
         raise ValueError("the page has no block behind <!-- diagnosis -->")
@@ -60,7 +60,7 @@ def with_answer(page: str, transcript: str) -> str:
 
 
 def _run(words: str) -> str:
-    """What a command prints. Errors: RuntimeError with what it said"""
+    """Return a command's output. Errors: RuntimeError with its messages"""
     found = [path for word in shlex.split(words)[1:] for path in _expanded(word)]
     done = subprocess.run(
         [sys.executable, "-m", "edge", *found], capture_output=True, text=True, check=False, cwd=ROOT
@@ -76,7 +76,7 @@ def _expanded(word: str) -> list[str]:
 
 
 def standalone(page: str) -> Mapping[str, str]:
-    """The manual's pictures of a report, each as an SVG file of its own on white.
+    """Return the report's pictures for the manual, each as an SVG file of its own on white.
 
     Errors: ValueError where the report lacks one
     """

@@ -1,4 +1,4 @@
-"""Where a timing table was measured, and whether the code that it measured has changed since.
+"""Header of a timing table: where it was measured, and whether the measured code has changed since.
 
 `python -m bench NAME` begins a timing table with `header`. `python -m bench --stale` compares the commit of
 each kept table with the newest commits of the paths that its bench measures.
@@ -40,7 +40,7 @@ def header() -> Iterator[str]:
 
 
 def processor() -> str:
-    """The processor's name as the kernel has it."""
+    """Return the processor's name as the kernel has it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -74,7 +74,7 @@ def report() -> Iterator[str]:
 
 
 def _git(*words: str) -> str:
-    """What git answers, "" where it can't."""
+    """Return git's answer, "" where it fails."""
     try:
         done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     except OSError:

@@ -48,14 +48,14 @@ Query = Callable[[], object]
 
 
 def recorded_ticks(hours: float) -> list[TickRecord]:
-    """Records of the default rig on a virtual board."""
+    """Record ticks of the default rig on a virtual board."""
     with Lab(config.default()) as lab:
         lab.run(minutes=60.0 * hours)
     return lab.history
 
 
 def year_of(template: Sequence[TickRecord], days: float) -> Iterator[list[TickRecord]]:
-    """The template again and again, in batches."""
+    """Yield the template again and again, in batches."""
     ticks = round(days * DAY_S / STEP_S)
     for first in range(1, ticks + 1, BATCH):
         yield [
@@ -229,7 +229,7 @@ def whole_check(path: Path) -> tuple[int, float]:
 
 
 def report(path: Path, days: float, hours: float) -> Iterator[str]:
-    """The tables, line by line as they come."""
+    """Yield the tables, line by line as they come."""
     yield head()
     began = time.perf_counter()
     build(path, recorded_ticks(hours), days)

@@ -43,7 +43,7 @@ def drive(box: TwoNodeBox, inputs: Floats, room: float) -> tuple[Floats, Floats]
 
 
 def fitted_model(seed: int, fan_input: FanInput = "on") -> ArxFit:
-    """The ARX model of order 3, ambient as an input."""
+    """Fit the ARX model of order 3 with the ambient as an input."""
     rng, box = np.random.default_rng(seed), TwoNodeBox()
     runs = []
     for _ in range(RUNS):
@@ -79,7 +79,9 @@ def instances(model: Arx, count: int, horizon: int, weight: float, seed: int) ->
 def box_context(
     temps: Floats, inputs: Floats, room: float, reference: float, offset: float = 0.0, now_s: float = 0.0
 ) -> Context:
-    """What a controller sees of the box: temperatures [n + 1] and inputs [n, 2] so far, all known exactly."""
+    """Return the context of a controller: temperatures [n + 1] and inputs
+    [n, 2] so far, all known exactly.
+    """
     last = Command(float(inputs[-1, 0]), bool(inputs[-1, 1])) if len(inputs) else Command()
     history = {
         "temp_air": temps,

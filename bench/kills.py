@@ -225,7 +225,7 @@ def _configuration(folder: Path, port: int) -> dict[str, Any]:
 
 @contextmanager
 def rig_in(folder: Path, core: str) -> Iterator[KilledRig]:
-    """A running board and a broker where mosquitto is installed; no daemon yet."""
+    """Yield a running board and a broker where mosquitto is installed; no daemon yet."""
     with ExitStack() as stack:
         options = ("--core", core, "--fan-safe-on", "--with", "heater_cutoff")
         board = stack.enter_context(virtual_board(folder, *options))
@@ -334,7 +334,7 @@ def trials(seed: int, count: int, core: str = "python") -> Iterator[tuple[KillPl
 
 
 def attack(seed: int, count: int) -> Iterator[TrialResult]:
-    """The kills as a part of `python -m bench.attack`."""
+    """Run the kills as a part of `python -m bench.attack`."""
     for _, found in trials(seed, count):
         yield found
 

@@ -28,7 +28,7 @@ drift: {{enabled: false}}
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """What a run left behind."""
+    """The result of a run."""
 
     records: list[TickRecord]
     true_air_c: np.ndarray  # in the chamber, at each tick

@@ -57,7 +57,7 @@ def server_environment() -> Path:
 
 @contextmanager
 def real_server(python: Path) -> Iterator[tuple[str, str]]:
-    """Base URL and the model's name, while the server runs."""
+    """Yield the base URL and the model's name, while the server runs."""
     model, port = PLACE / "model", _free_port()
     subprocess.run([python, Path(__file__).with_name("llm_random_model.py"), model], check=True)
     command = [python.with_name("transformers"), "serve", model, "--device", "cpu", "--port", str(port)]
@@ -91,7 +91,7 @@ def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str) -> None:
 
 
 def one_exchange(url: str, model: str, tokens: int) -> str:
-    """What a single exchange brings, in words; the model ends its answer by chance alone."""
+    """Describe a single exchange; the model ends its answer by chance alone."""
     settings = LlmSettings(url=url, model=model, answer_tokens=tokens, timeout_s=60.0)
     budget = Budget(settings, Spent(""), lambda spent: None, time.time)
     try:

@@ -83,7 +83,9 @@ def _chamber_text() -> str:
 
 
 def _twin_text() -> str:
-    """The twin, calibrated on the box when it was new; readings are as late as the mean that they are."""
+    """Return the twin, calibrated on the box when it was new; readings are
+    as late as the mean that they are.
+    """
     known = calibrate(KNOWN, NEW_BOX, [quiet_plan(seed) for seed in CALIBRATED_ON]).effects
     effects: dict[str, dict[str, object]] = {
         name: {key: _value(name, value) for key, value in own.items()} for name, own in known.items()
@@ -123,7 +125,7 @@ def _record(recording: ExampleRecording, chamber: Path, path: Path) -> None:
 
 
 def _profile(recording: ExampleRecording) -> Mapping[str, np.ndarray]:
-    """A rest, so that all of the box is as warm as the room; then heater and fan switch at random."""
+    """Return a rest, until the whole box is as warm as the room; then random switches of heater and fan."""
     random = np.random.default_rng(recording.seed)
     duty = _held(random, recording.minutes, (8, 25), (0.0, 0.15, 0.3, 0.45, 0.6))
     fan = _held(random, recording.minutes, (5, 30), (0.0, 0.0, 1.0))
@@ -135,7 +137,7 @@ def _profile(recording: ExampleRecording) -> Mapping[str, np.ndarray]:
 def _held(
     random: np.random.Generator, minutes: int, lengths: tuple[int, int], levels: Sequence[float]
 ) -> np.ndarray:
-    """A level a minute; each holds for some of them, and is another than the one before if it can be."""
+    """Draw a level a minute; each holds for some minutes and differs from the one before if possible."""
     values: list[float] = []
     while len(values) < minutes:
         values += [float(random.choice(levels))] * int(random.integers(lengths[0], lengths[1] + 1))

@@ -32,7 +32,7 @@ Method = Callable[[PlanningProblem], tuple[float, float, bool]]  # cost, lower b
 
 
 def ours(box_s: float) -> Method:
-    """The planner of `MPC` inside a time box."""
+    """Return the planner of `MPC` inside a time box."""
 
     def method(problem: PlanningProblem) -> tuple[float, float, bool]:
         solution = solve(problem, _NO_BUDGET, TimeBox(box_s, wall_s=np.inf))
@@ -42,7 +42,7 @@ def ours(box_s: float) -> Method:
 
 
 def peer(answer: Callable[[PlanningProblem], peers.Answer]) -> Method:
-    """A peer; its plan is priced by the same function as ours."""
+    """Return a peer, whose plan is priced by the same function as ours."""
 
     def method(problem: PlanningProblem) -> tuple[float, float, bool]:
         levels, fan, proven = answer(problem)

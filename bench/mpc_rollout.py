@@ -98,7 +98,7 @@ def predictors(arx: Arx) -> dict[str, Predictor]:
 
 
 def rows(model: Predictor, arx: Arx, contexts: Sequence[Context], settings: MpcSettings) -> list[PlannerRow]:
-    """The linear planner's plan applied to `model`, then searches of growing budget."""
+    """Apply the linear planner's plan to `model`, then searches of growing budget."""
     found = []
     for budget in (0, *_BUDGETS):
         controller = MpcRollout("MPC", model, arx, settings, budget)
@@ -133,7 +133,7 @@ def best_known(model: Predictor, arx: Arx, context: Context, settings: MpcSettin
 
 
 def table(found: list[PlannerRow], known: Sequence[float]) -> list[str]:
-    """A line per row."""
+    """Return a line per row."""
     linear = np.array(found[0].costs)
     best = np.min([known, *(row.costs for row in found)], axis=0)
     lines = []

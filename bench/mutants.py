@@ -83,7 +83,7 @@ def _defaults(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def _replaced(source: str, node: ast.AST, changed: ast.AST) -> str:
-    """The source with one node written anew. Columns of the tree count bytes."""
+    """Return the source with one node replaced. Columns of the tree count bytes."""
     lines = source.encode().splitlines(keepends=True)
     begin = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
     end = sum(map(len, lines[: node.end_lineno - 1])) + node.end_col_offset
@@ -139,7 +139,7 @@ def copy_tree(root: Path, to: Path) -> None:
 
 
 def run_tests(tree: Path, tests: Sequence[Path], limit_s: float | None = None) -> tuple[str, str]:
-    """What the tests say of a tree, and the last lines that they print."""
+    """Run the tests of a tree; return the outcome and the last lines that they print."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "--no-header", "-p", "no:cacheprovider"]
     paths = [str(tree), os.environ.get("PYTHONPATH", "")]
     # Sources change within the second that a cached byte code's time tells: none is written.
@@ -161,7 +161,7 @@ def draw(package: str, seed: int, count: int, root: Path) -> tuple[int, list[Fil
 
 
 def difference(mutant: FileMutant, root: Path) -> str:
-    """The changed lines, with one line around them."""
+    """Return the changed lines, with one line around them."""
     before = (root / mutant.path).read_text(encoding="utf-8").splitlines()
     lines = difflib.unified_diff(before, mutant.text.splitlines(), lineterm="", n=1)
     return "\n".join(f"    {line}" for line in list(lines)[2:])

@@ -105,7 +105,7 @@ def survive(kill: Callable[..., None], count: int, seed: int) -> tuple[int, int,
 
 
 def publisher(port: int, database: str) -> subprocess.Popen[bytes]:
-    """The process under test."""
+    """Start the process under test."""
     command = [sys.executable, str(REPOSITORY / "bench" / "support" / "publisher.py"), str(port), database]
     return subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(REPOSITORY)})
 
@@ -124,13 +124,13 @@ def draining(port: int, database: str) -> Iterator[Outbox]:
 
 
 def wait_until_empty(outbox: Outbox) -> None:
-    """The broker has acknowledged all."""
+    """Wait until the broker has acknowledged everything."""
     while outbox.depth():
         time.sleep(0.02)
 
 
 def settle(listener: Listener) -> None:
-    """The broker has handed over all it had."""
+    """Wait until the broker has handed over everything."""
     count = -1
     while count != len(listener.heard):
         count = len(listener.heard)
@@ -149,7 +149,7 @@ def stored(database: str) -> set[int]:
 
 
 def missing(database: str, listener: Listener) -> list[int]:
-    """What was stored and never heard."""
+    """Return the numbers that were stored and never received."""
     return sorted(stored(database) - set(heard(listener)))
 
 

@@ -25,7 +25,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
 
 
 def ranges() -> str:
-    """The ranges as one line."""
+    """Return the ranges as one line."""
     return "; ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in RANGES.items())
 
 
@@ -36,7 +36,7 @@ def random_problems(count: int, horizon: int, weight: float, seed: int) -> Itera
 
 
 def _problem(rng: np.random.Generator, horizon: int, weight: float) -> PlanningProblem:
-    """A heater that warms the air, each of first order; the fan cools the air linearly."""
+    """Draw a heater that warms the air, each of first order; the fan cools the air linearly."""
     air_min, heater_min = (np.exp(rng.uniform(*np.log(RANGES[name]))) for name in list(RANGES)[:2])
     heater_late, fan_late = (int(rng.integers(low, high + 1)) for low, high in list(RANGES.values())[2:4])
     rise, fall, room, above, goal, stored = (rng.uniform(*RANGES[name]) for name in list(RANGES)[4:])

@@ -74,7 +74,7 @@ def measured(folder: Path, log_set: LogSet, logs: Logs) -> LogResult:
 
 
 def _given(log_set: LogSet, data: DiagnosisRuns) -> Step:
-    """The one mass by least squares over its free runs, with one room for all of them."""
+    """Fit the one mass by least squares over its free runs, with one room for all of them."""
     fit = one_mass(log_set, [named.run for named in data.train])
     twin, room = fit.file.twin(), fit.ambient_c.value if fit.ambient_c else np.nan
 
@@ -123,7 +123,7 @@ def _heated(
 
 
 def lines_of(folder: str, rule: str, logs: Logs, result: LogResult) -> list[str]:
-    """The table of a case."""
+    """Return the table of a case."""
     verdict = result.diagnosis.verdict
     what = "parts" if logs.train is logs.test else "runs"
     lines = [f"## {folder}, {rule}: {len(logs.train)} {what} train, {len(logs.test)} held out"]

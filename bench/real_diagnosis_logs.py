@@ -77,7 +77,7 @@ LOG_SETS = {
 
 
 def first_part(runs: Sequence[tuple[str, RecordedRun]]) -> Logs:
-    """The first FIRST_SHARE of the rows of each run trains, the rest is held out."""
+    """Train on the first FIRST_SHARE of the rows of each run and hold the rest out."""
     parts = tuple(
         LogPart(f"{name}.csv", run, float(run.columns["time_s"][round(FIRST_SHARE * len(run))]))
         for name, run in runs
@@ -86,7 +86,7 @@ def first_part(runs: Sequence[tuple[str, RecordedRun]]) -> Logs:
 
 
 def first_runs(runs: Sequence[tuple[str, RecordedRun]]) -> Logs:
-    """The first FIRST_RUNS by name, which begins with the date, train; later ones are held out."""
+    """Train on the first FIRST_RUNS by name, which begins with the date; hold later ones out."""
     parts = [LogPart(f"{name}.csv", run) for name, run in runs]
     return Logs(tuple(parts[:FIRST_RUNS]), tuple(parts[FIRST_RUNS:]))
 
@@ -95,7 +95,7 @@ RULES: dict[str, Rule] = {"first part": first_part, "first runs": first_runs}
 
 
 def read_logs(data: Path, log_set: LogSet, rule: Rule) -> Logs:
-    """The recordings at the twin's step (readings at its instants, duty the mean over it), divided.
+    """Read the recordings at the twin's step (readings at its instants, duty the mean over it), divided.
 
     Errors : DataError where there are none
     """
@@ -120,7 +120,7 @@ def write_case(folder: Path, log_set: LogSet, logs: Logs) -> tuple[list[Path], l
 
 
 def _until(part: LogPart) -> RecordedRun:
-    """What of a recording trains."""
+    """Return the part of a recording that trains."""
     if part.judged_from_s is None:
         return part.run
     return cut(part.run, 0, int((part.run.columns["time_s"] < part.judged_from_s).sum()))
@@ -139,7 +139,7 @@ def _written(folder: Path, parts: Sequence[LogPart], role: str) -> list[Path]:
 
 
 def one_mass(log_set: LogSet, runs: Sequence[RecordedRun]) -> TwinFit:
-    """The twin that loses heat and has one mass, by least squares over its free runs, with one room.
+    """Fit the twin of one mass with a loss, by least squares over its free runs, with one room.
 
     There is no fan: that of heated_box stirs the air inside and never stops, tclab has none.
     """
@@ -154,7 +154,7 @@ def one_mass(log_set: LogSet, runs: Sequence[RecordedRun]) -> TwinFit:
 
 
 def given_twin(log_set: LogSet, runs: Sequence[RecordedRun]) -> TwinFile:
-    """The one mass, its two values still to be fitted, from where it fits best."""
+    """Return the one mass, its two values still to be fitted, from where it fits best."""
     file = one_mass(log_set, runs).file
     values = {
         place: Value(value.value, fit=True) for place, value in file.values().items() if place[0] == "effects"

@@ -37,7 +37,7 @@ class Plate(NamedTuple):
 
 
 def heated(twin: BoxTwin, free: RunForecast, duty: Floats, room_c: Floats, plate_c: Floats) -> Heated:
-    """The states of a free run, fan off. duty, room_c, plate_c : [rows] of its run"""
+    """Return the states of a free run, fan off. duty, room_c, plate_c : [rows] of its run"""
     start, heater = free.start, twin.states.index(HEATER)
     plate_c, duty = plate_c[: len(free.measured)], duty[: len(free.measured)]
     off = np.zeros(start + 1)
@@ -52,7 +52,9 @@ def heated(twin: BoxTwin, free: RunForecast, duty: Floats, room_c: Floats, plate
 
 
 def plate_of(train: Sequence[Heated], test: Sequence[Heated]) -> Plate:
-    """The plate is warmer than the air in proportion to the heat that leaves it: fitted on training runs."""
+    """Fit on training runs how much warmer the plate is than the air, in
+    proportion to the heat that leaves it.
+    """
     fitted, rest = (
         Heated(*(np.concatenate(part) for part in zip(*runs, strict=True))) for runs in (train, test)
     )

@@ -93,7 +93,7 @@ CASES: Mapping[str, AliasCase] = {case.hidden: case for case in _CASES}
 
 
 def twin_of(case: AliasCase, late_s: float = 0.0) -> TwinFile:
-    """What is known of the box, calibrated on quiet runs of one in which nothing is hidden.
+    """Return the known twin of the box, calibrated on quiet runs of one in which nothing is hidden.
 
     late_s : by which readings are older than the rows they stand in
     """
@@ -126,7 +126,7 @@ def quiet_plan(seed: int) -> RunPlan:
 
 
 def chamber_document(settings: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """A chamber file for the virtual board, whose relay makes the duty: effects that are not set are off."""
+    """Return a chamber file for the virtual board, whose relay makes the duty: unset effects are off."""
     document: dict[str, dict[str, float]] = {"effects": dict.fromkeys(EFFECT_NAMES, 0.0)}
     for place, value in {**BASE, **settings}.items():
         section, _, key = place.partition(".")
@@ -136,7 +136,7 @@ def chamber_document(settings: Mapping[str, float]) -> dict[str, dict[str, float
 
 
 def resolve(case: AliasCase, folder: Path) -> list[str]:
-    """The whole chain; lines of the table."""
+    """Run the whole chain; return lines of the table."""
     twin, chamber = folder / "twin.yaml", folder / "chamber.yaml"
     write_twin_file(twin_of(case, AVERAGE_S / 2.0), twin)  # a reading is the mean of the seconds before it
     chamber.write_text(yaml.safe_dump(chamber_document({**case.box, **case.settings})), encoding="utf-8")
@@ -175,7 +175,7 @@ def _diagnosis(runs: Sequence[Path], twin: Path, report: Path) -> dict[str, Any]
 
 
 def _greenhouse(*words: object) -> str:
-    """What `greenhouse` prints. Errors: RuntimeError with what it said"""
+    """Return the output of `greenhouse`. Errors: RuntimeError with its messages"""
     done = subprocess.run([*GREENHOUSE, *map(str, words)], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"greenhouse {words[0]}: {done.stdout}{done.stderr}")
@@ -196,7 +196,7 @@ def _told(when: str, found: Mapping[str, Any]) -> list[str]:
 
 
 def _measured(case: AliasCase, before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """Whether the class is resolved, to what."""
+    """Return whether the class is resolved, and to which effect."""
     names = [effect["name"] for effect in after["effects"]]
     left = [name for effect in after["effects"] for name in effect["alternatives"]]
     first = [effect["name"] for effect in before["effects"]]
@@ -206,7 +206,7 @@ def _measured(case: AliasCase, before: Mapping[str, Any], after: Mapping[str, An
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """The cases named, or all; 1 if a class was not resolved."""
+    """Resolve the cases named, or all; 1 if a class was not resolved."""
     parser = argparse.ArgumentParser(prog="python -m bench.resolve_alias", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}")
     parser.add_argument("--keep", type=Path, help="folder for runs and reports, else they are thrown away")

@@ -46,7 +46,7 @@ Way = Callable[[Floats], Floats]  # controls [B, N, 2] -> temperatures [B, N]
 
 
 def networks() -> dict[str, Network]:
-    """The networks of the paper and the guarded hybrid, sized as they are trained."""
+    """Return the networks of the paper and the guarded hybrid, sized as they are trained."""
     torch.manual_seed(0)
     mean, scale = torch.tensor([28.0, 22.0, 50.0, 0.009]), torch.tensor([4.0, 1.0, 30.0, 0.009])
     effects = {name: {item.name: item.start for item in EFFECTS[name].parameters} for name in FITTED.effects}
@@ -62,14 +62,14 @@ def networks() -> dict[str, Network]:
 
 
 def past_and_coming(run: RecordedRun) -> tuple[Columns, Columns]:
-    """The first rows of a run as history, and the room temperature of the coming steps."""
+    """Return the first rows of a run as history, and the room temperature of the coming steps."""
     columns = inside_names(run)
     history = {name: values[:WINDOW] for name, values in columns.items()}
     return history, {"temp_ambient": columns["temp_ambient"][WINDOW - 1 : WINDOW - 1 + HORIZON]}
 
 
 def ways(network: Network, run: RecordedRun, folder: Path) -> dict[str, Way]:
-    """The three ways of one network, from the same rows of `run`."""
+    """Return the three ways of one network, from the same rows of `run`."""
     history, ahead = past_and_coming(run)
     facts = ExportFacts("bench", 0, "", box_of([run.columns], keys("ham")), {}, _twin_sha256(network))
     graph = export(network, facts, run, folder / "model.onnx")

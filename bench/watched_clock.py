@@ -62,11 +62,11 @@ class WatchedClock:
         self._look_s = 0.0
 
     def now(self) -> float:
-        """Simulated time [s]."""
+        """Return the simulated time [s]."""
         return self._board.now()
 
     def utc(self) -> float:
-        """Simulated time [s since 1970]."""
+        """Return the simulated time [s since 1970]."""
         return self._board.utc()
 
     def wait(self, port: Port | None, wake: int | None, until_s: float) -> None:
@@ -82,7 +82,7 @@ class WatchedClock:
             self._give(self._orders.pop(0), wake)
 
     def _give(self, order: TimedRequest, wake: int) -> None:
-        """Simulated time stands still until the order is in the daemon's inbox."""
+        """Give an order; simulated time stands still until the order is in the daemon's inbox."""
         threading.Thread(target=self._ask, args=(self.now(), order)).start()
         arrived, _, _ = select.select([wake], [], [], ARRIVAL_S)
         assert arrived, f"{order} did not reach the daemon"
@@ -93,7 +93,7 @@ class WatchedClock:
 
 
 def look_at(truth: Mapping[str, Any]) -> Look:
-    """The answer to a request for the truth as a Look."""
+    """Return the answer to a request for the truth as a Look."""
     return Look(
         time_s=truth["time_s"],
         temp_air_c=truth["chamber"]["temp_air_c"],

@@ -14,7 +14,7 @@ needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is no
 
 
 def plan(target: str) -> str:
-    """What `make TARGET` would do in a tree that has nothing installed."""
+    """Return what `make TARGET` would do in a tree that has nothing installed."""
     command = ["make", "--dry-run", "--always-make", "PYTHON=python3", target]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
 

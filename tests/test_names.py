@@ -1,4 +1,4 @@
-"""Names that a reader meets: no class name stands for two things."""
+"""Names and docstrings that a reader meets: one class a name, openings with a verb or a noun."""
 
 import ast
 from collections import defaultdict
@@ -6,6 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PARTS = ("edge", "firmware_protocol", "training", "bench", "tests")
+BAD_OPENINGS = {"what", "of", "whether", "where"}  # the reader waits for the noun or the verb
 NOTEBOOK = {"Run", "Twin"}  # `from edge import Run, Twin`: short on purpose, and not used inside
 
 
@@ -31,3 +32,16 @@ def test_the_notebooks_names_are_those_of_one_file() -> None:
     assert {name: found[name] for name in NOTEBOOK} == {
         name: ["edge/diagnosis/python.py"] for name in NOTEBOOK
     }
+
+
+def test_no_docstring_opens_without_a_verb_or_a_noun() -> None:
+    bad = []
+    for part in PARTS:
+        for path in sorted((ROOT / part).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                    continue
+                words = (ast.get_docstring(node) or "").split()
+                if words and words[0].strip("`,.:;").lower() in BAD_OPENINGS:
+                    bad.append(f"{path.relative_to(ROOT)}: {' '.join(words[:6])}")
+    assert bad == []

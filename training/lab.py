@@ -58,7 +58,7 @@ class InProcessBoard:
         self._now_s = self.device.now_ms / 1000
 
     def now(self) -> float:
-        """Simulated time since the board's start [s]."""
+        """Return the simulated time since the board's start [s]."""
         return self._now_s
 
     def utc(self) -> float:
@@ -71,7 +71,7 @@ class InProcessBoard:
             self._advance(min(until_s, self._now_s + SLICE_S), stop_on_bytes=port is not None)
 
     def truth(self) -> Mapping[str, Any]:
-        """The true state of the chamber, as the board's process answers it."""
+        """Return the true state of the chamber, as the board's process answers it."""
         return {"chamber": self.device.plant.truth(self.device.now_ms)}
 
     def _advance(self, to_s: float, stop_on_bytes: bool) -> None:
@@ -87,7 +87,7 @@ class InProcessBoard:
         self._now_s = max(device.now_ms / 1000, to_s if device.now_ms >= asked_ms else self._now_s)
 
     def open(self, path: str, baudrate: int) -> "InProcessBoard":
-        """The port: there is only one."""
+        """Return the port: there is only one."""
         return self
 
     def fileno(self) -> int:
@@ -102,12 +102,12 @@ class InProcessBoard:
         return data
 
     def write(self, data: bytes) -> None:
-        """The board hears them now."""
+        """Write bytes, which the board receives now."""
         self.bytes_out += len(data)
         self.device.receive(data)
 
     def close(self) -> None:
-        """The board goes on by itself."""
+        """Close the port; the board goes on by itself."""
 
 
 class Lab:
@@ -195,7 +195,8 @@ class Lab:
         self._daemon.stop()
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
-        """The history with its truths as columns with a row per tick; NaN for a measurement that is not good.
+        """Return the history with its truths as columns with a row per tick;
+        NaN for a measurement that is not good.
 
         time_s, temp_air_c (measured), true_air_c, sensor_air_c (without noise, steps and bias),
         temp_ambient_c, reference_c, heater_duty, fan_on (as the board confirmed them), solve_ms

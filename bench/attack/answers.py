@@ -115,7 +115,7 @@ def _violations(controller: str, seed: int, ticks: int) -> list[str]:
 
 
 def _in_history(path: Path, records: list[TickRecord]) -> list[str]:
-    """What the history holds of the ticks that were run, and whether all of its text can be read."""
+    """Check that the history holds the ticks that were run and that its text can be read."""
     with closing(sqlite3.connect(path)) as connection:
         seqs = [seq for (seq,) in connection.execute("SELECT seq FROM ticks ORDER BY seq")]
         connection.execute("SELECT group_concat(text) FROM events").fetchone()[0].encode()

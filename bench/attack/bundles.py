@@ -57,7 +57,7 @@ JSON_VALUES = (
 
 
 def loop_graph(trips: int, size: int) -> bytes:
-    """A policy whose graph loops `trips` times over an array of `size` numbers."""
+    """Return a policy whose graph loops `trips` times over an array of `size` numbers."""
     body = helper.make_graph(
         [
             helper.make_node("Identity", ["go_in"], ["go"]),
@@ -135,7 +135,7 @@ class BundleRig:
         self.before = self.state()
 
     def build(self, out: Path, version: str, key: Path | None = None) -> bytes:
-        """A sound archive."""
+        """Build a sound archive."""
         facts = ManifestFacts(version=version, created_utc="2026-07-01T12:00:00Z", data_sha256="d" * 64)
         build_bundle(self.models, out, facts, key or self.key)
         return out.read_bytes()
@@ -154,7 +154,7 @@ class BundleRig:
         return {**own, MANIFEST: content, SIGNATURE: key.sign(content)}
 
     def state(self) -> tuple[str, str]:
-        """The active bundle, and a digest of all of its bytes."""
+        """Return the active bundle, and a digest of all of its bytes."""
         digest = hashlib.sha256()
         for path in sorted((self.folder / "store" / ACTIVE).iterdir()):
             digest.update(path.name.encode() + path.read_bytes())
@@ -162,7 +162,7 @@ class BundleRig:
 
 
 def _keep(document: dict[str, Any]) -> None:
-    """The manifest as it is."""
+    """Leave the manifest as it is."""
 
 
 def unpacked(archive: bytes) -> Files:
@@ -179,7 +179,7 @@ def packed(files: Mapping[str, bytes] | list[tuple[str, bytes]]) -> bytes:
 
 
 def flipped(content: bytes, chance: random.Random, share: float = 0.0) -> bytes:
-    """Some bytes exchanged, at least one."""
+    """Exchange some bytes, at least one."""
     changed = bytearray(content)
     for _ in range(1 + int(share * len(changed) * chance.random())):
         changed[chance.randrange(len(changed))] = chance.randrange(256)
@@ -222,7 +222,7 @@ def evil_yaml(chance: random.Random) -> bytes:
 
 
 def evil_archive(rig: BundleRig, chance: random.Random, version: str) -> tuple[str, bytes]:
-    """The kind of evil, and the archive."""
+    """Return the kind of damage, and the archive."""
     archive = rig.build(rig.folder / "sound.zip", version)
     files = unpacked(archive)
     kind = chance.choice(KINDS)

@@ -75,7 +75,7 @@ SQL_VALUES = (
 
 
 def honest_run() -> bytes:
-    """A run of an hour that every command takes."""
+    """Return a run of an hour that every command accepts."""
     rows = ["time_s,temp_air_c,temp_ambient_c,heater_duty,fan_on"]
     for row in range(ROWS):
         duty = 0.1 * ((row // 7) % 5)
@@ -155,7 +155,7 @@ def _bundle() -> bytes:
 
 @cache
 def _history() -> bytes:
-    """A database with two hours: one that a virtual rig recorded, one that was imported."""
+    """Return a database with two hours: one that a virtual rig recorded, one that was imported."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "history.db"
         (Path(folder) / "first.csv").write_bytes(honest_run())
@@ -180,7 +180,7 @@ def _database(rng: np.random.Generator, content: bytes) -> bytes:
 
 
 def _harm(rng: np.random.Generator, connection: sqlite3.Connection) -> None:
-    """What somebody does who may write the database, or a disk that lost a part of it."""
+    """Damage the database as a writer or a failing disk could."""
     query = "SELECT name FROM sqlite_schema WHERE type = 'table' AND sql IS NOT NULL ORDER BY name"
     table = _one(rng, [name for (name,) in connection.execute(query)])
     columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{table}")')]
@@ -293,7 +293,7 @@ PLACES = {
 
 
 def run(seed: int, count: int) -> Iterator[TrialResult]:
-    """A case of each seed: one damaged file, one command."""
+    """Run a case of each seed: one damaged file, one command."""
     bundle = _bundle()
     for number in range(seed, seed + count):
         rng = np.random.default_rng(number)

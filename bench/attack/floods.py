@@ -39,7 +39,7 @@ BROKER = "allow_anonymous true\nmax_queued_messages 0\nmax_inflight_messages 0"
 
 
 def idle(path: Path, port: int) -> None:
-    """Connections that say nothing."""
+    """Open connections that say nothing."""
     clients = [_client(path) for _ in range(CLIENTS)]
     while clients:
         time.sleep(0.05)
@@ -47,7 +47,7 @@ def idle(path: Path, port: int) -> None:
 
 
 def half_lines(path: Path, port: int) -> None:
-    """Connections that never end their line."""
+    """Open connections that never end their line."""
     clients = [_client(path) for _ in range(CLIENTS)]
     while True:
         for number, client in enumerate(clients):
@@ -59,7 +59,7 @@ def half_lines(path: Path, port: int) -> None:
 
 
 def never_read(path: Path, port: int) -> None:
-    """Requests whose answers nobody reads."""
+    """Send requests and never read the answers."""
     clients = [_client(path) for _ in range(CLIENTS)]
     for client in clients:
         client.setblocking(False)
@@ -75,7 +75,7 @@ def never_read(path: Path, port: int) -> None:
 
 
 def requests_of(line: bytes) -> Callable[[Path, int], None]:
-    """Requests of one kind from many clients at once, as fast as they are answered."""
+    """Return a flood of one kind of request from many clients, as fast as they are answered."""
 
     def flood(path: Path, port: int) -> None:
         clients = [_client(path) for _ in range(16)]
@@ -91,7 +91,7 @@ def requests_of(line: bytes) -> Callable[[Path, int], None]:
 
 
 def comings_and_goings(path: Path, port: int) -> None:
-    """Connections that are closed as soon as they are open."""
+    """Open connections and close them at once."""
     while True:
         _client(path).close()
 

@@ -1,4 +1,4 @@
-"""What must hold in every scenario, whatever was drawn. Each check returns its violations as sentences."""
+"""Invariants of every scenario, whatever was drawn. Each check returns its violations as sentences."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Span:
     end_s: float
 
     def holds(self, time_s: float) -> bool:
-        """Whether the time lies inside."""
+        """Return whether the time lies inside."""
         return self.begin_s <= time_s <= self.end_s
 
 
@@ -39,7 +39,7 @@ def violations(outcome: Outcome) -> list[str]:
 
 
 def _ended(outcome: Outcome) -> Iterator[str]:
-    """A daemon ends when it is told, and by nothing else."""
+    """Check that a daemon ended when told to, and only then."""
     for number, lived in enumerate(outcome.lives):
         expected = -9 if lived.life.killed else 0
         if lived.exit_code != expected:
@@ -119,12 +119,14 @@ def stopped(outcome: Outcome) -> list[Span]:
 
 
 def _excused(outcome: Outcome, span: Span, look: Look) -> bool:
-    """The board could not have heard of the stop yet: the line has been disturbed ever since."""
+    """Return whether the board could not have heard of the stop yet, since
+    the line was disturbed all along.
+    """
     return not _heard(outcome, span, look)
 
 
 def _heard(outcome: Outcome, span: Span, look: Look) -> bool:
-    """Whether the line and the daemon were well for long enough between the stop and the look."""
+    """Return whether the line and the daemon were well for long enough between the stop and the look."""
     well_s = span.begin_s
     bad = sorted(_disturbed(outcome), key=lambda each: each.begin_s)
     if not any(each.begin_s <= span.begin_s + OBEYED_S and each.end_s >= span.begin_s for each in bad):

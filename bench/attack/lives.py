@@ -42,7 +42,7 @@ class AnsweredOrder:
 
 @dataclass(frozen=True, slots=True)
 class Lived:
-    """What one life of the daemon left: numbers of its ticks, and how its process ended."""
+    """The remains of one life of the daemon: numbers of its ticks, and how its process ended."""
 
     life: Life
     begin_s: float
@@ -146,7 +146,7 @@ def _daemon(
 
 
 def _fill_the_disk(file_max: int) -> None:
-    """Writing beyond fails with EFBIG, as on a disk without room."""
+    """Limit file sizes, so that writing beyond fails with EFBIG, as on a full disk."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
     resource.setrlimit(resource.RLIMIT_FSIZE, (file_max, hard))
@@ -193,7 +193,7 @@ class _Notes:
 
 
 def _writer_of(descriptor: int) -> int:
-    """The writing end of a pipe whose other end a child of the child copies to the file."""
+    """Return the writing end of a pipe whose other end a grandchild copies to the file."""
     reading, writing = os.pipe()
     if os.fork() == 0:
         os.close(writing)

@@ -18,14 +18,14 @@ DEPTH = 20_000  # of nesting: beyond what Python's recursion takes
 
 
 def text(rng: np.random.Generator) -> str:
-    """A string that is hard to store, print or parse."""
+    """Return a string that is hard to store, print or parse."""
     if rng.random() < 0.3:
         return "".join(chr(code) for code in rng.integers(0, 0x110000, int(rng.integers(1, 60))))
     return TEXTS[int(rng.integers(len(TEXTS)))]
 
 
 def value(rng: np.random.Generator, depth: int = 0) -> Any:
-    """A JSON value of any type, of the wrong type, or out of every range."""
+    """Return a JSON value of any type, of the wrong type, or out of every range."""
     kind = int(rng.integers(6 if depth < 3 else 4))
     if kind == 0:
         return text(rng)

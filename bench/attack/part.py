@@ -1,4 +1,4 @@
-"""What every part of the attack has: cases with their violations, a command line, an exit code."""
+"""Shared form of the attack's parts: cases with their violations, a command line, an exit code."""
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +30,7 @@ def report(part: Part, seed: int, count: int, what: str) -> int:
 
 
 def main_of(part: Part, seed: int, count: int, what: str, about: str | None) -> int:
-    """The command line of one part alone; 1 when something was violated."""
+    """Run one part by its command line; 1 when an invariant was violated."""
     parser = argparse.ArgumentParser(prog=f"python -m bench.attack.{what}", description=about)
     parser.add_argument("--seed", type=int, default=seed)
     parser.add_argument("--count", type=int, default=count)

@@ -75,7 +75,7 @@ def _message(rng: np.random.Generator) -> tuple[str, bytes]:
 
 
 def _look(daemon: DaemonProcess, before: int) -> list[str]:
-    """What is wrong with the daemon now."""
+    """Return the present faults of the daemon."""
     assert daemon.process is not None
     if daemon.process.poll() is not None:
         return [f"the daemon has ended: {daemon.log.strip().splitlines()[-1:]}"]

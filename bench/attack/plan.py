@@ -61,7 +61,7 @@ class AttackPlan:
 
 
 def draw(seed: int) -> AttackPlan:
-    """The scenario of one seed; the same at every call."""
+    """Draw the scenario of one seed, the same at every call."""
     rng = np.random.default_rng(seed)
     # The last one has room on its disk and ends in good order: by then everything is stored or reported.
     lives = (

@@ -79,7 +79,7 @@ class ForeignBox:
 
 @dataclass(frozen=True, slots=True)
 class BoxWeather:
-    """What happens to a box, one number a row: the room, heat of others, open share of the lid, the mains."""
+    """Weather of a box, one number a row: the room, heat of others, open share of the lid, the mains."""
 
     room_c: Floats
     heat_w: Floats

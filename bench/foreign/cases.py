@@ -189,7 +189,7 @@ def _strength(
 
 
 def _library_values(name: str, fields: Mapping[str, float], box: ForeignBox) -> dict[str, float]:
-    """The same in the words of the library, where they mean the same."""
+    """Return the values by the library's names, where the meaning is the same."""
     loss = float(box.loss_w_k)
     own = dict(fields)
     found: dict[str, dict[str, float]] = {
@@ -208,7 +208,7 @@ def _library_values(name: str, fields: Mapping[str, float], box: ForeignBox) -> 
 
 
 def _rows(rng: Generator, drawn: DrawnBox) -> list[int]:
-    """Of each recording: one or several, the last one judged by."""
+    """Draw the rows of each recording: one or several, the last one judged by."""
     total = int(np.clip(drawn.tau_s * rng.uniform(15.0, 40.0) / drawn.step_s, 240, 1500))
     count = int(rng.integers(1, 5))
     return [max(120, round(total / count))] * count
@@ -252,7 +252,7 @@ def _disturbed(rng: Generator, weather: BoxWeather, outside: str, kind: str, dra
 
 
 def _shown_k(box: ForeignBox, fields: Mapping[str, float], drawn: DrawnBox, runs: list[Any]) -> float:
-    """What of an effect no other loss and capacity can stand for, root mean square of the first run [K]."""
+    """Return the part of an effect that no other loss and capacity can replace, RMS of the first run [K]."""
     return _left_k(box.less(dict(fields)), drawn, runs)
 
 
@@ -304,7 +304,7 @@ def _files(
 
 
 def _believed(rng: Generator, drawn: DrawnBox) -> dict[str, Any]:
-    """The owner's twin: either guesses, wrong by 30 %, or a fit from starts that are wrong by 10 times."""
+    """Return the owner's twin: guesses, wrong by 30 %, or a fit from starts that are wrong by 10 times."""
     box = drawn.box
     air = 1.2 * 1005.0 * float(box.volume_m3)
     true = {"UA": float(box.loss_w_k), "kC": 1.0 + float(box.contents_j_k) / air}

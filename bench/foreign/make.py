@@ -38,7 +38,7 @@ def tasks_of(arguments: argparse.Namespace) -> list[Task]:
 
 
 def name_of(task: Task) -> str:
-    """Of a case's folder; it does not tell the kind."""
+    """Return the name of a case's folder, which does not reveal the kind."""
     return f"case_{seed_of(*task[1:]):06}"
 
 
@@ -66,7 +66,7 @@ def _make(task: Task) -> str:
 
 
 def write_case(case: ForeignCase, folder: Path) -> None:
-    """What the workflow is given. Errors: OSError"""
+    """Write the files that the workflow is given. Errors: OSError"""
     folder.mkdir(parents=True, exist_ok=True)
     for name, log in case.files.items():
         (folder / name).write_text(write_text(name, log), encoding="utf-8")
@@ -75,7 +75,7 @@ def write_case(case: ForeignCase, folder: Path) -> None:
 
 
 def write_text(name: str, log: ForeignLog) -> str:
-    """A run file."""
+    """Return a run file."""
     lines = [f"# role: {name.partition('_')[0]}"]
     if log.judged_from_s is not None:
         lines.append(f"# validate_from_s: {log.judged_from_s:g}")

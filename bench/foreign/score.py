@@ -64,7 +64,7 @@ class ScoredAnswer:
 
 
 def is_alike(name: str, other: str) -> bool:
-    """Whether a log hardly tells them apart."""
+    """Return whether a log hardly tells the two apart."""
     return name == other or any({name, other} <= own for own in ALIASES)
 
 
@@ -233,7 +233,7 @@ def read_scored(task: Any) -> ScoredAnswer | None:
 
 
 def text(cases: Sequence[ScoredAnswer]) -> str:
-    """The table, the reliability of what was said, and a line a case that went wrong."""
+    """Return the table, the reliability of the probabilities, and a line for each case that went wrong."""
     lines = [f"{len(cases)} cases"]
     for name, value in figures(cases).items():
         lines.append(f"{name:56} {_figure(value)}")

@@ -1,4 +1,4 @@
-"""What happens around a box, and how its owner drives it: none of it smooth, none of it told."""
+"""Weather around a box and the owner's control: rough, and unknown to the workflow."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ DRIVES = ("steps", "thermostat", "timer", "climb")
 
 
 def draw_weather(rng: Generator, rows: int, step_s: float, power_w: float, usual_c: float) -> BoxWeather:
-    """A room with a day, airing and a radiator; a heat that walks; a mains that steps."""
+    """Draw a room with a day, airing and a radiator; a heat that walks; a mains that steps."""
     time_s = step_s * np.arange(rows) + rng.uniform(0.0, DAY_S)
     room = usual_c + rng.uniform(-1.5, 1.5) + rng.uniform(0.2, 2.5) * np.sin(2.0 * np.pi * time_s / DAY_S)
     room = room + _sawtooth(time_s, rng.uniform(0.1, 0.8), rng.uniform(900.0, 5400.0))
@@ -47,7 +47,7 @@ class Hysteresis:
 
 def draw_control(rng: Generator, kind: str, rows: int, step_s: float, tau_s: float, rise_k: float,
                  room_c: float, has_fan: bool) -> Control:  # fmt: skip
-    """Steps, a thermostat with set points that change, a timer, or a ramp of levels up and down."""
+    """Draw steps, a thermostat with changing set points, a timer, or a ramp of levels up and down."""
     fan = _spells(rng, rows, step_s, (0.3 * tau_s, 3.0 * tau_s), lambda: float(rng.random() < 0.4))
     fan = fan if has_fan else np.zeros(rows)
     if kind == "thermostat":
@@ -93,5 +93,5 @@ def sun_w(rng: Generator, rows: int, step_s: float, peak_w: float, tau_s: float)
 
 
 def visits_w(rng: Generator, rows: int, step_s: float, each_w: float, tau_s: float) -> Floats:
-    """Of people or pumps that come and go."""
+    """Draw the heat of people or pumps that come and go [W]."""
     return _spells(rng, rows, step_s, (0.7 * tau_s, 5.0 * tau_s), lambda: each_w * rng.choice([0, 0, 1, 2]))

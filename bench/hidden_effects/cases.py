@@ -1,4 +1,4 @@
-"""What a case is: runs and a twin file that the workflow is given, and the truth that it is not.
+"""Cases: runs and a twin file that the workflow is given, and the truth that it is not.
 
 Files, under the root of all suites:
 
@@ -46,7 +46,7 @@ class Hidden:
 
 @dataclass(frozen=True, slots=True)
 class RunTruth:
-    """What a test run does. Lists of one number per row.
+    """The truth of a test run. Lists of one number per row.
 
     measured_c : as the sensor shows it, with noise and steps; None where a reading is missing
     clean_c : without noise and steps, but with the heat noise and the mains of that run

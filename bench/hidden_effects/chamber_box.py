@@ -37,7 +37,7 @@ QUIET: Settings = {
 
 
 class Setting(NamedTuple):
-    """What makes an effect as strong as a number says.
+    """The setting that makes an effect as strong as a number says.
 
     value : that number's place, and `low`..`high` where it is searched for a size; `usual` where it is known
     form : what stands there is the strength ("same"), 1 minus it ("rest") or 1 over it ("inverse")
@@ -138,7 +138,7 @@ OUTSIDE: Mapping[str, tuple[Setting, tuple[str, ...]]] = {
 
 
 def chamber_of(settings: Mapping[str, float]) -> tuple[ChamberParameters, Effects]:
-    """The chamber's parameters and switches; what is not set is off, or as in chamber.yaml."""
+    """Return the chamber's parameters and switches; unset ones are off, or as in chamber.yaml."""
     parameters, _ = load()
     sections: dict[str, dict[str, float]] = {}
     for place, value in {**BASE, **settings}.items():
@@ -164,12 +164,12 @@ def draw_base(rng: Generator) -> Settings:
 
 
 def draw_known(rng: Generator, name: str) -> Settings:
-    """An effect of the size that known ones have; walls with mass also let heat through."""
+    """Draw an effect of the size of known ones; walls with mass also let heat through."""
     own = SETTINGS[name]
     settings = own.at(rng.uniform(*own.usual), draw_sign(rng))
     return {**settings, "effects.wall_loss": 1.0} if name == "wall_mass" else settings
 
 
 def draw_sign(rng: Generator) -> float:
-    """Of an effect with two signs."""
+    """Draw the sign of an effect with two signs."""
     return 1.0 if rng.random() < 0.5 else -1.0

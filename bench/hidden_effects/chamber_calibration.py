@@ -44,7 +44,7 @@ class ChamberCalibration(NamedTuple):
 
 
 def read_off(names: Sequence[str], settings: Settings) -> dict[str, dict[str, float]]:
-    """True parameters in the library's terms, of the effects that have them."""
+    """Return the true parameters in the library's terms, of the effects that have them."""
     found = {**BASE, **settings}
     return {
         name: {key: float(found[place]) for key, place in DIRECT[name].items()}

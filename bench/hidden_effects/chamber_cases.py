@@ -20,7 +20,7 @@ ATTEMPTS = 80
 
 
 def make_case(split: str, kind: str, number: int) -> HiddenCase:
-    """The case of this number within its kind. Errors: RuntimeError if no box comes out as wanted."""
+    """Make the case of this number within its kind. Errors: RuntimeError if no box comes out as wanted"""
     seed = seed_of(split, kind, number)
     rng = np.random.default_rng([SUITES.index("chamber"), seed])
     for _ in range(ATTEMPTS):
@@ -33,7 +33,7 @@ def make_case(split: str, kind: str, number: int) -> HiddenCase:
 
 
 def _draw_plans(rng: Generator, hard: bool) -> tuple[list[RunPlan], int]:
-    """Runs in time's order, and how many of them, the last ones, are tests."""
+    """Draw runs in time's order, and the number of tests, which are the last ones."""
     trains, tests = (2, 1) if hard else (int(rng.integers(4, 6)), 2)
     shortest, longest = (100, 180) if hard else (150, 210)
     return _plans(rng, [int(rng.integers(shortest, longest + 1)) for _ in range(trains + tests)]), tests
@@ -137,7 +137,7 @@ def _case(
 
 
 def _disturbed(box: ChamberBox, heat_w: float) -> Settings:
-    """The box among its disturbances; where those are what is hidden they stay as they are."""
+    """Return the box with its disturbances; hidden ones stay as they are."""
     hidden_noise = box.outside is not None and box.outside.name == "heat_noise"
     return box.settings if hidden_noise else {**box.settings, "events.heat_noise_w": heat_w}
 

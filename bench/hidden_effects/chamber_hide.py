@@ -52,7 +52,7 @@ class ChamberBox:
 def hide(
     rng: Generator, plans: Sequence[RunPlan], names: tuple[str, ...], wanted: Range
 ) -> ChamberBox | None:
-    """A random box in which these effects are hidden, each of a size in `wanted`; None if it is not."""
+    """Draw a box with these effects hidden, each of a size in `wanted`; None if it fails."""
     known, base = draw_known_box(rng, set(names))
     own: dict[str, Settings] = {}
     for name in names:
@@ -64,7 +64,7 @@ def hide(
 
 
 def hide_outside(rng: Generator, plans: Sequence[RunPlan], name: str, wanted: Range) -> ChamberBox | None:
-    """A random box with an effect of the chamber that no library knows."""
+    """Draw a box with an effect of the chamber that no library knows."""
     known, base = draw_known_box(rng, {name})
     found = _sized(rng, OUTSIDE[name][0], base, plans, wanted)
     if found is None:
@@ -77,7 +77,7 @@ def hide_outside(rng: Generator, plans: Sequence[RunPlan], name: str, wanted: Ra
 
 
 def hide_all(rng: Generator, plans: Sequence[RunPlan], wanted: Range) -> ChamberBox | None:
-    """A random box of 3 to 6 effects of which nothing is known."""
+    """Draw a box of 3 to 6 effects of which nothing is known."""
     names = ["wall_loss" if rng.random() < 0.5 else "wall_mass", "extra_capacity"]
     odds = np.array(list(BARE_OPTIONAL.values()))
     for name in rng.choice(list(BARE_OPTIONAL), rng.integers(1, 5), replace=False, p=odds / odds.sum()):
@@ -90,7 +90,7 @@ def hide_all(rng: Generator, plans: Sequence[RunPlan], wanted: Range) -> Chamber
 
 
 def draw_pair(rng: Generator, first: str) -> tuple[str, ...]:
-    """The first and another that is not like it."""
+    """Return the first effect and another unlike it."""
     rest = [name for name in SETTINGS if name != first and not are_alike({first, name})]
     return first, str(rng.choice(rest))
 
@@ -136,7 +136,7 @@ def _merged(own: dict[str, Settings]) -> Settings:
 def _sized(
     rng: Generator, setting: Setting, base: Settings, plans: Sequence[RunPlan], wanted: Range
 ) -> Settings | None:
-    """The effect at a strength that does what is wanted on a few rows."""
+    """Find the strength with the wanted size on a few rows."""
     few = [plan.shortened(GRID_ROWS) for plan in plans[-GRID_RUNS:]]
     sign, grid = draw_sign(rng), np.geomspace(setting.low, setting.high, GRID)
     without = _runs(base, few)
@@ -152,7 +152,7 @@ def _checked(
     plans: Sequence[RunPlan],
     wanted: Range,
 ) -> ChamberBox | None:
-    """The box if each hidden effect matters as wanted beside the others, over the last runs."""
+    """Return the box if each hidden effect matters as wanted among the others, over the last runs."""
     settings, last = {**base, **_merged(own)}, plans[-CHECKED_RUNS:]
     whole = _runs(settings, last) if own else np.zeros(0)
     true = read_off(list(own), settings)

@@ -32,7 +32,7 @@ class RunPlan:
     seed: int
 
     def shortened(self, rows: int) -> "RunPlan":
-        """The first rows of it, begun at rest."""
+        """Return the first rows of the plan, begun at rest."""
         cut = [column[: LEAD_ROWS + rows].copy() for column in (self.duty, self.fan, self.light)]
         for column in cut[:2]:
             column[:LEAD_ROWS] = 0.0
@@ -84,12 +84,14 @@ def drive(settings: Mapping[str, float], plan: RunPlan) -> DrivenRun:
 
 
 def quiet_c(settings: Mapping[str, float], plan: RunPlan) -> Floats:
-    """What the air's sensor would show without noise, steps and disturbances."""
+    """Return the air sensor's readings without noise, steps and disturbances."""
     return drive({**settings, **QUIET}, plan).clean_c
 
 
 def believed_c(settings: Mapping[str, float], plan: RunPlan) -> Floats:
-    """The same as one would have it who believes the room's sensor: its offset does nothing to the air."""
+    """Return the readings as predicted by someone who trusts the room's
+    sensor: its offset has no effect on the air.
+    """
     switch, offset_k = (
         settings.get(key, 0.0) for key in ("effects.ambient_offset", "sensors.ambient_offset_k")
     )

@@ -1,4 +1,4 @@
-"""What a case's twin file says of the effects that are known: some exactly, some to 5 %, some not at all."""
+"""Declaration of the known effects in a case's twin file: some exact, some to 5 %, some open."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,7 +30,9 @@ class Knowledge:
 
 
 def draw_knowledge(rng: Generator, weak: bool) -> Knowledge:
-    """Of one case. weak : what is hidden does less than 5 % of what is known, which is mostly exact then."""
+    """Draw the knowledge of one case. weak : the hidden effect does less than
+    5 % of the known ones, mostly exact then
+    """
     odds = (0.75, 0.25, 0.0) if weak else (0.45, 0.4, 0.15)
     mode = rng.choice(["exact", "uncertain", "to_fit"], p=odds)
     return Knowledge(str(mode), *(bool(rng.random() < odds) for odds in (0.75, 0.6, 0.5)))  # type: ignore[arg-type]
@@ -44,7 +46,7 @@ def declared(
     nuisance: Mapping[str, float],
     day0_utc: float,
 ) -> TwinFile:
-    """The twin file that the workflow is given."""
+    """Return the twin file that the workflow is given."""
     return TwinFile(
         effects={
             name: {key: _value(rng, name, key, item, knowledge) for key, item in own.items()}
@@ -62,7 +64,7 @@ def exact(
     nuisance: Mapping[str, float],
     day0_utc: float | None,
 ) -> TwinFile:
-    """The truth in the library's terms."""
+    """Return the truth in the library's terms."""
     return TwinFile(
         effects={name: {key: Value(item) for key, item in own.items()} for name, own in effects.items()},
         sensor=_sensor(sensing, True),

@@ -32,7 +32,7 @@ class DrawnSurroundings:
 
 
 def draw_surroundings(rng: Generator) -> DrawnSurroundings:
-    """Of one case."""
+    """Draw the surroundings of one case."""
     return DrawnSurroundings(
         room_c=rng.uniform(19.0, 23.0),
         wander_k=rng.uniform(0.5, 0.9),
@@ -48,7 +48,8 @@ def draw_surroundings(rng: Generator) -> DrawnSurroundings:
 def draw_inputs(
     rng: Generator, around: DrawnSurroundings, rows: Sequence[int]
 ) -> tuple[ColumnInputs, Floats]:
-    """Inputs of runs of so many rows, one column each, and when each begins [days since the first, hours].
+    """Draw inputs of runs of so many rows, one column each, and each run's
+    begin [days since the first, hours].
 
     A column begins BEFORE_ROWS before its first row; those after its last are padding.
     Returns : inputs, and starts [2, B]: day since the first run's, hour of the day
@@ -105,7 +106,7 @@ def _level(rng: Generator, peak: float) -> float:
 
 
 def _regulated(rng: Generator, steps: int, fan: Floats, peak: float) -> Floats:
-    """What a proportional controller would do to a crude box of one body."""
+    """Return the duty of a proportional controller on a crude box of one body."""
     wanted = held(rng, steps, (30, 90), lambda: rng.uniform(3.0, 14.0))
     duty, excess = np.zeros(steps), 0.0
     for k in range(steps):
@@ -115,7 +116,7 @@ def _regulated(rng: Generator, steps: int, fan: Floats, peak: float) -> Floats:
 
 
 def _light(rng: Generator, steps: int) -> Floats:
-    """A dimmed lamp: off for a third of the time, at any level else."""
+    """Draw a dimmed lamp: off for a third of the time, at any level else."""
     return held(
         rng, steps, (20, 80), lambda: 0.0 if rng.random() < 0.35 else round(float(rng.uniform(0.2, 1.0)), 2)
     )
@@ -156,6 +157,6 @@ def wander(rng: Generator, steps: int, tau_steps: float) -> Floats:
 
 
 def _smooth(values: Floats, width: int) -> Floats:
-    """Moving mean: a room has a mass of its own."""
+    """Return the moving mean: a room has a mass of its own."""
     padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
     return np.convolve(padded, np.ones(width) / width, "valid")

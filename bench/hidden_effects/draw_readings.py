@@ -1,4 +1,4 @@
-"""What sensors make of the truth: noise, steps, in hard cases holes and spikes; and what is given."""
+"""Readings of sensors: noise, steps, in hard cases holes and spikes; and the part that is given."""
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -24,7 +24,7 @@ class Sensing:
 
 
 def draw_sensing(rng: Generator, hard: bool) -> Sensing:
-    """Of one case."""
+    """Draw the sensors of one case."""
     if hard:
         return Sensing(rng.uniform(0.2, 0.5), 0.5, True)
     return Sensing(rng.uniform(0.05, 0.1), 0.1)
@@ -47,7 +47,7 @@ def read_temps(rng: Generator, clean: Floats, sensing: Sensing, role: str) -> Fl
 
 
 def read_ambient(rng: Generator, clean: Floats) -> Floats:
-    """The room as its own sensor shows it."""
+    """Return the room as its own sensor shows it."""
     return stepped(clean + rng.normal(0.0, AMBIENT_NOISE_K, len(clean)), AMBIENT_STEP_K)
 
 
@@ -57,12 +57,12 @@ def read_humidity(rng: Generator, clean: Floats) -> Floats:
 
 
 def stepped(values: Floats, step: float) -> Floats:
-    """Rounded to whole steps, without the digits that floating point adds."""
+    """Round to whole steps, without the digits that floating point adds."""
     return np.round(np.round(values / step) * step, 6)
 
 
 def run_of(columns: dict[str, Floats], role: str, day: float, hour: float) -> RecordedRun:
-    """A run file's content that begins on this day at this hour."""
+    """Return a run file's content that begins on this day at this hour."""
     rows = len(columns["temp_air_c"])
     start = FIRST_DAY + timedelta(days=float(day), seconds=round(3600.0 * float(hour)))
     facts = {"start_utc": start.strftime("%Y-%m-%dT%H:%M:%SZ"), "role": role}
@@ -70,7 +70,7 @@ def run_of(columns: dict[str, Floats], role: str, day: float, hour: float) -> Re
 
 
 def as_given(run: RecordedRun) -> RecordedRun:
-    """A test run as the workflow gets it: temperatures in the first rows only."""
+    """Return a test run as the workflow gets it: temperatures in the first rows only."""
     temps = run.columns["temp_air_c"].copy()
     temps[GIVEN_ROWS:] = np.nan
     return replace(run, columns={**run.columns, "temp_air_c": temps})

@@ -33,7 +33,7 @@ NEUTRAL = {
 def simulate(
     parameters: Mapping[str, Floats], inputs: ColumnInputs, step_s: float = 60.0, bend: Bend | None = None
 ) -> tuple[Floats, Floats]:
-    """What the sensor shows at each row, and all states there.
+    """Return the sensor's reading at each row, and all states there.
 
     parameters : [B] each, by the names of NEUTRAL, which stands for those that are not given
     Returns : [N + 1, B] [°C] and [N + 1, len(STATES), B]; all begins at the room's temperature, all off
@@ -57,7 +57,7 @@ def _part_s(p: Mapping[str, Floats]) -> float:
 
 
 class _StepInputs(NamedTuple):
-    """What is constant over a part of a step, each [B]."""
+    """The constants over a part of a step, each [B]."""
 
     k: int
     duty: Floats  # commands that act

@@ -9,7 +9,8 @@ Effects = dict[str, dict[str, float]]
 
 
 class Strength(NamedTuple):
-    """What makes an effect stronger: `low`..`high` is searched for a size, `usual` is of known ones.
+    """The parameter that makes an effect stronger: searched from `low` to
+    `high`; `usual` is that of known ones.
 
     form : the parameter is the strength ("same"), 1 minus it ("rest"), 1 over it ("inverse")
     """
@@ -22,7 +23,7 @@ class Strength(NamedTuple):
     signed: bool = False
 
     def value(self, strength: float) -> float:
-        """The parameter."""
+        """Return the parameter."""
         return {"same": strength, "rest": 1.0 - strength, "inverse": 1.0 / strength}[self.form]
 
 
@@ -86,18 +87,18 @@ LIT = ("led_gain", "evapotranspiration")
 
 
 def are_alike(names: set[str]) -> bool:
-    """Whether two of them can hardly be told apart."""
+    """Return whether two of them can hardly be told apart."""
     return any(pair <= names for pair in ALIKE)
 
 
 def draw_effect(rng: Generator, name: str) -> dict[str, float]:
-    """An effect of the usual size."""
+    """Draw an effect of the usual size."""
     strength = STRENGTHS[name]
     return sized(draw_others(rng, name), name, rng.uniform(*strength.usual))
 
 
 def draw_others(rng: Generator, name: str) -> dict[str, float]:
-    """What of an effect does not depend on its strength; its sign is under ""."""
+    """Draw the part of an effect that does not depend on its strength; its sign is under ""."""
     if name == "wall_mass":
         return {"G_in": rng.uniform(6.0, 14.0), "G_out": rng.uniform(6.0, 12.0)}
     if name == "soil_mass":
@@ -113,7 +114,7 @@ def sized(others: Mapping[str, float], name: str, strength: float) -> dict[str, 
 
 
 def draw_box(rng: Generator, hidden: Mapping[str, Mapping[str, float]]) -> Effects:
-    """A box's effects without the hidden ones: those that the twin file knows.
+    """Draw a box's effects without the hidden ones: those that the twin file knows.
 
     hidden : by name, what does not depend on its strength (`draw_others`)
     """
@@ -129,14 +130,14 @@ def draw_box(rng: Generator, hidden: Mapping[str, Mapping[str, float]]) -> Effec
 
 
 def _fits(name: str, hidden: set[str], effects: Effects) -> bool:
-    """Whether a known effect makes sense beside the hidden ones."""
+    """Return whether a known effect makes sense together with the hidden ones."""
     if name in hidden or are_alike({name, *hidden}):
         return False
     return name != "radiative_split" or bool({"wall_mass", "soil_mass"} & set(effects))
 
 
 def _walls(rng: Generator, hidden: Mapping[str, Mapping[str, float]]) -> Effects:
-    """The way that heat leaves; where the walls' mass is hidden it is known as a loss without."""
+    """Draw the walls' loss; where the walls' mass is hidden the known loss is without it."""
     if "wall_loss" in hidden:  # what is known is another way out
         return {"longwave_radiation": {"epsA": rng.uniform(0.5, 0.9)}}
     if "wall_mass" in hidden:

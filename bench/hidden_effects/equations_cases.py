@@ -42,7 +42,7 @@ ATTEMPTS = 80
 
 
 def make_case(split: str, kind: str, number: int) -> HiddenCase:
-    """The case of this number within its kind. Errors: RuntimeError if no box comes out as wanted."""
+    """Make the case of this number within its kind. Errors: RuntimeError if no box comes out as wanted"""
     seed = seed_of(split, kind, number)
     rng = np.random.default_rng([SUITES.index("equations"), seed])
     for _ in range(ATTEMPTS):
@@ -128,7 +128,7 @@ def _needs_light(box: EquationsBox) -> bool:
 
 
 def _recorded(scene: Scene, b: int, values: Floats) -> Floats:
-    """A column's recorded rows."""
+    """Return a column's recorded rows."""
     return values[BEFORE_ROWS : BEFORE_ROWS + scene.rows[b]]
 
 

@@ -73,19 +73,19 @@ def flat(effects: Effects) -> dict[str, float]:
 
 
 def adding(effects: Effects, name: str, own: Mapping[str, float]) -> Effects:
-    """A box with one more effect; walls with mass take the place of those without."""
+    """Return a box with one more effect; walls with mass replace those without."""
     left = {key: item for key, item in effects.items() if (name, key) != ("wall_mass", "wall_loss")}
     return {**left, name: dict(own)}
 
 
 def without(effects: Effects, name: str) -> Effects:
-    """A box without an effect; walls lose their mass, not what they let through."""
+    """Return a box without an effect; walls lose their mass and keep their conductance."""
     left = {key: item for key, item in effects.items() if key != name}
     return {**left, "wall_loss": {"UA": series(effects[name])}} if name == "wall_mass" else left
 
 
 def hide(rng: Generator, scene: Scene, names: tuple[str, ...], wanted: Range) -> EquationsBox | None:
-    """A random box in which these effects are hidden, each of a size in `wanted`; None if it is not."""
+    """Draw a box with these effects hidden, each of a size in `wanted`; None if it fails."""
     others = {name: draw_others(rng, name) for name in names}
     known = draw_box(rng, others)
     true, inputs = known, quiet(scene.inputs)
@@ -103,7 +103,7 @@ def hide(rng: Generator, scene: Scene, names: tuple[str, ...], wanted: Range) ->
 def _checked(
     scene: Scene, known: Effects, true: Effects, names: tuple[str, ...], wanted: Range
 ) -> EquationsBox | None:
-    """The box if each hidden effect matters as wanted beside the others, also in the tests alone."""
+    """Return the box if each hidden effect matters as wanted among the others, also in the tests alone."""
     boxes = [true, *(without(true, name) for name in names)]
     shown, _ = variants(quiet(scene.inputs), [flat(box) for box in boxes])
     sizes = scene.size_k(shown[1:] - shown[0])
@@ -117,7 +117,7 @@ def _checked(
 
 
 def hide_outside(rng: Generator, scene: Scene, name: str, wanted: Range) -> EquationsBox | None:
-    """A random box with an effect that no library knows."""
+    """Draw a box with an effect that no library knows."""
     row, known = OUTSIDE[name], draw_box(rng, {})
     further, grid = row.draw_further(rng), np.geomspace(row.low, row.high, GRID)
     count = len(scene.rows)
@@ -139,7 +139,7 @@ def hide_outside(rng: Generator, scene: Scene, name: str, wanted: Range) -> Equa
 
 
 def hide_all(rng: Generator, scene: Scene, wanted: Range) -> EquationsBox | None:
-    """A random box of 3 to 6 effects of the usual sizes, of which nothing is known."""
+    """Draw a box of 3 to 6 effects of the usual sizes, of which nothing is known."""
     names = ["wall_loss" if rng.random() < 0.5 else "wall_mass", "extra_capacity"]
     optional = list(BARE_OPTIONAL)
     odds = np.array(list(BARE_OPTIONAL.values()))
@@ -153,6 +153,6 @@ def hide_all(rng: Generator, scene: Scene, wanted: Range) -> EquationsBox | None
 
 
 def draw_pair(rng: Generator, first: str) -> tuple[str, ...]:
-    """The first and another that is not like it."""
+    """Return the first effect and another unlike it."""
     rest = [name for name in STRENGTHS if name != first and not are_alike({first, name})]
     return first, str(rng.choice(rest))

@@ -1,4 +1,4 @@
-"""What the independent simulator is driven by, and what an effect outside the library may look at and do."""
+"""Inputs of the independent simulator, and the view and action of an effect outside the library."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ColumnInputs:
-    """What acts on B columns in N steps, each [N, B].
+    """Inputs of B columns in N steps, each [N, B].
 
     duty, fan : commands; ambient : the room as its sensor would show it, without noise [°C], [N + 1, B]
     light 0..1, rel_humidity [%]; day : since the first run; hour : of the day; door : share of the step open
@@ -31,14 +31,14 @@ class ColumnInputs:
     chance: Floats
 
     def columns(self, which: Sequence[int]) -> "ColumnInputs":
-        """Some of the columns, also the same one many times."""
+        """Return some of the columns, also the same one many times."""
         chosen = {name: getattr(self, name)[:, which] for name in self.__slots__}
         return ColumnInputs(**chosen)
 
 
 @dataclass(frozen=True, slots=True)
 class OutsideConditions:
-    """What an outside effect may look at, each [B]."""
+    """Conditions that an outside effect may see, each [B]."""
 
     air: Floats
     room: Floats
@@ -54,7 +54,7 @@ class OutsideConditions:
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """What an effect outside the library does; None: not that."""
+    """The action of an effect outside the library; None: no action of that kind."""
 
     heat_w: Callable[[OutsideConditions], Floats] | None = None  # into the air
     power: Callable[[OutsideConditions], Floats] | None = None  # factor on the heater

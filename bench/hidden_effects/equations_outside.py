@@ -25,7 +25,7 @@ class Outside:
     further: tuple[float, float] = (0.0, 0.0)
 
     def draw_further(self, rng: Generator) -> float:
-        """The further parameter."""
+        """Draw the further parameter."""
         return float(rng.uniform(*self.further))
 
 
@@ -54,17 +54,17 @@ def duty_with_fan(watts: Floats, _: float) -> Bend:
 
 
 def thermostat(per_k: Floats, above_c: float) -> Bend:
-    """A heater that gives less in hot air."""
+    """Return a heater that gives less in hot air."""
     return Bend(power=lambda now: np.clip(1.0 - per_k * np.clip(now.air - above_c, 0.0, None), 0.0, 1.0))
 
 
 def clogging(per_hour: Floats, _: float) -> Bend:
-    """A filter that clogs: flow falls with the fan's hours in the run."""
+    """Return a filter that clogs: flow falls with the fan's hours in the run."""
     return Bend(flow=lambda now: np.exp(-per_hour * now.fan_hours))
 
 
 def sensor_sees_heater(kelvin: Floats, _: float) -> Bend:
-    """A reading too high by the heater's glow."""
+    """Return a reading that the heater's glow raises."""
     return Bend(reading=lambda now: kelvin * now.duty)
 
 
@@ -79,12 +79,12 @@ def square_loss(watts: Floats, _: float) -> Bend:
 
 
 def wax_vent(w_k: Floats, above_c: float) -> Bend:
-    """A vent that opens by itself in hot air."""
+    """Return a vent that opens by itself in hot air."""
     return Bend(heat_w=lambda now: -w_k * np.clip(now.air - above_c, 0.0, None))
 
 
 def light_cubed(watts: Floats, _: float) -> Bend:
-    """A lamp whose heat is not in proportion to its light."""
+    """Return a lamp whose heat is not in proportion to its light."""
     return Bend(heat_w=lambda now: watts * now.light**3)
 
 
@@ -94,7 +94,7 @@ def chance_heat(watts: Floats, _: float) -> Bend:
 
 
 def fan_when_warm(share: Floats, above_c: float) -> Bend:
-    """A flap that is stuck in a cool box: the fan moves less air below a temperature."""
+    """Return a flap that sticks in a cool box: the fan moves less air below a temperature."""
 
     def flow(now: OutsideConditions) -> Floats:
         return 1.0 - share / (1.0 + np.exp(np.clip((now.air - above_c) / 0.4, -50.0, 50.0)))
@@ -103,12 +103,12 @@ def fan_when_warm(share: Floats, above_c: float) -> Bend:
 
 
 def reading_drifts(k_day: Floats, _: float) -> Bend:
-    """A sensor that ages."""
+    """Return a sensor that ages."""
     return Bend(reading=lambda now: k_day * now.day)
 
 
 def timed_heat(watts: Floats, period_h: float) -> Bend:
-    """A neighbour's machine that works every so often."""
+    """Return a neighbour's machine that works at intervals."""
     return Bend(heat_w=lambda now: watts * (np.mod(now.hour, period_h) < 0.4 * period_h))
 
 

@@ -15,14 +15,14 @@ Parameters = Mapping[str, float]
 
 
 def quiet(inputs: ColumnInputs) -> ColumnInputs:
-    """The same without heat noise and with the mains as rated."""
+    """Return the inputs without heat noise and with the mains as rated."""
     return replace(inputs, power=np.ones_like(inputs.power), heat_w=np.zeros_like(inputs.heat_w))
 
 
 def variants(
     inputs: ColumnInputs, boxes: Sequence[Parameters], bend: Bend | None = None
 ) -> tuple[Floats, Floats]:
-    """The same runs in several boxes: readings [V, N + 1, B] and states [V, N + 1, S, B]."""
+    """Simulate the same runs in several boxes: readings [V, N + 1, B] and states [V, N + 1, S, B]."""
     count = inputs.duty.shape[1]
     names = sorted({name for box in boxes for name in box})
     values = {name: np.repeat([box.get(name, NEUTRAL[name]) for box in boxes], count) for name in names}
@@ -44,7 +44,7 @@ def strength_for(
     sizes: Floats,
     wanted: tuple[float, float],
 ) -> float | None:
-    """A strength whose size is inside `wanted`, evenly on a logarithmic scale; None where none is.
+    """Draw a strength whose size is inside `wanted`, evenly on a logarithmic scale; None where there is none.
 
     sizes : at `strengths`, between which they are interpolated, so it keeps away from the ends
     """

@@ -63,7 +63,7 @@ def make(arguments: argparse.Namespace) -> int:
 
 
 def _make_all(tasks: Sequence[MakeTask], workers: int, dask: str | None) -> bool:
-    """Whether each could be made."""
+    """Make all cases; return whether each could be made."""
     made = sweep.sweep(_make_one, tasks, workers, dask, lambda done, task, found: print(found[1], flush=True))
     return all(is_there for is_there, _ in made)
 

@@ -1,4 +1,6 @@
-"""What other methods say of the same cases, in the form of a diagnosis; what they can't, in `peers_terms`."""
+"""Answers of other methods to the same cases, in the form of a
+diagnosis; their limits stand in `peers_terms`.
+"""
 
 import math
 import time
@@ -30,7 +32,7 @@ MOST_TERMS = 6  # of the stepwise regression
 
 
 def stepwise(found: OneStepRegression) -> list[int]:
-    """Indices of the chosen terms, in the order of their choice."""
+    """Return indices of the chosen terms, in the order of their choice."""
     design = found.terms * found.gain[:, None]
     chosen: list[int] = []
     best = _bic(design[:, chosen], found.miss)
@@ -54,7 +56,7 @@ PEERS: Mapping[str, Callable[[OneStepRegression], Sequence[int]]] = {"stepwise":
 
 
 def diagnose(peer: str, folder: Path) -> dict[str, Any]:
-    """The peer's answer to a case. Errors: DataError for a case that can't be read."""
+    """Return the peer's answer to a case. Errors: DataError for a case that cannot be read"""
     begun_s = time.perf_counter()
     twin, train, tests = read_case(folder)
     day0 = min(float(run.utc[0]) for run in train)
@@ -80,7 +82,7 @@ def diagnose(peer: str, folder: Path) -> dict[str, Any]:
 
 
 def read_case(folder: Path) -> tuple[BoxTwin, list[Columns], dict[str, Columns]]:
-    """The declared twin, training runs, and test runs by file name. Errors: DataError."""
+    """Read the declared twin, training runs, and test runs by file name. Errors: DataError"""
     file = read_twin_file(folder / "twin.yaml")
     twin = file.twin()
     train = [columns(read_run(path), file.sample_s) for path in sorted(folder.glob("train_*.csv"))]

@@ -1,4 +1,4 @@
-"""What a declared twin misses over one step, as a regression; its forecast with the chosen terms added."""
+"""Regression of a declared twin's one-step errors, and its forecast with the chosen terms added."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -97,13 +97,13 @@ def _slow(temp: Floats, step_s: float) -> Floats:
 
 
 def _gain(twin: BoxTwin, fan: Floats) -> Floats:
-    """What 1 W into the air over a step does to what the sensor shows after it [K/W]."""
+    """Return the effect of 1 W into the air over a step on the next reading [K/W]."""
     off, on = twin.off_on.drive[:, 0, 2] / twin.system.air_capacity_j_k
     return np.asarray(off + fan * (on - off))
 
 
 def _one_step(twin: BoxTwin, run: Columns) -> Floats:
-    """What the sensor should show after each row [N - 1]."""
+    """Predict the reading after each row [N - 1]."""
     march = _march(twin, run)
     known = np.flatnonzero(np.isfinite(run.temp))
     states = at_rest(twin, float(run.temp[known[0]]), float(run.ambient[known[0]]))[None]
@@ -118,7 +118,7 @@ def _one_step(twin: BoxTwin, run: Columns) -> Floats:
 
 
 def forecast(twin: BoxTwin, run: Columns, coefficients: Mapping[str, float], day0: float) -> Floats:
-    """The run from its first known rows, corrected at every step by the chosen terms; [N] [°C].
+    """Forecast the run from its first known rows, corrected at every step by the chosen terms; [N] [°C].
 
     coefficients : by effect of TERMS [W per unit of the term]
     """

@@ -35,7 +35,7 @@ _STRAIGHT, _LEAK, _BLOWN = (_NAMES.index(name) for name in ("wall_loss", "infilt
 
 
 def sindy(found: OneStepRegression) -> list[int]:
-    """Indices of the chosen terms, the largest first."""
+    """Return indices of the chosen terms, the largest first."""
     heat_w = found.miss / found.gain
     size = np.sqrt((found.terms**2).mean(axis=0))
     used = [i for i in range(len(TERMS)) if i != _STRAIGHT and size[i] > 0.0]

@@ -48,7 +48,7 @@ class TermColumns:
 
 @dataclass(frozen=True, slots=True)
 class TermParameter:
-    """of : its value from the term's coefficient, in proportion but for a constant."""
+    """A parameter's value from the term's coefficient `of`, in proportion but for a constant."""
 
     name: str
     unit: str

@@ -150,7 +150,7 @@ def _peer(task: SolverTask) -> dict[str, Any]:
 
 
 def case_sha256(folder: Path) -> str:
-    """Of all that a solver is given."""
+    """Return a hash of everything that a solver is given."""
     digest = hashlib.sha256()
     for path in sorted(folder.iterdir()):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -158,7 +158,7 @@ def case_sha256(folder: Path) -> str:
 
 
 def is_done(task: SolverTask) -> bool:
-    """Whether it has an answer of its present files."""
+    """Return whether the task has an answer for its present files."""
     path = task.out / "run.json"
     if not path.exists():
         return False

@@ -92,13 +92,13 @@ def by_effect(cases: Iterable[ScoredCase]) -> dict[str, Share]:
 
 
 def by_kind(cases: Sequence[ScoredCase]) -> dict[str, dict[str, Figure]]:
-    """What can be said of every kind that hides effects of the library."""
+    """Return the figures of every kind that hides effects of the library."""
     kinds = [kind for kind in IN_LIBRARY if _of(cases, kind)]
     return {kind: _of_kind(_of(cases, kind)) for kind in kinds}
 
 
 def shrinks(cases: Iterable[ScoredCase]) -> list[float]:
-    """Of the cases that had a gap."""
+    """Return the closed shares of the cases that had a gap."""
     found = [case.errors.shrink for case in cases if case.errors]
     return [shrunk for shrunk in found if shrunk is not None]
 

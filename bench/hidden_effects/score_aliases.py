@@ -46,7 +46,7 @@ _WITHOUT_A_COLUMN = ("door_opening",)  # the runs don't say when the door was op
 
 @dataclass(frozen=True, slots=True)
 class AliasClass:
-    """What a hidden effect can't be told from.
+    """The effects that a hidden effect cannot be told from.
 
     behind : nats by which each rival fits worse than the truth, KEPT_NATS at most; below 0 it fits better
     gain_nats : of the effect over nothing in its place; None where that can't be told
@@ -67,17 +67,19 @@ class AliasClass:
         return frozenset({self.effect, *near})
 
     def up_to(self, nats: float) -> frozenset[str]:
-        """The same, with those that fit better than the truth."""
+        """Return the class with rivals that fit better than the truth by up to `nats`."""
         return self.within(nats) | {name for name, behind in self.behind.items() if behind <= nats}
 
     @property
     def shows(self) -> bool:
-        """Whether the runs tell that something is missing here at all."""
+        """True if the runs show at all that something is missing."""
         return self.gain_nats is None or self.gain_nats >= ALIAS_NATS
 
 
 def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[RecordedRun]) -> tuple[AliasClass, ...]:
-    """The class of each hidden effect of a case, in the truth's order. Errors: DataError as of `recorded`."""
+    """Return the class of each hidden effect of a case, in the truth's
+    order. Errors: DataError as of `recorded`
+    """
     if all(item.name in _WITHOUT_A_COLUMN for item in truth.hidden):
         return tuple(AliasClass(item.name) for item in truth.hidden)
     data = recorded(runs, file.sample_s)
@@ -139,7 +141,7 @@ def _fit_near(rival: Structure, own: Mapping[Place, float], truth: Structure, fo
 
 
 def _price(rival: str, hidden: str, truth: Structure) -> float:
-    """Of the rival's further parameters [nats]."""
+    """Return the penalty of the rival's further parameters [nats]."""
     more = len(EFFECTS[rival].parameters) - len(EFFECTS[hidden].parameters)
     return max(0, more) * 0.5 * float(np.log(truth.measured.sum()))
 
@@ -163,7 +165,7 @@ def _with(file: TwinFile, hidden: tuple[Hidden, ...]) -> TwinFile:
 def cached_classes(
     cache: Path, key: str, truth: Truth, file: TwinFile, runs: Sequence[RecordedRun]
 ) -> tuple[AliasClass, ...]:
-    """The classes as they were once computed for this key, else computed and written to `cache`."""
+    """Return the classes cached for this key, else compute them and write them to `cache`."""
     key = f"{METHOD_VERSION}:{key}"
     if cache.exists():
         document = json.loads(cache.read_text(encoding="utf-8"))

@@ -42,7 +42,7 @@ class DiagnosisAnswer:
 
 
 def read_answer(path: Path) -> DiagnosisAnswer:
-    """The diagnosis in a file. Errors: DataError naming the file, for none or one that is no diagnosis."""
+    """Read the diagnosis in a file. Errors: DataError naming the file, if it is missing or invalid"""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         return answer(document)
@@ -51,7 +51,9 @@ def read_answer(path: Path) -> DiagnosisAnswer:
 
 
 def answer(document: Mapping[str, Any]) -> DiagnosisAnswer:
-    """The answer of a document. Errors: ValueError, KeyError, TypeError, AttributeError where it is none."""
+    """Return the answer of a document. Errors: ValueError, KeyError,
+    TypeError, AttributeError for an invalid one
+    """
     verdict = document["verdict"]
     if verdict not in VERDICTS:
         raise ValueError(f"verdict {verdict!r} is none of {VERDICTS}")

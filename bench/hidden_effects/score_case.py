@@ -36,7 +36,7 @@ COUNTED_DEPENDENCES = 2
 
 @dataclass(frozen=True, slots=True)
 class FreeRunErrors:
-    """Of free runs over the test runs together, RMSE [K]."""
+    """Errors of free runs over the test runs together, RMSE [K]."""
 
     before_k: float
     after_k: float
@@ -58,7 +58,7 @@ class FreeRunErrors:
 
 @dataclass(frozen=True, slots=True)
 class ScoredCase:
-    """What an answer is worth.
+    """The score of an answer.
 
     failed : no answer at all; then everything else is wrong
     found : per hidden effect, whether it was found; true_names, names : how many names are true, of how many
@@ -99,7 +99,7 @@ def score(
     seconds: float = math.nan,
     cpu_s: float = math.nan,
 ) -> ScoredCase:
-    """The answer's worth; None: there is none. seconds, cpu_s : by the clock, and of processors."""
+    """Score an answer, None if there is none. seconds, cpu_s : by the clock, and of processors"""
     hidden = tuple(item.name for item in truth.hidden)
     outside = truth.outside.name if truth.outside else ""
     verdict = given.verdict if given else "failed"
@@ -134,7 +134,7 @@ def score(
 
 
 def _matched(classes: Sequence[AliasClass], names: Sequence[NamedEffect]) -> list[NamedEffect | None]:
-    """The name that finds each hidden effect: exact ones first, then as many by class as can be."""
+    """Match a name to each hidden effect: exact ones first, then as many by class as possible."""
     left = [item for item in names if not item.hedges]
     found: list[NamedEffect | None] = []
     for own in classes:

@@ -53,7 +53,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def classes_of(paths: tuple[Path, Path, Path]) -> tuple[AliasClass, ...]:
-    """The alias classes of a case, computed once for its files and its truth: folder, truth, cache."""
+    """Return the alias classes of a case, computed once for its files and its truth: folder, truth, cache."""
     folder, truth, cache = paths
     key = f"{case_sha256(folder)}:{read_truth(truth).hidden}"
     runs = [read_run(path) for path in sorted(folder.glob("train_*.csv"))]
@@ -73,7 +73,7 @@ def _all_classes(
 
 
 def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any], place: Path) -> ScoredCase:
-    """The worth of the answer in a place; of a run that failed there is none, whatever lies there."""
+    """Score the answer in a place. A failed run has no answer, whatever lies there."""
     given: DiagnosisAnswer | None = None
     if took["exit"] == 0:
         try:
@@ -84,7 +84,7 @@ def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any],
 
 
 def _took(path: Path, folder: Path) -> dict[str, Any]:
-    """What run.json says; nothing of a case that was not run, or with other files: it is left out."""
+    """Read run.json; empty for a case that was not run, or with other files: it is left out."""
     if not path.exists():
         return {}
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

@@ -23,7 +23,7 @@ class LikelihoodFit(NamedTuple):
 
 
 def fit(problem: Structure, start: Floats, noise: ReadingNoise, passes: int) -> LikelihoodFit:
-    """The likeliest values from `start`, [p], then the likeliest noise, and so on while it helps.
+    """Fit the likeliest values from `start`, [p], then the likeliest noise, alternating while it helps.
 
     passes : at most
     """

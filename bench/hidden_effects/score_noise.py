@@ -1,4 +1,4 @@
-"""What a free run of the true equations still misses: white noise and noise that goes together in time.
+"""Noise of free runs of the true equations: white noise and noise that is correlated in time.
 
 The covariance between rows i and j of a run is w^2 [i = j] + a^2 phi^|i - j|: the sensor, and heat that
 nobody recorded on its way through the box. A scalar Kalman filter takes it apart in order N (Anderson & Moore
@@ -51,7 +51,7 @@ class Whitener(NamedTuple):
 
 
 def whitener(noise: ReadingNoise, measured: NDArray[np.bool_]) -> Whitener:
-    """The filter for runs with these rows measured, [B, N]."""
+    """Return the filter for runs with these rows measured, [B, N]."""
     phi, gain, variance = noise.phi, np.zeros(measured.shape), np.ones(measured.shape)
     known = np.full(len(measured), noise.wandering_k**2)  # variance of the wandering before each row
     for k in range(measured.shape[1]):
@@ -66,7 +66,8 @@ def whitener(noise: ReadingNoise, measured: NDArray[np.bool_]) -> Whitener:
 def log_likelihood(
     noise: ReadingNoise, residual: Floats, response: Floats, measured: NDArray[np.bool_]
 ) -> float:
-    """Of the residuals [B, N], with q unknowns of every run integrated out; without the constant.
+    """Return the log likelihood of the residuals [B, N], with q unknowns of
+    every run integrated out; without the constant.
 
     response : [B, q, N], what one standard deviation of each unknown does: states at the start, mains
     """
@@ -83,7 +84,7 @@ def log_likelihood(
 def likeliest(
     start: ReadingNoise, residual: Floats, response: Floats, measured: NDArray[np.bool_]
 ) -> ReadingNoise:
-    """The noise under which the residuals are likeliest, by the simplex of Nelder & Mead from `start`.
+    """Find the noise under which the residuals are likeliest, by the simplex of Nelder & Mead from `start`.
 
     From a start that hardly wanders, or over hardly any rows, no small step leads away: it is moved first.
     """

@@ -45,7 +45,7 @@ class Sieve:
     truth_nats: float
 
     def start_of(self, name: str) -> Floats | None:
-        """The rival's best parameters, as the optimiser has them [p]; None where it is hopeless."""
+        """Return the rival's best parameters, as the optimiser has them [p]; None where it is hopeless."""
         file = self.without.file
         rival = self.without.other({**file.effects, name: unknown(name, file)})
         missed = _Missed(self, rival, rival.start)
@@ -61,7 +61,7 @@ class Sieve:
         return None if is_hopeless else found
 
     def _leaves_too_much(self, without: Floats, tried: list[Floats]) -> bool:
-        """Whether even a mixture of all signatures misses much of what the effect explains."""
+        """Return whether even a mixture of all signatures misses much of the effect's part."""
         signatures = np.stack([without - each for each in tried], axis=1)
         left = without - signatures @ np.linalg.lstsq(signatures, without, rcond=1e-9)[0]
         explained = max(0.0, _nats(without) - self.truth_nats)
@@ -69,7 +69,7 @@ class Sieve:
 
 
 def sieve(truth: Structure, fit: LikelihoodFit, effect: str) -> Sieve:
-    """The sieve for the rivals of `effect`, from the fit of the true structure."""
+    """Return the sieve for the rivals of `effect`, from the fit of the true structure."""
     others = [i for i, item in enumerate(truth.unknowns) if item.place[:2] != ("effects", effect)]
     whiten = whitener(fit.noise, truth.measured)
     residual, prior = truth.residual(fit.scaled), truth.priors(fit.scaled)
@@ -93,7 +93,7 @@ def sieve(truth: Structure, fit: LikelihoodFit, effect: str) -> Sieve:
 
 
 def unknown(name: str, file: TwinFile, truth: Mapping[str, float] | None = None) -> dict[str, Value]:
-    """An effect to be fitted in a file, begun at its true parameters where there are any.
+    """Return an effect to be fitted in a file, begun at its true parameters where there are any.
 
     Else it begins where the table says; a wall that stores heat as lossy as the one that it replaces.
     """
@@ -114,7 +114,7 @@ def _without(truth: Structure, fit: LikelihoodFit, effect: str) -> Structure:
 
 
 class _Missed:
-    """What is left of a rival at its parameters after all else has moved as suits it best."""
+    """The remainder of a rival at its parameters after everything else has adapted."""
 
     def __init__(self, sieve: Sieve, rival: Structure, start: Floats) -> None:
         self._sieve, self._rival = sieve, rival
@@ -123,11 +123,11 @@ class _Missed:
         self._basis = np.linalg.qr(slopes)[0]
 
     def __call__(self, scaled: Floats) -> Floats:
-        """Standard deviations; the rival's own priors come last."""
+        """Return errors in standard deviations; the rival's own priors come last."""
         return np.concatenate([self._left(self._rival.residual(scaled)), self._rival.priors(scaled)])
 
     def without(self) -> Floats:
-        """The same with nothing in the effect's place."""
+        """Return the errors without anything in the effect's place."""
         left = self._left(self._sieve.without.residual(np.zeros(0)))
         return np.concatenate([left, np.zeros(len(self._rival.priors(self._rival.start)))])
 
@@ -138,7 +138,7 @@ class _Missed:
 
 
 def _places(rival: Structure) -> list[Floats]:
-    """Combinations of a few values of each parameter; of the first alone where there are three."""
+    """Return combinations of a few values of each parameter; of the first alone where there are three."""
     tried = []
     for i, item in enumerate(rival.unknowns):
         values = [item.start * factor for factor in _TRIED] if item.is_log else [-item.start, item.start]

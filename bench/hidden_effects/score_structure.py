@@ -51,7 +51,7 @@ class SoughtValue:
         return abs(self.start) or 1.0
 
     def scaled(self, value: float) -> float:
-        """The optimiser's number, inside the bounds."""
+        """Return the optimiser's number, inside the bounds."""
         low, high = self.bounds
         return float(np.clip(self._to(value), low + _INSIDE, high - _INSIDE))
 
@@ -81,7 +81,7 @@ class Structure:
     curve: float = 0.0  # by which the walls' loss grows per 10 K, share
 
     def other(self, effects: Mapping[str, Mapping[str, Value]]) -> "Structure":
-        """The same runs with other effects."""
+        """Return the structure of the same runs with other effects."""
         file = replace(self.file, effects=effects)
         return structure(file, self.data, self.mains_sd, self.curve)
 
@@ -98,7 +98,7 @@ class Structure:
         return {item.place: item.value(float(x)) for item, x in zip(self.unknowns, scaled, strict=True)}
 
     def twin(self, scaled: Floats, mains: float = 1.0) -> BoxTwin:
-        """The twin of these values; mains : the heater's power, share of its own."""
+        """Return the twin of these values. mains : the heater's power, share of its own"""
         file = self.file.with_values({place: Value(value) for place, value in self.values(scaled).items()})
         if mains != 1.0:
             power = file.geometry["heater_max_w"].value * mains
@@ -111,7 +111,9 @@ class Structure:
         return self._missed(twin, self._rest(twin))
 
     def response(self, scaled: Floats) -> Floats:
-        """What one sd of each state at the start, and of the mains if they vary, does: [B, q, N] [K]."""
+        """Return the response to one sd of each initial state, and of the mains
+        if they vary: [B, q, N] [K].
+        """
         twin = self.twin(scaled)
         rest, spreads = self._rest(twin), _start_sd(twin)
         usual = self._missed(twin, rest)
@@ -130,7 +132,9 @@ class Structure:
         return np.array([*pulls, *self._wall_at_rest(values)])
 
     def _wall_at_rest(self, values: Mapping[Place, float]) -> list[float]:
-        """A wall that stores heat loses, at rest, what the file says of the wall that it replaces."""
+        """Return the errors of a heavy wall's loss at rest against the loss that
+        the file states for the replaced wall.
+        """
         if not {"wall_mass", "wall_loss"} <= set(self.file.effects):
             return []
         known = self.file.effects["wall_loss"]["UA"]
@@ -170,7 +174,7 @@ class Structure:
 
 
 def structure(file: TwinFile, data: Recorded, mains_sd: float = 0.0, curve: float = 0.0) -> Structure:
-    """What of the file is to be found: values to be fitted and uncertain ones, of the effects that act."""
+    """Return the unknowns of the file: values to be fitted and uncertain ones, of the effects that act."""
     if "ua_drift" in file.effects and file.day0_utc is None and "utc" in data.conditions:
         file = replace(file, day0_utc=float(data.conditions["utc"].min()))
     acting = applied(file.effects)
@@ -192,7 +196,7 @@ def _start_sd(twin: BoxTwin) -> Floats:
 
 
 def _unbent(twin: BoxTwin) -> BoxTwin:
-    """The twin without heat that depends on its temperature."""
+    """Return the twin without heat that depends on its temperature."""
     straight = copy.copy(twin)
     heats = [heat for heat in twin.signals.heats if not heat.by_temp]
     object.__setattr__(straight, "signals", replace(twin.signals, heats=heats))  # frozen for all but this

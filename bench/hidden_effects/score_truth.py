@@ -18,7 +18,7 @@ from edge.core.errors import DataError
 
 
 def read_truth(path: Path) -> Truth:
-    """The truth of a case. Errors: DataError naming the file, for one that is none or of another version."""
+    """Read the truth of a case. Errors: DataError naming the file, if it is invalid or of another version"""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         truth = _truth(document)
@@ -61,7 +61,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
 
 
 def cases_of(arguments: argparse.Namespace) -> list[CasePaths]:
-    """The cases that the arguments mean, in order. Errors: DataError where there are none."""
+    """Return the cases that the arguments mean, in order. Errors: DataError where there are none"""
     place = arguments.root / arguments.suite / arguments.split
     kinds, found = dict.fromkeys(arguments.kinds.split(","), 0), []
     for path in sorted((place / "truth").glob("case_*.json")):

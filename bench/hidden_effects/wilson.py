@@ -46,6 +46,6 @@ class Share:
 
 
 def share(answers: Iterable[bool]) -> Share:
-    """The share that is true."""
+    """Return the share that is true."""
     given = list(answers)
     return Share(sum(given), len(given))

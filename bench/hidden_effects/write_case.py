@@ -35,12 +35,12 @@ def write_case(case: HiddenCase, root: Path) -> None:
 
 
 def folders(root: Path, suite: str, split: str) -> tuple[Path, Path]:
-    """Where cases and truths lie."""
+    """Return the folders of cases and truths."""
     return root / suite / split / "cases", root / suite / split / "truth"
 
 
 def is_made(root: Path, suite: str, split: str, name: str) -> bool:
-    """Whether the case is there, by this version of the generator."""
+    """Return whether the case exists, by this version of the generator."""
     given, truth = folders(root, suite, split)
     path = truth / f"{name}.json"
     return (
@@ -61,5 +61,5 @@ def listed(values: np.ndarray) -> list[float]:
 
 
 def listed_or_missing(values: np.ndarray) -> list[float | None]:
-    """The same, None for NaN."""
+    """Return the values with None for NaN."""
     return [None if np.isnan(value) else round(float(value), 4) for value in values]

@@ -71,7 +71,7 @@ def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -
 
 
 def write(log: RealLog, folder: Path, files: Sequence[str]) -> None:
-    """What the workflow is given."""
+    """Write the files that the workflow is given."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
         old.unlink()
@@ -98,12 +98,12 @@ def _twin(log: RealLog, first: Columns) -> dict[str, Any]:
 
 
 def folder_name(log: RealLog) -> str:
-    """Of its case and its answer."""
+    """Return the folder's name of a log's case and answer."""
     return log.name.replace(" ", "_").replace(",", "")
 
 
 def is_true(log: RealLog, name: str) -> bool:
-    """Whether what is known of the rig has it, or what a log can't tell from it."""
+    """Return whether the rig is known to have the effect, or one that a log cannot tell from it."""
     return any(is_alike(name, own) for own in (*log.main, *log.true))
 
 

@@ -66,7 +66,9 @@ def texts(log: RealLog, data: Path, repositories: Path) -> list[str]:
 
 
 def _shown(log: RealLog, path: str, repositories: Path) -> str:
-    """A file at the log's commit, from a clone called `name`, or a bare one called `owner+name/repo`."""
+    """Return a file at the log's commit, from a clone called `name`, or a
+    bare one called `owner+name/repo`.
+    """
     owner, _, name = log.source.partition("/")
     for place in (repositories / f"{owner}+{name}" / "repo", repositories / name / ".git"):
         if place.exists():
@@ -119,7 +121,9 @@ HOUSE_W = 2000.0
 
 
 def _twin_house(living_c: int, living_w: int, outside_c: int) -> Callable[[str], Columns]:
-    """The living room, ten minutes a row, its electric heater metered; columns from ValidationData*.mo."""
+    """Read the living room, ten minutes a row, its electric heater metered;
+    columns from ValidationData*.mo.
+    """
 
     def read(text: str) -> Columns:
         rows = _rows(text, 2)
@@ -140,7 +144,7 @@ def _rows(text: str, heads: int) -> Floats:
 
 
 class _Arrays(pickle.Unpickler):
-    """Of a pickle that strangers made: numpy arrays and nothing else."""
+    """A pickle of strangers, of which only numpy arrays are read."""
 
     def find_class(self, module: str, name: str) -> Any:
         """Errors: DataError for anything that could run."""
@@ -175,7 +179,7 @@ def _lamp(text: str) -> Columns:
 
 
 def _thermal_plant(text: str) -> Columns:
-    """A TecQuipment plant: 10 rows a second, 1 V for 10 degC, the heater's drive of 0..10 V."""
+    """Read a TecQuipment plant: 10 rows a second, 1 V for 10 degC, the heater's drive of 0..10 V."""
     rows = _rows(text, 5)[::20]
     return {"time_s": rows[:, 0], "temp_air_c": 10.0 * rows[:, 1], "heater_duty": rows[:, 3] / 10.0}
 
@@ -193,7 +197,7 @@ def _oven(text: str) -> Columns:
 def _house(
     time: str, air: str, outside: str, heat: str, full: float, step_s: float, sun: str = ""
 ) -> Callable[[str], Columns]:
-    """A table with heating power, `full` at most, rows a `step_s` apart."""
+    """Read a table with heating power, `full` at most, rows a `step_s` apart."""
 
     def read(text: str) -> Columns:
         table = _table(text)

@@ -1,1 +1,3 @@
-"""What benchmarks and tests share: broker, virtual board and daemon as processes, simulated recordings."""
+"""Shared parts of benchmarks and tests: broker, virtual board and
+daemon as processes, simulated recordings.
+"""

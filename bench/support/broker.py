@@ -75,7 +75,7 @@ class Broker:
 
     @property
     def log(self) -> str:
-        """What it said so far."""
+        """The broker's output so far."""
         return (self._folder / "mosquitto.log").read_text(errors="replace")
 
     def _listens(self) -> bool:
@@ -130,7 +130,7 @@ class Listener:
         return [bytes(message.payload) for message in list(self.heard) if message.topic == topic]
 
     def objects(self, topic: str) -> list[Any]:
-        """The same as JSON values."""
+        """Return the messages of a topic as JSON values."""
         return [json.loads(payload) for payload in self.payloads(topic) if payload]
 
     def send(self, topic: str, payload: str | bytes, retain: bool = False) -> None:

@@ -79,7 +79,7 @@ class DaemonProcess:
         return request(self.socket, {"do": do, **values})
 
     def seq(self) -> int:
-        """Number of the last tick; 0 while there is none."""
+        """Return the number of the last tick, 0 while there is none."""
         try:
             tick = self.ask("status").get("tick")
         except RequestError:
@@ -93,7 +93,7 @@ class DaemonProcess:
         return last
 
     def rows(self, query: str) -> list[tuple[Any, ...]]:
-        """What the history answers; one that is not there is not made."""
+        """Query the history; a missing one is not created."""
         where = f"file:{self.history}?mode=rw"
         with closing(sqlite3.connect(where, timeout=10.0, uri=True)) as connection:
             return connection.execute(query).fetchall()
@@ -103,7 +103,7 @@ class DaemonProcess:
         return [seq for (seq,) in self.rows("SELECT seq FROM ticks ORDER BY seq")]
 
     def has_event(self, key: str) -> bool:
-        """The history holds an event of this key; one that is broken or not there holds none."""
+        """Return whether the history holds an event of this key; a broken or missing one holds none."""
         try:
             return bool(self.rows(f"SELECT 1 FROM events WHERE key = '{key}'"))
         except sqlite3.Error:
@@ -111,7 +111,7 @@ class DaemonProcess:
 
     @property
     def log(self) -> str:
-        """What it said so far."""
+        """The daemon's output so far."""
         return self._log.read_text(errors="replace")
 
     def _has_ended(self) -> bool:
@@ -119,12 +119,12 @@ class DaemonProcess:
 
 
 def run_command(config: Path) -> list[str]:
-    """The command line of a daemon."""
+    """Return the command line of a daemon."""
     return [sys.executable, "-m", "edge", "run", "--config", str(config)]
 
 
 def configuration(folder: Path, mqtt_port: int | None) -> dict[str, Any]:
-    """A rig that heats at once, all of its files in `folder`."""
+    """Return a rig that heats at once, all of its files in `folder`."""
     model = folder / "arx_1s.json"
     write_arx(one_second_model(), model, {"source": "made up for tests"})
     mqtt = {"enabled": False} if mqtt_port is None else {"enabled": True, "port": mqtt_port}
@@ -141,7 +141,7 @@ def configuration(folder: Path, mqtt_port: int | None) -> dict[str, Any]:
 
 
 def one_second_model() -> Arx:
-    """A box that cools with a time constant of 1000 s and ends 30 K above the room at full heat."""
+    """Return a box that cools with a time constant of 1000 s and ends 30 K above the room at full heat."""
     return Arx(
         temp=np.array([0.999]),
         heater=np.array([0.03]),

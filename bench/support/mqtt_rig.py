@@ -1,4 +1,4 @@
-"""What telemetry is tied to in tests: settings, a control loop that answers, an outbox in memory."""
+"""Surroundings of telemetry in tests: settings, a control loop that answers, an outbox in memory."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

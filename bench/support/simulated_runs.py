@@ -38,7 +38,7 @@ def known(effects: Effects = BOX) -> dict[str, dict[str, Value]]:
 
 
 def twin_file(effects: Effects = BOX, noise: NoiseLevels = NOISE) -> TwinFile:
-    """A file that knows these effects exactly, and its noise but for how long heat goes together."""
+    """Return a file that knows these effects exactly, and its noise but for its time constant."""
     return TwinFile(
         effects=known(effects),
         sensor={"quantisation_k": 0.0, "noise_sd_k": noise.sensor_k},
@@ -95,7 +95,7 @@ def coloured(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats
 def diagnosed(
     runs: Sequence[RecordedRun], test: Sequence[RecordedRun] = (), file: TwinFile | None = None
 ) -> DiagnosisRuns:
-    """Runs as a diagnosis needs them, by their file names."""
+    """Return runs as a diagnosis needs them, by their file names."""
     train, later = ([(str(run.path), run) for run in some] for some in (runs, test))
     return diagnosis_runs(train, later, file or twin_file())
 
@@ -103,7 +103,7 @@ def diagnosed(
 def search_over(
     runs: Sequence[RecordedRun], file: TwinFile | None = None, shared: SideBySide | None = None
 ) -> tuple[Search, dict[str, FormulaShape]]:
-    """A search as a diagnosis begins it, and the formulas in it."""
+    """Return a search as a diagnosis begins it, and the formulas in it."""
     file = file or twin_file()
     known = given(file, diagnosed(runs, file=file))
     found = formulas(known.runs, known.expected, STEP_S)
@@ -115,7 +115,7 @@ def search_over(
 def changed(
     run: RecordedRun, facts: Mapping[str, str] | None = None, **columns: Floats | None
 ) -> RecordedRun:
-    """The run with some columns replaced (None: without it) and some facts added."""
+    """Return the run with some columns replaced (None: without it) and some facts added."""
     found = {**run.columns, **columns}
     kept = {name: values for name, values in found.items() if values is not None}
     return replace(run, columns=kept, facts={**run.facts, **(facts or {})})

@@ -42,7 +42,7 @@ class VirtualBoard:
 
 
 def command(directory: Path, *options: str) -> list[str]:
-    """The command line of a board whose files are in `directory`."""
+    """Return the command line of a board whose files are in `directory`."""
     program = [sys.executable, "-m", "firmware_protocol.virtual_board"]
     return [*program, "--link", str(directory / "port"), "--control", str(directory / "control"), *options]
 

@@ -31,7 +31,7 @@ class Resend(Checked):
     last_seq: Seq
 
     def cross_check(self) -> None:
-        """A span."""
+        """Check that the span is not backwards."""
         if self.last_seq < self.first_seq:
             self.refuse("last_seq", f"{self.last_seq} is before first_seq, {self.first_seq}")
 
@@ -125,7 +125,7 @@ def _number(text: str, low: float, high: float) -> float:
 
 
 def _values(kind: type, text: str) -> dict[str, Any]:
-    """The payload's keys, once they are known to be those of a `kind`."""
+    """Return the payload's keys after a check that they are those of a `kind`."""
     try:
         values = parse_json(text, "payload")
         read(kind, values, "payload")

@@ -30,7 +30,7 @@ class StandingSink:
         """Nothing to do with a tick."""
 
     def faults(self) -> Mapping[str, str]:
-        """The last failed write, until one succeeds."""
+        """Return the last failed write, until one succeeds."""
         return {"state.unwritten": self.writer.last_error} if self.writer.last_error else {}
 
 

@@ -75,7 +75,7 @@ def _beside(name: str) -> Callable[[Settings], Path]:
 
 
 def _no_orders(settings: Settings, why: str) -> StandingState:
-    """A rig that does not know its orders stands still."""
+    """Return the orders of a rig that cannot know them: it stands still."""
     return StandingState(
         Operation(settings.control.controller, emergency_stop=bool(why)), SafetyMemory(), why
     )

@@ -47,7 +47,7 @@ def case(**hidden: dict[str, float]) -> tuple[Truth, list[RecordedRun]]:
 def dense(
     noise: ReadingNoise, rows: NDArray[np.intp], residual: NDArray[np.float64], response: NDArray[np.float64]
 ) -> float:
-    """Of these rows of one run, by their whole covariance; without the constant."""
+    """Return the log likelihood of these rows of one run, by their whole covariance; without the constant."""
     apart = np.abs(np.subtract.outer(rows, rows))
     covariance = noise.white_k**2 * np.eye(len(rows)) + noise.wandering_k**2 * noise.phi**apart
     covariance += response[:, rows].T @ response[:, rows]

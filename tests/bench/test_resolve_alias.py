@@ -39,7 +39,7 @@ def diagnosed(file: TwinFile, runs: list) -> Diagnosis:
 
 
 def named(found: Diagnosis) -> list[set[str]]:
-    """Of each effect that was named its class."""
+    """Return the class of each effect that was named."""
     return [{effect.name, *effect.alternatives} for effect in found.verdict.effects]
 
 

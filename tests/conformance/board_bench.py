@@ -44,7 +44,7 @@ class BoardBench:
         return new
 
     def receive(self, data: bytes) -> list[tuple[Header, Message]]:
-        """What the board says at once to bytes on its line."""
+        """Return the board's immediate answer to bytes on its line."""
         self.listen()
         self.board.receive(data, self.now_ms)
         return self.listen()

@@ -67,7 +67,7 @@ def changes(text: str) -> Iterator[tuple[int, int, str]]:
 
 
 def name_of(file: str, text: str, begin: int, end: int, by: str) -> str:
-    """Where and what, without a line number, so that it lasts."""
+    """Return the place and the change, without a line number, so that it lasts."""
     line = text[text.rfind("\n", 0, begin) + 1 : text.find("\n", end)].strip()
     functions = re.findall(r"^\w[^;=\n]*?(\w+)\(", text[:begin], re.MULTILINE)
     return f"{file}: {functions[-1] if functions else '-'}: {text[begin:end].strip()!r} -> {by!r} in {line}"
@@ -111,7 +111,7 @@ class Mutation:
         return None if noticed else name_of(file, text, begin, end, by)
 
     def _noticed(self, directory: Path) -> bool:
-        """Whether a test fails with the sources of that directory; it comes first from then on."""
+        """Return whether a test fails with the sources of that directory; it comes first from then on."""
         order = list(self._order)
         reader, writer = os.pipe()
         child = os.fork()

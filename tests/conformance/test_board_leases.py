@@ -11,7 +11,7 @@ RUNNING_MS = 2500  # the air sample lasts 3000 ms
 
 
 def driven(bench: BoardBench) -> tuple:
-    """What the last command drives; the heater by its duty, since the relay waits for its slot."""
+    """Return the outputs of the last command; the heater by its duty, since the relay waits for its slot."""
     pins, state = bench.step(), bench.state()
     return state.heater_steps, pins.fan, pins.led, state.led_pct, pins.cutoff_open
 

@@ -1,4 +1,4 @@
-"""What is installed on a rig: unit, device rule, scripts; as far as a machine without systemd can tell."""
+"""Installation on a rig: unit, device rule, scripts; as far as a machine without systemd can tell."""
 
 import contextlib
 import hashlib
@@ -260,7 +260,7 @@ def install(*arguments: str, **environment: str) -> "subprocess.CompletedProcess
 
 
 def contents(root: Path) -> dict[str, str]:
-    """What lies below `root`: mode and digest, or target, by path."""
+    """Return the files below `root`: mode and digest, or target, by path."""
     found = {}
     for path in sorted(root.rglob("*")):
         if path.suffix == ".pyc":  # no two compilations are alike

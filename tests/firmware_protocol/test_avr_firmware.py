@@ -309,7 +309,7 @@ def test_a_line_full_of_requests_starves_neither_the_leases_nor_the_watchdog(avr
 
 
 def ask_in_parallel(rig: AvrRig, core: BoardCore, data: bytes) -> tuple[list, list]:
-    """What both boards answer to the same bytes, with the times taken out."""
+    """Return both boards' answers to the same bytes, with the times taken out."""
     said = [transmitted(rig.avr.run(30 + len(data) / 10, data))]  # a trip is stored before it is answered
     core.receive(data, 2000)
     said.append(core.transmit())

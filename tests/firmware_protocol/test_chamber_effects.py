@@ -38,7 +38,7 @@ def lamp(chamber: Chamber) -> None:
 
 
 def run(parameters: ChamberParameters, scenario: Scenario, key: str, **scales: float) -> float:
-    """What `key` is in truth after the scenario; two zones differ by `stratification`."""
+    """Return the truth of `key` after the scenario; two zones differ by `stratification`."""
     chamber = Chamber(parameters, dataclasses.replace(QUIET, **scales), 1)
     scenario(chamber)
     truth = chamber.truth()

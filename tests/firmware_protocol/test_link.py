@@ -66,7 +66,7 @@ class FarEnd:
         self.seq = 0
 
     def heard(self) -> list[tuple[Header, Message]]:
-        """What the host has to say now."""
+        """Return the host's events now."""
         return [unpack(payload) for payload in FrameDecoder().feed(self.link.outgoing())]
 
     def says(self, message: Message, now: float, ack: int = 0) -> list[LinkEvent]:

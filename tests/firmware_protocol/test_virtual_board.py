@@ -52,7 +52,7 @@ def end(board: VirtualBoard, number: int) -> int:
 
 
 def refused(directory: Path, *options: str) -> str:
-    """What a board that may not start says."""
+    """Return the message of a board that may not start."""
     ended = subprocess.run(command(directory, *options), capture_output=True, text=True, timeout=20)
     assert ended.returncode == 1
     assert "Traceback" not in ended.stderr

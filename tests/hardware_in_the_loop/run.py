@@ -38,7 +38,7 @@ class StoredEvent:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioRun:
-    """What was so, what was recorded, what was told."""
+    """The truth, the records and the events of a run."""
 
     looks: Sequence[Look]
     records: Sequence[TickRecord]

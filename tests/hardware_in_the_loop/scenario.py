@@ -22,7 +22,8 @@ class HeaterOff:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What happens, and the expected end. Times in s since the start; a tick is at 1 s and every 60 s.
+    """The faults and orders, and the expected end. Times in s since the
+    start; a tick is at 1 s and every 60 s.
 
     The heater is on at full duty from the first tick until the first fault or order.
     """

@@ -47,7 +47,7 @@ def check_heat(result: ScenarioRun, scenario: Scenario) -> None:
 
 
 def check_history(result: ScenarioRun, scenario: Scenario) -> None:
-    """What had to be told was told, and no other alarm."""
+    """Check that every expected event was reported, and no other alarm."""
     assert set(scenario.told) <= result.told()
     for key in scenario.conditions:
         begin, end = result.first(key), result.first(f"{key}.over")

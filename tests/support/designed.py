@@ -36,7 +36,7 @@ ONE_DUTY = np.repeat([0.0, 0.6, 0.0, 0.6], ROWS // 4)
 
 @dataclass(frozen=True, slots=True)
 class RunInputs:
-    """Of one run, a value a row."""
+    """Inputs of one run, a value a row."""
 
     duty: Floats
     fan: Floats

@@ -104,7 +104,7 @@ def errors(traces: list[Trace], when: str) -> dict[str, Any] | None:
 
 
 def common(traces: list[Trace]) -> dict[str, Any]:
-    """What every diagnosis says of its runs."""
+    """Return the keys that every diagnosis has."""
     train, test = ([one for one in traces if one.role == role] for role in ("train", "test"))
     floor = float(np.hypot(NOISE_K, 0.1 / np.sqrt(12.0)))
     sides = {when: {"train": errors(train, when), "test": errors(test, when)} for when in ("before", "after")}

@@ -55,5 +55,5 @@ def columns(temps, duties=None, measured=None, fan=None, start_s=0.0, step_s=STE
 
 
 def window(history, ticks, rows=120):
-    """What the estimator holds after so many ticks: the newest `rows` of them."""
+    """Return the estimator's newest `rows` after so many ticks."""
     return {name: column[max(0, ticks - rows) : ticks].copy() for name, column in history.items()}

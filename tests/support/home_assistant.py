@@ -1,4 +1,4 @@
-"""What Home Assistant accepts as device-based discovery, written from its own schemas.
+"""Home Assistant's device-based discovery, checked by rules written from its own schemas.
 
 Sources, Home Assistant core, `homeassistant/components/mqtt/`: `schemas.py` (device, origin, availability,
 keys common to all entities), `config.py` (keys of read-only and read-write platforms), `climate.py`,

@@ -39,5 +39,5 @@ def located(runs, effects=BASE, noise_k=NOISE_K):
 
 
 def whiteness_of(run):
-    """Of a run's one-step residuals."""
+    """Return the whiteness of a run's one-step residuals."""
     return whiteness(run.one_step_k / run.innovation_sd, run.step_s)

@@ -86,7 +86,7 @@ def cases(module: ModuleType) -> list[Callable[[], None]]:
 
 
 def survives(mutant: Mutant, tests: list[Callable[[], None]]) -> bool:
-    """Whether no test notices; one that does is moved to the front."""
+    """Return whether no test notices; a test that does is moved to the front."""
     undo = mutant.apply()
     try:
         for index, test in enumerate(tests):

@@ -81,7 +81,7 @@ def slopes(state, duty, fan, now, p):
 
 
 def shown(effects, start, duty, fan, columns, step_s=60.0):
-    """What the sensor shows after each step, from true states `start` by name, commands off before."""
+    """Return the sensor's reading after each step, from true states `start` by name, commands off before."""
     p = {**NOTHING, **{name: value for own in effects.values() for name, value in own.items()}}
     state = np.array([start.get(name, 0.0) for name in STATES])
     temps = []

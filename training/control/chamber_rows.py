@@ -80,7 +80,7 @@ class ChamberRows:
     """Moves boxes on; the room's future is the seed's, asked in the order of time."""
 
     def __init__(self, parameters: ChamberParameters, effects: Effects, seed: int) -> None:
-        """Raises ValueError for an effect that this copy does not have."""
+        """Copy a chamber. Raises ValueError for an effect that this copy does not have"""
         for name in ABSENT:
             if getattr(effects, name) != 0.0:
                 raise ValueError(f"effects.{name}: {getattr(effects, name):g}, only 0 is known here")
@@ -104,7 +104,7 @@ class ChamberRows:
         return np.asarray(share * boxes.temps[5] + (1.0 - share) * boxes.temps[6])
 
     def shown(self, boxes: BoxStates) -> Floats:
-        """What a sensor without noise and steps would show [degC]."""
+        """Return the reading of a sensor without noise and steps [degC]."""
         return boxes.sensor + self.e.sensor_bias * self.p.sensors.air_bias_k
 
     def step(self, boxes: BoxStates, time_s: float, dt_s: float, heat: Floats, fan: Floats) -> BoxStates:

@@ -30,7 +30,7 @@ _SHARES = np.arange(HEATER_LEVELS + 1) / HEATER_LEVELS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceCourse:
-    """What is to be followed. reference : [N], after each step [degC]; begin_s : of the first step"""
+    """The course to follow. reference : [N], after each step [degC]; begin_s : of the first step"""
 
     reference: Floats
     begin_s: float
@@ -51,7 +51,7 @@ class Planned:
 def best_plan(
     fresh: Callable[[], ChamberRows], course: ReferenceCourse, width: int = WIDTH, kind_k: float = KIND_K
 ) -> Planned:
-    """The cheapest plan found. fresh : the chamber anew, as its future can be asked but once"""
+    """Find the cheapest plan. fresh : the chamber anew, as its future can be asked but once"""
     chamber = fresh()
     boxes = _idle(chamber, course)
     cost, level, trace = np.zeros(1), np.zeros(1, dtype=np.int64), []
@@ -72,7 +72,7 @@ def best_plan(
 
 
 def plan_cost(chamber: ChamberRows, course: ReferenceCourse, levels: Ints, fan: Ints) -> float:
-    """The paper's cost of a plan by the chamber's own steps."""
+    """Return the paper's cost of a plan by the chamber's own steps."""
     boxes, cost = _idle(chamber, course), 0.0
     before = np.append(0, levels[:-1])
     for k, reference in enumerate(course.reference):
@@ -150,7 +150,7 @@ def _kept(total: Floats, element: Floats, width: int, kind_k: float) -> Ints:
 
 
 def _children(probes: BoxStates, parent: Ints, fan: Ints, level: Ints) -> BoxStates:
-    """The boxes of the chosen children, by the parabola through their three probes."""
+    """Return the boxes of the chosen children, by the parabola through their three probes."""
     weights = lagrange(level / HEATER_LEVELS)
     parts = []
     for field in fields(BoxStates):

@@ -37,7 +37,7 @@ class ClosedLoopLog:
 
 
 def closed_loop(settings: Settings, instead: Controller | None = None, **more: Any) -> Lab:
-    """A lab for `settings.control.controller`, or for another one; `log_of` reads what it has run.
+    """Return a lab for `settings.control.controller`, or for another one; `log_of` reads its run.
 
     more : as `Lab` takes it
     """
@@ -48,7 +48,7 @@ def closed_loop(settings: Settings, instead: Controller | None = None, **more: A
 
 
 def log_of(lab: Lab, instead: Controller | None = None) -> ClosedLoopLog:
-    """The run of `closed_loop`, with the same controller `instead`."""
+    """Return the run of `closed_loop`, with the same controller `instead`."""
     name = lab.settings.control.controller if instead is None else instead.name
     whys = [record.decision.why for record in lab.history]
     return ClosedLoopLog(

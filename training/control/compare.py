@@ -46,7 +46,7 @@ KEPT_URL = "http://kept"  # nobody is asked
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code. Errors: GreenhouseError
+    """Run the command and return its exit code. Errors: GreenhouseError
 
     arguments : controllers (empty: all), references, seeds, runs, results, images (folders), workers, dask,
         kept, beside_kept, llm_url, llm_model, check, tolerance
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 @contextmanager
 def _endpoint(arguments: argparse.Namespace) -> Iterator[LlmSettings]:
-    """Where the LLM rows ask: a given server, nobody for kept runs, else a stand-in of our own."""
+    """Yield the endpoint of the LLM rows: a given server, none for saved runs, else a stand-in of our own."""
     if arguments.kept or arguments.llm_url:
         yield LlmSettings(url=arguments.llm_url or KEPT_URL, model=arguments.llm_model)
         return
@@ -138,7 +138,7 @@ def _check(results: Sequence[RunResult], kept: Sequence[RunResult], tolerance: f
 
 
 def text_of(results: Sequence[RunResult], names: Sequence[str]) -> str:
-    """The tables."""
+    """Return the tables."""
     lines = [line for each in _tables(results, names) for line in each.text()]
     return "\n".join([COMMAND, "", *lines]) + "\n"
 
@@ -146,7 +146,7 @@ def text_of(results: Sequence[RunResult], names: Sequence[str]) -> str:
 def section(
     results: Sequence[RunResult], names: Sequence[str], pictures: Mapping[str, bytes], findings: str
 ) -> str:
-    """The controllers' part of the report, as HTML; findings : as `words_as_html` takes it."""
+    """Return the controllers' part of the report, as HTML. findings : as `words_as_html` takes it"""
     return "\n".join(_section(results, names, pictures, findings)) + "\n"
 
 
@@ -170,7 +170,7 @@ def _tables(results: Sequence[RunResult], names: Sequence[str]) -> list[Table]:
 
 
 def drawn_jobs(references: Sequence[str], seed: int, llm: LlmSettings) -> list[ComparisonJob]:
-    """What the pictures show minute by minute, which figures alone do not tell."""
+    """Return the runs that the pictures show minute by minute."""
     known = entries()
     names = [name for side in DRAWN.values() for name in side]
     return [ComparisonJob(known[name], reference, seed, llm) for reference in references for name in names]

@@ -33,14 +33,14 @@ Results = Sequence[RunResult]
 
 
 def result(job: ComparisonJob, log: ClosedLoopLog) -> RunResult:
-    """Of one kept run."""
+    """Return the result of one saved run."""
     remark = job.llm.model if job.entry.controller in LLM else ""
     remark = STAND_IN if remark == STAND_IN_MODEL else remark
     return RunResult(job.entry.name, job.reference, job.seed, figures(log), remark)
 
 
 def column(results: Results, entry: str, reference: str, name: str) -> list[float]:
-    """A figure by seed, in the seeds' order; empty where there is no run."""
+    """Return a figure by seed, in the seeds' order; empty where there is no run."""
     mine = sorted((one for one in results if (one.entry, one.reference) == (entry, reference)), key=_seed)
     return [float(getattr(one.figures, name)) for one in mine]
 
@@ -116,7 +116,7 @@ def _cells(results: Results, name: str, reference: str) -> Iterator[str]:
 
 
 def spread_text(mean: Mean, digits: int) -> str:
-    """A mean with its interval where there is one."""
+    """Return a mean with its interval where there is one."""
     value = f"{mean.value:.{digits}f}"
     return value if mean.n == 1 or mean.half == 0.0 else f"{value}+-{mean.half:.{digits}f}"
 
@@ -140,10 +140,10 @@ def _seed(one: RunResult) -> int:
 
 
 def seeds_of(results: Results, entry: str, reference: str) -> set[int]:
-    """That have run."""
+    """Return the seeds that have run."""
     return {one.seed for one in results if (one.entry, one.reference) == (entry, reference)}
 
 
 def references_of(results: Results) -> list[str]:
-    """That have run."""
+    """Return the references that have run."""
     return sorted({one.reference for one in results})

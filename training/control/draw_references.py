@@ -71,7 +71,7 @@ def rows(segments: tuple[Hold | Slope, ...]) -> list[tuple[int, float]]:
 
 
 def text(name: str) -> str:
-    """A reference as a profile file."""
+    """Return a reference as a profile file."""
     lines = [f"{time_s},{target:.6g}" for time_s, target in rows(SEGMENTS[name])]
     return "\n".join(["time_s,reference_c", *lines]) + "\n"
 

@@ -49,7 +49,7 @@ def energy_tables(results: Results, names: Sequence[str], reference: str) -> lis
 def energy_table(
     results: Results, names: Sequence[str], reference: str, air: str = "the true air"
 ) -> Table | None:
-    """A line per controller; None where ours has not run at every weight.
+    """Return a line per controller; None where ours has not run at every weight.
 
     air : of AIRS
     """

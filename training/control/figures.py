@@ -22,7 +22,7 @@ SENSOR_BIAS_K = 0.4  # of the virtual rig's air sensor: `chamber.yaml`, air_bias
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What a run comes to. Temperatures' errors [K], costs as the paper has them, by step.
+    """Figures of a run. Temperature errors [K], costs as the paper has them, by step.
 
     mae_measured : by the sensor, noise and all; mae_true, rmse_true : by the mean of the air in the box
     near_pct : steps whose true air is within 0.5 K; overshoot_k : beyond the new reference, mean of the steps
@@ -50,7 +50,7 @@ class Figures:
 
 
 def figures(log: ClosedLoopLog) -> Figures:
-    """Of one run."""
+    """Return the figures of one run."""
     columns = log.columns
     true, measured = error(columns, "true_air_c"), error(columns, "temp_air_c")
     sensor = error(columns, "sensor_air_c") + SENSOR_BIAS_K
@@ -83,12 +83,12 @@ def error(columns: Mapping[str, Floats], air: str) -> Floats:
 
 
 def tracking_cost(errors: Floats) -> float:
-    """The paper's, without effort."""
+    """Return the paper's cost of tracking, without effort."""
     return float(TRACKING_WEIGHT * (errors**2).sum())
 
 
 def effort_cost(columns: Mapping[str, Floats]) -> float:
-    """The paper's cost of heater and fan with weight 1."""
+    """Return the paper's cost of heater and fan with weight 1."""
     duty, fan = columns["heater_duty"][:-1], columns["fan_on"][:-1]
     return float((duty**2).sum() + fan.sum())
 
@@ -113,7 +113,7 @@ def overshoot_k(reference: Floats, air: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class DecisionTime:
-    """Of one run, by the machine's clock: not the same twice [ms]."""
+    """Decision times of one run by the machine's clock, never the same twice [ms]."""
 
     median_ms: float
     p99_ms: float

@@ -55,7 +55,7 @@ class ComparisonJob:
         return FOLDER / f"{self.reference}.csv"
 
     def sha256(self) -> str:
-        """Of all that was decided beforehand: a run with the same is not repeated."""
+        """Return a hash of everything decided beforehand: a run with the same hash is not repeated."""
         settings = settings_for(self.entry, Path(self.profile.name), Path("/"), self.llm)
         facts: dict[str, Any] = {
             "entry": [self.entry.name, self.entry.controller, self.entry.models, self.entry.clairvoyant],
@@ -74,12 +74,12 @@ class ComparisonJob:
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
     def folder(self, root: Path) -> Path:
-        """Where the run is kept."""
+        """Return the run's folder."""
         return root / self.reference / self.entry.name.replace("/", "_") / f"seed_{self.seed}"
 
 
 def is_kept(job: ComparisonJob, root: Path) -> bool:
-    """Whether the very same run is there."""
+    """Return whether exactly this run is saved."""
     facts = job.folder(root) / "run.json"
     return facts.exists() and json.loads(facts.read_text(encoding="utf-8"))["sha256"] == job.sha256()
 
@@ -98,7 +98,9 @@ def run(job: ComparisonJob) -> ClosedLoopLog:
 
 
 def course_of(job: ComparisonJob) -> ReferenceCourse | None:
-    """What a clairvoyant entry is to follow from the first tick on; None for one that decides as it goes."""
+    """Return the course of a clairvoyant entry from the first tick on; None
+    for one that decides as it goes.
+    """
     target = job.entry.clairvoyant
     if target is None:
         return None
@@ -109,12 +111,12 @@ def course_of(job: ComparisonJob) -> ReferenceCourse | None:
 
 
 def fresh_chamber(job: ComparisonJob) -> ChamberRows:
-    """The chamber behind the job's board, its future not yet asked."""
+    """Return the chamber behind the job's board, its future not yet asked."""
     return ChamberRows(*load(), job.seed)
 
 
 def _instead(job: ComparisonJob, folder: Path) -> Controller | None:
-    """The controller that the daemon does not have: None for one that the daemon has."""
+    """Return the controller that the daemon does not have, None for one that it has."""
     if job.entry.unbounded:
         weight = float(job.entry.controller.endswith("-P"))
         return MpcBfgs("unbounded", read_arx(), weight, ControlSettings().horizon, bounded=False)
@@ -124,7 +126,7 @@ def _instead(job: ComparisonJob, folder: Path) -> Controller | None:
 
 
 def _clairvoyant(job: ComparisonJob, folder: Path) -> Controller | None:
-    """The best plan as an input profile."""
+    """Return the best plan as an input profile."""
     course = course_of(job)
     if course is None:
         return None
@@ -157,7 +159,7 @@ def keep(job: ComparisonJob, log: ClosedLoopLog, root: Path) -> None:
 
 
 def read(job: ComparisonJob, root: Path) -> ClosedLoopLog:
-    """A kept run. Errors: DataError where it is not there, or another one is."""
+    """Read a saved run. Errors: DataError where it is missing, or another one is there"""
     if not is_kept(job, root):
         raise DataError(
             f"{job.folder(root)}: no such run with these settings: run `greenhouse-train compare`"

@@ -21,7 +21,7 @@ def json_of(results: Results) -> str:
 
 
 def results_of(text: str) -> list[RunResult]:
-    """What `json_of` wrote."""
+    """Read what `json_of` wrote."""
     return [RunResult(**{**row, "figures": Figures(**row["figures"])}) for row in json.loads(text)]
 
 
@@ -41,7 +41,7 @@ def times_json(times: Times) -> str:
 
 
 def read_times(folder: Path) -> Times:
-    """What `times_json` wrote. Errors: DataError"""
+    """Read what `times_json` wrote. Errors: DataError"""
     path = folder / TIMES_FILE
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
@@ -59,7 +59,7 @@ def beside(kept: Results, now: Results, names: Sequence[str]) -> list[RunResult]
 
 
 def times_beside(kept: Times, now: Times, names: Sequence[str]) -> Times:
-    """The same of decision times: of a controller all runs have to be there to count."""
+    """Return decision times in the same form. A controller counts only with all of its runs."""
     whole = {name: found for name, found in now.items() if len(found) >= len(kept.get(name, ()))}
     return {name: both[name] for name in names if name in (both := {**kept, **whole})}
 

@@ -52,7 +52,7 @@ def _draw_run(axes: Sequence[Axes], name: str, columns: Mapping[str, Floats]) ->
 
 
 def bars_picture(results: Results, names: Sequence[str], references: Sequence[str]) -> bytes:
-    """True MAE by controller and reference, whiskers: 95 % confidence over the seeds."""
+    """Draw the true MAE by controller and reference, whiskers: 95 % confidence over the seeds."""
     present = [name for name in names if any(column(results, name, r, "mae_true") for r in references)]
     figure = Figure(figsize=(max(7.0, 0.62 * len(present) + 1.5), 4.4), layout="constrained")
     axes = figure.subplots()

@@ -102,7 +102,7 @@ def entries() -> dict[str, ComparisonEntry]:
 def settings_for(
     entry: ComparisonEntry, reference: Path, folder: Path, llm: LlmSettings = NO_LLM
 ) -> Settings:
-    """The daemon's settings for one run, all files in `folder`.
+    """Return the daemon's settings for one run, all files in `folder`.
 
     Errors : SettingError for a language model's entry without an endpoint
     """

@@ -11,7 +11,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Mean:
-    """Of n seeds, and half the width of its interval; infinite for one seed alone."""
+    """Mean of n seeds, and half the width of its interval; infinite for one seed alone."""
 
     value: float
     half: float

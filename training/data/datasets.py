@@ -26,7 +26,8 @@ class Split:
 
 
 def training_runs(regime: str) -> list[RecordedRun]:
-    """The training runs in order: all of them, or for "extrapolation" those that stay low from end to end.
+    """Return the training runs in order: all of them, or for
+    "extrapolation" those that stay low from end to end.
 
     Errors : DataError for another regime, and where there are no runs
     """
@@ -41,7 +42,7 @@ def training_runs(regime: str) -> list[RecordedRun]:
 
 
 def regimes_of(run: RecordedRun) -> tuple[str, ...]:
-    """The regimes whose models are trained on this training run. A missing reading counts as hot."""
+    """Return the regimes whose models train on this run. A missing reading counts as hot."""
     low = bool((run.columns["temp_air_c"] <= EXTRAPOLATION_MAX_C).all())
     return REGIMES if low else REGIMES[:1]
 
@@ -59,7 +60,7 @@ def test_run(scenario: int) -> RecordedRun:
 
 
 def split(run: RecordedRun) -> Split:
-    """The run cut in time, training part first: where its `validate_from_s` says, else at 80 % of its rows.
+    """Split the run in time, training part first: where its `validate_from_s` says, else at 80 % of its rows.
 
     A run of role validate is one whole validation part. No row is in both parts, so no window or step of one
     reaches into the other.

@@ -24,7 +24,7 @@ Minutes = tuple[int, int]  # shortest and longest
 
 @dataclass(frozen=True, slots=True)
 class ProfilePlan:
-    """What one test profile is meant to do.
+    """The aim of one test profile.
 
     One minute of fan takes more than half of the box's excess over the room, so a fan that blew at any time
     would leave the range downwards: it waits for `fan_from_c`. Heating waits for no temperature but the
@@ -99,7 +99,7 @@ class ProfileCandidate:
     ranges_c: list[tuple[float, float]]  # lowest and highest, one pair per board seed
 
     def fits(self, plan: ProfilePlan) -> bool:
-        """Whether every box met both ends, and the fan blew often enough."""
+        """Return whether every box met both ends, and the fan blew often enough."""
         ends = all(
             abs(seen - wanted) <= TOLERANCE_K
             for pair in self.ranges_c
@@ -137,12 +137,14 @@ class _Hand:
 
 
 def path_of(profile: int) -> Path:
-    """The file of test profile 1, 2 or 3."""
+    """Return the file of test profile 1, 2 or 3."""
     return FOLDER / f"test_{profile}.csv"
 
 
 def draw(plan: ProfilePlan, seed: int) -> ProfileCandidate:
-    """A candidate: the lead-in at one duty, then heater and fan by `_Hand`; the last row with all off."""
+    """Draw a candidate: the lead-in at one duty, then heater and fan by
+    `_Hand`; the last row with all off.
+    """
 
     def readings() -> list[float]:
         # The loop averages some samples, which leaves little of the sensor's noise.

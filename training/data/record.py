@@ -32,7 +32,7 @@ class TrainingRecording:
 
 
 def recordings() -> list[TrainingRecording]:
-    """The 15 training runs, sequence n on board n, and the 6 scenarios."""
+    """Return the 15 training runs, sequence n on board n, and the 6 scenarios."""
     training = [
         TrainingRecording(path.stem.replace("profile", "run"), path, number, "train", {})
         for number, path in enumerate(paths(), start=1)
@@ -92,7 +92,7 @@ def main() -> int:
 
 
 def _kept(recording: TrainingRecording, folder: Path, check: bool) -> bool:
-    """Whether the file kept is what was recorded now; without `check` it is from then on."""
+    """Return whether the saved file is what was recorded now; without `check` it is saved now."""
     new, kept = folder / f"{recording.name}.csv", RUNS / f"{recording.name}.csv"
     record(recording, new)
     same = kept.exists() and kept.read_bytes() == new.read_bytes()

@@ -1,4 +1,4 @@
-"""What the training data say of each column, for scaling it to mean 0 and variance 1."""
+"""Scaler: the training data's mean and variance of each column, scaled to 0 and 1."""
 
 import torch
 from torch import Tensor

@@ -99,7 +99,7 @@ def unexplained() -> list[Unexplained]:
 
 
 def bases(seeds: Sequence[int] = SEEDS) -> list[Base]:
-    """The ladder of `BASES`, each fitted on the training parts."""
+    """Return the ladder of `BASES`, each fitted on the training parts."""
     runs = training_runs("interpolation")
     validate = [part for part in split_all(runs).validate if len(part) > START_ROWS]
     found = []
@@ -118,7 +118,9 @@ def _hybrid(runs: Sequence[RecordedRun], twin: BoxTwin, seed: int) -> ham_guarde
 
 
 def _rows(runs: Sequence[RecordedRun]) -> dict[str, Floats]:
-    """Steps with PAST_ROWS known duties before them, by column; `past` [n, PAST_ROWS], the others [n]."""
+    """Return steps with PAST_ROWS known duties before them, by column;
+    `past` [n, PAST_ROWS], the others [n].
+    """
     found: dict[str, list[Floats]] = {}
     for temp, ambient, duty, fan in stretches(runs):
         now = slice(PAST_ROWS, -1)

@@ -102,7 +102,7 @@ def calibrate(
 
 
 def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) -> list[CoverageRow]:
-    """What the intervals hold in both regimes, by predictor and horizon."""
+    """Return the coverage of the intervals in both regimes, by predictor and horizon."""
     rows = []
     for interval in intervals.rows:
         key, width = (interval.predictor, interval.horizon_min), interval.half_width_k
@@ -124,7 +124,7 @@ def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) 
 
 
 def table(rows: Sequence[CoverageRow], predictors: Mapping[str, Predictor]) -> str:
-    """The figures as text."""
+    """Return the figures as text."""
     lines = [
         f"Prediction intervals: {CLAIMED:.0%} claimed, seen on runs that neither trained nor calibrated",
         *(f"{name} {predictor.version}" for name, predictor in predictors.items()),

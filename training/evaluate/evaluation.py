@@ -35,7 +35,7 @@ COMPUTES = ("numpy", "scipy", "torch")  # packages whose arithmetic the figures 
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code. Errors: DataError, OSError.
+    """Run the command and return its exit code. Errors: DataError, OSError
 
     arguments : trained, results, images (folders), check, tolerance
     """
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def text_of(figures: Evaluation) -> str:
-    """The tables of errors."""
+    """Return the tables of errors."""
     return "\n".join([COMMAND, "", *(line for table in tables(figures) for line in table.text())])
 
 
@@ -105,7 +105,7 @@ def _cpu_lines() -> list[str]:
 
 
 def first_difference(kept: Any, now: Any, tolerance: float = 0.0, place: str = "evaluation.json") -> str:
-    """Where two JSON values differ first; "" where no two numbers do by more than `tolerance`."""
+    """Return where two JSON values differ first; "" where no two numbers do by more than `tolerance`."""
     found = (text for amount, text in differences(kept, now, place) if not amount <= tolerance)
     return next(found, "")
 
@@ -145,7 +145,7 @@ def _write(
 
 
 def _words(results: Path) -> tuple[str, str]:
-    """Findings on the models, and the controllers' part as `greenhouse-train compare` has left it."""
+    """Return findings on the models, and the controllers' part as `greenhouse-train compare` has left it."""
     path = results / "control" / "section.html"
     return read_findings(results), path.read_text(encoding="utf-8") if path.exists() else ""
 

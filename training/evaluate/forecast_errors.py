@@ -29,7 +29,9 @@ STEP_S = 60.0
 
 
 def predictors_in(folder: Path | None) -> dict[str, Predictor]:
-    """The models of a bundle's files, the ARX model first: the estimator runs with it. Errors: DataError."""
+    """Return the models of a bundle's files, the ARX model first: the
+    estimator runs with it. Errors: DataError
+    """
     if folder is None:
         return {"arx": read_arx(), "pbm": Pbm()}
     twin = read_twin(folder / "twin.yaml")
@@ -57,7 +59,7 @@ def errors_of(runs: Sequence[RecordedRun], load: Load, workers: int = 2, dask: s
 
 
 def errors_of_run(run: RecordedRun, predictors: Mapping[str, Predictor]) -> dict[tuple[str, int], Floats]:
-    """The same for one run, a row per scored forecast in the order of time.
+    """Return the errors of one run, a row per scored forecast in the order of time.
 
     The estimator runs with the predictor "arx", as the daemon's does; the inputs are those recorded.
     """

@@ -46,7 +46,9 @@ def keep(task: tuple[Kind, int, Path]) -> None:
 
 
 def make_run(kind: Kind, seed: int) -> RecordedRun:
-    """The first candidate of this seed whose highest reading lies in its plan's band, on the board `seed`."""
+    """Return the first candidate of this seed whose highest reading lies in
+    its plan's band, on the board `seed`.
+    """
     plan = HOTTER if kind == "extrapolation" else PLANS[seed % len(PLANS)]
     rng = random.Random(seed)
     while True:
@@ -57,7 +59,7 @@ def make_run(kind: Kind, seed: int) -> RecordedRun:
 
 
 def measure(rows: Sequence[RecordedRow], seed: int, stop_above_c: float = np.inf) -> list[dict[str, float]]:
-    """The readings at each row's time, up to the first that is hotter than `stop_above_c`."""
+    """Return the readings at each row's time, up to the first that is hotter than `stop_above_c`."""
     parameters, effects = load()
     chamber = Chamber(parameters, effects, seed)
     readings = [chamber.sense()]
@@ -70,7 +72,7 @@ def measure(rows: Sequence[RecordedRow], seed: int, stop_above_c: float = np.inf
 
 
 def _last_window(chamber: Chamber, row: RecordedRow) -> dict[str, float]:
-    """The last PWM window of a row, second by second, and the reading at its end."""
+    """Simulate the last PWM window of a row, second by second, and return the reading at its end."""
     samples = []
     for second in range(1, WINDOW_S + 1):
         on = second <= round(row.heater_duty * WINDOW_S)

@@ -87,7 +87,7 @@ def read_data(folder: Path) -> Data:
 
 
 def lines(data: Data, seeds: Sequence[int] = SEEDS) -> list[str]:
-    """The table with what it is of."""
+    """Return the table with its data's description."""
     mass, lag = (fit_box(data.parts.train, effects) for effects in (ONE_MASS, HEATER_MASS))
     arx = fit_arx(
         data.parts.train, data.parts.validate, STEP_S, ORDERS, fan_input=None, with_ambient=False

@@ -50,7 +50,7 @@ class PaperCase:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code. Errors: DataError, OSError.
+    """Run the command and return its exit code. Errors: DataError, OSError
 
     arguments : results, out (folders), evaluation (file), seeds, kept_twins, check
     """
@@ -98,7 +98,7 @@ def json_of(figures: PaperCase) -> str:
 
 
 def read_scores(path: Path) -> list[TrainingScore]:
-    """The scores in evaluation.json or paper_case.json. Errors: DataError"""
+    """Read the scores in evaluation.json or paper_case.json. Errors: DataError"""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["scores"]
     except (OSError, ValueError, KeyError) as error:

@@ -1,4 +1,4 @@
-"""What the simulated chamber really has, out of its own settings: to stand beside what was found.
+"""Truth of the simulated chamber from its own settings, to compare with the named effects.
 
 Nothing that finds, fits or trains reads this.
 """
@@ -59,7 +59,7 @@ class Real:
 
 
 def real_effects(rows: Sequence[RecordedRow] | None = None) -> tuple[Real, ...]:
-    """The effects that are switched on, those that show most first. rows : instead of the profile's"""
+    """Return the effects that are switched on, the largest first. rows : instead of the profile's"""
     parameters, effects = load()
     applied = rows if rows is not None else read(paths()[PROFILE - 1])[1]
     quiet = replace(effects, **QUIET)
@@ -83,6 +83,6 @@ def _size(name: str, parameters: ChamberParameters) -> tuple[str, float | None, 
 
 
 def _shown(parameters: ChamberParameters, effects: Effects, rows: Sequence[RecordedRow]) -> Floats:
-    """The sensors' difference of air and room at each row [K]."""
+    """Return the sensors' difference of air and room at each row [K]."""
     run = record(Chamber(parameters, effects, PROFILE), rows)
     return np.array([row["temp_air_c"] - row["temp_ambient_c"] for row in run])

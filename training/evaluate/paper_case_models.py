@@ -65,7 +65,7 @@ def diagnose(regime: Regime, folder: Path) -> None:
 
 
 def improved(regime: Regime, folder: Path) -> Improved:
-    """What `diagnose` has left. Errors: DataError for no diagnosis, or one of other runs"""
+    """Return the result of `diagnose`. Errors: DataError for no diagnosis, or one of other runs"""
     path = folder / DIAGNOSIS_FILE
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -81,7 +81,7 @@ def improved(regime: Regime, folder: Path) -> Improved:
 def forecasts(
     twin: Improved, seeds: Sequence[int], out: Path, scenarios: Sequence[int] | None = None
 ) -> list[TrainingScore]:
-    """The twin and the hybrids over it on the regime's scenarios, or on those in `scenarios`.
+    """Forecast with the twin and the hybrids over it on the regime's scenarios, or on those in `scenarios`.
 
     out : where the networks are left
     """

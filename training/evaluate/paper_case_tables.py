@@ -46,7 +46,7 @@ def tables(chamber: Sequence[Real], twins: Twins, scores: Sequence[TrainingScore
 
 
 def waterfall(regime: Regime, document: Mapping[str, Any]) -> Table:
-    """The gap after each effect."""
+    """Return the gap after each effect."""
     rows = [
         (_step_name(step["effects"]), *(_kelvin(step[f"{role}_rmse_k"]) for role in ("train", "test")))
         for step in document["waterfall"]
@@ -63,7 +63,7 @@ def waterfall(regime: Regime, document: Mapping[str, Any]) -> Table:
 
 
 def _named(chamber: Sequence[Real], twins: Twins) -> Table:
-    """What acts in the chamber beside what was named, effects that it hasn't at the end."""
+    """Return the chamber's effects and the named ones, false names at the end."""
     found = {regime: _effects(twin) for regime, twin in twins.items()}
     real = {item.name: item for item in chamber}
     strangers = [name for own in found.values() for name in own if name not in real]
@@ -190,7 +190,7 @@ def _outside(scores: Sequence[TrainingScore]) -> Table:
 
 
 def _worth(scores: Sequence[TrainingScore]) -> Table:
-    """What the improved base is worth to the hybrid, seed by seed."""
+    """Return the improved base's value to the hybrid, seed by seed."""
     rows = []
     for regime in SCENARIOS:
         for model in (HAM, HAM_GUARDED):

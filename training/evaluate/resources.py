@@ -1,4 +1,4 @@
-"""What a model costs: time to train, memory to load and run, time to forecast. Measured, never compared."""
+"""Costs of a model: time to train, memory to load and run, time to forecast. Measured, never compared."""
 
 import json
 import os
@@ -29,7 +29,7 @@ KIB = 1024
 
 @dataclass(frozen=True, slots=True)
 class ModelCost:
-    """Of one model, as deployed: the seed that validates best, trained on all runs.
+    """Costs of one model, as deployed: the seed that validates best, trained on all runs.
 
     train_s, train_peak_mib : mean over the seeds; the peak is the whole process's, torch in it
     weights_kib : of the tensors, which asizeof doesn't see
@@ -84,7 +84,7 @@ def _weights_bytes(folder: Path) -> int:
 
 
 def _running(kept: Kept, rows: int) -> tuple[Any, ...]:
-    """The predictor with what it is given for a free run, and what it gives back."""
+    """Return the predictor with its inputs for a free run, and its outputs."""
     columns = {"temp_air": 27.0, "temp_ambient": 22.0, "heater_duty": 0.4, "fan_on": 0.0}
     history = {name: np.full(START_ROWS, value) for name, value in columns.items()}
     ahead = {name: np.full(rows - START_ROWS, value) for name, value in columns.items()}

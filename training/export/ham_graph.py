@@ -14,7 +14,7 @@ def ham_rollout(network: Hybrid, window: int) -> ModelProto:
 
 
 def scanned(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
-    """The rollout of any model of one step.
+    """Return the rollout of any model of one step.
 
     start : from the window to the state [1, S], column 0 the air temperature [°C]
     step : as `single_step` gives it
@@ -42,7 +42,7 @@ def scanned(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
 
 
 def _in_time(graph: Graph, parts: Divided) -> list[str]:
-    """What is known of every step beforehand, [N, B, ...] each."""
+    """Return the values of every step that are known beforehand, [N, B, ...] each."""
     by_step = graph.op("Transpose", "controls", perm=[1, 0, 2])
     columns = graph.ops("Split", 2, by_step, axis=2, num_outputs=2)
     duty, fan = (graph.op("Squeeze", column, graph.integers(2)) for column in columns)

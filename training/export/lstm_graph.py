@@ -52,7 +52,7 @@ class _Network:
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """What the steps of the rollout read by their number, and the batch [1].
+    """Values that the steps of the rollout read by their number, and the batch [1].
 
     inputs : scaled, [N, B, 2]; zeros : [B, hidden]
     alive : windows that hold the step's row, [N, 1]
@@ -93,7 +93,7 @@ def lstm_rollout(network: LstmNet, window: int) -> ModelProto:
 
 
 def _constants(graph: Graph, network: LstmNet) -> _Network:
-    """The weights, each linear layer inside the layer after it; multiplied in 64 bits, kept in 32."""
+    """Return the weights, each linear layer inside the layer after it; multiplied in 64 bits, kept in 32."""
     weight, bias = np.eye(3), np.zeros(3)  # from what the layer before gives to what this one reads
     layers = []
     for number in (1, 2, 3):
@@ -151,7 +151,9 @@ def _steps(graph: Graph, network: _Network, horizon: str, window: int) -> _Steps
 
 
 def _advance(graph: Graph, network: _Network, value: str, states: list[str]) -> list[str]:
-    """A row of every window, [rows, 3], through all layers; states h, c of each layer, [rows, hidden]."""
+    """Pass a row of every window, [rows, 3], through all layers; states h,
+    c of each layer, [rows, hidden].
+    """
     following = []
     for number, layer in enumerate(network.layers):
         hidden, cell = states[2 * number : 2 * number + 2]
@@ -185,7 +187,9 @@ def _begin(graph: Graph, network: _Network, past: str, rows: int) -> list[str]:
 
 
 def _of_lstm(graph: Graph, layer: _Layer, hidden: int) -> tuple[str, str, str]:
-    """A cell's weights as ONNX's LSTM has them: on x, on h, and two biases; the session folds this once."""
+    """Return a cell's weights as ONNX's LSTM has them: on x, on h, and two
+    biases; the session folds this once.
+    """
     order = [_GATE_NAMES.index(name) for name in ("input", "output", "forget", "cell")]
     gates = graph.op("Concat", *(layer.weights[gate] for gate in order), axis=1)
     both = graph.op("Unsqueeze", graph.op("Transpose", gates, perm=[1, 0]), graph.integers(0))
@@ -201,7 +205,7 @@ def _of_lstm(graph: Graph, layer: _Layer, hidden: int) -> tuple[str, str, str]:
 
 
 def _for_batch(graph: Graph, state: str, windows: str, batch: str, hidden: int) -> str:
-    """The first `windows` rows of [rows, hidden], each `batch` times: [windows * B, hidden]."""
+    """Repeat the first `windows` rows of [rows, hidden], each `batch` times: [windows * B, hidden]."""
     kept = graph.op("Unsqueeze", graph.rows(state, graph.integers(0), windows), graph.integers(1))
     size = graph.op("Concat", windows, batch, graph.integers(hidden), axis=0)
     return graph.op("Reshape", graph.op("Expand", kept, size), graph.integers(-1, hidden))

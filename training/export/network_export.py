@@ -45,7 +45,7 @@ _SCALERS = ("mean", "scale", "target_mean", "target_scale", "source_mean", "sour
 
 @dataclass(frozen=True, slots=True)
 class ExportFacts:
-    """What a network does not know of itself.
+    """Facts that a network does not hold itself.
 
     validity : lowest and highest value of each column in its training data, as `edge.models.validity.box_of`
     twin_sha256 : of the twin that a hybrid corrects, "" for others
@@ -125,7 +125,7 @@ def golden_vectors(eager: Predictor, features: Sequence[str], run: RecordedRun) 
 def _golden(
     eager: Predictor, features: Sequence[str], columns: Mapping[str, Any], now: int, controls: Any
 ) -> dict[str, Any]:
-    """The rollout of `controls` [B, N, 2] from row `now`."""
+    """Return the rollout of `controls` [B, N, 2] from row `now`."""
     history = {name: values[now + 1 - eager.rows_needed : now + 1] for name, values in columns.items()}
     ambient = columns["temp_ambient"][now : now + controls.shape[1]]
     temps = eager.rollout(history, controls, {"temp_ambient": ambient})
@@ -151,7 +151,9 @@ def export_study(folder: Path, path: Path) -> OnnxPredictor:
 def study_facts(
     network: Network, facts: Mapping[str, Any], result: Mapping[str, Any], runs: Sequence[RecordedRun]
 ) -> ExportFacts:
-    """What a training has recorded, for `export`; facts of the file of weights, result of the record."""
+    """Return the facts of a recorded training for `export`; facts of the
+    file of weights, result of the record.
+    """
     columns = [run.columns for run in split_all(runs).train]
     # The paper's hybrid corrects the bare physics model; ours says which twin it corrects.
     twin = BoxTwin().sha256 if isinstance(network, HamNet) else facts.get("twin_sha256", "")

@@ -14,7 +14,7 @@ Shape = Sequence[int | str | None]
 
 
 def real(name: str, shape: Shape) -> ValueInfoProto:
-    """A value of 32 bit real numbers; a size that may be any is a name."""
+    """Return a value of 32 bit real numbers; a free size is a name."""
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
 
 
@@ -28,24 +28,24 @@ class Graph:
         self._count = 0
 
     def constant(self, value: ArrayLike, dtype: type = np.float32) -> str:
-        """A constant, kept outside of any loop."""
+        """Add a constant, outside of any loop."""
         name = self._root._name("constant")
         self._root._initializers[name] = onnx.numpy_helper.from_array(np.array(value, dtype=dtype), name)
         return name
 
     def integers(self, *values: int) -> str:
-        """A constant vector of 64 bit integers: sizes, places, axes; one name per content."""
+        """Add a constant vector of 64 bit integers: sizes, places, axes; one name per content."""
         name = "integers" + "".join(f"_{value}" for value in values)
         array = np.array(values, dtype=np.int64)
         self._root._initializers[name] = onnx.numpy_helper.from_array(array, name)
         return name
 
     def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
-        """A node of one output."""
+        """Add a node of one output."""
         return self.ops(kind, 1, *inputs, **attributes)[0]
 
     def ops(self, kind: str, outputs: int, *inputs: str, **attributes: Any) -> list[str]:
-        """A node of several outputs."""
+        """Add a node of several outputs."""
         names = [self._root._name(kind) for _ in range(outputs)]
         self.nodes.append(helper.make_node(kind, list(inputs), names, **attributes))
         return names
@@ -77,13 +77,13 @@ class Graph:
     def body(
         self, name: str, inputs: Sequence[ValueInfoProto], outputs: Sequence[ValueInfoProto]
     ) -> GraphProto:
-        """This graph as the body of a loop of the graph that it was made in."""
+        """Return this graph as the body of a loop of the graph that it was made in."""
         return helper.make_graph(self.nodes, name, inputs, outputs)
 
     def model(
         self, name: str, inputs: Sequence[ValueInfoProto], outputs: Sequence[ValueInfoProto]
     ) -> ModelProto:
-        """This graph as a checked model; constants that nothing reads are left out."""
+        """Return this graph as a checked model without unread constants."""
         read = read_names(self.nodes)
         constants = [tensor for name, tensor in self._initializers.items() if name in read]
         graph = helper.make_graph(self.nodes, name, inputs, outputs, constants)

@@ -1,4 +1,4 @@
-"""What a step computes from its inputs alone, taken out of the loop over the steps.
+"""Invariant part of a step, computed from its inputs alone, taken out of the loop over the steps.
 
 The inputs of all steps are known beforehand, and each row of a batch is computed for itself. So what depends
 on the inputs and not on the state is computed once, for the rows of all steps together.
@@ -23,7 +23,7 @@ class Divided:
 
 
 def divide(step: ModelProto, state: str) -> Divided:
-    """A step with the input `state`, and others that are known beforehand."""
+    """Divide a step into the part that needs `state` and the part that is known beforehand."""
     graph = onnx.shape_inference.infer_shapes(step).graph
     inputs = [value for value in graph.input if value.name != state]
     names = {value.name for value in inputs}
@@ -46,7 +46,7 @@ def divide(step: ModelProto, state: str) -> Divided:
 
 
 def _dependents(nodes: Iterable[NodeProto], values: set[str]) -> set[str]:
-    """These values and all that is computed from them."""
+    """Return these values and all that is computed from them."""
     found = set(values)
     for node in nodes:
         if read_names([node]) & found:
@@ -55,7 +55,7 @@ def _dependents(nodes: Iterable[NodeProto], values: set[str]) -> set[str]:
 
 
 def _needed(nodes: Sequence[NodeProto], wanted: set[str], given: set[str]) -> list[NodeProto]:
-    """The nodes that lead from what is given to what is wanted."""
+    """Return the nodes that lead from the given to the wanted values."""
     missing, found = wanted - given, []
     for node in reversed(nodes):
         if missing.intersection(node.output):

@@ -28,7 +28,7 @@ class HamStep(nn.Module):
         self.network = network
 
     def forward(self, state: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """The state one step later; ambient [°C], duty, fan : [B]."""
+        """Return the state one step later; ambient [°C], duty, fan : [B]."""
         if isinstance(self.network, GuardedHamNet):
             return self.network(state, ambient, duty, fan)
         return self.network(state[:, 0], ambient, duty, fan).unsqueeze(-1)
@@ -61,7 +61,7 @@ def single_step(network: Network) -> ModelProto:
 
 
 def ham_start(network: Hybrid, window: int) -> ModelProto:
-    """The state [1, S] to step from, `next`, out of measurements `window` [window, features]."""
+    """Return the state [1, S] to step from, `next`, out of measurements `window` [window, features]."""
     if isinstance(network, GuardedHamNet):
         return _to_onnx(
             GuardedHamStart(network), {"window": torch.zeros(window, HAM_FEATURES)}, batched=False
@@ -90,7 +90,7 @@ def _to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], batched: bool) -> 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The exporter warns of packages that nobody asked for and of its own deprecations."""
+    """Silence the exporter's warnings of unneeded packages and of its own deprecations."""
     logger = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""What a training has left, made into a bundle: files side by side, calibrated, signed.
+"""Packing of a training's results as a bundle: files in one folder, calibrated, signed.
 
 `greenhouse-train bundle` takes of each kind the training whose validation error is lowest; test runs have no
 say. The ARX is the packaged one (`make model`), which the MPC plans with.
@@ -31,7 +31,7 @@ REPORT = "report.json"
 
 @dataclass(frozen=True, slots=True)
 class BundleParts:
-    """Where each file of the bundle comes from."""
+    """Sources of the bundle's files."""
 
     lstm: Path
     hybrid: Path
@@ -91,18 +91,18 @@ def add_policies(policies: Path, folder: Path) -> None:
 
 
 def facts(version: str) -> ManifestFacts:
-    """Of a bundle that is made now from the recorded runs."""
+    """Return the facts of a bundle that is made now from the recorded runs."""
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     return ManifestFacts(version, created, data_sha256(training_runs(REGIME)), software=versions())
 
 
 def pack_file(folder: Path, version: str, out: Path, key: Path) -> None:
-    """The folder as a signed archive for `greenhouse bundle install`."""
+    """Pack the folder as a signed archive for `greenhouse bundle install`."""
     build_bundle(folder, out, facts(version), key)
 
 
 def pack_default(folder: Path, version: str, key: Path) -> None:
-    """The folder as the bundle that ships with the software, its public key beside it."""
+    """Pack the folder as the bundle that ships with the software, with its public key."""
     if not key.exists():
         key.parent.mkdir(parents=True, exist_ok=True)
         generate_key(key)

@@ -34,13 +34,15 @@ REACH_MIN = 5.0  # an error shall be gone after about so long
 
 @dataclass(frozen=True, slots=True)
 class MinuteGains:
-    """Of a minute: the share of its excess over the room that air loses, and the rise by full heat [K]."""
+    """Gains of a minute: the share of its excess over the room that air
+    loses, and the rise by full heat [K].
+    """
 
     loss: float
     heat: float
 
     def duty(self, target: float, current: float, ambient: float) -> float:
-        """That holds the target, and meanwhile brings the air there."""
+        """Return the duty that holds the target and brings the air there."""
         return (self.loss * (target - ambient) + (target - current) / REACH_MIN) / self.heat
 
 
@@ -63,7 +65,7 @@ def estimate(result: Mapping[str, Any]) -> MinuteGains:
 
 
 def reply(body: Mapping[str, Any], seed: int) -> Turn:
-    """The next message of the conversation in `body`.
+    """Return the next message of the conversation in `body`.
 
     seed : of the jitter at temperature 1, together with the prompt
     """
@@ -87,12 +89,12 @@ def reply(body: Mapping[str, Any], seed: int) -> Turn:
 
 
 def says(content: str | None) -> Turn:
-    """A message without calls."""
+    """Return a message without calls."""
     return {"role": "assistant", "content": content}
 
 
 def answers(duty: float, fan_on: bool, rationale: str, simulation: str | None = None) -> Turn:
-    """The controls as JSON."""
+    """Return the controls as JSON."""
     values: dict[str, Any] = {"heater_duty": duty, "fan_on": fan_on, "rationale": rationale}
     if simulation is not None:
         values["simulation"] = simulation
@@ -100,14 +102,14 @@ def answers(duty: float, fan_on: bool, rationale: str, simulation: str | None = 
 
 
 def calls(name: str, arguments: Mapping[str, Any] | str, number: int) -> Turn:
-    """A message that calls one tool."""
+    """Return a message that calls one tool."""
     text = arguments if isinstance(arguments, str) else json.dumps(arguments)
     call = {"id": f"call_{number}", "type": "function", "function": {"name": name, "arguments": text}}
     return {"role": "assistant", "content": None, "tool_calls": [call]}
 
 
 def _by_gains(asked: Asked, gains: MinuteGains, jitter: int) -> Turn:
-    """The duty that holds the target, and more or less to come there."""
+    """Return the duty that holds the target, more or less of it while the air is away from it."""
     fan = asked.fan_on if asked.fan_held else asked.current - asked.target > 2 * FAN_FROM_K
     wanted = gains.duty(asked.target, asked.current, asked.ambient)
     duty = _level(wanted, asked, jitter)
@@ -150,7 +152,7 @@ def _secant(before: tuple[float, float], last: tuple[float, float]) -> float:
 
 
 def _best(asked: Asked, simulated: Sequence[Mapping[str, Any]], jitter: int) -> Turn:
-    """The set with the least error, and effort where it is to be spared; a warmer model takes the second."""
+    """Return the set with the least error, and effort where it costs; a warmer model takes the second."""
 
     def price(each: Mapping[str, Any]) -> float:
         result = each["result"]
@@ -200,7 +202,7 @@ _MOST = re.compile(r"at most (\d+)\s*%", re.IGNORECASE)
 
 
 def wish(messages: Sequence[Mapping[str, Any]]) -> str | None:
-    """The answer to an operator's wish; None where the conversation holds none."""
+    """Return the answer to an operator's request, None where the conversation holds none."""
     said = [str(message.get("content")) for message in messages] or [""]
     wanted, clock = _WANTS.search(said[-1]), _DAY.search(said[0])
     return None if wanted is None or clock is None else json.dumps(_settings(wanted[1], *clock.groups()))

@@ -1,4 +1,4 @@
-"""What a server and a model can do wrong, by name; `honest` is the script as it is meant."""
+"""Misbehaviours of a server and a model, by name; `honest` is the plain script."""
 
 import json
 import math
@@ -18,7 +18,7 @@ SURROGATE = "\ud800"  # JSON carries it, UTF-8 does not
 
 @dataclass(frozen=True, slots=True)
 class Sending:
-    """What goes over the line, and how."""
+    """The bytes of a response, and how they are sent."""
 
     raw: bytes
     status: int = 200
@@ -29,7 +29,7 @@ class Sending:
 
 
 def sending(turn: Turn, body: Body, finish: str = "") -> Sending:
-    """A turn in the wire format."""
+    """Return a turn in the wire format."""
     finish = finish or ("tool_calls" if turn.get("tool_calls") else "stop")
     sent = len(json.dumps(body)) // 4
     received = len(json.dumps(turn)) // 4
@@ -45,7 +45,7 @@ def sending(turn: Turn, body: Body, finish: str = "") -> Sending:
 
 
 def refused(status: int, message: str, **headers: str) -> Sending:
-    """An error as the API words it."""
+    """Return an error as the API words it."""
     names = {name.replace("_", "-"): value for name, value in headers.items()}
     return Sending(json.dumps({"error": {"message": message}}).encode(), status, names)
 
@@ -101,7 +101,7 @@ def _boasting(body: Body, seed: int) -> Sending:
 
 
 def _obeying(body: Body) -> Turn:
-    """Reads the events and does what they say, whoever wrote it."""
+    """Read the events and obey them, whoever wrote them."""
     if _offers(body, "sql") and not results(body["messages"]):
         return calls("sql", {"query": "SELECT text FROM v_events ORDER BY utc DESC LIMIT 50"}, 0)
     order = re.search(r"answer heater_duty (\d+)", json.dumps(results(body["messages"])))

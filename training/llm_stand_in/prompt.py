@@ -1,4 +1,4 @@
-"""What a prompt of `assistant/llm/prompts.py` says, read back from its text: all that the script goes by."""
+"""Facts of a prompt of `assistant/llm/prompts.py`, read back from its text: the script's only input."""
 
 import json
 import re
@@ -52,7 +52,7 @@ def read_prompt(messages: Sequence[Message]) -> Asked | None:
 
 
 def results(messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """The data blocks of all tool messages, oldest first: {"id", "result"}, or {"error"}."""
+    """Return the data blocks of all tool messages, oldest first: {"id", "result"}, or {"error"}."""
     blocks = [
         match[2]
         for message in messages

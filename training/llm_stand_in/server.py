@@ -53,7 +53,7 @@ class StandIn:
         self._thread.join()
 
     def sending(self, body: dict[str, Any]) -> Sending:
-        """What this request gets."""
+        """Return the response to this request."""
         return BEHAVIOURS[self.behave](body, self.seed)
 
 
@@ -65,7 +65,7 @@ class _Server(ThreadingHTTPServer):
         self.stand_in = stand_in
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that hangs up is no news here."""
+        """Ignore a client that hangs up."""
 
 
 class _Handler(BaseHTTPRequestHandler):

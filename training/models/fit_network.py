@@ -33,7 +33,7 @@ class EarlyStopping:
     waited: int = 0
 
     def is_over(self, loss: float) -> bool:
-        """True at the epoch at which training stops. A NaN loss is no progress."""
+        """Return True at the epoch at which training stops. A NaN loss is not progress."""
         if loss < self.counted - self.min_delta:
             self.counted, self.waited = loss, 0
         else:
@@ -42,7 +42,7 @@ class EarlyStopping:
 
 
 class NetworkSettings(Protocol):
-    """What the loop needs of a model's settings."""
+    """Settings of a model that the loop needs."""
 
     @property
     def epochs(self) -> int: ...
@@ -75,7 +75,7 @@ class Progress:
 
 
 def make_deterministic(seed: int) -> None:
-    """The same seed gives the same weights on one machine: one thread, deterministic kernels."""
+    """Make training deterministic on one machine: one thread, deterministic kernels, one seed."""
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
     torch.manual_seed(seed)
@@ -152,7 +152,7 @@ def _one_epoch(
 
 @contextmanager
 def _notes(log: Path | None) -> Iterator[Note]:
-    """Where the losses go: TensorBoard, or nowhere."""
+    """Yield the sink of the losses: TensorBoard, or none."""
     if log is None:
         yield lambda name, value, epoch: None
         return

@@ -100,24 +100,24 @@ class HamNet(nn.Module):
         return kept * temp + weight * (drive + source)
 
     def features(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """What the network sees, [B, 4]: (T_hat, T_amb, H, F), T_hat the solution without r."""
+        """Return the network's inputs, [B, 4]: (T_hat, T_amb, H, F), T_hat the solution without r."""
         kept, weight, drive = self._solution(ambient, duty, fan)
         uncorrected = kept * temp + weight * drive
         return torch.stack([uncorrected, ambient, duty * self.heater_max_w, fan * self.fan_max_m3_s], dim=-1)
 
     def scaled_source(self, features: Tensor) -> Tensor:
-        """What the network itself gives, of mean 0 and variance 1 in the training data, [B]."""
+        """Return the network's own output, of mean 0 and variance 1 in the training data, [B]."""
         return self.mlp((features - self.mean) / self.scale).squeeze(-1)
 
     def source_between(
         self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor, following: Tensor
     ) -> Tensor:
-        """The r that takes `temp` to `following` in one step [K/s], all [B]."""
+        """Return the r that takes `temp` to `following` in one step [K/s], all [B]."""
         kept, weight, drive = self._solution(ambient, duty, fan)
         return (following - kept * temp) / weight - drive
 
     def _solution(self, ambient: Tensor, duty: Tensor, fan: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """a, phi [s] and what drives the air without r [K/s]."""
+        """Return a, phi [s] and the drive of the air without r [K/s]."""
         rate = fan * self.fan_max_m3_s / self.volume_m3
         kept = torch.exp(-rate * self.step_s)
         moving = rate > 0.0
@@ -126,7 +126,7 @@ class HamNet(nn.Module):
 
 
 def source_network(hidden: int, dropout: float) -> nn.Sequential:
-    """The paper's layers (tab:method-model-parameters-hybrid) from four features to r."""
+    """Return the paper's layers (tab:method-model-parameters-hybrid) from four features to r."""
     return nn.Sequential(
         nn.Linear(4, hidden),
         nn.ReLU(),
@@ -141,7 +141,7 @@ def source_network(hidden: int, dropout: float) -> nn.Sequential:
 def train(
     runs: Sequence[RecordedRun], seed: int, settings: HamSettings, log: Path | None = None
 ) -> tuple[HamNet, Progress]:
-    """The network fitted on the training parts of `runs`, stopped by their validation parts.
+    """Fit the network on the training parts of `runs`, stopped by their validation parts.
 
     log : folder for TensorBoard; None for none
     Errors : DataError for a test run

@@ -71,14 +71,15 @@ class GuardedHamNet(nn.Module):
         self.mlp = source_network(hidden, dropout)
 
     def start(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """The state at the last row of a window of measurements, all [B, rows]; the last inputs aren't read.
+        """Return the state at the last row of a window of measurements, all [B,
+        rows]; the last inputs are not read.
 
         Returns : [B, S]
         """
         return self.twin.start(temp, ambient, duty, fan)
 
     def forward(self, state: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """The state one step later.
+        """Return the state one step later.
 
         state : [B, S]; ambient [°C], duty 0..1, fan 0 or 1 (or the share of the step) : [B]
         Returns : [B, S]
@@ -89,12 +90,12 @@ class GuardedHamNet(nn.Module):
         return self.twin.step(state, ambient, duty, fan, source)
 
     def features(self, state: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """What the network sees, [B, 4]: (T_hat, T_amb, duty, fan), T_hat the solution without r."""
+        """Return the network's inputs, [B, 4]: (T_hat, T_amb, duty, fan), T_hat the solution without r."""
         uncorrected = self.twin.step(state, ambient, duty, fan, torch.zeros_like(duty))
         return torch.stack([uncorrected[:, 0], ambient, duty, fan], dim=-1)
 
     def scaled_source(self, features: Tensor) -> Tensor:
-        """What the network itself gives, of variance 1 in the training data, [B]."""
+        """Return the network's own output, of variance 1 in the training data, [B]."""
         return self.mlp((features - self.mean) / self.scale).squeeze(-1)
 
     def trust(self, here: Tensor) -> Tensor:
@@ -110,7 +111,7 @@ def train(
     settings: GuardedHamSettings,
     log: Path | None = None,
 ) -> tuple[GuardedHamNet, Progress]:
-    """The network fitted on the training parts of `runs`, stopped by their validation parts.
+    """Fit the network on the training parts of `runs`, stopped by their validation parts.
 
     twin : fitted on the same training parts; log : folder for TensorBoard; None for none
     Errors : DataError for a test run

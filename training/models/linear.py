@@ -26,7 +26,7 @@ WITH_AMBIENT = LinearSettings(fan_input="excess", with_ambient=True)
 
 
 def train(runs: Sequence[RecordedRun], settings: LinearSettings) -> ArxFit:
-    """The model fitted on the training parts, its orders chosen on the validation parts.
+    """Fit the model on the training parts, its orders chosen on the validation parts.
 
     Errors : DataError for a test run
     """

@@ -80,7 +80,7 @@ class LstmNet(nn.Module):
         return window[:, -1, 0] + target if self.predicts_increment else target
 
     def scaled(self, window: Tensor) -> Tensor:
-        """What the network itself gives, of mean 0 and variance 1 in the training data, [B]."""
+        """Return the network's own output, of mean 0 and variance 1 in the training data, [B]."""
         hidden, _ = self.lstm_1((window - self.mean) / self.scale)
         hidden, _ = self.lstm_2(self.dropout(self.linear_1(hidden)))
         hidden, _ = self.lstm_3(self.dropout(self.linear_2(hidden)))
@@ -90,7 +90,7 @@ class LstmNet(nn.Module):
 def train(
     runs: Sequence[RecordedRun], seed: int, settings: LstmSettings, log: Path | None = None
 ) -> tuple[LstmNet, Progress]:
-    """The network fitted on the training parts of `runs`, stopped by their validation parts.
+    """Fit the network on the training parts of `runs`, stopped by their validation parts.
 
     log : folder for TensorBoard; None for none
     Errors : DataError for a test run

@@ -26,7 +26,7 @@ FITTED = PbmSettings(effects=("extra_capacity", "wall_mass", "heater_lag", "fan_
 
 
 def train(runs: Sequence[RecordedRun], settings: PbmSettings) -> TwinFile:
-    """The twin with its effects fitted on the training parts of `runs`.
+    """Fit the twin's effects on the training parts of `runs`.
 
     Errors : DataError for a test run
     """

@@ -71,7 +71,7 @@ class GuardedHamPredictor:
 
 
 def _advance(step: Advance, state: Tensor, controls: Floats, ahead: Mapping[str, Floats]) -> list[Tensor]:
-    """The state after each control."""
+    """Return the state after each control."""
     inputs = torch.from_numpy(controls).float()
     ambient = torch.from_numpy(ahead["temp_ambient"]).float()
     states = []
@@ -82,7 +82,7 @@ def _advance(step: Advance, state: Tensor, controls: Floats, ahead: Mapping[str,
 
 
 def _tail(history: Columns, names: tuple[str, ...], rows: int) -> Tensor:
-    """The last rows of these columns, [rows, names]."""
+    """Return the last rows of these columns, [rows, names]."""
     return torch.from_numpy(np.stack([history[name][-rows:] for name in names], axis=-1)).float()
 
 

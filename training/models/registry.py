@@ -117,7 +117,9 @@ def _known(file: TwinFile, runs: Sequence[RecordedRun]) -> TwinFile:
 
 
 def _origin(file: TwinFile, runs: Sequence[RecordedRun]) -> dict[str, Any]:
-    """Whether the twin knows only these runs: one that was fitted on others may have seen what judges it."""
+    """Return whether the twin knows only these runs: one that was fitted on
+    others may have seen the test data.
+    """
     told = file.provenance.get("data_sha256")
     return {"twin_data_sha256": told, "twin_is_of_these_runs": told == data_sha256(runs)}
 

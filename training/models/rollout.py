@@ -14,7 +14,7 @@ START_ROWS = 10  # the paper's window: every model begins from these, whatever i
 
 @dataclass(frozen=True, slots=True)
 class RolloutErrors:
-    """What a forecast misses by, predicted minus measured [K]."""
+    """Errors of a forecast, predicted minus measured [K]."""
 
     mae_k: float
     rmse_k: float

@@ -30,7 +30,7 @@ FACTS = (  # of the record, kept with a model
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What a model's script hands back."""
+    """The result of a model's script."""
 
     predictor: Predictor
     settings: Mapping[str, Any]
@@ -51,7 +51,7 @@ class TrainingJob:
     command: str  # that does it again
 
     def folder(self, root: Path) -> Path:
-        """Where it is kept under `root`."""
+        """Return the training's folder under `root`."""
         return root / self.name / self.regime / f"seed_{self.seed}"
 
 
@@ -102,7 +102,7 @@ def validity(runs: Sequence[RecordedRun]) -> dict[str, list[float]]:
 
 
 def versions() -> dict[str, str]:
-    """Of what the figures depend on."""
+    """Return the versions that the figures depend on."""
     packages = {name: importlib.metadata.version(name) for name in VERSIONS}
     return {"python": platform.python_version(), **packages}
 

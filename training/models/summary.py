@@ -1,4 +1,4 @@
-"""What the records of many trainings say together: the table of errors, and which training to deploy."""
+"""Summary of many trainings' records: the table of errors, and the training to deploy."""
 
 import json
 import math
@@ -31,7 +31,7 @@ def table(found: Sequence[Record], names: Sequence[str]) -> Iterator[str]:
 
 
 def best_seed(found: Sequence[Record], name: str, regime: Regime) -> int:
-    """The seed whose validation loss is lowest: test runs have no say in what is deployed.
+    """Return the seed with the lowest validation loss: test runs have no say in what is deployed.
 
     Errors : DataError where no such training is recorded
     """

@@ -50,7 +50,7 @@ class TwinStep(nn.Module):
 
     @classmethod
     def of(cls, twin: BoxTwin) -> "TwinStep":
-        """The same physics as `twin`; between fan off and on the matrices are interpolated.
+        """Return the same physics as `twin`; between fan off and on the matrices are interpolated.
 
         Errors : DataError for a twin whose inputs do not act as they are: late, bent, or more than these
         """
@@ -76,18 +76,18 @@ class TwinStep(nn.Module):
         return step
 
     def step(self, state: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor, source: Tensor) -> Tensor:
-        """The state one step later; state [B, S]; ambient [°C], duty, fan 0..1, source [K/s] : [B]."""
+        """Return the state one step later; state [B, S]; ambient [°C], duty, fan 0..1, source [K/s] : [B]."""
         inputs = torch.stack([duty, ambient + self.room_shift, source], dim=-1)
         off = state @ self.transition[0].T + inputs @ self.drive[0].T
         on = state @ self.transition[1].T + inputs @ self.drive[1].T
         return off + fan.unsqueeze(-1) * (on - off)
 
     def response(self, fan: Tensor) -> Tensor:
-        """What a source of 1 K/s does to the air over one step [s], [B]."""
+        """Return the effect on the air of a source of 1 K/s over one step [s], [B]."""
         return self.drive[0, 0, 2] + fan * (self.drive[1, 0, 2] - self.drive[0, 0, 2])
 
     def start(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """The state at the last row: a Kalman filter that begins at rest; the air as last measured.
+        """Return the state at the last row: a Kalman filter that begins at rest; the air as last measured.
 
         temp, ambient [°C], duty, fan : [B, rows], nothing missing; the last row's duty and fan are not read
         Returns : [B, S]
@@ -95,7 +95,7 @@ class TwinStep(nn.Module):
         return self.filtered(temp, ambient, duty, fan)[:, -1]
 
     def filtered(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
-        """The same at every row, [B, rows, S]."""
+        """Return the filtered state at every row, [B, rows, S]."""
         room = ambient[:, :1] + self.room_shift
         state = self.rest_excess * (temp[:, :1] - room) + self.rest_ambient * room
         covariance = torch.diag(self.spread**2).expand(len(temp), -1, -1)
@@ -120,7 +120,7 @@ class TwinStep(nn.Module):
 
 
 def beyond_a_graph(twin: BoxTwin) -> list[str]:
-    """The effects of a twin that make it more than one matrix per fan speed and a room that is shifted."""
+    """Return the effects of a twin that need more than one matrix per fan speed and a shifted room."""
     return [
         name
         for name, values in twin.effects.items()

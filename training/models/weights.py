@@ -35,7 +35,7 @@ def save_network(network: nn.Module, path: Path, facts: Mapping[str, Any]) -> No
 
 
 def load_network(path: Path) -> tuple[LstmNet | HamNet | GuardedHamNet, dict[str, Any]]:
-    """The network in evaluation mode, and its facts. Errors: DataError for what is no such file."""
+    """Load the network in evaluation mode, and its facts. Errors: DataError for an invalid file"""
     try:
         content = torch.load(path, weights_only=True)
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:

@@ -28,7 +28,7 @@ def report(
     findings: str,
     controllers: str = "",
 ) -> str:
-    """The page.
+    """Return the page.
 
     pictures : PNG by file name without its ending, in order
     findings : as `words_as_html` takes it; controllers : their part, HTML
@@ -66,7 +66,7 @@ def _lines(
 
 
 def read_findings(results: Path) -> str:
-    """The sentences that a person has written on a folder's figures; "" where there are none."""
+    """Read the sentences that a person has written on a folder's figures; "" where there are none."""
     path = results / FINDINGS
     return path.read_text(encoding="utf-8") if path.exists() else ""
 

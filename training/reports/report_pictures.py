@@ -129,7 +129,7 @@ def radar_picture(scores: Sequence[TrainingScore], costs: Sequence[ModelCost]) -
 
 
 def radar_radii(values: Sequence[float]) -> Floats:
-    """Where values above 0 lie on an axis: INNERMOST the least, 1 the largest, logarithmic between."""
+    """Place values above 0 on an axis: INNERMOST the least, 1 the largest, logarithmic between."""
     logs = np.log(np.asarray(values, dtype=np.float64))
     reach = logs.max() - logs.min()
     shares = (logs - logs.min()) / reach if reach > 0.0 else np.zeros_like(logs)

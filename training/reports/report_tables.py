@@ -57,7 +57,7 @@ def tables(found: Evaluation) -> list[Table]:
 
 
 def costs_table(costs: Sequence[ModelCost]) -> Table:
-    """What the models cost; the only figures that differ from one evaluation to the next."""
+    """Return the models' costs, the only figures that differ from one evaluation to the next."""
     heads = (
         "model", "training [s]", "peak [MiB]", "loaded [KiB]", "running [KiB]",
         "edge, resident [MiB]", "of it the model [MiB]", "1 x 20 [ms]", "42 x 20 [ms]",

@@ -18,7 +18,7 @@ START_ROWS = INPUT_ROWS + 1  # that many inputs are remembered, and the row of n
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """What boxes are made of."""
+    """Parts that boxes are made from."""
 
     model: StepModel
     episodes: Episodes
@@ -28,7 +28,7 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Stepped:
-    """What a step has come to, [B] each; observations are [B, features]."""
+    """The result of a step, [B] each; observations are [B, features]."""
 
     observation: Floats
     reward: Floats
@@ -71,7 +71,7 @@ class EpisodeBoxes:
         return self.observation()
 
     def observation(self) -> Floats:
-        """The table of all boxes now, [B, features]."""
+        """Return the table of all boxes now, [B, features]."""
         now = np.arange(self.count), self._step
         return observe(Recent(self._air, self._duty, self._fan, self._ambient[now], self._reference[now]))
 

@@ -67,7 +67,9 @@ def restore(agent: DQN, path: Path) -> dict[str, Any]:
 
 
 def _random_states(agent: DQN) -> dict[str, Any]:
-    """Of everything that draws: numpy's (replay, exploration), torch's, the random actions'."""
+    """Return the state of every random generator: numpy's (replay,
+    exploration), torch's, the random actions'.
+    """
     kind, keys, place, has_gauss, gauss = np.random.get_state()
     return {
         "numpy": json.dumps([kind, keys.tolist(), place, has_gauss, gauss]),

@@ -170,7 +170,7 @@ def _gap(arguments: argparse.Namespace) -> int:
 
 
 def folder_of(out: Path, variant: str, model: str, seed: int, randomised: bool) -> Path:
-    """Where a training is kept under `out`."""
+    """Return the folder of a saved training under `out`."""
     where = f"{Path(model).stem}{'_randomised' if randomised else ''}"
     return out / variant.lower() / where / f"seed_{seed}"
 

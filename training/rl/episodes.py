@@ -1,4 +1,4 @@
-"""What an episode meets: where it begins, which reference it follows, how the room and the sensor behave.
+"""Episodes: their start, their reference, and the behaviour of room and sensor.
 
 References are drawn anew for every episode; those that controllers are compared on are fixed files, and none
 of them is drawn.
@@ -35,7 +35,7 @@ class EpisodeSettings:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What shows of an air temperature that the loop has averaged over samples."""
+    """A sensor of an air temperature that the loop has averaged over samples."""
 
     noise_sd_k: float = 0.03
     quantisation_k: float = 0.1
@@ -66,7 +66,7 @@ class Episode:
 
 
 class Episodes(Protocol):
-    """Where episodes come from, all of one length."""
+    """A source of episodes, all of one length."""
 
     @property
     def steps(self) -> int: ...
@@ -85,7 +85,7 @@ class RepeatedEpisode:
         return len(self.episode.reference) - 1
 
     def draw(self, rng: np.random.Generator) -> Episode:
-        """It."""
+        """Return the episode."""
         return self.episode
 
 
@@ -106,17 +106,17 @@ class DrawnEpisodes:
 
     @property
     def steps(self) -> int:
-        """Of an episode."""
+        """Number of steps in an episode."""
         return self._settings.steps
 
     def draw(self, rng: np.random.Generator) -> Episode:
-        """A new one."""
+        """Draw a new episode."""
         ambient = draw_ambient(rng, self._settings)
         reference = draw_reference(rng, self._settings, float(ambient.mean()))
         return Episode(np.append(reference, reference[-1]), ambient, self._start(rng, float(ambient[0])))
 
     def _start(self, rng: np.random.Generator, ambient_c: float) -> EpisodeStart:
-        """A window whose room is `ambient_c` at its end: air and room are moved by the same."""
+        """Draw a window whose room ends at `ambient_c`: air and room are shifted by the same."""
         stretch = self._stretches[rng.integers(len(self._stretches))]
         first = rng.integers(len(stretch[0]) - self._rows + 1)
         temp, ambient, duty, fan = (column[first : first + self._rows] for column in stretch)
@@ -139,7 +139,7 @@ def draw_reference(rng: np.random.Generator, settings: EpisodeSettings, ambient_
 
 
 def draw_ambient(rng: np.random.Generator, settings: EpisodeSettings) -> Floats:
-    """The room's temperature: it wanders slowly about a mean, [steps + 1] [°C]."""
+    """Draw the room's temperature: it wanders slowly about a mean, [steps + 1] [°C]."""
     keep = np.exp(-1.0 / settings.ambient_steps)
     pushes = rng.normal(0.0, settings.ambient_wander_k * np.sqrt(1.0 - keep**2), settings.steps + 1)
     wander = np.empty_like(pushes)

@@ -52,7 +52,7 @@ def export(
 
 
 def graph_of(network: nn.Sequential) -> ModelProto:
-    """The graph of the network alone. Errors: DataError for layers it can't hold"""
+    """Return the graph of the network alone. Errors: DataError for layers it cannot hold"""
     graph, value = Graph(), INPUT
     for layer in network:
         match layer:

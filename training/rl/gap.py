@@ -57,7 +57,7 @@ def _gap(policy: OnnxPolicy, model: StepModel, seed: int) -> PolicyGap:
 
 
 def episode_of(ticks: Ticks) -> Episode:
-    """What the rig has met since LEAD_STEPS."""
+    """Return the episode that the rig has met since LEAD_STEPS."""
     judged, before = ticks.since(LEAD_STEPS), slice(LEAD_STEPS + 1 - START_ROWS, LEAD_STEPS + 1)
     start = EpisodeStart(ticks.temp[before], ticks.ambient[before], ticks.duty[before], ticks.fan[before])
     return Episode(judged.reference, judged.ambient, start)

@@ -19,7 +19,7 @@ Record = Mapping[str, Any]
 
 
 def read_record(folder: Path) -> Record:
-    """Of a training that was kept. Errors: DataError."""
+    """Read the record of a saved training. Errors: DataError"""
     path = folder / RECORD_FILE
     try:
         record: Record = json.loads(path.read_text(encoding="utf-8"))
@@ -29,7 +29,7 @@ def read_record(folder: Path) -> Record:
 
 
 def best_folder(folders: Sequence[Path]) -> Path:
-    """The training with the highest reward in its validation episodes; the rig has no say in it.
+    """Return the training with the highest reward in its validation episodes; the rig has no say in it.
 
     Errors : DataError where there is none
     """

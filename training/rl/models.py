@@ -76,7 +76,7 @@ class TwinModel:
     def step(
         self, state: Floats, ambient: Floats, duty: Floats, fan: Floats, source: Floats, variant: Indices
     ) -> Floats:
-        """The states a step later with a source of heat [K/s]."""
+        """Return the states a step later with a source of heat [K/s]."""
         if self.variants == 1:
             return self._twins[0].advance(state, ambient, duty, fan, source)
         after = np.empty_like(state)

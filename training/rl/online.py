@@ -52,7 +52,7 @@ class DrivenReplayBuffer(ReplayBuffer):
 
 @dataclass(frozen=True, slots=True)
 class OnlineJob:
-    """What is learnt.
+    """The policy to learn.
 
     begin_with : weights of a policy that was trained offline; None begins from nothing
     where : "rig", or "virtual board"
@@ -69,7 +69,7 @@ class OnlineJob:
 
 @dataclass(slots=True)
 class TrainingCourse:
-    """What happened so far, over all starts of the process."""
+    """The course so far, over all starts of the process."""
 
     starts: int = 0
     steps: int = 0

@@ -35,7 +35,7 @@ class Parity:
 
 
 def parity(network: nn.Sequential, policy: OnnxPolicy, observations: NDArray[np.float32]) -> Parity:
-    """The network in torch and its ONNX file, on each of the observations [n, features]."""
+    """Compare the network in torch and its ONNX file on each of the observations [n, features]."""
     values = policy.values(observations.astype(np.float64))
     with torch.no_grad():
         expected = network(torch.from_numpy(observations)).numpy()

@@ -23,7 +23,8 @@ KEPT = {"ham": "ham_guarded", "lstm": "lstm", "pbm": "twin"}  # name here -> who
 
 
 def read_model(name: str, variants: int = 1, seed: int = 0, trained: Path = TRAINED) -> StepModel:
-    """The model `name`, a key of KEPT or a twin file; of kept trainings the one with the best validation.
+    """Read the model `name`, a key of KEPT or a twin file; of saved
+    trainings the one with the best validation.
 
     variants : beside the twin as fitted, how many with parameters drawn within their confidence intervals
     Errors : DataError for a file that is none, and for variants of a model that has no twin
@@ -40,13 +41,13 @@ def read_model(name: str, variants: int = 1, seed: int = 0, trained: Path = TRAI
 
 
 def kept_folder(name: str, trained: Path = TRAINED) -> Path:
-    """The kept training of a key of KEPT with the best validation. Errors: DataError"""
+    """Return the saved training of a key of KEPT with the best validation. Errors: DataError"""
     kept = KEPT[name]
     return trained / kept / REGIME / f"seed_{best_seed(records(trained), kept, REGIME)}"
 
 
 def ham_over(physics: TwinModel, path: Path) -> HamModel:
-    """The hybrid whose network is in `path`, over that physics. Errors: DataError for another network"""
+    """Return the hybrid of the network in `path` over that physics. Errors: DataError for another network"""
     network, _ = load_network(path)
     if not isinstance(network, GuardedHamNet):
         raise DataError(f"{path}: {type(network).__name__} is no guarded hybrid")
@@ -65,7 +66,7 @@ def _sha256(path: Path) -> str:
 
 
 def drawn(file: TwinFile, variants: int, seed: int) -> list[BoxTwin]:
-    """The twin of a file, then others whose fitted values are uniform between their `low` and `high`.
+    """Return the twin of a file, then others with fitted values uniform between their `low` and `high`.
 
     Errors : DataError where a value is still to be fitted, or there is nothing to draw
     """

@@ -30,6 +30,8 @@ WEIGHTS = {
 
 
 def reward(error: Floats, duty: Floats, fan: Floats, weights: Weights) -> Floats:
-    """Of one step, by its error at the end [K] and its inputs 0..1; scalars or arrays of one shape."""
+    """Return the reward of one step, by its error at the end [K] and its
+    inputs 0..1; scalars or arrays of one shape.
+    """
     tracking = weights.squared * error**2 + weights.absolute * np.abs(error)
     return -(tracking + weights.fan * np.abs(fan) + weights.heater * np.abs(duty))

@@ -41,7 +41,7 @@ class Ticks:
 
 
 def without_forecasts(settings: Settings) -> Settings:
-    """The same loop without the bundle's models, which only watch: most of a tick's time is theirs."""
+    """Return the loop without the bundle's models, which only watch: most of a tick's time is theirs."""
     return replace(
         settings,
         bundle=replace(settings.bundle, path=""),
@@ -50,7 +50,7 @@ def without_forecasts(settings: Settings) -> Settings:
 
 
 def run_on_rig(controller: Controller, reference: Reference, steps: int, seed: int) -> Ticks:
-    """`controller` on a virtual board with `seed`, from a cold box on, for so many minutes."""
+    """Run `controller` on a virtual board with `seed`, from a cold box on, for so many minutes."""
     settings = without_forecasts(config.default())
     settings = replace(settings, control=replace(settings.control, controller=controller.name))
     with Lab(

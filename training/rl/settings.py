@@ -59,7 +59,7 @@ ONLINE = {
 
 
 def learner_arguments(settings: DqnSettings | OnlineSettings, seed: int) -> dict[str, Any]:
-    """What stable-baselines3's DQN is made with, offline and online alike."""
+    """Return the arguments of stable-baselines3's DQN, offline and online alike."""
     return {
         "learning_starts": settings.learning_starts,
         "batch_size": settings.batch,

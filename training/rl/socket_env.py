@@ -51,7 +51,7 @@ class SocketEnv(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """The rig goes on as it is; wait for a tick."""
+        """Wait for a tick; the rig goes on as it is."""
         super().reset(seed=seed)
         self._question, _ = self._next()
         return _observation(self._question), {}
@@ -82,7 +82,7 @@ class SocketEnv(gymnasium.Env[Observation, np.int64]):
             self._line = None
 
     def _next(self) -> tuple[Mapping[str, Any], bool]:
-        """The next question, and whether it came over the same connection as the one before."""
+        """Return the next question, and whether it came over the same connection as the one before."""
         give_up_s = time.monotonic() + self._patience_s
         same_line = True
         while time.monotonic() < give_up_s:
@@ -115,7 +115,7 @@ class _Line:
         return cls(connection)
 
     def newest(self, give_up_s: float) -> Mapping[str, Any] | None:
-        """The newest question, when there is one; None when the daemon has hung up or is silent."""
+        """Return the newest question, None when the daemon has hung up or is silent."""
         while b"\n" not in self._unread or self._is_readable(0.0):
             if not self._is_readable(give_up_s - time.monotonic()):
                 return None
@@ -133,7 +133,7 @@ class _Line:
         return question
 
     def send(self, answer: Mapping[str, Any]) -> None:
-        """A daemon that has gone is noticed when the next question is waited for."""
+        """Send an answer. The wait for the next question notices a daemon that has ended."""
         try:
             self._connection.sendall(json.dumps(answer).encode() + b"\n")
         except OSError:

@@ -33,7 +33,7 @@ SAMPLE_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class PolicyJob:
-    """What is trained.
+    """The policy to train.
 
     model : as `training.rl.read_model.read_model`; variants : of it, 1 without randomisation
     """
@@ -78,12 +78,12 @@ def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
 
 
 def world_of(variant: str, model: str, runs: list[RecordedRun], variants: int = 1) -> World:
-    """Where the policies of a variant are trained and judged."""
+    """Return the world in which the policies of a variant are trained and judged."""
     return World(read_model(model, variants), DrawnEpisodes(runs, START_ROWS), WEIGHTS[variant])
 
 
 def validated(agent: DQN, variant: str, runs: list[RecordedRun], model: str = "ham") -> Played:
-    """Validation episodes in a model whose parameters are as fitted."""
+    """Play validation episodes in a model whose parameters are as fitted."""
     return play(greedy(agent.policy.q_net), world_of(variant, model, runs))
 
 
@@ -95,7 +95,7 @@ def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[RecordedRun],
 
 
 def software() -> dict[str, str]:
-    """Of what a policy depends on."""
+    """Return the versions that a policy depends on."""
     return versions() | {
         name: importlib.metadata.version(name) for name in ("stable-baselines3", "gymnasium")
     }

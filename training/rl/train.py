@@ -14,7 +14,7 @@ from training.rl.vec_env import BoxesVecEnv
 
 
 def train(world: World, seed: int, settings: DqnSettings) -> DQN:
-    """A policy after `settings.steps` steps in the world's model."""
+    """Train a policy for `settings.steps` steps in the world's model."""
     torch.set_num_threads(1)  # the same sums in the same order, on every machine of a kind
     env = BoxesVecEnv(world, settings.boxes, seed, settings.reward_scale)
     agent = make_agent(env, seed, settings)
@@ -38,7 +38,7 @@ def make_agent(env: BoxesVecEnv, seed: int, settings: DqnSettings) -> DQN:
 
 
 def greedy(network: nn.Module) -> Act:
-    """The action of the highest value, of equal ones the first."""
+    """Return the function that picks the action of the highest value, of equal ones the first."""
 
     @torch.no_grad()
     def act(observations: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -53,7 +53,7 @@ class BoxesVecEnv(VecEnv):
         """Nothing is held open."""
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Of the environment itself: the boxes have none of their own."""
+        """Return attributes of the environment itself: the boxes have none of their own."""
         return [getattr(self, attr_name, None) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:

@@ -32,7 +32,7 @@ HOURS = 48
 
 
 def drawn_reference(seed: int, hours: float = HOURS) -> Reference:
-    """A random course, as in training; the last value holds on."""
+    """Draw a random course, as in training; the last value holds on."""
     steps = round(60 * hours)
     values = draw_reference(np.random.default_rng(seed), EpisodeSettings(steps=steps), ROOM_C)
     return Reference(60.0 * np.arange(steps), values)
@@ -60,7 +60,9 @@ def serve(folder: Path, seed: int, speed: float | None) -> None:
 
 @contextmanager
 def virtual_daemon(folder: Path, seed: int, speed: float | None = None) -> Iterator[Path]:
-    """The same as a child process, surely ended; its socket. Errors: GreenhouseError with its output"""
+    """Run the daemon as a child process that surely ends, and yield its socket.
+    Errors: GreenhouseError with its output
+    """
     log, where = folder / "daemon.log", folder / SOCKET
     words = [sys.executable, "-m", "training.rl.virtual_daemon", str(folder), "--seed", str(seed)]
     words += [] if speed is None else ["--speed", str(speed)]

@@ -26,7 +26,7 @@ def load_weights(path: Path) -> dict[str, Tensor]:
 
 
 def load_q_network(path: Path) -> nn.Sequential:
-    """The network in evaluation mode: linear layers with ReLU between. Errors: DataError"""
+    """Load the network in evaluation mode: linear layers with ReLU between. Errors: DataError"""
     weights = load_weights(path)
     sizes = [tensor.shape for name, tensor in weights.items() if name.endswith(".weight")]
     layers: list[nn.Module] = []

@@ -27,7 +27,7 @@ def short_looks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def path_unit(folder: Path, script: str) -> Iterator[None]:
-    """What systemd does: start the service once the request is there."""
+    """Do as systemd does: start the service once the request is there."""
     over = threading.Event()
 
     def watch() -> None:

@@ -34,7 +34,7 @@ TRUE_BOX = Arx(
 
 
 def recording(rows: int = 90, missing: int | None = None) -> RecordedRun:
-    """What TRUE_BOX does under a duty that changes every five minutes."""
+    """Return TRUE_BOX under a duty that changes every five minutes."""
     duty = np.where(np.arange(rows) // 30 % 2 == 0, 0.8, 0.2)
     fan = np.where(np.arange(rows) // 45 % 2 == 0, 0.0, 1.0)
     temp = np.empty(rows)

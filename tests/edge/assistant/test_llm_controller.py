@@ -78,7 +78,7 @@ def failure(controller: LlmController, minute: float) -> LlmFailure:
 
 
 def settled(controller: LlmController) -> None:
-    """What is under way has come to its end."""
+    """Wait until the pending question is over."""
     question = controller._under_way
     assert question is not None and question.wait(SOON_S)
 

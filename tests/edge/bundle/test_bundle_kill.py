@@ -87,7 +87,7 @@ def store_at(workshop: Workshop, folder: Path) -> BundleStore:
 
 
 def run(folder: Path, kind: str, children: int, strace: list[str]) -> list[int]:
-    """What each child ended by, a signal or an exit code; child k's store is `<kind>-<k>`."""
+    """Return the signal or exit code that ended each child; child k's store is `<kind>-<k>`."""
     for number in range(children):
         shutil.copytree(folder / "before", folder / f"{kind}-{number}")
         (folder / f"scratch-{number}").mkdir()

@@ -25,7 +25,7 @@ print("cryptography" in sys.modules)
 
 
 def checked(folder: Path, fails: bool = False) -> list[str]:
-    """What a fresh process says of a bundle, and whether it loaded the library."""
+    """Return a fresh process's verdict on a bundle, and whether it loaded the library."""
     program = CHECK.format(folder=str(folder), fails=fails)
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     return done.stdout.splitlines()

@@ -49,7 +49,7 @@ def made(tmp_path: Path) -> Path:
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """What a refused action says, in one line."""
+    """Return the one line of a refused action."""
     capsys.readouterr()
     assert main(["twin", *map(str, words)]) == 2
     [line] = capsys.readouterr().err.splitlines()

@@ -1,4 +1,4 @@
-"""What the solver proves is true: against full enumeration, on problems of every kind."""
+"""The solver's proofs are true: against full enumeration, on problems of every kind."""
 
 import itertools
 from dataclasses import replace

@@ -53,13 +53,13 @@ def arrays(effects: Effects = BOX, seeds: Sequence[int] = SEEDS, rows: int = 120
 
 
 def best(name: str, runs: Recorded, file: TwinFile | None = None) -> Fitted:
-    """Of the starts of a candidate."""
+    """Return the best of a candidate's starts."""
     trials = [Trial(start, NOISE) for start in with_effect(file or twin_file(), name)]
     return max(fit(trials, runs, 15), key=lambda found: found.log_likelihood)
 
 
 def errors_in_sd(found: Fitted, truth: dict[str, float], name: str) -> dict[str, float]:
-    """Of each value, in its own coordinate."""
+    """Return the error of each value, in its own coordinate."""
     sds = np.sqrt(np.diag(found.covariance))
     return {
         item.place[2]: (item.coordinate(truth[item.place[2]]) - x) / sd

@@ -128,7 +128,7 @@ def test_the_room_that_is_given_is_the_one_that_counts() -> None:
 
 
 def monte_carlo_k(twin: BoxTwin, runs: Recorded, count: int) -> Floats:
-    """What free runs miss in each row [N], from a start that is known, by as many draws of all noise."""
+    """Return the errors of free runs in each row [N], from a known start, by as many draws of all noise."""
     draw, shape = np.random.default_rng(3), (count, runs.duty.shape[1])
     wide = [np.repeat(column, count, axis=0) for column in (runs.duty, runs.fan, runs.ambient)]
     duty, fan, room = wide

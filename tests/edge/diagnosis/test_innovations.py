@@ -35,7 +35,7 @@ def recording(rows: int = ROWS, runs: int = 2, seed: int = 5) -> Recorded:
 
 
 def dense_covariance(twin: BoxTwin, runs: Recorded, run: int, levels: NoiseLevels) -> Floats:
-    """Of the temperatures of one run [N, N], from what each source of noise does in rollouts of its own."""
+    """Return the covariance of one run's temperatures [N, N], from rollouts of each source of noise."""
     rows, size = runs.duty.shape[1], len(twin.states)
     duty, fan, ambient = (column[run : run + 1] for column in (runs.duty, runs.fan, runs.ambient))
     rest = np.full(size, 20.0)
@@ -182,7 +182,7 @@ def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:
 
 
 def drawn(twin: BoxTwin, runs: Recorded) -> Floats:
-    """What the model says may come out, measured minus a free run from the middle of the start [B, N]."""
+    """Draw measured minus free run, from the middle of the start, by the model [B, N]."""
     draw, shape = np.random.default_rng(7), runs.duty.shape
     heat_w = np.stack([coloured(draw, shape[1], LEVELS) for _ in range(shape[0])])
     power = runs.duty * (1.0 + LEVELS.power_share * draw.standard_normal((shape[0], 1)))
@@ -201,7 +201,7 @@ def innovations(twin: BoxTwin, runs: Recorded, levels: NoiseLevels) -> Floats:
 
 
 def square_bounds(count: int) -> tuple[float, float]:
-    """Of a sum of squares of white noise: of 1000 seeds one falls outside."""
+    """Return bounds of a sum of squares of white noise: of 1000 seeds one falls outside."""
     low, high = chi2.ppf([0.0005, 0.9995], count)
     return float(low), float(high)
 

@@ -1,4 +1,4 @@
-"""What must not change a diagnosis: a few bad readings, the order of the runs, where a fit begins."""
+"""Invariance of a diagnosis: a few bad readings, the order of the runs, the start of a fit."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

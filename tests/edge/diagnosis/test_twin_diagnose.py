@@ -31,7 +31,7 @@ LAG: Effects = {"heater_lag": {"tau_h": 200.0}}
 
 @dataclass(frozen=True)
 class CommandOutput:
-    """What the command has said and written."""
+    """The output of the command, on the terminal and in files."""
 
     code: int
     out: str
@@ -40,7 +40,7 @@ class CommandOutput:
 
     @property
     def refusal(self) -> str:
-        """Of a command that was refused: its one line, behind what it was doing."""
+        """Return the one line of a refused command, without its progress."""
         assert self.code == 2
         assert "Traceback" not in self.err
         return self.err.splitlines()[-1].removeprefix("greenhouse twin: ")

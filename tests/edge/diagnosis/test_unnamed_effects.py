@@ -26,7 +26,7 @@ ROWS = 600
 
 
 def settled_c(effects: dict[str, dict[str, float]], duty: float) -> float:
-    """Where the air ends, from a room of 20 °C."""
+    """Return the air's final temperature, from a room of 20 °C."""
     commands = np.full((1, ROWS), duty)
     temps = BoxTwin(effects=effects).rollout(np.array([20.0]), commands, np.zeros((1, ROWS)), 20.0)
     assert np.isfinite(temps).all()

@@ -26,7 +26,7 @@ QUIET = Chances(heat_w=1.5)
 
 
 def run(monitor, boxes, count, seed=1, **how) -> tuple[list[Drift], list[tuple[int, Event]]]:
-    """What was said at each tick, and the events with their ticks. boxes: the box at tick k"""
+    """Return the verdict at each tick, and the events with their ticks. boxes : the box at tick k"""
     inputs = how.pop("inputs", None) or switching(count, seed)
     said, events = [], []
     for k, drift in enumerate(ticks(monitor, TWIN, boxes, inputs, seed, **how)):

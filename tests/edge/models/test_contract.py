@@ -1,4 +1,4 @@
-"""What an ONNX file has to promise, and what becomes of one that does not keep it."""
+"""The contract of an ONNX file, and the refusal of one that breaks it."""
 
 import copy
 import json

@@ -22,7 +22,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> OnnxPredictor:
 
 
 def history(*temps: float) -> dict[str, Floats]:
-    """Of some air temperatures; the newest row's inputs are not decided yet."""
+    """Return a history of some air temperatures; the newest row's inputs are not decided yet."""
     inputs = np.array([0.0] * (len(temps) - 1) + [np.nan])
     return {"temp_air": np.array(temps), "heater_duty": inputs, "fan_on": inputs}
 

@@ -1,4 +1,4 @@
-"""What the drift monitor found, on its topic, in Home Assistant, and shown on the page."""
+"""The drift monitor's verdict on its topic, in Home Assistant, and on the page."""
 
 import json
 

@@ -46,7 +46,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 class NumberingDaemon:
-    """What a daemon does with its history: numbers from `open` on, ticks, an end or a kill."""
+    """A daemon's use of its history: numbers from `open` on, ticks, an end or a kill."""
 
     def __init__(self, path: Path, boot_id: str = "", now_s: float = 0.0) -> None:
         self.path = path

@@ -53,7 +53,7 @@ def statements(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def is_slow(text: str, plan: list[str]) -> bool:
-    """Whether so planned a statement reads all rows of a large table."""
+    """Return whether a statement planned so reads all rows of a large table."""
     if "FROM outbox ORDER BY id LIMIT" in text:  # from its front, and no further
         return False
     is_sorted = "USE TEMP B-TREE FOR ORDER BY" in plan  # a LIMIT ends nothing early then

@@ -52,7 +52,7 @@ def test_closing_answers_who_waits_and_who_comes_later() -> None:
 
 
 def taken(inbox: Inbox, lanes: int = ORDINARY + 1) -> list[str]:
-    """What the waiting requests are, in the order in which they are taken; each is answered."""
+    """Return the waiting requests in the order in which they are taken; each is answered."""
     found = []
     while (letter := inbox.take(lanes)) is not None:
         found.append(str(letter.request["do"]))

@@ -32,7 +32,7 @@ def rig() -> Iterator[LoopRig]:
 
 
 def begins(record: TickRecord, key: str) -> bool:
-    """Whether this tick tells that `key` of the failure table begins."""
+    """Return whether this tick reports that `key` of the failure table begins."""
     return key in {event.key for event in record.events}
 
 

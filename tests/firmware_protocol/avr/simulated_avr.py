@@ -21,7 +21,7 @@ _FUNCTION = struct.Struct("<IIQQQI4x")
 
 @dataclass(frozen=True)
 class AvrEvent:
-    """What the program did: T(ransmitted byte), P(ORTA), D(DRA), E(EPROM byte begun), R(eset), C(rash)."""
+    """An event of the program: T(ransmitted byte), P(ORTA), D(DRA), E(EPROM byte begun), R(eset), C(rash)."""
 
     cycle: int
     kind: str
@@ -30,7 +30,7 @@ class AvrEvent:
 
 @dataclass(frozen=True)
 class Timing:
-    """Of one function, interrupts included [cycles]."""
+    """The time of one function, interrupts included [cycles]."""
 
     calls: int
     total: int
@@ -77,13 +77,13 @@ class SimulatedAvr:
         return self.cycle / FREQUENCY
 
     def run(self, milliseconds: float, data: bytes = b"") -> list[AvrEvent]:
-        """What it does in that time while bytes come in."""
+        """Run for that time while bytes come in, and return the events."""
         answer = self._call("a", round(milliseconds * FREQUENCY / 1000), data)
         [self.cycle] = struct.unpack_from("<Q", answer)
         return [AvrEvent(cycle, chr(kind), value) for cycle, kind, value in _EVENT.iter_unpack(answer[8:])]
 
     def read(self, address: int, length: int = 1) -> bytes:
-        """Of data memory and input/output registers."""
+        """Read data memory and input/output registers."""
         return self._call("r", address, struct.pack("<H", length))
 
     def write(self, symbol: str, data: bytes) -> None:
@@ -132,7 +132,7 @@ class AvrRig:
             self.fail(0)
 
     def sense(self, air_c: float | None) -> None:
-        """What the air sensor shows from now on; None for one that does not answer."""
+        """Set the air sensor's value from now on; None for one that does not answer."""
         raw = -(2**31) if air_c is None else round(air_c * 100)
         self.avr.write("rig_air", struct.pack("<i", raw))
         self.avr.write("rig_quality", bytes((3 if air_c is None else 0,)))

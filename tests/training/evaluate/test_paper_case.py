@@ -88,7 +88,7 @@ def case(**left_out: tuple[str, ...]) -> dict[Regime, Improved]:
 
 @cache
 def compared() -> tuple[TrainingScore, ...]:
-    """Of the models that are compared already."""
+    """Return the score of the models that are compared already."""
     return tuple(one.score for one in all_scored())
 
 
@@ -269,7 +269,7 @@ def test_the_picture_is_a_png() -> None:
 
 @pytest.fixture
 def arguments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> argparse.Namespace:
-    """Of a case whose diagnoses and trainings are made up."""
+    """Return the arguments of a case with made-up diagnoses and trainings."""
     found = case()
     new = [one for one in scores() if one.model in (TWIN, HAM, HAM_GUARDED)]
     monkeypatch.setattr(paper_case, "diagnose", lambda regime, folder: folder.mkdir())

@@ -87,7 +87,7 @@ class Questions:
 
 
 def stepped(tmp_path: Path, questions: list[dict], action: int):
-    """What the first step comes to, and what was answered."""
+    """Return the result of the first step, and the answer to it."""
     path = tmp_path / "external.sock"
     asked = Questions(path, questions)
     env = SocketEnv(path, WEIGHTS["RL-On-P"], reward_scale=1.0, patience_s=5.0)
