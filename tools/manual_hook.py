@@ -33,6 +33,9 @@ ELSEWHERE = {  # page or picture of the manual -> its file in the repository
     "images/waterfall.png": "training/results/paper_case/waterfall.png",
 }
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
+FOREIGN = re.compile(
+    r"<(?:script|img|iframe|link(?! rel=\"canonical\"))[^>]* (?:src|href)=\"?(https?:[^\" >]*)"
+)
 log = logging.getLogger("mkdocs.hooks.manual")
 
 
@@ -62,6 +65,8 @@ def on_page_markdown(markdown: str, page: Page, files: Files, **_: Any) -> str:
             inside, hash_, anchor_ = TABLES_PAGE, "#", anchor(file)
         else:
             inside, anchor_ = _manual_path(file, files), fragment
+        if file.removeprefix("docs/") in ELSEWHERE:
+            log.warning("%s: link to the file itself, %s", source, ELSEWHERE[file.removeprefix("docs/")])
         if inside is not None:
             away = posixpath.relpath(inside, posixpath.dirname(source) or ".")
             return f"{bang}[{text}]({away}{hash_}{anchor_})"
@@ -70,6 +75,13 @@ def on_page_markdown(markdown: str, page: Page, files: Files, **_: Any) -> str:
         return text if text.strip("`") == file else f"{text} (`{file}`)"
 
     return LINK.sub(led, markdown)
+
+
+def on_post_page(output: str, page: Page, **_: Any) -> str:
+    """Warn of a page that would load anything from another server."""
+    for address in FOREIGN.findall(output):
+        log.warning("%s: loads %s", page.file.src_uri, address)
+    return output
 
 
 def _manual_path(file: str, files: Files) -> str | None:
