@@ -48,7 +48,7 @@ class CodeBlock:
 
     @property
     def runs(self) -> bool:
-        """Whether a test can run it as it stands."""
+        """True where a test can run it as it stands."""
         is_file = self.language == "python" and re.fullmatch(r"\w+\.py", self.title)
         return self.language in {*SHELL, "python"} and (not self.title or bool(is_file))
 
@@ -116,7 +116,7 @@ def test_the_code_of_a_page_runs(page: Path, short_path: Path) -> None:
 
 
 def output_of(command: list[str], place: Path, environment: dict[str, str]) -> str:
-    """What a command prints. Fails where the command does."""
+    """Return what a command prints. Fails where the command does."""
     done = subprocess.run(
         command, cwd=place, env=environment, capture_output=True, text=True, timeout=TIME_MAX_S, check=False
     )
