@@ -73,7 +73,7 @@ class Manifest(Checked):
     policies: Mapping[Annotated[str, Rule(choices=RL)], ModelEntry] = field(default_factory=dict)
 
     def cross_check(self) -> None:
-        """Fit for this software, and every model's file among the files."""
+        """Refuse a bundle that is not fit for this software or lacks a model's file."""
         if _number_parts(self.minimum_software) > _number_parts(__version__):
             self.refuse("minimum_software", f"{self.minimum_software} is newer than {__version__}, this one")
         if self.version == PACKAGED:

@@ -46,7 +46,7 @@ class ArxDocument(Checked):
     provenance: Mapping[str, Any]
 
     def cross_check(self) -> None:
-        """Heater and fan reach back equally far."""
+        """Refuse a heater and a fan that do not reach back equally far."""
         if len(self.heater_duty) != len(self.fan_on):
             self.refuse("fan_on", f"{len(self.fan_on)} coefficients, heater_duty has {len(self.heater_duty)}")
 

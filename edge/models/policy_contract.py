@@ -77,7 +77,7 @@ class PolicyDocument(Checked):
     software: Any
 
     def cross_check(self) -> None:
-        """For this software's table of the observation."""
+        """Compare with this software's table of the observation."""
         for key, expected in (("features", tuple(NAMES)), ("actions", ACTIONS)):
             if (found := getattr(self, key)) != expected:
                 self.refuse(key, f"{shown(found)} is not {expected!r}, the one known here")

@@ -4,7 +4,8 @@ PROTOCOL. JSON objects, one a line, UTF-8; the file's permissions are the access
 
     daemon  {"tick": 7, "time_s": ..., "observation": {...}, "features": [...], "reference_c": ...,
              "temp_air_c": ..., "temp_ambient_c": ..., "limits": {...}, "last_sent": {...}, "previous": ...}
-    client  {"tick": 7, "heater_duty": 0.35, "fan_on": false}   and, if it likes, "why": any JSON value
+    client  {"tick": 7, "heater_duty": 0.35, "fan_on": false}   and, if it likes, "why": any JSON value;
+            with any other key the proposal is refused
 
 The daemon asks while the controller `external` decides, and only then. An answer counts until shortly before
 the decision's deadline; one to an earlier tick is skipped, it was late. `last_sent` is what the board

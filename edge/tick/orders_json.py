@@ -52,7 +52,7 @@ class OperationDocument(Checked):
     before: Before | None = None
 
     def cross_check(self) -> None:
-        """Orders that an operator could have given at some time."""
+        """Refuse orders that no operator could have given at any time."""
         for name in ("heater_duty", "led"):
             bounds = (ACTUATORS[name].low, ACTUATORS[name].high)
             read_number(getattr(self.manual, name), f"manual.{name}", *bounds)

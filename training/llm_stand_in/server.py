@@ -8,7 +8,7 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Self
 
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import DocumentError, parse_json
 from training.llm_stand_in import MODEL
 from training.llm_stand_in.behaviours import BEHAVIOURS, Sending
 
@@ -84,8 +84,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(Sending(b"{}", 404))
             return
         try:
-            body = parse_object(raw)
-        except ValueError:
+            body = parse_json(raw)
+        except DocumentError:
             self._send(Sending(b'{"error": {"message": "no JSON"}}', 400))
             return
         stand_in = self.server.stand_in

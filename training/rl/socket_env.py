@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import GreenhouseError
 from edge.core.messages import Command
-from edge.formats.strict_json import parse_object
+from edge.formats.reader import parse_json
 from edge.models.policy_actions import action_of, command_of
 from training.rl.reward import Weights, reward
 from training.rl.vec_env import ACTION_SPACE, OBSERVATION_SPACE
@@ -127,7 +127,7 @@ class _Line:
                 return None
             self._unread += data
         *lines, self._unread = self._unread.split(b"\n")
-        question = parse_object(lines[-1])
+        question = parse_json(lines[-1], "question")
         if "refused" in question:
             raise RigGone(f"refused: {question['refused']}")
         return question

@@ -47,13 +47,13 @@ class Simulator:
 
 @dataclass(frozen=True, slots=True)
 class SimulateArguments(Checked):
-    """One value per step."""
+    """Arguments of a call, one value per step."""
 
     heater_duty: Annotated[tuple[Annotated[float, Rule(low=0.0, high=1.0)], ...], Rule(least=1)]
     fan_on: tuple[bool, ...]
 
     def cross_check(self) -> None:
-        """Both for the same steps."""
+        """Refuse lists of unequal length."""
         if len(self.heater_duty) != len(self.fan_on):
             self.refuse("fan_on", f"{len(self.fan_on)} steps, heater_duty has {len(self.heater_duty)}")
 

@@ -6,7 +6,7 @@ Servers differ: `content` may be null, `arguments` is a string that may be no JS
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from edge.assistant.llm.failure import LlmFailure
 from edge.core.plain_text import plain
@@ -14,7 +14,6 @@ from edge.formats.checked import Rule
 from edge.formats.reader import DocumentError, Foreign, parse_json, read
 
 Message = Mapping[str, Any]
-Answer = TypeVar("Answer")
 TOKENS_MAX = 10**9  # what a server says beyond this is no count
 Count = Annotated[int, Rule(low=0, high=TOKENS_MAX)]
 CHARACTERS_PER_TOKEN = 4  # of English text, by the vendors' rule of thumb
@@ -131,30 +130,6 @@ class UsageDocument(Foreign):
 
 
 @dataclass(frozen=True, slots=True)
-class ChoiceMessage(Foreign):
-    """A message whose text and calls are looked into where it is whole."""
-
-    refusal: Any = None
-    content: Any = None
-    tool_calls: Any = None
-
-
-@dataclass(frozen=True, slots=True)
-class ReplyChoice(Foreign):
-    """One answer of the model."""
-
-    message: ChoiceMessage
-    finish_reason: Any = None
-
-
-@dataclass(frozen=True, slots=True)
-class ChoicesDocument(Foreign):
-    """A server's reply."""
-
-    choices: Annotated[tuple[ReplyChoice, ...], Rule(least=1)]
-
-
-@dataclass(frozen=True, slots=True)
 class CalledFunction(Foreign):
     """The function and arguments of a call."""
 
@@ -171,11 +146,27 @@ class CallDocument(Foreign):
 
 
 @dataclass(frozen=True, slots=True)
-class SaidMessage:
-    """A whole message."""
+class ChoiceMessage(Foreign):
+    """Text or calls of the model."""
 
-    content: str | None
-    tool_calls: tuple[CallDocument, ...] | None
+    content: str | None = None
+    tool_calls: tuple[CallDocument, ...] | None = None
+    refusal: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReplyChoice(Foreign):
+    """One answer of the model."""
+
+    message: ChoiceMessage
+    finish_reason: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChoicesDocument(Foreign):
+    """A server's reply."""
+
+    choices: Annotated[tuple[ReplyChoice, ...], Rule(least=1)]
 
 
 def read_document(raw: bytes) -> dict[str, Any]:
@@ -197,26 +188,23 @@ def read_usage(document: Mapping[str, Any]) -> Usage | None:
 
 def read_reply(document: Mapping[str, Any], usage: Usage) -> Reply:
     """Read the first choice. Errors: LlmFailure: malformed, truncated or refusal"""
-    choice = _malformed_unless(ChoicesDocument, document).choices[0]
+    try:
+        choice = read(ChoicesDocument, document).choices[0]
+    except DocumentError as error:
+        raise LlmFailure("malformed", str(error)) from None
     if refusal := choice.message.refusal:
         raise LlmFailure("refusal", f"the model refuses: {plain(str(refusal))}")
     if choice.finish_reason == "content_filter":
         raise LlmFailure("refusal", "a content filter ended the answer")
     if choice.finish_reason == "length":
         raise LlmFailure("truncated", "the answer is longer than llm.answer_tokens")
-    said = {"content": choice.message.content, "tool_calls": choice.message.tool_calls}
-    message = _malformed_unless(SaidMessage, said, "choices[0].message")
-    calls = (
-        ToolCall(call.id, call.function.name, call.function.arguments) for call in message.tool_calls or ()
+    calls = choice.message.tool_calls or ()
+    return Reply(
+        choice.message.content,
+        tuple(ToolCall(call.id, call.function.name, call.function.arguments) for call in calls),
+        str(choice.finish_reason),
+        usage,
     )
-    return Reply(message.content, tuple(calls), str(choice.finish_reason), usage)
-
-
-def _malformed_unless(kind: type[Answer], document: Mapping[str, Any], key: str = "") -> Answer:
-    try:
-        return read(kind, document, key=key)
-    except DocumentError as error:
-        raise LlmFailure("malformed", str(error)) from None
 
 
 def assistant_message(reply: Reply) -> dict[str, Any]:

@@ -136,6 +136,6 @@ def _asks_for_nothing(steering: Steering) -> bool:
 
 
 def _seconds(clock: str) -> float:
-    """Since midnight."""
+    """Convert "HH:MM" to seconds since midnight."""
     hours, minutes = clock.split(":")
     return 3600.0 * int(hours) + 60.0 * int(minutes)
