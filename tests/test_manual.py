@@ -33,6 +33,9 @@ DOCS = ROOT / "docs"
 PAGES_BY_HAND = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 FENCE = re.compile(r'^```(\w+)(?: title="([^"]*)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 IN_A_LINE = re.compile(r"`((?:greenhouse|greenhouse-train|python -m|make) [^`]+)`")
+A_PATH = re.compile(
+    r"`((?:edge|firmware_protocol|training|bench|tests|tools|deploy|docs|examples)/[\w./-]+)`"
+)
 LEAVE, PRINTED = "leave it running", "it prints"
 SHELL = {"sh", "bash"}
 OTHERS = {"systemctl", "git", "cp", ".", "python"}  # whose options are not ours to check
@@ -213,6 +216,14 @@ def check_loosely(words: list[str]) -> None:
             assert option in help_, f"{words}: no {option}"
     else:
         check(words)
+
+
+@pytest.mark.parametrize("page", [*PAGES_BY_HAND, ROOT / "CONTRIBUTING.md"], ids=name_of)
+def test_files_within_a_line_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    written = [title for _, title, _ in FENCE.findall(text)]  # files that the page has its reader write
+    named = [path for path in A_PATH.findall(text) if not any(path in title for title in written)]
+    assert [path for path in named if not (ROOT / path).exists()] == []
 
 
 @pytest.mark.parametrize(
