@@ -111,7 +111,7 @@ def draw_overview(report: Path, picture: Path) -> None:
     measured = read_run(ROOT / TEST)
     time_min = measured.columns["time_s"] / 60.0
     with plt.rc_context({"svg.hashsalt": "overview", "font.size": 11, "svg.fonttype": "path"}):
-        figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True, layout="constrained")
+        figure, axes = plt.subplots(1, 2, figsize=(7.4, 3.5), sharey=True, layout="constrained")
         sides = (
             ("twin_before.yaml", "before", "Before the diagnosis", "#c2500a"),
             ("twin.yaml", "after", f"After: {names} added", "#0f72b8"),
@@ -122,7 +122,7 @@ def draw_overview(report: Path, picture: Path) -> None:
             error_k = document["gap"][when]["test"]["rmse_k"]
             axis.plot(time_min, measured.columns["temp_air_c"], color="#9aa3ab", lw=5, label="measured")
             axis.plot(time_min, read_run(free).columns["predicted_c"], color=colour, lw=2, label="twin")
-            axis.set_title(f"{title}\nerror {error_k:.2g} K", loc="left", fontsize=12, fontweight="bold")
+            axis.set_title(f"{title}\nerror {error_k:.2g} K", loc="left", fontsize=11, fontweight="bold")
             axis.set_xlabel("time [min]")
             axis.spines[["top", "right"]].set_visible(False)
             axis.legend(loc="upper left", frameon=False)

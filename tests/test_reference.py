@@ -12,7 +12,7 @@ def test_the_reference_holds_every_command_and_variable() -> None:
     for command in command_names():
         assert f"### greenhouse {command}\n" in pages["commands.md"]
     assert "| `control.penalty_weight`" not in pages["settings.md"]
-    assert "| `penalty_weight` | 1 | 0 to 1e+06 | `1.0` |" in pages["settings.md"]
+    assert "| `penalty_weight` | `1.0` | 1 | 0 to 1e+06 |" in pages["settings.md"]
 
 
 def test_a_name_without_words_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,7 +98,7 @@ def settings() -> str:
 
 def _keys(section: Section, items: "Iterable[Field[Any]]") -> list[str]:
     rows = list(_key_rows(section, items, ""))
-    return table(("key", "unit", "allowed", "default", "meaning"), rows)
+    return table(("key", "default", "unit", "allowed", "meaning"), rows)
 
 
 def _key_rows(section: Section, items: "Iterable[Field[Any]]", prefix: str) -> Iterator[Sequence[object]]:
@@ -110,7 +110,7 @@ def _key_rows(section: Section, items: "Iterable[Field[Any]]", prefix: str) -> I
             rule: Rule = item.metadata["rule"]
             meaning = f"{rule.doc}; one item: `{rule.example}`" if rule.example else rule.doc
             shown = _yaml(value)
-            yield f"`{prefix}{item.name}`", rule.unit, _allowed(rule, value), f"`{shown}`", meaning
+            yield f"`{prefix}{item.name}`", f"`{shown}`", rule.unit, _allowed(rule, value), meaning
 
 
 def _allowed(rule: Rule, value: object) -> str:
