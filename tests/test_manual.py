@@ -236,3 +236,24 @@ def test_yaml_is_a_twin_file_or_settings(block: CodeBlock, tmp_path: Path) -> No
         read_twin_file(tmp_path / "twin.yaml")
     else:
         loading.parse(block.code, block.title)
+
+
+@pytest.mark.parametrize("block", [b for b in ALL if b.language == "python"], ids=lambda b: name_of(b.page))
+def test_python_that_is_not_run_is_python(block: CodeBlock) -> None:
+    compile(block.code, block.title, "exec")
+
+
+def test_figures_of_the_readme_stand_in_the_manual() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("## What is proven")[2]
+    measured = "".join(path.read_text(encoding="utf-8") for path in (DOCS / "measured").glob("*.md"))
+    assert [figure for figure in re.findall(r"\d+\.\d+", readme) if figure not in measured] == []
+
+
+def test_links_of_the_readme_lead_somewhere() -> None:
+    """Those of the manual are checked where it is built."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for path, anchor in re.findall(r"\]\(([^)#:]+)#?([^)]*)\)", readme):
+        assert (ROOT / path).exists(), path
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in [re.sub(r"[^\w -]", "", head).lower().replace(" ", "-") for head in headings]

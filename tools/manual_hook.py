@@ -72,7 +72,7 @@ def on_page_markdown(markdown: str, page: Page, files: Files, **_: Any) -> str:
             return f"{bang}[{text}]({away}{hash_}{anchor_})"
         if not (ROOT / file).exists():
             log.warning("%s: %s is not in the repository", source, target)
-        return text if text.strip("`") == file else f"{text} (`{file}`)"
+        return f"`{file}`" if text.strip("`") == file else f"{text}: `{file}`"
 
     return LINK.sub(led, markdown)
 
