@@ -35,7 +35,7 @@ from training.control.kept_figures import (
 from training.control.pictures import bars_picture, runs_picture
 from training.control.rig import SPARING, entries
 from training.llm_stand_in.server import StandIn
-from training.reports.comparison_report import put_section, read_findings, words_as_html
+from training.reports.comparison_report import read_findings, words_as_html
 
 COMMAND = "greenhouse-train compare"
 DRAWN = {  # picture -> controllers side by side, those that have run
@@ -123,9 +123,6 @@ def _write(
     (folder / "times.txt").write_text("\n".join(times_table(times).text()), encoding="utf-8")
     (folder / FIGURES_FILE).write_text(json_of(results), encoding="utf-8")
     (folder / "comparison.txt").write_text(text_of(results, names), encoding="utf-8")
-    made = section(results, names, pictures, read_findings(folder))
-    (folder / "section.html").write_text(made, encoding="utf-8")
-    put_section(folder.parent / "report.html", made)
     for name, content in pictures.items():
         (arguments.images / f"{name}.png").write_bytes(content)
 
@@ -141,6 +138,17 @@ def text_of(results: Sequence[RunResult], names: Sequence[str]) -> str:
     """Return the tables."""
     lines = [line for each in _tables(results, names) for line in each.text()]
     return "\n".join([COMMAND, "", *lines]) + "\n"
+
+
+def kept_section(folder: Path, images: Path) -> str:
+    """Return the controllers' part of the report from the saved figures and pictures, "" without any."""
+    if not (folder / FIGURES_FILE).exists():
+        return ""
+    results = read_results(folder)
+    pictures = {path.stem: path.read_bytes() for path in sorted(images.glob("control_*.png"))}
+    return section(
+        results, list(dict.fromkeys(one.entry for one in results)), pictures, read_findings(folder)
+    )
 
 
 def section(

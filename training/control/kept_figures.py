@@ -8,7 +8,7 @@ from pathlib import Path
 from edge.core.errors import DataError
 from training.control.comparison import Results, RunResult
 from training.control.figures import DecisionTime, Figures
-from training.evaluate.evaluation import first_difference
+from training.evaluate.difference import first_difference
 
 FIGURES_FILE, TIMES_FILE = "comparison.json", "times.json"
 

@@ -8,20 +8,22 @@ within ELSEWHERE_K. Times and memory go to cost.json and cost.txt; report.html a
 import argparse
 import importlib.metadata
 import json
-import math
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from edge.core.errors import DataError
+from training.control.compare import kept_section
 from training.data.datasets import test_run
 from training.evaluate.ablation import bases, by_excess, unexplained
+from training.evaluate.difference import differences, first_difference
 from training.evaluate.resources import ModelCost, costs
 from training.evaluate.scores import ScoredRun, TrainingScore, scored, swapped
 from training.models.fit_network import make_deterministic
 from training.models.study import SCENARIOS
-from training.models.trained import Kept, read_trained, unguarded
+from training.models.trained import Kept, read_trained, unguarded, without_weights
 from training.reports.comparison_report import read_findings, report
 from training.reports.report_pictures import MODELS, bars_picture, radar_picture, scenario_picture
 from training.reports.report_tables import Evaluation, costs_table, tables
@@ -41,6 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
     """
     make_deterministic(0)
     trainings = read_trained(arguments.trained)
+    if not arguments.check and (absent := without_weights(arguments.trained)):
+        raise DataError(
+            f"{absent[0]}: no weights; `greenhouse-train all` trains this and {len(absent) - 1} more"
+        )
     found = scored([*trainings, *(unguarded(kept) for kept in trainings if kept.model == "ham_guarded")])
     figures = Evaluation(
         tuple(one.score for one in found),
@@ -104,36 +110,14 @@ def _cpu_lines() -> list[str]:
     return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
 
 
-def first_difference(kept: Any, now: Any, tolerance: float = 0.0, place: str = "evaluation.json") -> str:
-    """Return where two JSON values differ first; "" where no two numbers do by more than `tolerance`."""
-    found = (text for amount, text in differences(kept, now, place) if not amount <= tolerance)
-    return next(found, "")
-
-
-def differences(kept: Any, now: Any, place: str) -> Iterator[tuple[float, str]]:
-    """Yield how much two JSON values differ and where; infinitely, where one of both is not a number."""
-    if isinstance(kept, dict) and isinstance(now, dict) and kept.keys() == now.keys():
-        for key in kept:
-            yield from differences(kept[key], now[key], f"{place}.{key}")
-    elif isinstance(kept, list) and isinstance(now, list) and len(kept) == len(now):
-        for index, (a, b) in enumerate(zip(kept, now, strict=True)):
-            yield from differences(a, b, f"{place}.{index}")
-    elif kept != now:
-        amount = abs(kept - now) if _is_number(kept) and _is_number(now) else math.inf
-        yield amount, f"{place}: {kept!r} is kept, now {now!r}"
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _write(
     figures: Evaluation, found: Sequence[ScoredRun], trainings: Sequence[Kept], arguments: argparse.Namespace
 ) -> None:
     cost = costs(trainings)
     cost_text = "\n".join([COMMAND, "", *costs_table(cost).text()])
     print(cost_text)
-    files = _files(figures, found, cost, _words(arguments.results))
+    files = _files(figures, found, cost)
+    files["report.html"] = _report(figures, found, cost, arguments)
     files["cost.json"] = (json.dumps([asdict(one) for one in cost], indent=1) + "\n").encode()
     files["cost.txt"] = (cost_text + "\n").encode()
     files[MACHINE_FILE] = (json.dumps(machine(), indent=1) + "\n").encode()
@@ -144,27 +128,33 @@ def _write(
         (folder / name).write_bytes(content)
 
 
-def _words(results: Path) -> tuple[str, str]:
-    """Return findings on the models, and the controllers' part as `greenhouse-train compare` has left it."""
-    path = results / "control" / "section.html"
-    return read_findings(results), path.read_text(encoding="utf-8") if path.exists() else ""
+def _words(results: Path, images: Path) -> tuple[str, str]:
+    """Return findings on the models, and the controllers' part of the report."""
+    return read_findings(results), kept_section(results / "control", images)
 
 
-def _files(
-    figures: Evaluation, found: Sequence[ScoredRun], cost: Sequence[ModelCost], words: tuple[str, str]
-) -> dict[str, bytes]:
-    """All that follows from the figures, and from costs that were measured."""
+def _files(figures: Evaluation, found: Sequence[ScoredRun], cost: Sequence[ModelCost]) -> dict[str, bytes]:
+    """Return the saved files that follow from the figures, and from costs that were measured."""
     pictures = pictures_of(found, cost)
     return {
         "evaluation.json": json_of(figures).encode(),
         "evaluation.txt": text_of(figures).encode(),
-        "report.html": report(figures, cost, pictures, *words).encode(),
         **{f"{name}.png": content for name, content in pictures.items()},
     }
 
 
+def _report(
+    figures: Evaluation, found: Sequence[ScoredRun], cost: Sequence[ModelCost], arguments: argparse.Namespace
+) -> bytes:
+    """Return the page of all tables and pictures, which is made anew and not saved in the repository."""
+    pictures = pictures_of(found, cost)
+    return report(figures, cost, pictures, *_words(arguments.results, arguments.images)).encode()
+
+
 def _check(figures: Evaluation, found: Sequence[ScoredRun], arguments: argparse.Namespace) -> int:
-    """0 where the kept files come out again; costs are taken as they were kept.
+    """Return 0 where the saved files come out again; costs are taken as they were saved.
+
+    Trainings whose weights are not here are left out and counted.
 
     On the machine that made them every byte must be the same. Elsewhere, or with a tolerance, only figures
     are compared: text and pictures differ with their last digit.
@@ -172,14 +162,23 @@ def _check(figures: Evaluation, found: Sequence[ScoredRun], arguments: argparse.
     results: Path = arguments.results
     same = (results / MACHINE_FILE).exists() and _json(results / MACHINE_FILE) == machine()
     kept, now = _json(results / "evaluation.json"), json.loads(json_of(figures))
+    absent = without_weights(arguments.trained)
+    if absent:
+        print(f"{len(absent)} trainings are recorded without their weights: their figures are not checked")
+        here = {_training(score) for score in now["scores"]}
+        kept["scores"] = [score for score in kept["scores"] if _training(score) in here]
     print("made on this machine" if same else "made on another machine", "[largest difference of each part]")
     found_in = [_part(name, kept.get(name), now[name], _allowed(name, same, arguments)) for name in now]
     difference = next((one for one in found_in if one), "")
-    if not difference and same and not arguments.tolerance:
+    if not difference and same and not arguments.tolerance and not absent:
         cost = [ModelCost(**row) for row in _json(results / "cost.json")]
-        difference = _first_file(_files(figures, found, cost, _words(results)), results, arguments.images)
+        difference = _first_file(_files(figures, found, cost), results, arguments.images)
     print(difference or "the same as what is kept")
     return 1 if difference else 0
+
+
+def _training(score: Mapping[str, Any]) -> tuple[str, str, int]:
+    return score["model"], score["regime"], score["seed"]
 
 
 def _allowed(part: str, same: bool, arguments: argparse.Namespace) -> float:

@@ -50,6 +50,7 @@ def read_trained(root: Path) -> list[Kept]:
         for model in (*PAPER, *OURS)
         for regime in SCENARIOS
         for folder in sorted((root / model / regime).glob("seed_*"), key=lambda path: path.name)
+        if _has_weights(folder)
     ]
     there = {(kept.model, kept.regime) for kept in found}
     for model in MODELS:
@@ -57,6 +58,22 @@ def read_trained(root: Path) -> list[Kept]:
             if (model, regime) not in there:
                 raise DataError(f"{root / model / regime}: no training is kept here")
     return found
+
+
+def without_weights(root: Path) -> list[Path]:
+    """Return the folders of trainings that are recorded without their weights, to be trained anew.
+
+    The repository has the weights that its checks read: of the LSTMs, the ones that validate best.
+    """
+    return [
+        path.parent
+        for path in sorted(root.glob(f"*/*/seed_*/{RESULT_FILE}"))
+        if not _has_weights(path.parent)
+    ]
+
+
+def _has_weights(folder: Path) -> bool:
+    return any((folder / name).exists() for name in (NETWORK_FILE, ARX_FILE, TWIN_FILE))
 
 
 def unguarded(kept: Kept) -> Kept:

@@ -17,7 +17,7 @@ th, td { border-bottom: 1px solid #ccc; padding: .25em .6em; text-align: right; 
 th:first-child, td:first-child { text-align: left }
 .note { color: #555; font-size: 13px } img { max-width: 100% }
 """
-_BEGIN, _END = "<!-- controllers -->", "</body></html>"
+_END = "</body></html>"
 FINDINGS = "findings.md"
 
 
@@ -33,18 +33,7 @@ def report(
     pictures : PNG by file name without its ending, in order
     findings : as `words_as_html` takes it; controllers : their part, HTML
     """
-    return "\n".join([*_lines(found, costs, pictures, findings), *_part(controllers), _END]) + "\n"
-
-
-def put_section(page: Path, controllers: str) -> None:
-    """Write the controllers' part into a page that `report` made, in the place of the one before."""
-    if page.exists():
-        models = page.read_text(encoding="utf-8").split(_BEGIN)[0].removesuffix(f"{_END}\n")
-        page.write_text("\n".join([models.rstrip("\n"), *_part(controllers), _END]) + "\n", encoding="utf-8")
-
-
-def _part(controllers: str) -> list[str]:
-    return [_BEGIN, controllers.rstrip("\n")] if controllers else []
+    return "\n".join([*_lines(found, costs, pictures, findings), controllers.rstrip("\n"), _END]) + "\n"
 
 
 def _lines(

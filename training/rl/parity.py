@@ -1,7 +1,7 @@
 """Does a rig's file choose as the trained network does: `python -m training.rl.parity [FOLDER...]`.
 
-Without folders: every policy that is kept. Action for action, on every observation of the recorded runs. Of
-equal values both take the first.
+Without folders: every policy whose weights are saved, the best of each kind. Action for action, on every
+observation of the recorded runs. Of equal values both take the first.
 """
 
 import sys
@@ -45,7 +45,9 @@ def parity(network: nn.Sequential, policy: OnnxPolicy, observations: NDArray[np.
 
 def main(folders: Sequence[str], kept: Path = POLICIES) -> int:
     """0; 1 where an action differs, 2 for a folder that holds no policy, or where none is kept."""
-    chosen = [Path(folder) for folder in folders] or sorted(kept.glob("*/*/seed_*"))
+    chosen = [Path(folder) for folder in folders] or [
+        path.parent for path in sorted(kept.glob(f"*/*/seed_*/{WEIGHTS_FILE}"))
+    ]
     if not chosen:
         print(f"python -m training.rl.parity: {kept}: no policy is kept there", file=sys.stderr)
         return 2

@@ -10,7 +10,7 @@ import requests
 
 from edge.core.errors import DataError
 from training.control import compare
-from training.control.compare import _endpoint, pictures_of, run, section, text_of
+from training.control.compare import _endpoint, kept_section, pictures_of, run, section, text_of
 from training.control.comparison import (
     RunResult,
     column,
@@ -33,7 +33,6 @@ from training.control.kept_figures import (
     times_json,
 )
 from training.llm_stand_in import MODEL as STAND_IN
-from training.reports.comparison_report import put_section
 
 ZERO = Figures(*[0.0] * 16)
 
@@ -140,12 +139,13 @@ def test_a_model_without_its_server_is_refused():
         pass
 
 
-def test_the_controllers_part_takes_its_own_place_in_the_report(tmp_path: Path):
-    page = tmp_path / "report.html"
-    page.write_text("<p>models</p>\n</body></html>\n")
-    for part in ("<p>one</p>\n", "<p>two</p>\n"):
-        put_section(page, part)
-    assert page.read_text() == "<p>models</p>\n<!-- controllers -->\n<p>two</p>\n</body></html>\n"
+def test_the_controllers_part_is_made_from_the_saved_figures_and_pictures(tmp_path: Path):
+    assert kept_section(tmp_path, tmp_path) == ""
+    kept_in(tmp_path, RESULTS, {})
+    (tmp_path / "control_mae.png").write_bytes(b"a picture")
+    made = kept_section(tmp_path, tmp_path)
+    assert made.startswith("<h1>Controllers on the virtual rig, compared</h1>")
+    assert 'alt="control_mae"' in made
 
 
 def test_a_few_controllers_have_pictures(tmp_path: Path):

@@ -132,7 +132,15 @@ def test_layers_that_a_graph_does_not_hold_are_refused():
         graph_of(nn.Sequential(nn.Linear(2, 2), nn.Tanh()))
 
 
-@pytest.mark.parametrize("folder", sorted(POLICIES.glob("*/*/seed_*")), ids=lambda p: "/".join(p.parts[-3:]))
+WITH_WEIGHTS = sorted(path.parent for path in POLICIES.glob(f"*/*/seed_*/{WEIGHTS_FILE}"))
+
+
+def test_the_best_policy_of_each_kind_has_its_weights():
+    for kind in {path.parent.parent for path in POLICIES.glob("*/*/seed_*/record.json")}:
+        assert best_folder(sorted(kind.glob("seed_*"))) in WITH_WEIGHTS
+
+
+@pytest.mark.parametrize("folder", WITH_WEIGHTS, ids=lambda p: "/".join(p.parts[-3:]))
 def test_a_kept_policy_chooses_on_the_rig_as_it_was_trained(folder, observations):
     policy = read_policy(folder / POLICY_FILE, "kept", 60.0)
     found = parity(load_q_network(folder / WEIGHTS_FILE), policy, observations)
