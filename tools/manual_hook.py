@@ -61,15 +61,14 @@ def on_page_markdown(markdown: str, page: Page, files: Files, **_: Any) -> str:
         if not path or "://" in path or path.startswith("mailto:"):
             return found[0]
         file = posixpath.normpath(posixpath.join(posixpath.dirname(origin), path))
+        inside = _manual_path(file, files)
         if file in results():
-            inside, hash_, anchor_ = TABLES_PAGE, "#", anchor(file)
-        else:
-            inside, anchor_ = _manual_path(file, files), fragment
+            hash_, fragment = "#", anchor(file)
         if file.removeprefix("docs/") in ELSEWHERE:
             log.warning("%s: link to the file itself, %s", source, ELSEWHERE[file.removeprefix("docs/")])
         if inside is not None:
             away = posixpath.relpath(inside, posixpath.dirname(source) or ".")
-            return f"{bang}[{text}]({away}{hash_}{anchor_})"
+            return f"{bang}[{text}]({away}{hash_}{fragment})"
         if not (ROOT / file).exists():
             log.warning("%s: %s is not in the repository", source, target)
         return f"`{file}`" if text.strip("`") == file else f"{text}: `{file}`"
@@ -86,6 +85,8 @@ def on_post_page(output: str, page: Page, **_: Any) -> str:
 
 def _manual_path(file: str, files: Files) -> str | None:
     """Return the manual's path of a file of the repository, None where the manual does not hold it."""
+    if file in results():
+        return TABLES_PAGE
     for name, path in ELSEWHERE.items():
         if path == file:
             return name
