@@ -155,12 +155,12 @@ def topics() -> str:
         received.append(
             (f"`{usual.command(what)}`", f"`{payload}`" if payload else "(empty)", f"`{json.dumps(request)}`")
         )
-    lines = ["# MQTT topics", "", f"With the usual settings: prefix and rig are `{usual.root}`.", ""]
+    lines = ["# MQTT topics", "", f"`<rig>` is prefix and name, usually `{usual.root}`.", ""]
     lines += ["## Published", "", *table(("topic", "retained", "content"), rows)]
     lines += ["## Received", "", "Each command is answered on "
               f"`{usual.reply}`. The request is what the daemon makes of the example.", ""]  # fmt: skip
     lines += table(("topic", "example of a payload", "request"), received)
-    return "\n".join(lines)
+    return "\n".join(lines).replace(f"{usual.root}/", "<rig>/")
 
 
 def _properties(owner: type) -> list[str]:
