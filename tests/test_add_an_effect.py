@@ -1,4 +1,7 @@
-"""docs/add-an-effect.md: its scripts print what the page says, and its example is the library's own code."""
+"""docs/add-an-effect.md: its excerpts are the library's own code, its search prints what the page says.
+
+`test_manual` runs the page's other code.
+"""
 
 import os
 import re
@@ -10,11 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/add-an-effect.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
-CODE = [text for language, text in BLOCKS if language == "python"]
-PRINTED = [text for language, text in BLOCKS if language == ""]
-EXCERPTS = [text for language, text in BLOCKS if language == "text"]
-SCRIPTS = {"my_effect.py": CODE[0], "check.py": CODE[1], "seek.py": CODE[2]}
+EXCERPTS = re.findall(r"^```text\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+TITLED = dict(re.findall(r'^```\w+ title="([^"]*)"\n(.*?)^```$', PAGE, re.DOTALL | re.MULTILINE))
 EXAMPLE = (
     "edge/twin/effects/signal.py",
     "tests/edge/twin/test_twin_effects.py",
@@ -22,28 +22,18 @@ EXAMPLE = (
 )
 
 
-@pytest.mark.parametrize(("name", "printed"), [("check.py", PRINTED[0]), ("seek.py", PRINTED[1])])
-def test_a_script_prints_what_the_page_says(name: str, printed: str, tmp_path: Path) -> None:
-    for file, text in SCRIPTS.items():
-        (tmp_path / file).write_text(text, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, str(tmp_path / name)],
-        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.stdout == printed, done.stderr
-
-
-def test_the_twin_file_acts_as_the_page_says(tmp_path: Path) -> None:
-    (shell,) = (text for language, text in BLOCKS if language == "sh" and "living.yaml" in text)
-    shell = shell.replace("/tmp/living.yaml", str(tmp_path / "living.yaml"))
-    shell = shell.replace(".venv/bin/python", sys.executable)
-    done = subprocess.run(["sh", "-c", shell], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.stdout == PRINTED[2], done.stderr
-
-
 @pytest.mark.parametrize("block", EXCERPTS)
 def test_the_example_is_the_code_of_this_repository(block: str) -> None:
     pieces = [piece.strip("\n") for piece in block.split("\n\n\n")]
     sources = [(ROOT / path).read_text(encoding="utf-8") for path in EXAMPLE]
     assert all(any(piece in source for source in sources) for piece in pieces)
+
+
+@pytest.mark.slow
+def test_the_search_prints_what_the_page_says(tmp_path: Path) -> None:
+    for name, title in (("my_effect.py", "my_effect.py"), ("seek.py", "seek.py, less than a minute")):
+        (tmp_path / name).write_text(TITLED[title], encoding="utf-8")
+    command = [sys.executable, str(tmp_path / "seek.py")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout == TITLED["seek.py prints"], done.stderr

@@ -7,7 +7,7 @@ import pytest
 from certificates import make_certificates
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, OutboxRow, record, settings
+from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, OutboxRow, record, settings, tick
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 
@@ -58,7 +58,7 @@ def test_the_rig_home_assistant_and_an_archive_can_do_their_work_and_no_more(bro
     ):
         own = Telemetry(configured, loop.ask, loop.post, lambda: outbox)
         try:
-            own.write(record())
+            tick(own, record(), loop)
             wait_for(lambda: home.objects(f"{ROOT}/state") and home.objects(f"{ROOT}/decision"))
             wait_for(lambda: home.objects("homeassistant/device/greenhouse-1/config"))
             own.show_proposal({"id": "a1"})

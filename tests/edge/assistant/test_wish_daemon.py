@@ -112,7 +112,7 @@ def test_a_confirmed_wish_moves_the_reference_outlives_a_kill_and_ends_by_itself
     [
         ({"daily": [{"from_s": 0.0, "reference_c": 60.0}]}, "outside 15 to 38"),
         ({"until_utc": 4e9}, "within the next 168 h"),
-        ({"fan_penalty": "5"}, "real number"),
+        ({"fan_penalty": "5"}, "must be a number, not '5'"),
         ({"heater_max_duty": 2.0}, "heater_max_duty"),
     ],
 )

@@ -428,7 +428,7 @@ def test_a_test_run_without_the_room_that_the_others_have_is_refused(
         ("effects: {heater_lagg: {tau: 3}}", "effects: unknown effect 'heater_lagg'; did you mean 'heater"),
         ("effects: {wall_mass: {C_w: 3000}}", "effects.wall_mass.G_in: missing"),
         ("effects: {wall_loss: {UA: -3}}", "effects.wall_loss.UA: -3 is outside 0..100 W/K"),
-        ("effects: {wall_loss: {UA: .nan}}", "effects.wall_loss.UA: nan is not a number"),
+        ("effects: {wall_loss: {UA: .nan}}", "effects.wall_loss.UA: nan is not a finite number"),
         ("geometry: {volume_m3: 0}", "geometry.volume_m3: 0 is not a finite number above 0"),
         ("sample_s: -1", "sample_s: -1 is not a finite number above 0"),
         ("nuisances: {}", "unknown key 'nuisances'"),
