@@ -19,15 +19,17 @@ class Signal:
     high: float  # largest [unit]
     literature: str  # symbol in the greenhouse literature (GreenLight, Vanthoor 2011), "" where it has none
     label: str
+    device_class: str | None = None  # of Home Assistant; None where it has none that fits
+    digits: int = 0  # after the point, in Home Assistant; a share is shown in percent
 
 
 _SIGNALS = (
-    Signal("temp_air", "°C", "temp_air_c", -20.0, 80.0, "tAir", "Air temperature"),
-    Signal("temp_ambient", "°C", "temp_ambient_c", -20.0, 60.0, "tOut", "Room temperature"),
-    Signal("rel_humidity", "%", "rel_humidity_pct", 0.0, 100.0, "rhAir", "Relative humidity"),
-    Signal("co2", "ppm", "co2_ppm", 0.0, 10000.0, "co2Air", "CO2"),
+    Signal("temp_air", "°C", "temp_air_c", -20.0, 80.0, "tAir", "Air temperature", "temperature", 1),
+    Signal("temp_ambient", "°C", "temp_ambient_c", -20.0, 60.0, "tOut", "Room temperature", "temperature", 1),
+    Signal("rel_humidity", "%", "rel_humidity_pct", 0.0, 100.0, "rhAir", "Relative humidity", "humidity"),
+    Signal("co2", "ppm", "co2_ppm", 0.0, 10000.0, "co2Air", "CO2", "carbon_dioxide"),
     Signal("light", "1", "light", 0.0, 1.0, "", "Light (share of full)"),
-    Signal("soil_moisture", "1", "soil_moisture", 0.0, 1.0, "", "Soil moisture"),
+    Signal("soil_moisture", "1", "soil_moisture", 0.0, 1.0, "", "Soil moisture", "moisture"),
     Signal("tank_level", "1", "tank_level", 0.0, 1.0, "", "Tank level"),
 )
 

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.formats import run_file
+
 Floats = NDArray[np.float64]
 TRUE, FALSE = ("true", "on", "yes", "high", "open"), ("false", "off", "no", "low", "closed")
 TEMPERATURES = ("temp_air_c", "temp_ambient_c", "temp_air_second_c")
-SHARES = ("heater_duty", "fan_on", "light", "soil_moisture", "tank_level", "door_open")
+SHARES = (*run_file.SHARES, "door_open")
 PERCENTS = ("rel_humidity_pct", "ambient_rel_humidity_pct")
 TARGETS = (*TEMPERATURES, *SHARES, *PERCENTS, "co2_ppm", "solar_w_m2")
 SMALL = {**dict.fromkeys(PERCENTS, 1.0), "solar_w_m2": 2.0}  # in percent, or W/m2, numbers are larger

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 REQUIRED = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
 OPTION_WITHOUT = {"fan_on": "--no-fan", "temp_ambient_c": "--no-ambient"}  # REQUIRED that a run may lack
 ABSENT = "none"  # the fact `# fan_on: none` says that the recording has no such column
-SHARES = ("heater_duty", "fan_on", "light", "soil_moisture", "tank_level")  # 0..1
+SHARES = ("heater_duty", "fan_on", *(signal.key for signal in SIGNALS.values() if signal.unit == "1"))  # 0..1
 INPUTS = ("heater_duty", "fan_on", "led", "light", "reference_c")  # hold from their row to the next
 KNOWN = tuple(
     dict.fromkeys(

@@ -11,7 +11,7 @@ from typing import Any
 from edge.assistant.requests.proposal_id import PROPOSAL_ID
 from edge.config.settings import Settings
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
-from edge.core.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS, SIGNALS, Signal
 from edge.core.version import __version__
 from edge.mqtt.commands import PRESS
 from edge.mqtt.skill_sensors import skill_sensors
@@ -111,15 +111,9 @@ def _climate(settings: Settings, topics: Topics) -> Json:
 
 def _sensors(topics: Topics) -> dict[str, Json]:
     sensors = {
-        "temp_air": _sensor("Air temperature", _value("temp_air_c"), "°C", "temperature", 1),
-        "temp_ambient": _sensor("Room temperature", _value("temp_ambient_c"), "°C", "temperature", 1),
+        **{name: _signal(signal) for name, signal in SIGNALS.items()},
         "estimate": _sensor("Estimated air temperature", _value("estimate_c"), "°C", "temperature", 2),
         "reference": _sensor("Reference", _value("reference_c"), "°C", "temperature", 1),
-        "rel_humidity": _sensor("Relative humidity", _value("rel_humidity_pct"), "%", "humidity", 0),
-        "co2": _sensor("CO2", _value("co2_ppm"), "ppm", "carbon_dioxide", 0),
-        "light": _sensor("Light", _percent("light"), "%", None, 0),
-        "soil_moisture": _sensor("Soil moisture", _percent("soil_moisture"), "%", "moisture", 0),
-        "tank_level": _sensor("Tank level", _percent("tank_level"), "%", None, 0),
         "heater_duty": _sensor("Heater duty", _percent("heater_duty"), "%", None, 0),
         "led": _sensor("LED light", _percent("led"), "%", None, 0),
         "tick_late": _diagnostic("Start of tick late by", "late_s", "s", "duration", 3),
@@ -130,6 +124,13 @@ def _sensors(topics: Topics) -> dict[str, Json]:
         **{f"line_{key}": _counter(name, f"line_{key}") for key, name in LINE_COUNTERS.items()},
     }
     return {key: {**sensor, "state_topic": topics.state} for key, sensor in sensors.items()}
+
+
+def _signal(signal: Signal) -> Json:
+    name = signal.label.partition(" (")[0]
+    if signal.unit == "1":
+        return _sensor(name, _percent(signal.key), "%", signal.device_class, signal.digits)
+    return _sensor(name, _value(signal.key), signal.unit, signal.device_class, signal.digits)
 
 
 def _sensor(name: str, template: str, unit: str | None, device_class: str | None, digits: int) -> Json:

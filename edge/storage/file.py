@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 
+from edge.core.names import SIGNALS
 from edge.storage.schema_version import APPLICATION_ID, SCHEMA_VERSION, USABLE_VERSION
 
 WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
@@ -74,6 +75,12 @@ def connect(path: Path, busy_s: float) -> sqlite3.Connection:
             from edge.storage.schema import migrate
 
             migrate(connection, USABLE_VERSION if version else SCHEMA_VERSION)
+        # A signal that was added to the software later has its rows already, but no column to be read by.
+        columns = {row[1] for row in connection.execute("PRAGMA table_info(v_ticks)")}
+        if not {signal.key for signal in SIGNALS.values()} <= columns:
+            from edge.storage.schema import renew_tick_view
+
+            renew_tick_view(connection)
     except BaseException:
         connection.close()
         raise

@@ -95,8 +95,8 @@ def create_tables(db: Database) -> None:
     )
 
 
-def create_views(db: Database) -> None:
-    """Version 2: what may be read by those who may read only."""
+def create_tick_view(db: Database) -> None:
+    """Create the view of ticks, with a column for each signal."""
     readings = "".join(
         f"(SELECT value FROM readings r WHERE r.seq = t.seq AND r.signal = '{signal.key}'"
         f" AND r.quality = 'good') AS {signal.key}, "
@@ -114,6 +114,11 @@ def create_views(db: Database) -> None:
         " t.wanted_fan_on, t.sent_heater_duty, t.sent_fan_on,"
         f" {driven}, t.link_up, t.ticks_skipped FROM ticks t",
     )
+
+
+def create_views(db: Database) -> None:
+    """Version 2: what may be read by those who may read only."""
+    create_tick_view(db)
     db.create_view(
         "v_changes",
         "SELECT c.seq, t.utc, c.rule, c.actuator, c.wanted, c.sent, c.reason"
@@ -189,6 +194,18 @@ def migrate(connection: sqlite3.Connection, target: int) -> None:
             step(Database(connection))
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {max(version, target)}")
+        connection.execute("COMMIT")
+    finally:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+
+
+def renew_tick_view(connection: sqlite3.Connection) -> None:
+    """Replace the view of ticks by one that has every signal of this software. Errors: sqlite3.Error"""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        connection.execute("DROP VIEW v_ticks")
+        create_tick_view(Database(connection))
         connection.execute("COMMIT")
     finally:
         if connection.in_transaction:

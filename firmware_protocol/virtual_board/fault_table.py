@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-SIGNALS = (
-    "temp_air_c", "rel_humidity_pct", "co2_ppm", "light", "soil_moisture", "tank_level", "temp_ambient_c",
-)  # fmt: skip
+from firmware_protocol.messages import LAYOUTS, SensorReport
+
+SIGNALS = tuple(field.name for field in LAYOUTS[SensorReport].fields[1::2])  # value and quality in turn
 CAUSES = ("external", "watchdog", "software", "power_on")
 FOREVER = float("inf")
 

@@ -12,6 +12,7 @@ from edge.assistant.llm.coverage import UNITS, coverage
 from edge.assistant.llm.ledger import ToolError
 from edge.assistant.llm.sql_guard import open_guarded, refusal
 from edge.assistant.llm.wire import ToolSpec
+from edge.core.names import SIGNALS
 from edge.formats.reader import DocumentError, read
 
 NAME = "sql"
@@ -21,8 +22,9 @@ ANSWER_MAX = 24_000  # characters of all rows
 _DESCRIPTION = (
     "Reads the rig's history: one SQLite SELECT (no WITH, no PRAGMA), at most "
     f"{ROWS_MAX} rows. Views: "
-    "v_ticks(seq, utc, time, step_s, mode, controller, temp_air_c, temp_ambient_c, rel_humidity_pct, "
-    "co2_ppm, light, soil_moisture, tank_level, estimate_temp_air_c, reference_c, wanted_heater_duty, "
+    "v_ticks(seq, utc, time, step_s, mode, controller, "
+    f"{', '.join(signal.key for signal in SIGNALS.values())}, "
+    "estimate_temp_air_c, reference_c, wanted_heater_duty, "
     "wanted_fan_on, sent_heater_duty, sent_fan_on, heater_duty, fan_on, led, link_up, ticks_skipped): a row "
     "per control step; heater_duty and fan_on are what the board confirmed from utc on for step_s. "
     "v_changes(seq, utc, rule, actuator, wanted, sent, reason): what safety changed. "
