@@ -57,12 +57,21 @@ _HELLO = Hello(
     0x12345678, PROTOCOL_VERSION, PROTOCOL_VERSION, 1, 0, 0, 0x0123456789ABCDEF, ResetCause.POWER_ON, 7,
     Capability(0xFF), 10.0, 45.0, 10.0, 20.0, 1.0, False,
 )  # fmt: skip
-_G, _A = Quality.GOOD, Quality.ABSENT
-_REPORT = SensorReport(
-    60000, 21.3, _G, 55.5, _G, 612, _G, 0.25, _G, 0.4321, _G, 1.0, _G, 20.9, _G,
-)  # fmt: skip
-_BLIND = SensorReport(0, None, Quality.FAULT, None, _A, None, _A, None, _A, None, _A, None, _A, None, _A)
-_COLD = SensorReport(2**32 - 1, -50.0, Quality.RANGE, 0, _G, 0, _G, 0, _G, 0, _G, 0, _G, -0.01, _G)
+
+
+def _report(board_ms: int, *values: float | None, air: Quality = Quality.GOOD) -> SensorReport:
+    """Return a report of these values in their order; a signal without one is absent."""
+    count = len(LAYOUTS[SensorReport].fields) // 2
+    told: list[Any] = []
+    for value in (*values, *[None] * (count - len(values))):
+        told += [value, Quality.ABSENT if value is None else Quality.GOOD]
+    told[1] = air
+    return SensorReport(board_ms, *told)
+
+
+_REPORT = _report(60000, 21.3, 55.5, 612, 0.25, 0.4321, 1.0, 20.9)
+_BLIND = _report(0, air=Quality.FAULT)
+_COLD = _report(2**32 - 1, -50.0, 0, 0, 0, 0, 0, -0.01, air=Quality.RANGE)
 _COMMAND = CommandMessage(10, True, 50, 2.5, False, 10.0)
 _ECHO = StateEcho(61000, 10, HeaterOffCause.NONE, True, 50, True, False, False, TripCause.NONE, 10.0, None)
 _TRIPPED = StateEcho(
