@@ -59,7 +59,7 @@ _HELLO = Hello(
 )  # fmt: skip
 
 
-def _report(board_ms: int, *values: float | None, air: Quality = Quality.GOOD) -> SensorReport:
+def report(board_ms: int, *values: float | None, air: Quality = Quality.GOOD) -> SensorReport:
     """Return a report of these values in their order; a signal without one is absent."""
     count = len(LAYOUTS[SensorReport].fields) // 2
     told: list[Any] = []
@@ -69,9 +69,9 @@ def _report(board_ms: int, *values: float | None, air: Quality = Quality.GOOD) -
     return SensorReport(board_ms, *told)
 
 
-_REPORT = _report(60000, 21.3, 55.5, 612, 0.25, 0.4321, 1.0, 20.9)
-_BLIND = _report(0, air=Quality.FAULT)
-_COLD = _report(2**32 - 1, -50.0, 0, 0, 0, 0, 0, -0.01, air=Quality.RANGE)
+_REPORT = report(60000, 21.3, 55.5, 612, 0.25, 0.4321, 1.0, 20.9)
+_BLIND = report(0, air=Quality.FAULT)
+_COLD = report(2**32 - 1, -50.0, 0, 0, 0, 0, 0, -0.01, air=Quality.RANGE)
 _COMMAND = CommandMessage(10, True, 50, 2.5, False, 10.0)
 _ECHO = StateEcho(61000, 10, HeaterOffCause.NONE, True, 50, True, False, False, TripCause.NONE, 10.0, None)
 _TRIPPED = StateEcho(
@@ -135,7 +135,8 @@ _REFUSED: tuple[tuple[str, bytes, ErrorCode, int], ...] = (
     ("command, two fields out of range", _command_with(0, 21)[:-2] + b"\xff\xff", ErrorCode.RANGE, 0),
     ("sensor_report at -50.01 degC", pack(_REPORT, 9)[:8] + b"\x77\xec" + pack(_REPORT, 9)[10:],
      ErrorCode.RANGE, 1),
-    ("sensor_report with quality 5", pack(_REPORT, 9)[:-1] + b"\5", ErrorCode.RANGE, 14),
+    ("sensor_report with quality 5", pack(_REPORT, 9)[:-1] + b"\5", ErrorCode.RANGE,
+     len(LAYOUTS[SensorReport].fields) - 1),
     ("state_echo with trip cause 5", pack(_ECHO, 9)[:15] + b"\5" + pack(_ECHO, 9)[16:], ErrorCode.RANGE, 8),
 )  # fmt: skip
 

@@ -150,7 +150,7 @@ def test_a_number_that_the_wire_cannot_carry_is_none(new_board, signal, last_goo
 def test_what_was_never_sampled_is_absent(new_board):
     report = report_of(BoardBench(new_board))
     told = [getattr(report, name) for name in SensorReport.__dataclass_fields__ if name != "board_ms"]
-    assert told == [None, Quality.ABSENT] * 7
+    assert told == [None, Quality.ABSENT] * (len(told) // 2)
 
 
 def test_an_old_sample_is_stale_and_keeps_its_number(new_board):

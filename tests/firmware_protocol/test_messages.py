@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.errors import DecodeError, LocalProtocolError
+from firmware_protocol.make_vectors import report
 from firmware_protocol.messages import (
     HEADER_LENGTH,
     LAYOUTS,
@@ -25,10 +26,7 @@ from firmware_protocol.messages import (
 
 NAN, INF = math.nan, math.inf
 COMMAND = CommandMessage(10, True, 50, 2.5, False, 10.0)
-REPORT = SensorReport(
-    1000, 21.3, Quality.GOOD, 50.0, Quality.GOOD, 600, Quality.GOOD, 0.5, Quality.GOOD, 0.4, Quality.GOOD,
-    0.9, Quality.GOOD, 20.0, Quality.GOOD,
-)  # fmt: skip
+REPORT = report(1000, 21.3, 50.0, 600, 0.5, 0.4, 0.9, 20.0)
 
 
 @st.composite

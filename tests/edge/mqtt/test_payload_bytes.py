@@ -62,4 +62,5 @@ def test_the_payloads_are_the_same_to_the_byte() -> None:
     lines = [json.dumps(each, separators=(",", ":"), allow_nan=False) for each in lived(rig)]
     rig.close()
     text = re.sub(r'"decide_ms":[0-9.]+', '"decide_ms":0', "\n".join(lines))  # how fast this machine is
-    assert hashlib.sha256(text.encode()).hexdigest() == SHA256
+    found = hashlib.sha256(text.encode()).hexdigest()
+    assert found == SHA256, f"payloads have changed; where that is meant, SHA256 is {found}"
