@@ -1,11 +1,14 @@
 """Configuration of a board: limits, optional parts, names. The defaults are those of PROTOCOL.md."""
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 
 from firmware_protocol.messages import PROTOCOL_VERSION, Capability, Hello, ResetCause, pack
 
 # The rig has no second cut-off and no tacho.
-RIG_PARTS = Capability(0x03FF) & ~(Capability.HEATER_CUTOFF | Capability.FAN_TACHO)
+_NOT_IN_THE_RIG = (Capability.HEATER_CUTOFF, Capability.FAN_TACHO)
+RIG_PARTS = reduce(or_, (part for part in Capability if part not in _NOT_IN_THE_RIG))
 PWM_SLOTS = 20
 
 
