@@ -17,7 +17,7 @@ run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
 
 test: $(VENV)/dev.installed tools
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 quick: $(VENV)/dev.installed
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests/edge tests/firmware_protocol tests/test_*.py $(ARGS)
@@ -47,8 +47,12 @@ $(VENV)/edge.installed: pyproject.toml | $(BIN)/pip
 	$(BIN)/pip install --quiet --editable .
 	touch $@
 
-$(VENV)/%.installed: pyproject.toml | $(BIN)/pip
-	$(BIN)/pip install --quiet --editable '.[$*]'
+$(VENV)/docs.installed: pyproject.toml | $(BIN)/pip
+	$(BIN)/pip install --quiet --editable '.[docs]'
+	touch $@
+
+$(VENV)/%.installed: pyproject.toml training/pyproject.toml | $(BIN)/pip
+	$(BIN)/pip install --quiet --editable '.[$*]' --editable './training[cluster]'
 	touch $@
 
 tools:

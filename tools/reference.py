@@ -48,7 +48,7 @@ def commands() -> str:
             lines += [f"## {heading}", ""]
             for name in names:
                 lines += _helps(f"greenhouse {name}", _subparsers(greenhouse.parser_for(name))[name])
-        lines += ["## greenhouse-train", "", "Off the rig: needs `pip install '.[training]'`.", ""]
+        lines += ["## greenhouse-train", "", "Off the rig: needs `pip install . ./training`.", ""]
         for name, parser in _subparsers(greenhouse_train._parser()).items():
             lines += _helps(f"greenhouse-train {name}", parser)
     return "\n".join(lines)

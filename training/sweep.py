@@ -104,7 +104,7 @@ def _on_cluster(
     try:
         from distributed import Client, as_completed
     except ImportError as error:
-        raise GreenhouseError("--dask: not installed: pip install 'greenhouse-twin[cluster]'") from error
+        raise GreenhouseError("--dask: not installed: pip install './training[cluster]'") from error
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError as error:

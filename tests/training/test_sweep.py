@@ -65,7 +65,8 @@ def test_a_signal_in_the_middle_of_a_start_leaves_no_process_behind(number, tmp_
     assert signal.getsignal(number) is handler
 
 
-def test_no_scheduler_at_the_address_is_said_in_a_line():
+def test_no_scheduler_at_the_address_is_said_in_a_line(monkeypatch):
+    monkeypatch.setattr(executor, "CONNECT_S", 0.2)
     with pytest.raises(executor.GreenhouseError, match="no scheduler answers"):
         sweep(told, [1], dask="tcp://127.0.0.1:9")
 
