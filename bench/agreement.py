@@ -113,7 +113,7 @@ def _halves(twin: Twin, train: Sequence[Run]) -> str:
             found = diagnose(twin, parts).document
         except DataError:
             return ""  # too short to be halved
-        sure.append({item["name"] for item in found["effects"] if item["probability"] >= SURE})
+        sure.append({item["name"] for item in found["effects"] if (item["probability"] or 0.0) >= SURE})
     text = " and ".join(" + ".join(sorted(names)) or "no name" for names in sure)
     if all(sure) and not any(is_alike(one, other) for one in sure[0] for other in sure[1]):
         return "contradict each other"

@@ -79,10 +79,10 @@ def closed_loop_cost(policy: Policy, weight: float, references: int, seed: int) 
     for reference in np.repeat(rng.uniform(*REFERENCES_C, size=references), STEPS_PER_REFERENCE):
         command = policy(episode, float(reference))
         duty, fan = command.heater_duty, float(command.fan_on)
-        episode.state = box.step(episode.state, np.float64(duty), np.float64(fan), ROOM_C, STEP_S)
+        episode.state = box.step(episode.state, np.asarray(duty), np.asarray(fan), ROOM_C, STEP_S)
         episode.temps.append(float(episode.state[0]))
         episode.inputs.append((duty, fan))
-        cost += float(stage_cost(episode.state[0], reference, weight, duty, fan))
+        cost += float(stage_cost(episode.state[0], reference, weight, np.asarray(duty), np.asarray(fan)))
     return cost
 
 

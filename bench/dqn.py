@@ -17,6 +17,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import version
 
+from edge.models.policy_actions import ACTIONS
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: CPU time is of one thread
 
 import numpy as np
@@ -66,8 +68,10 @@ class Rk45Twin(TwinModel):
         """As `TwinModel.step`."""
         after = np.empty_like(state)
         for box, start in enumerate(state):
-            inputs = (column[box : box + 1] for column in (duty, fan, ambient))
-            after[box] = rk45_rollout(self._twin, start, *inputs, source=float(source[box]))[0]
+            here = slice(box, box + 1)
+            after[box] = rk45_rollout(
+                self._twin, start, duty[here], fan[here], ambient[here], source=float(source[box])
+            )[0]
         return after
 
 
@@ -89,7 +93,7 @@ def steps_per_cpu_s(model: StepModel, settings: DqnSettings) -> float:
     env.reset()
     began = time.process_time()
     while time.process_time() - began < ENV_S:
-        env.step(rng.integers(env.action_space.n, size=settings.boxes))
+        env.step(rng.integers(ACTIONS, size=settings.boxes))
         done += settings.boxes
     return done / (time.process_time() - began)
 

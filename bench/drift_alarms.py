@@ -119,7 +119,7 @@ def _situations(count: int, seed: int) -> Iterator[StepSituation]:
 def _drawn(random: np.random.Generator, degrees: float, paths: int) -> Floats:
     if np.isinf(degrees):
         return random.standard_normal(paths)
-    return random.standard_t(degrees, paths) * np.sqrt((degrees - 2.0) / degrees)
+    return np.asarray(random.standard_t(degrees, paths) * np.sqrt((degrees - 2.0) / degrees))
 
 
 def false_alarms(paths: int, days: float, promise: Promise) -> None:

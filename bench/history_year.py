@@ -175,7 +175,7 @@ class _Undone(sqlite3.Connection):
     def __init__(self, path: Path) -> None:
         super().__init__(path, isolation_level=None)
 
-    def execute(self, statement: str, *values: object) -> sqlite3.Cursor:  # type: ignore[override]
+    def execute(self, statement: str, *values: object) -> sqlite3.Cursor:
         return super().execute("ROLLBACK" if statement == "COMMIT" else statement, *values)  # type: ignore[arg-type]
 
 

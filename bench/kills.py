@@ -22,6 +22,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import yaml
 
@@ -32,8 +33,8 @@ from edge.board.virtual_rig import die_with_parent
 from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.core.hard_limits import LEASE_S
+from edge.formats.state_document import write_document
 from edge.sockets.control_socket import request
-from edge.state import writer
 from training.lab import Lab
 
 RIG = "greenhouse/rig-1"
@@ -128,14 +129,13 @@ def nursery(config_file: Path, control: Path) -> None:
 def _live(config_file: Path, control: Path, fsync_real_s: float) -> None:
     """One daemon, from start to its death."""
     if fsync_real_s > 0.0:
-        write = writer.write_document
 
         def slowly(path: Path, values: dict[str, Any]) -> None:
             time.sleep(fsync_real_s)
-            write(path, values)
+            write_document(path, values)
             time.sleep(fsync_real_s)
 
-        writer.write_document = slowly
+        patch("edge.state.writer.write_document", slowly).start()
     with Lab(
         config.load(config_file),
         board=control,
@@ -189,14 +189,15 @@ class KilledRig:
             return request(self.socket, order)
         what = str(order["do"])
         payload = str(order["minutes"]) if what == "maintenance" else "PRESS"
-        heard = len(self.listener.objects(f"{RIG}/reply"))
+        listener = self.listener
+        heard = len(listener.objects(f"{RIG}/reply"))
 
         def replies() -> list[dict[str, Any]]:
-            return [r for r in self.listener.objects(f"{RIG}/reply")[heard:] if r["command"] == what]
+            return [r for r in listener.objects(f"{RIG}/reply")[heard:] if r["command"] == what]
 
         online = [b"online"]
-        wait_for(lambda: self.listener.payloads(f"{RIG}/availability")[-1:] == online, "online", 60.0)
-        self.listener.send(f"{RIG}/set/{what}", payload)
+        wait_for(lambda: listener.payloads(f"{RIG}/availability")[-1:] == online, "online", 60.0)
+        listener.send(f"{RIG}/set/{what}", payload)
         wait_for(replies, f"a reply to {what}", 60.0)
         return replies()[0]
 

@@ -10,7 +10,6 @@ import os
 import site
 import socket
 import subprocess
-import sys
 import time
 import urllib.request
 import venv
@@ -60,7 +59,15 @@ def real_server(python: Path) -> Iterator[tuple[str, str]]:
     """Yield the base URL and the model's name, while the server runs."""
     model, port = PLACE / "model", _free_port()
     subprocess.run([python, Path(__file__).with_name("llm_random_model.py"), model], check=True)
-    command = [python.with_name("transformers"), "serve", model, "--device", "cpu", "--port", str(port)]
+    command = [
+        str(python.with_name("transformers")),
+        "serve",
+        str(model),
+        "--device",
+        "cpu",
+        "--port",
+        str(port),
+    ]
     with (PLACE / "server.log").open("w") as log:
         offline = {**os.environ, "HF_HUB_OFFLINE": "1"}
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=offline)
@@ -138,4 +145,4 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

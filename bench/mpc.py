@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 
+from edge.models.arx import Arx
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: CPU time is of one thread
 
 import numpy as np
@@ -128,7 +130,7 @@ def print_table(title: str, problems: list[PlanningProblem], methods: dict[str, 
         print(line, flush=True)
 
 
-def print_closed_loop(model: closed_loop.Arx, excess: closed_loop.Arx, references: int, seed: int) -> None:
+def print_closed_loop(model: Arx, excess: Arx, references: int, seed: int) -> None:
     """Cost on the plant itself, relative to the clairvoyant planner's."""
     print(
         f"\nclosed loop on the two-node box, N = 10, {references} reference steps of 20 min, no sensor noise;"

@@ -59,7 +59,7 @@ def mutants_of(path: Path, root: Path) -> Iterator[FileMutant]:
     left_alone = set(_left_alone(tree))
     defaults = {id(item) for item in _defaults(tree)}
     for node in ast.walk(tree):
-        if id(node) in left_alone:
+        if id(node) in left_alone or not isinstance(node, ast.expr | ast.stmt):
             continue
         for kind, changed in changes(node):
             is_default = kind == "constant" and id(node) in defaults
@@ -82,11 +82,15 @@ def _defaults(tree: ast.AST) -> Iterator[ast.AST]:
             yield from (item for item in (*node.defaults, *node.kw_defaults) if item is not None)
 
 
-def _replaced(source: str, node: ast.AST, changed: ast.AST) -> str:
+def _bytes_before(lines: Sequence[bytes], number: int) -> int:
+    return sum(len(line) for line in lines[: number - 1])
+
+
+def _replaced(source: str, node: ast.expr | ast.stmt, changed: ast.AST) -> str:
     """Return the source with one node replaced. Columns of the tree count bytes."""
     lines = source.encode().splitlines(keepends=True)
-    begin = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
-    end = sum(map(len, lines[: node.end_lineno - 1])) + node.end_col_offset
+    begin = _bytes_before(lines, node.lineno) + node.col_offset
+    end = _bytes_before(lines, node.end_lineno or 0) + (node.end_col_offset or 0)
     by = ast.unparse(changed)
     if isinstance(changed, ast.expr) and not isinstance(changed, ast.Constant | ast.Name | ast.Call):
         by = f"({by})"

@@ -38,7 +38,9 @@ def random_problems(count: int, horizon: int, weight: float, seed: int) -> Itera
 def _problem(rng: np.random.Generator, horizon: int, weight: float) -> PlanningProblem:
     """Draw a heater that warms the air, each of first order; the fan cools the air linearly."""
     air_min, heater_min = (np.exp(rng.uniform(*np.log(RANGES[name]))) for name in list(RANGES)[:2])
-    heater_late, fan_late = (int(rng.integers(low, high + 1)) for low, high in list(RANGES.values())[2:4])
+    heater_late, fan_late = (
+        int(rng.integers(int(low), int(high) + 1)) for low, high in list(RANGES.values())[2:4]
+    )
     rise, fall, room, above, goal, stored = (rng.uniform(*RANGES[name]) for name in list(RANGES)[4:])
     minutes = STEP_MIN * np.arange(horizon + 1)
     by_air, by_heater = np.exp(-minutes / air_min), np.exp(-minutes / heater_min)

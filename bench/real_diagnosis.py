@@ -91,7 +91,8 @@ def _step(names: tuple[str, ...], side: Side) -> Step:
 
 def _rmse(free: Sequence[RunForecast]) -> float:
     found = errors(free)
-    return float("nan") if found is None else float(found["rmse_k"])
+    rmse_k = None if found is None else found["rmse_k"]
+    return float("nan") if rmse_k is None else rmse_k
 
 
 def _plate(found: Diagnosis, logs: Logs, log_set: LogSet) -> Plate | None:

@@ -74,10 +74,13 @@ def ways(network: Network, run: RecordedRun, folder: Path) -> dict[str, Way]:
     facts = ExportFacts("bench", 0, "", box_of([run.columns], keys("ham")), {}, _twin_sha256(network))
     graph = export(network, facts, run, folder / "model.onnx")
     eager = {LstmNet: LstmPredictor, HamNet: HamPredictor, GuardedHamNet: GuardedHamPredictor}[type(network)]
-    stepped = _lstm_steps if isinstance(network, LstmNet) else _ham_steps
+    if isinstance(network, LstmNet):
+        stepped = _lstm_steps(network, history, ahead)
+    else:
+        stepped = _ham_steps(network, history, ahead)
     return {
         "one graph": _call(graph, history, ahead),
-        "steps": stepped(network, history, ahead),
+        "steps": stepped,
         "torch": _call(eager(network), history, ahead),
     }
 

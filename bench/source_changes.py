@@ -64,11 +64,11 @@ def _other_values(node: ast.Constant | ast.Return) -> Iterator[ast.AST]:
     match node:
         case ast.Constant(value=bool()):
             yield _with(node, value=not node.value)
-        case ast.Constant(value=float()) if node.value:
-            yield _with(node, value=node.value * 2.0)
-            yield _with(node, value=node.value / 2.0)
-        case ast.Constant(value=int() | float()):
-            yield _with(node, value=node.value + 1)
+        case ast.Constant(value=float(value)) if value:
+            yield _with(node, value=value * 2.0)
+            yield _with(node, value=value / 2.0)
+        case ast.Constant(value=int(value) | float(value)):
+            yield _with(node, value=value + 1)
         case ast.Return(value=ast.Constant(value="")):
             yield _with(node, value=ast.Constant("changed"))
         case ast.Return(value=ast.Constant(value=str()) | ast.JoinedStr()):

@@ -9,6 +9,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
@@ -66,7 +67,7 @@ def measure(effects: Effects, repeats: int) -> TwinRow:
     for batch in BATCHES:
         duty = random.integers(0, 21, (batch, HORIZON)) / 20.0
         fan = (random.uniform(size=(batch, HORIZON)) < 0.3).astype(np.float64)
-        seconds = least_s(lambda d=duty, f=fan: twin.rollout(start, d, f, AMBIENT_C), repeats)
+        seconds = least_s(partial(twin.rollout, start, duty, fan, AMBIENT_C), repeats)
         exact_us.append(1e6 * seconds / (batch * HORIZON))
     # The bare box keeps all its heat: with the fan off it has to be heated little to stay a greenhouse.
     fan = (random.uniform(size=RK45_STEPS) < 0.3).astype(np.float64)

@@ -53,7 +53,7 @@ class EvilServer(StandIn):
                 body, 0
             )
         answer = {"heater_duty": 0.5, "fan_on": False, "rationale": f"Because. {KEY}"}
-        message = {
+        message: dict[str, Any] = {
             "role": "assistant",
             "content": nasty.document(rng, answer).decode(errors="surrogateescape"),
         }

@@ -39,7 +39,7 @@ ACTIVE = "1.0"
 LIMITS = ProofLimits(cpu_s=4, wall_s=20.0)
 HANG_S = 30  # per bundle; the prover's limit is the longest that may be waited for
 Files = dict[str, bytes]
-JSON_VALUES = (
+JSON_VALUES: tuple[object, ...] = (
     None,
     True,
     -1,

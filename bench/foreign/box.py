@@ -7,6 +7,7 @@ flow carries the density of the air that leaves. Several boxes may be stepped at
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ class ForeignBox:
 
     def less(self, hidden: dict[str, float]) -> "ForeignBox":
         """Without what some numbers of it do."""
-        usual = {item.name: item.default for item in fields(self)}
+        usual: dict[str, Any] = {item.name: item.default for item in fields(self)}
         return replace(self, **{name: usual[name] for name in hidden})
 
     def quickest_s(self) -> float:

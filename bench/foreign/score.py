@@ -13,12 +13,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bench.foreign.cases import ALIASES, PLACES
 from bench.foreign.make import add_place, name_of, tasks_of
 from bench.foreign.run import answer_of
 from bench.hidden_effects.wilson import Share, share
+from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.wording import beaten
 
 SURE = 0.95
@@ -104,7 +105,7 @@ def score(
         after / simple,
         (tests.get("before", math.nan) - after) / gap if gap > 0.0 else math.nan,
         found["twin_after"] is not None,
-        bool(beaten(found)),
+        bool(beaten(cast(DiagnosisDocument, found))),
         **seconds,
         extra={"test_k": tests, "against": found["against_adopting"], "doubtful": found["doubtful"]},
     )

@@ -1,5 +1,6 @@
 """Weather around a box and the owner's control: rough, and unknown to the workflow."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ DRIVES = ("steps", "thermostat", "timer", "climb")
 
 def draw_weather(rng: Generator, rows: int, step_s: float, power_w: float, usual_c: float) -> BoxWeather:
     """Draw a room with a day, airing and a radiator; a heat that walks; a mains that steps."""
-    time_s = step_s * np.arange(rows) + rng.uniform(0.0, DAY_S)
+    time_s = step_s * np.arange(rows, dtype=np.float64) + rng.uniform(0.0, DAY_S)
     room = usual_c + rng.uniform(-1.5, 1.5) + rng.uniform(0.2, 2.5) * np.sin(2.0 * np.pi * time_s / DAY_S)
     room = room + _sawtooth(time_s, rng.uniform(0.1, 0.8), rng.uniform(900.0, 5400.0))
     for at in np.flatnonzero(rng.random(rows) < step_s / (8.0 * HOUR_S)):
@@ -75,7 +76,9 @@ def draw_control(rng: Generator, kind: str, rows: int, step_s: float, tau_s: flo
     return lambda row, _: (float(duty[row]), float(fan[row]))
 
 
-def _spells(rng: Generator, rows: int, step_s: float, lasts_s: tuple[float, float], value) -> Floats:  # type: ignore[no-untyped-def]
+def _spells(
+    rng: Generator, rows: int, step_s: float, lasts_s: tuple[float, float], value: Callable[[], float]
+) -> Floats:
     found = np.empty(rows)
     at = 0
     while at < rows:
@@ -89,7 +92,7 @@ def sun_w(rng: Generator, rows: int, step_s: float, peak_w: float, tau_s: float)
     """Through a window, between clouds; a day lasts some time constants, so that a log shows several."""
     day = 2.0 * np.sin(2.0 * np.pi * np.arange(rows) * step_s / (12.0 * tau_s) + rng.uniform(0.0, 6.0))
     clouds = _spells(rng, rows, step_s, (0.2 * tau_s, 2.0 * tau_s), lambda: rng.choice([0.15, 0.6, 1.0]))
-    return peak_w * np.clip(day, 0.0, 1.0) * clouds
+    return np.asarray(peak_w * np.clip(day, 0.0, 1.0) * clouds)
 
 
 def visits_w(rng: Generator, rows: int, step_s: float, each_w: float, tau_s: float) -> Floats:

@@ -66,7 +66,7 @@ def run_of(columns: dict[str, Floats], role: str, day: float, hour: float) -> Re
     rows = len(columns["temp_air_c"])
     start = FIRST_DAY + timedelta(days=float(day), seconds=round(3600.0 * float(hour)))
     facts = {"start_utc": start.strftime("%Y-%m-%dT%H:%M:%SZ"), "role": role}
-    return RecordedRun({"time_s": STEP_S * np.arange(rows), **columns}, facts)
+    return RecordedRun({"time_s": STEP_S * np.arange(rows, dtype=np.float64), **columns}, facts)
 
 
 def as_given(run: RecordedRun) -> RecordedRun:

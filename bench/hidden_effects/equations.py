@@ -159,7 +159,8 @@ class _March:
 
     def _heat_by_air(self, acting: _StepInputs, air: Floats) -> Floats | float:
         """Heat into the air that its temperature has a part in [W]."""
-        k, p, heat_w = acting.k, self.p, 0.0
+        k, p = acting.k, self.p
+        heat_w: Floats | float = 0.0
         if self.has["k_e"]:
             open_share = 0.4 + 0.6 * self.inputs.light[k]
             heat_w = -p["k_e"] * open_share * _deficit_kpa(air, self.inputs.rel_humidity[k])

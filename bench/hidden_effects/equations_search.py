@@ -35,7 +35,7 @@ def rms_k(difference: Floats, rows: Sequence[int]) -> Floats:
     """Over all recorded rows of all runs; difference : [..., N + 1, B]."""
     row = np.arange(difference.shape[-2])[:, None] - BEFORE_ROWS
     recorded = (row >= 0) & (row < np.asarray(rows))
-    return np.sqrt((difference**2 * recorded).sum(axis=(-2, -1)) / recorded.sum())
+    return np.asarray(np.sqrt((difference**2 * recorded).sum(axis=(-2, -1)) / recorded.sum()))
 
 
 def strength_for(

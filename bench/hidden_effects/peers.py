@@ -98,7 +98,8 @@ def coefficients(found: OneStepRegression, chosen: Sequence[int]) -> tuple[Float
     values = np.linalg.lstsq(design, found.miss, rcond=None)[0]
     left = found.miss - design @ values
     variance = float(left @ left) / max(1, len(left) - len(values))
-    return values, np.sqrt(variance * np.diag(np.linalg.pinv(design.T @ design)))
+    spread = np.sqrt(variance * np.diag(np.linalg.pinv(design.T @ design)))
+    return np.asarray(values, np.float64), spread
 
 
 def _named(index: int, value: float, sd: float, twin: BoxTwin) -> dict[str, Any]:

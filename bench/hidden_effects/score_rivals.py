@@ -134,7 +134,7 @@ class _Missed:
     def _left(self, residual: Floats) -> Floats:
         white = stacked(self._sieve.whiten(residual[:, None]), self._moved)[:, 0]
         missed = np.concatenate([white, self._sieve.prior])
-        return missed - self._basis @ (self._basis.T @ missed)
+        return np.asarray(missed - self._basis @ (self._basis.T @ missed))
 
 
 def _places(rival: Structure) -> list[Floats]:

@@ -142,4 +142,5 @@ def _figure(found: Any) -> str:
 
 
 def _value(found: Any) -> float | None:
-    return found["value"] if isinstance(found, Mapping) else found
+    value: float | None = found["value"] if isinstance(found, Mapping) else found
+    return value

@@ -108,7 +108,7 @@ class Listener:
         self.client.on_subscribe = lambda *_: self._subscribed.set()
         self.client.on_disconnect = lambda *_: self._subscribed.clear()
         self.client.on_message = lambda client, data, message: self.heard.append(message)
-        session = Properties(PacketTypes.CONNECT)
+        session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]  # paho has no type here
         session.SessionExpiryInterval = 600  # a broker that keeps sessions keeps ours while it restarts [s]
         self.client.connect_async("127.0.0.1", port, clean_start=False, properties=session)
 

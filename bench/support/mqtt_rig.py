@@ -21,7 +21,9 @@ def settings(port: int = 1883, **mqtt: Any) -> Settings:
     return replace(Settings(), mqtt=MqttSettings(**given))
 
 
-def record(seq: int = 1, temp_air: float | None = 24.5, events: tuple[Event, ...] = (), **changes: Any):
+def record(
+    seq: int = 1, temp_air: float | None = 24.5, events: tuple[Event, ...] = (), **changes: Any
+) -> TickRecord:
     """One tick with a board that drives what it was sent."""
     command = Command(heater_duty=0.35)
     tick = TickRecord(

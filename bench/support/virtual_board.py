@@ -32,7 +32,7 @@ class VirtualBoard:
             connection.settimeout(30)
             connection.connect(str(self.control))
             connection.sendall(json.dumps(request).encode() + b"\n")
-            return json.loads(connection.makefile().readline())
+            return dict(json.loads(connection.makefile().readline()))
 
     def truth(self) -> dict[str, Any]:
         return self.ask(truth=True)
@@ -65,8 +65,7 @@ def virtual_board(
         yield board
     finally:
         process.kill()
-        process.wait()
-        process.stderr.close()
+        process.communicate()
 
 
 def _wait_until_ready(board: VirtualBoard) -> None:

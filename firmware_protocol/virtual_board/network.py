@@ -17,8 +17,8 @@ of many boxes; so the board needs no NumPy.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, Number
 from firmware_protocol.virtual_board.effects import Effects
@@ -37,7 +37,7 @@ MASSLESS_PASSES = 6  # of Newton, for such an element
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 _SECOND_STAGE = (1.0 - GAMMA) / GAMMA
 
-Temperatures = Sequence[Number]  # h p s o w u b [degC]; replaced, never changed in place
+Temperatures = Any  # h p s o w u b [degC], a tuple or [7, B]; replaced, never changed in place
 
 
 @dataclass(slots=True)

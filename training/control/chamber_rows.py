@@ -165,7 +165,7 @@ class ChamberRows:
 
     def _room_vapour(self) -> float:
         room_c = self._weather.temp_c
-        return vapour_density(self._weather.vapour_share * saturation_pressure(room_c), room_c)
+        return float(vapour_density(self._weather.vapour_share * saturation_pressure(room_c), room_c))
 
 
 def _saturation(temp_c: Floats) -> Floats:

@@ -100,7 +100,7 @@ def overshoot_k(reference: Floats, air: Floats) -> float:
     """
     changes = np.flatnonzero(np.diff(reference) != 0.0) + 1
     found = []
-    for row in changes:
+    for row in map(int, changes):
         step = reference[row] - reference[row - 1]
         if abs(step) < STEP_K:
             continue

@@ -105,7 +105,7 @@ def course_of(job: ComparisonJob) -> ReferenceCourse | None:
     if target is None:
         return None
     step_s = ControlSettings().step_s
-    times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1)
+    times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1, dtype=np.float64)
     reference = reference_from_profile(job.profile).at(times, times)
     return ReferenceCourse(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
 
@@ -144,7 +144,8 @@ def keep(job: ComparisonJob, log: ClosedLoopLog, root: Path) -> None:
     folder = job.folder(root)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "run.json").unlink(missing_ok=True)
-    np.savez_compressed(folder / "columns.npz", **{key: np.asarray(v) for key, v in log.columns.items()})
+    columns: dict[str, Any] = {key: np.asarray(values) for key, values in log.columns.items()}
+    np.savez_compressed(folder / "columns.npz", **columns)
     facts: dict[str, Any] = {
         "sha256": job.sha256(),
         "entry": job.entry.name,

@@ -21,7 +21,7 @@ def runs_picture(title: str, runs: Mapping[str, Mapping[str, Floats]]) -> bytes:
     figure = Figure(figsize=(COLUMN_IN * len(runs), sum(ROWS_IN) + 1.2), layout="constrained")
     axes = figure.subplots(3, len(runs), sharex=True, sharey="row", squeeze=False, height_ratios=ROWS_IN)
     for place, (name, columns) in enumerate(runs.items()):
-        _draw_run(axes[:, place], name, columns)
+        _draw_run(list(axes[:, place]), name, columns)
     for axis, label in zip(axes[:, 0], ("air [°C]", "fan", "heater duty"), strict=True):
         axis.set_ylabel(label)
     handles, labels = axes[0, 0].get_legend_handles_labels()

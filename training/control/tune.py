@@ -98,7 +98,7 @@ def tuned(grid: Grid) -> list[tuple[float, Setting]]:
     total = np.zeros(len(settings))
     for name, seed in CASES:
         path = FOLDER / f"{name}.csv"
-        times = STEP_S * np.arange(int(read_profile(path).end_s / STEP_S))
+        times = STEP_S * np.arange(int(read_profile(path).end_s / STEP_S), dtype=np.float64)
         reference = reference_from_profile(path).at(times, times)
         total += costs([grid.make(*each) for each in settings], reference, seed)
     return [(float(total[place]), settings[place]) for place in np.argsort(total, kind="stable")]

@@ -139,7 +139,7 @@ def fit_box(runs: Sequence[RecordedRun], effects: Sequence[str]) -> FittedBox:
         name: {item.name: Value(item.start, fit=True) for item in EFFECTS[name].parameters}
         for name in effects
     }
-    geometry = TwinFile().geometry | {"heater_max_w": Value(HEATER_W), "volume_m3": Value(VOLUME_M3)}
+    geometry = {**TwinFile().geometry, "heater_max_w": Value(HEATER_W), "volume_m3": Value(VOLUME_M3)}
     without_room = [
         replace(run, columns={k: v for k, v in run.columns.items() if k != "temp_ambient_c"}) for run in runs
     ]

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from edge.core.errors import DataError
 from training.data.datasets import data_sha256, training_runs
-from training.evaluate.evaluation import first_difference
+from training.evaluate.difference import first_difference
 from training.evaluate.paper_case_chamber import Real, real_effects
 from training.evaluate.paper_case_models import Improved, diagnose, forecasts, improved
 from training.evaluate.paper_case_tables import text_of

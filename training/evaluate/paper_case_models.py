@@ -121,7 +121,7 @@ def _kept(twin: Improved, seeds: Sequence[int], out: Path) -> Iterator[Kept]:
 
 
 def _paths(runs: Sequence[RecordedRun]) -> list[str]:
-    return [_named(run.path) for run in runs]
+    return [_named(run.path) for run in runs if run.path is not None]
 
 
 def _named(path: Path) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from pympler import asizeof
@@ -23,7 +23,7 @@ from training.models.summary import best_seed
 from training.models.trained import Kept
 from training.models.weights import load_network
 
-REGIME = "interpolation"
+REGIME: Final = "interpolation"
 KIB = 1024
 
 

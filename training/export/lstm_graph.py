@@ -97,7 +97,7 @@ def _constants(graph: Graph, network: LstmNet) -> _Network:
     weight, bias = np.eye(3), np.zeros(3)  # from what the layer before gives to what this one reads
     layers = []
     for number in (1, 2, 3):
-        lstm, linear = network.get_submodule(f"lstm_{number}"), network.get_submodule(f"linear_{number}")
+        lstm, linear = (getattr(network, f"{kind}_{number}") for kind in ("lstm", "linear"))
         into, again = _numbers(lstm.weight_ih_l0), _numbers(lstm.weight_hh_l0)
         weights = np.concatenate([into @ weight, again], axis=1)
         biases = _numbers(lstm.bias_ih_l0) + _numbers(lstm.bias_hh_l0) + into @ bias

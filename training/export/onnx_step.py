@@ -30,8 +30,10 @@ class HamStep(nn.Module):
     def forward(self, state: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
         """Return the state one step later; ambient [°C], duty, fan : [B]."""
         if isinstance(self.network, GuardedHamNet):
-            return self.network(state, ambient, duty, fan)
-        return self.network(state[:, 0], ambient, duty, fan).unsqueeze(-1)
+            guarded: Tensor = self.network(state, ambient, duty, fan)
+            return guarded
+        after: Tensor = self.network(state[:, 0], ambient, duty, fan)
+        return after.unsqueeze(-1)
 
 
 class GuardedHamStart(nn.Module):
@@ -85,6 +87,7 @@ def _to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], batched: bool) -> 
             output_names=["next"],
             dynamic_shapes=tuple(size for _ in inputs),
         )
+    assert program is not None  # only the exporter without dynamo returns none
     return program.model_proto
 
 

@@ -168,7 +168,7 @@ def _best(asked: Asked, simulated: Sequence[Mapping[str, Any]], jitter: int) -> 
 def _mean_error(simulated: Mapping[str, Any]) -> float:
     result = simulated["result"]
     pairs = zip(result["temp_air_c"], result["target_c"], strict=True)
-    return sum(temp - target for temp, target in pairs) / len(result["temp_air_c"])
+    return float(sum(temp - target for temp, target in pairs) / len(result["temp_air_c"]))
 
 
 def _is_near(simulated: Sequence[Mapping[str, Any]]) -> bool:

@@ -107,7 +107,8 @@ class HamNet(nn.Module):
 
     def scaled_source(self, features: Tensor) -> Tensor:
         """Return the network's own output, of mean 0 and variance 1 in the training data, [B]."""
-        return self.mlp((features - self.mean) / self.scale).squeeze(-1)
+        scaled: Tensor = self.mlp((features - self.mean) / self.scale)
+        return scaled.squeeze(-1)
 
     def source_between(
         self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor, following: Tensor

@@ -96,7 +96,8 @@ class GuardedHamNet(nn.Module):
 
     def scaled_source(self, features: Tensor) -> Tensor:
         """Return the network's own output, of variance 1 in the training data, [B]."""
-        return self.mlp((features - self.mean) / self.scale).squeeze(-1)
+        scaled: Tensor = self.mlp((features - self.mean) / self.scale)
+        return scaled.squeeze(-1)
 
     def trust(self, here: Tensor) -> Tensor:
         """1 in the box of the training data, 0 beyond the margin around it; here : [B, 4], returns [B]."""

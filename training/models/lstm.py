@@ -84,7 +84,8 @@ class LstmNet(nn.Module):
         hidden, _ = self.lstm_1((window - self.mean) / self.scale)
         hidden, _ = self.lstm_2(self.dropout(self.linear_1(hidden)))
         hidden, _ = self.lstm_3(self.dropout(self.linear_2(hidden)))
-        return self.linear_3(hidden[:, -1]).squeeze(-1)
+        found: Tensor = self.linear_3(hidden[:, -1])
+        return found.squeeze(-1)
 
 
 def train(

@@ -74,4 +74,4 @@ def _forecast(predictor: Predictor, run: RecordedRun, now: int, last: int, first
     history = {name: values[first : now + 1] for name, values in columns.items()}
     ahead = {name: values[now:last] for name, values in columns.items()}
     controls = np.stack([ahead["heater_duty"], ahead["fan_on"]], axis=-1)
-    return predictor.rollout(history, controls[None], ahead)[0]
+    return np.asarray(predictor.rollout(history, controls[None], ahead)[0])

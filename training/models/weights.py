@@ -1,7 +1,7 @@
 """Trained networks as files: the weights, the scaler among them, and what the network is built from."""
 
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ FORMAT = 1
 # Kept before a twin in a graph could have a sensor with a bias: it had none.
 _SINCE = {"twin.room_shift": torch.zeros(())}
 
+TrainedNet = LstmNet | HamNet | GuardedHamNet
+
 
 def save_network(network: nn.Module, path: Path, facts: Mapping[str, Any]) -> None:
     """Write `network` with plain facts (JSON values) beside the weights. Errors: OSError."""
@@ -34,7 +36,7 @@ def save_network(network: nn.Module, path: Path, facts: Mapping[str, Any]) -> No
     )
 
 
-def load_network(path: Path) -> tuple[LstmNet | HamNet | GuardedHamNet, dict[str, Any]]:
+def load_network(path: Path) -> tuple[TrainedNet, dict[str, Any]]:
     """Load the network in evaluation mode, and its facts. Errors: DataError for an invalid file"""
     try:
         content = torch.load(path, weights_only=True)
@@ -45,7 +47,8 @@ def load_network(path: Path) -> tuple[LstmNet | HamNet | GuardedHamNet, dict[str
     network = _EMPTY[content["kind"]](content)
     earlier = _SINCE if isinstance(network, GuardedHamNet) else {}
     network.load_state_dict({**earlier, **content["weights"]})
-    return network.eval(), content["facts"]
+    network.eval()
+    return network, content["facts"]
 
 
 def _lstm(content: Mapping[str, Any]) -> LstmNet:
@@ -64,4 +67,8 @@ def _guarded(content: Mapping[str, Any]) -> GuardedHamNet:
     return GuardedHamNet(TwinStep(weights["twin.transition"].shape[1]), weights["mlp.0.bias"].shape[0])
 
 
-_EMPTY = {"LstmNet": _lstm, "HamNet": _ham, "GuardedHamNet": _guarded}
+_EMPTY: dict[str, Callable[[dict[str, Any]], TrainedNet]] = {
+    "LstmNet": _lstm,
+    "HamNet": _ham,
+    "GuardedHamNet": _guarded,
+}

@@ -4,11 +4,12 @@ import io
 import json
 import pickle
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
 
 from edge.core.errors import DataError
 from edge.formats.atomic_file import write_atomically
@@ -22,7 +23,7 @@ def save(agent: DQN, facts: dict[str, Any], path: Path) -> None:
 
     facts : JSON values, given back by `restore`
     """
-    buffer = agent.replay_buffer
+    buffer = _replay_buffer(agent)
     kept = {name: torch.from_numpy(getattr(buffer, name)[: buffer.size()].copy()) for name in _COLUMNS}
     content = {
         "format": FORMAT,
@@ -54,7 +55,7 @@ def restore(agent: DQN, path: Path) -> dict[str, Any]:
         agent.policy.optimizer.load_state_dict(content["optimizer"])
     except (OSError, RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError) as error:
         raise DataError(f"{path}: not a checkpoint of this agent: {error}") from error
-    buffer = agent.replay_buffer
+    buffer = _replay_buffer(agent)
     for name in _COLUMNS:
         rows = content["buffer"][name].numpy()
         getattr(buffer, name)[: len(rows)] = rows
@@ -66,11 +67,17 @@ def restore(agent: DQN, path: Path) -> dict[str, Any]:
     return facts
 
 
+def _replay_buffer(agent: DQN) -> ReplayBuffer:
+    assert agent.replay_buffer is not None  # a DQN makes it with itself
+    return agent.replay_buffer
+
+
 def _random_states(agent: DQN) -> dict[str, Any]:
     """Return the state of every random generator: numpy's (replay,
     exploration), torch's, the random actions'.
     """
-    kind, keys, place, has_gauss, gauss = np.random.get_state()
+    state = cast("tuple[Any, ...]", np.random.get_state(legacy=True))
+    kind, keys, place, has_gauss, gauss = state
     return {
         "numpy": json.dumps([kind, keys.tolist(), place, has_gauss, gauss]),
         "torch": torch.get_rng_state(),

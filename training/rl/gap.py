@@ -44,7 +44,7 @@ def _gap(policy: OnnxPolicy, model: StepModel, seed: int) -> PolicyGap:
     values = draw_reference(
         np.random.default_rng(seed), EpisodeSettings(steps=LEAD_STEPS + STEPS + 1), ROOM_C
     )
-    course = Reference(60.0 * np.arange(len(values)), values)
+    course = Reference(60.0 * np.arange(len(values), dtype=np.float64), values)
     ticks = run_on_rig(Rl(policy.name, policy), course, LEAD_STEPS + STEPS, seed)
     if not ticks.decided.all() or not np.isfinite(ticks.temp).all():
         raise DataError(f"board {seed}: a tick was not the policy's, or not measured")

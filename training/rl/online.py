@@ -152,6 +152,7 @@ class _Keeper(BaseCallback):
         now = time.perf_counter()
         self._course.wall_s += now - self._since
         self._since = now
+        assert isinstance(self.model, DQN)
         checkpoint.save(self.model, asdict(self._course), self._path)
 
     def _on_step(self) -> bool:

@@ -60,4 +60,5 @@ def run_on_rig(controller: Controller, reference: Reference, steps: int, seed: i
     columns = lab.columns()
     names = ("temp_air_c", "true_air_c", "temp_ambient_c", "reference_c", "heater_duty", "fan_on")
     decided = np.array(["instead_of" not in record.decision.why for record in lab.history])
-    return Ticks(*(columns[name] for name in names), decided)
+    temp, true, ambient, wanted, duty, fan = (columns[name] for name in names)
+    return Ticks(temp, true, ambient, wanted, duty, fan, decided)

@@ -43,6 +43,6 @@ def greedy(network: nn.Module) -> Act:
     @torch.no_grad()
     def act(observations: NDArray[np.float32]) -> NDArray[np.int64]:
         values = network(torch.from_numpy(observations))
-        return values.argmax(dim=1).numpy()
+        return np.asarray(values.argmax(dim=1).numpy())
 
     return act

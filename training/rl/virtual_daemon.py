@@ -35,7 +35,7 @@ def drawn_reference(seed: int, hours: float = HOURS) -> Reference:
     """Draw a random course, as in training; the last value holds on."""
     steps = round(60 * hours)
     values = draw_reference(np.random.default_rng(seed), EpisodeSettings(steps=steps), ROOM_C)
-    return Reference(60.0 * np.arange(steps), values)
+    return Reference(60.0 * np.arange(steps, dtype=np.float64), values)
 
 
 def serve(folder: Path, seed: int, speed: float | None) -> None:
