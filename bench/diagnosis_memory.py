@@ -48,6 +48,7 @@ def write_history(path: Path, run: RecordedRun) -> None:
     """Write the run as ticks of one session."""
     columns = {key: values.tolist() for key, values in run.columns.items()}
     seqs = range(1, len(run) + 1)
+    # Straight into the tables: through the daemon's own writer two weeks would take minutes.
     with closing(connect(path, 1.0)) as connection:
         connection.execute("BEGIN")
         connection.execute(

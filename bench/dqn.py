@@ -140,7 +140,8 @@ def main(words: Sequence[str] | None = None) -> None:
     print(
         f"# Of {STEPS} steps of training; the paper's way timed over {arguments.share:.0%} of them, scaled."
     )
-    train(world(read_model("ham")), 0, replace(OURS, steps=640, learning_starts=BARE))  # imports and caches
+    # Imports and caches are no part of the times.
+    train(world(read_model("ham")), 0, replace(OURS, steps=640, learning_starts=BARE))
     print(f"{'':14s}{'env steps/s of CPU':>20s}{'CPU s':>10s}{'wall s':>10s}", flush=True)
     paper_steps = round(arguments.share * STEPS)
     costs = {}

@@ -92,6 +92,7 @@ def simulate(
                 weights[now.cell] = noise.weights(sums, now.cell)
         past = noise.followed(past, z, STEP_S)
         seen = evidence.heard(seen, white, now.regimes, float(k), threshold)
+        # As after a reset on the rig: evidence is gone, what was learnt of the noise stays.
         for path in np.flatnonzero(seen.total >= threshold):
             count += 1
             if np.isnan(first[path]):

@@ -82,6 +82,7 @@ def ticks(
         columns(rows, k)
         shown = {name: column[max(0, k + 1 - ROWS) : k + 1] for name, column in rows.items()}
         yield monitor.tick(believed, shown, confirmed=True)
+        # A heat that wanders, since white noise is what the filter expects anyway.
         heat_w = left * heat_w + np.sqrt(1.0 - left**2) * chances.heat_w * random.standard_normal()
         source = (heat_w + here.heat_w) / here.twin.system.air_capacity_j_k
         state = here.twin.advance(state, ROOM_C, inputs[k].duty, inputs[k].fan, source)

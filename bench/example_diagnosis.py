@@ -116,6 +116,7 @@ def draw_overview(report: Path, picture: Path) -> None:
             ("twin_before.yaml", "before", "Before the diagnosis", "#c2500a"),
             ("twin.yaml", "after", f"After: {names} added", "#0f72b8"),
         )
+        # Through the command that a reader would type, so that the picture shows what they would get.
         for axis, (file, when, title, colour) in zip(axes, sides, strict=True):
             free = report / f"free_{when}.csv"
             _run(f"greenhouse twin simulate --twin {report / file} {TEST} --out {free}")

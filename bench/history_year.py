@@ -108,6 +108,7 @@ def queries(path: Path) -> Iterator[tuple[str, Query]]:
     """Every query of the product, by name. Those that change rows take their changes back."""
     with closing(sqlite3.connect(path)) as connection:
         last_seq, last_utc = connection.execute("SELECT max(seq), max(utc) FROM ticks").fetchone()
+    # Not the newest rows, which were written last and stand in the cache.
     middle = max(last_utc - 15 * DAY_S, FIRST_UTC + 7200.0)
     tool = SqlTool(path, lambda: last_utc + 30.0)
 

@@ -108,9 +108,10 @@ def figures() -> list[tuple[str, float, float]]:
     product = [path for path in sources if path.parts[0] in PRODUCT]
     graph = imports_between({path: trees[path] for path in product})
     files = {name: others - {name.rpartition(".")[0]} for name, others in graph.items()}
+    # A class inside a function is nobody else's.
     classes = Counter(
         node.name for tree in trees.values() for node in tree.body if isinstance(node, ast.ClassDef)
-    )  # a class inside a function is nobody else's
+    )
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     return [
         ("lines of Python", sum(len(source.splitlines()) for source in sources.values()), 78_000),

@@ -69,6 +69,7 @@ def run(
             folder=folder,
             recorded=True,
             with_truth=True,
+            # Called late: `lab` is bound before the first tick.
             on_tick=lambda record: during(record, lab),
         ) as lab:
             lab.run(minutes)

@@ -91,6 +91,7 @@ def main() -> None:
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "daqp", "pyscipopt"))
     print(f"python -m bench.mpc {' '.join(sys.argv[1:])}")
     print(f"seed {options.seed}; python {platform.python_version()}, {versions}; {platform.machine()}")
+    # All limits are of processor time, which a busy machine does not shorten.
     methods = {
         "ours, 20 ms box": ours(0.020),
         "ours, 250 ms box": ours(0.250),

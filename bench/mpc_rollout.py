@@ -165,6 +165,7 @@ def main(words: Sequence[str] | None = None) -> None:
     print(f"N = {control.horizon}, tail {control.tail}, {control.node_budget} nodes for the linear planner;")
     print("near: share of instances within 1 % of the best known; above: instances above the ARX-MPC's plan")
     for name, weight in (("MPC", 0.0), ("MPC-P", 1.0)):
+        # From the sixth tick on: before it the estimator has not settled.
         contexts = logged_contexts(name, arx, options.seed, options.hours)[5 :: options.every]
         settings = MpcSettings(
             weight, control.horizon, control.node_budget, _FOREVER_S, control.preview, control.tail

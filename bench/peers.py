@@ -44,7 +44,8 @@ def scip(problem: PlanningProblem, limit_s: float) -> Answer:
     n = problem.horizon
     model = Model()
     model.hideOutput()
-    model.setParam("timing/clocktype", 1)  # CPU time
+    # Processor time: a busy machine must not shorten a peer's search.
+    model.setParam("timing/clocktype", 1)
     model.setParam("limits/time", limit_s)
     model.setParam("limits/gap", 0.0)
     levels = [model.addVar(vtype="I", lb=0, ub=problem.heater_levels) for _ in range(n)]

@@ -49,6 +49,7 @@ def main() -> None:
     model = replace(fit.model, version="real logs")
     settings = settings_for(STEP_S, "MPC", REFERENCE_C)
     replays = [replay(run, settings, model, fan_always_on=True) for run in test]
+    # Twice, with the clock's limit in force: only then does it show that replays are exact.
     again = [replay(run, settings, model, fan_always_on=True) for run in test]
     same = [decisions_digest(a) == decisions_digest(b) for a, b in zip(replays, again, strict=True)]
     lines = [
@@ -75,6 +76,7 @@ def draw(records: Sequence[TickRecord], model: Arx, run: RecordedRun, path: Path
     minutes = run.columns["time_s"] / 60.0
     upper.plot(minutes, run.columns["temp_air_c"], color="black", linewidth=1.2, label="measured")
     series, reach = Series.of(records), round(300.0 / STEP_S)
+    # Every third minute: more lines would hide the measurement.
     for index, tick in enumerate(range(model.rows_needed - 1, len(records) - 1, 18)):
         forecast = np.append(series.estimates[tick], series.forecast(model, tick, reach))
         start = (records[tick].time_s + STEP_S * np.arange(len(forecast))) / 60.0

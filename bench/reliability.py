@@ -62,6 +62,7 @@ def _draw(told: Mapping[str, Statements], path: Path) -> None:
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=1.0, label="as said")
     for number, ((name, own), colour) in enumerate(zip(told.items(), COLOURS, strict=False)):
         for i, part in enumerate(bins(own).values()):
+            # A little beside each other, or the error bars of the sets would hide one another.
             found = share(right for _, right in part)
             said = sum(probability for probability, _ in part) / len(part) + 0.012 * (number - 1)
             low, high = found.interval

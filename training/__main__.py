@@ -59,8 +59,24 @@ def _parser() -> argparse.ArgumentParser:
             sub.add_argument(
                 "--twin", type=Path, help="instead: this twin file by itself, or the guarded hybrid over it"
             )
+        # One after the other unless asked for: a training measures its own time and memory.
         add_arguments(sub, workers=0)
         sub.set_defaults(run=_train, twin=None)
+    _add_bundle(commands)
+    _add_evaluate(commands.add_parser("evaluate", help=_evaluate.__doc__, description=_evaluate.__doc__))
+    _add_compare(commands.add_parser("compare", help=_compare.__doc__, description=_compare.__doc__))
+    _add_paper_case(
+        commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
+    )
+    rl.add_commands(commands)
+    box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
+    box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
+    box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")
+    box.set_defaults(run=_heated_box)
+    return parser
+
+
+def _add_bundle(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     key = commands.add_parser("key", help="a new key pair that signs bundles", description=_key.__doc__)
     key.add_argument("file", type=Path, help="private key to make; the public one ends in .pub")
     key.set_defaults(run=_key)
@@ -85,17 +101,6 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--file", type=Path, help="archive to write, for `greenhouse bundle install`")
     where.add_argument("--default", action="store_true", help="the bundle that ships with the software")
     bundle.set_defaults(run=_bundle)
-    _add_evaluate(commands.add_parser("evaluate", help=_evaluate.__doc__, description=_evaluate.__doc__))
-    _add_compare(commands.add_parser("compare", help=_compare.__doc__, description=_compare.__doc__))
-    _add_paper_case(
-        commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
-    )
-    rl.add_commands(commands)
-    box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
-    box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
-    box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")
-    box.set_defaults(run=_heated_box)
-    return parser
 
 
 def _add_evaluate(sub: argparse.ArgumentParser) -> None:
@@ -128,6 +133,7 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
         action="store_true",
         help="beside the other runs' figures as they are kept (and do again what the pictures show)",
     )
+    # Changes nothing, so that a reader can ask whether the kept figures still hold.
     sub.add_argument("--check", action="store_true", help="compare with the kept figures, change nothing")
     sub.add_argument(
         "--tolerance",

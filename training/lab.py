@@ -152,7 +152,8 @@ class Lab:
         self._chamber, self._faults, self._options = chamber, faults, options
         self._make_clock, self._recorded, self._with_truth = clock, recorded, with_truth
         self._on_start, self._on_tick, self._more = on_start, on_tick, daemon
-        self._last_tick: float = math.inf  # how many the history holds then
+        # So many ticks the history holds then.
+        self._last_tick: float = math.inf
         self._is_stopped = False
 
     def __enter__(self) -> Self:

@@ -67,6 +67,7 @@ def sweep(
             with _named(function, job):
                 result = function(job)
             take(number, result)
+    # In the jobs' order, however they ended: any number of workers gives the same.
     return [results[number] for number in range(len(jobs))]
 
 

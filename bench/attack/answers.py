@@ -48,6 +48,7 @@ class EvilServer(StandIn):
         """One evil answer."""
         rng = self._rng
         kind = int(rng.integers(5))
+        # Hanging servers are tried elsewhere: each would take its whole deadline here.
         if kind == 0:
             return BEHAVIOURS[str(rng.choice(sorted(BEHAVIOURS.keys() - {"hanging", "dripping", "slow"})))](
                 body, 0

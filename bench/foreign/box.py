@@ -101,6 +101,7 @@ def drive(
 ) -> tuple[Floats, Floats, Floats]:
     """From rest in its room. Returns: what the sensor shows without noise [rows, P], duty and fan [rows]"""
     rows = len(weather.room_c)
+    # Explicit steps, short against the quickest part: another way to solve it than the twin's own.
     parts = max(1, int(np.ceil(step_s / max(QUICKEST_SHARE * box.quickest_s(), FASTEST_S))))
     dt = step_s / parts
     shape = np.broadcast(*(np.atleast_1d(getattr(box, item.name)) for item in fields(box))).shape

@@ -129,6 +129,7 @@ def _attempt(rng: Generator, kind: str, number: int) -> ForeignCase | None:
     if outside:
         shown[outside] = _shown_outside_k(drawn.box, box, drawn, runs)
     span = float(np.mean([np.ptp(own[1]) for own in runs]))
+    # An effect that does not show in the readings could be found by luck alone: such a box is drawn anew.
     least = max(SHOWN_NOISES * noise_k, SHOWN_STEPS * step_k, SHOWN_SHARE * span)
     if any(size < least for size in shown.values()):
         return None
@@ -285,6 +286,7 @@ def _files(
         if drifts:
             air += np.cumsum(rng.normal(size=rows)) * rng.uniform(0.02, 0.1) / np.sqrt(rows)
         air = np.round(air / step_k) * step_k
+        # What cheap loggers do: a sensor's power-on value, and readings that stand still.
         if rng.random() < 0.15:
             air[rng.integers(5, rows, 2)] = POWER_ON_C
         if rng.random() < 0.1:
@@ -308,6 +310,7 @@ def _believed(rng: Generator, drawn: DrawnBox) -> dict[str, Any]:
     box = drawn.box
     air = 1.2 * 1005.0 * float(box.volume_m3)
     true = {"UA": float(box.loss_w_k), "kC": 1.0 + float(box.contents_j_k) / air}
+    # The owner knows the box badly: a diagnosis that needs good starts would fail here.
     guessed = rng.random() < 0.5
     values: dict[str, Any] = {}
     for name, value in true.items():

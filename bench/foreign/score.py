@@ -81,6 +81,7 @@ def score(
     tests = found["left_out"]["test_k"] | _gaps(found)
     after = tests.get("after", math.nan)
     simple = min((tests[key] for key in tests if key not in ("before", "after")), default=math.nan)
+    # What the sensor adds can't be explained by any twin: only the gap above it counts.
     floor = math.hypot(truth["noise_k"], truth["step_k"] / math.sqrt(12.0))
     gap = tests.get("before", math.nan) - floor
     return ScoredAnswer(
@@ -156,6 +157,7 @@ def figures(cases: Sequence[ScoredAnswer]) -> dict[str, Share | float]:
     offered = [case for case in cases if case.is_offered]
     closed = [case.closed for case in outside if math.isfinite(case.closed)]
     bias = [own for case in cases for own in case.bias if case.kind == "null" or all(case.by_class)]
+    # Over all cases at once: a case with nothing to find has no F1 of its own.
     hits = sum(len(found & true) for found, true in (case.places for case in library))
     told = sum(len(found) + len(true) for found, true in (case.places for case in library))
     return {

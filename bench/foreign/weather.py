@@ -72,6 +72,7 @@ def draw_control(rng: Generator, kind: str, rows: int, step_s: float, tau_s: flo
         duty = _spells(
             rng, rows, step_s, (0.5 * tau_s, 5.0 * tau_s), lambda: float(rng.choice([0, 0.25, 0.4, 0.6, 1]))
         )
+    # Every log begins at rest, so that a twin can start from what the first rows show.
     duty[: max(3, rows // 60)] = 0.0
     return lambda row, _: (float(duty[row]), float(fan[row]))
 

@@ -90,6 +90,7 @@ def _case(
     heat_w = float(rng.uniform(0.5, 1.5))
     settings = _disturbed(box, heat_w)
     driven = [drive(settings, plan) for plan in plans]
+    # A box with an effect of the lamp has its light logged, or no one could name it.
     needed = bool(LIT & {*box.known, *(item.name for item in box.hidden)})
     lit = needed or rng.random() < 0.5
     first_test = len(plans) - tests

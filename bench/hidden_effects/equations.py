@@ -140,6 +140,7 @@ class _March:
         lost = self._lost(acting, air, wall, soil)
         out = np.zeros_like(x)
         out[0] = heater_w + heat_w - lost - exhaust
+        # With two zones the heater is below and the sensor above; a box without has both in one.
         mean = air
         if self.has["F_mix"]:
             two = self.two_zones

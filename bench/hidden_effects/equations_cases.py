@@ -70,6 +70,7 @@ def _case(rng: Generator, scene: Scene, box: EquationsBox, split: str, kind: str
     sensing = draw_sensing(rng, kind == "hard")
     curve = float(rng.uniform(*CURVE)) if rng.random() < CURVE_ODDS else 0.0
     clean, _ = simulate(_parameters(box, scene, curve), scene.inputs, bend=box.bend)
+    # The same box without its door and its noise of heat: the most that any twin could foresee.
     still = replace(quiet(scene.inputs), door=np.zeros_like(scene.inputs.door))
     undisturbed, states = simulate(_parameters(box, scene, 0.0), still, bend=box.bend)
     lit = rng.random() < 0.5 or _needs_light(box)

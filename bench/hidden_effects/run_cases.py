@@ -114,6 +114,7 @@ def _diagnosis(task: SolverTask) -> dict[str, Any]:
         "--jobs", str(task.jobs),
         *(() if task.pictures else ("--json-only",)),
     ]  # fmt: skip
+    # A session of its own: a diagnosis over its time is killed with all its workers.
     before, begun_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True

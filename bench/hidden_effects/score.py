@@ -36,6 +36,7 @@ Figure = Share | float
 
 def figures(cases: Sequence[ScoredCase]) -> dict[str, Figure]:
     """Every figure, shares of no case included; a number of no case is NaN."""
+    # What lies outside the library has no right name: it is counted apart.
     hidden = [case for case in cases if case.kind in IN_LIBRARY]
     single, pair, bare, outside = (_of(cases, kind) for kind in ("single", "pair", "bare", "outside"))
     ratios = [case.errors.ratio for case in hidden if case.errors]

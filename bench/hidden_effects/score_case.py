@@ -106,6 +106,7 @@ def score(
     matched = _matched(classes, given.effects if given else ())
     names = given.effects if given else ()
     true = [item for item in matched if item is not None]
+    # The first name counts apart: most readers go no further.
     first = names[0] if names else None
     return ScoredCase(
         truth.id,

@@ -41,6 +41,7 @@ def main(words: Sequence[str] | None = None) -> int:
         ]
         for name in SOLVERS
     }
+    # A solver that has not run is left out, not scored as wrong.
     solvers = {name: scored for name, scored in solvers.items() if scored}
     if not solvers:
         raise DataError(f"{results}: no answer to these cases: run them first")

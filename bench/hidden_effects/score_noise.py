@@ -98,6 +98,7 @@ def likeliest(
             float(np.clip(rows, 0.2, _LONGEST_ROWS)),
         )
 
+    # Logarithms: all three are positive, and differ by powers of ten.
     white, wandering, rows = start
     begun = np.log([white, max(wandering, _LEAST_SHARE * white), np.clip(rows, *_START_ROWS)])
     found = minimize(

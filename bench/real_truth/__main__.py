@@ -149,6 +149,7 @@ def _totals(found: Sequence[tuple[RealLog, Mapping[str, Any]]]) -> list[str]:
     near, worse = [], []
     for _, own in found:
         tests = _tests(own)
+        # The best of the simple models in hindsight: harder to beat than any one of them.
         best = min(value for key, value in tests.items() if key not in ("before", "after"))
         near.append(tests["after"] <= 1.1 * best)
         worse.append(own["twin_after"] is not None and tests["after"] > best)

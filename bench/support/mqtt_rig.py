@@ -26,6 +26,7 @@ def record(
 ) -> TickRecord:
     """One tick with a board that drives what it was sent."""
     command = Command(heater_duty=0.35)
+    # Hardly two numbers are alike, so that a swap shows.
     tick = TickRecord(
         seq=seq,
         time_s=100.0,

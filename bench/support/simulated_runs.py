@@ -69,7 +69,8 @@ def simulated(
     heat_w = coloured(draw, rows, noise)
     temp = _run(twin, power, blown, room, heat_w, light)
     if further is not None:
-        for _ in range(20):  # heat that depends on the temperature it makes: to its fixed point
+        # Heat that depends on the temperature it makes: to its fixed point.
+        for _ in range(20):
             temp = _run(twin, power, blown, room, heat_w + further(duty, blown, temp - room), light)
     columns = {
         "time_s": time_s,

@@ -41,6 +41,7 @@ def make_demo_folder(out: Path | None) -> Path:
     if out is None:
         entry.mkdir(mode=0o700)
         return entry
+    # A Unix socket's path has 108 bytes at most: the error would come late, from bind.
     if len(os.fsencode(out)) > FOLDER_MAX:
         raise RequestError(f"--out: {out}: longer than {FOLDER_MAX} bytes, too long for a socket in it")
     try:

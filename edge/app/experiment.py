@@ -87,6 +87,7 @@ def run_experiment(
         course.take(record)
         if record is course.first and not _has_air_temperature(record):
             daemon.stop()
+        # Half a step of slack: ticks come a little early or late, and a sum of steps is not exact.
         if course.passed_s >= experiment.end_s - 0.5 * record.step_s:
             daemon.stop()
 

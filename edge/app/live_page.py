@@ -35,6 +35,7 @@ def page(
     bottom = [(QUIET, footer)] if footer else []
     models = [(PLAIN, f"{name:<16s} {text}") for name, text in forecast_facts(newest)]
     room = rows - len(top) - len(bottom)
+    # The newest two events are kept before there is a chart: an alarm may not fall off a small screen.
     latest = shown[-min(2, len(shown)) :]
     chart_room = room - len(latest)
     chart = []

@@ -90,6 +90,7 @@ def replay(
     """
     if twin is not None and twin.step_s != settings.control.step_s:
         raise DataError(f"twin: sample_s: {twin.step_s:g}, but a step has {settings.control.step_s:g} s")
+    # The daemon's own loop, with a tape for a board: what is replayed is the code that runs on the rig.
     start_s = float(run.columns["time_s"][0])
     clock = ReplayClock(start_s, run.start_utc or 0.0)
     step_s = settings.control.step_s

@@ -282,6 +282,7 @@ class Board:
         match event:
             case wire.LinkUp(hello):
                 self.hello = hello
+                # At once: until a lease the board drives nothing.
                 self._renew_at_s = self._clock.now()
                 for order in self._orders.values():  # before any command
                     self._link.request(order, self._clock.now())

@@ -60,6 +60,7 @@ def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folde
         raise DataError(
             f"{twin}: sample_s: {new.step_s:g}, but bundle {active.name} is for {before.sample_s:g} s"
         )
+    # A HAM is a correction of one twin; over another it would correct errors that are not there.
     stale = before.twin_sha256 != new.sha256
     dropped = tuple(name for name in before.models if name == "ham" and stale)
     left_out = {before.models[name].file for name in (*dropped, "pbm") if name in before.models} | {TWIN}

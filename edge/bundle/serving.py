@@ -46,6 +46,7 @@ def choose(store: BundleStore, loaded: Mapping[str, Loaded] | None = None) -> Se
     if active is not None:
         rival = load(roles.rival)
         return Serving(active, rival, roles.on_probation and rival is not None, tuple(problems))
+    # The active bundle may also be the previous one; it is damaged and not read a second time.
     instead = dict.fromkeys((roles.previous, PACKAGED))
     active = next((bundle for name in instead if name != roles.active and (bundle := load(name))), None)
     return Serving(active, problems=tuple(problems))

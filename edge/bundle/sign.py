@@ -88,6 +88,7 @@ def sign_folder(folder: Path, facts: ManifestFacts, key: Path) -> Manifest:
 
     Errors : DataError for a missing twin, a wrong fact or a file that is no private key
     """
+    # The key first: a wrong one should cost nothing that was written.
     signer = _read_private(key)
     names = sorted(path.name for path in folder.iterdir() if path.name not in (MANIFEST, SIGNATURE))
     manifest = Manifest(

@@ -45,21 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number(0.0, above=True),
         help="end after so many simulated minutes; default: at Ctrl-C",
     )
+    # No choices: the reader of the settings refuses a wrong name, and says which was meant.
     parser.add_argument(
         "--controller",
         default="MPC-Twin-P",
         metavar="NAME",
         help=f"controller: {', '.join(CONTROLLERS)}; LLM-* need --llm-url; default: %(default)s",
     )
-    parser.add_argument(
-        "--llm-url",
-        default="",
-        metavar="URL",
-        help="OpenAI-compatible server of a language model, http://host:port/v1, for LLM-* and `ask`",
-    )
-    parser.add_argument(
-        "--llm-model", default="", metavar="NAME", help="name of the language model on that server"
-    )
+    _add_model(parser)
     parser.add_argument(
         "--seed", type=whole(0, SEED_MAX), default=1, help="number that fixes the simulated noise; default: 1"
     )
@@ -71,6 +64,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_broker,
         metavar="HOST[:PORT]",
         help=f"publish over MQTT at this broker, as the rig {RIG!r}; default port: {MqttSettings().port}",
+    )
+
+
+def _add_model(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--llm-url",
+        default="",
+        metavar="URL",
+        help="OpenAI-compatible server of a language model, http://host:port/v1, for LLM-* and `ask`",
+    )
+    parser.add_argument(
+        "--llm-model", default="", metavar="NAME", help="name of the language model on that server"
     )
 
 

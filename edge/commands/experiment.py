@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "above its header makes what comes before a lead-in: applied, but no part of the run",
     )
     parser.add_argument("--out", type=Path, required=True, help="run file to write")
+    # No default: with a virtual board nobody means the rig's own file.
     parser.add_argument(
         "--config",
         type=Path,
@@ -54,6 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number(0.0, above=True),
         help="end after so many minutes; default: at the profile's end",
     )
+    _add_virtual(parser)
+
+
+def _add_virtual(parser: argparse.ArgumentParser) -> None:
     virtual = parser.add_argument_group("with a virtual board, as fast as it goes")
     virtual.add_argument("--virtual", action="store_true", help="use a virtual board instead of the rig's")
     virtual.add_argument(

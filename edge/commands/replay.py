@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_PATH,
         help="ARX model file, whose step is the replay's; default: the packaged one",
     )
+    # The others ask a language model or a policy, which would not answer twice alike.
     parser.add_argument(
         "--controller",
         choices=REPLAYED,
@@ -53,18 +54,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEGC",
         help="temperature to hold [°C]; default: %(default)g",
     )
+    _add_forecasts(parser)
+    add_absent_columns(parser, "fan_on", "temp_ambient_c")
+    parser.add_argument(
+        "--fan-always-on",
+        action="store_true",
+        help="take the fan as always on in runs without the column fan_on",
+    )
+
+
+def _add_forecasts(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--horizons",
         type=_horizons,
         default=HORIZONS_S,
         metavar="S,S,...",
         help=f"how far ahead forecasts are scored [s]; default: {','.join(f'{s:g}' for s in HORIZONS_S)}",
-    )
-    add_absent_columns(parser, "fan_on", "temp_ambient_c")
-    parser.add_argument(
-        "--fan-always-on",
-        action="store_true",
-        help="take the fan as always on in runs without the column fan_on",
     )
     parser.add_argument("--out", type=Path, help="folder to write the ticks to, one JSON line each")
     parser.add_argument(

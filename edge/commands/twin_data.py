@@ -32,6 +32,7 @@ def add_data_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_absent_columns(parser, "fan_on", "temp_ambient_c")
     add_times(parser)
+    # None says "not given": a share goes with a history alone.
     parser.add_argument(
         "--test-share",
         type=number(0.0, 1.0),

@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """0 whatever the verdict. Errors: DataError, RequestError"""
+    # Late: the imports of the fits would slow the start of every other command.
     from edge.diagnosis.answer import answer, traces
     from edge.diagnosis.diagnose import diagnose
     from edge.diagnosis.diagnosis_file import write_json

@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=START_ROWS,
         help=f"first rows whose temperatures give the start; default: {START_ROWS}",
     )
+    # No default: a guessed room would look like a measured one in the forecast.
     parser.add_argument(
         "--ambient-c",
         type=number(-50.0, 80.0),
@@ -97,6 +98,7 @@ def simulate(pbm: Pbm, run: RecordedRun, start_rows: int = START_ROWS) -> Record
     known = np.flatnonzero(np.isfinite(run.columns["temp_air_c"]))
     if not len(known):
         raise DataError(f"{run.path}: temp_air_c: nothing was measured to start from")
+    # The forecast starts at the last row that a temperature stands in, not at the last of the first rows.
     now = int(known[known < known[0] + start_rows][-1])
     columns = inside_names(run)
     columns |= {

@@ -79,6 +79,7 @@ class Mpc:
         problem = planning_problem(
             context, self._model, settings.weight, settings.horizon, settings.preview, settings.tail
         )
+        # Last minute's plan, one step on, is nearly the optimum: the search begins with a low bound.
         warm = shifted(self._previous, context)
         solution = solve(problem, settings.node_budget, settings.time_box(), node_limit, warm)
         plan = solution.plan
@@ -114,6 +115,7 @@ def planning_problem(
     steps, estimate, limits = horizon + tail, context.estimate, context.limits
     reference = goal_ahead(context, steps, preview)
     controls = np.zeros((1, steps, 2))
+    # The tail drives what would hold the goal, so that a plan cannot gain by leaving the box cold.
     held = model.duty_to_hold(float(reference[-1]), estimate.temp_ambient, estimate.offset)
     controls[:, horizon:, 0] = min(held, limits.heater_max_duty)
     ahead = {

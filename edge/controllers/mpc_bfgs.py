@@ -72,6 +72,7 @@ def rounded_bfgs(problem: PlanningProblem, bounded: bool = True) -> tuple[Ints, 
     response = np.hstack([lower_toeplitz(problem.heater, n), lower_toeplitz(problem.fan, n)])
     weights = np.repeat([problem.heater_weight, problem.fan_weight], n)
     lowest, highest = np.zeros(2 * n), np.repeat([problem.heater_levels / HEATER_LEVELS, 1.0], n)
+    # A relay that must rest has one value only: as a bound it needs no penalty.
     lowest[n : n + rules.hold] = highest[n : n + rules.hold] = float(rules.on)
 
     def cost(inputs: Floats) -> tuple[float, Floats]:

@@ -55,6 +55,7 @@ class MpcRollout:
             float(problem.reference[-1]), context.estimate.temp_ambient, context.estimate.offset
         )
         rollouts = plan_rollouts(context, self._model, problem, held)
+        # Rollouts are dear, so they begin from the exact plan over a linear model.
         linear = meter.linear_plan(problem, settings.node_budget, shifted(self._linear, context))
         self._linear = Previous(context.now_s, linear.levels, linear.fan)
         search = RolloutSearch(rollouts, meter)

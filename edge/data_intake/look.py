@@ -64,6 +64,7 @@ def look(paths: Sequence[Path]) -> Looked:
     )
     if absolute and text not in SINCE_1970 and not _says_zone(first, time):
         guesses["time.zone"] = "the times say no zone"
+    # The median of steps that go forward: gaps and doubled rows say nothing of the logger's period.
     steps = np.diff(time_s)
     repeated = "first" if (steps == 0.0).any() else "refuse"
     if repeated == "first":
@@ -127,6 +128,7 @@ def _columns(
         reasons = [f"by its name; {' or '.join(names[1:])} could be it too"] if len(names) > 1 else []
         reasons += [f"by its name, {name!r}"] if name != target and not reasons else []
         guesses[f"columns.{target}"] = "; ".join([*reasons, *filter(None, [why])])
+    # A mapping with a hole is still written: its reader names the hole, and the person fills it in.
     for target in NEEDED:
         if target not in found:
             found[target] = Source(UNKNOWN, BY_TARGET[target][0])

@@ -94,6 +94,7 @@ def write_map(found: LogMap, path: Path) -> None:
             **dict.fromkeys(found.absent, ABSENT),
         },
     }
+    # Written line by line: a YAML writer has no place for the comment that a guess needs.
     lines = []
     for section, values in document.items():
         lines.append(f"{section}:")

@@ -77,6 +77,7 @@ def answer(
         "left_out": _left_out(found),
         "against_adopting": list(found.against_adopting),
     }
+    # JSON has no NaN: what is not known is null, for every reader.
     plain: DiagnosisDocument = _plain(document)
     return plain
 

@@ -53,6 +53,7 @@ def _beyond(name: str, test: RecordedRun, runs: Sequence[RecordedRun]) -> Iterab
         own, known = _known(test, key), np.concatenate([_known(run, key) for run in runs])
         if not len(own) or not len(known):
             continue
+        # A little beyond is no other regime: the margin grows with what the training runs span.
         by_k = max(FARTHER_K, FARTHER_SHARE * float(np.ptp(known)))
         for off_k, word, reached in (
             (own.max() - known.max(), "warmer", known.max()),

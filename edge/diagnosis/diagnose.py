@@ -105,6 +105,7 @@ def _diagnosis(
         prepared.file.sample_s,
         prepared.file.geometry["heater_max_w"].value,
     )
+    # Formulas stand in the same search as effects, so that both are judged by one rule.
     terms = {name: term for name, (_, term) in shapes.items()}
     search = Search(
         prepared.file,

@@ -62,6 +62,7 @@ def shapes(
     warm: float = 28.0, hot: float = 32.0, usual: float = 25.0, room: float = 20.0
 ) -> tuple[FormulaShape, ...]:
     """All that are tried. warm, hot, usual, room : temperatures from which some of them count [°C]"""
+    # Short ones alone, each with one number to fit: a long formula fits any gap and names nothing.
     return (
         _shape("u fan", "W", "heater_duty fan_on", lambda c: c["u"] * c["fan"]),
         _shape("u^2 fan", "W", "heater_duty fan_on", lambda c: c["u"] ** 2 * c["fan"]),

@@ -232,6 +232,7 @@ def against_adopting(
     simple_k : errors of the baselines over left-out rows
     test_k : the same over test runs, where there are any, and those of the twin `before` and `after`
     """
+    # `not a < b`, not `a >= b`: an error that is no number speaks against it too.
     own_k = handed.rmse_k
     said = []
     if not own_k < given.rmse_k:

@@ -37,6 +37,7 @@ def history_runs(
     left_out = len(parts) - len(chosen)
     if not chosen:
         raise DataError(f"{source}: no stretch has {PIECE_ROWS} rows with a temperature")
+    # The newest rows: an older box may have had another heater.
     every = sum(len(run) for run in chosen)
     chosen = _newest(chosen, every if rows_max is None else rows_max)
     notes = []

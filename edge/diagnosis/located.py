@@ -62,6 +62,7 @@ def located(found: Diagnosis) -> Located:
     places = regimes(list(before.values())) if before else []
     times = stretches(list(before.values())) if before else []
     listed: list[RegimeEntry] = []
+    # A share's lower end falls below 0 by its own error; a reader would take that for a mistake.
     for place in places:
         rows: RegimeEntry = {
             "where": place.where,

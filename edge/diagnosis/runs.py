@@ -95,6 +95,7 @@ def read_runs(
     for run in recordings[: len(train)]:
         refuse_test(run)
     _refuse_twice(recordings[: len(train)], recordings[len(train) :])
+    # Names by the files: two runs of one name would be one in the report.
     names = _names(paths)
     return diagnosis_runs(
         list(zip(names[: len(train)], recordings[: len(train)], strict=True)),
@@ -112,6 +113,7 @@ def diagnosis_runs(
 ) -> DiagnosisRuns:
     """Return named recordings in the form that a diagnosis needs. Errors: DataError, as `read_runs`"""
     sha256 = data_sha256([run for _, run in train])
+    # Known by content, not by name: one recording may train and then test, from its fact on.
     ends = {data_sha256([run]): name for name, run in train}
     rests = {name: ends.get(data_sha256([run]), "") for name, run in test}
     train, test, two_sensors = averaged(train, test)

@@ -58,6 +58,7 @@ def standing(
     runs, step_s, shared = compared.known.runs, compared.known.file.sample_s, compared.shared
     fits = [whole.fitted, *(item.fitted for item in without.values())]
     told = left_out_nats(fits, folds(runs), runs, shared)
+    # Errors that go together in time say the same thing several times: they count once.
     temper = 1.0 / together(whole.fitted.innovations, runs.measured, compared.known.file)
     gains = {name: told[0] - own for name, own in zip(without, told[1:], strict=True)}
     known = {name: _known_before(whole, item, runs) for name, item in without.items()}

@@ -72,6 +72,7 @@ class Filter:
         for k in range(first, len(times) - 1):
             mean, matrix = self._advance(mean, history, k)
             fan = float(off_where_unknown(history["fan_on"][k]))
+            # What the twin does not know moves the states otherwise while the fan runs.
             unknown = self._moved[0] + fan * (self._moved[1] - self._moved[0])
             covariance = predict(covariance, matrix, unknown[:, None] * unknown)
         if not np.isfinite(mean).all():

@@ -160,6 +160,7 @@ class DriftMonitor:
         )
         table = where.noted(memory.table, float(white), innovation.value_k, now.regimes, step_s)
         memory = replace(memory, evidence=found, table=table)
+        # Nothing is learnt while the twin disagrees: its error would become the usual noise.
         if not memory.disagrees and noise.count(memory.sums, now.cell) < self._learn_ticks:
             memory = replace(memory, sums=noise.learnt(memory.sums, now.cell, z, past))
             if noise.count(memory.sums, now.cell) >= self._learn_ticks:

@@ -87,6 +87,7 @@ class Scorer:
         if at < 0 or not math.isfinite(start.measured_c):
             self.skipped += 1
             return []
+        # What was known then: the filter's later corrections of these rows would flatter the forecast.
         past = {name: column[: at + 1] for name, column in history.items()}
         past["temp_air"] = past["temp_air"].copy()
         tail = start.temps[-(at + 1) :]

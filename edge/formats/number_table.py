@@ -106,6 +106,7 @@ def _parse(path: Path, file: TextIO) -> NumberTable:
             rows.append(_row(f"{path}: line {lines[-1]}", names, cells))
     if not rows:
         raise DataError(f"{path}: there are no rows under the header")
+    # Copies of the columns: a view would keep the whole table in memory for one column.
     values = np.array(rows, dtype=np.float64)
     columns = {name: values[:, i].copy() for i, name in enumerate(names)}
     return NumberTable(path, columns, facts, tuple(lines))

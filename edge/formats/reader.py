@@ -266,6 +266,7 @@ class _Reading:
         for name in given:
             if name not in entries and not issubclass(kind, Foreign):
                 self._refuse_key(key, name, entries)
+        # A key that is misspelt is not missing too: one mistake, one message.
         if len(self.wrong) == before:
             for name, entry in entries.items():
                 if entry.required and name not in given:

@@ -133,6 +133,7 @@ def tick_json(record: TickRecord) -> dict[str, Any]:
         "estimate": {
             "temp_air_c": number(record.estimate.temp_air),
             "temp_air_sd_k": number(record.estimate.temp_air_sd),
+            # In six places: an offset is thousandths of a kelvin a step.
             "offset_k_per_step": number(record.estimate.offset, 6),
             "innovation_k": number(record.estimate.innovation),
             "temp_ambient_c": number(record.estimate.temp_ambient),

@@ -66,6 +66,7 @@ class Arx:
             raise DataError(f"history: {rows} rows, the ARX model needs {self.rows_needed}")
         heater = _with_past(history["heater_duty"], controls[:, :, 0], lags)
         fan = _with_past(self._past_fan(history), controls[:, :, 1], lags)
+        # All that does not depend on the temperature is summed before the loop, which alone is serial.
         driven = self._drift(ahead, horizon) + np.zeros((batch, 1))
         for lag in range(lags):
             driven += self.heater[lag] * heater[:, lags - 1 - lag : lags - 1 - lag + horizon]

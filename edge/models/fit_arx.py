@@ -82,6 +82,7 @@ def fit_arx(
     errors = np.array([score.rmse_k for score in scores])
     if not np.isfinite(errors).any():
         raise DataError(f"fit: no stretch of {FREE_RUN_STEPS} steps without a gap in the validation runs")
+    # The smallest order that is nearly as good: the best by a hair is the best by chance.
     good = [i for i, error in enumerate(errors) if error <= _TOLERANCE * np.nanmin(errors) + _ROUNDING_K]
     chosen = min(good, key=lambda i: (scores[i].p + scores[i].q, errors[i]))
     model, rows, one_step = fits[chosen][2]

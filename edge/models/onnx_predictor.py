@@ -70,6 +70,7 @@ class OnnxPredictor:
             [history[name][rows - self.rows_needed :] for name in self.contract.features], axis=1
         )
         window[-1, 1:] = 0.0  # not decided yet
+        # A graph is not trusted with NaN: some kernels answer with a number.
         if not np.isfinite(window).all() or not horizon:
             return np.full((batch, horizon), np.nan)
         steps = {"offset": ahead["offset"][:horizon] if "offset" in ahead else np.zeros(horizon)}

@@ -62,6 +62,7 @@ def _components(settings: Settings, topics: Topics) -> Json:
         _wishes(settings, topics),
     )
     rig = settings.mqtt.rig
+    # Home Assistant makes ids of names; ours are given, so that a later name does not break a dashboard.
     slug = re.findall("[a-z0-9]+", rig.lower())
     return {
         key: {
@@ -79,7 +80,8 @@ def _climate(settings: Settings, topics: Topics) -> Json:
     state = topics.state
     return {
         "platform": "climate",
-        "name": None,  # the device's main feature carries the device's name
+        # The device's main feature carries the device's name.
+        "name": None,
         "modes": list(CLIMATE_MODES),
         "mode_command_topic": topics.command("mode"),
         "mode_state_topic": state,
@@ -243,6 +245,7 @@ def _inputs(topics: Topics) -> dict[str, Json]:
             "platform": "switch",
             "name": "Maintenance",
             "command_topic": topics.command("maintenance"),
+            # A switch knows no minutes: it asks for as many as a person at the box needs.
             "payload_on": str(min(MAINTENANCE_MIN, int(MAINTENANCE_MAX_MIN))),
             "payload_off": "0",
             "state_topic": topics.state,
@@ -300,6 +303,7 @@ def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
             "payload_press": PRESS,
         },
     }
+    # Disabled rather than left out: what stands on a dashboard stays there.
     return {key: {**wish, "enabled_by_default": bool(settings.llm.url)} for key, wish in wishes.items()}
 
 

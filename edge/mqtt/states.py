@@ -28,6 +28,7 @@ def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json
         "seq": tick["seq"],
         "utc": tick["utc"],
         **_measurements(tick["readings"]),
+        # The estimate beside the reading: it goes on when a reading is missing.
         "estimate_c": tick["estimate"]["temp_air_c"],
         "reference_c": _reference(tick, operation),
         "mode": operation["mode"],

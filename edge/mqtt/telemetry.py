@@ -85,6 +85,7 @@ class Telemetry:
         self._set_callbacks(self._client)
         self._lanes = [Lane(settings, commands, self._hear_lane) for commands in LANES]
         self._lane_of = {what: lane for lane in self._lanes for what in lane.commands}
+        # Last of all: both threads read what stands above from their first moment on.
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
         self._thread.start()
         self._client.loop_start()

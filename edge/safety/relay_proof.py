@@ -57,6 +57,7 @@ def follow(
     )
     if proof.since_s < EVERY_S:
         return proof
+    # Where one of them hardly ran, the ordinary balance sees the relay: the proof is not due.
     if min(proof.heated_s, proof.fanned_s) < BUSY_SHARE * proof.since_s:
         return RelayProof()
     return replace(proof, running_s=0.0)

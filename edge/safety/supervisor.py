@@ -71,6 +71,7 @@ def supervise(
     """Return the part of `wanted` that may be sent now, why it differs, and the new memory."""
     temp_air = known(view, "temp_air", settings.reading_age_max_s)
     memory = book_heat(memory, view.now_s, view.dt_s)
+    # Trips first: the limits below act on a trip of this very tick.
     memory, events = _latch(view, memory, settings, temp_air)
     situation = RuleInput(view, memory, settings, temp_air)
     changes: list[Change] = []

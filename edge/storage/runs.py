@@ -84,6 +84,7 @@ def import_run(path: str | Path, run: RecordedRun, name: str) -> tuple[int, int]
     start_utc = run.start_utc or 0.0
     step_s = float(np.median(np.diff(time_s))) if rows > 1 else None
     with _writing(path, new=True) as connection:
+        # Below every number in use, under the writer's lock: two imports at once get different ones.
         lowest = connection.execute("SELECT min(0, coalesce(min(seq), 0)) FROM ticks").fetchone()[0]
         first, last = lowest - rows, lowest - 1
         seqs = range(first, lowest)

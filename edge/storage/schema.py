@@ -154,6 +154,7 @@ def add_forecasts(db: Database) -> None:
         " scored INTEGER, mae_k REAL, against_persistence REAL, against_pbm REAL, half_width_k REAL,"
         " covered REAL, PRIMARY KEY (hour_utc, predictor, horizon_min)) WITHOUT ROWID"
     )
+    # Arrays keep one row a tick and predictor; the view makes a row for each horizon of them.
     horizon = " ".join(f"WHEN {place} THEN {minutes}" for place, minutes in enumerate(HORIZONS_MIN))
     width = "json_extract(f.half_width_k, '$[' || h.key || ']')"
     db.create_view(

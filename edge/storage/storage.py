@@ -44,6 +44,7 @@ class Storage:
         self._session = session or Session()
         self._archive = Archive(Path(settings.path), self._session, clock.now())
         self._queue = TickQueue(settings.queue_ticks)
+        # Started by `open`: before it no number is reserved, so nothing may be written.
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._written = threading.Condition()
         self._written_seq = 0

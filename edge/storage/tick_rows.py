@@ -72,6 +72,7 @@ def insert_ticks(connection: sqlite3.Connection, records: Sequence[TickRecord], 
             for i, e in enumerate(record.events)
         ],
     )
+    # In the same transaction: what is stored is published, even after a kill between the two.
     connection.executemany(
         "INSERT INTO outbox (seq, event, is_resend) VALUES (?, ?, 0)",
         [(r.seq, event) for r in records for event in (*range(len(r.events)), None)],
@@ -104,6 +105,7 @@ def _read(connection: sqlite3.Connection, numbers: list[int]) -> dict[int, TickR
         return connection.execute(query, (chosen,)).fetchall()
 
     readings: defaultdict[int, dict[str, Reading]] = defaultdict(dict)
+    # One query a table for all ticks, not one for each tick: a resend may ask for a day of them.
     for seq, key, value, quality in rows("seq, signal, value, quality", "readings"):
         readings[seq][_SIGNAL_OF_KEY[key]] = Reading(
             _SIGNAL_OF_KEY[key], None if value is None else float(value), NAN, ReadingQuality(quality)

@@ -35,6 +35,7 @@ def context_of(
     steering = operation.steering_at(moment.utc)
     penalty = Penalty()
     reference = in_force(operation.reference_c, steering, configured)
+    # A request may narrow what the supervisor allows, never widen it.
     if steering is not None:
         limits = limited(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_on)
         penalty = penalty_of(steering)

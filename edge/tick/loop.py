@@ -140,6 +140,7 @@ class Loop:
         wanted, orders = self._ordered(self._with_light_and_water(decision.command, readings, now, utc), utc)
         verdict = self._supervise(wanted, readings, estimate, now, utc)
         echo = self._drive(verdict)
+        # Forecasts start from what the board was sent, not from what the controller wanted.
         rig.estimator.record_sent(self._sent)
         history, confirmed = rig.estimator.history(), echo is not None
         forecasts, skill = rig.models.forecast(history, decision, self._sent, confirmed)

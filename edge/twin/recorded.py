@@ -61,6 +61,7 @@ def recorded(runs: Sequence[RecordedRun], step_s: float) -> Recorded:
         raise DataError("fit: needs at least one run")
     parts = [_part(run, step_s) for run in runs]
     known = [part.has_ambient for part in parts]
+    # Half known is not filled in: a guessed room would be fitted as if it had been measured.
     if any(known) and not all(known):
         place = runs[known.index(False)].path
         raise DataError(f"{place}: temp_ambient_c: not known, but other runs have it")

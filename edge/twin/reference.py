@@ -37,6 +37,7 @@ def rk45_rollout(
         rates = system.rates + fan[k] * system.fan_rates
         driven = (system.drive + fan[k] * system.fan_drive) @ np.array([duty[k], ambient[k], source])
 
+        # Bound as defaults: this step's values, whenever the solver calls.
         def slope(_: float, x: Floats, rates: Floats = rates, driven: Floats = driven) -> Floats:
             return rates @ x + driven
 

@@ -92,6 +92,7 @@ def state_now(twin: BoxTwin, past: PastColumns) -> Floats:
     state = at_rest(twin, float(temps[first]), float(ambient[first]))
     covariance = np.diag(spread(twin) ** 2)
     off, on = drift(twin)
+    # One unknown heat moves all states together, so its covariance is an outer product.
     unknown = off + np.nan_to_num(past.fan)[:, None] * (on - off)
     unknown_variance = unknown[:, :, None] * unknown[:, None, :]
     measured, sensor_variance = temps.tolist(), twin.noise.sensor_k**2

@@ -213,6 +213,7 @@ class Chamber:
                 self.soil_kg + poured, p.soil.water_capacity_kg
             )  # the rest runs through the pot
         _, plant_c, soil_c, _, cover_c, _, _ = self._network.temps
+        # A plant takes water freely until its soil is rather dry, then in proportion.
         wetness = min(self.soil_kg / (p.soil.dry_below * p.soil.water_capacity_kg), 1.0)
         latent = self._moisture.step(
             dt_s,

@@ -72,6 +72,8 @@ class Moisture:
         light: 0..1 of full, opens the stomata;  wetness: 0..1, what the soil's moisture lets through
         exchange_m3_s: air exchanged with the room, whose vapour is outside_kg_m3
         """
+        # Heat at the vapour of the step's beginning, vapour exactly over the step: explicit alone would
+        # swing where the fan changes the air several times in a step.
         pressure = vapour_pressure(self.vapour_kg_m3, air_c)
         stomata = self.dark_share + (1.0 - self.dark_share) * light
         latent = LatentHeat(

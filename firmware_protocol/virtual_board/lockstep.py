@@ -31,6 +31,7 @@ def advance(
     if plugged:
         plugged = _is_this_one(port, request, client)
     if plugged:
+        # Simulated time must not run ahead of bytes that are still in the pseudo-terminal.
         _take_host_bytes(device, port, int(_number(request, "host_bytes", 2**53)))
     stop_on_bytes = request.get("stop_on_bytes") is True
     while device.now_ms < until_ms:

@@ -102,6 +102,7 @@ class NetworkEquations:
             + effects.longwave_radiation * longwave_conductance(cover_m2 * cover.emissivity, o, room)
         )
         interior = effects.interior_longwave * LEAF_AND_SOIL_EMISSIVITY
+        # A leaf has two sides to the air, and one to the sheet that it sees.
         self._pb = 2.0 * plant.leaf_m2 * plant.film_w_m2_k
         self._pw = interior * longwave_conductance(plant.leaf_m2, p, w)
         self._sb = soil.air_w_k

@@ -23,6 +23,7 @@ def truth(device: Device, port: PseudoTerminal) -> dict[str, Any]:
         "time_s": device.now_ms / 1000,
         "chamber": chamber,
         "energy": plant.chamber.energy(),
+        # Between two looks too: a peak may be shorter than the time from one to the next.
         "hottest_air_c": max(plant.hottest_c, chamber["temp_air_c"]),
         "pins": {
             "heater_relay": plant.pins.heater_relay,

@@ -110,6 +110,7 @@ class ChamberRows:
     def step(self, boxes: BoxStates, time_s: float, dt_s: float, heat: Floats, fan: Floats) -> BoxStates:
         """dt_s later. heat, fan : [B], share of the time that the heater's relay is closed, fan's 0 or 1"""
         p, e = self.p, self.e
+        # The weather of the step's middle stands for the step, as on the board.
         middle_s = time_s + 0.5 * dt_s
         self._weather.at(middle_s)
         speed, mean_speed = self._fan.spun_up(boxes.fan, fan, dt_s)

@@ -56,6 +56,7 @@ def figures(log: ClosedLoopLog) -> Figures:
     sensor = error(columns, "sensor_air_c") + SENSOR_BIAS_K
     duty, fan = columns["heater_duty"], columns["fan_on"]
     step_h = float(np.median(np.diff(columns["time_s"]))) / 3600.0
+    # The last row drives nothing that was measured, so its inputs cost nothing.
     effort = effort_cost(columns)
     return Figures(
         mae_measured=float(np.nanmean(np.abs(measured))),

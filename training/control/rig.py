@@ -81,6 +81,7 @@ def entries() -> dict[str, ComparisonEntry]:
         ComparisonEntry("PID", "PID"),
         *(ComparisonEntry(name, name) for name in MPC),
         *(ComparisonEntry(f"{name}/preview", name, control=KNOWS) for name in MPC),
+        # Both readings of the paper's method: its text names BFGS, which knows no bounds.
         *(ComparisonEntry(f"{name}/unbounded", name, unbounded=True) for name in ("MPC-BFGS", "MPC-BFGS-P")),
         ComparisonEntry("MPC-Twin", "MPC-Twin", "twin"),
         ComparisonEntry("MPC-Twin-P", "MPC-Twin-P", "twin"),

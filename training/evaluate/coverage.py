@@ -60,6 +60,7 @@ def main(words: Sequence[str] | None = None) -> None:
     load = partial(predictors_in, given.folder)
     predictors = load()
     runs = {kind: fresh_runs.runs(kind, given.runs, None, *place) for kind in fresh_runs.COUNTS}
+    # Calibrated and measured on different runs: a width is always right where it was taken from.
     intervals = calibrate(runs["calibration"], load, *place)
     if given.folder is not None:
         write_intervals(intervals, given.folder / INTERVALS)

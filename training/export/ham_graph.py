@@ -26,6 +26,7 @@ def scanned(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
     first = graph.op("Expand", begin, graph.op("Concat", batch, graph.integers(states), axis=0))
     to_air = graph.constant(np.eye(1, states))
     offset = graph.op("Mul", graph.op("Unsqueeze", "offset", graph.integers(1)), to_air)  # [N, S]
+    # What depends on time alone is computed once for all sequences, before the scan.
     parts = divide(step, "state")
     known = _in_time(graph, parts)
     body = _body(graph, parts, states)

@@ -219,6 +219,7 @@ def _step(graph: Graph, network: _Network, steps: _Steps) -> GraphProto:
         inner.op("Gather", value, "step_row") for value in (steps.inputs, steps.alive, steps.begun, "offset")
     )
     row = inner.op("Concat", *_scaled(inner, network, ["temp"]), inputs, axis=1)  # [B, 3]
+    # All windows that hold this row advance together: one matrix product a layer, not one a window.
     size = inner.op("Concat", alive, steps.batch, graph.integers(3), axis=0)
     rows = inner.op("Reshape", inner.op("Expand", row, size), graph.integers(-1, 3))
     new = inner.rows(steps.zeros, graph.integers(0), begun)

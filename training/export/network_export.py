@@ -86,6 +86,7 @@ def export(network: Network, facts: ExportFacts, run: RecordedRun, path: Path) -
         "metrics": dict(facts.metrics),
         "software": versions() | {"onnx": importlib.metadata.version("onnx")},
     }
+    # The contract travels inside the file: a graph and its scaler can't be mixed up.
     model.metadata_props.add(key=contract.KEY, value=json.dumps(document, allow_nan=False))
     write_atomically(path, model.SerializeToString(deterministic=True))
     if kind == "lstm":

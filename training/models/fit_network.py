@@ -100,6 +100,7 @@ def fit(
         raise DataError("training: the runs are too short: no pair to train on or none to validate on")
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     stopping = EarlyStopping(settings.min_delta, settings.tolerance)
+    # A generator of its own: what the network draws does not change the order of the rows.
     order = torch.Generator().manual_seed(seed)
     best = Progress(0, 0, math.inf, math.inf)
     weights = copy.deepcopy(network.state_dict())

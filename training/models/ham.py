@@ -84,6 +84,7 @@ class HamNet(nn.Module):
             "fan_max_m3_s": geometry.fan_max_m3_s,
             "air_j_k": air_j_k,
         }
+        # Buffers, not attributes: they are saved with the weights and go into the graph.
         for name, value in constants.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
         self.mlp = source_network(hidden, dropout)

@@ -62,6 +62,7 @@ def study(job: TrainingJob, train: Train, out: Path, log: Path | None) -> dict[s
     """
     runs = training_runs(job.regime)
     kept = job.folder(out)
+    # The peak of this training, not of an earlier one in the same worker.
     reset_peak()
     began = time.perf_counter()
     trained = train(runs, job.seed, None if log is None else job.folder(log))

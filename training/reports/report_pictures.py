@@ -102,6 +102,7 @@ def radar_picture(scores: Sequence[TrainingScore], costs: Sequence[ModelCost]) -
         [by_model[m].running_kib for m in shown],
     ]
     radii = np.stack([radar_radii(column) for column in columns], axis=1)
+    # An eighth of a turn on: no axis label lies over the title or the legend.
     angles = np.linspace(0.0, 2.0 * np.pi, len(AXES), endpoint=False) + np.pi / 4.0
     figure = Figure(figsize=(7, 6), layout="constrained")
     axes = figure.subplots(subplot_kw={"projection": "polar"})

@@ -56,6 +56,14 @@ def tables(found: Evaluation) -> list[Table]:
     ]
 
 
+_COSTS_NOTE = (
+    "Training: wall time on one thread, mean over seeds, and peak resident memory of the process, torch "
+    "and all. Loaded and running: pympler's asizeof as in the paper, plus the tensors, which it doesn't "
+    "see. Edge: a fresh process without torch that loads the model (networks as ONNX) and forecasts; "
+    "latency of one call for 1 and for 42 sequences of 20 steps, median of 50."
+)
+
+
 def costs_table(costs: Sequence[ModelCost]) -> Table:
     """Return the models' costs, the only figures that differ from one evaluation to the next."""
     heads = (
@@ -76,13 +84,7 @@ def costs_table(costs: Sequence[ModelCost]) -> Table:
         )
         for cost in costs
     ]
-    note = (
-        "Training: wall time on one thread, mean over seeds, and peak resident memory of the process, torch "
-        "and all. Loaded and running: pympler's asizeof as in the paper, plus the tensors, which it doesn't "
-        "see. Edge: a fresh process without torch that loads the model (networks as ONNX) and forecasts; "
-        "latency of one call for 1 and for 42 sequences of 20 steps, median of 50."
-    )
-    return Table("Cost", heads, tuple(rows), note)
+    return Table("Cost", heads, tuple(rows), _COSTS_NOTE)
 
 
 def spread(values: Floats) -> str:

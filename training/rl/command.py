@@ -59,6 +59,7 @@ def _offline(arguments: argparse.Namespace) -> int:
             words = f"greenhouse-train rl --variant {variant} --model {arguments.model} --seed {seed}"
             words += " --randomise" if arguments.randomise else ""
             words += f" --steps {arguments.steps}" if arguments.steps is not None else ""
+            # Many boxes are seen only where asked for: one box is what the paper trains in.
             variants = VARIANTS if arguments.randomise else 1
             job = PolicyJob(variant, arguments.model, seed, words, variants, settings)
             folder = folder_of(arguments.out, variant, arguments.model, seed, arguments.randomise)
@@ -98,6 +99,7 @@ def _online(arguments: argparse.Namespace) -> int:
     import tempfile
     from dataclasses import replace
 
+    # Late: torch takes seconds, and `--help` needs nothing of it.
     from training.rl.kept import WEIGHTS_FILE
     from training.rl.online import OnlineJob, learn_online
     from training.rl.settings import ONLINE as SETTINGS

@@ -50,6 +50,7 @@ def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
     """Train, judge on validation episodes in the model itself, write everything into `folder`; the record."""
     runs = training_runs(REGIME)
     world = world_of(job.variant, job.model, runs, job.variants)
+    # Both clocks: on a shared machine wall time alone says little.
     began, cpu = time.perf_counter(), time.process_time()
     agent = train(world, job.seed, job.settings)
     wall_s, cpu_s = time.perf_counter() - began, time.process_time() - cpu

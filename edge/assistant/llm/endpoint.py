@@ -118,6 +118,7 @@ class Endpoint:
                 return self._exchange(chat, end_s, stop)
             except _TryAgain as again:
                 tries += 1
+                # A pause that cannot end before the deadline is not begun: the fallback acts at once instead.
                 pause_s = max(settings.backoff_s * 2.0 ** (tries - 1), again.after_s)
                 waits = pause_s <= PAUSE_MAX_S and self.now() + pause_s < end_s
                 if tries > settings.retries or not waits:

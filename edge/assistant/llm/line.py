@@ -38,6 +38,7 @@ def post(
     import requests  # late: with its friends it is 5 MB, and most rigs have no language model
     import urllib3
 
+    # Two interrupts: this request's deadline, and the owner's stop, which outlives it.
     own = Interrupt()
     timer = threading.Timer(deadline_s, own.fire)
     timer.daemon = True
@@ -115,6 +116,7 @@ def _session(interrupts: tuple[Interrupt, ...], ca: str) -> Any:
     session = requests.Session()
     session.trust_env = False
     session.verify = ca or True
+    # No retries in the library: they would not know of the deadline.
     for scheme, pool in (("http", PlainPool), ("https", TlsPool)):
         adapter = HTTPAdapter(pool_maxsize=1, max_retries=0)
         adapter.poolmanager.pool_classes_by_scheme = {scheme: pool}

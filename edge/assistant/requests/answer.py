@@ -125,6 +125,7 @@ def understood(
         fan_rest=tuple(FanRest(_seconds(rest.start), _seconds(rest.until)) for rest in said.fan_rest),
     )
     text, question = plain(said.understood, TEXT_MAX), plain(said.question, TEXT_MAX)
+    # A model that asks has not understood: what it guessed beside its question must not steer.
     if question or _asks_for_nothing(steering):
         return Understood(None, text, question or "What shall be different? Nothing was understood.")
     return Understood(steering, text, "")

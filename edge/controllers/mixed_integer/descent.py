@@ -36,6 +36,7 @@ def descended(
             curvature = _curvature(problem, push, temps) + 2.0 * effort * float(move @ move)
             if not np.all(curvature > 0.0):
                 continue  # nothing that counts depends on it
+            # The cost along one move is a parabola between two kinks, so its lowest level is known at once.
             slope = problem.tracking_slope(temps) @ push + 2.0 * effort * (levels @ move)
             step = _within(problem.heater_levels, levels, move, np.rint(-slope / curvature).astype(np.int64))
             if step.any():

@@ -41,6 +41,7 @@ def relaxed_temperatures(problem: PlanningProblem) -> Floats:
         diagonal = curvature + ratio.sum(axis=0)
         scaled = response / diagonal
         system = scaled @ response.T
+        # Woodbury: the tracking cost is of rank N + M, so the large inverse becomes one of that size.
         weight = TRACKING_WEIGHT + problem.limit_weight * (temps > problem.temp_max)
         system[np.diag_indices(len(system))] += 0.5 / weight
         inverse = np.linalg.inv(system)

@@ -27,6 +27,8 @@ def undominated(
     problem: PlanningProblem, free: Floats, cost: Floats, fan: Ints, hold: Ints, best: float, margin: float
 ) -> NDArray[np.bool_]:
     """Mask [M] of the nodes that no compared neighbour dominates; `margin` is left for rounding errors."""
+    # What is still to be paid is never negative and bends by at most `smooth`, so its gradient is at most
+    # `reach`: near temperatures cannot differ by more than that in what they still cost.
     smooth = 2.0 * (TRACKING_WEIGHT + problem.limit_weight)
     order = np.argsort(free.sum(axis=1), kind="stable")
     free, cost, fan, hold = free[order], cost[order], fan[order], hold[order]
@@ -127,6 +129,7 @@ def search(
         cost, bound, hold = _children(problem, bounds, options, level, k)
         if k == 0 and other_than is not None:
             bound[:, (options.levels == other_than[0]) & (options.fan == other_than[1])] = np.inf
+        # Only what was dropped for want of room weakens the bound; what the bound itself drops does not.
         kept = np.flatnonzero(bound < best - margin)
         if len(kept) > width:
             kept, lowest = _lowest(kept, bound.ravel()[kept], width)

@@ -68,6 +68,7 @@ def solve(
         proven = found.bound >= best.cost - margin
         if proven or found.stopped:
             break
+        # Most plans are proven by a narrow search; only one that was not is worth the polish, once.
         if width == _POLISH_FROM:
             best = polished(problem, best)
         width = _next_width(width, (node_budget - nodes) // problem.horizon)

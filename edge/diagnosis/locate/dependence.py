@@ -75,6 +75,7 @@ def explained(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W)
     left = regression.left(chosen)
     found = []
     for name in {name: None for i in chosen for name in terms[i].signals}:
+        # What the best formula without this signal loses: a signal that another can stand for is not needed.
         others = regression.best([i for i in range(len(terms)) if name not in terms[i].signals])
         lost = regression.left(others) - left
         chance = _chance(lost, left, told - len(chosen), len(terms))

@@ -77,6 +77,7 @@ def find_events(
     switches = Switches.of(runs)
     shapes: list[RunShapes] = []
     for _ in range(PASSES):
+        # Found events loosen the filter where they are, so that the next pass does not see them as noise.
         way = filtered(steps, sensor_k, likeliest(_loosened(steps, found), sensor_k))
         shapes.clear()  # the largest arrays of a diagnosis: never two passes' at once
         shapes = _shapes(twin, runs, steps, way)
@@ -176,6 +177,7 @@ def _told(
         others = [shape for shape in part if shape.kind != "door" and not _touches(shape, doors)]
         left = innovations[i] - sum((s.size * run.response(s) for s in others), start=np.zeros(()))
         every.append(openings(run, left, doors))
+    # A short opening does not tell how wide it was; the usual long one does.
     wide = [full_w_k(item) for part in every for item in part if is_long(item)]
     usual = float(np.median(wide)) if wide else 0.0
     door_open, told = np.zeros_like(runs.duty), []

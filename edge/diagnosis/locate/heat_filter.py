@@ -91,6 +91,7 @@ def steps_of(twin: BoxTwin, runs: Recorded, sensor_k: float) -> Steps:
     march = twin.march(commands, runs.ambient, conditions=runs.conditions or None)
     whole = reduce(lambda one, later: one.then(later), march.parts)
     rows, count, size = whole.driven.shape
+    # Two states more: heat that stays through a run, and heat that wanders.
     matrix = np.zeros((rows, count, size + 2, size + 2))
     matrix[..., :size, :size] = whole.matrix
     matrix[..., :size, size:] = whole.gain[..., None] / twin.system.air_capacity_j_k

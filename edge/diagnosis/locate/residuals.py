@@ -80,6 +80,7 @@ def residuals_of(
     heat = heat or residual_heat(twin, runs, sensor_k)
     free = free_run(twin, runs, runs.ambient, max(sensor_k, _misfit(heat)))
     free_k = np.where(free.measured, free.residual, np.nan)
+    # Innovations of a filter without unknown heat: with it there would be none left to judge by.
     believed = _without_heat(heat.steps)
     alone = filtered(believed, sensor_k, likeliest(believed, sensor_k, wander_w=(0.0,)))
     told, response = white(heat.way), pulses(heat.steps, heat.way)

@@ -52,6 +52,7 @@ def rows_of(runs: Sequence[Residuals]) -> Rows:
     def column(values: list[Floats]) -> Floats:
         return np.concatenate([part[keep] for part, keep in zip(values, kept, strict=True)])
 
+    # A signal counts where every run has it: part of the rows would compare two sets of runs.
     def optional(values: list[Floats | None]) -> Floats | None:
         known = [value for value in values if value is not None]
         return column(known) if len(known) == len(values) else None

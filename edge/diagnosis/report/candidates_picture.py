@@ -32,6 +32,7 @@ def candidates_picture(document: DiagnosisDocument) -> Picture | None:
             axes.set_title(f"Round {place}, beside {beside}")
             _draw(axes, _ranked(one))
         largest = max(_gain(_ranked(one)[0]) for one in rounds)
+        # Gains go from tenths to thousands; a plain logarithm has no place for 0.
         axes.set_xscale("symlog", linthresh=LEAST_NATS, linscale=0.3)
         axes.set_xlim(0.0, 6.0 * max(largest, LEAST_NATS))
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:.0f}")

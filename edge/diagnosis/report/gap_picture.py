@@ -39,6 +39,7 @@ def gap_picture(document: DiagnosisDocument) -> Picture | None:
         axes = figure.subplots()
         trained = [step["train_rmse_k"] or 0.0 for step in steps] if roles == ["test", "train"] else []
         floor = document["gap"]["noise_floor"][role]
+        # One axis for bars, training runs and floor: whichever is least must be on it.
         low = error_axis(axes, [*errors, *trained, *([] if floor is None else [floor])])
         _draw(axes, names, errors, low)
         if trained:

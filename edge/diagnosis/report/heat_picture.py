@@ -22,6 +22,7 @@ def heat_picture(story: Story, adds: bool) -> Picture | None:
     if not traces:
         return None
     heats = {when: _heat(traces, when) for when in (("before", "after") if adds else ("before",))}
+    # One condition for both panels, that of the twin before: two would not show what was closed.
     chosen = _chosen(story, traces, heats["before"])
     if chosen is None:
         return None

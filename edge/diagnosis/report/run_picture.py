@@ -45,6 +45,7 @@ def run_picture(trace: Trace, errors: Sequence[float | None], adds: bool) -> Pic
     }
     panels = {name: height for name, height in PANEL_IN.items() if known[name]}
     title = f"{drawable(trace.name, TITLE_LETTERS)} ({_ROLES.get(trace.role, trace.role)})"
+    # A month in one picture is a black band; the worst day shows what goes wrong.
     whole, trace = trace, worst_stretch(trace, LONGEST_S)
     with styled():
         figure = new_figure(sum(panels.values()) + BORDER_IN)

@@ -14,6 +14,7 @@ OPEN_FINDINGS = 3  # more are folded
 
 def where_tables(document: DiagnosisDocument) -> Iterator[str]:
     """Yield findings, regimes and events."""
+    # The first few stand open: a long list would hide them.
     if found := where_found(document):
         yield bullets(found[:OPEN_FINDINGS])
     if more := found[OPEN_FINDINGS:]:
@@ -52,6 +53,7 @@ def _regimes(regimes: list[RegimeEntry]) -> Iterator[str]:
         "rmse_k": "RMSE before [K]",
         "rmse_after_k": "RMSE after [K]",
     }
+    # A column that no row has a value for says nothing and costs a phone's width.
     known = [key for key in further if any(regime.get(key) is not None for regime in regimes)]
     rows: list[tuple[str | Bar, ...]] = [
         (

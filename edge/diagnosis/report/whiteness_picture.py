@@ -27,6 +27,7 @@ def whiteness_picture(story: Story, adds: bool) -> Picture | None:
     if rows < LEAST_ROWS:
         return None
     values = autocorrelation(parts)
+    # Bartlett's band: autocorrelations of white noise have a standard deviation of 1/sqrt(rows).
     band = 1.96 / np.sqrt(rows)
     with styled():
         figure = new_figure(2.4)
