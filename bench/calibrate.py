@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.foreign.score import bins, calibration_error, matched
+from bench.foreign.score import bins, calibration_error, match_names
 from bench.hidden_effects.wilson import share
 from bench.real_truth.__main__ import folder_name, is_true
 from bench.real_truth.logs import LOGS
@@ -34,7 +34,7 @@ def main(words: Sequence[str] | None = None) -> int:
         return 2
     told = [pair for place in places for pair in statements(place)]
     numbers, right = np.array([own for own, _ in told]), np.array([own for _, own in told], dtype=bool)
-    weights = fitted(numbers, right)
+    weights = fit_curve(numbers, right)
     print(f"{len(told)} names, {int(right.sum())} of them right")
     print("intercept, nats, ratio:", ", ".join(f"{weight:.2f}" for weight in weights))
     odds = weights[0] + numbers @ weights[1:]
@@ -59,7 +59,7 @@ def statements(place: str) -> Iterator[tuple[tuple[float, float], bool]]:
 def documents(place: str, split: str = "") -> Iterator[tuple[dict[str, Any], list[bool]]]:
     """Answers, and which of their names are right. split : of measured logs, "" for both"""
     if not _has_truths(place):
-        yield from _measured(Path(place), split)
+        yield from _measured_answers(Path(place), split)
         return
     answers, _, truths = place.partition(":")
     folder = Path(answers) if truths else Path(answers) / "answers"
@@ -67,14 +67,14 @@ def documents(place: str, split: str = "") -> Iterator[tuple[dict[str, Any], lis
     for path in sorted(folder.glob("*/diagnosis.json")):
         document = json.loads(path.read_text(encoding="utf-8"))
         truth = json.loads((truth_folder / f"{path.parent.name}.json").read_text(encoding="utf-8"))
-        yield document, list(matched([item["name"] for item in document["effects"]], hidden_of(truth)))
+        yield document, list(match_names([item["name"] for item in document["effects"]], hidden_of(truth)))
 
 
 def _has_truths(place: str) -> bool:
     return ":" in place or (Path(place) / "truth").is_dir()
 
 
-def _measured(folder: Path, split: str) -> Iterator[tuple[dict[str, Any], list[bool]]]:
+def _measured_answers(folder: Path, split: str) -> Iterator[tuple[dict[str, Any], list[bool]]]:
     """Yield the answers about logs with known contents."""
     for log in LOGS:
         path = folder / "answers" / folder_name(log) / "diagnosis.json"
@@ -93,18 +93,18 @@ def hidden_of(truth: dict[str, Any]) -> list[str]:
     return [item if isinstance(item, str) else item["name"] for item in truth["hidden"]]
 
 
-def fitted(numbers: np.ndarray, right: np.ndarray) -> np.ndarray:
+def fit_curve(numbers: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Intercept and two slopes, of which none has the wrong sign."""
     from scipy.optimize import minimize
 
     sign = np.where(right, 1.0, -1.0)
 
-    def lost(weights: np.ndarray) -> float:
+    def loss(weights: np.ndarray) -> float:
         odds = weights[0] + numbers @ weights[1:]
         return float(np.logaddexp(0.0, -sign * odds).sum() + RIDGE * (weights[1:] ** 2).sum())
 
     bounds = [(None, None), (0.0, None), (0.0, None)]
-    return np.asarray(minimize(lost, np.array([0.0, 1.0, 1.0]), bounds=bounds).x)
+    return np.asarray(minimize(loss, np.array([0.0, 1.0, 1.0]), bounds=bounds).x)
 
 
 if __name__ == "__main__":

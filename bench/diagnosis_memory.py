@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.history_year import head
-from bench.support.simulated_runs import simulated
+from bench.support.simulated_runs import simulate
 from edge.app.nightly_diagnosis import ROWS_MAX
 from edge.formats.run_file import RecordedRun
 from edge.storage.file import connect
@@ -33,11 +33,11 @@ CASES = {  # name: stuck readings, effects that the twin lacks
 }
 
 
-def recorded(days: float, stuck: int, lacking: dict[str, dict[str, float]]) -> RecordedRun:
+def record_run(days: float, stuck: int, lacking: dict[str, dict[str, float]]) -> RecordedRun:
     """Return a run of 60 s steps."""
     own = read_twin_file(TWIN).effects.items()
     effects = {name: {key: value.value for key, value in values.items()} for name, values in own}
-    run = simulated({**effects, **lacking}, seed=1, rows=round(days * DAY_ROWS))
+    run = simulate({**effects, **lacking}, seed=1, rows=round(days * DAY_ROWS))
     draw, temp = np.random.default_rng(3), run.columns["temp_air_c"]
     for begin in draw.integers(60, len(run) - 60, stuck):
         temp[begin : begin + draw.integers(10, 30)] = temp[begin]
@@ -73,7 +73,7 @@ def write_history(path: Path, run: RecordedRun) -> None:
         connection.execute("COMMIT")
 
 
-def diagnosed(history: Path, folder: Path, rows: int | None) -> tuple[float, float]:
+def diagnose_once(history: Path, folder: Path, rows: int | None) -> tuple[float, float]:
     """Peak resident memory [MB] and CPU time [s] of one diagnosis."""
     words = ["--jobs", "1", "--history", str(history), "--twin", str(TWIN), "--out", str(folder / "report")]
     bound = [] if rows is None else ["--rows", str(rows)]
@@ -112,9 +112,9 @@ def report(days: float) -> Iterator[str]:
     for name, (stuck, lacking) in CASES.items():
         with tempfile.TemporaryDirectory(prefix="gh-") as folder:
             history = Path(folder) / "history.db"
-            write_history(history, recorded(days, stuck, lacking))
+            write_history(history, record_run(days, stuck, lacking))
             for rows in (ROWS_MAX, None):
-                peak, cpu = diagnosed(history, Path(folder), rows)
+                peak, cpu = diagnose_once(history, Path(folder), rows)
                 yield f"{name:28} {rows or 'all':>8} {peak:10.0f} {cpu:8.0f}"
 
 

@@ -33,11 +33,11 @@ from training.models.registry import NETWORK_FILE, TWIN_FILE
 from training.rl.boxes import START_ROWS, World
 from training.rl.command import POLICIES
 from training.rl.episodes import DrawnEpisodes
-from training.rl.kept import FOLDERS, WEIGHTS_FILE, read_record
 from training.rl.models import Floats, Indices, StepModel, TwinModel
 from training.rl.play import play
 from training.rl.read_model import ham_over, kept_folder, read_model
 from training.rl.reward import WEIGHTS
+from training.rl.saved_policy import FOLDERS, WEIGHTS_FILE, read_record
 from training.rl.settings import DqnSettings
 from training.rl.train import greedy, train
 from training.rl.vec_env import BoxesVecEnv
@@ -107,17 +107,17 @@ def cost_of(model: StepModel, settings: DqnSettings, steps: int) -> tuple[float,
     return (time.process_time() - cpu) * scale, (time.perf_counter() - began) * scale
 
 
-def judged(network: nn.Module) -> float:
+def judge(network: nn.Module) -> float:
     """Cost of a step (reward with its sign turned) in fresh episodes."""
     return -play(greedy(network), world(read_model("ham")), JUDGED, JUDGED_SEED).reward
 
 
-def trained(settings: DqnSettings, seed: int, steps: int) -> nn.Module:
+def train_network(settings: DqnSettings, seed: int, steps: int) -> nn.Module:
     """Return a network after a training."""
     return train(world(read_model("ham")), seed, replace(settings, steps=steps)).policy.q_net
 
 
-def kept(seed: int) -> nn.Module:
+def saved_network(seed: int) -> nn.Module:
     """Return the network that `greenhouse-train rl` has saved. Errors:
     DataError for one with other settings
     """
@@ -156,8 +156,10 @@ def main(words: Sequence[str] | None = None) -> None:
     print(f"ours costs 1/{ratio:.1f} of the CPU time of the paper's way")
     print(f"# Cost of a step in {JUDGED} fresh episodes (0.5 e^2 + |e|, e in K), by seed: of our trainings")
     print("# that are kept, and of the paper's way with the exact step, the same to RK45's tolerance.")
-    _tell("ours", (judged(kept(seed)) for seed in SEEDS))
-    _tell("paper's way", (judged(trained(PAPER, seed, arguments.steps)) for seed in range(arguments.seeds)))
+    _tell("ours", (judge(saved_network(seed)) for seed in SEEDS))
+    _tell(
+        "paper's way", (judge(train_network(PAPER, seed, arguments.steps)) for seed in range(arguments.seeds))
+    )
 
 
 def _tell(name: str, costs: Iterable[float]) -> None:

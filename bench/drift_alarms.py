@@ -82,16 +82,16 @@ def simulate(
     past, slow = noise.InnovationPast(np.zeros(paths), np.zeros(paths)), np.zeros(paths)
     count, first, change = 0, np.full(paths, np.nan), np.full(paths, np.nan)
     for k, now in enumerate(_situations(round(days * TICKS_A_DAY), seed)):
-        slow = colour.phi * slow + np.sqrt(1.0 - colour.phi**2) * _drawn(random, colour.degrees, paths)
+        slow = colour.phi * slow + np.sqrt(1.0 - colour.phi**2) * _draw(random, colour.degrees, paths)
         z = (slow + colour.white * random.standard_normal(paths)) / np.hypot(1.0, colour.white)
         z += shift if k >= at else 0.0
-        white = noise.whitened(weights[now.cell], z, past)
+        white = noise.whiten(weights[now.cell], z, past)
         if noise.count(sums, now.cell) < learn:
             sums = noise.learnt(sums, now.cell, z, past)
             if noise.count(sums, now.cell) >= learn:
                 weights[now.cell] = noise.weights(sums, now.cell)
-        past = noise.followed(past, z, STEP_S)
-        seen = evidence.heard(seen, white, now.regimes, float(k), threshold)
+        past = noise.follow(past, z, STEP_S)
+        seen = evidence.hear(seen, white, now.regimes, float(k), threshold)
         # As after a reset on the rig: evidence is gone, what was learnt of the noise stays.
         for path in np.flatnonzero(seen.total >= threshold):
             count += 1
@@ -117,7 +117,7 @@ def _situations(count: int, seed: int) -> Iterator[StepSituation]:
         yield situation({name: column[rows] for name, column in columns.items()}, STEP_S)
 
 
-def _drawn(random: np.random.Generator, degrees: float, paths: int) -> Floats:
+def _draw(random: np.random.Generator, degrees: float, paths: int) -> Floats:
     if np.isinf(degrees):
         return random.standard_normal(paths)
     return np.asarray(random.standard_t(degrees, paths) * np.sqrt((degrees - 2.0) / degrees))

@@ -61,7 +61,7 @@ def with_answer(page: str, transcript: str) -> str:
 
 def _run(words: str) -> str:
     """Return a command's output. Errors: RuntimeError with its messages"""
-    found = [path for word in shlex.split(words)[1:] for path in _expanded(word)]
+    found = [path for word in shlex.split(words)[1:] for path in _expand(word)]
     done = subprocess.run(
         [sys.executable, "-m", "edge", *found], capture_output=True, text=True, check=False, cwd=ROOT
     )
@@ -70,7 +70,7 @@ def _run(words: str) -> str:
     return done.stdout
 
 
-def _expanded(word: str) -> list[str]:
+def _expand(word: str) -> list[str]:
     """As a shell does it."""
     return [str(path.relative_to(ROOT)) for path in sorted(ROOT.glob(word))] if "*" in word else [word]
 

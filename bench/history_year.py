@@ -59,11 +59,11 @@ def year_of(template: Sequence[TickRecord], days: float) -> Iterator[list[TickRe
     ticks = round(days * DAY_S / STEP_S)
     for first in range(1, ticks + 1, BATCH):
         yield [
-            _moved(template[seq % len(template)], seq) for seq in range(first, min(first + BATCH, ticks + 1))
+            _move(template[seq % len(template)], seq) for seq in range(first, min(first + BATCH, ticks + 1))
         ]
 
 
-def _moved(record: TickRecord, seq: int) -> TickRecord:
+def _move(record: TickRecord, seq: int) -> TickRecord:
     utc = FIRST_UTC + STEP_S * seq
     events = tuple(replace(event, utc=utc) for event in record.events)
     if seq % EVENT_EVERY_TICKS < 2:

@@ -18,7 +18,7 @@ LONG_LINES = 25
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def tracked(pattern: str = "*") -> list[Path]:
+def tracked_files(pattern: str = "*") -> list[Path]:
     """Return the tracked files that match, from the root of the checkout."""
     command = ["git", "ls-files", pattern]
     lines = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
@@ -30,12 +30,12 @@ def imports_between(trees: Mapping[Path, ast.Module]) -> dict[str, set[str]]:
     names = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): path for path in trees}
     graph: dict[str, set[str]] = {}
     for name, path in names.items():
-        wanted = set(_imported(trees[path]))
+        wanted = set(_imported_names(trees[path]))
         graph[name] = {other for other in wanted if other in names and other != name}
     return graph
 
 
-def _imported(tree: ast.Module) -> Iterator[str]:
+def _imported_names(tree: ast.Module) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -78,7 +78,7 @@ def _room(name: str) -> str:
     return ".".join(name.split(".")[: 2 if name.startswith("edge.") else 1])
 
 
-def documented(tree: ast.Module) -> Iterator[Documented]:
+def documented_nodes(tree: ast.Module) -> Iterator[Documented]:
     """Yield the module and everything in it that may have a docstring."""
     for node in ast.walk(tree):
         if isinstance(node, Documented):
@@ -91,7 +91,7 @@ def opens_badly(node: Documented) -> bool:
     return bool(words) and words[0].strip("`,.:;").lower() in BAD_OPENINGS
 
 
-def unexplained(source: str, tree: ast.Module) -> int:
+def unexplained_functions(source: str, tree: ast.Module) -> int:
     """Return the number of long functions without an own-line comment."""
     lines = source.splitlines()
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
@@ -103,7 +103,7 @@ def unexplained(source: str, tree: ast.Module) -> int:
 
 def figures() -> list[tuple[str, float, float]]:
     """Return each figure's name, its value and the largest value that meets the goal."""
-    sources = {path: (ROOT / path).read_text(encoding="utf-8") for path in tracked("*.py")}
+    sources = {path: (ROOT / path).read_text(encoding="utf-8") for path in tracked_files("*.py")}
     trees = {path: ast.parse(source) for path, source in sources.items()}
     product = [path for path in sources if path.parts[0] in PRODUCT]
     graph = imports_between({path: trees[path] for path in product})
@@ -131,16 +131,16 @@ def figures() -> list[tuple[str, float, float]]:
         ("class names used twice", sum(count > 1 for count in classes.values()), 0),
         (
             "docstrings that open with What, Of, Whether, Where",
-            sum(opens_badly(node) for tree in trees.values() for node in documented(tree)),
+            sum(opens_badly(node) for tree in trees.values() for node in documented_nodes(tree)),
             0,
         ),
         (
             f"functions over {LONG_LINES} lines without a comment",
-            sum(unexplained(sources[path], trees[path]) for path in product),
+            sum(unexplained_functions(sources[path], trees[path]) for path in product),
             0,
         ),
         ("lines of the README", len(readme.splitlines()), 150),
-        ("MB tracked", round(sum((ROOT / path).stat().st_size for path in tracked()) / 1e6, 1), 14),
+        ("MB tracked", round(sum((ROOT / path).stat().st_size for path in tracked_files()) / 1e6, 1), 14),
     ]
 
 

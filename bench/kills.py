@@ -259,7 +259,7 @@ def one_kill(rig: KilledRig, drawn: KillPlan) -> list[str]:
         still_from |= {"fan": rejoined_s + REACHED_S}
     rig.restart()
     wait_for(lambda: _now(rig) >= max(map(still_from.__getitem__, PINS)) + WATCHED_S, "time passes", 120.0)
-    found = _moved(rig, still_from)
+    found = _movements(rig, still_from)
     operation = rig.status()["operation"]
     if not (operation["emergency_stop"] or operation["maintenance_until_utc"]):
         found.append("the restarted daemon does not know of it")
@@ -308,7 +308,7 @@ def _resting(rig: KilledRig, since_s: float) -> list[str]:
     return [pin for pin in PINS if pin != "valve" and not (last[pin] or 0.0) > since_s]
 
 
-def _moved(rig: KilledRig, still_from: Mapping[str, float]) -> list[str]:
+def _movements(rig: KilledRig, still_from: Mapping[str, float]) -> list[str]:
     last = rig.board.truth()["last_on_s"]
     late = {pin: (last[pin] or 0.0) - still_from[pin] for pin in PINS}
     return [f"{pin} on {late_s:.1f} s after it had to be off" for pin, late_s in late.items() if late_s > 0.0]

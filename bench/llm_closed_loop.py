@@ -27,7 +27,7 @@ drift: {{enabled: false}}
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class RunRemains:
     """The result of a run."""
 
     records: list[TickRecord]
@@ -35,7 +35,7 @@ class Ended:
     events: list[tuple[str, str]]  # key and text, as the history has them
     whys: list[dict[str, Any]]
 
-    def said(self, key: str) -> list[str]:
+    def texts(self, key: str) -> list[str]:
         """Texts of the history's events of one key."""
         return [text for found, text in self.events if found == key]
 
@@ -53,7 +53,7 @@ def run(
     prepare: Callable[[Path], None] = lambda folder: None,
     during: Callable[[TickRecord, Lab], None] = lambda record, lab: None,
     **llm: Any,
-) -> Ended:
+) -> RunRemains:
     """`minutes` ticks of a minute.
 
     prepare : with the rig's folder, before the daemon starts
@@ -73,7 +73,7 @@ def run(
             on_tick=lambda record: during(record, lab),
         ) as lab:
             lab.run(minutes)
-        return _ended(lab)
+        return _remains(lab)
 
 
 def _settings(folder: Path, controller: str, url: str, yaml: str, llm: dict[str, Any]) -> Settings:
@@ -85,8 +85,8 @@ def _settings(folder: Path, controller: str, url: str, yaml: str, llm: dict[str,
     )
 
 
-def _ended(lab: Lab) -> Ended:
+def _remains(lab: Lab) -> RunRemains:
     with closing(sqlite3.connect(lab.settings.history.path)) as history:
         events = history.execute("SELECT key, text FROM events ORDER BY seq, number").fetchall()
         whys = [json.loads(why) for (why,) in history.execute("SELECT why FROM decisions ORDER BY seq")]
-    return Ended(lab.history, lab.columns()["true_air_c"], events, whys)
+    return RunRemains(lab.history, lab.columns()["true_air_c"], events, whys)

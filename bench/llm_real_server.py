@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.llm_closed_loop import REFERENCE_C, Ended, run
-from edge.assistant.llm.budget import Budget, Spent
+from bench.llm_closed_loop import REFERENCE_C, RunRemains, run
+from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
 from edge.config.settings import LlmSettings
@@ -100,7 +100,7 @@ def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str) -> None:
 def one_exchange(url: str, model: str, tokens: int) -> str:
     """Describe a single exchange; the model ends its answer by chance alone."""
     settings = LlmSettings(url=url, model=model, answer_tokens=tokens, timeout_s=60.0)
-    budget = Budget(settings, Spent(""), lambda spent: None, time.time)
+    budget = Budget(settings, Spending(""), lambda spent: None, time.time)
     try:
         reply = Endpoint(settings, budget).chat([{"role": "user", "content": "hello"}], temperature=1.0)
         text = f"finish_reason {reply.finish_reason}, {len(reply.content or '')} characters, {reply.usage}"
@@ -109,10 +109,10 @@ def one_exchange(url: str, model: str, tokens: int) -> str:
     return f"one exchange of at most {tokens} tokens: {text}"
 
 
-def line_of(controller: str, ended: Ended) -> str:
+def line_of(controller: str, ended: RunRemains) -> str:
     """One run in a line."""
     decided = Counter(record.decision.controller for record in ended.records)
-    kinds = Counter(text.split(": ")[2] for text in ended.said("controller.error"))
+    kinds = Counter(text.split(": ")[2] for text in ended.texts("controller.error"))
     air = f"{np.min(ended.true_air_c):.1f}..{np.max(ended.true_air_c):.1f} degC"
     who = ", ".join(f"{name} {count}" for name, count in sorted(decided.items()))
     told = ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items())) or "none"

@@ -127,14 +127,14 @@ def _record(recording: ExampleRecording, chamber: Path, path: Path) -> None:
 def _profile(recording: ExampleRecording) -> Mapping[str, np.ndarray]:
     """Return a rest, until the whole box is as warm as the room; then random switches of heater and fan."""
     random = np.random.default_rng(recording.seed)
-    duty = _held(random, recording.minutes, (8, 25), (0.0, 0.15, 0.3, 0.45, 0.6))
-    fan = _held(random, recording.minutes, (5, 30), (0.0, 0.0, 1.0))
+    duty = _hold(random, recording.minutes, (8, 25), (0.0, 0.15, 0.3, 0.45, 0.6))
+    fan = _hold(random, recording.minutes, (5, 30), (0.0, 0.0, 1.0))
     duty[:REST_MIN] = fan[:REST_MIN] = 0.0
     time_s = STEP_S * np.arange(recording.minutes + 1)
     return {"time_s": time_s, "heater_duty": np.append(duty, 0.0), "fan_on": np.append(fan, 0.0)}
 
 
-def _held(
+def _hold(
     random: np.random.Generator, minutes: int, lengths: tuple[int, int], levels: Sequence[float]
 ) -> np.ndarray:
     """Draw a level a minute; each holds for some minutes and differs from the one before if possible."""

@@ -63,7 +63,7 @@ def mutants_of(path: Path, root: Path) -> Iterator[FileMutant]:
             continue
         for kind, changed in changes(node):
             is_default = kind == "constant" and id(node) in defaults
-            text = _replaced(source, node, changed)
+            text = _replace(source, node, changed)
             yield FileMutant(path, "keyword default" if is_default else kind, node.lineno, text)
 
 
@@ -86,7 +86,7 @@ def _bytes_before(lines: Sequence[bytes], number: int) -> int:
     return sum(len(line) for line in lines[: number - 1])
 
 
-def _replaced(source: str, node: ast.expr | ast.stmt, changed: ast.AST) -> str:
+def _replace(source: str, node: ast.expr | ast.stmt, changed: ast.AST) -> str:
     """Return the source with one node replaced. Columns of the tree count bytes."""
     lines = source.encode().splitlines(keepends=True)
     begin = _bytes_before(lines, node.lineno) + node.col_offset

@@ -95,13 +95,13 @@ def survive(kill: Callable[..., None], count: int, seed: int) -> tuple[int, int,
             with draining(broker.port, database) as outbox:
                 wait_until_empty(outbox)
                 settle(listener)
-                duplicates = len(heard(listener)) - len(set(heard(listener)))
+                duplicates = len(heard_numbers(listener)) - len(set(heard_numbers(listener)))
                 gaps = missing(database, listener)
                 for seq in gaps:
                     outbox.resend(seq, seq)
                 wait_until_empty(outbox)
                 settle(listener)
-                return len(stored(database)), duplicates, len(gaps), len(missing(database, listener))
+                return len(stored_numbers(database)), duplicates, len(gaps), len(missing(database, listener))
 
 
 def publisher(port: int, database: str) -> subprocess.Popen[bytes]:
@@ -137,12 +137,12 @@ def settle(listener: Listener) -> None:
         time.sleep(1.0)
 
 
-def heard(listener: Listener) -> list[int]:
+def heard_numbers(listener: Listener) -> list[int]:
     """Sequence numbers, with repeats."""
     return [tick["seq"] for tick in listener.objects(TICKS)]
 
 
-def stored(database: str) -> set[int]:
+def stored_numbers(database: str) -> set[int]:
     """Sequence numbers of the history."""
     with closing(sqlite3.connect(database)) as connection:
         return {seq for (seq,) in connection.execute("SELECT seq FROM ticks WHERE seq > 0")}
@@ -150,7 +150,7 @@ def stored(database: str) -> set[int]:
 
 def missing(database: str, listener: Listener) -> list[int]:
     """Return the numbers that were stored and never received."""
-    return sorted(stored(database) - set(heard(listener)))
+    return sorted(stored_numbers(database) - set(heard_numbers(listener)))
 
 
 def main() -> int:

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.real_diagnosis_logs import LOG_SETS, RULES, LogPart, Logs, LogSet, one_mass, read_logs, write_case
-from bench.real_diagnosis_plate import Heated, Plate, heated, plate_of
+from bench.real_diagnosis_plate import HeaterStates, Plate, heater_states, plate_of
 from edge.core.errors import DataError
 from edge.diagnosis.diagnose import Diagnosis, Side, diagnose
 from edge.diagnosis.gap import RunForecast, errors, forecast
@@ -52,7 +52,7 @@ class LogResult:
     """
 
     diagnosis: Diagnosis
-    given: Step
+    given_step: Step
     steps: tuple[Step, ...]
     plate: Plate | None
 
@@ -63,17 +63,17 @@ class LogResult:
         return [after.text for before, after in pairs if after.test_k > before.test_k]
 
 
-def measured(folder: Path, log_set: LogSet, logs: Logs) -> LogResult:
+def measure(folder: Path, log_set: LogSet, logs: Logs) -> LogResult:
     """One case from files to figures. Errors: DataError"""
     train, test, twin = write_case(folder, log_set, logs)
     file = read_twin_file(twin)
     data = read_runs(train, test, file)
     found = diagnose(file, data, lambda _, __: None, "")
     steps = tuple(_step(names, side) for names, side in found.steps)
-    return LogResult(found, _given(log_set, data), steps, _plate(found, logs, log_set))
+    return LogResult(found, _given_step(log_set, data), steps, _plate(found, logs, log_set))
 
 
-def _given(log_set: LogSet, data: DiagnosisRuns) -> Step:
+def _given_step(log_set: LogSet, data: DiagnosisRuns) -> Step:
     """Fit the one mass by least squares over its free runs, with one room for all of them."""
     fit = one_mass(log_set, [named.run for named in data.train])
     twin, room = fit.file.twin(), fit.ambient_c.value if fit.ambient_c else np.nan
@@ -100,24 +100,28 @@ def _plate(found: Diagnosis, logs: Logs, log_set: LogSet) -> Plate | None:
     side = found.after
     if not log_set.plate or HEATER not in side.file.twin().states:
         return None
-    train, test = found.known.as_fitted(), found.data.test
+    train, test = found.inputs.as_fitted(), found.data.test
     return plate_of(
-        _heated(found, train, side.train, logs.train, log_set.plate),
-        _heated(found, test, side.test, logs.test, log_set.plate),
+        _heater_states(found, train, side.train, logs.train, log_set.plate),
+        _heater_states(found, test, side.test, logs.test, log_set.plate),
     )
 
 
-def _heated(
+def _heater_states(
     found: Diagnosis,
     runs: Sequence[NamedRun],
     free: Sequence[RunForecast],
     parts: Sequence[LogPart],
     plate: str,
-) -> list[Heated]:
+) -> list[HeaterStates]:
     twin = found.after.file.twin()
     return [
-        heated(
-            twin, guess, named.run.columns["heater_duty"], found.known.room_of(named), part.run.columns[plate]
+        heater_states(
+            twin,
+            guess,
+            named.run.columns["heater_duty"],
+            found.inputs.room_of(named),
+            part.run.columns[plate],
         )
         for named, guess, part in zip(runs, free, parts, strict=True)
     ]
@@ -130,7 +134,8 @@ def lines_of(folder: str, rule: str, logs: Logs, result: LogResult) -> list[str]
     lines = [f"## {folder}, {rule}: {len(logs.train)} {what} train, {len(logs.test)} held out"]
     lines.append(f"  {'free-run RMSE [K]':42}{'train':>8}{'held out':>10}")
     lines += [
-        f"  {step.text:42}{step.train_k:8.3f}{step.test_k:10.3f}" for step in (result.given, *result.steps)
+        f"  {step.text:42}{step.train_k:8.3f}{step.test_k:10.3f}"
+        for step in (result.given_step, *result.steps)
     ]
     lines.append(f"  verdict: {verdict.kind}")
     for effect in verdict.effects:
@@ -143,7 +148,7 @@ def lines_of(folder: str, rule: str, logs: Logs, result: LogResult) -> list[str]
             f"    {effect.name}: {values}; log odds {effect.log_odds:.1f}; can't be told from: {rivals}"
         )
     lines.append(f"  refuted by held-out runs: {', '.join(result.refuted) or 'none'}")
-    shrunk = result.given.test_k / result.steps[-1].test_k
+    shrunk = result.given_step.test_k / result.steps[-1].test_k
     lines.append(f"  held-out error of the one mass over the last: {shrunk:.1f}")
     return lines + _plate_lines(result.plate)
 
@@ -171,7 +176,7 @@ def main(words: Sequence[str] | None = None) -> int:
             place = (arguments.keep or Path(temporary)) / folder / rule.replace(" ", "_")
             try:
                 logs = read_logs(arguments.data, LOG_SETS[folder], RULES[rule])
-                result = measured(place, LOG_SETS[folder], logs)
+                result = measure(place, LOG_SETS[folder], logs)
             except DataError as error:
                 print(error, file=sys.stderr)
                 return 2

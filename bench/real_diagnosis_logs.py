@@ -111,8 +111,8 @@ def read_logs(data: Path, log_set: LogSet, rule: Rule) -> Logs:
 def write_case(folder: Path, log_set: LogSet, logs: Logs) -> tuple[list[Path], list[Path], Path]:
     """Training runs, held-out runs and the twin that is given, as files. Errors: DataError"""
     folder.mkdir(parents=True, exist_ok=True)
-    train = _written(folder, logs.train, "train")
-    test = train if logs.test is logs.train else _written(folder, logs.test, "test")
+    train = _write(folder, logs.train, "train")
+    test = train if logs.test is logs.train else _write(folder, logs.test, "test")
     twin = folder / "twin.yaml"
     first = [_until(part) for part in logs.train]
     write_twin_file(given_twin(log_set, first), twin)
@@ -126,7 +126,7 @@ def _until(part: LogPart) -> RecordedRun:
     return cut(part.run, 0, int((part.run.columns["time_s"] < part.judged_from_s).sum()))
 
 
-def _written(folder: Path, parts: Sequence[LogPart], role: str) -> list[Path]:
+def _write(folder: Path, parts: Sequence[LogPart], role: str) -> list[Path]:
     paths = []
     for part in parts:
         columns = {name: part.run.columns[name] for name in TOLD}

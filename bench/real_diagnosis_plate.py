@@ -14,7 +14,7 @@ from edge.twin.warm_start import PastColumns, state_now
 Floats = NDArray[np.float64]
 
 
-class Heated(NamedTuple):
+class HeaterStates(NamedTuple):
     """Over the rows of a run behind the start of its free run: simulated air [°C] and heat of the element
     [W], and the plate as it was measured [°C]."""
 
@@ -36,7 +36,9 @@ class Plate(NamedTuple):
     explained: float
 
 
-def heated(twin: BoxTwin, free: RunForecast, duty: Floats, room_c: Floats, plate_c: Floats) -> Heated:
+def heater_states(
+    twin: BoxTwin, free: RunForecast, duty: Floats, room_c: Floats, plate_c: Floats
+) -> HeaterStates:
     """Return the states of a free run, fan off. duty, room_c, plate_c : [rows] of its run"""
     start, heater = free.start, twin.states.index(HEATER)
     plate_c, duty = plate_c[: len(free.measured)], duty[: len(free.measured)]
@@ -48,15 +50,15 @@ def heated(twin: BoxTwin, free: RunForecast, duty: Floats, room_c: Floats, plate
         state = twin.advance(state, room_c[k], duty[k], 0.0)
         states.append(state)
     found = np.array(states)
-    return Heated(found[:, 0], found[:, heater], plate_c[start + 1 :])
+    return HeaterStates(found[:, 0], found[:, heater], plate_c[start + 1 :])
 
 
-def plate_of(train: Sequence[Heated], test: Sequence[Heated]) -> Plate:
+def plate_of(train: Sequence[HeaterStates], test: Sequence[HeaterStates]) -> Plate:
     """Fit on training runs how much warmer the plate is than the air, in
     proportion to the heat that leaves it.
     """
     fitted, rest = (
-        Heated(*(np.concatenate(part) for part in zip(*runs, strict=True))) for runs in (train, test)
+        HeaterStates(*(np.concatenate(part) for part in zip(*runs, strict=True))) for runs in (train, test)
     )
     per_w, offset = np.polyfit(fitted.heat_w, fitted.plate_c - fitted.air_c, 1)
     told = rest.air_c + offset + per_w * rest.heat_w

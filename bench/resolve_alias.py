@@ -146,7 +146,7 @@ def resolve(case: AliasCase, folder: Path) -> list[str]:
     for seed, run in zip(case.seeds[:-1], runs, strict=False):
         _experiment(profile, run, chamber, seed)
     before = _diagnosis(runs[:-1], twin, folder / "before")
-    lines = [f"## {case.title}", f"  truth: {case.hidden} {case.settings}", *_told("before", before)]
+    lines = [f"## {case.title}", f"  truth: {case.hidden} {case.settings}", *_answer_lines("before", before)]
     experiment = before["next_experiment"]
     if not experiment or "profile" not in experiment:
         return [*lines, "  no experiment is proposed"]
@@ -155,7 +155,7 @@ def resolve(case: AliasCase, folder: Path) -> list[str]:
         f"  run: {_experiment(folder / 'before' / experiment['profile'], runs[-1], chamber, case.seeds[-1])}"
     )
     after = _diagnosis(runs, twin, folder / "after")
-    return [*lines, *_told("after", after), *_measured(case, before, after)]
+    return [*lines, *_answer_lines("after", after), *_resolution(case, before, after)]
 
 
 def _write_profile(path: Path, profile: Columns) -> None:
@@ -182,7 +182,7 @@ def _greenhouse(*words: object) -> str:
     return done.stdout
 
 
-def _told(when: str, found: Mapping[str, Any]) -> list[str]:
+def _answer_lines(when: str, found: Mapping[str, Any]) -> list[str]:
     lines = [f"  {when}: {found['verdict']}"]
     for effect in found["effects"]:
         values = ", ".join(
@@ -195,7 +195,7 @@ def _told(when: str, found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _measured(case: AliasCase, before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+def _resolution(case: AliasCase, before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """Return whether the class is resolved, and to which effect."""
     names = [effect["name"] for effect in after["effects"]]
     left = [name for effect in after["effects"] for name in effect["alternatives"]]

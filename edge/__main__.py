@@ -96,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parser_for(command).parse_args(argv)
         return int(arguments.run(arguments))
     except GreenhouseError as error:
-        for line in _bounded(str(error)).splitlines():
+        for line in _bound(str(error)).splitlines():
             print(f"greenhouse {command}: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 141  # the reader of our output went away: `greenhouse status | head`
 
 
-def _bounded(text: str) -> str:
+def _bound(text: str) -> str:
     """Return the text without control characters, at most a screen long."""
     text = storable(text)
     return text if len(text) <= MESSAGE_MAX else f"{text[:MESSAGE_MAX]}..."

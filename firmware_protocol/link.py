@@ -20,8 +20,8 @@ from firmware_protocol.link_events import (
     LinkLost,
     LinkUp,
     Nonsense,
-    Refused,
     Report,
+    RequestRefused,
     RequestTimedOut,
     VersionRefused,
 )
@@ -52,8 +52,8 @@ __all__ = [
     "LinkLost",
     "LinkUp",
     "Nonsense",
-    "Refused",
     "Report",
+    "RequestRefused",
     "RequestTimedOut",
     "VersionRefused",
 ]  # fmt: skip
@@ -158,7 +158,7 @@ class Link:
             self._greet(now)
         return events
 
-    def disconnected(self, now: float) -> list[LinkEvent]:
+    def disconnect(self, now: float) -> list[LinkEvent]:
         """Handle a closed port: forget half a frame, end the session, greet again."""
         events, self._untold = self._untold, []
         self._decoder.reset()
@@ -247,7 +247,7 @@ class Link:
             return self._stale()
         self._under_way = None
         if isinstance(answer, ErrorMessage):
-            refused: list[LinkEvent] = [Refused(answer, request.message)]
+            refused: list[LinkEvent] = [RequestRefused(answer, request.message)]
             if answer.code is ErrorCode.NOT_GREETED:
                 return refused + self._end_session(now)
             self._send_waiting(now)

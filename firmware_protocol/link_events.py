@@ -50,7 +50,7 @@ class LinkEcho:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RequestRefused:
     """The board did not obey a request."""
 
     error: ErrorMessage
@@ -72,5 +72,13 @@ class Nonsense:
 
 
 LinkEvent = (
-    LinkUp | LinkLost | BoardReset | VersionRefused | Report | LinkEcho | Refused | RequestTimedOut | Nonsense
+    LinkUp
+    | LinkLost
+    | BoardReset
+    | VersionRefused
+    | Report
+    | LinkEcho
+    | RequestRefused
+    | RequestTimedOut
+    | Nonsense
 )

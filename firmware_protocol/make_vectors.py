@@ -45,7 +45,7 @@ def _crc(payload: bytes) -> bytes:
     return crc16(payload).to_bytes(2, "big")
 
 
-def _framed(payload: bytes) -> bytes:
+def _frame(payload: bytes) -> bytes:
     return cobs_encode(payload + _crc(payload)) + b"\0"
 
 
@@ -153,8 +153,8 @@ _BROKEN: tuple[tuple[str, bytes, str], ...] = (
     ("code byte 255", b"\xff" + b"\1" * 54 + b"\0", "bad_cobs"),
     ("only a code byte", b"\1\0", "too_short"),
     ("a CRC without a header", cobs_encode(b"\xff\xff") + b"\0", "too_short"),
-    ("header one byte short, good CRC", _framed(b"\2\7\4"), "too_short"),
-    ("body one byte too long, good CRC", _framed(b"\2\x0d\x09\0" + b"\xff" * 49), "too_long"),
+    ("header one byte short, good CRC", _frame(b"\2\7\4"), "too_short"),
+    ("body one byte too long, good CRC", _frame(b"\2\x0d\x09\0" + b"\xff" * 49), "too_long"),
     ("longest run and one more", b"\2" * (MAX_ENCODED + 1) + b"\0", "too_long"),
     ("a very long run", b"\x55" * 1000 + b"\0", "too_long"),
     ("CRC in the wrong order", cobs_encode(pack(Ping(), 4) + _crc(pack(Ping(), 4))[::-1]) + b"\0", "bad_crc"),
@@ -179,7 +179,7 @@ def vectors() -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for name, message, seq, ack in _WHOLE:
         payload = pack(message, seq, ack)
-        found.append(_vector(name, encode(payload), (payload,)) | {"message": _described(message, seq, ack)})
+        found.append(_vector(name, encode(payload), (payload,)) | {"message": _describe(message, seq, ack)})
     for name, payload, code, detail in _REFUSED:
         error = {"code": code.name.lower(), "code_number": int(code), "detail": detail}
         found.append(_vector(name, encode(payload), (payload,)) | {"error": error})
@@ -192,7 +192,7 @@ def _vector(name: str, line: bytes, payloads: tuple[bytes, ...]) -> dict[str, An
     return {"name": name, "hex": line.hex(), "payloads": [payload.hex() for payload in payloads]}
 
 
-def _described(message: Message, seq: int, ack: int) -> dict[str, Any]:
+def _describe(message: Message, seq: int, ack: int) -> dict[str, Any]:
     layout = LAYOUTS[type(message)]
     raws = {field.name: field.to_raw(getattr(message, field.name)) for field in layout.fields}
     return {"class": type(message).__name__, "kind": layout.kind, "seq": seq, "ack": ack, "fields": raws}
@@ -212,13 +212,13 @@ def examples_text(found: list[dict[str, Any]]) -> str:
         fields = "  ".join(f"{name}={raw}" for name, raw in vector["message"]["fields"].items())
         blocks.append(
             f"**{vector['name']}**{': ' if fields else ''}{fields}\n\n```\n"
-            f"header  {_spaced(payload[:8])}\nbody    {_spaced(payload[8:])}\n"
-            f"crc     {_crc(bytes.fromhex(payload)).hex(' ')}\nline    {_spaced(vector['hex'])}\n```\n"
+            f"header  {_space(payload[:8])}\nbody    {_space(payload[8:])}\n"
+            f"crc     {_crc(bytes.fromhex(payload)).hex(' ')}\nline    {_space(vector['hex'])}\n```\n"
         )
     return "\n".join(blocks)
 
 
-def _spaced(digits: str) -> str:
+def _space(digits: str) -> str:
     return bytes.fromhex(digits).hex(" ")
 
 

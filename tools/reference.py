@@ -25,7 +25,7 @@ from edge.commands import orders
 from edge.config.settings import MqttSettings, ReferenceSettings, Settings
 from edge.core.hard_limits import __file__ as hard_limits_file
 from edge.core.names import ACTUATORS, SIGNALS
-from edge.formats.checked import Rule, Section
+from edge.formats.cross_check import Rule, Section
 from edge.mqtt import commands as mqtt_commands
 from edge.mqtt.topics import Topics
 from edge.storage.schema import MIGRATIONS, migrate
@@ -110,10 +110,10 @@ def _key_rows(section: Section, items: "Iterable[Field[Any]]", prefix: str) -> I
             rule: Rule = item.metadata["rule"]
             meaning = f"{rule.doc}; one item: `{rule.example}`" if rule.example else rule.doc
             shown = _yaml(value)
-            yield f"`{prefix}{item.name}`", f"`{shown}`", rule.unit, _allowed(rule, value), meaning
+            yield f"`{prefix}{item.name}`", f"`{shown}`", rule.unit, _allowed_text(rule, value), meaning
 
 
-def _allowed(rule: Rule, value: object) -> str:
+def _allowed_text(rule: Rule, value: object) -> str:
     if rule.choices:
         return ", ".join(f"`{choice}`" for choice in rule.choices)
     if isinstance(value, bool):

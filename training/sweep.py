@@ -64,7 +64,7 @@ def sweep(
         _on_processes(function, jobs, workers, take)
     else:
         for number, job in enumerate(jobs):
-            with _named(function, job):
+            with _name_job(function, job):
                 result = function(job)
             take(number, result)
     # In the jobs' order, however they ended: any number of workers gives the same.
@@ -87,7 +87,7 @@ def _on_processes(
                     raise KeyboardInterrupt
                 for future in sorted(done, key=waiting.__getitem__):
                     number = waiting.pop(future)
-                    with _named(function, jobs[number]):
+                    with _name_job(function, jobs[number]):
                         result = future.result()
                     take(number, result)
         except BaseException:
@@ -116,7 +116,7 @@ def _on_cluster(
         }
         try:
             for future in as_completed(list(waiting)):
-                with _named(function, jobs[waiting[future]]):
+                with _name_job(function, jobs[waiting[future]]):
                     result = future.result()
                 take(waiting[future], result)
         finally:
@@ -162,7 +162,7 @@ def _end(pool: ProcessPoolExecutor) -> None:
 
 
 @contextmanager
-def _named(function: Callable[..., Any], job: object) -> Iterator[None]:
+def _name_job(function: Callable[..., Any], job: object) -> Iterator[None]:
     try:
         yield
     except Exception as error:

@@ -26,7 +26,7 @@ from edge.bundle.archive import open_archive
 from edge.bundle.manifest import MANIFEST, SIGNATURE
 from edge.bundle.predictors import loader
 from edge.bundle.proof import ProofLimits, Prover
-from edge.bundle.roles import activated
+from edge.bundle.roles import activate
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key, sign_folder
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.core.errors import DataError, RequestError
@@ -132,7 +132,7 @@ class BundleRig:
         self.build(folder / "active.zip", ACTIVE)
         with open_archive(folder / "active.zip") as archive:
             self.store.install(archive)
-        self.store.change(lambda roles: activated(roles, None))
+        self.store.change(lambda roles: activate(roles, None))
         self.before = self.state()
 
     def build(self, out: Path, version: str, key: Path | None = None) -> bytes:
@@ -141,7 +141,7 @@ class BundleRig:
         build_bundle(self.models, out, facts, key or self.key)
         return out.read_bytes()
 
-    def signed(self, files: Mapping[str, bytes], manifest: Callable[[dict[str, Any]], None]) -> Files:
+    def sign_bundle(self, files: Mapping[str, bytes], manifest: Callable[[dict[str, Any]], None]) -> Files:
         """Files with a signed manifest that says of them what `manifest` makes of the true one."""
         document = json.loads(files[MANIFEST])
         own = {name: content for name, content in files.items() if name not in (MANIFEST, SIGNATURE)}
@@ -166,12 +166,12 @@ def _keep(document: dict[str, Any]) -> None:
     """Leave the manifest as it is."""
 
 
-def unpacked(archive: bytes) -> Files:
+def unpack(archive: bytes) -> Files:
     with zipfile.ZipFile(io.BytesIO(archive)) as opened:
         return {name: opened.read(name) for name in opened.namelist()}
 
 
-def packed(files: Mapping[str, bytes] | list[tuple[str, bytes]]) -> bytes:
+def pack(files: Mapping[str, bytes] | list[tuple[str, bytes]]) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items() if isinstance(files, Mapping) else files:
@@ -179,7 +179,7 @@ def packed(files: Mapping[str, bytes] | list[tuple[str, bytes]]) -> bytes:
     return out.getvalue()
 
 
-def flipped(content: bytes, chance: random.Random, share: float = 0.0) -> bytes:
+def flip_bytes(content: bytes, chance: random.Random, share: float = 0.0) -> bytes:
     """Exchange some bytes, at least one."""
     changed = bytearray(content)
     for _ in range(1 + int(share * len(changed) * chance.random())):
@@ -225,7 +225,7 @@ def evil_yaml(chance: random.Random) -> bytes:
 def evil_archive(rig: BundleRig, chance: random.Random, version: str) -> tuple[str, bytes]:
     """Return the kind of damage, and the archive."""
     archive = rig.build(rig.folder / "sound.zip", version)
-    files = unpacked(archive)
+    files = unpack(archive)
     kind = chance.choice(KINDS)
     return kind, MAKE[kind](rig, chance, archive, files)
 
@@ -234,17 +234,17 @@ def _names(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) 
     name = chance.choice(
         ["../roles.json", "/etc/passwd", "a/b", ".hidden", "x" * 300, "arx.json", "\u202e", "roles.json"]
     )
-    return packed([*files.items(), (name, b"x")])
+    return pack([*files.items(), (name, b"x")])
 
 
 def _onnx(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
     name = chance.choice(["lstm.onnx", "rl-off.onnx"])
-    return packed(rig.signed({**files, name: flipped(files[name], chance, 0.001)}, _keep))
+    return pack(rig.sign_bundle({**files, name: flip_bytes(files[name], chance, 0.001)}, _keep))
 
 
 def _graph(graph: bytes) -> "Make":
     def make(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
-        return packed(rig.signed({**files, "rl-off.onnx": graph}, _keep))
+        return pack(rig.sign_bundle({**files, "rl-off.onnx": graph}, _keep))
 
     return make
 
@@ -255,12 +255,12 @@ def _other_key(rig: BundleRig, chance: random.Random, archive: bytes, files: Fil
     sign_folder(folder, ManifestFacts("9.0", "2026-07-01T12:00:00Z", "d" * 64), rig.other_key)
     content = {path.name: path.read_bytes() for path in folder.iterdir()}
     shutil.rmtree(folder)
-    return packed(content)
+    return pack(content)
 
 
 def _older(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
     older = chance.choice(["0.1", "0.9.9", "alpha", "0", "00.99-rc1"])
-    return packed(rig.signed(files, lambda document: document.update(version=older)))
+    return pack(rig.sign_bundle(files, lambda document: document.update(version=older)))
 
 
 def _manifest(rig: BundleRig, chance: random.Random, archive: bytes, files: Files) -> bytes:
@@ -272,34 +272,34 @@ def _manifest(rig: BundleRig, chance: random.Random, archive: bytes, files: File
                 document.clear()
                 document.update(found)
 
-    return packed(rig.signed(files, change))
+    return pack(rig.sign_bundle(files, change))
 
 
 Make = Callable[[BundleRig, random.Random, bytes, Files], bytes]
 MAKE: dict[str, Make] = {
-    "flipped bytes": lambda rig, chance, archive, files: flipped(archive, chance, 0.01),
+    "flipped bytes": lambda rig, chance, archive, files: flip_bytes(archive, chance, 0.01),
     "cut": lambda rig, chance, archive, files: archive[: chance.randrange(len(archive))],
     "noise": lambda rig, chance, archive, files: chance.randbytes(chance.randrange(100_000)),
     "names": _names,
-    "bomb": lambda rig, chance, archive, files: packed({f"a{n}": bytes(15 << 20) for n in range(3)}),
-    "many files": lambda rig, chance, archive, files: packed({f"a{n}": b"" for n in range(2000)}),
-    "unsigned manifest": lambda rig, chance, archive, files: packed(
+    "bomb": lambda rig, chance, archive, files: pack({f"a{n}": bytes(15 << 20) for n in range(3)}),
+    "many files": lambda rig, chance, archive, files: pack({f"a{n}": b"" for n in range(2000)}),
+    "unsigned manifest": lambda rig, chance, archive, files: pack(
         {**files, MANIFEST: evil_json(files[MANIFEST], chance)}
     ),
-    "unsigned file": lambda rig, chance, archive, files: packed(
+    "unsigned file": lambda rig, chance, archive, files: pack(
         {**files, "arx.json": evil_json(files["arx.json"], chance)}
     ),
     "other key": _other_key,
     "older": _older,
     "signed manifest": _manifest,
-    "signed arx": lambda rig, chance, archive, files: packed(
-        rig.signed({**files, "arx.json": evil_json(files["arx.json"], chance)}, _keep)
+    "signed arx": lambda rig, chance, archive, files: pack(
+        rig.sign_bundle({**files, "arx.json": evil_json(files["arx.json"], chance)}, _keep)
     ),
-    "signed intervals": lambda rig, chance, archive, files: packed(
-        rig.signed({**files, "intervals.json": evil_json(files["intervals.json"], chance)}, _keep)
+    "signed intervals": lambda rig, chance, archive, files: pack(
+        rig.sign_bundle({**files, "intervals.json": evil_json(files["intervals.json"], chance)}, _keep)
     ),
-    "signed twin": lambda rig, chance, archive, files: packed(
-        rig.signed({**files, "twin.yaml": evil_yaml(chance)}, _keep)
+    "signed twin": lambda rig, chance, archive, files: pack(
+        rig.sign_bundle({**files, "twin.yaml": evil_yaml(chance)}, _keep)
     ),
     "signed onnx": _onnx,
     "endless graph": _graph(ENDLESS),

@@ -167,7 +167,7 @@ def stopped_after(
     try:
         time.sleep(WARM_UP_S)
         begin = time.monotonic()
-        with _sent(stop, door, daemon.socket, sender):
+        with _send(stop, door, daemon.socket, sender):
             while _pins_on(board) and time.monotonic() - begin < GIVE_UP_S:
                 time.sleep(0.01)
             return time.monotonic() - begin
@@ -177,7 +177,7 @@ def stopped_after(
 
 
 @contextlib.contextmanager
-def _sent(stop: str, door: str, path: Path, sender: Listener) -> Iterator[None]:
+def _send(stop: str, door: str, path: Path, sender: Listener) -> Iterator[None]:
     """Send without waiting for the answer: what counts is when the pins are off."""
     order, (topic, payload) = STOPS[stop]
     if door == "mqtt":

@@ -31,14 +31,14 @@ class Span:
 def violations(outcome: Outcome) -> list[str]:
     """Everything that should not have been, in words; empty when all is well."""
     return [
-        *_ended(outcome),
+        *_check_end(outcome),
         *_heat_after_silence(outcome),
         *_stops(outcome),
         *_numbers(outcome),
     ]
 
 
-def _ended(outcome: Outcome) -> Iterator[str]:
+def _check_end(outcome: Outcome) -> Iterator[str]:
     """Check that a daemon ended when told to, and only then."""
     for number, lived in enumerate(outcome.lives):
         expected = -9 if lived.life.killed else 0
@@ -87,22 +87,22 @@ def _in_flight_s(outcome: Outcome, time_s: float) -> float:
 
 def _stops(outcome: Outcome) -> Iterator[str]:
     """After an acknowledged stop or maintenance no actuator moves until it is released, over all restarts."""
-    for span in stopped(outcome):
+    for span in stopped_spans(outcome):
         for look in outcome.looks:
             is_late = span.begin_s + OBEYED_S + LOOK_S < look.time_s < span.end_s
-            if is_late and look.pins_on and not _excused(outcome, span, look):
+            if is_late and look.pins_on and not _is_excused(outcome, span, look):
                 on = ", ".join(look.pins_on)
                 yield f"{on} on at {look.time_s:.1f} s, stopped at {span.begin_s:.1f} s"
                 break
 
 
-def stopped(outcome: Outcome) -> list[Span]:
+def stopped_spans(outcome: Outcome) -> list[Span]:
     """From each acknowledged stop or maintenance to its end."""
     last_s = outcome.looks[-1].time_s
     spans: list[Span] = []
     stop: float | None = None
     maintenance: Span | None = None
-    for given in outcome.given:
+    for given in outcome.orders:
         do = given.request["do"] if given.reply.get("ok") else ""
         if do == "emergency_stop" and stop is None:
             stop = given.time_s
@@ -118,17 +118,17 @@ def stopped(outcome: Outcome) -> list[Span]:
     return spans if maintenance is None else [*spans, maintenance]
 
 
-def _excused(outcome: Outcome, span: Span, look: Look) -> bool:
+def _is_excused(outcome: Outcome, span: Span, look: Look) -> bool:
     """Return whether the board could not have heard of the stop yet, since
     the line was disturbed all along.
     """
-    return not _heard(outcome, span, look)
+    return not _is_heard(outcome, span, look)
 
 
-def _heard(outcome: Outcome, span: Span, look: Look) -> bool:
+def _is_heard(outcome: Outcome, span: Span, look: Look) -> bool:
     """Return whether the line and the daemon were well for long enough between the stop and the look."""
     well_s = span.begin_s
-    bad = sorted(_disturbed(outcome), key=lambda each: each.begin_s)
+    bad = sorted(_disturbances(outcome), key=lambda each: each.begin_s)
     if not any(each.begin_s <= span.begin_s + OBEYED_S and each.end_s >= span.begin_s for each in bad):
         return True
     for each in bad:
@@ -139,7 +139,7 @@ def _heard(outcome: Outcome, span: Span, look: Look) -> bool:
     return look.time_s - well_s >= REPAIRED_S
 
 
-def _disturbed(outcome: Outcome) -> list[Span]:
+def _disturbances(outcome: Outcome) -> list[Span]:
     """Stretches in which the line, the board or the daemon can be late for reasons of the plan."""
     spans = [
         Span(

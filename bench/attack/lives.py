@@ -41,7 +41,7 @@ class AnsweredOrder:
 
 
 @dataclass(frozen=True, slots=True)
-class Lived:
+class LifeRemains:
     """The remains of one life of the daemon: numbers of its ticks, and how its process ended."""
 
     life: Life
@@ -60,8 +60,8 @@ class Outcome:
 
     plan: AttackPlan
     looks: tuple[Look, ...]
-    given: tuple[AnsweredOrder, ...]
-    lives: tuple[Lived, ...]
+    orders: tuple[AnsweredOrder, ...]
+    lives: tuple[LifeRemains, ...]
 
 
 def run(plan: AttackPlan, folder: Path) -> Outcome:
@@ -73,7 +73,7 @@ def run(plan: AttackPlan, folder: Path) -> Outcome:
     settings = settings_in(folder, config.parse(yaml.safe_dump(dict(plan.settings)), "attack"))
     looks: list[Look] = []
     given: list[AnsweredOrder] = []
-    lives: list[Lived] = []
+    lives: list[LifeRemains] = []
     begin_s = 0.0
     with virtual_rig(folder, plan.seed, options) as rig:
         for life in plan.lives:
@@ -129,7 +129,7 @@ def _daemon(
     end_s = begin_s + life.length_s
     orders = [order for order in plan.orders if begin_s <= order.at_s < end_s]
 
-    def watched(board: SimClock) -> WatchedClock:
+    def watch(board: SimClock) -> WatchedClock:
         return WatchedClock(
             board, Path(settings.control_socket.path), orders, LOOK_S, notes.look, notes.reply
         )
@@ -138,7 +138,7 @@ def _daemon(
         settings,
         board=control,
         folder=control.parent,
-        clock=watched,
+        clock=watch,
         on_start=lambda: None if life.file_max is None else _fill_the_disk(life.file_max),
         on_tick=notes.tick,
     ) as lab:
@@ -213,7 +213,7 @@ def _read(
     code: int,
     looks: list[Look],
     given: list[AnsweredOrder],
-) -> Lived:
+) -> LifeRemains:
     seqs: list[int] = []
     end_s = begin_s
     for kind, values in _lines(notes):
@@ -227,7 +227,7 @@ def _read(
             looks.append(Look(time_s, air, pin, None, heat, fan, cutoff, 0.0, tuple(on)))
     stored, gaps = _history(Path(settings.history.path))
     log = notes.with_suffix(".log").read_text(errors="replace")
-    return Lived(life, begin_s, end_s, tuple(seqs), stored, gaps, code, log)
+    return LifeRemains(life, begin_s, end_s, tuple(seqs), stored, gaps, code, log)
 
 
 def _lines(notes: Path) -> list[tuple[str, list[Any]]]:

@@ -112,7 +112,7 @@ def _attempt(rng: Generator, kind: str, number: int) -> ForeignCase | None:
     usual_c = float(rng.uniform(12.0, 27.0))  # of the room
     for count in rows:
         weather = draw_weather(rng, count, drawn.step_s, float(box.power_w), usual_c)
-        weather = _disturbed(rng, weather, outside, kind, drawn)
+        weather = _disturb(rng, weather, outside, kind, drawn)
         control = draw_control(
             rng,
             control_kind,
@@ -136,7 +136,7 @@ def _attempt(rng: Generator, kind: str, number: int) -> ForeignCase | None:
     has_room = rng.random() > 1.0 / 3.0
     files = _files(rng, drawn, runs, noise_k, step_k, has_room)
     return ForeignCase(
-        files, _believed(rng, drawn), _truth(drawn, outside, shown, noise_k, step_k, files, control_kind)
+        files, _belief(rng, drawn), _truth(drawn, outside, shown, noise_k, step_k, files, control_kind)
     )
 
 
@@ -235,7 +235,7 @@ def _with_outside(rng: Generator, box: ForeignBox, name: str, rise_k: float) -> 
     return box
 
 
-def _disturbed(rng: Generator, weather: BoxWeather, outside: str, kind: str, drawn: DrawnBox) -> BoxWeather:
+def _disturb(rng: Generator, weather: BoxWeather, outside: str, kind: str, drawn: DrawnBox) -> BoxWeather:
     rows, power = len(weather.room_c), float(drawn.box.power_w)
     heat, lid = weather.heat_w, weather.lid
     if outside == "sun":
@@ -305,7 +305,7 @@ def _files(
     return files
 
 
-def _believed(rng: Generator, drawn: DrawnBox) -> dict[str, Any]:
+def _belief(rng: Generator, drawn: DrawnBox) -> dict[str, Any]:
     """Return the owner's twin: guesses, wrong by 30 %, or a fit from starts that are wrong by 10 times."""
     box = drawn.box
     air = 1.2 * 1005.0 * float(box.volume_m3)

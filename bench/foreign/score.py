@@ -92,7 +92,7 @@ def score(
         found["verdict"],
         names,
         tuple(own in hidden for own in names),
-        tuple(matched(names, hidden)),
+        tuple(match_names(names, hidden)),
         tuple(
             (item["probability"], any(is_alike(item["name"], own) for own in hidden))
             for item in [*found["effects"], *found["doubtful"]]
@@ -101,7 +101,7 @@ def score(
         bool(set(found["depends_on"][:2]) & set(truth["depends_on"])),
         (_places(names), _places(hidden)),
         tuple(_bias(found, truth)),
-        tuple(_covered(found, truth)),
+        tuple(_coverage(found, truth)),
         after / tests.get("before", math.nan),
         after / simple,
         (tests.get("before", math.nan) - after) / gap if gap > 0.0 else math.nan,
@@ -117,7 +117,7 @@ def _gaps(found: Mapping[str, Any]) -> dict[str, float]:
     return {key: own["rmse_k"] for key, own in gaps.items() if own}
 
 
-def matched(names: Sequence[str], hidden: Sequence[str]) -> Iterable[bool]:
+def match_names(names: Sequence[str], hidden: Sequence[str]) -> Iterable[bool]:
     """Each hidden effect finds one name at most, a strict one first."""
     left = [own for own in hidden if own not in names]
     for name in names:
@@ -142,7 +142,7 @@ def _bias(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[float]
             yield abs(values[TRUSTED[key]]["value"] - true) / abs(true)
 
 
-def _covered(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[bool]:
+def _coverage(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[bool]:
     for item in found["effects"]:
         for key, true in truth["hidden"].get(item["name"], {}).items():
             own = item["parameters"][key]

@@ -32,7 +32,7 @@ DEPENDENCES = ("heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "re
 
 
 @dataclass(frozen=True, slots=True)
-class Hidden:
+class HiddenEffect:
     """An effect that the twin file does not have, and what the noise-free temperature does without it.
 
     parameters : by name, in the library's units; empty where the truth is not the library's equation
@@ -77,8 +77,8 @@ class Truth:
     split: str
     kind: str
     seed: int
-    hidden: tuple[Hidden, ...]
-    outside: Hidden | None
+    hidden: tuple[HiddenEffect, ...]
+    outside: HiddenEffect | None
     depends_on: tuple[str, ...]
     known: tuple[str, ...]
     effects: Mapping[str, Mapping[str, float]]

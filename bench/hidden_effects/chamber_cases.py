@@ -8,10 +8,10 @@ from bench.hidden_effects.chamber_box import OUTSIDE, SETTINGS, Settings
 from bench.hidden_effects.chamber_calibration import ChamberCalibration, calibrate, read_off
 from bench.hidden_effects.chamber_hide import ChamberBox, draw_pair, hide, hide_all, hide_outside
 from bench.hidden_effects.chamber_runs import LEAD_ROWS, DrivenRun, RunPlan, drive, quiet_c
-from bench.hidden_effects.declare import declared, draw_knowledge
+from bench.hidden_effects.declare import declare_twin, draw_knowledge
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS, draw_inputs, draw_surroundings
 from bench.hidden_effects.draw_readings import FIRST_DAY, Sensing, draw_sensing, read_temps, run_of
-from bench.hidden_effects.write_case import listed, listed_or_missing
+from bench.hidden_effects.write_case import as_list, listed_or_missing
 from edge.formats.run_file import RecordedRun
 
 CALIBRATION_ROWS, CALIBRATION_RUNS = 120, 2
@@ -28,7 +28,7 @@ def make_case(split: str, kind: str, number: int) -> HiddenCase:
         box = _draw_box(rng, plans, kind, number)
         if box is None:
             continue
-        return _case(rng, plans, tests, box, _calibrated(rng, box), split, kind, seed)
+        return _case(rng, plans, tests, box, _calibration(rng, box), split, kind, seed)
     raise RuntimeError(f"chamber: {split} {kind} {number}: no box in {ATTEMPTS} draws")
 
 
@@ -68,11 +68,11 @@ def _draw_box(rng: Generator, plans: list[RunPlan], kind: str, number: int) -> C
     return hide(rng, plans, draw_pair(rng, first) if kind == "pair" else (first,), SIZES_K[kind])
 
 
-def _calibrated(rng: Generator, box: ChamberBox) -> ChamberCalibration:
+def _calibration(rng: Generator, box: ChamberBox) -> ChamberCalibration:
     if not box.known:
         return ChamberCalibration({}, 0.0)
     rows = [CALIBRATION_ROWS] * CALIBRATION_RUNS
-    plans = [plan.shortened(CALIBRATION_ROWS) for plan in _plans(rng, rows)]
+    plans = [plan.shorten(CALIBRATION_ROWS) for plan in _plans(rng, rows)]
     return calibrate(box.known, box.calibration, plans)
 
 
@@ -88,7 +88,7 @@ def _case(
 ) -> HiddenCase:
     sensing = draw_sensing(rng, kind == "hard")
     heat_w = float(rng.uniform(0.5, 1.5))
-    settings = _disturbed(box, heat_w)
+    settings = _disturb(box, heat_w)
     driven = [drive(settings, plan) for plan in plans]
     # A box with an effect of the lamp has its light logged, or no one could name it.
     needed = bool(LIT & {*box.known, *(item.name for item in box.hidden)})
@@ -120,8 +120,8 @@ def _case(
         tests={
             name: RunTruth(
                 listed_or_missing(runs[b].columns["temp_air_c"]),
-                listed(driven[b].clean_c),
-                listed(quiet_c({**box.settings, "effects.door_opening": 0.0}, plans[b])),
+                as_list(driven[b].clean_c),
+                as_list(quiet_c({**box.settings, "effects.door_opening": 0.0}, plans[b])),
                 {key: round(value, 4) for key, value in driven[b].start.items()},
             )
             for name, b in named.items()
@@ -130,14 +130,14 @@ def _case(
     day0_utc = FIRST_DAY.timestamp() + 3600.0 * plans[0].hour
     return HiddenCase(
         truth,
-        declared(rng, known.effects, draw_knowledge(rng, kind == "weak"), sensing, nuisance, day0_utc),
+        declare_twin(rng, known.effects, draw_knowledge(rng, kind == "weak"), sensing, nuisance, day0_utc),
         {f"train_{b + 1:02}.csv": runs[b] for b in range(first_test)},
         {name: runs[b] for name, b in named.items()},
         None,
     )
 
 
-def _disturbed(box: ChamberBox, heat_w: float) -> Settings:
+def _disturb(box: ChamberBox, heat_w: float) -> Settings:
     """Return the box with its disturbances; hidden ones stay as they are."""
     hidden_noise = box.outside is not None and box.outside.name == "heat_noise"
     return box.settings if hidden_noise else {**box.settings, "events.heat_noise_w": heat_w}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from bench.hidden_effects.cases import Hidden
+from bench.hidden_effects.cases import HiddenEffect
 from bench.hidden_effects.chamber_box import (
     OUTSIDE,
     SETTINGS,
@@ -45,8 +45,8 @@ class ChamberBox:
     known: tuple[str, ...]
     settings: Settings
     calibration: Settings
-    hidden: tuple[Hidden, ...] = ()
-    outside: Hidden | None = None
+    hidden: tuple[HiddenEffect, ...] = ()
+    outside: HiddenEffect | None = None
 
 
 def hide(
@@ -56,23 +56,23 @@ def hide(
     known, base = draw_known_box(rng, set(names))
     own: dict[str, Settings] = {}
     for name in names:
-        found = _sized(rng, SETTINGS[name], {**base, **_merged(own)}, plans, wanted)
+        found = _size(rng, SETTINGS[name], {**base, **_merge(own)}, plans, wanted)
         if found is None:
             return None
         own[name] = found
-    return _checked(known, base, own, plans, wanted)
+    return _check(known, base, own, plans, wanted)
 
 
 def hide_outside(rng: Generator, plans: Sequence[RunPlan], name: str, wanted: Range) -> ChamberBox | None:
     """Draw a box with an effect of the chamber that no library knows."""
     known, base = draw_known_box(rng, {name})
-    found = _sized(rng, OUTSIDE[name][0], base, plans, wanted)
+    found = _size(rng, OUTSIDE[name][0], base, plans, wanted)
     if found is None:
         return None
-    box = _checked(known, base, {name: found}, plans, wanted)
+    box = _check(known, base, {name: found}, plans, wanted)
     if box is None:
         return None
-    effect = Hidden(name, {key: float(value) for key, value in found.items()}, box.hidden[0].size_k)
+    effect = HiddenEffect(name, {key: float(value) for key, value in found.items()}, box.hidden[0].size_k)
     return ChamberBox(known, box.settings, base, (), effect)
 
 
@@ -86,7 +86,7 @@ def hide_all(rng: Generator, plans: Sequence[RunPlan], wanted: Range) -> Chamber
     if len(names) < 3:
         return None
     base = draw_base(rng)
-    return _checked((), base, {name: draw_known(rng, name) for name in names}, plans, wanted)
+    return _check((), base, {name: draw_known(rng, name) for name in names}, plans, wanted)
 
 
 def draw_pair(rng: Generator, first: str) -> tuple[str, ...]:
@@ -129,15 +129,15 @@ def _fits(name: str, hidden: set[str], names: Sequence[str]) -> bool:
     return name != "heater_lag" or not GLOWING & hidden
 
 
-def _merged(own: dict[str, Settings]) -> Settings:
+def _merge(own: dict[str, Settings]) -> Settings:
     return {key: value for settings in own.values() for key, value in settings.items()}
 
 
-def _sized(
+def _size(
     rng: Generator, setting: Setting, base: Settings, plans: Sequence[RunPlan], wanted: Range
 ) -> Settings | None:
     """Find the strength with the wanted size on a few rows."""
-    few = [plan.shortened(GRID_ROWS) for plan in plans[-GRID_RUNS:]]
+    few = [plan.shorten(GRID_ROWS) for plan in plans[-GRID_RUNS:]]
     sign, grid = draw_sign(rng), np.geomspace(setting.low, setting.high, GRID)
     without = _runs(base, few)
     sizes = np.array([_rms(_runs({**base, **setting.at(s, sign)}, few), without) for s in grid])
@@ -145,7 +145,7 @@ def _sized(
     return None if strength is None else setting.at(strength, sign)
 
 
-def _checked(
+def _check(
     known: tuple[str, ...],
     base: Settings,
     own: dict[str, Settings],
@@ -153,17 +153,17 @@ def _checked(
     wanted: Range,
 ) -> ChamberBox | None:
     """Return the box if each hidden effect matters as wanted among the others, over the last runs."""
-    settings, last = {**base, **_merged(own)}, plans[-CHECKED_RUNS:]
+    settings, last = {**base, **_merge(own)}, plans[-CHECKED_RUNS:]
     whole = _runs(settings, last) if own else np.zeros(0)
     true = read_off(list(own), settings)
     found = []
     for name in own:
-        left = _merged({key: item for key, item in own.items() if key != name})
+        left = _merge({key: item for key, item in own.items() if key != name})
         kept = {"effects.wall_loss": 1.0} if name == "wall_mass" else {}
         size = _rms(whole, _runs({**base, **left, **kept}, last))
         if not wanted[0] <= size <= wanted[1]:
             return None
-        found.append(Hidden(name, true.get(name, {}), round(size, 4)))
+        found.append(HiddenEffect(name, true.get(name, {}), round(size, 4)))
     return ChamberBox(known, settings, base, tuple(sorted(found, key=lambda item: -item.size_k)))
 
 

@@ -31,7 +31,7 @@ class RunPlan:
     room_c: float
     seed: int
 
-    def shortened(self, rows: int) -> "RunPlan":
+    def shorten(self, rows: int) -> "RunPlan":
         """Return the first rows of the plan, begun at rest."""
         cut = [column[: LEAD_ROWS + rows].copy() for column in (self.duty, self.fan, self.light)]
         for column in cut[:2]:

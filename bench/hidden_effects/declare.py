@@ -38,7 +38,7 @@ def draw_knowledge(rng: Generator, weak: bool) -> Knowledge:
     return Knowledge(str(mode), *(bool(rng.random() < odds) for odds in (0.75, 0.6, 0.5)))  # type: ignore[arg-type]
 
 
-def declared(
+def declare_twin(
     rng: Generator,
     effects: Mapping[str, Mapping[str, float]],
     knowledge: Knowledge,

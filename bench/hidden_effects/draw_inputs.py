@@ -90,12 +90,12 @@ def _commands(rng: Generator, steps: int) -> tuple[Floats, Floats]:
     """Duty on its grid of 0.05, and fan; off just before the first row, in half of the runs long before."""
     peak = rng.uniform(0.5, 1.0)
     fan_share = rng.uniform(0.15, 0.5)
-    fan = held(rng, steps, (2, 30), lambda: float(rng.random() < fan_share))
+    fan = hold(rng, steps, (2, 30), lambda: float(rng.random() < fan_share))
     if rng.random() < 0.3:
-        duty = _regulated(rng, steps, fan, peak)
+        duty = _regulate(rng, steps, fan, peak)
     else:
         longest = int(rng.choice([20, 40, 60]))
-        duty = held(rng, steps, (10, longest), lambda: _level(rng, peak))
+        duty = hold(rng, steps, (10, longest), lambda: _level(rng, peak))
     begin = 0 if rng.random() < 0.5 else BEFORE_ROWS - REST_ROWS
     duty[begin:BEFORE_ROWS] = fan[begin:BEFORE_ROWS] = 0.0
     return duty, fan
@@ -105,9 +105,9 @@ def _level(rng: Generator, peak: float) -> float:
     return 0.0 if rng.random() < 0.2 else float(np.round(20.0 * rng.uniform(0.05, peak)) / 20.0)
 
 
-def _regulated(rng: Generator, steps: int, fan: Floats, peak: float) -> Floats:
+def _regulate(rng: Generator, steps: int, fan: Floats, peak: float) -> Floats:
     """Return the duty of a proportional controller on a crude box of one body."""
-    wanted = held(rng, steps, (30, 90), lambda: rng.uniform(3.0, 14.0))
+    wanted = hold(rng, steps, (30, 90), lambda: rng.uniform(3.0, 14.0))
     duty, excess = np.zeros(steps), 0.0
     for k in range(steps):
         duty[k] = np.round(20.0 * np.clip(0.15 * (wanted[k] - excess), 0.0, peak)) / 20.0
@@ -117,7 +117,7 @@ def _regulated(rng: Generator, steps: int, fan: Floats, peak: float) -> Floats:
 
 def _light(rng: Generator, steps: int) -> Floats:
     """Draw a dimmed lamp: off for a third of the time, at any level else."""
-    return held(
+    return hold(
         rng, steps, (20, 80), lambda: 0.0 if rng.random() < 0.35 else round(float(rng.uniform(0.2, 1.0)), 2)
     )
 
@@ -133,7 +133,7 @@ def _door(rng: Generator, steps: int) -> Floats:
     return opened
 
 
-def held(rng: Generator, steps: int, minutes: tuple[int, int], value: Callable[[], float]) -> Floats:
+def hold(rng: Generator, steps: int, minutes: tuple[int, int], value: Callable[[], float]) -> Floats:
     """Values that hold for a random number of steps each."""
     values = np.empty(steps)
     k = 0

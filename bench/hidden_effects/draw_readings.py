@@ -35,7 +35,7 @@ def read_temps(rng: Generator, clean: Floats, sensing: Sensing, role: str) -> Fl
 
     A test run has neither holes nor spikes: nobody sees them, and forecasts would be scored by them.
     """
-    shown = stepped(clean + rng.normal(0.0, sensing.noise_k, len(clean)), sensing.step_k)
+    shown = to_steps(clean + rng.normal(0.0, sensing.noise_k, len(clean)), sensing.step_k)
     if sensing.hard and role != "test":
         rows = np.arange(GIVEN_ROWS, len(clean))
         spikes = rng.choice(rows, rng.integers(2, 6), replace=False)
@@ -48,15 +48,15 @@ def read_temps(rng: Generator, clean: Floats, sensing: Sensing, role: str) -> Fl
 
 def read_ambient(rng: Generator, clean: Floats) -> Floats:
     """Return the room as its own sensor shows it."""
-    return stepped(clean + rng.normal(0.0, AMBIENT_NOISE_K, len(clean)), AMBIENT_STEP_K)
+    return to_steps(clean + rng.normal(0.0, AMBIENT_NOISE_K, len(clean)), AMBIENT_STEP_K)
 
 
 def read_humidity(rng: Generator, clean: Floats) -> Floats:
     """Relative humidity as shown [%]."""
-    return np.clip(stepped(clean + rng.normal(0.0, HUMIDITY_NOISE_PCT, len(clean)), 0.1), 0.0, 100.0)
+    return np.clip(to_steps(clean + rng.normal(0.0, HUMIDITY_NOISE_PCT, len(clean)), 0.1), 0.0, 100.0)
 
 
-def stepped(values: Floats, step: float) -> Floats:
+def to_steps(values: Floats, step: float) -> Floats:
     """Round to whole steps, without the digits that floating point adds."""
     return np.round(np.round(values / step) * step, 6)
 

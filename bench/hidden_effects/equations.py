@@ -95,13 +95,13 @@ class _March:
         steps, rooms = len(self.inputs.duty), self.rooms
         states = np.zeros((len(STATES), rooms.shape[1]))
         states[[0, 1, 2, 3, 5]] = rooms[0]
-        kept, readings = [states], [self._shown(0, 0, states)]
+        kept, readings = [states], [self._reading(0, 0, states)]
         for k in range(steps):
             for j in range(self.parts):
                 room = rooms[k] + (j + 0.5) / self.parts * (rooms[k + 1] - rooms[k])
                 states = self._part(self._acting(k, j, room, states[0]), states)
             kept.append(states)
-            readings.append(self._shown(k, self.parts - 1, states))
+            readings.append(self._reading(k, self.parts - 1, states))
         return np.array(readings), np.array(kept)
 
     def _acting(self, k: int, j: int, room: Floats, air: Floats) -> _StepInputs:
@@ -137,7 +137,7 @@ class _March:
         heat_w = acting.heat_w + self._heat_by_air(acting, air)
         heater_w = (1.0 - p["f_rad"]) * element
         exhaust = acting.flow_w_k * (air - room)
-        lost = self._lost(acting, air, wall, soil)
+        lost = self._heat_loss(acting, air, wall, soil)
         out = np.zeros_like(x)
         out[0] = heater_w + heat_w - lost - exhaust
         # With two zones the heater is below and the sensor above; a box without has both in one.
@@ -146,7 +146,7 @@ class _March:
             two = self.two_zones
             mean = np.where(two, 0.5 * (air + upper), air)
             swap = HEAT_J_M3_K * p["F_mix"] * (air - upper)
-            lost_above = self._lost(acting, upper, wall, soil)
+            lost_above = self._heat_loss(acting, upper, wall, soil)
             out[0] = np.where(two, heat_w - lost - 2.0 * (exhaust + swap), out[0])
             out[1] = np.where(two, heat_w - lost_above + 2.0 * (swap + heater_w), 0.0) / self.capacity
         out[0] /= self.capacity
@@ -169,7 +169,7 @@ class _March:
             heat_w = heat_w + self.bend.heat_w(self._now(k, acting.duty, acting.speed, air, acting.room))
         return heat_w
 
-    def _lost(self, acting: _StepInputs, temp: Floats, wall: Floats, soil: Floats) -> Floats:
+    def _heat_loss(self, acting: _StepInputs, temp: Floats, wall: Floats, soil: Floats) -> Floats:
         """Heat to bodies and the room, were all the air at this temperature [W]."""
         p, excess = self.p, temp - acting.room
         straight = p["UA"] * acting.ageing * self._curve(excess)
@@ -192,7 +192,7 @@ class _March:
         columns = (i.light[k], i.rel_humidity[k], i.hour[k], i.day[k], i.chance[k], self.fan_hours[k])
         return OutsideConditions(air, room, duty, fan, *columns)
 
-    def _shown(self, k: int, j: int, states: Floats) -> Floats:
+    def _reading(self, k: int, j: int, states: Floats) -> Floats:
         shown = states[5] + self.p["bias"]
         if self.bend.reading:
             now = self._now(k, self.duty[k, j], self.speed[k, j], states[0], self.rooms[k])

@@ -94,7 +94,7 @@ def are_alike(names: set[str]) -> bool:
 def draw_effect(rng: Generator, name: str) -> dict[str, float]:
     """Draw an effect of the usual size."""
     strength = STRENGTHS[name]
-    return sized(draw_others(rng, name), name, rng.uniform(*strength.usual))
+    return size_effect(draw_others(rng, name), name, rng.uniform(*strength.usual))
 
 
 def draw_others(rng: Generator, name: str) -> dict[str, float]:
@@ -106,7 +106,7 @@ def draw_others(rng: Generator, name: str) -> dict[str, float]:
     return {"": 1.0 if rng.random() < 0.5 else -1.0} if STRENGTHS[name].signed else {}
 
 
-def sized(others: Mapping[str, float], name: str, strength: float) -> dict[str, float]:
+def size_effect(others: Mapping[str, float], name: str, strength: float) -> dict[str, float]:
     """All parameters, the main one first."""
     main = STRENGTHS[name]
     value = others.get("", 1.0) * main.value(strength)

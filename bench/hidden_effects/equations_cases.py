@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 
 from bench.hidden_effects.cases import SIZES_K, SUITES, HiddenCase, RunTruth, Truth, case_id, seed_of
-from bench.hidden_effects.declare import declared, draw_knowledge, exact
+from bench.hidden_effects.declare import declare_twin, draw_knowledge, exact
 from bench.hidden_effects.draw_inputs import BEFORE_ROWS
 from bench.hidden_effects.draw_readings import (
     FIRST_DAY,
@@ -34,7 +34,7 @@ from bench.hidden_effects.equations_hide import (
 from bench.hidden_effects.equations_inputs import Floats
 from bench.hidden_effects.equations_outside import OUTSIDE
 from bench.hidden_effects.equations_search import quiet
-from bench.hidden_effects.write_case import listed, listed_or_missing
+from bench.hidden_effects.write_case import as_list, listed_or_missing
 from edge.formats.run_file import RecordedRun
 
 CURVE_ODDS, CURVE = 0.75, (0.02, 0.04)  # of a loss that grows with the difference, share per 10 K
@@ -100,8 +100,8 @@ def _case(rng: Generator, scene: Scene, box: EquationsBox, split: str, kind: str
         tests={
             name: RunTruth(
                 listed_or_missing(runs[b].columns["temp_air_c"]),
-                listed(_recorded(scene, b, clean[:, b])),
-                listed(_recorded(scene, b, undisturbed[:, b])),
+                as_list(_record(scene, b, clean[:, b])),
+                as_list(_record(scene, b, undisturbed[:, b])),
                 {key: round(float(states[BEFORE_ROWS, i, b]), 4) for i, key in enumerate(STATES)},
             )
             for name, b in test.items()
@@ -111,7 +111,7 @@ def _case(rng: Generator, scene: Scene, box: EquationsBox, split: str, kind: str
     has_drift = "ua_drift" in box.true
     return HiddenCase(
         truth,
-        declared(rng, box.known, draw_knowledge(rng, kind == "weak"), sensing, nuisance, day0_utc),
+        declare_twin(rng, box.known, draw_knowledge(rng, kind == "weak"), sensing, nuisance, day0_utc),
         {f"train_{i:02}.csv": runs[b] for i, b in enumerate(trains, start=1)},
         {name: runs[b] for name, b in test.items()},
         None if box.outside else exact(box.true, sensing, nuisance, day0_utc if has_drift else None),
@@ -128,7 +128,7 @@ def _needs_light(box: EquationsBox) -> bool:
     return bool({"light", "rel_humidity"} & set(words)) or any(name in box.true for name in LIT)
 
 
-def _recorded(scene: Scene, b: int, values: Floats) -> Floats:
+def _record(scene: Scene, b: int, values: Floats) -> Floats:
     """Return a column's recorded rows."""
     return values[BEFORE_ROWS : BEFORE_ROWS + scene.rows[b]]
 
@@ -136,12 +136,12 @@ def _recorded(scene: Scene, b: int, values: Floats) -> Floats:
 def _run(rng: Generator, scene: Scene, b: int, clean: Floats, sensing: Sensing, lit: bool) -> RecordedRun:
     inputs, role = scene.inputs, "test" if b in scene.tests else "train"
     columns = {
-        "temp_air_c": read_temps(rng, _recorded(scene, b, clean), sensing, role),
-        "temp_ambient_c": read_ambient(rng, _recorded(scene, b, inputs.ambient[:, b])),
-        "heater_duty": _recorded(scene, b, inputs.duty[:, b]),
-        "fan_on": _recorded(scene, b, inputs.fan[:, b]),
+        "temp_air_c": read_temps(rng, _record(scene, b, clean), sensing, role),
+        "temp_ambient_c": read_ambient(rng, _record(scene, b, inputs.ambient[:, b])),
+        "heater_duty": _record(scene, b, inputs.duty[:, b]),
+        "fan_on": _record(scene, b, inputs.fan[:, b]),
     }
     if lit:
-        columns["light"] = _recorded(scene, b, inputs.light[:, b])
-        columns["rel_humidity_pct"] = read_humidity(rng, _recorded(scene, b, inputs.rel_humidity[:, b]))
+        columns["light"] = _record(scene, b, inputs.light[:, b])
+        columns["rel_humidity_pct"] = read_humidity(rng, _record(scene, b, inputs.rel_humidity[:, b]))
     return run_of(columns, role, scene.starts[0, b], scene.starts[1, b])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from bench.hidden_effects.cases import Hidden
+from bench.hidden_effects.cases import HiddenEffect
 from bench.hidden_effects.draw_inputs import DrawnSurroundings, draw_inputs, draw_surroundings
 from bench.hidden_effects.equations_box import (
     BARE_OPTIONAL,
@@ -17,7 +17,7 @@ from bench.hidden_effects.equations_box import (
     draw_effect,
     draw_others,
     series,
-    sized,
+    size_effect,
 )
 from bench.hidden_effects.equations_inputs import Bend, ColumnInputs, Floats
 from bench.hidden_effects.equations_outside import OUTSIDE
@@ -50,8 +50,8 @@ class EquationsBox:
 
     known: Effects
     true: Effects
-    hidden: tuple[Hidden, ...] = ()
-    outside: Hidden | None = None
+    hidden: tuple[HiddenEffect, ...] = ()
+    outside: HiddenEffect | None = None
     bend: Bend | None = None
 
 
@@ -91,16 +91,16 @@ def hide(rng: Generator, scene: Scene, names: tuple[str, ...], wanted: Range) ->
     true, inputs = known, quiet(scene.inputs)
     for name in names:
         grid = np.geomspace(STRENGTHS[name].low, STRENGTHS[name].high, GRID)
-        boxes = [true, *(adding(true, name, sized(others[name], name, s)) for s in grid)]
+        boxes = [true, *(adding(true, name, size_effect(others[name], name, s)) for s in grid)]
         shown, _ = variants(inputs, [flat(box) for box in boxes])
         strength = strength_for(rng, grid, scene.size_k(shown[1:] - shown[0]), wanted)
         if strength is None:
             return None
-        true = adding(true, name, sized(others[name], name, strength))
-    return _checked(scene, known, true, names, wanted)
+        true = adding(true, name, size_effect(others[name], name, strength))
+    return _check(scene, known, true, names, wanted)
 
 
-def _checked(
+def _check(
     scene: Scene, known: Effects, true: Effects, names: tuple[str, ...], wanted: Range
 ) -> EquationsBox | None:
     """Return the box if each hidden effect matters as wanted among the others, also in the tests alone."""
@@ -112,7 +112,9 @@ def _checked(
         return None
     if not np.all(in_tests > 0.5 * wanted[0]):
         return None
-    found = [Hidden(name, true[name], round(float(size), 4)) for name, size in zip(names, sizes, strict=True)]
+    found = [
+        HiddenEffect(name, true[name], round(float(size), 4)) for name, size in zip(names, sizes, strict=True)
+    ]
     return EquationsBox(known, true, tuple(sorted(found, key=lambda item: -item.size_k)))
 
 
@@ -134,7 +136,7 @@ def hide_outside(rng: Generator, scene: Scene, name: str, wanted: Range) -> Equa
     size = round(float(scene.size_k(shown[1] - shown[0])), 4)
     parameters = {"strength": strength, "further": further}
     return EquationsBox(
-        known, known, (), Hidden(name, parameters, size), row.bend(np.array(strength), further)
+        known, known, (), HiddenEffect(name, parameters, size), row.bend(np.array(strength), further)
     )
 
 
@@ -149,7 +151,7 @@ def hide_all(rng: Generator, scene: Scene, wanted: Range) -> EquationsBox | None
     if len(names) < 3 or ("radiative_split" in names and not BODIES & set(names)):
         return None
     true = {name: draw_effect(rng, name) for name in names}
-    return _checked(scene, {}, true, tuple(names), wanted)
+    return _check(scene, {}, true, tuple(names), wanted)
 
 
 def draw_pair(rng: Generator, first: str) -> tuple[str, ...]:

@@ -65,7 +65,7 @@ def diagnose(peer: str, folder: Path) -> dict[str, Any]:
     chosen = PEERS[peer](found)
     values, sds = coefficients(found, chosen)
     by_effect = {TERMS[i].effect: value for i, value in zip(chosen, values, strict=True)}
-    effects = [_named(i, value, sd, twin) for i, value, sd in zip(chosen, values, sds, strict=True)]
+    effects = [_name_effect(i, value, sd, twin) for i, value, sd in zip(chosen, values, sds, strict=True)]
     return {
         "verdict": "named" if effects else "nothing_missing",
         "effects": effects,
@@ -102,7 +102,7 @@ def coefficients(found: OneStepRegression, chosen: Sequence[int]) -> tuple[Float
     return np.asarray(values, np.float64), spread
 
 
-def _named(index: int, value: float, sd: float, twin: BoxTwin) -> dict[str, Any]:
+def _name_effect(index: int, value: float, sd: float, twin: BoxTwin) -> dict[str, Any]:
     term = TERMS[index]
     parameters = {}
     if term.parameter:

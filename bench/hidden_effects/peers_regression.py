@@ -12,7 +12,7 @@ from edge.formats.run_file import RecordedRun, resample
 from edge.twin.effects.signal import vapour_deficit_kpa
 from edge.twin.model import BoxTwin
 from edge.twin.rollout import Commands, March
-from edge.twin.warm_start import PastColumns, at_rest, held, state_now
+from edge.twin.warm_start import PastColumns, at_rest, hold, state_now
 
 Floats = NDArray[np.float64]
 SLOW_S = 3600.0  # memory of a body that is guessed
@@ -61,7 +61,7 @@ def columns(run: RecordedRun, step_s: float) -> Columns:
     rows = len(found["time_s"])
 
     def column(name: str, usual: float) -> Floats:
-        values = held(found.get(name, np.full(rows, usual)))
+        values = hold(found.get(name, np.full(rows, usual)))
         return np.where(np.isfinite(values), values, usual)
 
     utc = (run.start_utc or 0.0) + found["time_s"]
@@ -80,7 +80,7 @@ def regression(twin: BoxTwin, runs: Sequence[Columns], day0: float) -> OneStepRe
 
 
 def _one_run(twin: BoxTwin, run: Columns, day0: float) -> tuple[Floats, Floats, Floats]:
-    shown, temp = _one_step(twin, run), held(run.temp)
+    shown, temp = _one_step(twin, run), hold(run.temp)
     usable = np.isfinite(run.temp[1:]) & np.isfinite(run.temp[:-1])
     before = np.concatenate([temp[:1], temp[:-1]])
     rows = run.rows(temp, before, _slow(temp, twin.step_s), day0, slice(None))
@@ -128,7 +128,7 @@ def forecast(twin: BoxTwin, run: Columns, coefficients: Mapping[str, float], day
     march, gain = _march(twin, run), _gain(twin, run.fan)
     state = _start(twin, run, first)
     shown, states = run.temp.copy(), state[None]
-    shown[: first + 1] = held(run.temp)[: first + 1]
+    shown[: first + 1] = hold(run.temp)[: first + 1]
     slow = before = np.asarray(shown[first])
     left = np.exp(-twin.step_s / SLOW_S)
     for k in range(first, len(shown) - 1):

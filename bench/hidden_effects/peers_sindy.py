@@ -43,11 +43,11 @@ def sindy(found: OneStepRegression) -> list[int]:
     design, target = found.terms[:, used] / size[used], heat_w / scale
     kept = len(target) - len(target) // HELD_OUT
     tried = {threshold: _sparse(design[:kept], target[:kept], threshold) for threshold in THRESHOLDS}
-    missed = {threshold: _missed(fitted, design[kept:], target[kept:]) for threshold, fitted in tried.items()}
+    missed = {threshold: _misfit(fitted, design[kept:], target[kept:]) for threshold, fitted in tried.items()}
     largest = max(threshold for threshold in tried if missed[threshold] <= NEARLY * min(missed.values()))
     best = _sparse(design, target, largest)
     by_term = {used[j]: float(best[j] / size[used[j]]) for j in np.argsort(-np.abs(best)) if best[j]}
-    return _merged(by_term)
+    return _merge(by_term)
 
 
 def _sparse(design: Floats, target: Floats, threshold: float) -> Floats:
@@ -59,12 +59,12 @@ def _sparse(design: Floats, target: Floats, threshold: float) -> Floats:
     return np.asarray(fitted.coef_, dtype=np.float64).ravel()
 
 
-def _missed(coefficients: Floats, design: Floats, target: Floats) -> float:
+def _misfit(coefficients: Floats, design: Floats, target: Floats) -> float:
     left = target - design @ coefficients
     return float(left @ left)
 
 
-def _merged(by_term: dict[int, float]) -> list[int]:
+def _merge(by_term: dict[int, float]) -> list[int]:
     """Loss with and without the fan, where they are the same, as one."""
     if {_LEAK, _BLOWN} <= set(by_term):
         one, other = by_term[_LEAK], by_term[_BLOWN]

@@ -49,14 +49,14 @@ def figures(cases: Sequence[ScoredCase]) -> dict[str, Figure]:
         "hard": share(case.first_right for case in _of(cases, "hard")),
         "bare_found": share(found for case in bare for found in case.found),
         "bare_true": Share(sum(case.true_names for case in bare), sum(case.names for case in bare)),
-        "found_shown": _found_shown([case for case in hidden if case.kind != "bare"]),
-        "bare_found_shown": _found_shown(bare),
+        "found_shown": _share_found([case for case in hidden if case.kind != "bare"]),
+        "bare_found_shown": _share_found(bare),
         "shown": share(shows for case in hidden for shows in case.shows),
         "false_alarms": share(case.verdict != "nothing_missing" for case in _of(cases, "null")),
         "unknown": share(case.verdict == "unknown" for case in outside),
         "dependence": share(case.dependence for case in outside if case.dependence is not None),
         "unknown_wrongly": share(case.verdict == "unknown" for case in cases if case.kind != "outside"),
-        "told": _told(hidden),
+        "told": _told_share(hidden),
         "told_rivals": share(told for case in hidden
                              for told, has in zip(case.told, case.has_rivals, strict=True) if has),
         "coverage": share(covered for case in hidden for covered in case.covered.values()),
@@ -71,12 +71,12 @@ def figures(cases: Sequence[ScoredCase]) -> dict[str, Figure]:
     }  # fmt: skip
 
 
-def _told(cases: Iterable[ScoredCase]) -> Share:
+def _told_share(cases: Iterable[ScoredCase]) -> Share:
     pairs = [pair for case in cases for pair in zip(case.told, case.shows, strict=True)]
     return share(told for told, shows in pairs if shows)
 
 
-def _found_shown(cases: Iterable[ScoredCase]) -> Share:
+def _share_found(cases: Iterable[ScoredCase]) -> Share:
     pairs = [pair for case in cases for pair in zip(case.found, case.shows, strict=True)]
     return share(found for found, shows in pairs if shows)
 
@@ -108,7 +108,7 @@ def _of_kind(cases: Sequence[ScoredCase]) -> dict[str, Figure]:
     return {
         "first_right": share(case.first_right for case in cases),
         "exact": share(case.exact for case in cases),
-        "told": _told(cases),
+        "told": _told_share(cases),
         "coverage": share(covered for case in cases for covered in case.covered.values()),
         "shrink": share(shrunk >= SHRUNK for shrunk in shrinks(cases)),
         "ratio_median": _quantile([case.errors.ratio for case in cases if case.errors], 0.5),

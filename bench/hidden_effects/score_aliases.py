@@ -20,15 +20,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.cases import Hidden, Truth
+from bench.hidden_effects.cases import HiddenEffect, Truth
 from bench.hidden_effects.score_fit import LikelihoodFit, fit
 from bench.hidden_effects.score_noise import ReadingNoise
 from bench.hidden_effects.score_rivals import sieve, unknown
 from bench.hidden_effects.score_structure import Structure, structure
 from edge.formats.run_file import RecordedRun
 from edge.twin.effects.further import FURTHER_EFFECTS
-from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS, applied
-from edge.twin.recorded import Recorded, recorded
+from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS, acting_effects
+from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
@@ -78,11 +78,11 @@ class AliasClass:
 
 def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[RecordedRun]) -> tuple[AliasClass, ...]:
     """Return the class of each hidden effect of a case, in the truth's
-    order. Errors: DataError as of `recorded`
+    order. Errors: DataError as of `batch_runs`
     """
     if all(item.name in _WITHOUT_A_COLUMN for item in truth.hidden):
         return tuple(AliasClass(item.name) for item in truth.hidden)
-    data = recorded(runs, file.sample_s)
+    data = batch_runs(runs, file.sample_s)
     mains_sd, curve = (truth.noise.get(key, 0.0) for key in ("heater_power_run_sd", "ua_curve_per_10_k"))
     whole = structure(_with(file, truth.hidden), data, mains_sd, curve)
     found = fit(whole, whole.start, _FIRST_NOISE, passes=1)
@@ -91,7 +91,7 @@ def alias_classes(truth: Truth, file: TwinFile, runs: Sequence[RecordedRun]) -> 
     return tuple(_class(item, whole, found) for item in truth.hidden)
 
 
-def _without_outliers(truth: Structure, found: LikelihoodFit) -> Recorded:
+def _without_outliers(truth: Structure, found: LikelihoodFit) -> RunBatch:
     residual = truth.residual(found.scaled)
     usual = 1.4826 * np.median(np.abs(residual[truth.measured]))  # sd of a normal distribution
     temp = truth.data.temp.copy()
@@ -99,7 +99,7 @@ def _without_outliers(truth: Structure, found: LikelihoodFit) -> Recorded:
     return replace(truth.data, temp=temp)
 
 
-def _class(hidden: Hidden, truth: Structure, found: LikelihoodFit) -> AliasClass:
+def _class(hidden: HiddenEffect, truth: Structure, found: LikelihoodFit) -> AliasClass:
     if hidden.name in _WITHOUT_A_COLUMN:
         return AliasClass(hidden.name)
     nothing = _fit_near(truth.other(_others(truth, hidden.name)), {}, truth, found)
@@ -131,7 +131,7 @@ def _fit_near(rival: Structure, own: Mapping[Place, float], truth: Structure, fo
     """Log likelihood of a structure, begun at its own scaled parameters and the true fit of the others."""
     others = truth.values(found.scaled)
     begun = [
-        own[item.place] if item.place in own else item.scaled(others.get(item.place, item.start))
+        own[item.place] if item.place in own else item.scale(others.get(item.place, item.start))
         for item in rival.unknowns
     ]
     once = fit(rival, np.array(begun), found.noise, passes=1)
@@ -146,17 +146,17 @@ def _price(rival: str, hidden: str, truth: Structure) -> float:
     return max(0, more) * 0.5 * float(np.log(truth.measured.sum()))
 
 
-def _rivals(hidden: str, file: TwinFile, data: Recorded) -> Iterator[str]:
+def _rivals(hidden: str, file: TwinFile, data: RunBatch) -> Iterator[str]:
     """Effects that could stand in the place of a hidden one: not there, with their columns, and acting."""
     for name, effect in {**USUAL_EFFECTS, **FURTHER_EFFECTS}.items():
         missing = [column for column in effect.needs if column not in data.conditions]
         if name in file.effects or name in _WITHOUT_A_COLUMN or missing:
             continue
-        if name in applied([*(key for key in file.effects if key != hidden), name]):
+        if name in acting_effects([*(key for key in file.effects if key != hidden), name]):
             yield name
 
 
-def _with(file: TwinFile, hidden: tuple[Hidden, ...]) -> TwinFile:
+def _with(file: TwinFile, hidden: tuple[HiddenEffect, ...]) -> TwinFile:
     known = [item for item in hidden if item.name not in _WITHOUT_A_COLUMN]
     added = {item.name: unknown(item.name, file, item.parameters) for item in known}
     return replace(file, effects={**file.effects, **added})

@@ -63,14 +63,14 @@ def answer(document: Mapping[str, Any]) -> DiagnosisAnswer:
     predictions = document["predictions"]
     return DiagnosisAnswer(
         verdict,
-        tuple(_named(item) for item in effects),
+        tuple(_named_effect(item) for item in effects),
         tuple(document["depends_on"]),
         {run: _series(own["before"]) for run, own in predictions.items()},
         {run: _series(own["after"]) for run, own in predictions.items()},
     )
 
 
-def _named(document: Mapping[str, Any]) -> NamedEffect:
+def _named_effect(document: Mapping[str, Any]) -> NamedEffect:
     intervals = {
         key: (_number(item.get("low")), _number(item.get("high")))
         for key, item in document["parameters"].items()

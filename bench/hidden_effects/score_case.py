@@ -103,7 +103,7 @@ def score(
     hidden = tuple(item.name for item in truth.hidden)
     outside = truth.outside.name if truth.outside else ""
     verdict = given.verdict if given else "failed"
-    matched = _matched(classes, given.effects if given else ())
+    matched = _match(classes, given.effects if given else ())
     names = given.effects if given else ()
     true = [item for item in matched if item is not None]
     # The first name counts apart: most readers go no further.
@@ -122,11 +122,11 @@ def score(
         first_right=any(item is first for item in true),
         exact=bool(hidden) and len(true) == len(hidden) == len(names),
         told=tuple(_is_honest(own, item) for own, item in zip(classes, matched, strict=True)),
-        told_exactly=tuple(item is not None and _told(item) == own.members
+        told_exactly=tuple(item is not None and _told_names(item) == own.members
                            for own, item in zip(classes, matched, strict=True)),
         has_rivals=tuple(len(own.members) > 1 for own in classes),
         shows=tuple(own.shows for own in classes),
-        covered=_covered(truth, names),
+        covered=_coverage(truth, names),
         dependence=_dependence(truth, given),
         errors=errors(truth.tests, given),
         seconds=seconds,
@@ -134,7 +134,7 @@ def score(
     )  # fmt: skip
 
 
-def _matched(classes: Sequence[AliasClass], names: Sequence[NamedEffect]) -> list[NamedEffect | None]:
+def _match(classes: Sequence[AliasClass], names: Sequence[NamedEffect]) -> list[NamedEffect | None]:
     """Match a name to each hidden effect: exact ones first, then as many by class as possible."""
     left = [item for item in names if not item.hedges]
     found: list[NamedEffect | None] = []
@@ -150,17 +150,17 @@ def _matched(classes: Sequence[AliasClass], names: Sequence[NamedEffect]) -> lis
     return found
 
 
-def _told(named: NamedEffect) -> frozenset[str]:
+def _told_names(named: NamedEffect) -> frozenset[str]:
     return frozenset({named.name, *named.alternatives})
 
 
 def _is_honest(own: AliasClass, named: NamedEffect | None) -> bool:
     if named is None:
         return False
-    return own.within(CLEARLY_IN_NATS) <= _told(named) <= own.up_to(CLEARLY_OUT_NATS)
+    return own.within(CLEARLY_IN_NATS) <= _told_names(named) <= own.up_to(CLEARLY_OUT_NATS)
 
 
-def _covered(truth: Truth, names: Sequence[NamedEffect]) -> dict[str, bool]:
+def _coverage(truth: Truth, names: Sequence[NamedEffect]) -> dict[str, bool]:
     covered = {}
     named = {item.name: item for item in reversed(names)}  # the first of two of one name
     for hidden in truth.hidden:

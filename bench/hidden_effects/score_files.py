@@ -35,7 +35,7 @@ def main(words: Sequence[str] | None = None) -> int:
     classes = _all_classes(cases, results, arguments.workers, arguments.dask)
     solvers = {
         name: [
-            _scored(truth, classes[folder.name], took, results / name / folder.name)
+            _score(truth, classes[folder.name], took, results / name / folder.name)
             for folder, truth in cases
             if (took := _took(results / name / folder.name / "run.json", folder))
         ]
@@ -73,7 +73,7 @@ def _all_classes(
     return {folder.name: own for (folder, _), own in zip(cases, found, strict=True)}
 
 
-def _scored(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any], place: Path) -> ScoredCase:
+def _score(truth: Path, classes: Sequence[AliasClass], took: Mapping[str, Any], place: Path) -> ScoredCase:
     """Score the answer in a place. A failed run has no answer, whatever lies there."""
     given: DiagnosisAnswer | None = None
     if took["exit"] == 0:

@@ -41,7 +41,7 @@ def fit(problem: Structure, start: Floats, noise: ReadingNoise, passes: int) -> 
     return LikelihoodFit(best, scaled, noise)
 
 
-def stacked(white: Floats, moved: Floats) -> Floats:
+def stack_columns(white: Floats, moved: Floats) -> Floats:
     """Columns [B, m, N] less what the runs' own unknowns [B, q, N] explain of them, and at which price.
 
     Returns : [B (N + q), m]; the sum of squares of a column is its quadratic form with those integrated out
@@ -59,12 +59,12 @@ def _least_squares(problem: Structure, start: Floats, response: Floats, whiten: 
 
     moved = whiten(response)
 
-    def missed(scaled: Floats) -> Floats:
+    def misfit(scaled: Floats) -> Floats:
         white = whiten(problem.residual(scaled)[:, None])
-        return np.concatenate([stacked(white, moved)[:, 0], problem.priors(scaled)])
+        return np.concatenate([stack_columns(white, moved)[:, 0], problem.priors(scaled)])
 
     low, high = np.array([item.bounds for item in problem.unknowns]).T
     solved = least_squares(
-        missed, start, bounds=(low, high), x_scale="jac", xtol=_CLOSE, ftol=_CLOSE, max_nfev=_MOST_EVALUATIONS
+        misfit, start, bounds=(low, high), x_scale="jac", xtol=_CLOSE, ftol=_CLOSE, max_nfev=_MOST_EVALUATIONS
     )
     return np.asarray(solved.x, dtype=np.float64)

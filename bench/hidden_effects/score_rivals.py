@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.score_fit import LikelihoodFit, stacked
+from bench.hidden_effects.score_fit import LikelihoodFit, stack_columns
 from bench.hidden_effects.score_noise import Whitener, whitener
 from bench.hidden_effects.score_structure import Structure, structure
 from edge.twin.effects.library import EFFECTS
@@ -48,12 +48,12 @@ class Sieve:
         """Return the rival's best parameters, as the optimiser has them [p]; None where it is hopeless."""
         file = self.without.file
         rival = self.without.other({**file.effects, name: unknown(name, file)})
-        missed = _Missed(self, rival, rival.start)
+        missed = _Remainder(self, rival, rival.start)
         places = _places(rival)
         tried = [missed(place) for place in places]
         if self._leaves_too_much(missed.without(), tried):
             return None
-        found = _fitted(missed, rival, places[int(np.argmin([each @ each for each in tried]))])
+        found = _fit(missed, rival, places[int(np.argmin([each @ each for each in tried]))])
         nats = _nats(missed(found))
         is_hopeless = (
             nats - self.truth_nats > HOPELESS_NATS or _nats(missed.without()) - nats < LEAST_GAIN_NATS
@@ -80,7 +80,7 @@ def sieve(truth: Structure, fit: LikelihoodFit, effect: str) -> Sieve:
         step = moved[i] - fit.scaled[i]
         slopes.append((truth.residual(moved) - residual) / step)
         prior_slopes.append((truth.priors(moved) - prior) / step)
-    missed = stacked(whiten(residual[:, None]), whiten(truth.response(fit.scaled)))[:, 0]
+    missed = stack_columns(whiten(residual[:, None]), whiten(truth.response(fit.scaled)))[:, 0]
     shape = (len(others), *residual.shape)
     return Sieve(
         _without(truth, fit, effect),
@@ -113,26 +113,26 @@ def _without(truth: Structure, fit: LikelihoodFit, effect: str) -> Structure:
     return exactly.other({name: own for name, own in file.effects.items() if name != effect})
 
 
-class _Missed:
+class _Remainder:
     """The remainder of a rival at its parameters after everything else has adapted."""
 
     def __init__(self, sieve: Sieve, rival: Structure, start: Floats) -> None:
         self._sieve, self._rival = sieve, rival
         self._moved = sieve.whiten(rival.response(start))
-        slopes = np.concatenate([stacked(sieve.slopes, self._moved), sieve.prior_slopes])
+        slopes = np.concatenate([stack_columns(sieve.slopes, self._moved), sieve.prior_slopes])
         self._basis = np.linalg.qr(slopes)[0]
 
     def __call__(self, scaled: Floats) -> Floats:
         """Return errors in standard deviations; the rival's own priors come last."""
-        return np.concatenate([self._left(self._rival.residual(scaled)), self._rival.priors(scaled)])
+        return np.concatenate([self._remainder(self._rival.residual(scaled)), self._rival.priors(scaled)])
 
     def without(self) -> Floats:
         """Return the errors without anything in the effect's place."""
-        left = self._left(self._sieve.without.residual(np.zeros(0)))
+        left = self._remainder(self._sieve.without.residual(np.zeros(0)))
         return np.concatenate([left, np.zeros(len(self._rival.priors(self._rival.start)))])
 
-    def _left(self, residual: Floats) -> Floats:
-        white = stacked(self._sieve.whiten(residual[:, None]), self._moved)[:, 0]
+    def _remainder(self, residual: Floats) -> Floats:
+        white = stack_columns(self._sieve.whiten(residual[:, None]), self._moved)[:, 0]
         missed = np.concatenate([white, self._sieve.prior])
         return np.asarray(missed - self._basis @ (self._basis.T @ missed))
 
@@ -143,11 +143,11 @@ def _places(rival: Structure) -> list[Floats]:
     for i, item in enumerate(rival.unknowns):
         values = [item.start * factor for factor in _TRIED] if item.is_log else [-item.start, item.start]
         few = values if i == 0 or len(rival.unknowns) < 3 else [item.start]
-        tried.append([item.scaled(value) for value in few])
+        tried.append([item.scale(value) for value in few])
     return [np.array(place) for place in product(*tried)]
 
 
-def _fitted(missed: _Missed, rival: Structure, start: Floats) -> Floats:
+def _fit(missed: _Remainder, rival: Structure, start: Floats) -> Floats:
     from scipy.optimize import least_squares
 
     low, high = np.array([item.bounds for item in rival.unknowns]).T

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.hidden_effects.equations import CURVE_AT_K
-from edge.twin.effects.library import EFFECTS, applied
+from edge.twin.effects.library import EFFECTS, acting_effects
 from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
-from edge.twin.warm_start import at_rest, held
+from edge.twin.warm_start import at_rest, hold
 
 Floats = NDArray[np.float64]
 _LEAST = 1e-4  # of a positive parameter, share of the table's start
@@ -50,7 +50,7 @@ class SoughtValue:
     def _unit(self) -> float:
         return abs(self.start) or 1.0
 
-    def scaled(self, value: float) -> float:
+    def scale(self, value: float) -> float:
         """Return the optimiser's number, inside the bounds."""
         low, high = self.bounds
         return float(np.clip(self._to(value), low + _INSIDE, high - _INSIDE))
@@ -74,7 +74,7 @@ class Structure:
     """A twin file of which some values are unknown, and the runs that tell them."""
 
     file: TwinFile
-    data: Recorded
+    data: RunBatch
     unknowns: tuple[SoughtValue, ...]
     middle: Floats  # the measured temperature in the middle of each step, [B, N]
     mains_sd: float = 0.0  # of the heater's power from run to run, share
@@ -87,7 +87,7 @@ class Structure:
 
     @property
     def start(self) -> Floats:
-        return np.array([item.scaled(item.start) for item in self.unknowns])
+        return np.array([item.scale(item.start) for item in self.unknowns])
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -108,7 +108,7 @@ class Structure:
     def residual(self, scaled: Floats) -> Floats:
         """Measured minus a free run from rest, [B, N]; 0 where nothing was measured [K]."""
         twin = self.twin(scaled)
-        return self._missed(twin, self._rest(twin))
+        return self._misfit(twin, self._rest(twin))
 
     def response(self, scaled: Floats) -> Floats:
         """Return the response to one sd of each initial state, and of the mains
@@ -116,12 +116,12 @@ class Structure:
         """
         twin = self.twin(scaled)
         rest, spreads = self._rest(twin), _start_sd(twin)
-        usual = self._missed(twin, rest)
-        moves = [usual - self._missed(twin, rest + sd * unit)
+        usual = self._misfit(twin, rest)
+        moves = [usual - self._misfit(twin, rest + sd * unit)
                  for sd, unit in zip(spreads, np.eye(len(spreads)), strict=True)]  # fmt: skip
         if self.mains_sd:
             stronger = self.twin(scaled, 1.0 + _MAINS_STEP)
-            moves.append((usual - self._missed(stronger, rest)) * self.mains_sd / _MAINS_STEP)
+            moves.append((usual - self._misfit(stronger, rest)) * self.mains_sd / _MAINS_STEP)
         return np.stack(moves, axis=1)
 
     def priors(self, scaled: Floats) -> Floats:
@@ -149,7 +149,7 @@ class Structure:
         first = zip(self.data.temp[:, 0], self.data.ambient[:, 0], strict=True)
         return np.stack([at_rest(twin, float(temp), float(room)) for temp, room in first])
 
-    def _missed(self, twin: BoxTwin, start: Floats) -> Floats:
+    def _misfit(self, twin: BoxTwin, start: Floats) -> Floats:
         data = self.data
         heat_w = self._bent_w(twin)
         source = heat_w / twin.system.air_capacity_j_k
@@ -173,11 +173,11 @@ class Structure:
         return bent - share * loss_w_k * self.curve * (beyond - CURVE_AT_K) / 10.0 * beyond
 
 
-def structure(file: TwinFile, data: Recorded, mains_sd: float = 0.0, curve: float = 0.0) -> Structure:
+def structure(file: TwinFile, data: RunBatch, mains_sd: float = 0.0, curve: float = 0.0) -> Structure:
     """Return the unknowns of the file: values to be fitted and uncertain ones, of the effects that act."""
     if "ua_drift" in file.effects and file.day0_utc is None and "utc" in data.conditions:
         file = replace(file, day0_utc=float(data.conditions["utc"].min()))
-    acting = applied(file.effects)
+    acting = acting_effects(file.effects)
     unknowns = []
     for place, value in file.values().items():
         if not (value.fit or value.rel_sd is not None) or (place[0] == "effects" and place[1] not in acting):
@@ -185,7 +185,7 @@ def structure(file: TwinFile, data: Recorded, mains_sd: float = 0.0, curve: floa
         low, high = _range(place, value.value)
         prior_sd = np.inf if value.rel_sd is None else abs(value.rel_sd * value.value)
         unknowns.append(SoughtValue(place, value.value, low, high, prior_sd))
-    temp = np.stack([held(values) for values in data.temp])
+    temp = np.stack([hold(values) for values in data.temp])
     return Structure(file, data, tuple(unknowns), 0.5 * (temp[:, :-1] + temp[:, 1:]), mains_sd, curve)
 
 

@@ -10,7 +10,7 @@ from bench.hidden_effects.cases import (
     GENERATOR_VERSION,
     KINDS,
     SUITES,
-    Hidden,
+    HiddenEffect,
     RunTruth,
     Truth,
 )
@@ -34,8 +34,8 @@ def _truth(document: dict[str, Any]) -> Truth:
     return Truth(
         **{
             **document,
-            "hidden": tuple(Hidden(**item) for item in document["hidden"]),
-            "outside": None if outside is None else Hidden(**outside),
+            "hidden": tuple(HiddenEffect(**item) for item in document["hidden"]),
+            "outside": None if outside is None else HiddenEffect(**outside),
             "depends_on": tuple(document["depends_on"]),
             "known": tuple(document["known"]),
             "tests": {name: RunTruth(**item) for name, item in document["tests"].items()},

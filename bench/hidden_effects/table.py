@@ -110,11 +110,11 @@ def _figures(content: Document) -> Rows:
     rows = [["figure", "target", "met", *answered]]
     for line in LINES:
         found = [own["figures"][line.figure] for own in solvers.values()]
-        rows.append([line.name, line.target, _met(line, solvers), *map(_figure, found)])
+        rows.append([line.name, line.target, _goal_mark(line, solvers), *map(_figure, found)])
     return rows
 
 
-def _met(line: TableLine, solvers: Mapping[str, Any]) -> str:
+def _goal_mark(line: TableLine, solvers: Mapping[str, Any]) -> str:
     value = _value(solvers[OURS]["figures"][line.figure]) if OURS in solvers else None
     if line.met is None or value is None:
         return ""

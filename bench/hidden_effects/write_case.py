@@ -55,7 +55,7 @@ def _document(path: Path) -> dict[str, Any]:
     return found
 
 
-def listed(values: np.ndarray) -> list[float]:
+def as_list(values: np.ndarray) -> list[float]:
     """As JSON has them [K, to 0.1 mK]."""
     return [round(float(value), 4) for value in values]
 

@@ -62,10 +62,10 @@ def texts(log: RealLog, data: Path, repositories: Path) -> list[str]:
         if not found:
             raise DataError(f"{data}: holds no {', '.join(log.paths)}: --data says where the logs lie")
         return [path.read_text(encoding="utf-8") for path in found]
-    return [_shown(log, path, repositories) for path in log.paths]
+    return [_show(log, path, repositories) for path in log.paths]
 
 
-def _shown(log: RealLog, path: str, repositories: Path) -> str:
+def _show(log: RealLog, path: str, repositories: Path) -> str:
     """Return a file at the log's commit, from a clone called `name`, or a
     bare one called `owner+name/repo`.
     """

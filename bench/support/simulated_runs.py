@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.formulas import FormulaShape, formulas
-from edge.diagnosis.given import given
 from edge.diagnosis.innovations import NoiseLevels
+from edge.diagnosis.prepare import prepare
 from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs
 from edge.diagnosis.search import Search
 from edge.diagnosis.side_by_side import SideBySide
@@ -32,7 +32,7 @@ def silent(text: str, share: float = 0.0) -> None:
     """Progress that nobody wants to see."""
 
 
-def known(effects: Effects = BOX) -> dict[str, dict[str, Value]]:
+def known_effects(effects: Effects = BOX) -> dict[str, dict[str, Value]]:
     """Effects of a twin file, their values exact."""
     return {name: {key: Value(value) for key, value in own.items()} for name, own in effects.items()}
 
@@ -40,13 +40,13 @@ def known(effects: Effects = BOX) -> dict[str, dict[str, Value]]:
 def twin_file(effects: Effects = BOX, noise: NoiseLevels = NOISE) -> TwinFile:
     """Return a file that knows these effects exactly, and its noise but for its time constant."""
     return TwinFile(
-        effects=known(effects),
+        effects=known_effects(effects),
         sensor={"quantisation_k": 0.0, "noise_sd_k": noise.sensor_k},
         nuisance={"heater_power_run_sd": noise.power_share, "heat_noise_sd_w": noise.heat_w},
     )
 
 
-def simulated(
+def simulate(
     effects: Effects,
     seed: int,
     rows: int = 150,
@@ -66,7 +66,7 @@ def simulated(
     room = 21.0 + 1.5 * np.sin(2.0 * np.pi * time_s / 7200.0 + seed)
     twin = BoxTwin(effects=effects, step_s=STEP_S)
     power = duty * (1.0 + noise.power_share * draw.standard_normal())
-    heat_w = coloured(draw, rows, noise)
+    heat_w = coloured_noise(draw, rows, noise)
     temp = _run(twin, power, blown, room, heat_w, light)
     if further is not None:
         # Heat that depends on the temperature it makes: to its fixed point.
@@ -84,7 +84,7 @@ def simulated(
     return RecordedRun(columns, facts, Path(f"run_{seed:02d}.csv"))
 
 
-def coloured(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats:
+def coloured_noise(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats:
     """Heat of first order, constant over a row [rows] [W]."""
     decay = np.exp(-STEP_S / noise.heat_tau_s)
     fresh = noise.heat_w * draw.standard_normal(rows)
@@ -93,7 +93,7 @@ def coloured(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats
     return fresh
 
 
-def diagnosed(
+def as_diagnosis_runs(
     runs: Sequence[RecordedRun], test: Sequence[RecordedRun] = (), file: TwinFile | None = None
 ) -> DiagnosisRuns:
     """Return runs as a diagnosis needs them, by their file names."""
@@ -106,14 +106,14 @@ def search_over(
 ) -> tuple[Search, dict[str, FormulaShape]]:
     """Return a search as a diagnosis begins it, and the formulas in it."""
     file = file or twin_file()
-    known = given(file, diagnosed(runs, file=file))
+    known = prepare(file, as_diagnosis_runs(runs, file=file))
     found = formulas(known.runs, known.expected, STEP_S)
     terms = {name: term for name, (_, term) in found.items()}
-    search = Search(known.file, known.runs, silent, known.terms, terms, shared=shared or SideBySide())
+    search = Search(known.file, known.runs, silent, known.terms, terms, pool=shared or SideBySide())
     return search, {name: shape for name, (shape, _) in found.items()}
 
 
-def changed(
+def change_run(
     run: RecordedRun, facts: Mapping[str, str] | None = None, **columns: Floats | None
 ) -> RecordedRun:
     """Return the run with some columns replaced (None: without it) and some facts added."""

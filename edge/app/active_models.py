@@ -8,7 +8,7 @@ from edge.assistant.llm.language_model import LanguageModel
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.rivals import rival_rows
 from edge.bundle.serving import Serving
-from edge.bundle.store import Loaded
+from edge.bundle.store import LoadedBundle
 from edge.config.settings import Settings
 from edge.core.controller import Controller
 from edge.core.controller_names import EXTERNAL, MPC_TWIN, NEED_A_MODEL
@@ -47,7 +47,7 @@ class ActiveModels:
         self._llm = llm
         self._configured = configured_model(control) if keeper is None or control.model else None
         self._serving = None if keeper is None else keeper.serving
-        self.model, self.linear = self._chosen()
+        self.model, self.linear = self._choose()
         if control.controller in MPC_TWIN and self.twin is None:
             raise ConfigError(
                 f"control.controller: {control.controller} plans with a bundle's twin, there is none"
@@ -86,7 +86,7 @@ class ActiveModels:
         self._serving = self._keeper.serving
         kept = ""
         try:
-            self.model, self.linear = self._chosen()
+            self.model, self.linear = self._choose()
         except ConfigError as error:
             kept = f"; {error}: the one before goes on"
         self.forecasting.serve(*self._forecasting_parts())
@@ -105,7 +105,7 @@ class ActiveModels:
             self._keeper.consider(serving, rival_rows(state, active, rival))
         return made
 
-    def _chosen(self) -> tuple[Predictor, Predictor]:
+    def _choose(self) -> tuple[Predictor, Predictor]:
         """Return the model that estimates and plans, and the linear one that proposes plans to it."""
         if self._configured is not None:
             return self._configured, self._configured
@@ -139,6 +139,6 @@ def _active(serving: Serving | None) -> Mapping[str, Predictor]:
     return {} if bundle is None else bundle.predictors
 
 
-def _bundle(serving: Serving | None) -> Loaded | None:
+def _bundle(serving: Serving | None) -> LoadedBundle | None:
     """Return the active bundle."""
     return None if serving is None else serving.active

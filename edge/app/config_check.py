@@ -36,15 +36,15 @@ class ConfigProblem:
 
 def problems(settings: Settings) -> Iterator[ConfigProblem]:
     """Everything that is wrong with what `settings` name on this machine."""
-    yield from _raised(lambda: configured_model(settings.control))
-    yield from _raised(lambda: make_reference(settings.reference))
+    yield from _problems_of(lambda: configured_model(settings.control))
+    yield from _problems_of(lambda: make_reference(settings.reference))
     yield from _port(settings.board.port)
     yield from _data_file("state_file", Path(settings.state_file), _state_problem)
     yield from _data_file("history.path", Path(settings.history.path), _history_problem)
     yield from _socket("control_socket.path", settings.control_socket.path)
     if settings.external.socket:
         yield from _socket("external.socket", settings.external.socket)
-    yield from _shared(settings)
+    yield from _shared_paths(settings)
     yield from _bundle(settings.bundle)
     if settings.drift.diagnose != "never":
         yield from _folder("drift.reports", settings.drift.reports)
@@ -54,7 +54,7 @@ def problems(settings: Settings) -> Iterator[ConfigProblem]:
         yield from _llm(settings)
 
 
-def _raised(check: Callable[[], object]) -> Iterator[ConfigProblem]:
+def _problems_of(check: Callable[[], object]) -> Iterator[ConfigProblem]:
     try:
         check()
     except GreenhouseError as error:
@@ -65,7 +65,7 @@ def _secret(name: str, key: str) -> Iterator[ConfigProblem]:
     if name and "/" not in name and not os.environ.get("CREDENTIALS_DIRECTORY"):
         yield ConfigProblem(f"{key}: {name!r} is a systemd credential: only the service can read it", False)
     elif name:
-        yield from _raised(lambda: read_secret(name, key))
+        yield from _problems_of(lambda: read_secret(name, key))
 
 
 def _port(path: str) -> Iterator[ConfigProblem]:
@@ -121,7 +121,7 @@ def _socket(key: str, path: str) -> Iterator[ConfigProblem]:
         yield from _place(key, Path(path))
 
 
-def _shared(settings: Settings) -> Iterator[ConfigProblem]:
+def _shared_paths(settings: Settings) -> Iterator[ConfigProblem]:
     """One path for two purposes."""
     named = {
         "state_file": settings.state_file,
@@ -157,14 +157,14 @@ def _mqtt(mqtt: MqttSettings) -> Iterator[ConfigProblem]:
     yield from missing
     yield from _secret(mqtt.client_key, "mqtt.client_key")
     if mqtt.tls and not missing and (not mqtt.client_key or _mode(mqtt.client_key) is not None):
-        yield from _raised(lambda: tls_context(mqtt))
+        yield from _problems_of(lambda: tls_context(mqtt))
 
 
 def _llm(settings: Settings) -> Iterator[ConfigProblem]:
     from edge.assistant.llm.language_model import open_line
 
     yield from _secret(settings.llm.key_file, "llm.key_file")
-    yield from _raised(lambda: open_line(settings.llm))
+    yield from _problems_of(lambda: open_line(settings.llm))
 
 
 def _readable(key: str, path: str) -> Iterator[ConfigProblem]:

@@ -12,7 +12,7 @@ from edge.core import controller_names as names
 from edge.core.controller import Controller
 from edge.core.errors import RequestError
 from edge.core.predictor import Predictor
-from edge.formats.checked import nearest
+from edge.formats.cross_check import nearest
 from edge.models.arx import Arx
 from edge.models.onnx_policy import OnnxPolicy
 from edge.models.pbm import Pbm

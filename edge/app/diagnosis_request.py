@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.formats.reader import parse_json, read, read_bytes, read_json
 
 GREENHOUSE = (sys.executable, "-m", "edge")

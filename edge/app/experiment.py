@@ -79,7 +79,7 @@ def run_experiment(
     Errors : DataError for a profile that does not fit; GreenhouseError for a rig that is held off or silent,
         and for a stop before the run has begun
     """
-    settings = _checked(experiment, settings)
+    settings = _check(experiment, settings)
     course = ExperimentCourse(experiment.profile.record_from_s)
     daemon: Daemon
 
@@ -106,7 +106,7 @@ def run_experiment(
         raise GreenhouseError(f"no good air temperature from the board at {settings.board.port}")
     if course.recorded is None:
         raise GreenhouseError(f"{profile.path}: stopped during the lead-in: nothing is recorded yet")
-    return _recorded(experiment, settings, course.recorded, course.last, course), course
+    return _record(experiment, settings, course.recorded, course.last, course), course
 
 
 def describe_changes(changes: Mapping[str, int]) -> str:
@@ -117,7 +117,7 @@ def describe_changes(changes: Mapping[str, int]) -> str:
     return f"safety changed commands: {rules}"
 
 
-def _checked(experiment: Experiment, settings: Settings) -> Settings:
+def _check(experiment: Experiment, settings: Settings) -> Settings:
     """Return the settings for this experiment. Errors as `run_experiment`"""
     profile, step_s = experiment.profile, settings.control.step_s
     recorded_s = experiment.end_s - profile.record_from_s
@@ -163,7 +163,7 @@ def _has_air_temperature(record: TickRecord) -> bool:
     return reading is not None and reading.quality is ReadingQuality.GOOD
 
 
-def _recorded(
+def _record(
     experiment: Experiment, settings: Settings, first: TickRecord, last: TickRecord, course: ExperimentCourse
 ) -> RecordedRun:
     """Return the run as the history holds it."""

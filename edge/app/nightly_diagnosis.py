@@ -117,7 +117,7 @@ class NightlyDiagnosis:
         while (name := self._jobs.get()) is not None:
             try:
                 self._diagnose(Path(self._settings.reports) / name)
-            except _Failed as failure:
+            except _DiagnosisFailure as failure:
                 self._tell("diagnosis.failed", str(failure), Severity.WARNING)
             except Exception as error:  # a full disk, a bug: told, and the next night tries again
                 self._tell("diagnosis.failed", f"{type(error).__name__}: {error}", Severity.WARNING)
@@ -127,7 +127,7 @@ class NightlyDiagnosis:
         settings, places = self._settings, self._places
         twin = places.twin()
         if twin is None:
-            raise _Failed("no twin runs, so there is none to diagnose")
+            raise _DiagnosisFailure("no twin runs, so there is none to diagnose")
         report.mkdir(parents=True, exist_ok=True)
         prune(report.parent)
         self._tell("diagnosis.started", f"the diagnosis of the last {settings.diagnose_since_d:g} days began")
@@ -159,13 +159,13 @@ class NightlyDiagnosis:
 
     def _call(self, words: Sequence[str | Path], log: Path, patience_s: float) -> None:
         """Run `greenhouse twin ...` to its end. Errors: _Failed"""
-        code = self._ended(["twin", *map(str, words)], log, patience_s)
+        code = self._wait(["twin", *map(str, words)], log, patience_s)
         if code == LATE:
-            raise _Failed(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended")
+            raise _DiagnosisFailure(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended")
         if code != 0:
-            raise _Failed(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
+            raise _DiagnosisFailure(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
 
-    def _ended(self, words: Sequence[str], log: Path, patience_s: float) -> int | str:
+    def _wait(self, words: Sequence[str], log: Path, patience_s: float) -> int | str:
         """Wait for the command and return its exit code, below 0 the signal
         that ended it; LATE. Errors: _Failed
         """
@@ -173,11 +173,11 @@ class NightlyDiagnosis:
             try:
                 return ask(self._places.requests, words, log, patience_s, lambda: self._closing)
             except NoUnit as error:
-                raise _Failed(str(error)) from None
+                raise _DiagnosisFailure(str(error)) from None
         command = [*self._program, *words]
         with log.open("ab") as out, self._lock:
             if self._closing:
-                raise _Failed("the daemon ends")
+                raise _DiagnosisFailure("the daemon ends")
             # A group of its own, so that what it starts ends with it.
             process = self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
@@ -213,7 +213,7 @@ class Findings(Foreign):
     twin_after: str | None = None
 
 
-class _Failed(Exception):
+class _DiagnosisFailure(Exception):
     """A diagnosis that came to no end; the text is for people."""
 
 
@@ -246,7 +246,7 @@ def _findings(path: Path) -> Findings:
     try:
         return read_json(Findings, path)
     except DocumentError as error:
-        raise _Failed(str(error)) from error
+        raise _DiagnosisFailure(str(error)) from error
 
 
 def _in_words(found: Findings) -> str:

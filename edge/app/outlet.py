@@ -76,7 +76,7 @@ class Outlet(io.TextIOBase):
     def _run(self) -> None:
         while (text := self._texts.get()) is not None:
             if callable(text):
-                text = _made(text)
+                text = _make(text)
             lost = self._lost
             try:
                 if lost:
@@ -125,7 +125,7 @@ def _descriptor(stream: TextIO) -> int | None:
         return None
 
 
-def _made(text: Callable[[], str]) -> str:
+def _make(text: Callable[[], str]) -> str:
     try:
         return text()
     except Exception as error:  # a line that cannot be made is no reason to write no further one

@@ -135,7 +135,7 @@ def _draw_events(panels: list["Axes"], run: RecordedRun, events: Sequence[Event]
             time = (event.utc - start_utc) / divisor
             axes.axvline(time, color=COLORS[event.severity], lw=0.8, alpha=0.6, zorder=0)
     gap_s = NUMBER_GAP * float(run.columns["time_s"][-1])
-    for first, group in _groups(_listed(events), gap_s):
+    for first, group in _groups(_gravest(events), gap_s):
         middle = (group[0].utc + group[-1].utc) / 2.0 - start_utc
         panels[0].annotate(
             f"{first}–{first + len(group) - 1}" if len(group) > 1 else str(first),
@@ -160,7 +160,7 @@ def _groups(events: Sequence[Event], gap_s: float) -> list[tuple[int, list[Event
     return groups
 
 
-def _listed(events: Sequence[Event]) -> list[Event]:
+def _gravest(events: Sequence[Event]) -> list[Event]:
     """Return the gravest events, in the order of time."""
     gravest = sorted(events, key=lambda event: list(COLORS).index(event.severity))[:LISTED_MAX]
     return sorted(gravest, key=lambda event: event.utc)
@@ -168,7 +168,7 @@ def _listed(events: Sequence[Event]) -> list[Event]:
 
 def _event_lines(events: Sequence[Event]) -> list[tuple[str, str]]:
     """Text and colour of each line below the picture."""
-    listed = _listed(events)
+    listed = _gravest(events)
     lines = [
         (_cut(f"{number} {_clock(event.utc)} {event.key}: {event.text}"), COLORS[event.severity])
         for number, event in enumerate(listed, start=1)

@@ -55,7 +55,7 @@ class Tape:
         return {}
 
 
-class Replayed:
+class ReplayMpc:
     """An MPC whose searches end where they ended before: the wall clock has no say in a replay.
 
     node_limits : of each decision in turn, how many nodes it may look into; None where its budget decides
@@ -85,7 +85,7 @@ def replay(
 ) -> list[TickRecord]:
     """One tick per step of the run. Decisions have no effect: the recorded inputs stand.
 
-    node_limits : see `Replayed`; `fired_limits` reads them from the ticks of an earlier replay
+    node_limits : see `ReplayMpc`; `fired_limits` reads them from the ticks of an earlier replay
     twin : what MPC-Twin and MPC-Twin-P plan with; None: they are not there
     """
     if twin is not None and twin.step_s != settings.control.step_s:
@@ -129,7 +129,7 @@ def _controller(
     unhurried = replace(settings.control, time_box_ms=TIME_BOX_MAX_MS)
     predictors = {} if twin is None else {"pbm": twin}
     controller = registry.make(name, registry.ControllerParts(unhurried, model, predictors=predictors))
-    return Replayed(controller, node_limits) if isinstance(controller, Mpc | MpcRollout) else controller
+    return ReplayMpc(controller, node_limits) if isinstance(controller, Mpc | MpcRollout) else controller
 
 
 def fired_limits(ticks: Sequence[Mapping[str, Any]]) -> list[int | None]:
@@ -188,7 +188,7 @@ class Series:
             ambient=np.array([record.estimate.temp_ambient for record in records]),
             others={name: np.array([_good(record, name) for record in records]) for name in OTHERS}
             | {"utc": np.array([record.utc for record in records])},
-            inputs=np.array([_driven(record) for record in records]),
+            inputs=np.array([_driven_inputs(record) for record in records]),
             step_s=records[0].step_s,
         )
 
@@ -238,7 +238,7 @@ def _good(record: TickRecord, name: str) -> float:
     return float(reading.value) if good and reading is not None and reading.value is not None else math.nan
 
 
-def _driven(record: TickRecord) -> tuple[float, float]:
+def _driven_inputs(record: TickRecord) -> tuple[float, float]:
     echo = record.echo
     return (echo.heater_duty, float(echo.fan_on)) if echo is not None else (0.0, 0.0)
 

@@ -9,7 +9,7 @@ from edge.assistant.why.ask_history import why
 from edge.bundle.keeper import BundleKeeper
 from edge.config.settings import Settings
 from edge.core.errors import GreenhouseError
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.mqtt.commands import Resend
 from edge.mqtt.topics import Topics
 from edge.storage import Outbox

@@ -197,7 +197,7 @@ class Board:
         self.close()
         self._open_at_s = now + REOPEN_S
         self._open_failed = True
-        self._take(self._link.disconnected(now), now)
+        self._take(self._link.disconnect(now), now)
         self._tell("board.unplugged", Severity.ALARM, f"{self._path} is gone: {error}")
 
     def _read(self, now: float) -> None:
@@ -303,7 +303,7 @@ class Board:
             case wire.VersionRefused(low, high):
                 text = f"the board speaks protocol {low} to {high}, not {PROTOCOL_VERSION}"
                 self._tell("board.version", Severity.ALARM, text)
-            case wire.Refused(error, request):
+            case wire.RequestRefused(error, request):
                 self._settle(request)
                 code = wire_messages.ErrorCode(error.code).name.lower()
                 text = f"the board refused {type(request).__name__}: {code} ({error.detail})"

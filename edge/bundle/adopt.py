@@ -26,7 +26,7 @@ _BASE_CHARS = 50  # of the version before, so that the new one is no longer than
 
 
 @dataclass(frozen=True, slots=True)
-class Adopted:
+class AdoptedBundle:
     """A bundle that was made: from which one, and which of its models it lacks."""
 
     manifest: Manifest
@@ -39,7 +39,7 @@ def is_adopted(version: str | None) -> bool:
     return version is not None and _SUFFIX.search(version) is not None
 
 
-def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folder: Path) -> Adopted:
+def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folder: Path) -> AdoptedBundle:
     """Fill the empty `folder` with the active bundle's models and `twin`, signed.
 
     The same twin on the same bundle gives the same manifest, so adopting it twice installs it once.
@@ -78,7 +78,7 @@ def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folde
         before.name,
         dict(before.software) | {"greenhouse-twin": __version__},
     )
-    return Adopted(sign_folder(folder, facts, key), active.name, dropped)
+    return AdoptedBundle(sign_folder(folder, facts, key), active.name, dropped)
 
 
 def _data_sha256(file: TwinFile, before: Manifest) -> str:

@@ -62,7 +62,9 @@ def unpack(source: BinaryIO, into: Path) -> None:
             _check_sizes([(entry.filename, entry.file_size) for entry in entries])
             for entry in entries:
                 with archive.open(entry) as file:
-                    write_atomically(into / entry.filename, _bounded(file, entry.filename, entry.file_size))
+                    write_atomically(
+                        into / entry.filename, _read_bounded(file, entry.filename, entry.file_size)
+                    )
     # RuntimeError: encrypted; NotImplementedError: a compression that zipfile does not know
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise DataError(f"no bundle archive, or damaged: {error}") from error
@@ -90,7 +92,7 @@ def _check_sizes(entries: list[tuple[str, int]]) -> None:
         raise DataError(f"{total} bytes are more than a bundle may have, {TOTAL_BYTES_MAX}")
 
 
-def _bounded(file: IO[bytes], name: str, size: int) -> bytes:
+def _read_bounded(file: IO[bytes], name: str, size: int) -> bytes:
     """Return all that the file holds. Errors: DataError where that is more than `size` bytes"""
     content = file.read(size + 1)
     if len(content) > size:

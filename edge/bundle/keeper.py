@@ -16,13 +16,13 @@ from typing import Annotated, Any
 from edge.bundle.manifest import TWIN
 from edge.bundle.orders import ACTIONS, carry_out
 from edge.bundle.serving import Serving, choose
-from edge.bundle.store import BundleStore, Loaded
+from edge.bundle.store import BundleStore, LoadedBundle
 from edge.bundle.trial import HorizonScore, Judgement, Scores, TrialVerdict, judge
 from edge.core.clock import Clock
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event, Severity, TickRecord
-from edge.core.plain_text import plain, shown
-from edge.formats.checked import Rule
+from edge.core.plain_text import plain, quote
+from edge.formats.cross_check import Rule
 from edge.tick.orders import read_request
 
 JOBS_REMEMBERED = 32
@@ -79,11 +79,11 @@ class BundleKeeper:
         try:
             asked = read_request(BundleRequest, request)
         except RequestError as error:
-            return _refused(str(error))
+            return _refusal(str(error))
         if asked.action == "status":
             return {"ok": True, **self._status(asked.job)}
         job = self._post(asked.action, asked.version, "asked for")
-        return _refused("too many requests wait") if job is None else {"ok": True, "job": job}
+        return _refusal("too many requests wait") if job is None else {"ok": True, "job": job}
 
     def consider(self, serving: Serving, rows: Sequence[HorizonScore]) -> None:
         """Judge the bundle on trial, and where so configured do what follows. Never waits.
@@ -156,7 +156,7 @@ class BundleKeeper:
         self.serving = choose(self._store, _in_memory(self.serving))
         severity, why = Severity.INFO, job.why
         if job.action == "refresh-older":
-            severity, why = Severity.WARNING, f"--allow-older took in {shown(job.version)}"
+            severity, why = Severity.WARNING, f"--allow-older took in {quote(job.version)}"
         self._told.append((severity, f"bundle.{job.action}", f"{why}; {_in_words(self.serving)}"))
         return ""
 
@@ -184,7 +184,7 @@ def _scores(serving: Serving, rows: Sequence[HorizonScore]) -> Scores | None:
     )
 
 
-def _in_memory(serving: Serving) -> dict[str, Loaded]:
+def _in_memory(serving: Serving) -> dict[str, LoadedBundle]:
     return {bundle.name: bundle for bundle in (serving.active, serving.rival) if bundle}
 
 
@@ -195,5 +195,5 @@ def _in_words(serving: Serving) -> str:
     return f"{active} is active{probation}{rival}"
 
 
-def _refused(error: str) -> dict[str, Any]:
+def _refusal(error: str) -> dict[str, Any]:
     return {"ok": False, "error": error}

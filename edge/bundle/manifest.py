@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 from edge.core.controller_names import RL
 from edge.core.names import ACTUATORS, SIGNALS
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.core.version import __version__
-from edge.formats.checked import REQUIRED, Checked, Rule
+from edge.formats.cross_check import REQUIRED, CheckedDocument, Rule
 from edge.formats.reader import parse_json, read
 
 MANIFEST = "manifest.json"
@@ -51,7 +51,7 @@ class ModelEntry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Manifest(Checked):
+class Manifest(CheckedDocument):
     """All that is said of a bundle; the signature covers its exact bytes.
 
     policies : by the controller that they are for; the key is absent where there are none, as in every
@@ -83,10 +83,10 @@ class Manifest(Checked):
         except ValueError:
             has_zone = False
         if not has_zone:
-            self.refuse("created_utc", f"{shown(self.created_utc)} is no time like 2026-07-01T12:00:00Z")
+            self.refuse("created_utc", f"{quote(self.created_utc)} is no time like 2026-07-01T12:00:00Z")
         for key in sorted({*UNITS, *self.units}):
             if self.units.get(key) != UNITS.get(key):
-                self.refuse(f"units.{key}", f"{shown(self.units.get(key))} is not {UNITS.get(key)!r}")
+                self.refuse(f"units.{key}", f"{quote(self.units.get(key))} is not {UNITS.get(key)!r}")
         self._check_files()
 
     def _check_files(self) -> None:
@@ -96,9 +96,9 @@ class Manifest(Checked):
         entries += [(f"policies.{name}", entry, POLICY) for name, entry in self.policies.items()]
         for place, entry, kind in entries:
             if entry.file not in self.files:
-                self.refuse(f"{place}.file", f"{shown(entry.file)} is not among the files")
+                self.refuse(f"{place}.file", f"{quote(entry.file)} is not among the files")
             if entry.kind != kind:
-                self.refuse(f"{place}.kind", f"{shown(entry.kind)} is not {kind!r}")
+                self.refuse(f"{place}.kind", f"{quote(entry.kind)} is not {kind!r}")
         if TWIN not in self.files:
             self.refuse("files", f"{TWIN} is missing")
 

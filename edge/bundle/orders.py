@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from edge.bundle.roles import Roles, activated, marked_good, rejected
+from edge.bundle.roles import Roles, activate, marked_good, reject_shadow
 from edge.bundle.store import BundleStore
 from edge.core.errors import RequestError
 
@@ -11,7 +11,7 @@ Action = Callable[[BundleStore, str | None], Roles]
 
 
 def _activate(store: BundleStore, version: str | None) -> Roles:
-    return store.change(partial(activated, version=version))
+    return store.change(partial(activate, version=version))
 
 
 def _roll_back(store: BundleStore, version: str | None) -> Roles:
@@ -23,7 +23,7 @@ def _mark_good(store: BundleStore, version: str | None) -> Roles:
 
 
 def _reject(store: BundleStore, version: str | None) -> Roles:
-    return store.change(rejected)
+    return store.change(reject_shadow)
 
 
 def _refresh(store: BundleStore, version: str | None) -> Roles:

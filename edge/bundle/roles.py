@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from edge.bundle.manifest import PACKAGED, Version
 from edge.core.errors import RequestError
-from edge.formats.checked import REQUIRED
+from edge.formats.cross_check import REQUIRED
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +27,14 @@ class Roles:
         return self.previous if self.on_probation else self.shadow
 
 
-def installed(roles: Roles, version: str) -> Roles:
+def add_shadow(roles: Roles, version: str) -> Roles:
     """Put a new bundle in shadow; a bundle in use stays as it is."""
     if version in (roles.active, roles.rival):
         return roles
     return replace(roles, shadow=version)
 
 
-def activated(roles: Roles, version: str | None) -> Roles:
+def activate(roles: Roles, version: str | None) -> Roles:
     """`version`, or the shadow, becomes active and is on probation. Errors: RequestError"""
     version = version or roles.shadow
     if version is None:
@@ -63,7 +63,7 @@ def marked_good(roles: Roles) -> Roles:
     return replace(roles, on_probation=False)
 
 
-def rejected(roles: Roles) -> Roles:
+def reject_shadow(roles: Roles) -> Roles:
     """End a shadow that is not better; it stays installed. Errors: RequestError"""
     if roles.shadow is None:
         raise RequestError("no bundle runs in shadow")

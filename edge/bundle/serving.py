@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from edge.bundle.manifest import PACKAGED
 from edge.bundle.roles import Roles
-from edge.bundle.store import BundleStore, Loaded
+from edge.bundle.store import BundleStore, LoadedBundle
 from edge.core.errors import DataError, RequestError
 
 
@@ -13,13 +13,13 @@ from edge.core.errors import DataError, RequestError
 class Serving:
     """The models that forecast at each tick. Exchanged whole, never changed."""
 
-    active: Loaded | None  # None: not even the packaged bundle is fit for this rig
-    rival: Loaded | None = None  # runs beside it and is scored
+    active: LoadedBundle | None  # None: not even the packaged bundle is fit for this rig
+    rival: LoadedBundle | None = None  # runs beside it and is scored
     on_probation: bool = False  # the active one is on trial against the rival; else the rival against it
     problems: tuple[str, ...] = ()  # bundles that should serve and can't, with the reason
 
 
-def choose(store: BundleStore, loaded: Mapping[str, Loaded] | None = None) -> Serving:
+def choose(store: BundleStore, loaded: Mapping[str, LoadedBundle] | None = None) -> Serving:
     """Choose the active bundle, the previous one if that is damaged, else the packaged one.
 
     loaded : bundles that are in memory already, by name: they are not read again
@@ -28,7 +28,7 @@ def choose(store: BundleStore, loaded: Mapping[str, Loaded] | None = None) -> Se
     """
     problems: list[str] = []
 
-    def load(name: str | None) -> Loaded | None:
+    def load(name: str | None) -> LoadedBundle | None:
         if name is None:
             return None
         try:

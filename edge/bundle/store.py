@@ -21,11 +21,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from edge.bundle.admitted import Admitted, read_admitted, release, write_admitted
+from edge.bundle.admission import Admission, read_admission, release, write_admission
 from edge.bundle.archive import unpack
 from edge.bundle.check import check_folder, read_checked
 from edge.bundle.manifest import MANIFEST, PACKAGED, VERSION, Manifest
-from edge.bundle.roles import Roles, installed, rolled_back
+from edge.bundle.roles import Roles, add_shadow, rolled_back
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
@@ -58,7 +58,7 @@ Prove = Callable[[Path], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Loaded:
+class LoadedBundle:
     """A bundle in memory."""
 
     name: str  # in the store: its version, or "packaged"
@@ -105,7 +105,7 @@ class BundleStore:
             raise RequestError(f"{version!r} is no version of a bundle")
         return self._packaged if version == PACKAGED else self.folder / version
 
-    def load(self, version: str) -> Loaded:
+    def load(self, version: str) -> LoadedBundle:
         """Load a bundle whose signature and hashes are right and whose models work.
 
         Errors : DataError with the reason; RequestError when it is not installed
@@ -121,7 +121,7 @@ class BundleStore:
         except DataError as error:
             raise DataError(f"bundle {version}: {error}") from error
 
-    def load_folder(self, folder: Path, name: str = "") -> Loaded:
+    def load_folder(self, folder: Path, name: str = "") -> LoadedBundle:
         """Load the bundle in `folder`; the bytes that were checked are those
         that are loaded. Errors: DataError
         """
@@ -129,7 +129,7 @@ class BundleStore:
         calibrated = INTERVALS in manifest.files
         intervals = read_intervals(files / INTERVALS) if calibrated else Intervals()
         predictors, policies = self._load(files, manifest), load_policies(files, manifest)
-        return Loaded(name or manifest.version, manifest, predictors, intervals, policies)
+        return LoadedBundle(name or manifest.version, manifest, predictors, intervals, policies)
 
     def verify(self, archive: BinaryIO) -> Manifest:
         """Check a bundle that is not installed, as for `install`. Errors: DataError"""
@@ -146,7 +146,7 @@ class BundleStore:
         """
         with self._lock():
             self._clear_garbage()
-            admitted = self._admitted(allow_older)
+            admitted = self._admission(allow_older)
             incoming = self.folder / _INCOMING
             incoming.mkdir()
             try:
@@ -158,8 +158,8 @@ class BundleStore:
                 self._take_in(incoming, manifest.version)
             finally:
                 shutil.rmtree(incoming, ignore_errors=True)
-            write_admitted(self.folder, admitted.with_install(newest, digest))
-            self._write(installed(self._roles_or_fresh(), manifest.version))
+            write_admission(self.folder, admitted.with_install(newest, digest))
+            self._write(add_shadow(self._roles_or_fresh(), manifest.version))
         return manifest
 
     def change(self, step: Callable[[Roles], Roles]) -> Roles:
@@ -187,20 +187,20 @@ class BundleStore:
 
     def _is_proved(self, place: Path) -> bool:
         try:
-            admitted = read_admitted(self.folder)
+            admitted = read_admission(self.folder)
             return admitted is not None and _manifest_sha256(place) in admitted.proved
         except (DataError, OSError):
             return False
 
-    def _admitted(self, allow_older: bool) -> Admitted:
+    def _admission(self, allow_older: bool) -> Admission:
         """Return the record. Without one the installed bundles count; a spoilt one needs the operator."""
         try:
-            admitted = read_admitted(self.folder)
+            admitted = read_admission(self.folder)
         except DataError as error:
             if not allow_older:
                 raise DataError(f"{error}; --allow-older begins it anew") from error
-            return Admitted()
-        return admitted or Admitted(max(self.versions(), key=release, default=""))
+            return Admission()
+        return admitted or Admission(max(self.versions(), key=release, default=""))
 
     def _newest(self, newest: str, version: str, allow_older: bool) -> str:
         """Return the newest version after an install. Errors: DataError for an

@@ -61,7 +61,7 @@ def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
     Returns : WAIT, PROMOTE or REJECT for a shadow; WAIT, MARK_GOOD or ROLL_BACK on probation. A shadow that
         is neither better nor clearly worse goes on; an active bundle is kept unless it is worse.
     """
-    if waiting := _unscored(scores, ticks):
+    if waiting := _missing_scores(scores, ticks):
         return Judgement(TrialVerdict.WAIT, waiting)
     ratios = [_ratio(row, on_probation) for row in scores.rows]
     mean = math.exp(sum(math.log(ratio) for ratio in ratios) / len(ratios))
@@ -79,7 +79,7 @@ def judge(scores: Scores, on_probation: bool, ticks: int) -> Judgement:
     return Judgement(TrialVerdict.PROMOTE if mean <= 1.0 else TrialVerdict.WAIT, why)
 
 
-def _unscored(scores: Scores, ticks: int) -> str:
+def _missing_scores(scores: Scores, ticks: int) -> str:
     """Return the reason why nothing can be decided yet, "" if there is none.
 
     A model that fails in one of the bundles is never scored: such a trial is for a person to end.

@@ -25,16 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """0 when the proposal was applied or left to be confirmed, 1 when there is none."""
     socket = socket_of(arguments)
-    answer = _asked(socket, {"do": "ask", "words": " ".join(arguments.words)})
+    answer = _ask(socket, {"do": "ask", "words": " ".join(arguments.words)})
     proposal = _thought_out(socket, answer["proposal"])
     if proposal["state"] != "ready":
         print(f"{proposal['said']}" if proposal["state"] == "question" else f"failed: {proposal['error']}")
         return 1
     print("\n".join(_page(proposal)))
-    if not (arguments.yes or _agreed()):
+    if not (arguments.yes or _has_agreed()):
         print(f"\nnothing is applied; within 15 min: greenhouse confirm {proposal['id']}")
         return 0
-    _asked(socket, {"do": "confirm", "id": proposal["id"]})
+    _ask(socket, {"do": "confirm", "id": proposal["id"]})
     print("applied; `greenhouse undo` takes it back")
     return 0
 
@@ -55,18 +55,18 @@ def _thought_out(socket: Path, proposal: dict[str, Any]) -> dict[str, Any]:
         if time.monotonic() > give_up:
             raise RequestError(f"no proposal within {PATIENCE_S:g} s")
         time.sleep(_POLL_S)
-        proposal = _asked(socket, {"do": "proposal", "id": proposal["id"]})["proposal"]
+        proposal = _ask(socket, {"do": "proposal", "id": proposal["id"]})["proposal"]
     return proposal
 
 
-def _asked(socket: Path, message: dict[str, Any]) -> dict[str, Any]:
+def _ask(socket: Path, message: dict[str, Any]) -> dict[str, Any]:
     answer = request(socket, message)
     if not answer.get("ok", False):
         raise RequestError(str(answer.get("error", answer)))
     return answer
 
 
-def _agreed() -> bool:
+def _has_agreed() -> bool:
     """Only a person at a terminal can say yes."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         return False

@@ -187,12 +187,12 @@ def _ask(settings: Settings, action: str, version: str | None) -> dict[str, Any]
     """
     socket = Path(settings.control_socket.path)
     try:
-        job = _accepted(request(socket, {"do": "bundle", "action": action, "version": version}))["job"]
+        job = _accept(request(socket, {"do": "bundle", "action": action, "version": version}))["job"]
     except NobodyListens:
         return None
     give_up_s = time.monotonic() + JOB_TIMEOUT_S
     while time.monotonic() < give_up_s:
-        reply = _accepted(request(socket, {"do": "bundle", "action": "status", "job": job}))
+        reply = _accept(request(socket, {"do": "bundle", "action": "status", "job": job}))
         if reply["job_error"]:
             raise RequestError(reply["job_error"])
         if reply["job_done"]:
@@ -201,7 +201,7 @@ def _ask(settings: Settings, action: str, version: str | None) -> dict[str, Any]
     raise RequestError(f"the daemon is not done with {action} after {JOB_TIMEOUT_S:g} s")
 
 
-def _accepted(reply: dict[str, Any]) -> dict[str, Any]:
+def _accept(reply: dict[str, Any]) -> dict[str, Any]:
     if not reply.get("ok", False):
         raise RequestError(str(reply.get("error", reply)))
     return reply

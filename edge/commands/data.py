@@ -42,12 +42,12 @@ def _look(arguments: argparse.Namespace) -> int:
     from edge.data_intake.look import look
     from edge.data_intake.mapping import write_map
     from edge.data_intake.pictures import draw
-    from edge.data_intake.words import told
+    from edge.data_intake.words import look_text
 
     found = look(arguments.files)
     with writing(arguments.map):
         write_map(found.mapping, arguments.map)
-    print(told(found, arguments.files, arguments.map), end="")
+    print(look_text(found, arguments.files, arguments.map), end="")
     if arguments.picture is not None:
         with writing(arguments.picture):
             draw(found, arguments.picture)

@@ -27,13 +27,13 @@ def status_lines(status: Json) -> list[str]:
         "air": _reading(tick, "temp_air_c"),
         "reference": f"{_degrees(tick['reference_c'])}, {_reference_from(operation)}",
         "room": _reading(tick, "temp_ambient_c"),
-        **_driven(status["echo"]),
+        **_output_texts(status["echo"]),
         "mode": f"{operation['mode']}, fan {operation['fan_mode']}",
         "controller": _decider(tick, operation),
         "asked": operation["steering"] and operation["steering"]["words"],
         "safety": "; ".join(dict.fromkeys(change["reason"] for change in tick["changes"])),
         "last tick": f"{tick['seq']} at {at:%H:%M:%S}, every {tick['step_s']:g} s",
-        "why": "" if _stopped(operation, tick) else " ".join(reasons(tick["why"])),
+        "why": "" if _is_stopped(operation, tick) else " ".join(reasons(tick["why"])),
     }
     return [*lines, *(f"{name:<11s}{text}" for name, text in rows.items() if text)]
 
@@ -61,12 +61,12 @@ def _in_maintenance(operation: Json, tick: Json | None) -> bool:
     return until is not None and (tick is None or tick["utc"] < until)
 
 
-def _stopped(operation: Json, tick: Json) -> bool:
+def _is_stopped(operation: Json, tick: Json) -> bool:
     """Return True while a person's stop holds everything off, so that no plan is carried out."""
     return bool(operation["emergency_stop"]) or _in_maintenance(operation, tick)
 
 
-def _driven(echo: Json | None) -> dict[str, str]:
+def _output_texts(echo: Json | None) -> dict[str, str]:
     if echo is None:
         return {"heater": "not known: the board does not say", "fan": "not known: the board does not say"}
     return {

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-from edge.bundle.adopt import Adopted, is_adopted, with_twin
+from edge.bundle.adopt import AdoptedBundle, is_adopted, with_twin
 from edge.bundle.archive import open_archive, pack
 from edge.bundle.manifest import FILE_NAME
 from edge.commands.bundle import change, install, settings_of, store_of
@@ -22,9 +22,9 @@ from edge.commands.output import writing
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.core.names import SIGNALS
-from edge.core.plain_text import plain, shown
+from edge.core.plain_text import plain, quote
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.formats.input_file import MODEL
 from edge.formats.reader import Foreign, read_json
 from edge.models.pbm import read_twin
@@ -89,7 +89,7 @@ def reported_twin(report: Path) -> Path:
         why = [*found.against_adopting, f"the verdict is {found.verdict}"][0]
         raise DataError(f"{report / DIAGNOSIS}: there is no twin to adopt: {plain(why, 200)}")
     if not (report / name).is_file():
-        raise DataError(f"{report / DIAGNOSIS}: twin_after: {shown(name)} is not a file of the report")
+        raise DataError(f"{report / DIAGNOSIS}: twin_after: {quote(name)} is not a file of the report")
     twin = report / name
     read_twin(twin)
     return twin
@@ -100,7 +100,7 @@ def _adopt(twin: Path, arguments: argparse.Namespace) -> None:
     store = store_of(settings)
     with tempfile.TemporaryDirectory(prefix="greenhouse-twin-") as temporary:
         folder = Path(temporary)
-        adopted = with_twin(store, twin, _changed(twin), _key(arguments.key, settings), folder)
+        adopted = with_twin(store, twin, _changes(twin), _key(arguments.key, settings), folder)
         _refuse_without_planner(adopted, settings, arguments.bundle_out is not None)
         if arguments.bundle_out is not None:
             with writing(arguments.bundle_out):
@@ -125,7 +125,7 @@ def _key(given: Path | None, settings: Settings) -> Path:
     return Path(settings.bundle.signing_key)
 
 
-def _refuse_without_planner(adopted: Adopted, settings: Settings, elsewhere: bool) -> None:
+def _refuse_without_planner(adopted: AdoptedBundle, settings: Settings, elsewhere: bool) -> None:
     """Refuse a twin without which a rig that plans with the hybrid would lack its model."""
     if not elsewhere and settings.control.predictor in adopted.dropped and not settings.control.model:
         name = settings.control.predictor
@@ -135,7 +135,7 @@ def _refuse_without_planner(adopted: Adopted, settings: Settings, elsewhere: boo
         )
 
 
-def _in_words(adopted: Adopted, twin: Path, predictor: str) -> Iterator[str]:
+def _in_words(adopted: AdoptedBundle, twin: Path, predictor: str) -> Iterator[str]:
     yield f"{adopted.manifest.version} is bundle {adopted.base} with {twin}"
     if "ham" in adopted.dropped:
         yield (
@@ -186,5 +186,5 @@ def _before(target: Path) -> Path:
     return target.with_name(target.name + BEFORE)
 
 
-def _changed(path: Path) -> str:
+def _changes(path: Path) -> str:
     return datetime.fromtimestamp(int(path.stat().st_mtime), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

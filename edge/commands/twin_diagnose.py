@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     from edge.diagnosis.diagnosis_file import write_json
     from edge.diagnosis.experiment.design import next_experiment
     from edge.diagnosis.experiment.document import experiment_document, write_profile
-    from edge.diagnosis.located import located
+    from edge.diagnosis.location import locate
     from edge.diagnosis.report.report import PAGE_NAME, write_report
     from edge.diagnosis.report.story import Story
 
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     with TerminalProgress() as progress:
         found = diagnose(file, data, progress, command, arguments.jobs)
         progress("where it disagrees", 0.96)
-        places = located(found)
+        places = locate(found)
         progress("the next experiment", 0.97)
         experiment = next_experiment(found, limits)
         document = answer(

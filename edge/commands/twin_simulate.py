@@ -21,7 +21,7 @@ from edge.diagnosis.plausible import plausible_run
 from edge.formats.number_table import print_table, read_table
 from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, inside_names, resample, write_run
 from edge.models.pbm import Pbm, read_twin
-from edge.twin.warm_start import held
+from edge.twin.warm_start import hold
 
 START_ROWS = 10
 DECIMALS = 4  # of a prediction [°C]
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     without = ["temp_ambient_c", *arguments.without, *(["fan_on"] if arguments.fan_always_on else [])]
     results = {}
     for path, out in zip(arguments.runs, outs, strict=True):
-        recorded = _recorded(path, pbm.step_s, arguments.ambient_c, arguments.fan_always_on, without)
+        recorded = _record(path, pbm.step_s, arguments.ambient_c, arguments.fan_always_on, without)
         simulated = simulate(pbm, recorded, arguments.start_rows)
         results[path.name if out is None else str(out)] = errors(simulated)
         _write(replace(simulated, facts={**simulated.facts, **_facts(arguments.twin, pbm)}), out)
@@ -102,7 +102,7 @@ def simulate(pbm: Pbm, run: RecordedRun, start_rows: int = START_ROWS) -> Record
     now = int(known[known < known[0] + start_rows][-1])
     columns = inside_names(run)
     columns |= {
-        name: held(values)
+        name: hold(values)
         for name, values in columns.items()
         if name not in ("temp_air", "heater_duty", "fan_on")
     }
@@ -133,7 +133,7 @@ def errors(simulated: RecordedRun) -> SimulationErrors:
     return SimulationErrors(float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).mean()), len(missed))
 
 
-def _recorded(
+def _record(
     path: Path, step_s: float, ambient_c: float | None, fan_always_on: bool, without: Collection[str]
 ) -> RecordedRun:
     """Return the run at the twin's step with every input of a free run."""

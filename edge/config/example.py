@@ -6,7 +6,7 @@ from datetime import time
 from typing import Any
 
 from edge.config.settings import Settings
-from edge.formats.checked import Rule, Section
+from edge.formats.cross_check import Rule, Section
 
 HEAD = """\
 # Every key of edge.yaml with its default. Leave out what shall stay as it is; an unknown key is an error.

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from edge.core import hard_limits as hard
 from edge.core.controller_names import CONTROLLERS, EXTERNAL, LLM, MPC, RULES
-from edge.formats.checked import Section, clock, flag, items, number, text, whole
+from edge.formats.cross_check import Section, clock, flag, items, number, text, whole
 
 URL = r"(https?://[^\s/]+(/\S*)?)?"
 NAME = r"[a-zA-Z0-9_-]{1,64}"  # fit for MQTT topics and Home Assistant ids

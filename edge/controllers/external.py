@@ -10,7 +10,7 @@ from edge.core.controller_names import EXTERNAL
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Decision
 from edge.core.names import HEATER_LEVELS
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.formats.reader import DocumentError, read
 from edge.models.policy_observation import by_name, observe_tick
 
@@ -59,7 +59,7 @@ class External:
         self._proposed = {"heater_duty": command.heater_duty, "fan_on": command.fan_on}
         why = {"tick": self._tick, "reference_c": question["reference_c"]}
         said = proposal.why
-        return Decision(command, self.name, why=why if said is None else {**why, "client": _kept(said)})
+        return Decision(command, self.name, why=why if said is None else {**why, "client": _storable(said)})
 
     def _question(self, context: Context) -> dict[str, Any]:
         observation, sent = observe_tick(context), context.last_sent
@@ -85,7 +85,7 @@ def _proposal(answer: Mapping[str, Any]) -> Proposal:
         raise RequestError(str(error)) from None
 
 
-def _kept(said: Any) -> Any:
+def _storable(said: Any) -> Any:
     """Return a client's reason as the history can store it: 1e999 is infinite, "\\ud800" is not text."""
     try:
         size = len(json.dumps(said, allow_nan=False, ensure_ascii=False).encode())

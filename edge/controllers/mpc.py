@@ -9,7 +9,7 @@ import numpy as np
 from edge.controllers.mixed_integer.problem import FanRules, Ints, PlanningProblem
 from edge.controllers.mixed_integer.solver import Solution, solve
 from edge.controllers.mixed_integer.time_box import WALL_FACTOR, TimeBox
-from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
+from edge.controllers.plan_why import binding, cost_split, first_command, planned_inputs, runner_up
 from edge.core.controller import Columns, Context, goal_ahead
 from edge.core.heater_levels import levels_allowed
 from edge.core.messages import Decision
@@ -80,7 +80,7 @@ class Mpc:
             context, self._model, settings.weight, settings.horizon, settings.preview, settings.tail
         )
         # Last minute's plan, one step on, is nearly the optimum: the search begins with a low bound.
-        warm = shifted(self._previous, context)
+        warm = shift_plan(self._previous, context)
         solution = solve(problem, settings.node_budget, settings.time_box(), node_limit, warm)
         plan = solution.plan
         self._previous = Previous(context.now_s, plan.levels, plan.fan)
@@ -95,7 +95,7 @@ class Mpc:
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
         forecast = tuple(temps[: problem.horizon].tolist())
-        return Decision(first_command(plan), self.name, forecast, why, planned(plan))
+        return Decision(first_command(plan), self.name, forecast, why, planned_inputs(plan))
 
 
 def planning_problem(
@@ -122,7 +122,7 @@ def planning_problem(
         "temp_ambient": np.full(steps, estimate.temp_ambient),
         "offset": np.full(steps, estimate.offset),
     }
-    free = model.rollout(padded(context.history, model.rows_needed), controls, ahead)[0]
+    free = model.rollout(pad(context.history, model.rows_needed), controls, ahead)[0]
     heater, fan = model.responses(steps)
     if model.fan_input == "excess":
         fan = fan * (0.5 * (context.history["temp_air"][-1] + reference[0]) - estimate.temp_ambient)
@@ -147,7 +147,7 @@ def planning_problem(
     )
 
 
-def padded(history: Columns, rows: int) -> Columns:
+def pad(history: Columns, rows: int) -> Columns:
     """Return a history of at least so many rows, extended by its oldest row with all outputs off."""
     missing = rows - len(history["temp_air"])
     if missing <= 0:
@@ -156,7 +156,7 @@ def padded(history: Columns, rows: int) -> Columns:
     return {key: np.concatenate([np.full(missing, value), history[key]]) for key, value in before.items()}
 
 
-def shifted(previous: Previous | None, context: Context) -> tuple[Ints, Ints] | None:
+def shift_plan(previous: Previous | None, context: Context) -> tuple[Ints, Ints] | None:
     """Return the last plan shifted to the present, its last inputs held."""
     if previous is None:
         return None

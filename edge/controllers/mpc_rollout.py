@@ -4,10 +4,10 @@ import time
 from typing import Any
 
 from edge.controllers.mixed_integer.problem import Plan, PlanningProblem
-from edge.controllers.mpc import MpcSettings, Previous, planning_problem, shifted
+from edge.controllers.mpc import MpcSettings, Previous, planning_problem, shift_plan
 from edge.controllers.plan_rollouts import PlanRollouts, plan_rollouts
-from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
-from edge.controllers.rollout_search import Meter, Priced, RolloutSearch
+from edge.controllers.plan_why import binding, cost_split, first_command, planned_inputs, runner_up
+from edge.controllers.rollout_search import Meter, PricedPlan, RolloutSearch
 from edge.core.controller import Context
 from edge.core.messages import Decision
 from edge.core.names import HEATER_LEVELS
@@ -56,7 +56,7 @@ class MpcRollout:
         )
         rollouts = plan_rollouts(context, self._model, problem, held)
         # Rollouts are dear, so they begin from the exact plan over a linear model.
-        linear = meter.linear_plan(problem, settings.node_budget, shifted(self._linear, context))
+        linear = meter.linear_plan(problem, settings.node_budget, shift_plan(self._linear, context))
         self._linear = Previous(context.now_s, linear.levels, linear.fan)
         search = RolloutSearch(rollouts, meter)
         search.run([linear, *self._last(problem, context)])
@@ -67,16 +67,16 @@ class MpcRollout:
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
         forecast = tuple(best.temps[: problem.horizon].tolist())
-        return Decision(first_command(best.plan), self.name, forecast, why, planned(best.plan))
+        return Decision(first_command(best.plan), self.name, forecast, why, planned_inputs(best.plan))
 
     def _last(self, problem: PlanningProblem, context: Context) -> list[Plan]:
         """Return the last plan shifted to the present, if it is allowed."""
-        last = shifted(self._previous, context)
+        last = shift_plan(self._previous, context)
         if last is None or len(last[0]) != problem.horizon or not problem.allows(*last):
             return []
         return [Plan(*last, cost=float("inf"))]
 
-    def _why(self, rollouts: PlanRollouts, search: RolloutSearch, best: Priced) -> dict[str, Any]:
+    def _why(self, rollouts: PlanRollouts, search: RolloutSearch, best: PricedPlan) -> dict[str, Any]:
         goal, plan, meter = rollouts.goal, best.plan, search.meter
         return {
             **cost_split(goal, plan.levels / HEATER_LEVELS, plan.fan, best.temps),

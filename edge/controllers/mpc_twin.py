@@ -6,9 +6,9 @@ import numpy as np
 
 from edge.controllers.mixed_integer.problem import PlanningProblem
 from edge.controllers.mpc import LIMIT_WEIGHT
-from edge.controllers.plan_why import binding, cost_split, first_command, planned, runner_up
+from edge.controllers.plan_why import binding, cost_split, first_command, planned_inputs, runner_up
 from edge.controllers.twin_plan.beam import BeamResult, PlanStart, relay, search
-from edge.controllers.twin_plan.belief import Belief, StepInputs, begin, corrected, moved
+from edge.controllers.twin_plan.belief import Belief, StepInputs, begin, correct_belief, move_belief
 from edge.controllers.twin_plan.linear_step import LinearStep, linear_step
 from edge.core.controller import Context, Floats, goal_ahead
 from edge.core.errors import DataError
@@ -17,7 +17,7 @@ from edge.core.messages import Decision
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import Pbm
 from edge.twin.signals import Conditions
-from edge.twin.warm_start import held
+from edge.twin.warm_start import hold
 
 HORIZON = 20  # steps; the heater's element answers for five minutes, a step down needs the fan for three
 TAIL = 10
@@ -68,7 +68,9 @@ class MpcTwin:
             "model": f"{self._model.name} {self._model.version}",
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
-        return Decision(first_command(plan), self.name, tuple(found.shown.tolist()), why, planned(plan))
+        return Decision(
+            first_command(plan), self.name, tuple(found.shown.tolist()), why, planned_inputs(plan)
+        )
 
     def _follow(self, context: Context) -> tuple[Belief, LinearStep]:
         """Estimate the present state, from the last tick's or from the whole history."""
@@ -88,15 +90,15 @@ class MpcTwin:
             )
         step = self._linear(belief, context)
         for row in range(last, rows - 1):
-            belief = moved(belief, self._twin, step, _inputs(context, row), float(times[row + 1]))
-            belief = corrected(belief, float(measured[row + 1]), step.shown)
+            belief = move_belief(belief, self._twin, step, _inputs(context, row), float(times[row + 1]))
+            belief = correct_belief(belief, float(measured[row + 1]), step.shown)
         self._belief = belief
         return belief, step
 
     def _linear(self, belief: Belief, context: Context) -> LinearStep:
         """Linearise the twin's step at the present state; a linear twin always has the same."""
         if self._step is None or self._twin.signals.bends or self._twin.needs:
-            now: Conditions = {name: held(context.history[name])[-1:] for name in self._twin.needs}
+            now: Conditions = {name: hold(context.history[name])[-1:] for name in self._twin.needs}
             self._step = linear_step(self._twin, belief.state, context.estimate.temp_ambient, now)
         return self._step
 

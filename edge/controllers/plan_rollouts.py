@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge.controllers.mixed_integer.problem import Ints, PlanningProblem
-from edge.controllers.mpc import LIMIT_WEIGHT, padded
+from edge.controllers.mpc import LIMIT_WEIGHT, pad
 from edge.core.controller import Columns, Context, Floats
 from edge.core.errors import DataError
 from edge.core.names import HEATER_LEVELS
 from edge.core.predictor import Predictor
-from edge.twin.warm_start import held as last_known
+from edge.twin.warm_start import hold as last_known
 
 _DUTIES = np.linspace(0.0, 1.0, 6)  # between which the duty that holds a temperature is interpolated
 _STOOD_ROWS = 30  # for a model that looks back: how long the box has stood at that temperature
@@ -54,7 +54,7 @@ def plan_rollouts(context: Context, model: Predictor, linear: PlanningProblem, h
         held = _holding_duty(context, model, float(linear.reference[-1]), held, linear.tail)
     return PlanRollouts(
         model=model,
-        history=padded(context.history, model.rows_needed),
+        history=pad(context.history, model.rows_needed),
         ahead=ahead,
         goal=replace(linear, limit_weight=LIMIT_WEIGHT),
         held=min(held, context.limits.heater_max_duty),

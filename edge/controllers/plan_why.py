@@ -50,6 +50,6 @@ def first_command(plan: Plan) -> Command:
     return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))
 
 
-def planned(plan: Plan) -> tuple[tuple[float, float], ...]:
+def planned_inputs(plan: Plan) -> tuple[tuple[float, float], ...]:
     """Heater duty and fan of each step, as `Decision.plan` has them."""
     return tuple(zip((plan.levels / HEATER_LEVELS).tolist(), map(float, plan.fan), strict=True))

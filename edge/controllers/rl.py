@@ -7,7 +7,7 @@ from edge.core.controller import Context
 from edge.core.errors import DataError
 from edge.core.messages import Decision
 from edge.models.onnx_policy import OnnxPolicy
-from edge.models.policy_actions import ACTIONS, allowed, command_of
+from edge.models.policy_actions import ACTIONS, allowed_actions, command_of
 from edge.models.policy_observation import Floats, by_name, observe_tick
 
 BEST_TOLD = 5
@@ -37,10 +37,10 @@ class Rl:
         values = policy.values(observation[None])[0]
         if not np.isfinite(values).all():
             raise DataError(f"{self.name}: the policy's values are not numbers")
-        free = allowed(context.limits, context.last_sent)
+        free = allowed_actions(context.limits, context.last_sent)
         order = np.argsort(np.where(free, -values, np.inf), kind="stable")[: free.sum()]
         why = {
-            "value": _told(values[order[0]]),
+            "value": _finite(values[order[0]]),
             **_margin(values, order),
             "best": [_option(int(action), values) for action in order[:BEST_TOLD]],
             "forbidden": int(ACTIONS - free.sum()),
@@ -56,13 +56,13 @@ def _margin(values: Floats, order: NDArray[np.intp]) -> dict[str, object]:
     if len(order) < 2:
         return {"runner_up": None, "margin": None}
     first, second = order[:2]
-    return {"runner_up": _option(int(second), values), "margin": _told(values[first] - values[second])}
+    return {"runner_up": _option(int(second), values), "margin": _finite(values[first] - values[second])}
 
 
 def _option(action: int, values: Floats) -> dict[str, object]:
     command = command_of(action)
-    return {"heater_duty": command.heater_duty, "fan_on": command.fan_on, "value": _told(values[action])}
+    return {"heater_duty": command.heater_duty, "fan_on": command.fan_on, "value": _finite(values[action])}
 
 
-def _told(value: float) -> float:
+def _finite(value: float) -> float:
     return round(float(value), _DIGITS)

@@ -104,7 +104,7 @@ class Meter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Priced:
+class PricedPlan:
     """A plan with its real cost, and its air temperatures [N + M] [°C]."""
 
     plan: Plan
@@ -118,10 +118,10 @@ class RolloutSearch:
     rollouts: PlanRollouts
     meter: Meter
     _costs: dict[bytes, float] = field(default_factory=dict)
-    _by_first_step: dict[tuple[int, int], Priced] = field(default_factory=dict)
+    _by_first_step: dict[tuple[int, int], PricedPlan] = field(default_factory=dict)
 
     @property
-    def best(self) -> Priced:
+    def best(self) -> PricedPlan:
         """The cheapest plan found."""
         return min(self._by_first_step.values(), key=_cost)
 
@@ -136,7 +136,7 @@ class RolloutSearch:
         """Look around the starting plans, the cheapest first; they are priced in any case, time or not."""
         self._price(starts)
         looked_around: set[bytes] = set()
-        for start in sorted((self._priced(start) for start in starts), key=lambda plan: plan.cost):
+        for start in sorted((self._with_price(start) for start in starts), key=lambda plan: plan.cost):
             plan: Plan | None = start
             while plan is not None and _key(plan) not in looked_around:
                 looked_around.add(_key(plan))
@@ -158,7 +158,9 @@ class RolloutSearch:
             if new and not self.meter.allows(len(new)):
                 return None
             self._price(new)
-            best = min((self._priced(other) for other in batch), key=lambda other: other.cost, default=plan)
+            best = min(
+                (self._with_price(other) for other in batch), key=lambda other: other.cost, default=plan
+            )
             if best.cost < plan.cost:
                 return best
         return None
@@ -199,9 +201,9 @@ class RolloutSearch:
             first = int(plan.levels[0]), int(plan.fan[0])
             known = self._by_first_step.get(first)
             if known is None or cost < known.plan.cost:
-                self._by_first_step[first] = Priced(replace(plan, cost=cost), own)
+                self._by_first_step[first] = PricedPlan(replace(plan, cost=cost), own)
 
-    def _priced(self, plan: Plan) -> Plan:
+    def _with_price(self, plan: Plan) -> Plan:
         return replace(plan, cost=self._costs[_key(plan)])
 
 
@@ -222,5 +224,5 @@ def _key(plan: Plan) -> bytes:
     return plan.levels.tobytes() + plan.fan.tobytes()
 
 
-def _cost(priced: Priced) -> float:
+def _cost(priced: PricedPlan) -> float:
     return priced.plan.cost

@@ -27,7 +27,7 @@ def plain(text: str, longest: int = 200) -> str:
     return line if is_whole else f"{line[: longest - 3]}..."
 
 
-def shown(value: Any, longest: int = 60) -> str:
+def quote(value: Any, longest: int = 60) -> str:
     """Return a value as errors quote it."""
     return plain(repr(value), longest)
 

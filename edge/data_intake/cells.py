@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from edge.core.errors import DataError, RequestError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.formats.input_file import TABLE, read_file
 
 DELIMITERS = (",", ";", "\t", "|")
@@ -46,7 +46,7 @@ class Cells:
         """Return the cells of a column, stripped. Errors: DataError"""
         if name not in self.names:
             raise DataError(
-                f"{self.path}: there is no column {shown(name)}, only {shown(list(self.names), 500)}"
+                f"{self.path}: there is no column {quote(name)}, only {quote(list(self.names), 500)}"
             )
         place = self.names.index(name)
         return [row[place].strip() for row in self.rows]
@@ -143,7 +143,7 @@ def _sheet(path: Path, content: bytes) -> list[tuple[int, list[str]]]:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         for sheet in book.worksheets:
             rows = [
-                (i, [_spelled(value) for value in row])
+                (i, [_spell(value) for value in row])
                 for i, row in enumerate(sheet.iter_rows(values_only=True), start=1)
             ]
             filled = [(i, row) for i, row in rows if any(row)]
@@ -152,11 +152,11 @@ def _sheet(path: Path, content: bytes) -> list[tuple[int, list[str]]]:
     except DataError:
         raise
     except Exception as error:  # a library for files from anywhere: whatever it finds is the file's fault
-        raise DataError(f"{path}: can't be read as a spreadsheet: {shown(str(error))}") from error
+        raise DataError(f"{path}: can't be read as a spreadsheet: {quote(str(error))}") from error
     raise DataError(f"{path}: every sheet is empty")
 
 
-def _spelled(value: object) -> str:
+def _spell(value: object) -> str:
     if value is None:
         return ""
     return value.isoformat(sep=" ") if isinstance(value, datetime) else str(value)
@@ -199,7 +199,7 @@ def _cells(path: Path, layout: FileLayout, records: Sequence[tuple[int, list[str
         names = [name.strip().lstrip("\ufeff") or f"column {i}" for i, name in enumerate(head, start=1)]
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
-        raise DataError(f"{path}: line {layout.header_line}: two columns are named {shown(twice[0])}")
+        raise DataError(f"{path}: line {layout.header_line}: two columns are named {quote(twice[0])}")
     for line, row in below:
         # A delimiter at the end of each line, or cells that a spreadsheet left out, are none.
         row.extend([""] * (len(names) - len(row)))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.core.plain_text import plain, shown
+from edge.core.plain_text import plain, quote
 from edge.data_intake.cells import Cells, is_missing, number, read_cells
 from edge.data_intake.mapping import LogMap, Source
 from edge.data_intake.times import read_times
@@ -29,12 +29,12 @@ def convert(path: Path, mapping: LogMap, out: Path) -> list[tuple[Path, int]]:
     """
     cells = read_cells(path, None if mapping.layout.encoding == "xlsx" else mapping.layout)
     time_s, absolute = _times(cells, mapping)
-    keep = _kept(cells, mapping, time_s)
+    keep = _rows_to_keep(cells, mapping, time_s)
     columns = {target: _values(cells, target, source)[keep] for target, source in mapping.columns.items()}
     time_s = time_s[keep]
     for target in INPUTS:
         if target in columns:
-            columns[target] = _held(cells, mapping.columns[target].column, columns[target])
+            columns[target] = _hold(cells, mapping.columns[target].column, columns[target])
     breaks = (np.flatnonzero(np.diff(time_s) > mapping.gap_s) + 1).tolist()
     pieces = [piece for piece in pairwise([0, *breaks, len(time_s)]) if piece[1] - piece[0] >= FEWEST_ROWS]
     if not pieces:
@@ -56,7 +56,7 @@ def _times(cells: Cells, mapping: LogMap) -> tuple[Floats, bool]:
     return read_times(cells, mapping.time, mapping.time_format, mapping.zone)
 
 
-def _kept(cells: Cells, mapping: LogMap, time_s: Floats) -> NDArray[np.intp]:
+def _rows_to_keep(cells: Cells, mapping: LogMap, time_s: Floats) -> NDArray[np.intp]:
     """Rows without those that repeat a time. Errors: DataError for time that goes backwards"""
     steps = np.diff(time_s)
     if (steps < 0.0).any():
@@ -81,7 +81,7 @@ def _values(cells: Cells, target: str, source: Source) -> Floats:
         value = number(cell, cells.layout.decimal) if value is None else value
         value = truth(cell) if value is None else value
         if value is None:
-            raise DataError(f"{cells.place(i, source.column)}: {shown(cell)} is no number")
+            raise DataError(f"{cells.place(i, source.column)}: {quote(cell)} is no number")
         raw[i] = value
     values = np.round(UNITS[source.unit].to_ours(raw, source.full or 1.0), DIGITS)
     if target in SHARES:
@@ -96,7 +96,7 @@ def _values(cells: Cells, target: str, source: Source) -> Floats:
     return np.asarray(values)
 
 
-def _held(cells: Cells, column: str, values: Floats) -> Floats:
+def _hold(cells: Cells, column: str, values: Floats) -> Floats:
     """Return an input that holds until its next value. Errors: DataError where its first value is missing"""
     known = np.isfinite(values)
     if not known[0]:

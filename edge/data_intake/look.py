@@ -35,7 +35,7 @@ class LogColumn:
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class LogLook:
     """mapping : to be written; columns, time_s, values : of the first file; rows : of all files
 
     step_s : usual distance of rows
@@ -49,7 +49,7 @@ class Looked:
     values: dict[str, Floats]
 
 
-def look(paths: Sequence[Path]) -> Looked:
+def look(paths: Sequence[Path]) -> LogLook:
     """Errors: DataError for a file that can't be read, or one with other columns than the first."""
     cells = [read_cells(path) for path in paths]
     first = cells[0]
@@ -78,7 +78,7 @@ def look(paths: Sequence[Path]) -> Looked:
         first.layout, time, text, "UTC", columns, GAP_PERIODS * step_s, period_s, absent, repeated, guesses
     )
     shown = tuple(_column(first, name, values[name], mapping) for name in first.names)
-    return Looked(mapping, shown, sum(len(item.rows) for item in cells), step_s, time_s, values)
+    return LogLook(mapping, shown, sum(len(item.rows) for item in cells), step_s, time_s, values)
 
 
 def numbers_of(cells: Cells, name: str) -> Floats:

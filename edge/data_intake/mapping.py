@@ -8,12 +8,12 @@ from typing import Annotated, Any
 import yaml
 
 from edge.core.errors import DataError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.data_intake.cells import FileLayout
 from edge.data_intake.times import KINDS, zone_of
 from edge.data_intake.units import BY_TARGET, TARGETS, UNITS
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import read, read_yaml
 from edge.formats.run_file import ABSENT
 
@@ -48,7 +48,7 @@ class LogMap:
 
 
 @dataclass(frozen=True, slots=True)
-class TimeDocument(Checked):
+class TimeDocument(CheckedDocument):
     """How the file says when a row was taken."""
 
     column: str | None = None
@@ -64,7 +64,7 @@ class TimeDocument(Checked):
             self.refuse("", "needs column and format, or period_s for rows at one period")
         if self.format not in KINDS and "%" not in self.format:
             kinds = ", ".join(KINDS)
-            self.refuse("format", f"{shown(self.format)} is none of {kinds}, nor like %d.%m.%Y %H:%M")
+            self.refuse("format", f"{quote(self.format)} is none of {kinds}, nor like %d.%m.%Y %H:%M")
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def _columns(document: Mapping[str, Any]) -> tuple[dict[str, Source], tuple[str,
         source = read(Source, own, key=place)
         if source.unit not in BY_TARGET[target]:
             known = ", ".join(BY_TARGET[target])
-            raise DataError(f"{place}.unit: {shown(source.unit)} is none of {known}")
+            raise DataError(f"{place}.unit: {quote(source.unit)} is none of {known}")
         if UNITS[source.unit].needs_full and not (source.full is not None and source.full > 0.0):
             raise DataError(
                 f"{place}.full: the unit `{source.unit}` needs the number above 0 that stands for full"

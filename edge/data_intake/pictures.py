@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from edge.core.errors import RequestError
-from edge.data_intake.look import Looked
+from edge.data_intake.look import LogLook
 
 HEIGHT_IN = 1.1  # of a column's strip
 
 
-def draw(found: Looked, path: Path) -> None:
+def draw(found: LogLook, path: Path) -> None:
     """Columns that are taken for something. Errors: RequestError without matplotlib; OSError"""
     try:
         from matplotlib.figure import Figure

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.data_intake.cells import Cells, is_missing, number
 
 Floats = NDArray[np.float64]
@@ -74,7 +74,7 @@ def zone_of(name: str) -> ZoneInfo:
     try:
         return ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise DataError(f"time.zone: {shown(name)} is no time zone like UTC or Europe/Berlin") from None
+        raise DataError(f"time.zone: {quote(name)} is no time zone like UTC or Europe/Berlin") from None
 
 
 def read_times(cells: Cells, column: str, text: str, zone: str) -> tuple[Floats, bool]:
@@ -88,7 +88,7 @@ def read_times(cells: Cells, column: str, text: str, zone: str) -> tuple[Floats,
     for i, cell in enumerate(cells.column(column)):
         value = _seconds(cell, text, where, cells.layout.decimal)
         if value is None:
-            raise DataError(f"{cells.place(i, column)}: {shown(cell)} is no time as {text}")
+            raise DataError(f"{cells.place(i, column)}: {quote(cell)} is no time as {text}")
         found[i] = value
     if text in CLOCK:
         found += DAY_S * np.concatenate([[0.0], np.cumsum(np.diff(found) < 0.0)])

@@ -4,17 +4,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from edge.core.plain_text import plain
-from edge.data_intake.look import UNKNOWN, Looked
+from edge.data_intake.look import UNKNOWN, LogLook
 
 NAME, EXAMPLE = 24, 20  # characters of a cell of the table
 
 
-def told(found: Looked, paths: Sequence[Path], place: Path) -> str:
+def look_text(found: LogLook, paths: Sequence[Path], place: Path) -> str:
     """Return a table of the columns and guesses, and the next steps."""
     return "\n".join(_lines(found, paths, place)) + "\n"
 
 
-def _lines(found: Looked, paths: Sequence[Path], place: Path) -> Iterator[str]:
+def _lines(found: LogLook, paths: Sequence[Path], place: Path) -> Iterator[str]:
     layout = found.mapping.layout
     files = "1 file" if len(paths) == 1 else f"{len(paths)} files"
     cut = _layout(layout.delimiter, layout.decimal)

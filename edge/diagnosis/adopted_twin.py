@@ -13,7 +13,7 @@ DIGITS = 6  # of a value: the intervals are wider by far
 
 
 @dataclass(frozen=True, slots=True)
-class Added:
+class AddedEffect:
     """An effect that is added.
 
     parameters : by name, each with its 95 % interval where it has one
@@ -47,7 +47,7 @@ class Origin:
 
 def twin_after(
     file: TwinFile,
-    added: Sequence[Added],
+    added: Sequence[AddedEffect],
     origin: Origin,
     refitted: Mapping[Place, Value] | None = None,
 ) -> TwinFile:
@@ -70,13 +70,13 @@ def twin_after(
     return result
 
 
-def _provenance(file: TwinFile, added: Sequence[Added], origin: Origin) -> dict[str, Any]:
+def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) -> dict[str, Any]:
     return {
         "added": {
             effect.name: {
                 **{name: _plain(value).document() for name, value in effect.parameters.items()},
                 "alternatives": list(effect.alternatives),
-                "log_odds": None if effect.log_odds is None else _rounded(effect.log_odds),
+                "log_odds": None if effect.log_odds is None else _round(effect.log_odds),
             }
             for effect in added
         },
@@ -93,8 +93,8 @@ def _provenance(file: TwinFile, added: Sequence[Added], origin: Origin) -> dict[
 
 def _plain(value: Value) -> Value:
     """Numbers that YAML knows, of a length that a person reads; inside their interval still."""
-    low, high = (None if bound is None else _rounded(bound) for bound in (value.low, value.high))
-    middle = _rounded(value.value)
+    low, high = (None if bound is None else _round(bound) for bound in (value.low, value.high))
+    middle = _round(value.value)
     if low is not None and high is not None:
         middle = min(max(middle, low), high)
     return replace(
@@ -107,7 +107,7 @@ def _plain(value: Value) -> Value:
     )
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     return float(f"{float(value):.{DIGITS}g}")
 
 
@@ -119,4 +119,4 @@ def _numbers(document: Any) -> Any:
         return [_numbers(item) for item in document]
     if isinstance(document, bool | str | int) or document is None:
         return document
-    return _rounded(document)
+    return _round(document)

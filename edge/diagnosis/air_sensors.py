@@ -13,7 +13,7 @@ MUCH_K = 0.5  # farther apart while it heats than while it does not: more than t
 Named = tuple[str, RecordedRun]
 
 
-def averaged(train: Sequence[Named], test: Sequence[Named]) -> tuple[list[Named], list[Named], list[str]]:
+def average(train: Sequence[Named], test: Sequence[Named]) -> tuple[list[Named], list[Named], list[str]]:
     """Return the recordings with the mean of both air sensors as their air, and sentences that say
     so. Runs without both sensors in every file stay as they are.
     """
@@ -26,7 +26,7 @@ def averaged(train: Sequence[Named], test: Sequence[Named]) -> tuple[list[Named]
     return (
         [(name, _mean(run)) for name, run in train],
         [(name, _mean(run)) for name, run in test],
-        [_told([run for _, run in train])],
+        [_note([run for _, run in train])],
     )
 
 
@@ -46,7 +46,7 @@ def _mean(run: RecordedRun) -> RecordedRun:
     return replace(run, columns={**kept, "temp_air_c": air})
 
 
-def _told(runs: Sequence[RecordedRun]) -> str:
+def _note(runs: Sequence[RecordedRun]) -> str:
     apart = np.concatenate([_apart(run) for run in runs])
     heats = np.concatenate([run.columns["heater_duty"] > 0.0 for run in runs])
     known = np.isfinite(apart)

@@ -24,7 +24,7 @@ from edge.diagnosis.diagnosis_document import (
     WaterfallStep,
 )
 from edge.diagnosis.gap import columns_of, errors, known_errors
-from edge.diagnosis.located import Located
+from edge.diagnosis.location import Location
 from edge.diagnosis.report.story import Trace
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.search import Round
@@ -36,7 +36,7 @@ DIGITS = 6
 
 
 def answer(
-    found: Diagnosis, located: Located, command: str, experiment: NextExperiment | None
+    found: Diagnosis, located: Location, command: str, experiment: NextExperiment | None
 ) -> DiagnosisDocument:
     """Return the document, NaN and infinity as null."""
     document: DiagnosisDocument = {
@@ -57,9 +57,9 @@ def answer(
         "formula": _formula(found.verdict.formula),
         "findings": [
             *located.findings,
-            *found.data.told,
-            *found.known.told,
-            *found.judged.told,
+            *found.data.notes,
+            *found.inputs.notes,
+            *found.judgement.notes,
             *found.data.cannot_tell,
         ],
         "events": located.events,
@@ -70,9 +70,9 @@ def answer(
         "twin_before": "twin_before.yaml",
         "twin_after": "twin.yaml" if found.is_offered else None,
         "doubtful": [
-            {"name": item.effect.name, "against": list(item.against)} for item in found.judged.doubtful
+            {"name": item.effect.name, "against": list(item.against)} for item in found.judgement.doubtful
         ],
-        "provisional": list(found.judged.provisional),
+        "provisional": list(found.judgement.provisional),
         "values": _values(found),
         "left_out": _left_out(found),
         "against_adopting": list(found.against_adopting),
@@ -88,7 +88,7 @@ def _effect(item: MissingEffect, found: Diagnosis) -> EffectEntry:
         "name": item.name,
         "alternatives": list(item.alternatives),
         "log_odds": item.log_odds,
-        "probability": found.judged.standings[item.name].probability,
+        "probability": found.judgement.standings[item.name].probability,
         "left_out": _told_of(item, found),
         "parameters": {
             parameter.name: _parameter(item.parameters[parameter.name], parameter.unit)
@@ -103,7 +103,7 @@ def _effect(item: MissingEffect, found: Diagnosis) -> EffectEntry:
 
 def _values(found: Diagnosis) -> dict[str, ValueEntry]:
     """Return the fitted values of what the twin file leaves open or uncertain."""
-    fitted, given = found.judged.handed.fitted, found.known.file.values()
+    fitted, given = found.judgement.handover.fit, found.inputs.file.values()
     own: dict[str, ValueEntry] = {}
     for i, item in enumerate(fitted.free):
         if item.place in given:
@@ -114,7 +114,7 @@ def _values(found: Diagnosis) -> dict[str, ValueEntry]:
 
 def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float | None]:
     """Return the evidence that left-out rows give for a name."""
-    standing = found.judged.standings[item.name]
+    standing = found.judgement.standings[item.name]
     return {
         "gain_nats": standing.gain_nats,
         "tempered_nats": standing.tempered_nats,
@@ -126,10 +126,10 @@ def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float | None]:
 
 def _left_out(found: Diagnosis) -> LeftOutErrors:
     """Return the errors of free runs over rows that no fit saw."""
-    compared = found.judged.comparison
+    compared = found.judgement.comparison
     return {
-        "given_k": compared.tried[frozenset()].rmse_k,
-        "after_k": found.judged.handed.rmse_k,
+        "given_k": compared.trials[frozenset()].rmse_k,
+        "after_k": found.judgement.handover.rmse_k,
         "simple_k": dict(compared.simple_k),
         "test_k": {name: error for name, error in found.test_k.items() if name in compared.simple_k},
     }
@@ -169,9 +169,9 @@ def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
 
 def _round(item: Round, found: Diagnosis) -> RoundEntry:
     final = {effect.name for effect in found.verdict.effects}
-    gains = {name: item.gain_nats for name, item in found.judged.standings.items()}
+    gains = {name: item.gain_nats for name, item in found.judgement.standings.items()}
     candidates: list[CandidateEntry] = []
-    for tried in item.tried:
+    for tried in item.candidates:
         kept = tried.name in final
         candidates.append(
             {
@@ -190,7 +190,7 @@ def _why_not(score_gain: float, name: str, found: Diagnosis) -> str:
     for effect in found.verdict.effects:
         if name in effect.alternatives:
             return f"can't be told from {effect.name}"
-    for doubtful in found.judged.doubtful:
+    for doubtful in found.judgement.doubtful:
         if name == doubtful.effect.name:
             return "; ".join(doubtful.against)
     if score_gain <= 0.0:
@@ -207,7 +207,7 @@ def _prediction(found: Diagnosis, i: int) -> PredictionEntry:
     }
 
 
-def traces(found: Diagnosis, located: Located) -> tuple[Trace, ...]:
+def traces(found: Diagnosis, located: Location) -> tuple[Trace, ...]:
     """Return the series of each run for the report's pictures."""
     pairs = [
         *zip(found.data.train, found.before.train, found.after.train, strict=True),
@@ -218,10 +218,10 @@ def traces(found: Diagnosis, located: Located) -> tuple[Trace, ...]:
     )
 
 
-def _trace(found: Diagnosis, located: Located, named: NamedRun, before: Any, after: Any) -> Trace:
-    columns = columns_of(named.run, found.known.room_of(named))
+def _trace(found: Diagnosis, located: Location, named: NamedRun, before: Any, after: Any) -> Trace:
+    columns = columns_of(named.run, found.inputs.room_of(named))
     time_s = named.run.columns["time_s"]
-    role = "train" if named.name in found.known.names else "test"
+    role = "train" if named.name in found.inputs.names else "test"
     series = {key: _fitting(values, len(time_s)) for key, values in located.series(named.name).items()}
     return Trace(
         named.name,

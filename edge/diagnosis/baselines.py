@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.effects.library import EFFECTS
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -24,7 +24,7 @@ ORDERS = (2, 3, 4)
 FAN = "fan_effectiveness"
 
 
-def simple_twins(file: TwinFile, runs: Recorded) -> dict[str, TwinFile]:
+def simple_twins(file: TwinFile, runs: RunBatch) -> dict[str, TwinFile]:
     """By name, with all values to be fitted. file : for the geometry and the step"""
     fan = (FAN,) if np.ptp(runs.fan) > 0.0 and file.fan_role == "exhaust" else ()
     sets = {
@@ -47,7 +47,7 @@ def _open(file: TwinFile, names: Sequence[str]) -> TwinFile:
     return replace(file, geometry=geometry, effects=effects)
 
 
-def arx_weights(order: int, runs: Recorded, seen: Mask) -> Floats | None:
+def arx_weights(order: int, runs: RunBatch, seen: Mask) -> Floats | None:
     """Fit T[k+1] = sum a_i T[k+1-i] + sum b_i u[k+1-i] + c fan (T - T_amb)[k] + d T_amb[k] + e.
 
     seen : [B, N], temperatures after a row that it is fitted to
@@ -67,7 +67,7 @@ def arx_weights(order: int, runs: Recorded, seen: Mask) -> Floats | None:
     return np.asarray(np.linalg.lstsq(inputs, wanted, rcond=1e-10)[0])
 
 
-def arx_errors(weights: Floats | None, runs: Recorded, seen: Mask) -> Floats:
+def arx_errors(weights: Floats | None, runs: RunBatch, seen: Mask) -> Floats:
     """Measured minus free run where nothing is seen, [B, N]; 0 where it is, infinite for no weights."""
     if weights is None:
         return np.full(runs.duty.shape, np.inf)
@@ -80,7 +80,7 @@ def arx_errors(weights: Floats | None, runs: Recorded, seen: Mask) -> Floats:
     return np.asarray(runs.temp[:, 1:] - temp[:, 1:])
 
 
-def _inputs(runs: Recorded, temp: Floats, i: int, k: int, order: int) -> Floats:
+def _inputs(runs: RunBatch, temp: Floats, i: int, k: int, order: int) -> Floats:
     past = slice(k - order + 1, k + 1)
     excess = temp[i, k] - runs.ambient[i, k]
     return np.concatenate(

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.diagnosis.trial import Fitted, SizedTerm
+from edge.diagnosis.trial import FittedTwin, SizedTerm
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 Names = frozenset[str]
@@ -29,7 +29,7 @@ class ScoredSet:
     """
 
     added: Names
-    fitted: Fitted
+    fit: FittedTwin
     likelihood: float
     score: float
 
@@ -42,7 +42,7 @@ class Candidates:
     """
 
     file: TwinFile
-    runs: Recorded
+    runs: RunBatch
     formulas: Mapping[str, SizedTerm]
     doors: int = 0
 

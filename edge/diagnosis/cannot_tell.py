@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.report.wording import listed
+from edge.diagnosis.report.wording import join_names
 from edge.formats.run_file import RecordedRun
 from edge.twin.effects.effect import BlindRuns
 from edge.twin.effects.library import hidden_by
@@ -50,7 +50,7 @@ def _beyond(name: str, test: RecordedRun, runs: Sequence[RecordedRun]) -> Iterab
             f"{100.0 * known_duty:.0f} % in the training runs"
         )
     for key, what in WHAT.items():
-        own, known = _known(test, key), np.concatenate([_known(run, key) for run in runs])
+        own, known = _known_values(test, key), np.concatenate([_known_values(run, key) for run in runs])
         if not len(own) or not len(known):
             continue
         # A little beyond is no other regime: the margin grows with what the training runs span.
@@ -107,7 +107,7 @@ def _fan(runs: Sequence[RecordedRun]) -> Iterable[str]:
 
 
 def _room(runs: Sequence[RecordedRun]) -> Iterable[str]:
-    rooms = [known for run in runs if len(known := _known(run, "temp_ambient_c"))]
+    rooms = [known for run in runs if len(known := _known_values(run, "temp_ambient_c"))]
     if not rooms:
         yield (
             "the room temperature was not recorded and is fitted as a constant: "
@@ -129,12 +129,12 @@ def _room(runs: Sequence[RecordedRun]) -> Iterable[str]:
 def _rest(runs: Sequence[RecordedRun]) -> Iterable[str]:
     if max(float(run.columns["time_s"][-1]) for run in runs) < SHORT_S:
         bodies = hidden_by(BlindRuns.SHORT)
-        others = listed(list(dict.fromkeys(bodies.values())))
+        others = join_names(list(dict.fromkeys(bodies.values())))
         yield f"no run lasts an hour: slow bodies ({', '.join(bodies)}) can hardly be told from {others}"
     if not _moves(runs, "light"):
         why = "never changes" if _levels(runs, "light") else "was not recorded"
         yield f"the light {why}: {_names(BlindRuns.LIGHT_STEADY)} can't be told"
-    if not any(len(_known(run, "rel_humidity_pct")) for run in runs):
+    if not any(len(_known_values(run, "rel_humidity_pct")) for run in runs):
         yield f"the humidity was not recorded: {_names(BlindRuns.HUMIDITY_UNKNOWN)} can't be told"
     starts = [run.start_utc for run in runs]
     known = [start for start in starts if start is not None]
@@ -146,24 +146,24 @@ def _rest(runs: Sequence[RecordedRun]) -> Iterable[str]:
 
 
 def _names(runs: BlindRuns) -> str:
-    return listed(list(hidden_by(runs)))
+    return join_names(list(hidden_by(runs)))
 
 
 def _alike(runs: BlindRuns) -> str:
     """Each effect and the one that it looks like."""
-    return listed([f"{name} looks like {other}" for name, other in hidden_by(runs).items()])
+    return join_names([f"{name} looks like {other}" for name, other in hidden_by(runs).items()])
 
 
 def _levels(runs: Sequence[RecordedRun], key: str) -> set[float]:
-    return {float(value) for run in runs for value in np.unique(_known(run, key))}
+    return {float(value) for run in runs for value in np.unique(_known_values(run, key))}
 
 
 def _moves(runs: Sequence[RecordedRun], key: str) -> bool:
     """Return whether a column changes within a run. Between runs, much else changes too."""
-    return any(np.ptp(known) > 0.0 for run in runs if len(known := _known(run, key)))
+    return any(np.ptp(known) > 0.0 for run in runs if len(known := _known_values(run, key)))
 
 
-def _known(run: RecordedRun, key: str) -> Floats:
+def _known_values(run: RecordedRun, key: str) -> Floats:
     values = run.columns.get(key, np.empty(0))
     return values[np.isfinite(values)]
 

@@ -8,15 +8,15 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.adopted_twin import Added, Origin, twin_after
+from edge.diagnosis.adopted_twin import AddedEffect, Origin, twin_after
 from edge.diagnosis.baselines import ONE_MASS, arx_errors
 from edge.diagnosis.diagnosis_document import GapErrors
 from edge.diagnosis.formulas import formulas
 from edge.diagnosis.gap import RunForecast, alone, errors, floor_squares, forecast, one_step
-from edge.diagnosis.given import PreparedRuns, errors_over, given, with_rooms
-from edge.diagnosis.handed import OPEN, against_adopting
+from edge.diagnosis.handover import OPEN, against_adopting
 from edge.diagnosis.innovations import NoiseLevels
-from edge.diagnosis.judged import Judged, judged
+from edge.diagnosis.judgement import DiagnosisJudgement, judge
+from edge.diagnosis.prepare import PreparedRuns, errors_over, prepare, with_rooms
 from edge.diagnosis.progress import Progress, Stage
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.search import Search
@@ -52,9 +52,9 @@ class Diagnosis:
     """
 
     data: DiagnosisRuns
-    known: PreparedRuns
+    inputs: PreparedRuns
     search: Search
-    judged: Judged
+    judgement: DiagnosisJudgement
     before: Side
     after: Side
     steps: tuple[tuple[tuple[str, ...], Side], ...]
@@ -68,12 +68,12 @@ class Diagnosis:
     @property
     def is_offered(self) -> bool:
         """True if there is a new twin that is worth adopting."""
-        return bool(self.judged.handed.added) and not self.against_adopting
+        return bool(self.judgement.handover.added) and not self.against_adopting
 
     @property
     def verdict(self) -> DiagnosisVerdict:
         """The names that stand."""
-        return self.judged.verdict
+        return self.judgement.verdict
 
 
 def diagnose(
@@ -86,7 +86,7 @@ def diagnose(
     """
     begun = time.monotonic()
     progress("reading the runs, looking for doors and wrong readings", 0.0)
-    prepared = given(file, data)
+    prepared = prepare(file, data)
     with SideBySide(jobs, prepared.runs.temp.size) as shared:
         return _diagnosis(prepared, data, progress, command, shared, begun)
 
@@ -114,22 +114,22 @@ def _diagnosis(
         prepared.terms,
         terms,
         len(prepared.doors),
-        shared=shared,
+        pool=shared,
     )
     text_shapes = {name: shape for name, (shape, _) in shapes.items()}
     found = verdict(search, text_shapes)
     judging = Stage(progress, *JUDGED)
-    result = judged(search, found, prepared, text_shapes, shared, judging, data.test)
+    result = judge(search, found, prepared, text_shapes, shared, judging, data.test)
     progress("free runs before and after", JUDGED[1])
-    known = with_rooms(prepared, found.final.fitted.sizes)
+    known = with_rooms(prepared, found.final.fit.sizes)
     steps = tuple(_steps(search, result, prepared, data))
     before, after = steps[0][1], steps[-1][1]
     train = known.as_fitted()
     floor = (_floor_k(after, train, after.train, known), _floor_k(after, data.test, after.test, known))
     origin = Origin(
         data.data_sha256,
-        {"train": _rounded(errors(before.train)), "test": _rounded(errors(before.test))},
-        {"train": _rounded(errors(after.train)), "test": _rounded(errors(after.test))},
+        {"train": _round_errors(errors(before.train)), "test": _round_errors(errors(before.test))},
+        {"train": _round_errors(errors(after.train)), "test": _round_errors(errors(after.test))},
         datetime.now(UTC).isoformat(timespec="seconds"),
         command,
     )
@@ -143,9 +143,9 @@ def _diagnosis(
         after,
         steps,
         floor,
-        _adopted(prepared.file, result, origin),
+        _adopt(prepared.file, result, origin),
         against_adopting(
-            result.comparison.tried[frozenset()], result.handed, result.comparison.simple_k, test_k
+            result.comparison.trials[frozenset()], result.handover, result.comparison.simple_k, test_k
         ),
         test_k,
         tuple(_one_step(after, *pair, known) for pair in zip(data.test, after.test, strict=True)),
@@ -154,30 +154,30 @@ def _diagnosis(
 
 
 def _steps(
-    search: Search, result: Judged, prepared: PreparedRuns, data: DiagnosisRuns
+    search: Search, result: DiagnosisJudgement, prepared: PreparedRuns, data: DiagnosisRuns
 ) -> Iterator[tuple[tuple[str, ...], Side]]:
     """One effect after another, names first, each twin with the values that predict."""
     names = [item.name for item in result.verdict.effects]
     sets = [(tuple(names[:count]), frozenset(names[:count])) for count in range(len(names) + 1)]
-    if result.handed.added != sets[-1][1]:
-        sets.append(((*names, *result.provisional), result.handed.added))
+    if result.handover.added != sets[-1][1]:
+        sets.append(((*names, *result.provisional), result.handover.added))
     beside = search.sets.base()
     for added, key in sets:
-        item = result.comparison.tried[key].fitted
+        item = result.comparison.trials[key].fit
         wanted = key - {OPEN}
-        beside = search.sets.fitted({wanted: search.sets.as_usual(beside, wanted)})[0]
+        beside = search.sets.fit({wanted: search.sets.as_usual(beside, wanted)})[0]
         own = with_rooms(prepared, item.sizes)
-        yield added, _side(_settled(item.file, added), beside.fitted.trial.levels, data, own)
+        yield added, _side(_settle(item.file, added), beside.fit.trial.levels, data, own)
 
 
 def _test_k(
-    result: Judged, prepared: PreparedRuns, data: DiagnosisRuns, before: Side, after: Side
+    result: DiagnosisJudgement, prepared: PreparedRuns, data: DiagnosisRuns, before: Side, after: Side
 ) -> dict[str, float]:
     """Errors over the test runs of the twin before and after and of each baseline; none without test runs."""
     found = {"before": _errors(before.test), "after": _errors(after.test)}
     for name, item in result.comparison.simple.items():
-        found[name] = [errors_over(data.test, item.fitted, prepared)]
-    rooms = with_rooms(prepared, result.comparison.simple[ONE_MASS].fitted.sizes)
+        found[name] = [errors_over(data.test, item.fit, prepared)]
+    rooms = with_rooms(prepared, result.comparison.simple[ONE_MASS].fit.sizes)
     for name, arx in result.comparison.arx.items():
         found[name] = [
             _arx_errors(arx.weights, run, guess, rooms.room_of(run))
@@ -236,23 +236,23 @@ def _floor_k(
     return floor_k if least_k is None else min(floor_k, least_k)
 
 
-def _settled(fitted: TwinFile, names: Sequence[str]) -> TwinFile:
+def _settle(fitted: TwinFile, names: Sequence[str]) -> TwinFile:
     """Return the twin with its values as known ones, without the effects that the new ones replace."""
     plain = fitted.with_values({place: Value(value.value) for place, value in fitted.values().items()})
-    gone = _replaced(names)
+    gone = _replaced_names(names)
     return replace(plain, effects={name: own for name, own in plain.effects.items() if name not in gone})
 
 
-def _replaced(names: Iterable[str]) -> set[str]:
+def _replaced_names(names: Iterable[str]) -> set[str]:
     return {EFFECTS[name].replaces for name in names} - {""}
 
 
-def _adopted(file: TwinFile, result: Judged, origin: Origin) -> TwinFile:
+def _adopt(file: TwinFile, result: DiagnosisJudgement, origin: Origin) -> TwinFile:
     """Return the twin file to adopt: new effects with intervals, and fitted
     values in the place of open ones.
     """
-    fitted, names = result.handed.fitted, result.handed.added - {OPEN}
-    gone = _replaced(names)
+    fitted, names = result.handover.fit, result.handover.added - {OPEN}
+    gone = _replaced_names(names)
     kept = replace(file, effects={name: own for name, own in file.effects.items() if name not in gone})
     refitted: dict[Place, Value] = {}
     for i, unknown in enumerate(fitted.free):
@@ -261,12 +261,12 @@ def _adopted(file: TwinFile, result: Judged, origin: Origin) -> TwinFile:
                 unknown, float(fitted.coordinates[i]), float(fitted.covariance[i, i])
             )
     added = [
-        Added(effect.name, effect.parameters, tuple(effect.alternatives), effect.log_odds)
+        AddedEffect(effect.name, effect.parameters, tuple(effect.alternatives), effect.log_odds)
         for effect in result.verdict.effects
     ]
-    added += [Added(name, intervals(fitted, name)[0]) for name in result.provisional]
+    added += [AddedEffect(name, intervals(fitted, name)[0]) for name in result.provisional]
     return twin_after(kept, added, origin, refitted)
 
 
-def _rounded(found: GapErrors | None) -> dict[str, object] | None:
+def _round_errors(found: GapErrors | None) -> dict[str, object] | None:
     return None if found is None else {"rmse_k": found["rmse_k"], "mae_k": found["mae_k"]}

@@ -34,7 +34,7 @@ def _schema_of(kind: Any) -> Schema:
     if origin is NotRequired:
         return _schema_of(parts[0])
     if origin is Annotated:
-        return _described(_schema_of(parts[0]), parts[1])
+        return _describe(_schema_of(parts[0]), parts[1])
     if origin is UnionType:
         (inner,) = (part for part in parts if part is not NoneType)
         found = _schema_of(inner)
@@ -62,7 +62,7 @@ def _object(kind: Any) -> Schema:
     }
 
 
-def _described(found: Schema, meaning: Meaning) -> Schema:
+def _describe(found: Schema, meaning: Meaning) -> Schema:
     if meaning.is_open:
         found = {
             key: value for key, value in found.items() if key not in ("additionalProperties", "required")

@@ -11,24 +11,24 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.innovations import FilterGains, whitened
-from edge.diagnosis.linearised import (
-    Linearised,
+from edge.diagnosis.innovations import FilterGains, whiten
+from edge.diagnosis.linearisation import (
+    Linearisation,
     TrialState,
     begun_from,
     cost,
     difference,
-    explained,
+    explained_cost,
     filters_of,
     neighbours,
     nominal,
     normal_equations,
     prior_cost,
 )
-from edge.diagnosis.trial import Fitted, SizedTerm, Trial, start_of
-from edge.diagnosis.unknowns import placed
+from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial, start_of
+from edge.diagnosis.unknowns import place_unknowns
 from edge.twin.linearise import EnsembleRun, responses
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -39,7 +39,7 @@ LEAST_DAMPING = 1e-6  # share of the normal matrix' diagonal
 SETTLED = 0.02  # a gain in nats that is not worth another step
 
 
-def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fitted]:
+def fit(trials: Sequence[Trial], runs: RunBatch, iterations: int = 6) -> list[FittedTwin]:
     """Each trial at its best, in the order given."""
     if not trials:
         return []
@@ -53,10 +53,10 @@ def fit(trials: Sequence[Trial], runs: Recorded, iterations: int = 6) -> list[Fi
                 break
             filters = filters or filters_of(states, runs, measured)
             _improve([states[i] for i in moving], np.array(moving), filters, runs)
-        return _finished(states, runs, measured)
+        return _finish(states, runs, measured)
 
 
-def glance(trials: Sequence[Trial], runs: Recorded) -> list[tuple[Trial, float]]:
+def glance(trials: Sequence[Trial], runs: RunBatch) -> list[tuple[Trial, float]]:
     """Each trial one step further, and how likely it is then by the filter of where it began [nats]."""
     states = [begun_from(trial) for trial in trials]
     measured = runs.measured
@@ -65,20 +65,20 @@ def glance(trials: Sequence[Trial], runs: Recorded) -> list[tuple[Trial, float]]
     spreads = np.where(measured.T[:, None], np.log(filters.sd), 0.0).sum(axis=(0, 2))
     return [
         (
-            replace(state.trial, file=placed(state.trial.file, state.free, state.x), free=state.free),
+            replace(state.trial, file=place_unknowns(state.trial.file, state.free, state.x), free=state.free),
             float(nats),
         )
         for state, nats in zip(states, -np.array([state.cost for state in states]) - spreads, strict=True)
     ]
 
 
-def _improve(states: list[TrialState], owners: Indices, filters: FilterGains, runs: Recorded) -> None:
+def _improve(states: list[TrialState], owners: Indices, filters: FilterGains, runs: RunBatch) -> None:
     """One step of each, the better of a bold and a careful one. owners : their places among the filters"""
     linear = normal_equations(states, owners, filters, runs)
     for state, found in zip(states, linear, strict=True):
         state.cost = cost(found, state)
     tries = [
-        [_moved(state, found, max(state.damping, least)) for state, found in zip(states, linear, strict=True)]
+        [_move(state, found, max(state.damping, least)) for state, found in zip(states, linear, strict=True)]
         for least in (0.0, CAREFUL)
     ]
     costs = np.stack([_costs(tried, states, owners, linear, filters, runs) for tried in tries])
@@ -94,7 +94,7 @@ def _improve(states: list[TrialState], owners: Indices, filters: FilterGains, ru
         state.damping = max(state.damping * (1.0 if careful else BOLDER), LEAST_DAMPING)
 
 
-def slopes(found: Fitted, runs: Recorded) -> list[SizedTerm]:
+def slopes(found: FittedTwin, runs: RunBatch) -> list[SizedTerm]:
     """Return the unknowns of a fitted twin, frozen, as terms that can be fitted with another effect."""
     state = TrialState(found.trial, found.free, found.coordinates)
     twin, steps = nominal(state, state.x, runs)
@@ -114,7 +114,7 @@ def slopes(found: Fitted, runs: Recorded) -> list[SizedTerm]:
     ]
 
 
-def gains_of(trial: Trial, terms: Sequence[SizedTerm], runs: Recorded) -> Floats:
+def gains_of(trial: Trial, terms: Sequence[SizedTerm], runs: RunBatch) -> Floats:
     """Return the gain in log likelihood of each further term while the
     trial's unknowns stand still [nats].
     """
@@ -129,7 +129,7 @@ def gains_of(trial: Trial, terms: Sequence[SizedTerm], runs: Recorded) -> Floats
     return np.asarray(0.5 * left**2 / size)
 
 
-def _moved(state: TrialState, found: Linearised, damping: float) -> Floats:
+def _move(state: TrialState, found: Linearisation, damping: float) -> Floats:
     """Return the unknowns after a damped step, inside their bounds. Nuisances follow by themselves."""
     p = len(state.free)
     normal = found.normal + damping * np.diag(np.diag(found.normal))
@@ -145,26 +145,26 @@ def _costs(
     tried: list[Floats],
     states: list[TrialState],
     owners: Indices,
-    linear: list[Linearised],
+    linear: list[Linearisation],
     filters: FilterGains,
-    runs: Recorded,
+    runs: RunBatch,
 ) -> Floats:
     """Return the cost of each state's next place, with the terms linearised at its present place."""
     wanted = []
     for state, x in zip(states, tried, strict=True):
         twin, steps = nominal(state, x, runs)
         wanted.append(EnsembleRun(steps, start_of(twin, runs), steps.driven))
-    white = whitened(filters, owners, np.nan_to_num(runs.temp[:, 1:]) - responses(wanted))
+    white = whiten(filters, owners, np.nan_to_num(runs.temp[:, 1:]) - responses(wanted))
     costs = np.empty(len(tried))
     for j, (state, x, found) in enumerate(zip(states, tried, linear, strict=True)):
         residual, p = white[j].ravel(), len(state.free)
         means = np.array([term.mean / term.sd**2 for term in state.trial.nuisances])
         moved = replace(found, gradient=np.concatenate([found.gradient[:p], found.terms @ residual + means]))
-        costs[j] = 0.5 * (float(residual @ residual) + prior_cost(state, x)) - explained(moved, p)
+        costs[j] = 0.5 * (float(residual @ residual) + prior_cost(state, x)) - explained_cost(moved, p)
     return costs
 
 
-def _finished(states: list[TrialState], runs: Recorded, measured: NDArray[np.bool_]) -> list[Fitted]:
+def _finish(states: list[TrialState], runs: RunBatch, measured: NDArray[np.bool_]) -> list[FittedTwin]:
     filters = filters_of(states, runs, measured)
     linear = normal_equations(states, np.arange(len(states)), filters, runs)
     found = []
@@ -175,9 +175,9 @@ def _finished(states: list[TrialState], runs: Recorded, measured: NDArray[np.boo
         sizes = np.asarray(np.linalg.solve(own.normal[p:, p:], own.gradient[p:]))
         nats = -cost(own, state) - float(spreads)
         found.append(
-            Fitted(
+            FittedTwin(
                 state.trial,
-                placed(state.trial.file, state.free, state.x),
+                place_unknowns(state.trial.file, state.free, state.x),
                 state.free,
                 state.x,
                 nats if np.isfinite(nats) else -np.inf,

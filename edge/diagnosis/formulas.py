@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.diagnosis.nuisances import middle
 from edge.diagnosis.trial import SizedTerm
 from edge.twin.model import DAY_S
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.scale import USUAL_HEATER_W
 
 Floats = NDArray[np.float64]
@@ -125,7 +125,7 @@ def shapes(
 
 
 def formulas(
-    runs: Recorded, temps: Floats, step_s: float, heater_w: float = USUAL_HEATER_W
+    runs: RunBatch, temps: Floats, step_s: float, heater_w: float = USUAL_HEATER_W
 ) -> dict[str, tuple[FormulaShape, SizedTerm]]:
     """By name, what these runs have the columns for and can tell from nothing.
 
@@ -145,7 +145,7 @@ def formulas(
     return found
 
 
-def _levels(runs: Recorded) -> tuple[float, float, float, float]:
+def _levels(runs: RunBatch) -> tuple[float, float, float, float]:
     """Whole degrees: warm and hot for this box, and what it and its room usually have."""
     low, high = np.nanmin(runs.temp), np.nanmax(runs.temp)
     levels = (low + WARM * (high - low), low + HOT * (high - low), np.nanmedian(runs.temp))
@@ -153,7 +153,7 @@ def _levels(runs: Recorded) -> tuple[float, float, float, float]:
     return warm, max(hot, warm + 1.0), usual, room
 
 
-def _columns(runs: Recorded, temps: Floats, step_s: float) -> dict[str, Floats]:
+def _columns(runs: RunBatch, temps: Floats, step_s: float) -> dict[str, Floats]:
     """[N, B] each: T in the middle of a row, hours since the run began, of fan in it, and of the day."""
     inside = middle(temps)
     hours = np.broadcast_to(np.arange(runs.fan.shape[1]) * step_s / 3600.0, runs.fan.shape)

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.fitting import fit
-from edge.diagnosis.innovations import NoiseLevels, whitened
-from edge.diagnosis.linearised import TrialState, filters_of, nominal
+from edge.diagnosis.innovations import NoiseLevels, whiten
+from edge.diagnosis.linearisation import TrialState, filters_of, nominal
 from edge.diagnosis.nuisances import answer_s
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.starts import with_effect
-from edge.diagnosis.trial import Fitted, SizedTerm, Trial, start_of
-from edge.diagnosis.unknowns import UnknownValue, placed, unknowns
+from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial, start_of
+from edge.diagnosis.unknowns import UnknownValue, place_unknowns, unknowns
 from edge.twin.effects.effect import Offer, ParameterKind
 from edge.twin.effects.library import EFFECTS, parameter_at
 from edge.twin.linearise import EnsembleRun, responses
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 Floats = NDArray[np.float64]
@@ -50,11 +50,11 @@ def free_levels(error_k: float) -> NoiseLevels:
 def fit_values(
     files: Sequence[TwinFile],
     terms: Sequence[SizedTerm],
-    runs: Recorded,
+    runs: RunBatch,
     noise_k: float,
     shared: SideBySide,
-    near: Sequence[Fitted | None] = (),
-) -> list[Fitted]:
+    near: Sequence[FittedTwin | None] = (),
+) -> list[FittedTwin]:
     """Each file's open values at their best, in the order given.
 
     terms : of unknown size beside them, such as the room's temperature; noise_k : of a reading
@@ -65,42 +65,42 @@ def fit_values(
     every = [_starts(file, tuple(terms), donor) for file, donor in zip_longest(files, near[: len(files)])]
     rough = iter(shared.map(partial(fit, runs=runs, iterations=ROUGHLY), list(chain(*every))))
     lots = [list(islice(rough, len(starts))) for starts in every]
-    followed = [_followed(item, noise_k, runs) for lot in lots for item in _best(lot, KEPT)]
+    followed = [_follow(item, noise_k, runs) for lot in lots for item in _best(lot, KEPT)]
     fine = shared.map(partial(fit, runs=runs, iterations=FINELY), followed)
     ends = [_best(fine[i * KEPT : (i + 1) * KEPT], 1)[0] for i in range(len(files))]
     misses = [rms_k(item, runs) for item in ends]
     donor = ends[int(np.argmin(misses))]
     # With the values of the twin that fits best: a way out of a valley.
-    moved = [_moved_to(item, _lent(item.free, item.coordinates, donor)) for item in ends]
-    lent = [_followed(item, noise_k, runs) for item in moved]
+    moved = [_moved_to(item, _lend(item.free, item.coordinates, donor)) for item in ends]
+    lent = [_follow(item, noise_k, runs) for item in moved]
     others = shared.map(partial(fit, runs=runs, iterations=FINELY), lent)
     kept = [
         other if rms_k(other, runs) < miss else item
         for item, other, miss in zip(ends, others, misses, strict=True)
     ]
-    last = [_followed(item, noise_k, runs) for item in kept]
+    last = [_follow(item, noise_k, runs) for item in kept]
     return shared.map(partial(fit, runs=runs, iterations=FINELY), last)
 
 
-def another(found: Fitted, runs: Recorded, noise_k: float, shared: SideBySide) -> Fitted | None:
+def another(found: FittedTwin, runs: RunBatch, noise_k: float, shared: SideBySide) -> FittedTwin | None:
     """Return a second fit of the same twin that is as good with clearly other
     values, None if other starts find none.
     """
     free, levels = found.free, free_levels(ROUGH_K)
     starts = [
-        replace(found.trial, file=placed(found.file, free, x), free=free, levels=levels)
-        for x in (*_exchanged(found), *_drawn(free, DRAWN))
+        replace(found.trial, file=place_unknowns(found.file, free, x), free=free, levels=levels)
+        for x in (*_exchanges(found), *_draw(free, DRAWN))
     ]
     rough = shared.map(partial(fit, runs=runs, iterations=ROUGHLY), starts)
     far = sorted((item for item in rough if apart(found, item)), key=lambda item: rms_k(item, runs))
-    followed = [_followed(item, noise_k, runs) for item in far[:KEPT]]
+    followed = [_follow(item, noise_k, runs) for item in far[:KEPT]]
     ends = shared.map(partial(fit, runs=runs, iterations=FINELY), followed)
     most_k = AS_GOOD * rms_k(found, runs)
     rivals = [item for item in ends if apart(found, item) and rms_k(item, runs) <= most_k]
     return min(rivals, key=lambda item: rms_k(item, runs), default=None)
 
 
-def _exchanged(found: Fitted) -> Iterator[Floats]:
+def _exchanges(found: FittedTwin) -> Iterator[Floats]:
     """Coordinates at which a lag and the air have changed places: a slow and a fast answer in a row."""
     values = found.file.values()
     for i, item in enumerate(found.free):
@@ -122,7 +122,7 @@ def _has_kind(kind: ParameterKind, item: UnknownValue) -> bool:
     return parameter is not None and parameter.kind is kind
 
 
-def apart(found: Fitted, other: Fitted) -> list[UnknownValue]:
+def apart(found: FittedTwin, other: FittedTwin) -> list[UnknownValue]:
     """Values that two fits of one twin do not agree on."""
     count = len(found.free)
     sds = [np.sqrt(np.maximum(np.diag(item.covariance)[:count], 0.0)) for item in (found, other)]
@@ -149,14 +149,16 @@ def together(innovations: Floats, seen: NDArray[np.bool_], file: TwinFile) -> fl
     return max(1.0, total) * max(1.0, square / float(seen.sum()))
 
 
-def _starts(file: TwinFile, terms: tuple[SizedTerm, ...], near: Fitted | None) -> list[Trial]:
+def _starts(file: TwinFile, terms: tuple[SizedTerm, ...], near: FittedTwin | None) -> list[Trial]:
     """From the file's own values; and from anywhere, or where a twin is near, from there."""
     free, levels = unknowns(file), free_levels(ROUGH_K)
     if near is None:
-        places = _drawn(free, DRAWN)
+        places = _draw(free, DRAWN)
     else:
-        places = [_lent(free, _here(free, each), near) for each in _begun(file, free, near)]
-    return [Trial(each, levels, terms, free) for each in (file, *(placed(file, free, x) for x in places))]
+        places = [_lend(free, _here(free, each), near) for each in _begin(file, free, near)]
+    return [
+        Trial(each, levels, terms, free) for each in (file, *(place_unknowns(file, free, x) for x in places))
+    ]
 
 
 def _here(free: Sequence[UnknownValue], file: TwinFile) -> Floats:
@@ -164,7 +166,7 @@ def _here(free: Sequence[UnknownValue], file: TwinFile) -> Floats:
     return np.array([item.coordinate(values[item.place].value) for item in free])
 
 
-def _begun(file: TwinFile, free: Sequence[UnknownValue], near: Fitted) -> list[TwinFile]:
+def _begin(file: TwinFile, free: Sequence[UnknownValue], near: FittedTwin) -> list[TwinFile]:
     """Return the file with each start of the one effect that the near twin lacks."""
     known = {item.place for item in near.free}
     new = {item.place[1] for item in free if item.place not in known and item.place[0] == "effects"}
@@ -177,7 +179,7 @@ def _begun(file: TwinFile, free: Sequence[UnknownValue], near: Fitted) -> list[T
     return with_effect(replace(file, effects=without), name)
 
 
-def _drawn(free: Sequence[UnknownValue], count: int) -> list[Floats]:
+def _draw(free: Sequence[UnknownValue], count: int) -> list[Floats]:
     """Coordinates to start from, always the same."""
     drawn = np.random.default_rng(len(free)).uniform(-1.0, 1.0, (count, len(free)))
     return [np.array([_start(item, x) for item, x in zip(free, row, strict=True)]) for row in drawn]
@@ -188,21 +190,21 @@ def _start(item: UnknownValue, drawn: float) -> float:
     return float(np.clip(item.mean + drawn * min(item.sd, FARTHEST), low, high))
 
 
-def _lent(free: Sequence[UnknownValue], here: Floats, donor: Fitted) -> Floats:
+def _lend(free: Sequence[UnknownValue], here: Floats, donor: FittedTwin) -> Floats:
     """Coordinates with those of another twin, where it has them."""
     known = {own.place: float(x) for own, x in zip(donor.free, donor.coordinates, strict=True)}
     return np.array([known.get(own.place, float(x)) for own, x in zip(free, here, strict=True)])
 
 
-def _moved_to(item: Fitted, x: Floats) -> Fitted:
-    return replace(item, coordinates=x, file=placed(item.file, item.free, x))
+def _moved_to(item: FittedTwin, x: Floats) -> FittedTwin:
+    return replace(item, coordinates=x, file=place_unknowns(item.file, item.free, x))
 
 
-def _best(found: Sequence[Fitted], count: int) -> list[Fitted]:
+def _best(found: Sequence[FittedTwin], count: int) -> list[FittedTwin]:
     return sorted(found, key=lambda item: -item.log_likelihood)[:count]
 
 
-def _followed(found: Fitted, noise_k: float, runs: Recorded) -> Trial:
+def _follow(found: FittedTwin, noise_k: float, runs: RunBatch) -> Trial:
     """From where it is, against what its free runs miss by, errors that go together counted once."""
     errors = free_errors(found, runs, ROUGH_K)
     error_k = min(max(noise_k, float(np.sqrt(np.mean(errors[runs.measured] ** 2)))), HOPELESS_K)
@@ -211,12 +213,12 @@ def _followed(found: Fitted, noise_k: float, runs: Recorded) -> Trial:
     return replace(found.trial, file=found.file, free=found.free, levels=levels)
 
 
-def rms_k(found: Fitted, runs: Recorded) -> float:
+def rms_k(found: FittedTwin, runs: RunBatch) -> float:
     """Return the RMS error of free runs over measured rows [K]."""
     return float(np.sqrt(np.mean(free_errors(found, runs, ROUGH_K)[runs.measured] ** 2)))
 
 
-def free_errors(found: Fitted, runs: Recorded, error_k: float) -> Floats:
+def free_errors(found: FittedTwin, runs: RunBatch, error_k: float) -> Floats:
     """Measured minus forecast, [B, N], by a free run that knows what `runs` lets it see before each row.
 
     error_k : what a free run may miss by, against which its start is found
@@ -227,14 +229,12 @@ def free_errors(found: Fitted, runs: Recorded, error_k: float) -> Floats:
         replace(found.trial, levels=free_levels(error_k), nuisances=kept), found.free, found.coordinates
     )
     filters = filters_of([state], runs, runs.measured)
-    white = whitened(filters, np.array([0]), _errors(state, found.sizes[terms], runs)[None], everywhere=True)[
-        0
-    ]
+    white = whiten(filters, np.array([0]), _errors(state, found.sizes[terms], runs)[None], everywhere=True)[0]
     errors = white * filters.sd[:, 0].T
     return np.asarray(np.clip(np.nan_to_num(errors, nan=RUNAWAY_K), -RUNAWAY_K, RUNAWAY_K))
 
 
-def _errors(state: TrialState, sizes: Floats, runs: Recorded) -> Floats:
+def _errors(state: TrialState, sizes: Floats, runs: RunBatch) -> Floats:
     """Return the errors of free runs that begin at rest, [B, N]."""
     twin, steps = nominal(state, state.x, runs)
     wanted = [EnsembleRun(steps, start_of(twin, runs), steps.driven)]
@@ -246,7 +246,7 @@ def _errors(state: TrialState, sizes: Floats, runs: Recorded) -> Floats:
 
 
 def left_out_errors(
-    found: Sequence[Fitted], folds: Sequence[NDArray[np.bool_]], runs: Recorded, shared: SideBySide
+    found: Sequence[FittedTwin], folds: Sequence[NDArray[np.bool_]], runs: RunBatch, shared: SideBySide
 ) -> list[tuple[Floats, Floats]]:
     """Return, for each fit, the free-run errors over rows that it did not see, and how far its values moved.
 
@@ -268,7 +268,7 @@ def left_out_errors(
     return list(zip(errors, sds, strict=True))
 
 
-def widened(found: Fitted, sds: Floats) -> Fitted:
+def widen(found: FittedTwin, sds: Floats) -> FittedTwin:
     """With coordinates as uncertain as they were seen to be. sds : [p]"""
     own = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
     by = np.ones(len(own))
@@ -277,7 +277,7 @@ def widened(found: Fitted, sds: Floats) -> Fitted:
 
 
 def left_out_nats(
-    found: Sequence[Fitted], folds: Sequence[NDArray[np.bool_]], runs: Recorded, shared: SideBySide
+    found: Sequence[FittedTwin], folds: Sequence[NDArray[np.bool_]], runs: RunBatch, shared: SideBySide
 ) -> list[Floats]:
     """Log likelihood of each reading after those before it, by values that did not see it.
 
@@ -291,15 +291,15 @@ def left_out_nats(
     return told
 
 
-def again(found: Sequence[Fitted], runs: Recorded, shared: SideBySide) -> list[Fitted]:
+def again(found: Sequence[FittedTwin], runs: RunBatch, shared: SideBySide) -> list[FittedTwin]:
     """Each fitted anew to other rows, from where it is and with its noise."""
     trials = [replace(item.trial, file=item.file, free=item.free) for item in found]
     return shared.map(partial(fit, runs=runs, iterations=ROUGHLY), trials)
 
 
-def row_nats(found: Fitted, runs: Recorded) -> Floats:
+def row_nats(found: FittedTwin, runs: RunBatch) -> Floats:
     """Log likelihood of each reading after those before it, up to a constant, [B, N]; 0 where none is."""
     state = TrialState(found.trial, found.free, found.coordinates)
     filters = filters_of([state], runs, runs.measured)
-    white = whitened(filters, np.array([0]), _errors(state, found.sizes, runs)[None])[0]
+    white = whiten(filters, np.array([0]), _errors(state, found.sizes, runs)[None])[0]
     return np.where(runs.measured, -0.5 * white**2 - np.log(filters.sd[:, 0].T), 0.0)

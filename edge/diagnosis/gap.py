@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_document import GapErrors, RunErrors
-from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whitened
+from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whiten
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.trial import start_of, start_spread
 from edge.formats.run_file import RecordedRun, inside_names
 from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
 from edge.twin.rollout import Commands
-from edge.twin.warm_start import PastColumns, held, state_now
+from edge.twin.run_batch import RunBatch
+from edge.twin.warm_start import PastColumns, hold, state_now
 
 Floats = NDArray[np.float64]
 START_ROWS = 10  # of a run that may be known before the forecast begins
@@ -63,7 +63,7 @@ def forecast(twin: BoxTwin, named: NamedRun, room_c: Floats) -> RunForecast:
         conditions=ahead,
         before=Commands(past.duty[:-1], past.fan[:-1]),
     )[0]
-    return RunForecast(named.name, start, temp, np.concatenate([held(temp[: start + 1]), predicted]))
+    return RunForecast(named.name, start, temp, np.concatenate([hold(temp[: start + 1]), predicted]))
 
 
 def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:
@@ -72,7 +72,7 @@ def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:
     rows = len(run)
     columns.setdefault("fan_on", np.zeros(rows))
     columns["temp_ambient"] = room_c
-    return {name: values if name == "temp_air" else held(values) for name, values in columns.items()}
+    return {name: values if name == "temp_air" else hold(values) for name, values in columns.items()}
 
 
 def _start_row(temp: Floats, named: NamedRun) -> int:
@@ -92,25 +92,25 @@ def _start_row(temp: Floats, named: NamedRun) -> int:
     return row
 
 
-def alone(named: NamedRun, guess: RunForecast, room_c: Floats) -> Recorded:
+def alone(named: NamedRun, guess: RunForecast, room_c: Floats) -> RunBatch:
     """One run as arrays, missing temperatures as in its free run."""
     columns = columns_of(named.run, room_c)
     temp = np.where(np.isfinite(columns["temp_air"]), columns["temp_air"], guess.predicted)
     inputs = {name: values[None, :-1] for name, values in columns.items() if name != "temp_air"}
-    return Recorded(temp[None], inputs["heater_duty"], inputs["fan_on"], inputs["temp_ambient"], inputs)
+    return RunBatch(temp[None], inputs["heater_duty"], inputs["fan_on"], inputs["temp_ambient"], inputs)
 
 
-def one_step(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
+def one_step(twin: BoxTwin, levels: NoiseLevels, runs: RunBatch, seen: NDArray[np.bool_]) -> Floats:
     """Predict each row's temperature from all readings before it [rows]. seen : [rows]"""
     steps = linearise(twin, runs)
     filters = gains([FilterInput(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
     shown = responses([EnsembleRun(steps, start_of(twin, runs), steps.driven)])
     error = runs.temp[None, :, 1:] - shown
-    white = whitened(filters, np.array([0]), error, everywhere=True)[0, 0]
+    white = whiten(filters, np.array([0]), error, everywhere=True)[0, 0]
     return np.concatenate([runs.temp[0, :1], runs.temp[0, 1:] - white * filters.sd[:, 0, 0]])
 
 
-def floor_squares(twin: BoxTwin, levels: NoiseLevels, runs: Recorded, seen: NDArray[np.bool_]) -> Floats:
+def floor_squares(twin: BoxTwin, levels: NoiseLevels, runs: RunBatch, seen: NDArray[np.bool_]) -> Floats:
     """Variance of what a free run of the right twin misses by in each measured row of one run [K2].
 
     Sensor and room noise, unknown heat and mains power, from a start that is known.

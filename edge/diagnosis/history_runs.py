@@ -32,7 +32,7 @@ def history_runs(
     if not 0.0 <= test_share < 1.0:
         raise DataError(f"--test-share: {test_share:g} is not in 0..1, 1 left out")
     parts = [piece for stretch in stretches for piece in pieces(stretch)]
-    usable = [part for part in parts if _measured(part) >= PIECE_ROWS]
+    usable = [part for part in parts if _measured_rows(part) >= PIECE_ROWS]
     chosen = _with_room(usable)
     left_out = len(parts) - len(chosen)
     if not chosen:
@@ -93,7 +93,7 @@ def _is_test(run: RecordedRun) -> bool:
     return run.facts.get("role", "").strip().lower() == "test"
 
 
-def _measured(run: RecordedRun) -> int:
+def _measured_rows(run: RecordedRun) -> int:
     return _measured_from(run, 0)
 
 

@@ -112,7 +112,7 @@ class _Walk:
             np.einsum("bii->bi", known_of[..., :-1])[...] = _start(item, self._heat) ** 2
         self.mean, self._covariance = self._known[..., -1], np.empty((*self.shape, self.states, self.states))
         self._sensor = np.array([[item.levels.sensor_k**2] for item in twins])
-        self._fresh = np.array([[item.levels.heat_w**2 * (1.0 - _kept(item) ** 2)] for item in twins])
+        self._fresh = np.array([[item.levels.heat_w**2 * (1.0 - _kept_share(item) ** 2)] for item in twins])
 
     def blocks(self) -> Iterator[slice]:
         """All rows, so many at a time."""
@@ -131,7 +131,7 @@ class _Walk:
             own, steps = len(item.steps.states), item.steps
             step[:, i, :, :own, :own] = steps.table[steps.index[rows]]
             step[:, i, :, :own, size], step[:, i, :, :own, size + 1] = steps.heat[rows], steps.duty[rows]
-            step[:, i, :, size, size], step[:, i, :, size + 1, size + 1] = _kept(item), 1.0
+            step[:, i, :, size, size], step[:, i, :, size + 1, size + 1] = _kept_share(item), 1.0
             flipped[:, i, :, -1, :own] = steps.room[rows] * item.levels.room_k
         flipped[..., :-1, :] = step[..., : self.states, : self.states].swapaxes(-1, -2)
         return flipped
@@ -164,12 +164,12 @@ def _start(item: FilterInput, size: int) -> Floats:
     return found
 
 
-def _kept(item: FilterInput) -> float:
+def _kept_share(item: FilterInput) -> float:
     """Share of the unknown heat that is still there after a row."""
     return float(np.exp(-item.step_s / item.levels.heat_tau_s))
 
 
-def whitened(
+def whiten(
     filters: FilterGains, owner: NDArray[np.intp], columns: Floats, everywhere: bool = False
 ) -> Floats:
     """Columns in standard deviations of their innovation, 0 where nothing was measured.

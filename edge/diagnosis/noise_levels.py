@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.innovations import FilterInput, NoiseLevels, log_likelihoods
-from edge.diagnosis.trial import Fitted, Trial, start_of, start_spread
+from edge.diagnosis.trial import FittedTwin, Trial, start_of, start_spread
 from edge.twin.linearise import EnsembleRun, LinearSteps, linearise, responses
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ LEAST_BEND = 1e-3  # nats, of a level that hardly matters
 WORTH_A_STEP = 0.05  # nats
 
 
-def first_levels(file: TwinFile, runs: Recorded) -> NoiseLevels:
+def first_levels(file: TwinFile, runs: RunBatch) -> NoiseLevels:
     """Return the noise that the file declares, and first values for the rest."""
     step_k = file.sensor.get("quantisation_k") or 0.0
     sensor_k = file.sensor.get("noise_sd_k")
@@ -54,7 +54,7 @@ def _heater_w(file: TwinFile) -> float:
     return max(file.values()["geometry", "heater_max_w"].value, 1e-3)
 
 
-def _curl(values: Floats, runs: Recorded) -> float:
+def _curl(values: Floats, runs: RunBatch) -> float:
     """Noise of a slow signal by its second differences, in rows in which no input changed."""
     still = np.ones(runs.duty.shape, dtype=bool)
     for column in (runs.duty, runs.fan):
@@ -67,7 +67,7 @@ def _curl(values: Floats, runs: Recorded) -> float:
 
 
 def find_levels(
-    found: Sequence[Fitted], file: TwinFile, runs: Recorded, factor: float = FIRST_FACTOR
+    found: Sequence[FittedTwin], file: TwinFile, runs: RunBatch, factor: float = FIRST_FACTOR
 ) -> list[Trial]:
     """Fit the trials again, each from its best values and with the likeliest noise.
 
@@ -75,9 +75,9 @@ def find_levels(
     """
     free = _free(file, runs)
     measured = runs.measured
-    sought = [_Sought(_Base(item, runs), item.trial.levels, free, factor) for item in found]
+    sought = [_LevelSearch(_Base(item, runs), item.trial.levels, free, factor) for item in found]
     while moving := [item for item in sought if free and item.passes < PASSES]:
-        tried = [[_changed(item.centre, step, file) for step in item.steps] for item in moving]
+        tried = [[_change(item.centre, step, file) for step in item.steps] for item in moving]
         scores = _scores([item.base for item in moving], tried, file, measured)
         for item, levels, own in zip(moving, tried, scores, strict=True):
             item.take(levels, own, file)
@@ -87,7 +87,7 @@ def find_levels(
     ]
 
 
-def _free(file: TwinFile, runs: Recorded) -> tuple[str, ...]:
+def _free(file: TwinFile, runs: RunBatch) -> tuple[str, ...]:
     names = ["heat_tau_s"]
     if (runs.ambient != runs.ambient[:, :1]).any():  # a room that was read, not one constant a run
         names.append("room_k")
@@ -98,7 +98,7 @@ def _free(file: TwinFile, runs: Recorded) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _changed(levels: NoiseLevels, step: Step, file: TwinFile) -> NoiseLevels:
+def _change(levels: NoiseLevels, step: Step, file: TwinFile) -> NoiseLevels:
     heater_w = _heater_w(file)
     ranges = {
         **RANGES,
@@ -112,7 +112,7 @@ def _changed(levels: NoiseLevels, step: Step, file: TwinFile) -> NoiseLevels:
 class _Base:
     """A fitted twin's steps, spread of its starts, and what its free run leaves, its terms at their sizes."""
 
-    def __init__(self, found: Fitted, runs: Recorded) -> None:
+    def __init__(self, found: FittedTwin, runs: RunBatch) -> None:
         self.twin = found.file.twin()
         self.steps: LinearSteps = linearise(self.twin, runs)
         terms = [term.response(self.steps) for term in found.trial.nuisances]
@@ -123,7 +123,7 @@ class _Base:
         self.error = np.nan_to_num(runs.temp[:, 1:]) - shown[0]
 
 
-class _Sought:
+class _LevelSearch:
     """Levels on their way: Newton steps on log levels, by differences either side that get smaller.
 
     Heat that wanders as far in a row, but for longer, is looked at too: of all pairs of levels only those
@@ -155,7 +155,7 @@ class _Sought:
             self.passes = PASSES  # arrived
         ahead = scores[0] + promised > self._best
         steps = dict(zip(self._free, self._factor**move, strict=True))
-        self.centre = _changed(self.centre, steps, file) if ahead else self.levels
+        self.centre = _change(self.centre, steps, file) if ahead else self.levels
         if np.abs(move).max() < LONGEST_STEP:  # else there is a way to go
             self._factor = max(float(np.sqrt(self._factor)), LAST_FACTOR)
 
@@ -202,7 +202,7 @@ def level_prior(levels: NoiseLevels, file: TwinFile) -> float:
     return float(-0.5 * (np.log(levels.heat_w / (USUAL_HEAT * _heater_w(file))) / USUAL_HEAT_LOG_SD) ** 2)
 
 
-def unexplained_heat(found: Fitted, file: TwinFile, runs: Recorded) -> bool:
+def unexplained_heat(found: FittedTwin, file: TwinFile, runs: RunBatch) -> bool:
     """Return whether the unknown heat exceeds the declared one, or the usual one where none is declared."""
     declared = file.nuisance.get("heat_noise_sd_w")
     usual_w = MOST_HEAT * _heater_w(file) if declared is None else declared

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from edge.diagnosis.trial import SizedTerm
 from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
-from edge.twin.warm_start import held
+from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
 CURVATURE_SD = 0.04  # of a loss over 10 K: films thin and seals give as a box warms
@@ -20,13 +20,13 @@ WARMEST_ROOM_C = 35.0
 ROOM_C, ANY_ROOM_SD_K = 20.0, 10.0  # of a run that begins hot: its room may be any that people work in
 
 
-def nuisances(file: TwinFile, runs: Recorded, temps: Floats) -> tuple[SizedTerm, ...]:
+def nuisances(file: TwinFile, runs: RunBatch, temps: Floats) -> tuple[SizedTerm, ...]:
     """Terms for every trial on these runs. temps : [B, N + 1], the air without its reading's noise [°C]"""
     loss_w_k = still_loss_w_k(file.twin()) or USUAL_LOSS_W_K * file.scale.heat
     return (curved_loss(runs, temps, CURVATURE_SD * loss_w_k),)
 
 
-def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> SizedTerm:
+def curved_loss(runs: RunBatch, temps: Floats, sd_w_k: float) -> SizedTerm:
     """Return a loss that grows with T - T_amb: Q = -k (|T - T_amb| - E) (T - T_amb) / 10 K.
 
     E is where these runs tell a straight loss best, so that k takes nothing of what that one is.
@@ -39,7 +39,7 @@ def curved_loss(runs: Recorded, temps: Floats, sd_w_k: float) -> SizedTerm:
 
 def middle(temps: Floats) -> Floats:
     """In the middle of each row [B, N], of [B, N + 1]; what was not measured is as it was last."""
-    known = np.stack([held(row) for row in temps])
+    known = np.stack([hold(row) for row in temps])
     return np.asarray(0.5 * (known[:, 1:] + known[:, :-1]))
 
 
@@ -72,7 +72,7 @@ def assumed_room(temps: Floats) -> float:
     return float(known[0]) if begins_at_rest(temps) else min(ROOM_C, float(known.min()))
 
 
-def rooms(runs: Recorded) -> tuple[SizedTerm, ...]:
+def rooms(runs: RunBatch) -> tuple[SizedTerm, ...]:
     """Return an ambient offset per run that recorded none: the distance from the assumed one."""
     count, rows = runs.duty.shape
     sds = [ROOM_SD_K if begins_at_rest(temps) else ANY_ROOM_SD_K for temps in runs.temp]

@@ -4,18 +4,18 @@ size and visible in runs of this length.
 
 import numpy as np
 
-from edge.diagnosis.trial import Fitted
+from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import SDS_95
 from edge.twin.effects.effect import ParameterKind, Values
 from edge.twin.effects.library import EFFECTS
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 WATER_J_M3_K = 4.18e6  # nothing that fits into a box stores more heat
 LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG)
 PERIODS = 3.0  # of the longest run: a slower time constant can't be seen in it
 
 
-def impossible(name: str, fitted: Fitted, runs: Recorded, step_s: float) -> list[str]:
+def impossible(name: str, fitted: FittedTwin, runs: RunBatch, step_s: float) -> list[str]:
     """Return sentences about the impossible values of an effect in this
     greenhouse and in runs of this length.
     """
@@ -40,7 +40,7 @@ def impossible(name: str, fitted: Fitted, runs: Recorded, step_s: float) -> list
     return said
 
 
-def none_at_all(name: str, fitted: Fitted) -> list[str]:
+def none_at_all(name: str, fitted: FittedTwin) -> list[str]:
     """Values that may as well be nothing, within their 95 % interval."""
     if len(EFFECTS[name].parameters) > 1:
         return []

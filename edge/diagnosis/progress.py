@@ -50,13 +50,13 @@ class TerminalProgress:
         if self._rewrites:
             bar = "#" * round(BAR * share)
             columns = shutil.get_terminal_size().columns
-            shown = f"[{bar:<{BAR}}] {100.0 * share:3.0f} %{self._left(share)}  {line}"
+            shown = f"[{bar:<{BAR}}] {100.0 * share:3.0f} %{self._time_left(share)}  {line}"
             self._out.write(f"\r\x1b[K{shown[: columns - 1]}")
         else:
             self._out.write(f"{100.0 * share:3.0f} % {line}\n")
         self._out.flush()
 
-    def _left(self, share: float) -> str:
+    def _time_left(self, share: float) -> str:
         """As long again for each share as what is done took."""
         passed_s = self._clock() - self._begun_s
         if passed_s < SOON_S or not share > 0.0:

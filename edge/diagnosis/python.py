@@ -25,7 +25,7 @@ from edge.diagnosis.experiment.design import next_experiment
 from edge.diagnosis.experiment.document import experiment_document
 from edge.diagnosis.experiment.limits import ExperimentLimits
 from edge.diagnosis.gap import forecast
-from edge.diagnosis.located import Located, located
+from edge.diagnosis.location import Location, locate
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.report.report import PAGE_NAME, write_report
 from edge.diagnosis.report.story import Story
@@ -116,7 +116,7 @@ class DiagnosisResult:
 
     document: DiagnosisDocument
     diagnosis: Diagnosis
-    places: Located
+    places: Location
 
     @property
     def verdict(self) -> str:
@@ -167,7 +167,7 @@ def diagnose(
         [(run.name, _complete(run)) for run in runs], [(run.name, _complete(run)) for run in tests], twin.file
     )
     found = workflow.diagnose(twin.file, data, progress or _silent, "edge.diagnose", jobs)
-    places = located(found)
+    places = locate(found)
     experiment = next_experiment(found, ExperimentLimits())
     planned = None if experiment is None else experiment_document(experiment)
     document = answer(found, places, "edge.diagnose", planned)

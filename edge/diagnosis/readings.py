@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.fitting import fit
-from edge.diagnosis.innovations import FilterInput, gains, whitened
-from edge.diagnosis.trial import Fitted, start_of, start_spread
+from edge.diagnosis.innovations import FilterInput, gains, whiten
+from edge.diagnosis.trial import FittedTwin, start_of, start_spread
 from edge.twin.linearise import EnsembleRun, linearise, responses
-from edge.twin.recorded import Recorded
-from edge.twin.warm_start import held
+from edge.twin.run_batch import RunBatch
+from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,7 +23,7 @@ FIRST_AGREE, FIRST_NATS = 0.5, 20.0  # the same of a run's first reading, and wh
 DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
 
 
-def spikes(runs: Recorded) -> Mask:
+def spikes(runs: RunBatch) -> Mask:
     """Single readings farther from both neighbours than any input can make them, [B, N + 1]."""
     found = np.zeros(runs.temp.shape, dtype=bool)
     for _ in range(runs.temp.shape[1]):  # the worst first: beside one, a good reading stands out as well
@@ -34,10 +34,10 @@ def spikes(runs: Recorded) -> Mask:
     return found
 
 
-def _worst(readings: Floats, runs: Recorded) -> Mask:
+def _worst(readings: Floats, runs: RunBatch) -> Mask:
     """Return the readings that are too far off and exceed their neighbours."""
-    before = np.stack([held(row) for row in readings])
-    after = np.stack([held(row[::-1])[::-1] for row in readings])
+    before = np.stack([hold(row) for row in readings])
+    after = np.stack([hold(row[::-1])[::-1] for row in readings])
     low, high = np.minimum(before[:, :-2], after[:, 2:]), np.maximum(before[:, :-2], after[:, 2:])
     temp = readings[:, 1:-1]
     known = np.isfinite(temp)
@@ -56,7 +56,7 @@ def _worst(readings: Floats, runs: Recorded) -> Mask:
     return found
 
 
-def stuck(runs: Recorded) -> Mask:
+def stuck(runs: RunBatch) -> Mask:
     """Return the readings that repeat for longer than chance allows,
     without the first of each stretch, [B, N + 1].
 
@@ -86,16 +86,16 @@ def _stretches(same: Mask) -> Iterator[tuple[int, int, int]]:
         yield from ((i, int(first), int(end)) for first, end in zip(edges[::2], edges[1::2], strict=True))
 
 
-def wrong_starts(found: Fitted, runs: Recorded) -> Mask:
+def wrong_starts(found: FittedTwin, runs: RunBatch) -> Mask:
     """Return the runs whose first reading stands alone and which the twin
     explains far better from the next row on [B].
     """
-    temp = np.stack([held(row[::-1])[::-1] for row in runs.temp[:, :4]])
+    temp = np.stack([hold(row[::-1])[::-1] for row in runs.temp[:, :4]])
     off = np.abs(temp[:, 1] - temp[:, 0])
     alone = (off > SPIKE_K) & (np.abs(temp[:, 2] - temp[:, 1]) < FIRST_AGREE * off)
     if not alone.any():
         return alone
-    later = Recorded(
+    later = RunBatch(
         temp=np.concatenate([temp[:, 1:2], runs.temp[:, 2:]], axis=1),
         duty=runs.duty[:, 1:],
         fan=runs.fan[:, 1:],
@@ -109,7 +109,7 @@ def wrong_starts(found: Fitted, runs: Recorded) -> Mask:
     return np.asarray(alone & (0.5 * (squares[0] - squares[1]) > FIRST_NATS))
 
 
-def expected(found: Fitted, runs: Recorded) -> Floats:
+def expected_readings(found: FittedTwin, runs: RunBatch) -> Floats:
     """Each temperature as the twin expected it from all before, [B, N + 1]: without its reading's noise."""
     twin = found.file.twin()
     steps = linearise(twin, runs)
@@ -122,6 +122,6 @@ def expected(found: Fitted, runs: Recorded) -> Floats:
     measured = runs.measured
     filters = gains([FilterInput(steps, found.trial.levels, start_spread(twin, runs), twin.step_s)], measured)
     filled = np.where(measured, runs.temp[:, 1:], shown[0])
-    white = whitened(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]
+    white = whiten(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]
     predicted = filled - white * filters.sd[:, 0].T
     return np.concatenate([runs.temp[:, :1], predicted], axis=1)

@@ -8,7 +8,7 @@ RATIOS = np.logspace(-3.0, 2.0, 16)  # wander between two rows over the noise of
 LEAST_ROWS = 10
 
 
-def smoothed(ambient: Floats) -> Floats:
+def smooth(ambient: Floats) -> Floats:
     """Return the ambient without the noise of its readings. ambient : [B, N], without holes
 
     A random walk seen through white noise (local level model; Harvey 1989, Forecasting, ch. 2), the ratio of
@@ -53,4 +53,4 @@ WAYS = {"held": lambda ambient: ambient, "between": between}  # how the room goe
 
 def over_rows(ambient: Floats, way: str) -> Floats:
     """Return the ambient over each row, [B, N]."""
-    return np.asarray(WAYS[way](smoothed(ambient)))
+    return np.asarray(WAYS[way](smooth(ambient)))

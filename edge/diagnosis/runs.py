@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.diagnosis.air_sensors import averaged
+from edge.diagnosis.air_sensors import average
 from edge.diagnosis.cannot_tell import cannot_tell
 from edge.diagnosis.pieces import pieces
 from edge.diagnosis.plausible import plausible_run
 from edge.formats.number_table import read_table
 from edge.formats.run_file import RecordedRun, cut, data_sha256, refuse_test, resample
-from edge.twin.recorded import CONDITIONS
+from edge.twin.run_batch import CONDITIONS
 from edge.twin.twin_file import TwinFile
 
 USABLE_ROWS = 30  # with a temperature, of all training runs together
@@ -42,7 +42,7 @@ class NamedRun:
     rest_of: str = ""
 
     @property
-    def judged(self) -> RecordedRun:
+    def judged_part(self) -> RecordedRun:
         """The part that a test run judges by."""
         if self.from_s is None:
             return self.run
@@ -66,7 +66,7 @@ class DiagnosisRuns:
 
     train: tuple[NamedRun, ...]
     test: tuple[NamedRun, ...]
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     cannot_tell: tuple[str, ...]
     data_sha256: str
 
@@ -116,7 +116,7 @@ def diagnosis_runs(
     # Known by content, not by name: one recording may train and then test, from its fact on.
     ends = {data_sha256([run]): name for name, run in train}
     rests = {name: ends.get(data_sha256([run]), "") for name, run in test}
-    train, test, two_sensors = averaged(train, test)
+    train, test, two_sensors = average(train, test)
     fitted = [(name, _until_validation(run)) for name, run in train]
     _check_columns([run for _, run in fitted], [run for _, run in test], twin)
     for _, run in fitted:
@@ -130,7 +130,7 @@ def diagnosis_runs(
         tuple(training),
         judging,
         tuple(notes),
-        cannot_tell(runs, {item.name: item.judged for item in judging}, len(train)),
+        cannot_tell(runs, {item.name: item.judged_part for item in judging}, len(train)),
         sha256,
     )
 
@@ -209,9 +209,9 @@ def _training_pieces(name: str, run: RecordedRun, step_s: float, told: list[str]
     parts = pieces(run, step_s)
     names = [name if len(parts) == 1 else f"{name} ({i} of {len(parts)})" for i in range(1, len(parts) + 1)]
     found = [_at_step(of, part, step_s) for of, part in zip(names, parts, strict=True)]
-    kept = [piece for piece in found if _measured(piece.run) >= PIECE_ROWS]
+    kept = [piece for piece in found if _measured_rows(piece.run) >= PIECE_ROWS]
     if len(parts) == 1 and not kept:
-        count = _measured(found[0].run)
+        count = _measured_rows(found[0].run)
         told.append(f"{name} is left out: it has {count} temperatures, {PIECE_ROWS} are of use")
     if len(parts) > 1:
         short = len(parts) - len(kept)
@@ -245,15 +245,15 @@ def _tell_resampled(name: str, piece: NamedRun, told: list[str]) -> None:
         told.append(f"{name} has rows {usual_s:g} s apart and is resampled to the twin's step")
 
 
-def _measured(run: RecordedRun) -> int:
+def _measured_rows(run: RecordedRun) -> int:
     return int(np.isfinite(run.columns["temp_air_c"]).sum())
 
 
 def _check_rows(recordings: Sequence[RecordedRun], training: Sequence[NamedRun], step_s: float) -> None:
-    usable = sum(_measured(piece.run) for piece in training)
+    usable = sum(_measured_rows(piece.run) for piece in training)
     if usable >= USABLE_ROWS:
         return
-    raw = sum(_measured(run) for run in recordings)
+    raw = sum(_measured_rows(run) for run in recordings)
     place = f"{recordings[0].path}: " if len(recordings) == 1 else ""
     finer = f" ({raw} in the recordings; is time_s in seconds?)" if raw >= USABLE_ROWS else ""
     raise DataError(

@@ -14,9 +14,9 @@ from edge.diagnosis.fitting import fit, gains_of, glance, slopes
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.starts import settled, with_effect
+from edge.diagnosis.starts import settle, with_effect
 from edge.diagnosis.trial import Trial
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 FORMULAS = 2  # in one set: more of them can follow anything
@@ -39,9 +39,9 @@ class Screening:
     """Candidates beside sets, each set looked at once."""
 
     candidates: Candidates
-    runs: Recorded
+    runs: RunBatch
     progress: Telling
-    shared: SideBySide = field(default_factory=SideBySide)
+    pool: SideBySide = field(default_factory=SideBySide)
     _known: dict[Key, list[ScreenedCandidate]] = field(default_factory=dict)
     _formulas: dict[Key, list[ScreenedCandidate]] = field(default_factory=dict)
     _close: set[Key] = field(default_factory=set)
@@ -99,9 +99,9 @@ class Screening:
 
     def _still(self, item: ScoredSet) -> Trial:
         """Return a trial whose own values move in proportion."""
-        base = item.fitted
+        base = item.fit
         terms = (*base.trial.nuisances, *slopes(base, self.runs))
-        return Trial(settled(base.file), base.trial.levels, terms)
+        return Trial(settle(base.file), base.trial.levels, terms)
 
     def _effects(
         self, items: Sequence[ScoredSet], names: Sequence[Sequence[str]]
@@ -115,7 +115,7 @@ class Screening:
             for file in with_effect(stills[i].file, name)
         ]
         trials = [replace(stills[i], file=file) for i, _, file in starts]
-        first = self.shared.map(partial(glance, runs=self.runs), trials)
+        first = self.pool.map(partial(glance, runs=self.runs), trials)
         best = _best([(i, name) for i, name, _ in starts], first)
         few = [
             [ScreenedCandidate(name, 0.0, trial.file) for (j, name), trial in best.items() if j == i]
@@ -134,7 +134,7 @@ class Screening:
             for other in own
             if other.file is not None
         ]
-        fitted = iter(self.shared.map(partial(fit, runs=self.runs, iterations=iterations), trials))
+        fitted = iter(self.pool.map(partial(fit, runs=self.runs, iterations=iterations), trials))
         return [
             [
                 ScreenedCandidate(other.name, item.log_likelihood - base.log_likelihood, item.file)
@@ -145,7 +145,7 @@ class Screening:
 
 
 def _key(item: ScoredSet) -> Key:
-    return item.added, item.fitted.trial.levels
+    return item.added, item.fit.trial.levels
 
 
 def _best(

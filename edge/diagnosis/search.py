@@ -9,13 +9,13 @@ from itertools import combinations
 
 from edge.diagnosis.candidates import Candidates, Names, ScoredSet
 from edge.diagnosis.progress import Telling
-from edge.diagnosis.refining import AGAIN, SEVERAL
+from edge.diagnosis.refinement import AGAIN, SEVERAL
 from edge.diagnosis.screening import FORMULAS, ScreenedCandidate, Screening
 from edge.diagnosis.sets import Sets, best_of
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import SizedTerm
 from edge.twin.effects.library import EFFECTS
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 REFINED = 6  # candidates of a round that get noise levels of their own
@@ -36,7 +36,7 @@ WORTH_A_LOOK = 12.0  # nats within which a screened rival is fitted with noise l
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class TriedCandidate:
     """A candidate in a round."""
 
     name: str
@@ -49,7 +49,7 @@ class Round:
     """One more effect beside a set."""
 
     beside: Names
-    tried: tuple[Tried, ...]
+    candidates: tuple[TriedCandidate, ...]
 
 
 @dataclass(slots=True, eq=False)
@@ -57,21 +57,21 @@ class Search:
     """Over one lot of runs: rounds as they were tried."""
 
     file: TwinFile
-    runs: Recorded
+    runs: RunBatch
     progress: Telling
     nuisances: tuple[SizedTerm, ...] = ()
     formulas: Mapping[str, SizedTerm] = field(default_factory=dict)
     doors: int = 0
     rounds: list[Round] = field(default_factory=list)
-    shared: SideBySide = field(default_factory=SideBySide)
+    pool: SideBySide = field(default_factory=SideBySide)
     candidates: Candidates = field(init=False)
     screening: Screening = field(init=False)
     sets: Sets = field(init=False)
 
     def __post_init__(self) -> None:
         self.candidates = Candidates(self.file, self.runs, self.formulas, self.doors)
-        self.screening = Screening(self.candidates, self.runs, self.progress, self.shared)
-        self.sets = Sets(self.candidates, self.progress, self.nuisances, self.shared)
+        self.screening = Screening(self.candidates, self.runs, self.progress, self.pool)
+        self.sets = Sets(self.candidates, self.progress, self.nuisances, self.pool)
 
     def penalty(self, name: str) -> float:
         """Return the penalty for naming an effect or a formula [nats]."""
@@ -82,14 +82,14 @@ class Search:
 
         Names are sought by themselves first, as a formula can stand for two of them and so end the search.
         """
-        vague = self.unnamed()
+        vague = self.formulas_alone()
         named = self._names(vague.score)
-        both = self._pruned(self._extended(named, 1))
+        both = self._prune(self._extend(named, 1))
         return max((named, both, vague), key=lambda item: item.score)
 
-    def unnamed(self) -> ScoredSet:
+    def formulas_alone(self) -> ScoredSet:
         """Return the best set of formulas alone, the twin as given without any."""
-        return self._extended(self.sets.base(), FORMULAS)
+        return self._extend(self.sets.base(), FORMULAS)
 
     def _names(self, rival: float) -> ScoredSet:
         """Names alone: grown one by one, pruned, and with each member exchanged.
@@ -101,7 +101,7 @@ class Search:
             if len(best.added) >= MIMICS and best.score < rival:
                 break
             seen.add(best.added)
-            best = self._pruned(self._next(best))
+            best = self._prune(self._next(best))
         return best
 
     def _next(self, best: ScoredSet) -> ScoredSet:
@@ -109,14 +109,14 @@ class Search:
         apart = self._apart(best)
         if apart is not None:
             return apart
-        grown = best_of(self._grown(best))
+        grown = best_of(self._grow(best))
         margin = NEXT_MARGIN if best.added else MARGIN
         if grown and grown.score >= best.score + margin:
             return grown
-        exchanged = self._exchanged(best)
-        return exchanged if exchanged is not best else self._merged(best)
+        exchanged = self._exchange(best)
+        return exchanged if exchanged is not best else self._merge(best)
 
-    def _extended(self, item: ScoredSet, most: int) -> ScoredSet:
+    def _extend(self, item: ScoredSet, most: int) -> ScoredSet:
         """Return a set with up to `most` formulas, each only if it is worth its penalty."""
         for _ in range(most):
             found = self.screening.formulas_beside(item)
@@ -134,13 +134,13 @@ class Search:
                 key = best.added - {name} | set(parts)
                 if len(key) > len(best.added) and key - best.added <= set(self.candidates.names):
                     wanted[key] = self.sets.as_usual(best, key)
-        found = best_of(self.sets.fitted(wanted))
+        found = best_of(self.sets.fit(wanted))
         if found is None:
             return None
         margin = NEXT_MARGIN if found.added > best.added else 0.0
         return found if found.score > best.score + margin else None
 
-    def _grown(self, beside: ScoredSet) -> list[ScoredSet]:
+    def _grow(self, beside: ScoredSet) -> list[ScoredSet]:
         """Return sets with one more effect, the most promising ones."""
         screened = self.screening.beside(beside)
         self.rounds.append(self._round(beside, screened))
@@ -148,10 +148,10 @@ class Search:
 
     def _looked_at(self, beside: ScoredSet, found: Sequence[ScreenedCandidate]) -> list[ScoredSet]:
         """Candidates of a screening with noise of their own."""
-        wanted = {beside.added | {item.name}: self.sets.thawed(beside, item) for item in found}
-        return self.sets.fitted(wanted)
+        wanted = {beside.added | {item.name}: self.sets.thaw(beside, item) for item in found}
+        return self.sets.fit(wanted)
 
-    def _exchanged(self, item: ScoredSet) -> ScoredSet:
+    def _exchange(self, item: ScoredSet) -> ScoredSet:
         """Return the set with one member exchanged for a better one, if there is one."""
         names = sorted(item.added)
         if len(names) > MOST_EXCHANGED:
@@ -159,7 +159,7 @@ class Search:
         found = self.rivals(item, names, EXCHANGED)
         return self._better([other for own in found.values() for other in own], item)
 
-    def _merged(self, item: ScoredSet) -> ScoredSet:
+    def _merge(self, item: ScoredSet) -> ScoredSet:
         """Return the set with two members exchanged for one that explains both, if there is one."""
         names = sorted(item.added & EFFECTS.keys())
         if len(item.added) < SEVERAL or len(names) < 2:
@@ -189,9 +189,9 @@ class Search:
         ):
             near = self._near(item, name, beside, screened)
             lent = replace(
-                beside.fitted, file=self.sets.shortened(item, name).file
+                beside.fit, file=self.sets.shorten(item, name).file
             )  # values that a rival lives with too
-            places.append((replace(beside, fitted=lent), near[:most]))
+            places.append((replace(beside, fit=lent), near[:most]))
         return dict(zip(names, self._in_place(item, places), strict=True))
 
     def _near(
@@ -213,16 +213,16 @@ class Search:
         """Return the rest of a set with candidates in the place of the removed
         members. Noise starts from the set's own.
         """
-        levels = item.fitted.trial.levels
+        levels = item.fit.trial.levels
         trials = [
             {
-                beside.added | {other.name}: replace(self.sets.thawed(beside, other), levels=levels)
+                beside.added | {other.name}: replace(self.sets.thaw(beside, other), levels=levels)
                 for other in found
             }
             for beside, found in places
         ]
         every = {key: trial for own in trials for key, trial in own.items()}
-        fitted = dict(zip(every, self.sets.fitted(every, AGAIN * len(places)), strict=True))
+        fitted = dict(zip(every, self.sets.fit(every, AGAIN * len(places)), strict=True))
         return [[fitted[key] for key in own] for own in trials]
 
     def _promising(self, screened: Sequence[ScreenedCandidate]) -> Sequence[ScreenedCandidate]:
@@ -235,10 +235,12 @@ class Search:
         return near[:REFINED] or screened[:1]
 
     def _round(self, beside: ScoredSet, screened: Sequence[ScreenedCandidate]) -> Round:
-        tried = (Tried(item.name, item.gain, item.gain - self.penalty(item.name)) for item in screened)
+        tried = (
+            TriedCandidate(item.name, item.gain, item.gain - self.penalty(item.name)) for item in screened
+        )
         return Round(beside.added, tuple(tried))
 
-    def _pruned(self, item: ScoredSet) -> ScoredSet:
+    def _prune(self, item: ScoredSet) -> ScoredSet:
         """Return the set without effects that the others make needless."""
         while len(item.added) > 1:
             least = best_of(self.sets.less(item, sorted(item.added)))

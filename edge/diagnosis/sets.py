@@ -8,11 +8,11 @@ from edge.diagnosis.candidates import Candidates, Names, ScoredSet
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.noise_levels import first_levels
 from edge.diagnosis.progress import Telling
-from edge.diagnosis.refining import AGAIN, begun, likelihood, refined
+from edge.diagnosis.refinement import AGAIN, begin, likelihood, refine
 from edge.diagnosis.screening import SCREENED, ScreenedCandidate
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.starts import with_usual
-from edge.diagnosis.trial import Fitted, SizedTerm, Trial
+from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
 from edge.diagnosis.unknowns import unknowns
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import TwinFile
@@ -30,7 +30,7 @@ class Sets:
     candidates: Candidates
     progress: Telling
     nuisances: tuple[SizedTerm, ...] = ()
-    shared: SideBySide = field(default_factory=SideBySide)
+    pool: SideBySide = field(default_factory=SideBySide)
     _known: dict[Names, ScoredSet] = field(default_factory=dict)
     _shortened: set[tuple[Names, str]] = field(default_factory=set)
     _as_they_are: dict[tuple[ScoredSet, tuple[str, ...]], ScoredSet] = field(default_factory=dict)
@@ -39,15 +39,15 @@ class Sets:
         """Return the twin as given."""
         file, runs = self.candidates.file, self.candidates.runs
         if frozenset() not in self._known:
-            self._refined({frozenset(): Trial(file, first_levels(file, runs), self.nuisances)})
+            self._refine({frozenset(): Trial(file, first_levels(file, runs), self.nuisances)})
         return self._known[frozenset()]
 
-    def fitted(self, wanted: Mapping[Names, Trial], again: int = AGAIN) -> list[ScoredSet]:
+    def fit(self, wanted: Mapping[Names, Trial], again: int = AGAIN) -> list[ScoredSet]:
         """Fit sets with noise levels of their own. Trials are given for those not yet known.
 
         again : how many of these, the best, may begin again
         """
-        self._refined({key: trial for key, trial in wanted.items() if key not in self._known}, again)
+        self._refine({key: trial for key, trial in wanted.items() if key not in self._known}, again)
         return [self._known[key] for key in wanted]
 
     def worth(self, item: ScoredSet, names: Sequence[str]) -> dict[str, float]:
@@ -66,7 +66,7 @@ class Sets:
         keys = {item.added - {name}: name for name in names}
         new = {key: name for key, name in keys.items() if (item.added, name) not in self._shortened}
         self._shortened |= {(item.added, name) for name in new.values()}
-        self._refined({key: self.shortened(item, name) for key, name in new.items()}, again=0)
+        self._refine({key: self.shorten(item, name) for key, name in new.items()}, again=0)
         return [self._known[key] for key in keys]
 
     def as_they_are(self, item: ScoredSet, groups: Sequence[Sequence[str]]) -> list[ScoredSet]:
@@ -75,32 +75,32 @@ class Sets:
         """
         keys = [(item, tuple(names)) for names in groups]
         new = [key for key in keys if key not in self._as_they_are]
-        trials = [self.shortened(item, *names) for _, names in new]
-        fitted = self.shared.map(partial(fit, runs=self.candidates.runs, iterations=SCREENED), trials)
+        trials = [self.shorten(item, *names) for _, names in new]
+        fitted = self.pool.map(partial(fit, runs=self.candidates.runs, iterations=SCREENED), trials)
         for (_, names), one in zip(new, fitted, strict=True):
-            self._as_they_are[item, names] = self._scored(item.added - set(names), one)
+            self._as_they_are[item, names] = self._score(item.added - set(names), one)
         return [self._as_they_are[key] for key in keys]
 
     def as_usual(self, like: ScoredSet, names: Names) -> Trial:
         """Return a trial of a set of effects that begins at their usual values."""
         given = self.candidates.file
-        file = replace(like.fitted.file, effects=dict(given.effects))
+        file = replace(like.fit.file, effects=dict(given.effects))
         for name in sorted(names - self.candidates.formulas.keys()):
             file = with_usual(file, name)
-        return begun(self._trial(file, like.fitted.trial), given, self.candidates.runs)
+        return begin(self._trial(file, like.fit.trial), given, self.candidates.runs)
 
-    def thawed(self, beside: ScoredSet, found: ScreenedCandidate) -> Trial:
+    def thaw(self, beside: ScoredSet, found: ScreenedCandidate) -> Trial:
         """Return a screened candidate with every value free."""
-        file, like = beside.fitted.file, beside.fitted.trial
+        file, like = beside.fit.file, beside.fit.trial
         if found.file is None:
             formula = self.candidates.formulas[found.name]
             return self._trial(file, replace(like, nuisances=(*like.nuisances, formula)))
         effects = {**file.effects, found.name: found.file.effects[found.name]}
         return self._trial(replace(file, effects=effects), like)
 
-    def shortened(self, item: ScoredSet, *names: str) -> Trial:
+    def shorten(self, item: ScoredSet, *names: str) -> Trial:
         """Return a trial of a set without some effects, from the set's present values."""
-        file, like = item.fitted.file, item.fitted.trial
+        file, like = item.fit.file, item.fit.trial
         effects = {own: values for own, values in file.effects.items() if own not in names}
         kept = tuple(term for term in like.nuisances if term.name not in names)
         return self._trial(replace(file, effects=effects), replace(like, nuisances=kept))
@@ -114,18 +114,18 @@ class Sets:
         free = tuple(priors.get(item.place, item) for item in unknowns(file))
         return replace(like, file=file, free=free)
 
-    def _refined(self, wanted: Mapping[Names, Trial], again: int = AGAIN) -> None:
+    def _refine(self, wanted: Mapping[Names, Trial], again: int = AGAIN) -> None:
         """Fit, and keep what is better than before."""
         if not wanted:
             return
         self.progress(f"{len(wanted)} sets with noise of their own")
         file, runs = self.candidates.file, self.candidates.runs
-        found = refined(list(wanted.values()), file, runs, again, self.shared)
+        found = refine(list(wanted.values()), file, runs, again, self.pool)
         for key, item in zip(wanted, found, strict=True):
-            scored = self._scored(key, item)
+            scored = self._score(key, item)
             if key not in self._known or scored.score > self._known[key].score:
                 self._known[key] = scored
 
-    def _scored(self, key: Names, item: Fitted) -> ScoredSet:
+    def _score(self, key: Names, item: FittedTwin) -> ScoredSet:
         nats = likelihood(item, self.candidates.file)
         return ScoredSet(key, item, nats, nats - sum(self.candidates.penalty(name) for name in key))

@@ -59,13 +59,13 @@ class SideBySide:
     ) -> list[Sequence[Found]]:
         if self._others is not None:
             try:
-                return self._shared(self._others, function, lots)
+                return self._share(self._others, function, lots)
             except BrokenProcessPool:  # one was killed, as for its memory: later alone is better than never
                 self._others.shutdown()
                 self._others = None
         return [function(lot) for lot in lots]
 
-    def _shared(
+    def _share(
         self,
         others: ProcessPoolExecutor,
         function: Callable[[Sequence[Item]], Sequence[Found]],

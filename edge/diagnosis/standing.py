@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from edge.diagnosis.candidates import Names, ScoredSet
 from edge.diagnosis.folds import folds, halves
 from edge.diagnosis.free_fit import APART_SDS, again, left_out_nats, row_nats, together
-from edge.diagnosis.handed import NO_WORSE, Comparison
+from edge.diagnosis.handover import NO_WORSE, Comparison
 from edge.diagnosis.possible import impossible
 from edge.diagnosis.probability import LIKELY, evidence, probability
-from edge.diagnosis.trial import Fitted
-from edge.twin.recorded import Recorded
+from edge.diagnosis.trial import FittedTwin
+from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]
 FALSE_SHARE = 0.05  # of names, that may be false
@@ -55,26 +55,26 @@ def standing(
     whole: ScoredSet, without: Mapping[str, ScoredSet], compared: Comparison, candidates: int
 ) -> dict[str, NameEvidence]:
     """Each name of a set. without : the set less each name; candidates : how many were tried for one place"""
-    runs, step_s, shared = compared.known.runs, compared.known.file.sample_s, compared.shared
-    fits = [whole.fitted, *(item.fitted for item in without.values())]
+    runs, step_s, shared = compared.inputs.runs, compared.inputs.file.sample_s, compared.pool
+    fits = [whole.fit, *(item.fit for item in without.values())]
     told = left_out_nats(fits, folds(runs), runs, shared)
     # Errors that go together in time say the same thing several times: they count once.
-    temper = 1.0 / together(whole.fitted.innovations, runs.measured, compared.known.file)
+    temper = 1.0 / together(whole.fit.innovations, runs.measured, compared.inputs.file)
     gains = {name: told[0] - own for name, own in zip(without, told[1:], strict=True)}
     known = {name: _known_before(whole, item, runs) for name, item in without.items()}
     tempered = {name: temper * float(gain.sum()) + known[name] for name, gain in gains.items()}
-    passed = discovered(tempered, candidates)
+    passed = discover(tempered, candidates)
     half = halves(runs)
-    two = [again([whole.fitted], replace(runs, left_out=half == 1 - i), shared)[0] for i in range(2)]
+    two = [again([whole.fit], replace(runs, left_out=half == 1 - i), shared)[0] for i in range(2)]
     found = {}
     for name, gain in gains.items():
         proven = name in passed or is_proven(whole.added, name, compared)
         against = [] if proven else ["rows that were left out do not prove it"]
         against += _predicting(name, whole.added, compared)
-        against += impossible(name, compared.tried[whole.added].fitted, runs, step_s)
+        against += impossible(name, compared.trials[whole.added].fit, runs, step_s)
         against += [] if is_proven(whole.added, name, compared) else _worse_half(gain, half)
         against += _apart_halves(name, two)
-        less, own = (compared.tried[key].rmse_k for key in (whole.added - {name}, whole.added))
+        less, own = (compared.trials[key].rmse_k for key in (whole.added - {name}, whole.added))
         item = NameEvidence(
             name,
             float(gain.sum()) + known[name],
@@ -94,17 +94,17 @@ def standing(
 
 def is_proven(names: Names, name: str, compared: Comparison) -> bool:
     """Return whether free runs miss left-out rows by much less with a name, in every part of the runs."""
-    own, less = compared.tried[names], compared.tried[names - {name}]
+    own, less = compared.trials[names], compared.trials[names - {name}]
     return own.rmse_k < HALF * less.rmse_k and compared.is_better_throughout(own, less)
 
 
-def _known_before(whole: ScoredSet, less: ScoredSet, runs: Recorded) -> float:
+def _known_before(whole: ScoredSet, less: ScoredSet, runs: RunBatch) -> float:
     """Nats by which values without a name are farther from what the twin file declares as known."""
-    rows = float((row_nats(whole.fitted, runs) - row_nats(less.fitted, runs)).sum())
+    rows = float((row_nats(whole.fit, runs) - row_nats(less.fit, runs)).sum())
     return whole.likelihood - less.likelihood - rows
 
 
-def discovered(evidence: Mapping[str, float], candidates: int) -> set[str]:
+def discover(evidence: Mapping[str, float], candidates: int) -> set[str]:
     """Names that pass e-BH. evidence : log e-values"""
     ranked = sorted(evidence, key=lambda name: -evidence[name])
     most = 0
@@ -116,7 +116,7 @@ def discovered(evidence: Mapping[str, float], candidates: int) -> set[str]:
 
 def _predicting(name: str, names: Names, compared: Comparison) -> list[str]:
     """Free runs over rows that were left out, with the name and without it."""
-    own, less = compared.tried[names], compared.tried[names - {name}]
+    own, less = compared.trials[names], compared.trials[names - {name}]
     if own.rmse_k > NO_WORSE * less.rmse_k:
         return [f"free runs miss left-out rows by {own.rmse_k:.3g} K with it, by {less.rmse_k:.3g} K without"]
     return []
@@ -130,7 +130,7 @@ def _worse_half(gain: Floats, half: NDArray[np.intp]) -> list[str]:
     return [f"the {which} half of the data is explained better without it"]
 
 
-def _apart_halves(name: str, two: Sequence[Fitted]) -> list[str]:
+def _apart_halves(name: str, two: Sequence[FittedTwin]) -> list[str]:
     said = []
     for i, item in enumerate(two[0].free):
         if item.place[:2] != ("effects", name):

@@ -11,7 +11,7 @@ from edge.twin.value import Value
 
 def with_usual(file: TwinFile, name: str) -> TwinFile:
     """Return the file with one more effect to be fitted from its usual values."""
-    return _added(
+    return _add(
         file,
         name,
         {item.name: file.usual(("effects", name, item.name)).start for item in EFFECTS[name].parameters},
@@ -23,13 +23,13 @@ def with_effect(file: TwinFile, name: str) -> list[TwinFile]:
     effect = EFFECTS[name]
     if effect.starts_beside is not None:
         replaced = {key: value.value for key, value in file.effects.get(effect.replaces, {}).items()}
-        return [_added(file, name, values) for values in effect.starts_beside(replaced, file.scale.of)]
+        return [_add(file, name, values) for values in effect.starts_beside(replaced, file.scale.of)]
     if not effect.starts:
         return [with_usual(file, name)]
-    return [_added(file, name, _scaled(file, effect, values)) for values in effect.starts]
+    return [_add(file, name, _scale(file, effect, values)) for values in effect.starts]
 
 
-def _scaled(file: TwinFile, effect: Effect, values: Values) -> Values:
+def _scale(file: TwinFile, effect: Effect, values: Values) -> Values:
     """Values of the paper's box, for this one."""
     return {key: _in_this_box(file, effect.parameter(key), value) for key, value in values.items()}
 
@@ -40,13 +40,13 @@ def _in_this_box(file: TwinFile, parameter: EffectParameter, value: float) -> fl
     return value * file.scale.of(parameter.unit)
 
 
-def _added(file: TwinFile, name: str, values: Values) -> TwinFile:
+def _add(file: TwinFile, name: str, values: Values) -> TwinFile:
     return replace(
         file,
         effects={**file.effects, name: {key: Value(value, fit=True) for key, value in values.items()}},
     )
 
 
-def settled(file: TwinFile) -> TwinFile:
+def settle(file: TwinFile) -> TwinFile:
     """Return the file with fixed values."""
     return file.with_values({place: Value(value.value) for place, value in file.values().items()})

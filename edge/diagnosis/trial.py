@@ -9,7 +9,7 @@ from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.linearise import EnsembleRun, LinearSteps
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest, spread
 
@@ -53,7 +53,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class FittedTwin:
     """A trial at its best.
 
     file : with the values found; free : what moved
@@ -74,11 +74,11 @@ class Fitted:
     size_sds: Floats
 
 
-def start_of(twin: BoxTwin, runs: Recorded) -> Floats:
+def start_of(twin: BoxTwin, runs: RunBatch) -> Floats:
     """Return the initial states of runs, [B, n]: at rest with the first temperature."""
     return at_rest(twin, runs.temp[:, 0], runs.ambient[:, 0])
 
 
-def start_spread(twin: BoxTwin, runs: Recorded) -> Floats:
+def start_spread(twin: BoxTwin, runs: RunBatch) -> Floats:
     """How far (sd) it may be off, [B, n]."""
     return spread(twin, runs.temp[:, 0] - runs.ambient[:, 0])

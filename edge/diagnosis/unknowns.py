@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.effects.effect import EffectParameter
-from edge.twin.effects.library import EFFECTS, applied
+from edge.twin.effects.library import EFFECTS, acting_effects
 from edge.twin.fit import GEOMETRY_RANGE
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -60,7 +60,7 @@ def unknowns(file: TwinFile) -> tuple[UnknownValue, ...]:
     """Return the values of `file` that are to be fitted or uncertain,
     without those that another effect replaces.
     """
-    acting = set(applied(file.effects))
+    acting = set(acting_effects(file.effects))
     return tuple(
         _unknown(file, place, value)
         for place, value in file.values().items()
@@ -94,7 +94,7 @@ def _linear(place: Place, value: Value, parameter: EffectParameter, factor: floa
     return UnknownValue(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
 
 
-def placed(file: TwinFile, free: Sequence[UnknownValue], coordinates: Floats) -> TwinFile:
+def place_unknowns(file: TwinFile, free: Sequence[UnknownValue], coordinates: Floats) -> TwinFile:
     """Return the file with the unknowns at `coordinates`, still to be fitted."""
     values = file.values()
     return file.with_values(

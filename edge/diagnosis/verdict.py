@@ -11,7 +11,7 @@ from edge.diagnosis.diagnosis_document import VerdictKind
 from edge.diagnosis.formulas import PREFIX, FormulaShape
 from edge.diagnosis.noise_levels import unexplained_heat
 from edge.diagnosis.search import RIVAL_NATS, Search
-from edge.diagnosis.trial import Fitted
+from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import SDS_95, UnknownValue
 from edge.twin.value import Value
 
@@ -61,8 +61,8 @@ class DiagnosisVerdict:
 def verdict(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerdict:
     """Return the best set as a verdict."""
     best = search.missing()
-    if best.added and _is_refuted(best.fitted):
-        best = search.unnamed()
+    if best.added and _is_refuted(best.fit):
+        best = search.formulas_alone()
     worth = search.sets.worth(best, sorted(best.added))
     order = sorted(best.added, key=lambda name: -worth[name])
     formula = [name for name in order if name.startswith(PREFIX)]
@@ -72,7 +72,7 @@ def verdict(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerd
         )
     if len(formula) < len(order):
         return DiagnosisVerdict("named", read(search, best), (), _coefficients(best, formula, shapes), best)
-    if _is_refuted(best.fitted) or unexplained_heat(best.fitted, search.file, search.runs):
+    if _is_refuted(best.fit) or unexplained_heat(best.fit, search.file, search.runs):
         return DiagnosisVerdict("unknown", (), (NOTHING,), (), best)
     return DiagnosisVerdict("nothing_missing", (), (), (), best)
 
@@ -85,18 +85,18 @@ def read(search: Search, best: ScoredSet) -> tuple[MissingEffect, ...]:
     # Values as the twin has them that is handed on: it has no formula, and one beside them bends them.
     alone = reduce(search.sets.without, [name for name in order if name.startswith(PREFIX)], best)
     rivals = search.rivals(best, named)
-    return tuple(_named(rivals[name], best, alone, name, worth[name]) for name in named)
+    return tuple(_missing_effect(rivals[name], best, alone, name, worth[name]) for name in named)
 
 
-def unnamed(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerdict:
+def unnamed_verdict(search: Search, shapes: Mapping[str, FormulaShape]) -> DiagnosisVerdict:
     """Return the verdict without a standing name: the best formulas, or none."""
-    best = search.unnamed()
+    best = search.formulas_alone()
     formula = sorted(best.added)
     depends_on = _dependences(formula, shapes) or (NOTHING,)
     return DiagnosisVerdict("unknown", (), depends_on, _coefficients(best, formula, shapes), best)
 
 
-def _is_refuted(fitted: Fitted) -> bool:
+def _is_refuted(fitted: FittedTwin) -> bool:
     """Return whether the errors still depend on those before: a gap that shrank under a wrong name.
 
     Lag-1 autocorrelation of the innovations over all runs, which is 0 for a right twin with its right noise
@@ -114,17 +114,17 @@ def _dependences(formula: Sequence[str], shapes: Mapping[str, FormulaShape]) -> 
 def _coefficients(
     best: ScoredSet, formula: Sequence[str], shapes: Mapping[str, FormulaShape]
 ) -> tuple[Coefficient, ...]:
-    terms = [term.name for term in best.fitted.trial.nuisances]
+    terms = [term.name for term in best.fit.trial.nuisances]
     found = []
     for name in formula:
         place = terms.index(name)
-        size, sd = float(best.fitted.sizes[place]), float(best.fitted.size_sds[place])
+        size, sd = float(best.fit.sizes[place]), float(best.fit.size_sds[place])
         shape = shapes[name]
         found.append(Coefficient(shape.text, size, size - SDS_95 * sd, size + SDS_95 * sd, shape.unit))
     return tuple(found)
 
 
-def _named(
+def _missing_effect(
     near: Sequence[ScoredSet], best: ScoredSet, alone: ScoredSet, name: str, worth: float
 ) -> MissingEffect:
     rivals = {}
@@ -132,12 +132,12 @@ def _named(
         (other,) = item.added - (best.added - {name})
         if item.likelihood >= best.likelihood - RIVAL_NATS and not other.startswith(PREFIX):
             rivals[other] = item.likelihood - best.likelihood
-    values, bound = intervals(alone.fitted, name)
+    values, bound = intervals(alone.fit, name)
     ordered = dict(sorted(rivals.items(), key=lambda pair: -pair[1]))
     return MissingEffect(name, ordered, float(worth), values, bound)
 
 
-def intervals(fitted: Fitted, name: str) -> tuple[dict[str, Value], tuple[str, ...]]:
+def intervals(fitted: FittedTwin, name: str) -> tuple[dict[str, Value], tuple[str, ...]]:
     """Values of an effect with 95 % intervals, cut at their bounds, and those that ended at one."""
     values, bound = {}, []
     for i, item in enumerate(fitted.free):

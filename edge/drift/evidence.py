@@ -53,7 +53,7 @@ def log_threshold(false_alarm_days: float, step_s: float) -> float:
     return float(np.log(false_alarm_days * 86400.0 / step_s))
 
 
-def heard(evidence: Evidence, white: Floats, regimes: Flags, start_utc: float, threshold: float) -> Evidence:
+def hear(evidence: Evidence, white: Floats, regimes: Flags, start_utc: float, threshold: float) -> Evidence:
     """Return the evidence with one more innovation.
 
     white : [*paths]; regimes : [regimes], those of the step before it

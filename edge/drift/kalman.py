@@ -92,7 +92,7 @@ class Filter:
         past = slice(max(0, k - self._rows), k + 1)
         duty, fan = (off_where_unknown(history[name][past]) for name in ("heater_duty", "fan_on"))
         room = history["temp_ambient"][k : k + 1]
-        columns = _known(history, twin.needs, k)
+        columns = _known_inputs(history, twin.needs, k)
         if self._steady:
             transition, which = twin.transitions(fan[-1:])
             matrix = transition.state[which[0]]
@@ -117,7 +117,7 @@ def off_where_unknown(commands: Floats) -> Floats:
     return np.where(np.isfinite(commands), commands, 0.0)
 
 
-def _known(history: Columns, needs: Mapping[str, str], k: int) -> dict[str, Floats]:
+def _known_inputs(history: Columns, needs: Mapping[str, str], k: int) -> dict[str, Floats]:
     """Return the needed columns at row k, the last known value holding. Errors: DataError"""
     found = {}
     for name, effect in needs.items():

@@ -82,19 +82,19 @@ class DriftMonitor:
         known, self._confirmed = self._confirmed, confirmed
         unjudged = "maintenance" if hands_in else "" if known else "the board did not confirm the inputs"
         if self._off:
-            return self._unwatched(self._off)
+            return self._unwatched_drift(self._off)
         if not len(history["time_s"]):
-            return self._told("no air temperature yet")
+            return self._present("no air temperature yet")
         now, utc = float(history["time_s"][-1]), float(history["utc"][-1])
         try:
             return self._observe(twin, history, utc, unjudged)
         except DataError as error:
             self._let_go()
-            return self._told(str(error))
+            return self._present(str(error))
         except Exception as bug:  # control goes on; the same bug at every tick would fill the history
             self._off = f"internal error: {bug!r}"
             self._events.append(Event("drift.failed", Severity.WARNING, self._off, now, utc))
-            return self._unwatched(self._off)
+            return self._unwatched_drift(self._off)
 
     def take_events(self) -> list[Event]:
         """Return the beginnings and ends of alarms since the last call."""
@@ -110,22 +110,22 @@ class DriftMonitor:
     def _observe(self, twin: BoxTwin | None, history: Columns, utc: float, unjudged: str) -> Drift:
         if twin is None:
             self._let_go()
-            return self._unwatched("no twin runs")
+            return self._unwatched_drift("no twin runs")
         if self._filter is None or self._filter.twin is not twin:
             self._begin(twin, utc)
         assert self._filter is not None
         if self._state is None:
             self._state = self._filter.begin(history)
-            return self._told("the filter settles" if self._state else "air or room temperature not known")
+            return self._present("the filter settles" if self._state else "air or room temperature not known")
         self._state, innovation = self._filter.step(self._state, history)
         if self._state is None:
-            return self._told("the filter begins anew")
+            return self._present("the filter begins anew")
         settled = self._state.time_s - self._state.begun_s >= SETTLE_S
         unjudged = unjudged or ("" if settled else "the filter settles")
         if innovation is None or unjudged:
             self._past = None
-            return self._told(unjudged or "no measurement")
-        return self._judged(innovation, history, utc)
+            return self._present(unjudged or "no measurement")
+        return self._judge(innovation, history, utc)
 
     def _begin(self, twin: BoxTwin, utc: float) -> None:
         if twin.step_s != self._promise.step_s:
@@ -135,14 +135,14 @@ class DriftMonitor:
         sha256 = twin.sha256
         if self.memory is None or self.memory.twin_sha256 != sha256:
             self.memory = DriftMemory(sha256, Evidence.none(utc))
-        self._weights = [self._known(cell) for cell in range(CELLS)]
+        self._weights = [self._known_noise(cell) for cell in range(CELLS)]
 
-    def _known(self, cell: int) -> Floats:
+    def _known_noise(self, cell: int) -> Floats:
         assert self.memory is not None
         known = noise.count(self.memory.sums, cell) >= self._learn_ticks
         return noise.weights(self.memory.sums, cell) if known else noise.cautious()
 
-    def _judged(self, innovation: Innovation, history: Columns, utc: float) -> Drift:
+    def _judge(self, innovation: Innovation, history: Columns, utc: float) -> Drift:
         """One more innovation: evidence, table and what is learnt."""
         memory, step_s = self.memory, self._promise.step_s
         assert memory is not None
@@ -152,13 +152,11 @@ class DriftMonitor:
         past, now = self._past, situation(history, step_s)
         if past is None:
             self._past = noise.InnovationPast(z, z)
-            return self._told("the filter begins to be judged")
-        white = noise.whitened(self._weights[now.cell], z, past)
-        self._past = noise.followed(past, z, step_s)
-        found = evidence.heard(
-            memory.evidence, white, now.regimes, float(history["utc"][-2]), self._threshold
-        )
-        table = where.noted(memory.table, float(white), innovation.value_k, now.regimes, step_s)
+            return self._present("the filter begins to be judged")
+        white = noise.whiten(self._weights[now.cell], z, past)
+        self._past = noise.follow(past, z, step_s)
+        found = evidence.hear(memory.evidence, white, now.regimes, float(history["utc"][-2]), self._threshold)
+        table = where.note(memory.table, float(white), innovation.value_k, now.regimes, step_s)
         memory = replace(memory, evidence=found, table=table)
         # Nothing is learnt while the twin disagrees: its error would become the usual noise.
         if not memory.disagrees and noise.count(memory.sums, now.cell) < self._learn_ticks:
@@ -169,7 +167,7 @@ class DriftMonitor:
         learnt = noise.count(memory.sums, now.cell) >= self._learn_ticks
         agreed_s = step_s if learnt else step_s / CAUTIOUS_AGREE
         self._decide(float(found.total), agreed_s, float(history["time_s"][-1]), utc)
-        return self._told()
+        return self._present()
 
     def _decide(self, total: float, agreed_s: float, now: float, utc: float) -> None:
         """Raise the alarm, or end it. agreed_s: what this tick counts where no evidence is left"""
@@ -179,7 +177,7 @@ class DriftMonitor:
             if total >= self._threshold:
                 since = evidence.change_utc(memory.evidence)
                 self.memory = replace(memory, since_utc=since, agreeing_s=0.0)
-                self._tell("twin.disagrees", Severity.WARNING, self._told().text, now, utc)
+                self._tell("twin.disagrees", Severity.WARNING, self._present().text, now, utc)
             return
         agreeing_s = memory.agreeing_s + agreed_s if total < self._threshold - CLEAR else 0.0
         self.memory = replace(memory, agreeing_s=agreeing_s)
@@ -192,15 +190,15 @@ class DriftMonitor:
     def _tell(self, key: str, severity: Severity, text: str, now: float, utc: float) -> None:
         self._events.append(Event(key, severity, text, now, utc))
 
-    def _unwatched(self, reason: str) -> Drift:
+    def _unwatched_drift(self, reason: str) -> Drift:
         drift = Drift(reason=reason)
         return replace(drift, text=in_words(drift, self._zone))
 
-    def _told(self, reason: str = "") -> Drift:
+    def _present(self, reason: str = "") -> Drift:
         """Return the present drift. An alarm stands until the twin has been seen to agree."""
         memory = self.memory
         if memory is None:
-            return self._unwatched(reason)
+            return self._unwatched_drift(reason)
         worst = where.worst(memory.table, evidence.by_regime(memory.evidence))
         rows = where.rows(memory.table)
         agrees = DriftState.UNKNOWN if reason else DriftState.AGREES

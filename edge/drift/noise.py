@@ -34,7 +34,7 @@ class InnovationPast(NamedTuple):
     mean: Floats  # m'
 
 
-def followed(past: InnovationPast, z: Floats, step_s: float) -> InnovationPast:
+def follow(past: InnovationPast, z: Floats, step_s: float) -> InnovationPast:
     """Return the past of the next innovation."""
     return InnovationPast(z, past.mean + min(1.0, step_s / SLOW_S) * (z - past.mean))
 
@@ -86,7 +86,7 @@ def weights(sums: Floats, cell: int) -> Floats:
     return whitening
 
 
-def whitened(known: Floats, z: Floats, past: InnovationPast) -> Floats:
+def whiten(known: Floats, z: Floats, past: InnovationPast) -> Floats:
     """Return the innovation in units of the ordinary, [*paths]. known : as `weights` or `cautious`"""
     white: Floats = known[..., 0] + known[..., 1] * past.last + known[..., 2] * past.mean + known[..., 3] * z
     return white

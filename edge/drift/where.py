@@ -20,7 +20,7 @@ def empty() -> Floats:
     return np.zeros((len(REGIMES), _COLUMNS))
 
 
-def noted(table: Floats, white: float, error_k: float, regimes: Flags, step_s: float) -> Floats:
+def note(table: Floats, white: float, error_k: float, regimes: Flags, step_s: float) -> Floats:
     """Return the table one tick later."""
     square = min(white**2, CUT**2)
     kept: Floats = table * np.exp(-step_s / MEMORY_S)

@@ -18,7 +18,7 @@ WIDTH_MIN_K = 0.02  # a fifth of the sensor's resolution
 WIDTH_MAX_K = 1e4  # a number at all: the paper's PBM is hundreds of K off after an hour
 
 
-def tracked(half_width_k: float, residual_k: float) -> float:
+def track(half_width_k: float, residual_k: float) -> float:
     """Return the half width after one more forecast [K]. A NaN residual changes nothing."""
     if not math.isfinite(residual_k):
         return half_width_k

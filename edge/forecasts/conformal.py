@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.formats.input_file import Source
 from edge.formats.reader import read_json
 

@@ -7,7 +7,7 @@ from edge.core.predictor import Columns, Predictor
 from edge.forecasts.conformal import Intervals
 from edge.forecasts.forecaster import forecasts, planned_inputs
 from edge.forecasts.scorer import Scorer
-from edge.forecasts.skill import RIVAL, SkillState, half_widths, skills, updated, without_rivals
+from edge.forecasts.skill import RIVAL, SkillState, half_widths, skills, update_skill, without_rivals
 
 
 class Forecasting:
@@ -51,7 +51,7 @@ class Forecasting:
         confirmed : the board said that it drives `driven`
         """
         scored = self._scorer.observe(self._all, history, confirmed)
-        self.state = updated(self.state, scored, self._intervals, self._step_s)
+        self.state = update_skill(self.state, scored, self._intervals, self._step_s)
         made: dict[str, Forecast] = {}
         if len(history["temp_air"]):
             planned = planned_inputs(driven, decision.plan)

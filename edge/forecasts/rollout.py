@@ -10,34 +10,34 @@ STEP_TOLERANCE = 1e-6  # share of a step
 
 
 @dataclass(frozen=True, slots=True)
-class Rolled:
+class RolledForecast:
     """Air temperature after each step [°C]; None and the reason when the predictor has none."""
 
     temps: Floats | None
     reason: str = ""
 
 
-def roll(predictor: Predictor, history: Columns, controls: Floats, step_s: float) -> Rolled:
+def roll(predictor: Predictor, history: Columns, controls: Floats, step_s: float) -> RolledForecast:
     """One rollout under the inputs `controls`, shape [N, 2]. Never raises.
 
     history : columns up to the start, as `edge.core.predictor.Predictor.rollout`
     step_s : period of both [s]
     """
     if abs(predictor.step_s / step_s - 1.0) > STEP_TOLERANCE:
-        return Rolled(None, f"made for steps of {predictor.step_s:g} s")
+        return RolledForecast(None, f"made for steps of {predictor.step_s:g} s")
     rows = len(history["temp_air"])
     if rows < predictor.rows_needed:
-        return Rolled(None, f"{rows} of {predictor.rows_needed} rows of history")
+        return RolledForecast(None, f"{rows} of {predictor.rows_needed} rows of history")
     try:
         rolled = predictor.rollout(history, controls[None], ahead_of(history, len(controls), step_s))
         temps = np.asarray(rolled, dtype=np.float64)
     except Exception as error:  # the other predictors and the loop go on
-        return Rolled(None, f"{type(error).__name__}: {error}")
+        return RolledForecast(None, f"{type(error).__name__}: {error}")
     if temps.shape != (1, len(controls)):
-        return Rolled(None, f"shape {temps.shape}, not {(1, len(controls))}")
+        return RolledForecast(None, f"shape {temps.shape}, not {(1, len(controls))}")
     if not np.isfinite(temps).all():
-        return Rolled(None, f"not a number after step {int(np.argmin(np.isfinite(temps[0]))) + 1}")
-    return Rolled(temps[0])
+        return RolledForecast(None, f"not a number after step {int(np.argmin(np.isfinite(temps[0]))) + 1}")
+    return RolledForecast(temps[0])
 
 
 def ahead_of(history: Columns, steps: int, step_s: float) -> dict[str, Floats]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from edge.core.messages import ForecastSkill
 from edge.core.predictor import Predictor
-from edge.forecasts.adaptive import tracked
+from edge.forecasts.adaptive import track
 from edge.forecasts.conformal import Intervals
 from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
 
@@ -52,7 +52,7 @@ class SkillState:
     widths: Mapping[tuple[str, int], Width] = field(default_factory=dict)  # predictor, horizon
 
 
-def updated(
+def update_skill(
     state: SkillState, scored: Sequence[ScoredForecast], intervals: Intervals, step_s: float
 ) -> SkillState:
     """Return the state after one tick's scored forecasts."""
@@ -65,10 +65,10 @@ def updated(
             other = by_name.get((reference, horizon))
             if other is not None:
                 key = (name, horizon, reference)
-                pairs[key] = _compared(pairs.get(key), one, other, step_s)
+                pairs[key] = _compare(pairs.get(key), one, other, step_s)
         width = _current(state, intervals, name, one.version, horizon)
         if width is not None:
-            widths[name, horizon] = _followed(width, one.residual_k, step_s)
+            widths[name, horizon] = _follow(width, one.residual_k, step_s)
     return SkillState(pairs, widths)
 
 
@@ -118,7 +118,7 @@ def _references(name: str) -> tuple[str, ...]:
     return (*known, name.removesuffix(RIVAL)) if name.endswith(RIVAL) else known
 
 
-def _compared(pair: ErrorPair | None, one: ScoredForecast, other: ScoredForecast, step_s: float) -> ErrorPair:
+def _compare(pair: ErrorPair | None, one: ScoredForecast, other: ScoredForecast, step_s: float) -> ErrorPair:
     versions = (one.version, other.version)
     if pair is None or pair.versions != versions:
         pair = ErrorPair(versions)
@@ -141,13 +141,13 @@ def _current(state: SkillState, intervals: Intervals, name: str, version: str, h
     return None if calibrated is None else Width(version, calibrated)
 
 
-def _followed(width: Width, residual_k: float, step_s: float) -> Width:
+def _follow(width: Width, residual_k: float, step_s: float) -> Width:
     count = width.scored + 1
     inside = float(abs(residual_k) <= width.half_width_k)
     share = max(1.0 / count, step_s / WINDOW_S)
     return replace(
         width,
-        half_width_k=tracked(width.half_width_k, residual_k),
+        half_width_k=track(width.half_width_k, residual_k),
         scored=count,
         covered=width.covered + share * (inside - width.covered),
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.core.plain_text import plain, shown
+from edge.core.plain_text import plain, quote
 from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import TABLE, read_text
 
@@ -91,7 +91,7 @@ def _parse(path: Path, file: TextIO) -> NumberTable:
         if len(line) > FACT_MAX:
             raise DataError(f"{path}: line {fact_lines}: longer than {FACT_MAX} characters")
         if not colon or not key.strip():
-            raise DataError(f"{path}: line {fact_lines}: {shown(line.strip())} is no `# key: value`")
+            raise DataError(f"{path}: line {fact_lines}: {quote(line.strip())} is no `# key: value`")
         if key.strip() in facts:
             raise DataError(f"{path}: line {fact_lines}: {plain(key.strip(), 60)} stands there twice")
         facts[key.strip()] = value.strip()
@@ -118,7 +118,7 @@ def _header(path: Path, line: int, cells: list[str]) -> list[str]:
     if len(names) > COLUMNS_MAX or any(len(name) > NAME_MAX for name in names):
         raise DataError(f"{place}: more than {COLUMNS_MAX} columns, or a name of over {NAME_MAX} characters")
     if "time_s" not in names:
-        raise DataError(f"{place}: time_s is not among the columns {shown(names, 500)}")
+        raise DataError(f"{place}: time_s is not among the columns {quote(names, 500)}")
     for name in names:
         if not name or names.count(name) > 1:
             raise DataError(f"{place}: {name!r} is no name for one column")
@@ -135,7 +135,7 @@ def _number(place: str, name: str, cell: str) -> float:
     if not cell:
         return float("nan")
     if not (_NUMBER.fullmatch(cell) and abs(float(cell)) <= LARGEST):
-        raise DataError(f"{place}: {name}: {shown(cell)} is no number of at most {LARGEST:g}")
+        raise DataError(f"{place}: {name}: {quote(cell)} is no number of at most {LARGEST:g}")
     return float(cell)
 
 

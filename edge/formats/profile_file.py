@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.formats.number_table import NumberTable, read_table
 
 Floats = NDArray[np.float64]
@@ -59,7 +59,7 @@ def read_profile(path: Path) -> Profile:
     ):
         raise DataError(
             f"{path}: a profile has time_s and either heater_duty,fan_on[,light] or reference_c,"
-            f" not {shown(sorted(names), 500)}"
+            f" not {quote(sorted(names), 500)}"
         )
     for name in names:
         low, high = _RANGES[name]
@@ -80,6 +80,6 @@ def _record_from_s(table: NumberTable) -> float:
     end_s = table.columns["time_s"][-1]
     if not (value == 0.0 or 0.0 < value < end_s):
         raise DataError(
-            f"{table.path}: record_from_s: {shown(text)} is no time before the profile's end, {end_s:g} s"
+            f"{table.path}: record_from_s: {quote(text)} is no time before the profile's end, {end_s:g} s"
         )
     return value

@@ -21,9 +21,9 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import yaml
 
 from edge.core.errors import DataError
-from edge.core.plain_text import plain, shown
+from edge.core.plain_text import plain, quote
 from edge.formats import strict_json, strict_yaml
-from edge.formats.checked import Checked, Rule, SettingError, nearest, value_problem
+from edge.formats.cross_check import CheckedDocument, Rule, SettingError, nearest, value_problem
 from edge.formats.input_file import SMALL, YAML, Source, read_file, read_text
 
 SHOWN_MAX = 4  # problems that one line names
@@ -167,7 +167,7 @@ class _Reading:
         if get_origin(kind) is Annotated:
             kind, rule = get_args(kind)
         before = len(self.wrong)
-        found = self._typed(kind, value, key)
+        found = self._type_value(kind, value, key)
         if len(self.wrong) == before and (problem := value_problem(found, rule)):
             self._refuse(key, problem)
         return found
@@ -176,9 +176,9 @@ class _Reading:
         self.wrong.append((key, problem))
 
     def _refuse_key(self, key: str, name: object, known: Iterable[str]) -> None:
-        self._refuse(key, f"unknown key {shown(name)}; {nearest(str(name), known)}")
+        self._refuse(key, f"unknown key {quote(name)}; {nearest(str(name), known)}")
 
-    def _typed(self, kind: Any, value: object, key: str) -> Any:
+    def _type_value(self, kind: Any, value: object, key: str) -> Any:
         if kind is Any:
             return value
         if reader := _BY_ORIGIN.get(get_origin(kind)):
@@ -192,7 +192,7 @@ class _Reading:
         if issubclass(kind, Enum):
             return self._choice({item.value: item for item in kind}, value, key)
         if type(value) is not kind:
-            self._refuse(key, f"must be {_WORDS[kind]}, not {shown(value)}")
+            self._refuse(key, f"must be {_WORDS[kind]}, not {quote(value)}")
         return value
 
     def _number(self, value: object, key: str) -> float:
@@ -201,9 +201,9 @@ class _Reading:
         except OverflowError:
             number = math.inf
         if number is None:
-            self._refuse(key, f"must be a number, not {shown(value)}")
+            self._refuse(key, f"must be a number, not {quote(value)}")
         elif not math.isfinite(number):
-            self._refuse(key, f"{shown(value)} is not a finite number")
+            self._refuse(key, f"{quote(value)} is not a finite number")
         return 0.0 if number is None else number
 
     def _time(self, value: object, key: str) -> time | None:
@@ -212,7 +212,7 @@ class _Reading:
         except ValueError:
             found = None
         if found is None or found.tzinfo is not None:
-            self._refuse(key, f"must be {_WORDS[time]}, not {shown(value)}")
+            self._refuse(key, f"must be {_WORDS[time]}, not {quote(value)}")
         return found
 
     def _choice(self, known: Mapping[Any, Any], value: object, key: str) -> Any:
@@ -220,9 +220,9 @@ class _Reading:
             if type(choice) is type(value) and choice == value:
                 return meaning
         if len(known) == 1:
-            self._refuse(key, f"{shown(value)} is not {next(iter(known))!r}")
+            self._refuse(key, f"{quote(value)} is not {next(iter(known))!r}")
         else:
-            self._refuse(key, f"{shown(value)} is none of {', '.join(map(str, known))}")
+            self._refuse(key, f"{quote(value)} is none of {', '.join(map(str, known))}")
         return None
 
     def _literal(self, kind: Any, value: object, key: str) -> Any:
@@ -234,7 +234,7 @@ class _Reading:
 
     def _tuple(self, kind: Any, value: object, key: str) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple):
-            self._refuse(key, f"must be a list, not {shown(value)}")
+            self._refuse(key, f"must be a list, not {quote(value)}")
             return ()
         kinds = get_args(kind)
         if kinds[0] is float and all(type(item) is float and math.isfinite(item) for item in value):
@@ -242,7 +242,7 @@ class _Reading:
         if kinds[-1] is Ellipsis:
             return tuple(self.value(kinds[0], item, f"{key}[{place}]") for place, item in enumerate(value))
         if len(value) != len(kinds):
-            self._refuse(key, f"must be a list of {len(kinds)}, not {shown(value)}")
+            self._refuse(key, f"must be a list of {len(kinds)}, not {quote(value)}")
             return ()
         pairs = enumerate(zip(kinds, value, strict=True))
         return tuple(self.value(own, item, f"{key}[{place}]") for place, (own, item) in pairs)
@@ -280,7 +280,7 @@ class _Reading:
             return None
         try:
             found = kind(**values)
-            if isinstance(found, Checked):
+            if isinstance(found, CheckedDocument):
                 found.cross_check()
             return found
         except SettingError as error:
@@ -293,7 +293,7 @@ class _Reading:
         if isinstance(value, Mapping):
             return value
         if value is not None or not self._null_is_empty:
-            self._refuse(key, f"must hold keys and values, not {shown(value)}")
+            self._refuse(key, f"must hold keys and values, not {quote(value)}")
         return {}
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.names import SIGNALS
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.formats.number_table import NumberTable, read_table, write_table
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ class RecordedRun:
             moment = datetime.fromisoformat(text)
         except ValueError:
             raise DataError(
-                f"{self.path}: start_utc: {shown(text)} is no time like 2026-07-01T12:00:00Z"
+                f"{self.path}: start_utc: {quote(text)} is no time like 2026-07-01T12:00:00Z"
             ) from None
         # A time without zone is what the fact's name says: UTC.
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
@@ -172,7 +172,7 @@ def resample(run: RecordedRun, step_s: float) -> RecordedRun:
     columns = {
         name: _held_mean(time_s, values, grid, step_s)
         if _is_input(name)
-        else _interpolated(time_s, values, grid, hole_s, slack_s)
+        else _interpolate(time_s, values, grid, hole_s, slack_s)
         for name, values in run.columns.items()
         if name != "time_s"
     }
@@ -184,13 +184,13 @@ def _check_names(table: NumberTable, without: Collection[str]) -> None:
     for name in table.columns:
         if name not in KNOWN and (near := [known for known in _near(name) if known not in table.columns]):
             raise DataError(
-                f"{table.path}: unknown column {shown(name)}: is it {' or '.join(near)}? "
+                f"{table.path}: unknown column {quote(name)}: is it {' or '.join(near)}? "
                 "Rename it, or give it a name unlike those"
             )
     for name in OPTION_WITHOUT:
         if table.facts.get(name, ABSENT) != ABSENT:
             raise DataError(
-                f"{table.path}: {name}: {shown(table.facts[name])}: this fact can only be {ABSENT!r}"
+                f"{table.path}: {name}: {quote(table.facts[name])}: this fact can only be {ABSENT!r}"
             )
         if name in table.facts and name in table.columns:
             raise DataError(f"{table.path}: {name}: the fact says {ABSENT!r}, but the column is there")
@@ -203,11 +203,11 @@ def _check_names(table: NumberTable, without: Collection[str]) -> None:
                 f"; where it was not recorded, say so: {OPTION_WITHOUT[name]}, "
                 f"or the line '# {name}: {ABSENT}' above the header"
             )
-        raise DataError(f"{table.path}: {name} is not among the columns {_listed(table)}{hint}")
+        raise DataError(f"{table.path}: {name} is not among the columns {_list_columns(table)}{hint}")
 
 
-def _listed(table: NumberTable) -> str:
-    return shown(list(table.columns), 500)
+def _list_columns(table: NumberTable) -> str:
+    return quote(list(table.columns), 500)
 
 
 def _near(name: str) -> list[str]:
@@ -283,7 +283,7 @@ def _held_mean(time_s: Floats, values: Floats, grid: Floats, step_s: float) -> F
     return np.where(means(known.astype(np.float64)) == 1.0, means(np.where(known, values, 0.0)), np.nan)
 
 
-def _interpolated(time_s: Floats, values: Floats, grid: Floats, hole_s: float, slack_s: float) -> Floats:
+def _interpolate(time_s: Floats, values: Floats, grid: Floats, hole_s: float, slack_s: float) -> Floats:
     known = ~np.isnan(values)
     if not known.any():
         return np.full(len(grid), np.nan)

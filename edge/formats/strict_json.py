@@ -7,7 +7,7 @@ import json
 import math
 from typing import Any, NoReturn
 
-from edge.core.plain_text import plain, shown, storable
+from edge.core.plain_text import plain, quote, storable
 
 DEPTH_MAX = 64  # far below the recursion limit, so that every value can be written and printed again
 DIGITS_MAX = 300  # of a whole number; one of more does not fit into a float
@@ -16,7 +16,7 @@ DIGITS_MAX = 300  # of a whole number; one of more does not fit into a float
 def parse_object(text: bytes | str) -> dict[str, Any]:
     """Parse an object. Errors: ValueError, whose text may be shown to the sender"""
     try:
-        value = _cleaned(
+        value = _clean(
             json.loads(
                 text, object_pairs_hook=_object, parse_constant=_refuse, parse_float=_float, parse_int=_int
             ),
@@ -33,16 +33,16 @@ def parse_object(text: bytes | str) -> dict[str, Any]:
     return value
 
 
-def _cleaned(value: Any, depth: int) -> Any:
+def _clean(value: Any, depth: int) -> Any:
     """Return the value with storable texts: "\\ud800" is JSON, but no storable text."""
     if isinstance(value, str):
         return storable(value)
     if isinstance(value, list | dict) and depth > DEPTH_MAX:
         raise ValueError("nested too deep")
     if isinstance(value, list):
-        return [_cleaned(item, depth + 1) for item in value]
+        return [_clean(item, depth + 1) for item in value]
     if isinstance(value, dict):
-        return _object([(storable(key), _cleaned(item, depth + 1)) for key, item in value.items()])
+        return _object([(storable(key), _clean(item, depth + 1)) for key, item in value.items()])
     return value
 
 
@@ -52,7 +52,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"key {shown(twice)} is given twice")
+        raise ValueError(f"key {quote(twice)} is given twice")
     return found
 
 

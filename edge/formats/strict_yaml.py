@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from edge.core.plain_text import plain, shown
+from edge.core.plain_text import plain, quote
 from edge.formats.strict_json import DEPTH_MAX, DIGITS_MAX
 
 VALUES_MAX = 20_000  # of one document; the largest of this project has some hundreds
@@ -29,7 +29,7 @@ class _Loader(yaml.SafeLoader):
         """As in PyYAML, with limits. An alias counts as the values that it stands for."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if getattr(event, "tag", None) is not None:
-            _refuse(f"the tag {shown(event.tag)}: values have no tags here", event)
+            _refuse(f"the tag {quote(event.tag)}: values have no tags here", event)
         self._depth += 1
         if self._depth > DEPTH_MAX:
             _refuse("nested too deep", event)
@@ -54,7 +54,7 @@ class _Loader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = str(key_node.value)
             if key in seen:
-                _refuse(f"key {shown(key)} is given twice", key_node)
+                _refuse(f"key {quote(key)} is given twice", key_node)
             seen.add(key)
         return super().construct_mapping(node, deep)
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.input_file import Source
 from edge.formats.reader import parse_json, read, read_bytes
 from edge.models.arx import Arx, FanInput
@@ -29,7 +29,7 @@ _UNITS = {
 
 
 @dataclass(frozen=True, slots=True)
-class ArxDocument(Checked):
+class ArxDocument(CheckedDocument):
     """The file, key by key."""
 
     format: Literal[2]

@@ -12,9 +12,9 @@ import numpy as np
 
 from edge.core.errors import DataError
 from edge.core.names import ACTUATORS, SIGNALS
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.core.predictor import Floats
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.input_file import MODEL
 from edge.formats.reader import parse_json, read
 
@@ -104,7 +104,7 @@ class GoldenDocument:
 
 
 @dataclass(frozen=True, slots=True)
-class ContractDocument(Checked):
+class ContractDocument(CheckedDocument):
     """The document, key by key; those without a type are for people."""
 
     contract: Literal[1]
@@ -128,14 +128,14 @@ class ContractDocument(Checked):
         """Check that the contract fits its kind."""
         for key, expected in (("features", FEATURES[self.kind]), ("units", units(self.kind))):
             if (found := getattr(self, key)) != expected:
-                self.refuse(key, f"{shown(found)} is not {expected!r}")
+                self.refuse(key, f"{quote(found)} is not {expected!r}")
         if set(self.validity) != set(keys(self.kind)):
             self.refuse("validity", f"does not bound exactly {', '.join(keys(self.kind))}")
         for key, (low, high) in self.validity.items():
             if not low <= high:
                 self.refuse(f"validity.{key}", f"{low:g}, {high:g} are not a lowest and a highest value")
         if self.kind != "lstm" and not self.twin_sha256:
-            self.refuse("twin_sha256", f"{shown(self.twin_sha256)} is no hash of a twin")
+            self.refuse("twin_sha256", f"{quote(self.twin_sha256)} is no hash of a twin")
 
 
 def parse_contract(text: str) -> Contract:

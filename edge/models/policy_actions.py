@@ -27,7 +27,7 @@ def action_of(command: Command) -> int:
     return round(command.heater_duty * HEATER_LEVELS) + LEVELS * command.fan_on
 
 
-def allowed(limits: ControlLimits, last_sent: Command) -> NDArray[np.bool_]:
+def allowed_actions(limits: ControlLimits, last_sent: Command) -> NDArray[np.bool_]:
     """Which actions safety would let through as they are, [ACTIONS]: as of now, never none."""
     actions = np.arange(ACTIONS)
     free = actions % LEVELS <= levels_allowed(limits.heater_max_duty)

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from edge.core.plain_text import shown
-from edge.formats.checked import Checked, Rule
+from edge.core.plain_text import quote
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.input_file import MODEL
 from edge.formats.reader import parse_json, read
 from edge.models.contract import Rows, array
@@ -57,7 +57,7 @@ class PolicyGolden:
 
 
 @dataclass(frozen=True, slots=True)
-class PolicyDocument(Checked):
+class PolicyDocument(CheckedDocument):
     """The document, key by key; those without a type are for people."""
 
     policy: Literal[1]
@@ -80,7 +80,7 @@ class PolicyDocument(Checked):
         """Compare with this software's table of the observation."""
         for key, expected in (("features", tuple(NAMES)), ("actions", ACTIONS)):
             if (found := getattr(self, key)) != expected:
-                self.refuse(key, f"{shown(found)} is not {expected!r}, the one known here")
+                self.refuse(key, f"{quote(found)} is not {expected!r}, the one known here")
         if self.table_sha256 != table_sha256():
             self.refuse("table_sha256", "made with another table of the observation: train it anew")
 

@@ -9,7 +9,7 @@ from edge.config.settings import ReferenceSettings
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import DocumentError, parse_json, read
 from edge.tick.orders import FanMode, Mode, SetManual
 
@@ -24,7 +24,7 @@ _NUMBER = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")  # no "nan", no "1_0", no
 
 
 @dataclass(frozen=True, slots=True)
-class Resend(Checked):
+class Resend(CheckedDocument):
     """Keys of the request to queue recorded ticks again."""
 
     first_seq: Seq
@@ -100,7 +100,7 @@ def _why(text: str, reference: ReferenceSettings) -> Request:
     if not text:
         return {"do": "why", "at_utc": None}
     if not _NUMBER.fullmatch(text):
-        raise RequestError(f"{_shown(text)} is no time in seconds since 1970; empty is now")
+        raise RequestError(f"{_quote(text)} is no time in seconds since 1970; empty is now")
     return {"do": "why", "at_utc": float(text)}
 
 
@@ -114,13 +114,13 @@ def _press(request: Request) -> Callable[[str, ReferenceSettings], Request]:
 
 def _choice(text: str, known: tuple[str, ...]) -> str:
     if text not in known:
-        raise RequestError(f"{_shown(text)} is not one of {', '.join(known)}")
+        raise RequestError(f"{_quote(text)} is not one of {', '.join(known)}")
     return text
 
 
 def _number(text: str, low: float, high: float) -> float:
     if not _NUMBER.fullmatch(text) or not low <= float(text) <= high:
-        raise RequestError(f"{_shown(text)} is not a number from {low:g} to {high:g}")
+        raise RequestError(f"{_quote(text)} is not a number from {low:g} to {high:g}")
     return float(text)
 
 
@@ -134,7 +134,7 @@ def _values(kind: type, text: str) -> dict[str, Any]:
     return values
 
 
-def _shown(text: str) -> str:
+def _quote(text: str) -> str:
     return repr(text if len(text) <= 40 else f"{text[:40]}...")
 
 

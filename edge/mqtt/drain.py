@@ -50,7 +50,7 @@ class Drain:
         self._answers: dict[int, str] = {}  # message id -> "" or why it was refused
         self._pause_until = 0.0
 
-    def answered(self, mid: int, refusal: str) -> None:
+    def note_answer(self, mid: int, refusal: str) -> None:
         """Note the broker's answer to the message `mid`, one of the drain's or
         not. The network thread calls this.
 

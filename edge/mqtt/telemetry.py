@@ -166,7 +166,7 @@ class Telemetry:
         self, client: Client, _: object, mid: int, code: ReasonCode, properties: Properties | None
     ) -> None:
         if self._drain is not None:
-            self._drain.answered(mid, str(code) if code.is_failure else "")
+            self._drain.note_answer(mid, str(code) if code.is_failure else "")
         self._wake.set()
 
     def _on_message(self, client: Client, _: object, message: MQTTMessage) -> None:
@@ -217,11 +217,11 @@ class Telemetry:
         except RequestError as error:
             if self._allowance.take():
                 self._events.append(_bad_command(what, str(error)))
-                self._answered(what, {"ok": False, "error": str(error)})
+                self._keep_answer(what, {"ok": False, "error": str(error)})
         else:
-            self._post(request, partial(self._answered, what))
+            self._post(request, partial(self._keep_answer, what))
 
-    def _answered(self, what: str, answer: dict[str, Any]) -> None:
+    def _keep_answer(self, what: str, answer: dict[str, Any]) -> None:
         """Keep an answer for the worker; in a flood of stops only the newest answers are sent."""
         self._answers.append((what, answer))
         self._wake.set()

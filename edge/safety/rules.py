@@ -32,7 +32,7 @@ class RuleInput:
 
 
 @dataclass(frozen=True, slots=True)
-class Forced:
+class ForcedOutput:
     """An output takes `value` while `condition` gives a reason."""
 
     key: str
@@ -49,7 +49,7 @@ class Limit:
     reason: str
 
 
-def known(view: SafetyView, signal: str, age_max_s: float) -> float | None:
+def known_value(view: SafetyView, signal: str, age_max_s: float) -> float | None:
     """Return a reliable measurement: good, a number, at most `age_max_s`
     old, not from the future; else None.
     """
@@ -72,7 +72,7 @@ def link_down(s: RuleInput) -> str:
     return "" if s.view.link_up else "no link to the board"
 
 
-def tripped(s: RuleInput) -> str:
+def trip(s: RuleInput) -> str:
     return f"latched: {', '.join(s.memory.trips)}" if s.memory.trips else ""
 
 
@@ -80,12 +80,12 @@ def tripped_hot(s: RuleInput) -> str:
     return f"latched: {', '.join(s.memory.trips)}" if HOT_TRIPS.intersection(s.memory.trips) else ""
 
 
-def board_tripped(s: RuleInput) -> str:
+def board_trip(s: RuleInput) -> str:
     echo = s.view.echo
     return f"the board has tripped: {echo.trip_cause}" if echo is not None and echo.tripped else ""
 
 
-def board_stopped(s: RuleInput) -> str:
+def board_stop(s: RuleInput) -> str:
     echo = s.view.echo
     return f"stopped on the board: {echo.trip_cause}" if echo is not None and echo.stopped else ""
 
@@ -106,14 +106,14 @@ def relay_proof(s: RuleInput) -> str:
 
 
 def tank_low(s: RuleInput) -> str:
-    level = known(s.view, "tank_level", s.settings.reading_age_max_s)
+    level = known_value(s.view, "tank_level", s.settings.reading_age_max_s)
     if level is not None and level >= s.settings.tank_level_min:
         return ""
     return "tank level unknown" if level is None else f"tank level {level:.2f}"
 
 
 def soil_wet(s: RuleInput) -> str:
-    moisture = known(s.view, "soil_moisture", s.settings.reading_age_max_s)
+    moisture = known_value(s.view, "soil_moisture", s.settings.reading_age_max_s)
     if moisture is not None and moisture < s.settings.soil_moisture_max:
         return ""
     return "soil moisture unknown" if moisture is None else f"soil moisture {moisture:.2f}"
@@ -157,14 +157,14 @@ def ramp_duty(s: RuleInput) -> float:
 
 
 HEATER_OFF = (
-    Forced("heater.emergency_stop", emergency_stop),
-    Forced("heater.maintenance", maintenance),
-    Forced("heater.link_down", link_down),
-    Forced("heater.tripped", tripped),
-    Forced("heater.board_tripped", board_tripped),
-    Forced("heater.air_unknown", air_unknown),
-    Forced("heater.over_temperature", too_hot),
-    Forced("heater.relay_proof", relay_proof),
+    ForcedOutput("heater.emergency_stop", emergency_stop),
+    ForcedOutput("heater.maintenance", maintenance),
+    ForcedOutput("heater.link_down", link_down),
+    ForcedOutput("heater.tripped", trip),
+    ForcedOutput("heater.board_tripped", board_trip),
+    ForcedOutput("heater.air_unknown", air_unknown),
+    ForcedOutput("heater.over_temperature", too_hot),
+    ForcedOutput("heater.relay_proof", relay_proof),
 )
 HEATER_LIMITS = (
     Limit("heater.range", lambda s: 1.0, "duty above 1"),
@@ -182,33 +182,33 @@ HEATER_LIMITS = (
     Limit("heater.slew", ramp_duty, "rises too fast"),
 )
 FAN_FORCED = (
-    Forced("fan.emergency_stop", emergency_stop),
-    Forced("fan.maintenance", maintenance),
-    Forced("fan.board_stopped", board_stopped),
-    Forced("fan.link_down", link_down),
-    Forced("fan.tripped", tripped_hot, 1.0),
-    Forced("fan.over_temperature", too_hot, 1.0),
-    Forced("fan.min_on", held_on, 1.0),
-    Forced("fan.min_off", held_off),
-    Forced("fan.relay_proof", relay_proof),
+    ForcedOutput("fan.emergency_stop", emergency_stop),
+    ForcedOutput("fan.maintenance", maintenance),
+    ForcedOutput("fan.board_stopped", board_stop),
+    ForcedOutput("fan.link_down", link_down),
+    ForcedOutput("fan.tripped", tripped_hot, 1.0),
+    ForcedOutput("fan.over_temperature", too_hot, 1.0),
+    ForcedOutput("fan.min_on", held_on, 1.0),
+    ForcedOutput("fan.min_off", held_off),
+    ForcedOutput("fan.relay_proof", relay_proof),
 )
 FAN_LIMITS = (Limit("fan.range", lambda s: 1.0, "neither on nor off"),)
 LED_OFF = (
-    Forced("led.emergency_stop", emergency_stop),
-    Forced("led.maintenance", maintenance),
-    Forced("led.board_stopped", board_stopped),
-    Forced("led.link_down", link_down),
-    Forced("led.tripped", tripped_hot),
-    Forced("led.over_temperature", too_hot),
+    ForcedOutput("led.emergency_stop", emergency_stop),
+    ForcedOutput("led.maintenance", maintenance),
+    ForcedOutput("led.board_stopped", board_stop),
+    ForcedOutput("led.link_down", link_down),
+    ForcedOutput("led.tripped", tripped_hot),
+    ForcedOutput("led.over_temperature", too_hot),
 )
 LED_LIMITS = (Limit("led.range", lambda s: s.settings.led_max, "largest LED level"),)
 VALVE_SHUT = (
-    Forced("valve.emergency_stop", emergency_stop),
-    Forced("valve.maintenance", maintenance),
-    Forced("valve.board_stopped", board_stopped),
-    Forced("valve.link_down", link_down),
-    Forced("valve.tank", tank_low),
-    Forced("valve.soil", soil_wet),
+    ForcedOutput("valve.emergency_stop", emergency_stop),
+    ForcedOutput("valve.maintenance", maintenance),
+    ForcedOutput("valve.board_stopped", board_stop),
+    ForcedOutput("valve.link_down", link_down),
+    ForcedOutput("valve.tank", tank_low),
+    ForcedOutput("valve.soil", soil_wet),
 )
 VALVE_LIMITS = (
     Limit("valve.pulse_max", lambda s: s.settings.valve_pulse_max_s, "longest pulse"),

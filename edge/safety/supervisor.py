@@ -35,11 +35,11 @@ from edge.safety.rules import (
     STEPS,
     VALVE_LIMITS,
     VALVE_SHUT,
-    Forced,
+    ForcedOutput,
     Limit,
     RuleInput,
     energy_duty,
-    known,
+    known_value,
     relay_hold_s,
 )
 from edge.safety.thermal_supervision import (
@@ -69,21 +69,21 @@ def supervise(
     wanted: Command, view: SafetyView, memory: SafetyMemory, settings: SafetySettings
 ) -> SafetyVerdict:
     """Return the part of `wanted` that may be sent now, why it differs, and the new memory."""
-    temp_air = known(view, "temp_air", settings.reading_age_max_s)
+    temp_air = known_value(view, "temp_air", settings.reading_age_max_s)
     memory = book_heat(memory, view.now_s, view.dt_s)
     # Trips first: the limits below act on a trip of this very tick.
     memory, events = _latch(view, memory, settings, temp_air)
     situation = RuleInput(view, memory, settings, temp_air)
     changes: list[Change] = []
-    ramp = _limited("heater_duty", wanted.heater_duty, HEATER_OFF, HEATER_LIMITS, situation, changes)
-    fan = _limited("fan_on", wanted.fan_on, FAN_FORCED, FAN_LIMITS, situation, changes)
-    led = _limited("led", wanted.led, LED_OFF, LED_LIMITS, situation, changes)
-    pulse = _limited("valve_pulse", wanted.valve_pulse_s, VALVE_SHUT, VALVE_LIMITS, situation, changes)
+    ramp = _limit("heater_duty", wanted.heater_duty, HEATER_OFF, HEATER_LIMITS, situation, changes)
+    fan = _limit("fan_on", wanted.fan_on, FAN_FORCED, FAN_LIMITS, situation, changes)
+    led = _limit("led", wanted.led, LED_OFF, LED_LIMITS, situation, changes)
+    pulse = _limit("valve_pulse", wanted.valve_pulse_s, VALVE_SHUT, VALVE_LIMITS, situation, changes)
     sent = Command(
-        heater_duty=_stepped("heater_duty", ramp, changes),
-        fan_on=_stepped("fan_on", fan, changes) == 1.0,
-        led=_stepped("led", led, changes),
-        valve_pulse_s=_stepped("valve_pulse", pulse, changes),
+        heater_duty=_step("heater_duty", ramp, changes),
+        fan_on=_step("fan_on", fan, changes) == 1.0,
+        led=_step("led", led, changes),
+        valve_pulse_s=_step("valve_pulse", pulse, changes),
     )
     return SafetyVerdict(
         sent=sent,
@@ -153,7 +153,7 @@ def _look(
     moment = Observation(
         dt_s=passed_s,
         temp_air=temp_air,
-        temp_ambient=known(view, "temp_ambient", GAP_MAX_S),
+        temp_ambient=known_value(view, "temp_ambient", GAP_MAX_S),
         heater_duty=echo.heater_duty,
         fan_on=echo.fan_on,
         led=echo.led,
@@ -163,16 +163,16 @@ def _look(
     return replace(memory, thermal=thermal), findings
 
 
-def _limited(
+def _limit(
     actuator: str,
     wanted: float,
-    forced: Iterable[Forced],
+    forced: Iterable[ForcedOutput],
     limits: Iterable[Limit],
     situation: RuleInput,
     changes: list[Change],
 ) -> float:
     """`wanted` after the first rule that forces it, or after all that limit it."""
-    value = _checked(actuator, wanted, changes)
+    value = _check(actuator, wanted, changes)
     for rule in forced:
         reason = rule.condition(situation)
         if reason:
@@ -186,7 +186,7 @@ def _limited(
     return value
 
 
-def _checked(actuator: str, wanted: float, changes: list[Change]) -> float:
+def _check(actuator: str, wanted: float, changes: list[Change]) -> float:
     """Return a number from 0 up; any other value becomes 0."""
     try:
         value = float(wanted)
@@ -199,7 +199,7 @@ def _checked(actuator: str, wanted: float, changes: list[Change]) -> float:
     return 0.0
 
 
-def _stepped(actuator: str, value: float, changes: list[Change]) -> float:
+def _step(actuator: str, value: float, changes: list[Change]) -> float:
     """`value` cut down to a step the wire can carry."""
     steps = STEPS[actuator]
     stepped = math.floor(value * steps + ROUNDING) / steps

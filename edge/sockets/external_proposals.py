@@ -54,7 +54,7 @@ class ExternalProposals:
         try:
             _send(client, question, give_up_s)
             return _answer(client, question["tick"], give_up_s)
-        except _Broken as broken:
+        except _BrokenClient as broken:
             self._hang_up()
             raise RequestError(str(broken)) from None
 
@@ -76,14 +76,14 @@ class ExternalProposals:
         """Return the present client; further clients are refused."""
         if self._client is not None and not _is_there(self._client):
             self._hang_up()
-        while (connection := self._accepted()) is not None:
+        while (connection := self._accept()) is not None:
             if self._client is None and _is_there(connection):
                 self._client = connection
             else:
                 _refuse(connection)
         return self._client
 
-    def _accepted(self) -> socket.socket | None:
+    def _accept(self) -> socket.socket | None:
         try:
             connection, _ = self._listener.accept()
         except OSError:  # nobody waits, or the one who did is gone
@@ -97,7 +97,7 @@ class ExternalProposals:
             self._client = None
 
 
-class _Broken(Exception):
+class _BrokenClient(Exception):
     """The client does not keep to the protocol, or is gone."""
 
 
@@ -125,11 +125,11 @@ def _send(client: socket.socket, message: Mapping[str, Any], give_up_s: float) -
     while unsent:
         left_s = give_up_s - time.monotonic()
         if not left_s > 0.0 or not select.select([], [client], [], left_s)[1]:
-            raise _Broken("the client does not read")
+            raise _BrokenClient("the client does not read")
         try:
             unsent = unsent[client.send(unsent) :]
         except OSError:
-            raise _Broken("the client has gone") from None
+            raise _BrokenClient("the client has gone") from None
 
 
 def _answer(client: socket.socket, tick: int, give_up_s: float) -> dict[str, Any]:
@@ -139,33 +139,33 @@ def _answer(client: socket.socket, tick: int, give_up_s: float) -> dict[str, Any
         line, end, rest = unread.partition(b"\n")
         if end:
             unread = rest
-            answer = _parsed(line)
+            answer = _parse(line)
             if answer.get("tick") == tick:
                 return answer
             continue
         if len(unread) > LINE_MAX:
-            raise _Broken(f"an answer of more than {LINE_MAX} bytes")
+            raise _BrokenClient(f"an answer of more than {LINE_MAX} bytes")
         left_s = give_up_s - time.monotonic()
         if not left_s > 0.0 or not select.select([client], [], [], left_s)[0]:
             raise RequestError(f"no answer to tick {tick} in time")
-        unread += _received(client)
+        unread += _receive(client)
 
 
-def _received(client: socket.socket) -> bytes:
+def _receive(client: socket.socket) -> bytes:
     try:
         data = client.recv(_CHUNK)
     except OSError:
         data = b""
     if not data:
-        raise _Broken("the client has gone")
+        raise _BrokenClient("the client has gone")
     return data
 
 
-def _parsed(line: bytes) -> dict[str, Any]:
+def _parse(line: bytes) -> dict[str, Any]:
     try:
         return parse_json(line, "answer")
     except DocumentError as error:
-        raise _Broken(str(error)) from None
+        raise _BrokenClient(str(error)) from None
 
 
 def _line(message: Mapping[str, Any]) -> bytes:

@@ -12,15 +12,15 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.assistant.llm.budget import Spent
+from edge.assistant.llm.budget import Spending
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.drift import noise, where
 from edge.drift.evidence import Evidence
 from edge.drift.memory import DriftMemory
 from edge.forecasts.skill import ErrorPair, SkillState, Width
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.formats.reader import read
 from edge.safety.memory import Dose, SafetyMemory
 from edge.tick import orders_json
@@ -68,7 +68,7 @@ def decode_standing(values: Mapping[str, Any]) -> StandingState:
     found = read(StandingDocument, values)
     operation = orders_json.from_dict(found.operation)
     if operation.controller not in CONTROLLERS:
-        raise DataError(f"operation.controller: unknown controller {shown(operation.controller)}")
+        raise DataError(f"operation.controller: unknown controller {quote(operation.controller)}")
     return StandingState(operation, decode_safety(found.safety))
 
 
@@ -124,10 +124,8 @@ def encode_drift(memory: DriftMemory | None) -> dict[str, Any]:
     """Return JSON values; numbers that JSON has not become null."""
     assert memory is not None  # there is something to save
     values = asdict(memory)
-    values["evidence"] = {
-        item.name: _listed(getattr(memory.evidence, item.name)) for item in fields(Evidence)
-    }
-    values |= {name: _listed(getattr(memory, name)) for name in ("sums", "table")}
+    values["evidence"] = {item.name: _list(getattr(memory.evidence, item.name)) for item in fields(Evidence)}
+    values |= {name: _list(getattr(memory, name)) for name in ("sums", "table")}
     return values | {"since_utc": memory.since_utc if memory.disagrees else None}
 
 
@@ -170,7 +168,7 @@ def decode_drift(values: Mapping[str, Any]) -> DriftMemory:
     )
 
 
-def _listed(array: Floats) -> list[float | None]:
+def _list(array: Floats) -> list[float | None]:
     return [float(value) if math.isfinite(value) else None for value in array.flat]
 
 
@@ -181,11 +179,11 @@ def _array(values: MaybeNumbers, like: Floats, instead_of_null: float = math.nan
     return found.reshape(like.shape)
 
 
-def encode_spent(spent: Spent) -> dict[str, Any]:
+def encode_spending(spent: Spending) -> dict[str, Any]:
     """Return a key each."""
     return asdict(spent)
 
 
-def decode_spent(values: Mapping[str, Any]) -> Spent:
-    """Invert `encode_spent`. Errors: DataError"""
-    return read(Spent, values)
+def decode_spending(values: Mapping[str, Any]) -> Spending:
+    """Invert `encode_spending`. Errors: DataError"""
+    return read(Spending, values)

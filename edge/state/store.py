@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from edge.assistant.llm.budget import Spent
-from edge.bundle.admitted import Admitted
+from edge.assistant.llm.budget import Spending
+from edge.bundle.admission import Admission
 from edge.bundle.roles import Roles
 from edge.config.settings import Settings
 from edge.core.errors import DataError
@@ -25,7 +25,7 @@ from edge.formats.state_document import read_document
 from edge.safety.memory import SafetyMemory
 from edge.state import codecs
 from edge.state.codecs import StandingState
-from edge.storage.numbers import Reserved
+from edge.storage.numbers import Reservation
 from edge.tick.orders import Operation
 
 Value = TypeVar("Value")
@@ -110,13 +110,13 @@ DRIFT: StoredValue[DriftMemory | None] = StoredValue(
     lambda settings, why: None,
 )
 LLM_BUDGET = StoredValue(
-    Spent,
+    Spending,
     "assistant",
     "its UTC day; a kill costs a minute",
     _beside("llm_budget.json"),
-    codecs.encode_spent,
-    codecs.decode_spent,
-    lambda settings, why: Spent(""),
+    codecs.encode_spending,
+    codecs.decode_spending,
+    lambda settings, why: Spending(""),
     pause_s=60.0,  # five exchanges a step would be five writes
 )
 STORED: tuple[StoredValue[Any], ...] = (STANDING, SKILL, DRIFT, LLM_BUDGET)
@@ -130,13 +130,13 @@ SURVIVORS: tuple[Survivor, ...] = (
         lambda settings: Path(settings.bundle.path) / "roles.json",
     ),
     Survivor(
-        Admitted,
+        Admission,
         "bundle",
         "until the next bundle is installed; a kill costs nothing",
         lambda settings: Path(settings.bundle.path) / "admitted.json",
     ),
     Survivor(
-        Reserved,
+        Reservation,
         "storage",
         "until the next tick numbers are reserved; overwritten in place, also on a full disk",
         lambda settings: Path(f"{settings.history.path}-numbers"),

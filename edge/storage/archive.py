@@ -88,14 +88,14 @@ class Archive:
 
     def needs_migration(self) -> bool:
         """Return whether the indexes of the newest schema are missing."""
-        version = self.opened().execute("PRAGMA user_version").fetchone()[0]
+        version = self.open_connection().execute("PRAGMA user_version").fetchone()[0]
         return bool(version < SCHEMA_VERSION)
 
     def finish_migration(self) -> None:
         """Add the indexes, in one transaction; a year of history takes seconds, on a slow card minutes."""
         from edge.storage.schema import migrate
 
-        migrate(self.opened(), SCHEMA_VERSION)
+        migrate(self.open_connection(), SCHEMA_VERSION)
 
     def interrupt(self) -> None:
         """End the statement that runs in the archive's own thread; it raises there. From any thread."""
@@ -110,7 +110,7 @@ class Archive:
         self, records: Sequence[TickRecord], gaps: Sequence[NumberGap], next_seq: int, utc: float
     ) -> None:
         """Write a batch, all or nothing; with the first one the session begins, at tick `next_seq`."""
-        connection = self.opened()
+        connection = self.open_connection()
         self._look()
         if self._session_id is None and not self.last_seq < next_seq:
             raise Unusable(f"it holds another history's ticks, up to {self.last_seq}")
@@ -133,11 +133,13 @@ class Archive:
 
     def end_session(self, utc: float) -> None:
         """Note that the session ended as it should."""
-        self.opened().execute("UPDATE sessions SET ended_utc = ? WHERE session = ?", (utc, self._session_id))
+        self.open_connection().execute(
+            "UPDATE sessions SET ended_utc = ? WHERE session = ?", (utc, self._session_id)
+        )
 
     def thin(self, settings: RetentionSettings) -> tuple[bool, int]:
         """One chunk of retention, see `retention.thin`."""
-        return thin(self.opened(), settings)
+        return thin(self.open_connection(), settings)
 
     def close(self) -> None:
         """Close the file; its name may be another file's afterwards."""
@@ -159,7 +161,7 @@ class Archive:
         with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as newcomer:
             newcomer.execute("SELECT max(seq) FROM ticks").fetchone()
 
-    def opened(self) -> sqlite3.Connection:
+    def open_connection(self) -> sqlite3.Connection:
         """Return the connection, opened if it was not."""
         if self._connection is None:
             self.open()

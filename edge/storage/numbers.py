@@ -13,7 +13,7 @@ _BYTES = 128  # always written whole, so that the file never grows after its fir
 
 
 @dataclass(frozen=True, slots=True)
-class Reserved:
+class Reservation:
     """Every number given out so far is below `below`."""
 
     first_seq: int  # first number of the session that wrote this
@@ -27,15 +27,15 @@ class NumbersFile:
     def __init__(self, history: Path) -> None:
         self._path = Path(f"{history}-numbers")
 
-    def read(self) -> Reserved | None:
+    def read(self) -> Reservation | None:
         """Return the last reservation, None without a readable one."""
         try:
             values = json.loads(self._path.read_bytes()[:_BYTES])
-            return Reserved(int(values["first_seq"]), int(values["below"]), bool(values["is_final"]))
+            return Reservation(int(values["first_seq"]), int(values["below"]), bool(values["is_final"]))
         except (OSError, ValueError, TypeError, KeyError):
             return None
 
-    def write(self, reserved: Reserved) -> None:
+    def write(self, reserved: Reservation) -> None:
         """Overwrite it on the disk itself. Errors: OSError"""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)

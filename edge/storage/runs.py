@@ -41,7 +41,7 @@ def export_run(
     with reading(path) as connection:
         facts: dict[str, str] = {}
         if name is not None:
-            first_seq, last_seq, facts = _named(connection, path, name)
+            first_seq, last_seq, facts = _find_run(connection, path, name)
         ticks = ticks_between(connection, first_seq, last_seq, since_utc, until_utc)
         if not ticks:
             raise DataError(f"{path}: there are no ticks in this stretch")
@@ -178,7 +178,7 @@ def _insert_run(
     )
 
 
-def _named(connection: sqlite3.Connection, path: str | Path, name: str) -> tuple[int, int, dict[str, str]]:
+def _find_run(connection: sqlite3.Connection, path: str | Path, name: str) -> tuple[int, int, dict[str, str]]:
     row = connection.execute("SELECT first_seq, last_seq, facts FROM runs WHERE name = ?", (name,)).fetchone()
     if row is None:
         known = [other for (other,) in connection.execute("SELECT name FROM runs ORDER BY name LIMIT 20")]

@@ -12,7 +12,7 @@ from edge.core.clock import Clock
 from edge.core.messages import Event, Severity, TickRecord
 from edge.storage.archive import Archive, NumberGap, Session
 from edge.storage.file import FileFault, fault_of, set_aside
-from edge.storage.numbers import NumbersFile, Reserved
+from edge.storage.numbers import NumbersFile, Reservation
 from edge.storage.tick_queue import TickQueue
 
 BATCH_TICKS = 200  # most ticks in one transaction
@@ -51,8 +51,8 @@ class Storage:
         self._next_seq = 0
         self._last_given = 0  # number of the newest tick that was handed in
         self._numbers = NumbersFile(Path(settings.path))
-        self._before: Reserved | None = None  # what the session before reserved
-        self._reserved: Reserved | None = None  # None until its first successful write
+        self._before: Reservation | None = None  # what the session before reserved
+        self._reserved: Reservation | None = None  # None until its first successful write
         self._has_accounted = False  # for the numbers between the last one in the file and `_next_seq`
         self._gaps: list[NumberGap] = []  # to be written with the next batch
         self._events: deque[Event] = deque()
@@ -131,7 +131,7 @@ class Storage:
         self._given_up.set()
         return self._ended
 
-    def _first_number(self, before: Reserved | None) -> int:
+    def _first_number(self, before: Reservation | None) -> int:
         """Return the first free tick number, by the open file and the last reservation."""
         archive = self._archive
         following = archive.last_seq + 1
@@ -163,9 +163,9 @@ class Storage:
         """Let the numbers file be ahead of the numbers given out, also while the history can't be written."""
         if self._reserved is None or self._last_given + self._margin // 2 >= self._reserved.below:
             below = self._last_given + 1 + self._margin
-            self._keep_reserved(Reserved(self._next_seq, below, is_final=False))
+            self._keep_reservation(Reservation(self._next_seq, below, is_final=False))
 
-    def _keep_reserved(self, reserved: Reserved) -> None:
+    def _keep_reservation(self, reserved: Reservation) -> None:
         with suppress(OSError):  # the same disk as the history's, which tells its fault
             self._numbers.write(reserved)
             self._reserved = reserved
@@ -185,7 +185,7 @@ class Storage:
             self._ended = self._write_until_closed() and self._attempt(self._end_session)
             self._archive.close()
             if self._ended:
-                self._keep_reserved(Reserved(self._next_seq, self._last_given + 1, is_final=True))
+                self._keep_reservation(Reservation(self._next_seq, self._last_given + 1, is_final=True))
         except Exception as error:  # our own mistake: the loop goes on, and shows it
             self._behind = f"the writer has stopped: {error!r}"
 
@@ -252,7 +252,7 @@ class Storage:
         """Note the numbers between the last one in the file and this session's first as a gap, once."""
         if self._has_accounted:
             return
-        self._archive.opened()
+        self._archive.open_connection()
         replaced = [gap.last_seq for gap in self._gaps if gap.last_seq < self._next_seq]
         last_seq = max(self._archive.last_seq, *replaced, 0)
         if last_seq + 1 < self._next_seq:

@@ -6,7 +6,7 @@ from edge.core.controller import Columns, Context, ControlLimits, Penalty
 from edge.core.messages import Command, Estimate
 from edge.tick.orders import Operation
 from edge.tick.reference import Reference
-from edge.tick.steering_at_work import in_force, limited, penalty_of
+from edge.tick.steering_at_work import in_force, limit, penalty_of
 
 REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
 
@@ -37,7 +37,7 @@ def context_of(
     reference = in_force(operation.reference_c, steering, configured)
     # A request may narrow what the supervisor allows, never widen it.
     if steering is not None:
-        limits = limited(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_on)
+        limits = limit(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_on)
         penalty = penalty_of(steering)
     return Context(
         now_s=moment.now_s,

@@ -32,7 +32,7 @@ def is_in_force(reply: Reply) -> bool:
     return "operation" in reply or reply.get("ok") is True
 
 
-class Answered(Protocol):
+class AnswerPlace(Protocol):
     """The place an answer goes to; never waits."""
 
     def put(self, reply: Reply, /) -> None: ...
@@ -54,7 +54,7 @@ class Letter:
     """One request on its way, with the place its answer goes to."""
 
     request: Request
-    answer: Answered = field(default_factory=lambda: _Answers([]))
+    answer: AnswerPlace = field(default_factory=lambda: _Answers([]))
 
 
 class Inbox:

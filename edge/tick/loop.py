@@ -137,7 +137,9 @@ class Loop:
         self._end_maintenance(now, utc)
         context = self._context(estimate, now, utc)
         decision, decide_ms = self._decider.decide(self._operation.controller, context)
-        wanted, orders = self._ordered(self._with_light_and_water(decision.command, readings, now, utc), utc)
+        wanted, orders = self._apply_orders(
+            self._with_light_and_water(decision.command, readings, now, utc), utc
+        )
         verdict = self._supervise(wanted, readings, estimate, now, utc)
         echo = self._drive(verdict)
         # Forecasts start from what the board was sent, not from what the controller wanted.
@@ -214,7 +216,7 @@ class Loop:
             board.serve_until_answered(ECHO_TIMEOUT_S)
             self._tell("maintenance.ended", Severity.INFO, "maintenance has ended", now)
 
-    def _ordered(self, command: Command, utc: float) -> tuple[Command, tuple[Change, ...]]:
+    def _apply_orders(self, command: Command, utc: float) -> tuple[Command, tuple[Change, ...]]:
         return apply_orders(self._operation, command, utc, seconds_of_day(utc, self._rig.zone))
 
     def _with_light_and_water(
@@ -253,8 +255,10 @@ class Loop:
         board = self._rig.board
         board.drive(verdict.sent, verdict.open_cutoff, self._step_s + LEASE_S)
         echo = board.serve_until_echo(min(ECHO_TIMEOUT_S, self._step_s / 2)) if board.link_up else None
-        self._watering.given(verdict.sent.valve_pulse_s if board.link_up else 0.0, self._rig.clock.now())
-        self._sent = Command() if echo is None else _driven(echo)
+        self._watering.count_pulse(
+            verdict.sent.valve_pulse_s if board.link_up else 0.0, self._rig.clock.now()
+        )
+        self._sent = Command() if echo is None else _driven_command(echo)
         return echo
 
     def _note_conditions(
@@ -447,7 +451,7 @@ class Loop:
         rig, now, utc = self._rig, self._rig.clock.now(), self._rig.clock.utc()
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
         command = replace(record.decision.command, led=record.wanted.led)
-        wanted, _ = self._ordered(command, utc)
+        wanted, _ = self._apply_orders(command, utc)
         verdict = self._supervise(wanted, readings, record.estimate, now, utc)
         echo = self._drive(verdict)
         rig.estimator.record_sent(self._sent)
@@ -482,5 +486,5 @@ def _as_saved(reply: Reply, error: str) -> Reply:
     }
 
 
-def _driven(echo: Echo) -> Command:
+def _driven_command(echo: Echo) -> Command:
     return Command(heater_duty=echo.heater_duty, fan_on=echo.fan_on, led=echo.led)

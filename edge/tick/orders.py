@@ -14,12 +14,12 @@ from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.core.messages import Change, Command
 from edge.core.names import HEATER_LEVELS
-from edge.core.plain_text import plain, shown
-from edge.formats.checked import ABSENT, REQUIRED, Rule
+from edge.core.plain_text import plain, quote
+from edge.formats.cross_check import ABSENT, REQUIRED, Rule
 from edge.formats.reader import DocumentError, read, read_number
 from edge.tick.steering import Steering, problem
 from edge.tick.steering import from_dict as steering_from_dict
-from edge.tick.steering_at_work import steered
+from edge.tick.steering_at_work import steer
 
 UTC_MAX = 1e11  # the year 5138; a calendar ends at 9999 [s since 1970]
 
@@ -115,8 +115,8 @@ def apply_orders(
     since_midnight_s : local time of day, for a rest of the fan
     """
     steering = operation.steering_at(utc)
-    asked = command if steering is None else steered(command, steering, since_midnight_s)
-    ordered = _ordered(operation, asked)
+    asked = command if steering is None else steer(command, steering, since_midnight_s)
+    ordered = _command_of(operation, asked)
     reason = f"mode {operation.mode.value}, fan {operation.fan_mode.value}"
     if asked != command:
         reason += ", asked for in words"
@@ -133,7 +133,7 @@ def apply_orders(
     return ordered, changes
 
 
-def _ordered(operation: Operation, command: Command) -> Command:
+def _command_of(operation: Operation, command: Command) -> Command:
     if operation.mode is Mode.OFF:
         return Command(led=command.led, valve_pulse_s=command.valve_pulse_s)
     if operation.mode is Mode.MANUAL:
@@ -154,7 +154,7 @@ def operate(operation: Operation, request: Request, desk: Desk) -> Operation:
     if order is None:
         near = get_close_matches(plain(str(kind)), ORDERS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(ORDERS)}"
-        raise RequestError(f"unknown request {shown(kind)}{hint}")
+        raise RequestError(f"unknown request {quote(kind)}{hint}")
     try:
         return order.carry_out(operation, read_request(order.keys, request), desk)
     except DocumentError as error:
@@ -254,7 +254,7 @@ def _set_controller(operation: Operation, asked: SetController, desk: Desk) -> O
     if reason := desk.unready(name):
         raise RequestError(f"name: {reason}")
     if name not in desk.controllers:
-        raise RequestError(f"name: {shown(name)} is not one of {', '.join(desk.controllers)}")
+        raise RequestError(f"name: {quote(name)} is not one of {', '.join(desk.controllers)}")
     return replace(operation, controller=name)
 
 

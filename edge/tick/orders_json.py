@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from edge.core.messages import Command
 from edge.core.names import ACTUATORS
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import DocumentError, read, read_number
 from edge.tick import steering as steerings
 from edge.tick.orders import UTC_MAX, Before, FanMode, Mode, Operation
@@ -38,7 +38,7 @@ def _steering_dict(steering: Steering | None) -> dict[str, Any] | None:
 
 
 @dataclass(frozen=True, slots=True)
-class OperationDocument(Checked):
+class OperationDocument(CheckedDocument):
     """Orders as `to_dict` writes them; steering and before are not in files of earlier software."""
 
     controller: str

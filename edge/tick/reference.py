@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from edge.config.settings import ReferenceSettings
 from edge.core.errors import DataError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.formats.profile_file import read_profile
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,7 @@ def reference_from_profile(path: Path) -> Reference:
     """Return the reference of a profile file with `time_s,reference_c`. Errors: DataError"""
     profile = read_profile(path)
     if not profile.is_reference:
-        raise DataError(f"{path}: reference_c is not among the columns {shown(list(profile.columns), 500)}")
+        raise DataError(f"{path}: reference_c is not among the columns {quote(list(profile.columns), 500)}")
     return Reference(profile.columns["time_s"], profile.columns["reference_c"])
 
 

@@ -100,7 +100,7 @@ def _suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> T
     suspects = (*track.suspects, sample) if agree else (sample,)
     if len(suspects) < CONFIRM_SAMPLES:
         return replace(track, suspects=suspects)
-    return _accepted(replace(track, stepped=True, accepted=()), suspects, sample.time_s)
+    return _take(replace(track, stepped=True, accepted=()), suspects, sample.time_s)
 
 
 def _accept(track: Track, samples: Sequence[Reading]) -> Track:
@@ -109,10 +109,10 @@ def _accept(track: Track, samples: Sequence[Reading]) -> Track:
         return track
     before = (track.accepted[-1].value if track.accepted else None, *(sample.value for sample in samples))
     moves_s = [s.time_s for s, value in zip(samples, before, strict=False) if s.value != value]
-    return _accepted(track, samples, moves_s[-1] if moves_s else None)
+    return _take(track, samples, moves_s[-1] if moves_s else None)
 
 
-def _accepted(track: Track, samples: Sequence[Reading], moved_s: float | None) -> Track:
+def _take(track: Track, samples: Sequence[Reading], moved_s: float | None) -> Track:
     """Return the track with more samples. moved_s : when the raw value last moved, None: it stood still"""
     last_s = samples[-1].time_s
     recent = tuple(s for s in (*track.accepted, *samples) if last_s - s.time_s < AVERAGE_S)

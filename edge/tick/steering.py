@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from edge.core.plain_text import plain
-from edge.formats.checked import REQUIRED
+from edge.formats.cross_check import REQUIRED
 from edge.formats.reader import read
 
 DAY_S = 86400.0

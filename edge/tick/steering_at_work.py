@@ -30,7 +30,7 @@ def in_force(by_hand_c: float | None, steering: Steering | None, configured: Ref
     return asked or configured
 
 
-def limited(
+def limit(
     limits: ControlLimits, steering: Steering, since_midnight_s: float, step_s: float, fan_on: bool
 ) -> ControlLimits:
     """Return the limits for a controller that plans; a rest of the fan looks like a relay that must hold."""
@@ -47,7 +47,7 @@ def penalty_of(steering: Steering) -> Penalty:
     return Penalty(steering.heater_penalty, steering.fan_penalty)
 
 
-def steered(command: Command, steering: Steering, since_midnight_s: float) -> Command:
+def steer(command: Command, steering: Steering, since_midnight_s: float) -> Command:
     """Return the command as far as the operator's constraints allow it."""
     if steering.heater_max_duty is not None and not command.heater_duty <= steering.heater_max_duty:
         command = replace(command, heater_duty=_level_below(steering.heater_max_duty))

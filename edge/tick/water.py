@@ -32,7 +32,7 @@ class Watering:
         within_dose = sum(length_s for _, length_s in recent) + settings.pulse_s <= settings.daily_max_s
         return settings.pulse_s if dry and soaked and within_dose else 0.0
 
-    def given(self, length_s: float, now: float) -> None:
+    def count_pulse(self, length_s: float, now: float) -> None:
         """Count a pulse that was sent; one that may not have reached the board counts too."""
         if length_s > 0.0:
             self._pulses = [pulse for pulse in self._pulses if now - pulse[0] < DAY_S]

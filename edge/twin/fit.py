@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun
-from edge.twin.effects.library import applied, day_counter, parameter_at
+from edge.twin.effects.library import acting_effects, day_counter, parameter_at
 from edge.twin.output_error import FreeRun, free_run, rmse
-from edge.twin.recorded import Recorded, recorded
+from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
@@ -79,7 +79,7 @@ def fit_twin(file: TwinFile, runs: Sequence[RecordedRun]) -> TwinFit:
 
     Errors : DataError for nothing to fit, a run that may not be fitted on, a parameter that does nothing
     """
-    data = recorded(runs, file.sample_s)
+    data = batch_runs(runs, file.sample_s)
     if day_counter(file.effects) and file.day0_utc is None and "utc" in data.conditions:
         file = replace(file, day0_utc=float(data.conditions["utc"].min()))  # the first run's start
     unknowns = _unknowns(file, data)
@@ -112,7 +112,7 @@ class _Problem:
     """Residuals over unknowns, each in units of its scale."""
 
     file: TwinFile
-    data: Recorded
+    data: RunBatch
     unknowns: tuple[_Unknown, ...]
     noise_k: float
 
@@ -154,7 +154,7 @@ class _Problem:
         return np.array([step or FINE for step in steps]) if any(steps) else None
 
 
-def _unknowns(file: TwinFile, data: Recorded) -> list[_Unknown]:
+def _unknowns(file: TwinFile, data: RunBatch) -> list[_Unknown]:
     unknowns = []
     for place, value in file.values().items():
         if not (value.fit or value.rel_sd is not None):
@@ -162,7 +162,7 @@ def _unknowns(file: TwinFile, data: Recorded) -> list[_Unknown]:
         low, high = _range(file, place, value.value)
         prior_sd = np.inf if value.rel_sd is None else abs(value.rel_sd * value.value)
         unknowns.append(_Unknown(place, value.value, low, high, prior_sd))
-        if place[0] == "effects" and place[1] not in applied(file.effects):
+        if place[0] == "effects" and place[1] not in acting_effects(file.effects):
             raise DataError(f"{'.'.join(place)}: does nothing beside the effect that replaces it")
     if not data.has_ambient:
         unknowns.append(_Unknown(_AMBIENT, float(np.nanmin(data.temp[:, 0])), *AMBIENT_RANGE_C))

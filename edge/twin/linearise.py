@@ -23,10 +23,10 @@ from edge.twin.effects.library import day_counter
 from edge.twin.fan_speeds import exponentials
 from edge.twin.model import DAY_S, BoxTwin
 from edge.twin.network import AIR
-from edge.twin.recorded import Recorded
 from edge.twin.rollout import cuts, late, rollout, spun_up
+from edge.twin.run_batch import RunBatch
 from edge.twin.signals import Conditions, columns_of
-from edge.twin.warm_start import held
+from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -75,7 +75,7 @@ class _PartInputs(NamedTuple):
     slope: Floats
 
 
-def linearise(twin: BoxTwin, runs: Recorded) -> LinearSteps:
+def linearise(twin: BoxTwin, runs: RunBatch) -> LinearSteps:
     """Linearise `twin` about each row of `runs`.
 
     Errors : DataError naming a column that is missing, or `day0_utc`
@@ -86,8 +86,8 @@ def linearise(twin: BoxTwin, runs: Recorded) -> LinearSteps:
     drives[..., 2] /= twin.system.air_capacity_j_k
     by_any = drives.sum(axis=0)[index]
     duty, room, heat = np.ascontiguousarray(by_any.transpose(3, 0, 1, 2))
-    by_duty = _driven(drives[..., 0], index, duty, acting.duty)
-    driven = _driven(drives[..., 2], index, heat, acting.heat_w)
+    by_duty = _input_effect(drives[..., 0], index, duty, acting.duty)
+    driven = _input_effect(drives[..., 2], index, heat, acting.heat_w)
     driven += by_duty
     driven += room * twin.signals.room(runs.ambient.T)[..., None]
     return LinearSteps(twin.states, table, index, driven, by_duty, room, heat)
@@ -128,7 +128,7 @@ def responses(wanted: Sequence[EnsembleRun]) -> Floats:
     return shown.reshape(rows, len(wanted), runs).transpose(1, 2, 0)
 
 
-def _driven(drives: Floats, index: Indices, steady: Floats, acting: Floats) -> Floats:
+def _input_effect(drives: Floats, index: Indices, steady: Floats, acting: Floats) -> Floats:
     """Return the effect of an input over whole rows, [N, B, n].
 
     drives : [J, S, n], by the end of each kind of row; steady : [N, B, n], by an input that stays at 1
@@ -142,7 +142,7 @@ def _driven(drives: Floats, index: Indices, steady: Floats, acting: Floats) -> F
     return driven
 
 
-def _acting(twin: BoxTwin, runs: Recorded) -> _PartInputs:
+def _acting(twin: BoxTwin, runs: RunBatch) -> _PartInputs:
     signals, shape = twin.signals, runs.fan.T.shape
     room, columns = runs.ambient.T, _columns(twin, runs)
     lengths = cuts(signals, twin.step_s, twin.step_s)
@@ -160,7 +160,7 @@ def _acting(twin: BoxTwin, runs: Recorded) -> _PartInputs:
     return _PartInputs(lengths, speeds, duties, heat_w, door, day, bend.slope_w_k)
 
 
-def _columns(twin: BoxTwin, runs: Recorded) -> dict[str, Floats]:
+def _columns(twin: BoxTwin, runs: RunBatch) -> dict[str, Floats]:
     """Columns that the twin's heat depends on, [N, B] each, with `day` where walls age."""
     columns = {name: column.T for name, column in columns_of(twin.needs, runs.conditions).items()}
     columns["heater_duty"] = runs.duty.T
@@ -173,23 +173,23 @@ def _columns(twin: BoxTwin, runs: Recorded) -> dict[str, Floats]:
     return columns
 
 
-def _bend(twin: BoxTwin, runs: Recorded, columns: Conditions) -> _Bend:
+def _bend(twin: BoxTwin, runs: RunBatch, columns: Conditions) -> _Bend:
     """Return the tangent at the measured air temperature in the middle of each row, held over holes."""
     shape = runs.fan.T.shape
     if not twin.signals.bends:
         return _Bend(np.zeros(shape), np.zeros(shape))
-    temps = np.stack([held(row) for row in runs.temp])
+    temps = np.stack([hold(row) for row in runs.temp])
     middle = (0.5 * (temps[:, 1:] + temps[:, :-1])).T
 
     def heat_w(temp: Floats) -> Floats:
         return np.asarray(twin.signals.heat_w(temp, runs.ambient.T, columns, by_temp=True))
 
     slope = (heat_w(middle + SLOPE_K) - heat_w(middle - SLOPE_K)) / (2.0 * SLOPE_K)
-    slope = _levelled(slope)
+    slope = _level(slope)
     return _Bend(slope, heat_w(middle) - slope * middle)
 
 
-def _levelled(slopes: Floats) -> Floats:
+def _level(slopes: Floats) -> Floats:
     """To one of a few values, in shares of the range, so that a fitted value moves them smoothly."""
     low, high = float(slopes.min()), float(slopes.max())
     if high - low <= 1e-12:

@@ -131,14 +131,14 @@ class BoxTwin:
             return march.step(0, rows).reshape(*shape, -1)
         fans = np.broadcast_to(np.asarray(fan, dtype=np.float64), shape)
         transition, index = self.transitions(fans)
-        driven = _driven(transition, index, ambient, duty, source)
+        driven = _input_effect(transition, index, ambient, duty, source)
         driven += np.einsum("...ij,...j->...i", transition.state[index], state)
         return driven
 
     def steps(self, ambient: Floats, duty: Floats, fan: Floats) -> tuple[Floats, Floats]:
         """Matrices [N, n, n], and what the inputs [N] add [N, n], of N steps of a twin that is `plain`."""
         transition, index = self.transitions(fan)
-        return transition.state[index], _driven(transition, index, ambient, duty, 0.0)
+        return transition.state[index], _input_effect(transition, index, ambient, duty, 0.0)
 
     def rollout(
         self,
@@ -175,7 +175,7 @@ class BoxTwin:
             duty, ambient = self.signals.duty(duty), self.signals.room(measured)
         in_time = np.ascontiguousarray(fan.T)
         transition, index = self.transitions(in_time)
-        driven = _driven(transition, index, _in_time(ambient), _in_time(duty), _in_time(source))
+        driven = _input_effect(transition, index, _in_time(ambient), _in_time(duty), _in_time(source))
         if offset is not None:
             for i in {0, self.states.index(AIR)}:  # a sensor and what it shows
                 driven[:, :, i] += offset[:, None]
@@ -204,7 +204,7 @@ class BoxTwin:
         return March.of(self.system, self.signals, self.step_s, commands, ambient, source, columns, before)
 
 
-def _driven(
+def _input_effect(
     transition: Transition, index: Indices, ambient: ArrayLike, duty: ArrayLike, source: ArrayLike
 ) -> Floats:
     """Return the effect of the inputs over the step, shape of `index` + [n]."""

@@ -96,7 +96,7 @@ class Network:
         drive[:, :, 1] = matrices[:, :, -1]
         drive[0, : len(zones), 2] = 1.0
         states, rates = tuple(capacities), matrices[:, :, :-1]
-        heated = self._heated(capacities)
+        heated = self._heat_rates(capacities)
         if self.heater_lag_s > 0.0:
             states, rates, drive = self._behind_element(states, rates, drive, heated)
         else:
@@ -138,7 +138,7 @@ class Network:
             ]
         return found
 
-    def _heated(self, capacities: dict[str, float]) -> Floats:
+    def _heat_rates(self, capacities: dict[str, float]) -> Floats:
         """Return the effect of a watt of the heater on each node [K/J]."""
         lit = {name: share for name, share in RADIANT.items() if name in capacities}
         shares = {name: self.radiant_share * share / sum(lit.values()) for name, share in lit.items()}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest, spread
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,7 @@ class FreeRun(NamedTuple):
     start_pull: Floats
 
 
-def free_run(twin: BoxTwin, runs: Recorded, ambient: Floats, noise_k: float) -> FreeRun:
+def free_run(twin: BoxTwin, runs: RunBatch, ambient: Floats, noise_k: float) -> FreeRun:
     """Simulate the runs with the recorded inputs.
 
     ambient : [B, N] [°C]; noise_k : sd of what a free run misses, against which the prior is weighed [K]
@@ -51,7 +51,7 @@ def free_run(twin: BoxTwin, runs: Recorded, ambient: Floats, noise_k: float) -> 
     return FreeRun(residual - explained, measured, np.asarray(pull, dtype=np.float64))
 
 
-def _responses(twin: BoxTwin, runs: Recorded, rest: Floats, ambient: Floats, predicted: Floats) -> Floats:
+def _responses(twin: BoxTwin, runs: RunBatch, rest: Floats, ambient: Floats, predicted: Floats) -> Floats:
     """Return the sensor's response to a unit of each initial state, [B n, N]."""
     count, size = rest.shape
     unit = np.repeat(np.eye(size)[None], count, axis=0).reshape(-1, size)

@@ -113,9 +113,9 @@ class March:
             gain = part.gain[k]
             moved = times(part.matrix[k], states) + part.driven[k]
             if self.signals.bends:
-                guess = moved[:, air] + gain[:, air] * self._bent(states[:, air], k, columns)
+                guess = moved[:, air] + gain[:, air] * self._bend_heat(states[:, air], k, columns)
                 middle = 0.5 * (states[:, air] + guess)
-                moved += gain * np.asarray(self._bent(middle, k, columns))[:, None]
+                moved += gain * np.asarray(self._bend_heat(middle, k, columns))[:, None]
             states = moved
         return states
 
@@ -136,7 +136,7 @@ class March:
             shown[k] = states[:, 0]
         return shown.T
 
-    def _bent(self, temp: Floats, k: int, columns: Conditions) -> Floats | float:
+    def _bend_heat(self, temp: Floats, k: int, columns: Conditions) -> Floats | float:
         """Heat that depends on the air's temperature, as a source [K/s], [B]."""
         return self.signals.heat_w(temp, self.room[k], columns, by_temp=True) / self.air_capacity_j_k
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import yaml
 
 from edge.core.errors import DataError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 from edge.formats.atomic_file import write_atomically
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.formats.input_file import Source
 from edge.formats.reader import read_yaml
 from edge.twin.effects.effect import EffectParameter
@@ -172,7 +172,7 @@ def _time(text: str | None) -> float | None:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
-        raise DataError(f"day0_utc: {shown(text)} is no time like 2026-07-01T12:00:00Z") from None
+        raise DataError(f"day0_utc: {quote(text)} is no time like 2026-07-01T12:00:00Z") from None
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 

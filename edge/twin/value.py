@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from edge.core.errors import DataError
-from edge.formats.checked import ABSENT, Checked, Rule
+from edge.formats.cross_check import ABSENT, CheckedDocument, Rule
 from edge.formats.reader import read, read_number
 
 
@@ -29,7 +29,7 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownValue(Checked):
+class KnownValue(CheckedDocument):
     """`{value, rel_sd}` or `{value, low, high}` of a file."""
 
     value: float

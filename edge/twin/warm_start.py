@@ -87,7 +87,7 @@ def state_now(twin: BoxTwin, past: PastColumns) -> Floats:
         return np.array([temps[-1]])
     if not np.isfinite(past.ambient).any():
         raise DataError("history: no room temperature is known")
-    ambient = held(past.ambient)
+    ambient = hold(past.ambient)
     first = int(np.isfinite(temps).argmax())
     state = at_rest(twin, float(temps[first]), float(ambient[first]))
     covariance = np.diag(spread(twin) ** 2)
@@ -118,12 +118,12 @@ def _advances(
             return driven[k] + np.einsum("ij,j->i", matrices[k], state), matrices[k]
 
         return plain
-    columns = {name: held(column)[:-1] for name, column in (past.conditions or {}).items()}
+    columns = {name: hold(column)[:-1] for name, column in (past.conditions or {}).items()}
     march = twin.march(Commands(duty[None], fan[None]), ambient[:-1], conditions=columns)
     return lambda k, state: (march.step(k, state[None])[0], march.matrix(k)[0])
 
 
-def held(values: Floats) -> Floats:
+def hold(values: Floats) -> Floats:
     """Return a column without holes: the last known value holds, the first also before it; all NaN stays."""
     known = np.flatnonzero(np.isfinite(values))
     if not len(known):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from firmware_protocol.virtual_board.board_config import PWM_SLOTS
-from firmware_protocol.virtual_board.board_time import elapsed
+from firmware_protocol.virtual_board.board_time import elapsed_ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +40,12 @@ class Lease:
 
     def advance(self, now_ms: int) -> None:
         """End it when its time is over; it stays ended when the clock wraps."""
-        if elapsed(now_ms, self.start_ms) >= self.length_ms:
+        if elapsed_ms(now_ms, self.start_ms) >= self.length_ms:
             self.end()
 
     def left_ms(self, now_ms: int) -> int:
         """Return the time left [ms]."""
-        return self.length_ms - elapsed(now_ms, self.start_ms) if self.runs else 0
+        return self.length_ms - elapsed_ms(now_ms, self.start_ms) if self.runs else 0
 
 
 @dataclass(slots=True)
@@ -59,7 +59,7 @@ class SlowPwm:
 
     def advance(self, now_ms: int, wanted: int) -> None:
         """At a slot's beginning the duty of that moment is taken, within a slot only a smaller one."""
-        passed = elapsed(now_ms, self.slot_start_ms) // self.slot_ms
+        passed = elapsed_ms(now_ms, self.slot_start_ms) // self.slot_ms
         if passed > 0:
             self.slot_start_ms += passed * self.slot_ms
             self.slot = (self.slot + passed) % PWM_SLOTS

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from firmware_protocol.fields import Field
 from firmware_protocol.messages import LAYOUTS, Quality, SensorReport, StateEcho
-from firmware_protocol.virtual_board.board_time import elapsed
+from firmware_protocol.virtual_board.board_time import elapsed_ms
 
 MAX_AGE_MS = 3000
 AIR = "temp_air_c"
@@ -63,7 +63,7 @@ class Samples:
     def advance(self, now_ms: int) -> None:
         """Good samples older than MAX_AGE_MS become stale, and stay it when the clock wraps."""
         for sample in self._samples.values():
-            if sample.good and elapsed(now_ms, sample.time_ms) > MAX_AGE_MS:
+            if sample.good and elapsed_ms(now_ms, sample.time_ms) > MAX_AGE_MS:
                 sample.quality = Quality.STALE
 
     def take(self, signal: str, value: float | None, quality: int, now_ms: int) -> Sample:

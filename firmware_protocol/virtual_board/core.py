@@ -34,7 +34,7 @@ from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.board_outputs import Pins
 from firmware_protocol.virtual_board.board_safety import Safety
 from firmware_protocol.virtual_board.board_samples import AIR, Samples
-from firmware_protocol.virtual_board.board_time import elapsed, wrapped
+from firmware_protocol.virtual_board.board_time import elapsed_ms, wrap
 
 __all__ = ["BoardCore", "Pins"]
 
@@ -65,14 +65,14 @@ class BoardCore:
         """Bytes from the line."""
         self._advance(now_ms)
         for payload in self.decoder.feed(data):
-            self._take(payload, wrapped(now_ms))
+            self._take(payload, wrap(now_ms))
             self._advance(now_ms)  # a command with no lease has let go before the next frame is looked at
 
     def sample(self, samples: Mapping[str, tuple[float | None, int]], now_ms: int) -> None:
         """Take new samples: a key of board_samples.SIGNALS -> (value in its unit or None, Quality)."""
         self._advance(now_ms)
         for signal, (value, quality) in samples.items():
-            sample = self._samples.take(signal, value, quality, wrapped(now_ms))
+            sample = self._samples.take(signal, value, quality, wrap(now_ms))
             if signal == AIR:
                 self._safety.sample_air(sample)
 
@@ -80,11 +80,11 @@ class BoardCore:
         """Advance and return the new outputs; to be called at least every 100 ms."""
         self._advance(now_ms)
         if self._told != (self._safety.heater_off_cause, self._safety.trip_cause):
-            self._send(self._state(wrapped(now_ms)), 0)
-        passed = elapsed(now_ms, self._report_ms) // self._config.report_period_ms
+            self._send(self._state(wrap(now_ms)), 0)
+        passed = elapsed_ms(now_ms, self._report_ms) // self._config.report_period_ms
         if passed > 0:
             self._report_ms += passed * self._config.report_period_ms
-            self._send(self._samples.report(wrapped(now_ms)), 0)
+            self._send(self._samples.report(wrap(now_ms)), 0)
         return self._safety.pins()
 
     def transmit(self) -> bytes:

@@ -42,15 +42,15 @@ class Sensors:
         step_k, step_pct = p.temp_step_k * e.sensor_step, p.humidity_step_pct * e.sensor_step
         humidity = self.humidity_pct + e.sensor_bias * p.humidity_bias_pct + noise[1] * p.humidity_noise_pct
         return {
-            "temp_air_c": _rounded(self.air_c + bias + noise[0] * p.air_noise_k, step_k),
-            "rel_humidity_pct": min(max(_rounded(humidity, step_pct), 0.0), 100.0),
+            "temp_air_c": _round(self.air_c + bias + noise[0] * p.air_noise_k, step_k),
+            "rel_humidity_pct": min(max(_round(humidity, step_pct), 0.0), 100.0),
             "co2_ppm": min(
-                max(_rounded(self.co2_ppm + noise[2] * p.co2_noise_ppm, e.sensor_step), 0.0), 10000.0
+                max(_round(self.co2_ppm + noise[2] * p.co2_noise_ppm, e.sensor_step), 0.0), 10000.0
             ),
             "light": _unit(light + noise[3] * p.light_noise * (light > 0.0)),
             "soil_moisture": _unit(soil + noise[4] * p.soil_noise),
             "tank_level": _unit(tank + noise[5] * p.tank_noise),
-            "temp_ambient_c": _rounded(
+            "temp_ambient_c": _round(
                 ambient_c + e.ambient_offset * p.ambient_offset_k + noise[6] * p.ambient_noise_k, step_k
             ),
         }
@@ -64,7 +64,7 @@ def _follow(dt_s: float, lag_s: float) -> float:
     return -math.expm1(-dt_s / lag_s) if lag_s > 0.0 else 1.0
 
 
-def _rounded(value: float, step: float) -> float:
+def _round(value: float, step: float) -> float:
     return round(round(value / step) * step, 6) if step > _SMALLEST_STEP else value
 
 

@@ -114,7 +114,7 @@ class Server:
         return max(0.0, self._device.next_step_ms / 1000 - (time.monotonic() - self._started_s))
 
     def _handle(self, request: Mapping[str, Any], client: ControlClient) -> Mapping[str, Any]:
-        match _asked(request):
+        match _command_word(request):
             case "advance_to_s":
                 if self._started_s is not None:
                     raise ControlRequestError("this board runs in real time")
@@ -139,7 +139,7 @@ class Server:
             raise ControlRequestError(str(error)) from error
 
 
-def _asked(request: Mapping[str, Any]) -> str:
+def _command_word(request: Mapping[str, Any]) -> str:
     asked = [key for key in request if key in REQUESTS]
     if len(asked) == 1:
         unknown = [key for key in request if key not in (*asked, *REQUESTS[asked[0]])]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from bench.attack.invariants import violations
-from bench.attack.lives import AnsweredOrder, Lived, Outcome
+from bench.attack.lives import AnsweredOrder, LifeRemains, Outcome
 from bench.attack.plan import AttackPlan, Life, draw
 from bench.watched_clock import Look
 
@@ -17,9 +17,9 @@ def look(time_s: float, *on: str) -> Look:
     return Look(time_s, 25.0, "heater_relay" in on, None, False, "fan" in on, False, 1.0, on)
 
 
-def lived(begin_s: float = 0.0, end_s: float = 100.0, **changes: Any) -> Lived:
+def lived(begin_s: float = 0.0, end_s: float = 100.0, **changes: Any) -> LifeRemains:
     life = Life(end_s - begin_s, False, 5.0, None)
-    good = Lived(life, begin_s, end_s, (1, 2, 3), (1, 2, 3), (), 0, "")
+    good = LifeRemains(life, begin_s, end_s, (1, 2, 3), (1, 2, 3), (), 0, "")
     return replace(good, **changes)
 
 

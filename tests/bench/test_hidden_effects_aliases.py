@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from bench.hidden_effects.cases import Hidden, Truth
+from bench.hidden_effects.cases import HiddenEffect, Truth
 from bench.hidden_effects.score_aliases import AliasClass, alias_classes, cached_classes
 from bench.hidden_effects.score_noise import ReadingNoise, likeliest, log_likelihood
 from bench.hidden_effects.score_structure import structure
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import recorded
+from edge.twin.run_batch import batch_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -40,7 +40,7 @@ def run_of(effects: dict[str, dict[str, float]], seed: int, noise_k: float = 0.0
 
 def case(**hidden: dict[str, float]) -> tuple[Truth, list[RecordedRun]]:
     runs = [run_of({**KNOWN, **hidden}, seed) for seed in range(RUNS)]
-    items = tuple(Hidden(name, own, 1.0) for name, own in hidden.items())
+    items = tuple(HiddenEffect(name, own, 1.0) for name, own in hidden.items())
     return Truth("case_1", "equations", "dev", "single", 1, items, None, (), tuple(KNOWN), {}, {}, {}), runs
 
 
@@ -105,7 +105,7 @@ def test_an_effect_that_does_next_to_nothing_has_no_class():
 
 def test_a_door_at_unknown_times_has_no_rivals():
     truth, runs = case(heater_lag={"tau_h": 240.0})
-    door = replace(truth, hidden=(Hidden("door_opening", {"G_door": 20.0}, 1.0),))
+    door = replace(truth, hidden=(HiddenEffect("door_opening", {"G_door": 20.0}, 1.0),))
     assert alias_classes(door, FILE, runs) == (AliasClass("door_opening"),)
     assert AliasClass("door_opening").shows
 
@@ -121,7 +121,7 @@ def test_bent_heat_at_the_measured_temperature_is_that_of_a_free_run():
     runs = [run_of(effects, seed, noise_k=0.0) for seed in range(RUNS)]
     file = replace(FILE, effects={name: {key: Value(x) for key, x in own.items()}
                                   for name, own in effects.items()})  # fmt: skip
-    residual = structure(file, recorded(runs, 60.0)).residual(np.zeros(0))
+    residual = structure(file, batch_runs(runs, 60.0)).residual(np.zeros(0))
     assert np.abs(residual).max() < 0.05
 
 

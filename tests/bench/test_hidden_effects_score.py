@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bench.hidden_effects.cases import Hidden, RunTruth, Truth
+from bench.hidden_effects.cases import HiddenEffect, RunTruth, Truth
 from bench.hidden_effects.score import document, figures, write_document
 from bench.hidden_effects.score_aliases import AliasClass
 from bench.hidden_effects.score_answer import answer, read_answer
@@ -26,8 +26,8 @@ AFTER = [20.0, 20.0, 21.2, 22.8, 22.2]  # off by 0.2
 
 def truth(kind: str = "single", *names: str, depends_on: tuple[str, ...] = (), **parameters: float) -> Truth:
     """A truth of a kind with hidden effects, all with these parameters."""
-    hidden = tuple(Hidden(name, parameters, 1.0) for name in names)
-    outside = Hidden("sun", {}, 1.0) if kind == "outside" else None
+    hidden = tuple(HiddenEffect(name, parameters, 1.0) for name in names)
+    outside = HiddenEffect("sun", {}, 1.0) if kind == "outside" else None
     tests = {"test_01.csv": RunTruth(list(MEASURED), FLOOR, FLOOR)}
     return Truth(
         "case_1", "equations", "dev", kind, 1, hidden, outside, depends_on, ("wall_loss",), {}, {}, tests

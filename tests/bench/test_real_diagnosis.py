@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bench import real_diagnosis
-from bench.real_diagnosis import LogResult, Step, lines_of, measured
+from bench.real_diagnosis import LogResult, Step, lines_of, measure
 from bench.real_diagnosis_logs import LOG_SETS, TOLD, Logs, first_part, first_runs, read_logs
-from bench.real_diagnosis_plate import Heated, plate_of
+from bench.real_diagnosis_plate import HeaterStates, plate_of
 from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.twin.twin_file import read_twin_file
 
@@ -53,7 +53,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def case(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Logs, LogResult]:
     folder = tmp_path_factory.mktemp("case")
     few = read_logs(data, BOX, lambda runs: first_part(runs[:3]))
-    return folder, few, measured(folder, BOX, few)
+    return folder, few, measure(folder, BOX, few)
 
 
 def test_a_rest_begins_where_its_first_part_ends(case: tuple[Path, Logs, LogResult]) -> None:
@@ -95,7 +95,7 @@ def test_the_heaters_lag_of_a_made_up_box_is_named_and_its_plate_told(
 ) -> None:
     result = case[2]
     assert [effect.name for effect in result.diagnosis.verdict.effects] == ["heater_lag"]
-    assert result.steps[-1].test_k < result.given.test_k / 2.0
+    assert result.steps[-1].test_k < result.given_step.test_k / 2.0
     assert result.plate is not None
     assert result.plate.correlation > 0.9
 
@@ -116,12 +116,12 @@ def test_an_effect_with_which_held_out_runs_fit_worse_is_refuted(case: tuple[Pat
 def test_a_plate_in_proportion_to_the_heat_is_explained_whole() -> None:
     heat = np.linspace(0.0, 40.0, 50)
     air = np.full(50, 22.0)
-    right = Heated(air, heat, air + 1.5 + 0.8 * heat)
+    right = HeaterStates(air, heat, air + 1.5 + 0.8 * heat)
     found = plate_of([right], [right])
     assert (found.warmer_k_w, found.offset_k) == pytest.approx((0.8, 1.5))
     assert found.explained == pytest.approx(1.0)
     # A held-out plate that falls where the trained one rises: told the wrong way round.
-    assert plate_of([right], [Heated(air, heat, air - 0.8 * heat)]).correlation == pytest.approx(-1.0)
+    assert plate_of([right], [HeaterStates(air, heat, air - 0.8 * heat)]).correlation == pytest.approx(-1.0)
 
 
 def test_where_the_data_are_missing_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

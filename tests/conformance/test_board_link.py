@@ -6,7 +6,7 @@ import pytest
 from board_exchange import BoardExchange
 from line import BytewiseLine, CutLine, DelayedLine, DuplicatingLine, GoodLine, LossyLine, NoisyLine
 
-from firmware_protocol.link import BoardReset, LinkEcho, LinkLost, LinkUp, Refused, Report
+from firmware_protocol.link import BoardReset, LinkEcho, LinkLost, LinkUp, Report, RequestRefused
 from firmware_protocol.messages import ClearTrip, CommandMessage, EmergencyStop, ErrorCode
 
 LEASE_S = 5.0
@@ -94,7 +94,7 @@ def test_a_reset_while_a_command_waits_for_its_answer_is_not_obeyed_twice(new_bo
     rig.drive(0.1)
     rig.reset_board()
     assert not any(pins.heater_relay or pins.led for pins in rig.drive(5))
-    assert rig.seen(Refused)[0].error.code is ErrorCode.NOT_GREETED
+    assert rig.seen(RequestRefused)[0].error.code is ErrorCode.NOT_GREETED
 
 
 def test_an_emergency_stop_gets_through_and_latches(rig):
@@ -105,7 +105,7 @@ def test_an_emergency_stop_gets_through_and_latches(rig):
             rig.request(EmergencyStop())
         rig.drive(1.5)
     assert not any(pins.heater_relay for pins in rig.drive(5, HEATING))
-    assert rig.seen(Refused)
+    assert rig.seen(RequestRefused)
     rig.reset_board()
     assert not any(pins.heater_relay for pins in rig.drive(8, HEATING))
 

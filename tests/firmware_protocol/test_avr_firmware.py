@@ -15,7 +15,7 @@ from avr.simulated_avr import FAN, FREQUENCY, HEATER, SUPPLY, VALVE, AvrRig, Sim
 
 import firmware_protocol
 from firmware_protocol.frame import FrameDecoder, encode
-from firmware_protocol.link import BoardReset, LinkEcho, LinkUp, Refused, Report
+from firmware_protocol.link import BoardReset, LinkEcho, LinkUp, Report, RequestRefused
 from firmware_protocol.messages import (
     ClearTrip,
     CommandMessage,
@@ -198,7 +198,7 @@ def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_
         rig.run(1.1)
         rig.ask(HEAT)
         rig.ask(ClearTrip())
-        assert [event.error.code.name for event in rig.seen(Refused)] == ["TRIPPED"] * 2
+        assert [event.error.code.name for event in rig.seen(RequestRefused)] == ["TRIPPED"] * 2
         rig.sense(25.0)
         rig.run(1.1)
         rig.ask(ClearTrip())
@@ -224,7 +224,7 @@ def test_a_stop_opens_everything_at_once_the_fan_too(avr, stop, release, cause):
     assert (rig.port(), rig.led()) == (0, 0)
     assert "".join(event.kind for event in rig.trace if event.kind in "PE") == "PEEE"  # pins first
     rig.ask(HEAT)
-    assert rig.seen(Refused)[-1].error.detail == cause
+    assert rig.seen(RequestRefused)[-1].error.detail == cause
     rig.run(12.0)  # silence: every lease has ended
     assert (rig.port(), rig.led()) == (0, 0)
     rig.ask(release)

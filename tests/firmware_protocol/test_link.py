@@ -16,8 +16,8 @@ from firmware_protocol.link import (
     LinkLost,
     LinkUp,
     Nonsense,
-    Refused,
     Report,
+    RequestRefused,
     RequestTimedOut,
     VersionRefused,
 )
@@ -177,7 +177,7 @@ def test_nothing_else_refuses(link: Link, payload: bytes) -> None:
 def test_a_version_error_while_up_refuses_only_the_request(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     error = ErrorMessage(ErrorCode.VERSION, 2)
-    assert up.says(error, 0.1, ack=2) == [Refused(error, COMMAND)]
+    assert up.says(error, 0.1, ack=2) == [RequestRefused(error, COMMAND)]
     assert link.state == "up"
 
 
@@ -306,7 +306,7 @@ def test_an_error_is_told_with_its_request_and_the_next_one_goes_out(link: Link,
     link.request(Ping(), 0.0)
     link.outgoing()
     error = ErrorMessage(ErrorCode.TRIPPED, TripCause.OVER_TEMPERATURE)
-    assert up.says(error, 0.1, ack=2) == [Refused(error, COMMAND)]
+    assert up.says(error, 0.1, ack=2) == [RequestRefused(error, COMMAND)]
     assert [message for _, message in up.heard()] == [Ping()]
     assert link.state == "up"
 
@@ -315,7 +315,7 @@ def test_a_board_that_was_not_greeted_is_greeted_and_named_as_reset(link: Link, 
     link.request(COMMAND, 0.0)
     link.outgoing()
     error = ErrorMessage(ErrorCode.NOT_GREETED, 4)
-    assert up.says(error, 0.5, ack=2) == [Refused(error, COMMAND), LinkLost(0.0)]
+    assert up.says(error, 0.5, ack=2) == [RequestRefused(error, COMMAND), LinkLost(0.0)]
     assert up.greeted(0.5, boot_count=2) == [BoardReset(hello(0, 2)), LinkUp(hello(0, 2))]
 
 
@@ -368,13 +368,13 @@ def test_what_was_not_written_while_the_port_was_away_does_not_pile_up(link: Lin
 def test_a_lost_port_ends_the_session_and_forgets_half_a_frame(link: Link, up: FarEnd) -> None:
     link.request(COMMAND, 0.0)
     link.receive(encode(pack(STATE, 9))[:6], 0.1)
-    assert link.disconnected(0.2) == [RequestTimedOut(COMMAND), LinkLost(pytest.approx(0.2))]
+    assert link.disconnect(0.2) == [RequestTimedOut(COMMAND), LinkLost(pytest.approx(0.2))]
     assert link.receive(encode(pack(STATE, 9)), 0.3) == [LinkEcho(STATE, None)]
     assert [type(event) for event in up.greeted(0.3)] == [LinkUp]
 
 
 def test_a_lost_port_says_nothing_when_the_link_was_down(link: Link) -> None:
-    assert link.disconnected(1.0) == []
+    assert link.disconnect(1.0) == []
 
 
 def test_reports_are_told_in_any_state(link: Link, board: FarEnd) -> None:
@@ -435,7 +435,7 @@ def test_no_bytes_from_the_board_ever_raise_or_stop_the_clock(pieces: list[bytes
         link.request(COMMAND, now)
         link.outgoing()
     board = FarEnd(link)
-    link.disconnected(now)
+    link.disconnect(now)
     assert [type(event) for event in board.greeted(now)][-1] is LinkUp  # whatever was said before
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from training.data.datasets import test_run as run_of
-from training.evaluate.ablation import Base, ByExcess, Unexplained
+from training.evaluate.ablation import Base, ByExcess, UnexplainedError
 from training.evaluate.resources import ModelCost
-from training.evaluate.scores import ScoredRun, Swapped, TrainingScore
+from training.evaluate.scores import ScoredRun, SwappedModel, TrainingScore
 from training.models.rollout import START_ROWS, RolloutErrors
 from training.models.study import SCENARIOS, Regime
 from training.reports.report_tables import MODELS, Evaluation
@@ -36,9 +36,12 @@ def all_scored(seeds: int = 2) -> list[ScoredRun]:
 def evaluation(found: list[ScoredRun]) -> Evaluation:
     return Evaluation(
         tuple(one.score for one in found),
-        tuple(Unexplained(name, 0.5, 0.4) for name in ("room, heater", "+ air", "+ duties")),
+        tuple(UnexplainedError(name, 0.5, 0.4) for name in ("room, heater", "+ air", "+ duties")),
         tuple(Base(name, 1, 1.0, (0.9, 0.8)) for name in ("bare", "loss", "lag", "walls")),
-        (Swapped("twin", "interpolation", (-0.3,) * 6), Swapped("twin", "extrapolation", (0.0,) * 6)),
+        (
+            SwappedModel("twin", "interpolation", (-0.3,) * 6),
+            SwappedModel("twin", "extrapolation", (0.0,) * 6),
+        ),
         (ByExcess("interpolation", (-0.1,) * 5), ByExcess("extrapolation", (0.1,) * 5)),
     )
 

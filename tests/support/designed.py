@@ -7,8 +7,8 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.support.simulated_runs import NOISE, STEP_S, coloured
-from edge.diagnosis.experiment.design import designed
+from bench.support.simulated_runs import NOISE, STEP_S, coloured_noise
+from edge.diagnosis.experiment.design import design_experiment
 from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.limits import ExperimentLimits
 from edge.diagnosis.experiment.rivals import RivalPair, Rivals
@@ -17,10 +17,10 @@ from edge.diagnosis.experiment.surroundings import surroundings
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.starts import with_effect
-from edge.diagnosis.trial import Fitted, Trial
+from edge.diagnosis.trial import FittedTwin, Trial
 from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
@@ -62,7 +62,7 @@ def driven(
     seed: int = 0,
     noise: NoiseLevels = NOISE,
     start_c: float = ROOM_C,
-) -> Recorded:
+) -> RunBatch:
     """Runs of a box with these effects, from rest."""
     draw = np.random.default_rng(seed)
     twin, rows = BoxTwin(Geometry(), effects, STEP_S), len(inputs[0].duty)
@@ -70,22 +70,22 @@ def driven(
     lit = inputs[0].light is not None
     light = {"light": np.stack([item.light for item in inputs if item.light is not None])} if lit else {}
     power = duty * (1.0 + noise.power_share * draw.standard_normal((len(duty), 1)))
-    heat_w = np.stack([coloured(draw, rows, noise) for _ in inputs])
+    heat_w = np.stack([coloured_noise(draw, rows, noise) for _ in inputs])
     start = at_rest(twin, np.full(len(duty), start_c), np.full(len(duty), ROOM_C))
     source = heat_w / twin.system.air_capacity_j_k
     room = np.full((len(duty), rows), ROOM_C)
     shown = twin.rollout(start, power, fan, room, source=source, conditions=light)
     shown = np.concatenate([np.full((len(duty), 1), start_c), shown], axis=1)
-    return Recorded(shown + noise.sensor_k * draw.standard_normal(shown.shape), duty, fan, room, light)
+    return RunBatch(shown + noise.sensor_k * draw.standard_normal(shown.shape), duty, fan, room, light)
 
 
-def fitted(file: TwinFile, runs: Recorded, name: str) -> Fitted:
+def fitted(file: TwinFile, runs: RunBatch, name: str) -> FittedTwin:
     """With one more effect, at its likeliest."""
     trials = [Trial(start, NOISE) for start in with_effect(file, name)]
     return max(fit(trials, runs, 12), key=lambda item: item.log_likelihood)
 
 
-def plan_of(file: TwinFile, runs: Recorded, names: Sequence[str]) -> Separation:
+def plan_of(file: TwinFile, runs: RunBatch, names: Sequence[str]) -> Separation:
     """To separate the effects of these names, each as likely as another."""
     pairs = tuple(
         RivalPair(i, j, names[i], names[j], names[0], 1.0 / len(names), 1.0)
@@ -96,10 +96,10 @@ def plan_of(file: TwinFile, runs: Recorded, names: Sequence[str]) -> Separation:
 
 
 def experiment_of(
-    file: TwinFile, runs: Recorded, names: Sequence[str], limits: ExperimentLimits | None = None
+    file: TwinFile, runs: RunBatch, names: Sequence[str], limits: ExperimentLimits | None = None
 ) -> PlannedExperiment:
     """The experiment that is designed between these effects."""
-    return designed(plan_of(file, runs, names), limits or ExperimentLimits())
+    return design_experiment(plan_of(file, runs, names), limits or ExperimentLimits())
 
 
 def as_inputs(experiment: PlannedExperiment) -> RunInputs:
@@ -116,11 +116,11 @@ def as_inputs(experiment: PlannedExperiment) -> RunInputs:
     )
 
 
-def joined(runs: Recorded, later: Recorded) -> Recorded:
+def joined(runs: RunBatch, later: RunBatch) -> RunBatch:
     """All runs, the shorter ones filled up with what was not measured."""
     rows = max(runs.duty.shape[1], later.duty.shape[1])
 
-    def filled(own: Recorded) -> Recorded:
+    def filled(own: RunBatch) -> RunBatch:
         missing = ((0, 0), (0, rows - own.duty.shape[1]))
         columns = {name: np.pad(getattr(own, name), missing) for name in ("duty", "fan")}
         ambient = np.pad(own.ambient, missing, mode="edge")
@@ -133,4 +133,4 @@ def joined(runs: Recorded, later: Recorded) -> Recorded:
         np.concatenate([getattr(one, name), getattr(other, name)])
         for name in ("temp", "duty", "fan", "ambient")
     )
-    return Recorded(*together)
+    return RunBatch(*together)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from edge.assistant.llm.budget import Budget, Spent
+from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.interrupt import Interrupt
@@ -73,7 +73,7 @@ class ScriptedLine:
 @contextmanager
 def endpoint(folder: Path, line: ScriptedLine, **values: Any) -> Iterator[Endpoint]:
     chosen = settings(**values)
-    budget = Budget(chosen, Spent(""), lambda spent: None, lambda: UTC)
+    budget = Budget(chosen, Spending(""), lambda spent: None, lambda: UTC)
     yield Endpoint(chosen, budget, Secret(KEY), line.post, lambda: line.time_s, line.pause)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from edge.diagnosis.locate.residuals import residuals_of
 from edge.diagnosis.locate.whiteness import whiteness
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest
 
 BASE = {"extra_capacity": {"kC": 10.0}, "wall_loss": {"UA": 4.0}}
@@ -22,7 +22,7 @@ def made(effects, count=8, rows=180, seed=0, noise_k=NOISE_K, conditions=None, f
     temps = twin.rollout(start, duty, fan, room, conditions=conditions)
     whole = np.concatenate([np.full((count, 1), 22.0), temps], axis=1)
     noise = rng.normal(0.0, noise_k, whole.shape) if noise_k else 0.0
-    return Recorded(whole + noise, duty, fan, room, conditions or {})
+    return RunBatch(whole + noise, duty, fan, room, conditions or {})
 
 
 def _kept(values, rows_each, rows):

@@ -103,7 +103,7 @@ class ChamberRows:
         share = self.p.box.heater_zone_share
         return np.asarray(share * boxes.temps[5] + (1.0 - share) * boxes.temps[6])
 
-    def shown(self, boxes: BoxStates) -> Floats:
+    def reading(self, boxes: BoxStates) -> Floats:
         """Return the reading of a sensor without noise and steps [degC]."""
         return boxes.sensor + self.e.sensor_bias * self.p.sensors.air_bias_k
 

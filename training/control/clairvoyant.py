@@ -40,7 +40,7 @@ class ReferenceCourse:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Planned:
+class PlannedCommands:
     """Commands [N], and what they cost by the chamber's own steps."""
 
     levels: Ints
@@ -50,25 +50,25 @@ class Planned:
 
 def best_plan(
     fresh: Callable[[], ChamberRows], course: ReferenceCourse, width: int = WIDTH, kind_k: float = KIND_K
-) -> Planned:
+) -> PlannedCommands:
     """Find the cheapest plan. fresh : the chamber anew, as its future can be asked but once"""
     chamber = fresh()
     boxes = _idle(chamber, course)
     cost, level, trace = np.zeros(1), np.zeros(1, dtype=np.int64), []
     for k, reference in enumerate(course.reference):
         begin_s = course.begin_s + k * course.step_s
-        probes = _probed(chamber, boxes, level, begin_s, course.step_s)
-        target = _interpolated(_target(chamber, probes, course).reshape(-1, 2, len(PROBED)))
-        element = _interpolated(probes.temps[0].reshape(-1, 2, len(PROBED)))
+        probes = _probe(chamber, boxes, level, begin_s, course.step_s)
+        target = _interpolate(_target(chamber, probes, course).reshape(-1, 2, len(PROBED)))
+        element = _interpolate(probes.temps[0].reshape(-1, 2, len(PROBED)))
         effort = _SHARES**2 + np.array([[0.0], [1.0]])
         total = cost[:, None, None] + TRACKING_WEIGHT * (target - reference) ** 2
         total += max(course.weight, LEAST_WEIGHT) * effort
-        kept = _kept(total, element, width, kind_k)
+        kept = _cheapest(total, element, width, kind_k)
         parent, fan, level = np.unravel_index(kept, total.shape)
         trace.append((parent, fan, level))
         boxes, cost = _children(probes, parent, fan, level), total.ravel()[kept]
-    levels, fans = _traced(trace, int(np.argmin(cost)))
-    return Planned(levels, fans, plan_cost(fresh(), course, levels, fans))
+    levels, fans = _trace_back(trace, int(np.argmin(cost)))
+    return PlannedCommands(levels, fans, plan_cost(fresh(), course, levels, fans))
 
 
 def plan_cost(chamber: ChamberRows, course: ReferenceCourse, levels: Ints, fan: Ints) -> float:
@@ -108,7 +108,7 @@ def _idle(chamber: ChamberRows, course: ReferenceCourse) -> BoxStates:
     return boxes
 
 
-def _probed(chamber: ChamberRows, boxes: BoxStates, before: Ints, begin_s: float, step_s: float) -> BoxStates:
+def _probe(chamber: ChamberRows, boxes: BoxStates, before: Ints, begin_s: float, step_s: float) -> BoxStates:
     """[M * 2 * 3]: each box a step later, by fan and probed level. before : levels that led to the boxes"""
     count = len(boxes.fan)
     boxes = boxes.of(np.repeat(np.arange(count), 2 * len(PROBED)))
@@ -122,10 +122,10 @@ def _probed(chamber: ChamberRows, boxes: BoxStates, before: Ints, begin_s: float
 
 
 def _target(chamber: ChamberRows, boxes: BoxStates, course: ReferenceCourse) -> Floats:
-    return chamber.air(boxes) if course.target == "true" else chamber.shown(boxes)
+    return chamber.air(boxes) if course.target == "true" else chamber.reading(boxes)
 
 
-def _interpolated(probes: Floats) -> Floats:
+def _interpolate(probes: Floats) -> Floats:
     """[M, 2, 3] at the probed levels as [M, 2, 21] at all."""
     return probes @ lagrange(_SHARES).T
 
@@ -138,7 +138,7 @@ def lagrange(share: Floats) -> Floats:
     )
 
 
-def _kept(total: Floats, element: Floats, width: int, kind_k: float) -> Ints:
+def _cheapest(total: Floats, element: Floats, width: int, kind_k: float) -> Ints:
     """Places of the cheapest child of each kind (element and fan), the `width` cheapest of them."""
     kinds = np.rint(element / kind_k).astype(np.int64)
     kinds = 2 * (kinds - kinds.min()) + np.array([[[0], [1]]])
@@ -160,7 +160,7 @@ def _children(probes: BoxStates, parent: Ints, fan: Ints, level: Ints) -> BoxSta
     return BoxStates(*parts)
 
 
-def _traced(trace: list[tuple[Ints, Ints, Ints]], node: int) -> tuple[Ints, Ints]:
+def _trace_back(trace: list[tuple[Ints, Ints, Ints]], node: int) -> tuple[Ints, Ints]:
     levels, fans = [], []
     for parent, fan, level in reversed(trace):
         levels.append(level[node])

@@ -20,20 +20,20 @@ from training.control.comparison import STAND_IN_MODEL, RunResult, references_of
 from training.control.energy import energy_picture, energy_tables
 from training.control.figures import DecisionTime, decision_time
 from training.control.job import ComparisonJob, is_kept, read, run_all
-from training.control.kept_figures import (
+from training.control.pictures import bars_picture, runs_picture
+from training.control.rig import SPARING, entries
+from training.control.saved_figures import (
     FIGURES_FILE,
     TIMES_FILE,
     Times,
     beside,
-    changed,
+    first_change,
     json_of,
     read_results,
     read_times,
     times_beside,
     times_json,
 )
-from training.control.pictures import bars_picture, runs_picture
-from training.control.rig import SPARING, entries
 from training.llm_stand_in.server import StandIn
 from training.reports.comparison_report import read_findings, words_as_html
 
@@ -128,7 +128,7 @@ def _write(
 
 
 def _check(results: Sequence[RunResult], kept: Sequence[RunResult], tolerance: float) -> int:
-    difference = changed(kept, results, tolerance)
+    difference = first_change(kept, results, tolerance)
     near = f"within {100.0 * tolerance:g} % of" if tolerance else "the same as"
     print(difference or f"{len(results)} of the {len(kept)} runs: {near} what is kept")
     return 1 if difference else 0

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from edge.board.virtual_rig import settings_in
 from edge.bundle.archive import open_archive
 from edge.bundle.predictors import loader
-from edge.bundle.roles import activated
+from edge.bundle.roles import activate
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
 from edge.bundle.store import BundleStore
 from edge.config.settings import (
@@ -134,4 +134,4 @@ def install_twin(bundle: BundleSettings, step_s: float, twin: Path = TWIN) -> No
     store = BundleStore(Path(bundle.path), keys, loader(step_s))
     with open_archive(archive) as file:
         store.install(file)
-    store.change(lambda roles: activated(roles, None))
+    store.change(lambda roles: activate(roles, None))

@@ -82,17 +82,17 @@ def costs(controllers: Sequence[Controller], reference: Floats, seed: int) -> Fl
     boxes, cost = chamber.start(len(controllers)), np.zeros(len(controllers))
     sent = [Command()] * len(controllers)
     for k, target in enumerate(reference):
-        shown = chamber.shown(boxes)
+        shown = chamber.reading(boxes)
         sent = [
             each.decide(_context(k, float(temp), float(target), last)).command
             for each, temp, last in zip(controllers, shown, sent, strict=True)
         ]
         boxes = _minute(chamber, boxes, k * STEP_S, sent)
-        cost += TRACKING_WEIGHT * (chamber.shown(boxes) - target) ** 2
+        cost += TRACKING_WEIGHT * (chamber.reading(boxes) - target) ** 2
     return cost
 
 
-def tuned(grid: Grid) -> list[tuple[float, Setting]]:
+def tune(grid: Grid) -> list[tuple[float, Setting]]:
     """Return cost and setting over all cases, the cheapest first."""
     settings = list(itertools.product(*grid.values))
     total = np.zeros(len(settings))
@@ -124,7 +124,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("controller", choices=GRIDS)
     grid = GRIDS[parser.parse_args().controller]
-    found = tuned(grid)
+    found = tune(grid)
     shown = [*found[:BEST], next(one for one in found if one[1] == grid.shipped)]
     rows = tuple((f"{cost:.0f}", *(f"{value:g}" for value in setting)) for cost, setting in shown)
     note = "The last line is the setting in use."

@@ -86,12 +86,12 @@ def main() -> int:
     if unknown:
         parser.error(f"there is no run {', '.join(sorted(unknown))}")
     with tempfile.TemporaryDirectory(prefix="greenhouse-record-") as folder:
-        differing = [one.name for one in chosen if not _kept(one, Path(folder), arguments.check)]
+        differing = [one.name for one in chosen if not _is_saved(one, Path(folder), arguments.check)]
     print(f"{len(differing)} of {len(chosen)} runs differ{': ' if differing else ''}{', '.join(differing)}")
     return 1 if arguments.check and differing else 0
 
 
-def _kept(recording: TrainingRecording, folder: Path, check: bool) -> bool:
+def _is_saved(recording: TrainingRecording, folder: Path, check: bool) -> bool:
     """Return whether the saved file is what was recorded now; without `check` it is saved now."""
     new, kept = folder / f"{recording.name}.csv", RUNS / f"{recording.name}.csv"
     record(recording, new)

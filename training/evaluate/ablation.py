@@ -20,8 +20,8 @@ from training.data.pairs import split_all, stretches
 from training.models import ham_guarded, pbm
 from training.models.predictors import GuardedHamPredictor
 from training.models.rollout import START_ROWS, free_run, mean_free_run_mae
+from training.models.saved_training import SavedTraining
 from training.models.study import Regime
-from training.models.trained import Kept
 
 PAST_ROWS = 10  # of duties that the heater's element may still remember
 SEEDS = (0, 1, 2)
@@ -35,7 +35,7 @@ BASES: Mapping[str, tuple[str, ...]] = {  # what the hybrid corrects; each adds 
 
 
 @dataclass(frozen=True, slots=True)
-class Unexplained:
+class UnexplainedError:
     """Root mean square of what is left of a step's temperature, on the validation parts [K].
 
     With the fan on the paper's T_hat is the air that the fan brings and the heat that it takes along: it
@@ -68,7 +68,7 @@ class ByExcess:
     bias_k: tuple[float, ...]
 
 
-def by_excess(trainings: Iterable[Kept], model: str) -> list[ByExcess]:
+def by_excess(trainings: Iterable[SavedTraining], model: str) -> list[ByExcess]:
     """One per training of the model, over the training runs of all regimes."""
     runs = training_runs("interpolation")
     measured = np.concatenate([run.columns["temp_air_c"][START_ROWS:] for run in runs])
@@ -83,7 +83,7 @@ def by_excess(trainings: Iterable[Kept], model: str) -> list[ByExcess]:
     return found
 
 
-def unexplained() -> list[Unexplained]:
+def unexplained_errors() -> list[UnexplainedError]:
     """One row per set of features, each holding the one before."""
     parts = split_all(training_runs("interpolation"))
     train, validate = (_rows(part) for part in (parts.train, parts.validate))
@@ -93,7 +93,7 @@ def unexplained() -> list[Unexplained]:
         f"+ the last {PAST_ROWS} duties": ("ambient", "duty", "temp", "past"),
     }
     return [
-        Unexplained(name, *(_left(train, validate, names, fan) for fan in (0.0, 1.0)))
+        UnexplainedError(name, *(_remainder(train, validate, names, fan) for fan in (0.0, 1.0)))
         for name, names in sets.items()
     ]
 
@@ -137,7 +137,7 @@ def _rows(runs: Sequence[RecordedRun]) -> dict[str, Floats]:
     return {name: np.concatenate(parts) for name, parts in found.items()}
 
 
-def _left(
+def _remainder(
     train: Mapping[str, Floats], validate: Mapping[str, Floats], names: Sequence[str], fan: float
 ) -> float:
     """RMS of the validation parts' residual of a regression on `names`, among steps with this fan state."""

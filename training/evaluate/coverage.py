@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
-from edge.forecasts.adaptive import tracked
+from edge.forecasts.adaptive import track
 from edge.forecasts.conformal import CLAIMED, Interval, Intervals, half_width, write_intervals
 from edge.forecasts.scorer import PERSISTENCE
 from edge.formats.run_file import RecordedRun
@@ -114,10 +114,10 @@ def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) 
                 *key,
                 width,
                 float(np.abs(inside[:, 0]).mean()),
-                _held(inside, width),
+                _held_share(inside, width),
                 _held_adaptive(inside, width),
-                _held(outside, width),
-                _held(hot, width),
+                _held_share(outside, width),
+                _held_share(hot, width),
                 _held_adaptive(outside, width),
             )
         )
@@ -155,7 +155,7 @@ def _note(row: CoverageRow) -> str:
     return "" if low <= row.interpolation <= high else f" not {low:.0%}..{high:.0%}"
 
 
-def _held(errors: Floats, width: float) -> float:
+def _held_share(errors: Floats, width: float) -> float:
     return float((np.abs(errors[:, 0]) <= width).mean()) if len(errors) else float("nan")
 
 
@@ -163,7 +163,7 @@ def _held_adaptive(errors: Floats, width: float) -> float:
     held = 0
     for residual in errors[:, 0].tolist():
         held += abs(residual) <= width
-        width = tracked(width, residual)
+        width = track(width, residual)
     return held / len(errors) if len(errors) else float("nan")
 
 

@@ -17,13 +17,13 @@ from typing import Any
 from edge.core.errors import DataError
 from training.control.compare import kept_section
 from training.data.datasets import test_run
-from training.evaluate.ablation import bases, by_excess, unexplained
+from training.evaluate.ablation import bases, by_excess, unexplained_errors
 from training.evaluate.difference import differences, first_difference
 from training.evaluate.resources import ModelCost, costs
-from training.evaluate.scores import ScoredRun, TrainingScore, scored, swapped
+from training.evaluate.scores import ScoredRun, TrainingScore, score_runs, swap_models
 from training.models.fit_network import make_deterministic
+from training.models.saved_training import SavedTraining, read_trained, remove_guard, without_weights
 from training.models.study import SCENARIOS
-from training.models.trained import Kept, read_trained, unguarded, without_weights
 from training.reports.comparison_report import read_findings, report
 from training.reports.report_pictures import MODELS, bars_picture, radar_picture, scenario_picture
 from training.reports.report_tables import Evaluation, costs_table, tables
@@ -47,12 +47,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError(
             f"{absent[0]}: no weights; `greenhouse-train all` trains this and {len(absent) - 1} more"
         )
-    found = scored([*trainings, *(unguarded(kept) for kept in trainings if kept.model == "ham_guarded")])
+    found = score_runs(
+        [*trainings, *(remove_guard(kept) for kept in trainings if kept.model == "ham_guarded")]
+    )
     figures = Evaluation(
         tuple(one.score for one in found),
-        tuple(unexplained()),
+        tuple(unexplained_errors()),
         tuple(bases()),
-        tuple(swapped(trainings, "twin")),
+        tuple(swap_models(trainings, "twin")),
         tuple(by_excess(trainings, "twin")),
     )
     print(text_of(figures), end="")
@@ -111,7 +113,10 @@ def _cpu_lines() -> list[str]:
 
 
 def _write(
-    figures: Evaluation, found: Sequence[ScoredRun], trainings: Sequence[Kept], arguments: argparse.Namespace
+    figures: Evaluation,
+    found: Sequence[ScoredRun],
+    trainings: Sequence[SavedTraining],
+    arguments: argparse.Namespace,
 ) -> None:
     cost = costs(trainings)
     cost_text = "\n".join([COMMAND, "", *costs_table(cost).text()])
@@ -168,7 +173,7 @@ def _check(figures: Evaluation, found: Sequence[ScoredRun], arguments: argparse.
         here = {_training(score) for score in now["scores"]}
         kept["scores"] = [score for score in kept["scores"] if _training(score) in here]
     print("made on this machine" if same else "made on another machine", "[largest difference of each part]")
-    found_in = [_part(name, kept.get(name), now[name], _allowed(name, same, arguments)) for name in now]
+    found_in = [_part(name, kept.get(name), now[name], _allowance(name, same, arguments)) for name in now]
     difference = next((one for one in found_in if one), "")
     if not difference and same and not arguments.tolerance and not absent:
         cost = [ModelCost(**row) for row in _json(results / "cost.json")]
@@ -181,7 +186,7 @@ def _training(score: Mapping[str, Any]) -> tuple[str, str, int]:
     return score["model"], score["regime"], score["seed"]
 
 
-def _allowed(part: str, same: bool, arguments: argparse.Namespace) -> float:
+def _allowance(part: str, same: bool, arguments: argparse.Namespace) -> float:
     if arguments.tolerance is not None:
         return float(arguments.tolerance)
     return 0.0 if same else ELSEWHERE_TRAINED_K if part == "bases" else ELSEWHERE_K

@@ -88,11 +88,11 @@ def _readings(run: RecordedRun, row: int, time_s: float) -> dict[str, Reading]:
 
 
 @lru_cache(1)
-def _loaded(key: bytes) -> Mapping[str, Predictor]:
+def _load(key: bytes) -> Mapping[str, Predictor]:
     load: Load = pickle.loads(key)
     return load()
 
 
 def _errors_of_run(job: tuple[bytes, RecordedRun]) -> dict[tuple[str, int], Floats]:
     key, run = job
-    return errors_of_run(run, _loaded(key))
+    return errors_of_run(run, _load(key))

@@ -22,7 +22,7 @@ from edge.core.errors import DataError
 from training.data.datasets import data_sha256, training_runs
 from training.evaluate.difference import first_difference
 from training.evaluate.paper_case_chamber import Real, real_effects
-from training.evaluate.paper_case_models import Improved, diagnose, forecasts, improved
+from training.evaluate.paper_case_models import ImprovedTwin, diagnose, forecasts, improved_twin
 from training.evaluate.paper_case_tables import text_of
 from training.evaluate.scores import TrainingScore
 from training.models.fit_network import make_deterministic
@@ -57,11 +57,11 @@ def run(arguments: argparse.Namespace) -> int:
     make_deterministic(0)
     folder: Path = arguments.results
     compared = read_scores(arguments.evaluation)
-    twins: dict[Regime, Improved] = {}
+    twins: dict[Regime, ImprovedTwin] = {}
     for regime in SCENARIOS:
         if not (arguments.kept_twins or arguments.check):
             diagnose(regime, folder / regime)
-        twins[regime] = improved(regime, folder / regime)
+        twins[regime] = improved_twin(regime, folder / regime)
     figures = figures_of(twins, tuple(arguments.seeds), arguments.out)
     text = f"{COMMAND}\n\n" + text_of(figures.chamber, twins, [*compared, *figures.scores])
     print(text, end="")
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def figures_of(twins: Mapping[Regime, Improved], seeds: tuple[int, ...], out: Path) -> PaperCase:
+def figures_of(twins: Mapping[Regime, ImprovedTwin], seeds: tuple[int, ...], out: Path) -> PaperCase:
     """Train, forecast, and read the chamber's settings. out : where the networks are left"""
     return PaperCase(
         COMMAND,

@@ -63,12 +63,12 @@ def real_effects(rows: Sequence[RecordedRow] | None = None) -> tuple[Real, ...]:
     parameters, effects = load()
     applied = rows if rows is not None else read(paths()[PROFILE - 1])[1]
     quiet = replace(effects, **QUIET)
-    whole = _shown(parameters, quiet, applied)
+    whole = _readings(parameters, quiet, applied)
     found = []
     for field in fields(Effects):
         if getattr(effects, field.name) == 0.0 or field.name in DISTURBANCES:
             continue
-        without = _shown(parameters, replace(quiet, **{field.name: 0.0}), applied)
+        without = _readings(parameters, replace(quiet, **{field.name: 0.0}), applied)
         shows_k = float(np.sqrt(np.mean((whole - without) ** 2)))
         size = _size(field.name, parameters)
         found.append(Real(field.name, *size, shows_k, field.name in USUAL_EFFECTS))
@@ -82,7 +82,7 @@ def _size(name: str, parameters: ChamberParameters) -> tuple[str, float | None, 
     return symbol, value(parameters), unit
 
 
-def _shown(parameters: ChamberParameters, effects: Effects, rows: Sequence[RecordedRow]) -> Floats:
+def _readings(parameters: ChamberParameters, effects: Effects, rows: Sequence[RecordedRow]) -> Floats:
     """Return the sensors' difference of air and room at each row [K]."""
     run = record(Chamber(parameters, effects, PROFILE), rows)
     return np.array([row["temp_air_c"] - row["temp_ambient_c"] for row in run])

@@ -8,12 +8,12 @@ import numpy as np
 from edge.diagnosis.report.number_text import number
 from edge.formats.table import Table
 from training.evaluate.paper_case_chamber import Real
-from training.evaluate.paper_case_models import HAM, HAM_GUARDED, TWIN, TWIN_HELD, Improved
+from training.evaluate.paper_case_models import HAM, HAM_GUARDED, TWIN, TWIN_HELD, ImprovedTwin
 from training.evaluate.scores import TrainingScore
 from training.models.study import SCENARIOS, Regime
 from training.reports.report_tables import LABELS, spread
 
-Twins = Mapping[Regime, Improved]
+Twins = Mapping[Regime, ImprovedTwin]
 NAMES: Mapping[str, str] = {
     "linear": LABELS["linear"],
     "lstm": LABELS["lstm"],
@@ -35,7 +35,7 @@ def text_of(chamber: Sequence[Real], twins: Twins, scores: Sequence[TrainingScor
 
 def tables(chamber: Sequence[Real], twins: Twins, scores: Sequence[TrainingScore]) -> Iterator[Table]:
     """In the order in which they are read."""
-    yield _named(chamber, twins)
+    yield _effects_table(chamber, twins)
     yield _sizes(chamber, twins)
     for regime, twin in twins.items():
         yield waterfall(regime, twin.document)
@@ -62,14 +62,14 @@ def waterfall(regime: Regime, document: Mapping[str, Any]) -> Table:
     return Table(f"The gap, {regime}: RMSE of free runs [K]", heads, tuple(rows), note)
 
 
-def _named(chamber: Sequence[Real], twins: Twins) -> Table:
+def _effects_table(chamber: Sequence[Real], twins: Twins) -> Table:
     """Return the chamber's effects and the named ones, false names at the end."""
     found = {regime: _effects(twin) for regime, twin in twins.items()}
     real = {item.name: item for item in chamber}
     strangers = [name for own in found.values() for name in own if name not in real]
     rows = []
     for name in (*real, *dict.fromkeys(strangers)):
-        rows.append((name, *_truth(real.get(name)), *(_told(own.get(name)) for own in found.values())))
+        rows.append((name, *_truth(real.get(name)), *(_effect_text(own.get(name)) for own in found.values())))
     heads = (
         "effect",
         "in the chamber",
@@ -110,7 +110,7 @@ def _sizes(chamber: Sequence[Real], twins: Twins) -> Table:
     return Table("What was found of each", heads, tuple(rows), note)
 
 
-def _effects(twin: Improved) -> dict[str, Mapping[str, Any]]:
+def _effects(twin: ImprovedTwin) -> dict[str, Mapping[str, Any]]:
     return {effect["name"]: effect for effect in twin.document["effects"]}
 
 
@@ -125,7 +125,7 @@ def _truth(item: Real | None) -> tuple[str, str]:
     return "yes" if item.candidate else "yes, has no name", f"{item.shows_k:.3f}"
 
 
-def _told(effect: Mapping[str, Any] | None) -> str:
+def _effect_text(effect: Mapping[str, Any] | None) -> str:
     if effect is None:
         return "-"
     return " or ".join([f"yes ({effect['log_odds']:.0f})", *effect["alternatives"]])

@@ -19,8 +19,8 @@ from edge.twin.twin_file import read_twin_file
 from training.export.network_export import export_study
 from training.models.registry import ARX_FILE, NETWORK_FILE, TWIN_FILE
 from training.models.rollout import START_ROWS
+from training.models.saved_training import SavedTraining
 from training.models.summary import best_seed
-from training.models.trained import Kept
 from training.models.weights import load_network
 
 REGIME: Final = "interpolation"
@@ -52,14 +52,14 @@ class ModelCost:
     edge_batch_ms: float
 
 
-def costs(trainings: Sequence[Kept], rows: int = 213) -> list[ModelCost]:
+def costs(trainings: Sequence[SavedTraining], rows: int = 213) -> list[ModelCost]:
     """One per model; rows : of the free run that counts as running."""
     models = list(dict.fromkeys(kept.model for kept in trainings))
     with tempfile.TemporaryDirectory() as folder:
         return [_cost(model, trainings, rows, Path(folder)) for model in models]
 
 
-def _cost(model: str, trainings: Sequence[Kept], rows: int, folder: Path) -> ModelCost:
+def _cost(model: str, trainings: Sequence[SavedTraining], rows: int, folder: Path) -> ModelCost:
     mine = [kept for kept in trainings if kept.model == model and kept.regime == REGIME]
     seed = best_seed([kept.record for kept in mine], model, REGIME)
     kept = next(one for one in mine if one.seed == seed)
@@ -83,7 +83,7 @@ def _weights_bytes(folder: Path) -> int:
     return sum(tensor.nbytes for tensor in network.state_dict().values())
 
 
-def _running(kept: Kept, rows: int) -> tuple[Any, ...]:
+def _running(kept: SavedTraining, rows: int) -> tuple[Any, ...]:
     """Return the predictor with its inputs for a free run, and its outputs."""
     columns = {"temp_air": 27.0, "temp_ambient": 22.0, "heater_duty": 0.4, "fan_on": 0.0}
     history = {name: np.full(START_ROWS, value) for name, value in columns.items()}
@@ -92,7 +92,7 @@ def _running(kept: Kept, rows: int) -> tuple[Any, ...]:
     return kept.predictor, history, controls, ahead, kept.predictor.rollout(history, controls, ahead)
 
 
-def _edge(kept: Kept, folder: Path) -> dict[str, float]:
+def _edge(kept: SavedTraining, folder: Path) -> dict[str, float]:
     """Figures of `training.evaluate.edge_process`; networks go there as ONNX files."""
     words = [*_edge_model(kept, folder)]
     one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -102,7 +102,7 @@ def _edge(kept: Kept, folder: Path) -> dict[str, float]:
     return figures
 
 
-def _edge_model(kept: Kept, folder: Path) -> tuple[str, ...]:
+def _edge_model(kept: SavedTraining, folder: Path) -> tuple[str, ...]:
     """Kind, file and, for a hybrid, the hash of its twin."""
     if (kept.folder / ARX_FILE).exists():
         return "arx", str(kept.folder / ARX_FILE)

@@ -10,8 +10,8 @@ from edge.core.errors import DataError
 from edge.core.predictor import Floats
 from training.data.datasets import data_sha256, test_run, training_runs
 from training.models.rollout import START_ROWS, RolloutErrors, errors, free_run, one_step
+from training.models.saved_training import PAPER, SavedTraining
 from training.models.study import SCENARIOS, Regime
-from training.models.trained import PAPER, Kept
 
 TEMP = "temp_air_c"
 
@@ -47,7 +47,7 @@ class ScoredRun:
     forecast: Floats
 
 
-def scored(trainings: Iterable[Kept], scenarios: Sequence[int] | None = None) -> list[ScoredRun]:
+def score_runs(trainings: Iterable[SavedTraining], scenarios: Sequence[int] | None = None) -> list[ScoredRun]:
     """All of `trainings` on the test runs of their regimes, or on those of them that are in `scenarios`.
 
     Errors : DataError for a training on other runs than those that are recorded here
@@ -58,12 +58,12 @@ def scored(trainings: Iterable[Kept], scenarios: Sequence[int] | None = None) ->
         if kept.record["data_sha256"] != hashes[kept.regime]:
             raise DataError(f"{kept.folder}: data_sha256: trained on other runs than those recorded here")
         numbers = SCENARIOS[kept.regime]
-        found += [_scored(kept, number) for number in numbers if scenarios is None or number in scenarios]
+        found += [_score(kept, number) for number in numbers if scenarios is None or number in scenarios]
     return found
 
 
 @dataclass(frozen=True, slots=True)
-class Swapped:
+class SwappedModel:
     """A model of either regime on the test runs of both: what is the model's, and what is the run's."""
 
     model: str
@@ -71,11 +71,13 @@ class Swapped:
     bias_k: tuple[float, ...]  # of the free runs of scenarios 1 to 6
 
 
-def swapped(trainings: Iterable[Kept], model: str) -> list[Swapped]:
+def swap_models(trainings: Iterable[SavedTraining], model: str) -> list[SwappedModel]:
     """One per training of the model."""
     runs = [test_run(number) for numbers in SCENARIOS.values() for number in numbers]
     return [
-        Swapped(model, kept.regime, tuple(errors(free_run(kept.predictor, run), run).bias_k for run in runs))
+        SwappedModel(
+            model, kept.regime, tuple(errors(free_run(kept.predictor, run), run).bias_k for run in runs)
+        )
         for kept in trainings
         if kept.model == model
     ]
@@ -115,7 +117,7 @@ def mean_of(
     return float(np.mean([value(s) for s in scores if s.model == model and s.regime == regime]))
 
 
-def _scored(kept: Kept, scenario: int) -> ScoredRun:
+def _score(kept: SavedTraining, scenario: int) -> ScoredRun:
     run = test_run(scenario)
     forecast = free_run(kept.predictor, run)
     measured = run.columns[TEMP][START_ROWS:]

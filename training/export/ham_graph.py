@@ -4,16 +4,16 @@ import numpy as np
 from onnx import GraphProto, ModelProto
 
 from training.export.onnx_graph import Graph, real
-from training.export.onnx_invariant import Divided, divide
+from training.export.onnx_invariant import DividedStep, divide
 from training.export.onnx_step import HAM_FEATURES, Hybrid, ham_start, single_step
 
 
 def ham_rollout(network: Hybrid, window: int) -> ModelProto:
     """window [window, 4], ambient [N], controls [B, N, 2], offset [N] -> temps [B, N]."""
-    return scanned(ham_start(network, window), single_step(network), window)
+    return scan_steps(ham_start(network, window), single_step(network), window)
 
 
-def scanned(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
+def scan_steps(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
     """Return the rollout of any model of one step.
 
     start : from the window to the state [1, S], column 0 the air temperature [°C]
@@ -42,7 +42,7 @@ def scanned(start: ModelProto, step: ModelProto, window: int) -> ModelProto:
     return graph.model("ham_rollout", inputs, [real("temps", ["B", "N"])])
 
 
-def _in_time(graph: Graph, parts: Divided) -> list[str]:
+def _in_time(graph: Graph, parts: DividedStep) -> list[str]:
     """Return the values of every step that are known beforehand, [N, B, ...] each."""
     by_step = graph.op("Transpose", "controls", perm=[1, 0, 2])
     columns = graph.ops("Split", 2, by_step, axis=2, num_outputs=2)
@@ -57,7 +57,7 @@ def _in_time(graph: Graph, parts: Divided) -> list[str]:
     ]
 
 
-def _body(graph: Graph, parts: Divided, states: int) -> GraphProto:
+def _body(graph: Graph, parts: DividedStep, states: int) -> GraphProto:
     """State [B, S], offset [S], what is known of the step -> the next state, and its air temperature [B]."""
     inner = Graph(graph)
     names = {value.name: f"{value.name}_now" for value in parts.values}

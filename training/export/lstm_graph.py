@@ -74,7 +74,7 @@ def lstm_rollout(network: LstmNet, window: int) -> ModelProto:
         graph.op("Slice", "window", graph.integers(0, column), graph.integers(window - 1, column + 1))
         for column in range(3)
     ]
-    past = graph.op("Concat", *_scaled(graph, constants, columns), axis=1)
+    past = graph.op("Concat", *_scale(graph, constants, columns), axis=1)
     now = graph.op("Slice", "window", graph.integers(window - 1, 0), graph.integers(window, 1))  # [1, 1]
     horizon = graph.op("Shape", "controls", start=1, end=2)
     steps = _steps(graph, constants, horizon, window)
@@ -123,7 +123,7 @@ def _numbers(tensor: Tensor) -> Floats:
     return tensor.detach().double().numpy()
 
 
-def _scaled(graph: Graph, network: _Network, columns: list[str], first: int = 0) -> list[str]:
+def _scale(graph: Graph, network: _Network, columns: list[str], first: int = 0) -> list[str]:
     """Columns of the window, from number `first` on, at the scale of the network."""
     scalers = network.scaler[first : first + len(columns)]
     return [
@@ -142,7 +142,7 @@ def _steps(graph: Graph, network: _Network, horizon: str, window: int) -> _Steps
     begins = graph.op("Cast", graph.op("Equal", alive, graph.integers(window)), to=TensorProto.INT64)
     size = graph.op("Concat", batch, graph.integers(network.hidden), axis=0)
     return _Steps(
-        inputs=graph.op("Concat", *_scaled(graph, network, columns, first=1), axis=2),
+        inputs=graph.op("Concat", *_scale(graph, network, columns, first=1), axis=2),
         alive=graph.op("Unsqueeze", alive, graph.integers(1)),
         begun=graph.op("Unsqueeze", graph.op("Mul", begins, batch), graph.integers(1)),
         zeros=graph.op("Expand", graph.constant([[0.0]]), size),
@@ -218,7 +218,7 @@ def _step(graph: Graph, network: _Network, steps: _Steps) -> GraphProto:
     inputs, alive, begun, offset = (
         inner.op("Gather", value, "step_row") for value in (steps.inputs, steps.alive, steps.begun, "offset")
     )
-    row = inner.op("Concat", *_scaled(inner, network, ["temp"]), inputs, axis=1)  # [B, 3]
+    row = inner.op("Concat", *_scale(inner, network, ["temp"]), inputs, axis=1)  # [B, 3]
     # All windows that hold this row advance together: one matrix product a layer, not one a window.
     size = inner.op("Concat", alive, steps.batch, graph.integers(3), axis=0)
     rows = inner.op("Reshape", inner.op("Expand", row, size), graph.integers(-1, 3))

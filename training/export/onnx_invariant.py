@@ -14,7 +14,7 @@ from training.export.onnx_graph import read_names
 
 
 @dataclass(frozen=True, slots=True)
-class Divided:
+class DividedStep:
     """A step in two: `before`, from the inputs to `values`; `after`, from state and those to the result."""
 
     before: ModelProto
@@ -22,7 +22,7 @@ class Divided:
     values: tuple[ValueInfoProto, ...]
 
 
-def divide(step: ModelProto, state: str) -> Divided:
+def divide(step: ModelProto, state: str) -> DividedStep:
     """Divide a step into the part that needs `state` and the part that is known beforehand."""
     graph = onnx.shape_inference.infer_shapes(step).graph
     inputs = [value for value in graph.input if value.name != state]
@@ -33,12 +33,12 @@ def divide(step: ModelProto, state: str) -> Divided:
         for value in (*graph.value_info, *inputs)
         if value.name in early and value.type.tensor_type.elem_type == TensorProto.FLOAT
     }
-    after = _needed(graph.node, {graph.output[0].name}, {state, *known})
+    after = _needed_nodes(graph.node, {graph.output[0].name}, {state, *known})
     read = read_names(after)
     values = tuple(value for name, value in known.items() if name in read)
-    before = _needed(graph.node, {value.name for value in values}, names)
+    before = _needed_nodes(graph.node, {value.name for value in values}, names)
     carried = [value for value in graph.input if value.name == state]
-    return Divided(
+    return DividedStep(
         before=_part(step, before, inputs, values),
         after=_part(step, after, [*carried, *values], graph.output),
         values=values,
@@ -54,7 +54,7 @@ def _dependents(nodes: Iterable[NodeProto], values: set[str]) -> set[str]:
     return found
 
 
-def _needed(nodes: Sequence[NodeProto], wanted: set[str], given: set[str]) -> list[NodeProto]:
+def _needed_nodes(nodes: Sequence[NodeProto], wanted: set[str], given: set[str]) -> list[NodeProto]:
     """Return the nodes that lead from the given to the wanted values."""
     missing, found = wanted - given, []
     for node in reversed(nodes):

@@ -20,7 +20,7 @@ from training.export.network_export import export_study
 from training.models.registry import TWIN_FILE
 from training.models.study import Regime, versions
 from training.models.summary import best_seed, records
-from training.rl.kept import FOLDERS, POLICY_FILE, best_folder, read_record
+from training.rl.saved_policy import FOLDERS, POLICY_FILE, best_folder, read_record
 
 PACKAGED = DEFAULT_PATH.parent / "default_bundle"
 KEY = Path("out/keys/signing.pem")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from edge.core.names import HEATER_LEVELS
-from training.llm_stand_in.prompt import Asked, read_prompt, results
+from training.llm_stand_in.prompt import QuestionNumbers, read_prompt, results
 
 SIMULATIONS = 6  # sets of controls that are tried
 NEAR_K = 0.02  # a set this good needs no better one
@@ -108,7 +108,7 @@ def calls(name: str, arguments: Mapping[str, Any] | str, number: int) -> Turn:
     return {"role": "assistant", "content": None, "tool_calls": [call]}
 
 
-def _by_gains(asked: Asked, gains: MinuteGains, jitter: int) -> Turn:
+def _by_gains(asked: QuestionNumbers, gains: MinuteGains, jitter: int) -> Turn:
     """Return the duty that holds the target, more or less of it while the air is away from it."""
     fan = asked.fan_on if asked.fan_held else asked.current - asked.target > 2 * FAN_FROM_K
     wanted = gains.duty(asked.target, asked.current, asked.ambient)
@@ -119,7 +119,7 @@ def _by_gains(asked: Asked, gains: MinuteGains, jitter: int) -> Turn:
     return answers(duty, fan, rationale)
 
 
-def _next_set(asked: Asked, simulated: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def _next_set(asked: QuestionNumbers, simulated: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     """Constant heat: first by common sense, then where a straight line through the last two meets the target.
 
     Where the air is too hot even without heat, the fan too. None where that was tried already.
@@ -151,7 +151,7 @@ def _secant(before: tuple[float, float], last: tuple[float, float]) -> float:
     return last[0] - last[1] / slope
 
 
-def _best(asked: Asked, simulated: Sequence[Mapping[str, Any]], jitter: int) -> Turn:
+def _best(asked: QuestionNumbers, simulated: Sequence[Mapping[str, Any]], jitter: int) -> Turn:
     """Return the set with the least error, and effort where it costs; a warmer model takes the second."""
 
     def price(each: Mapping[str, Any]) -> float:
@@ -175,7 +175,7 @@ def _is_near(simulated: Sequence[Mapping[str, Any]]) -> bool:
     return any(each["result"]["mean_abs_error_k"] < NEAR_K for each in simulated)
 
 
-def _level(duty: float, asked: Asked, jitter: int) -> float:
+def _level(duty: float, asked: QuestionNumbers, jitter: int) -> float:
     most = int(asked.heater_max * HEATER_LEVELS + 1e-9)
     level = min(max(round(duty * HEATER_LEVELS) + jitter, 0), most)
     return level / HEATER_LEVELS

@@ -44,7 +44,7 @@ def sending(turn: Turn, body: Body, finish: str = "") -> Sending:
     return Sending(json.dumps(document).encode())
 
 
-def refused(status: int, message: str, **headers: str) -> Sending:
+def refusal(status: int, message: str, **headers: str) -> Sending:
     """Return an error as the API words it."""
     names = {name.replace("_", "-"): value for name, value in headers.items()}
     return Sending(json.dumps({"error": {"message": message}}).encode(), status, names)
@@ -71,7 +71,7 @@ def _always(what: Sending) -> Behaviour:
 
 def _no_response_format(body: Body, seed: int) -> Sending:
     return (
-        refused(400, "response_format is not supported") if "response_format" in body else honest(body, seed)
+        refusal(400, "response_format is not supported") if "response_format" in body else honest(body, seed)
     )
 
 
@@ -85,7 +85,7 @@ def _unfaithful(body: Body, seed: int) -> Sending:
     return sending(turn, body)
 
 
-def _invented(body: Body) -> Turn:
+def _invent(body: Body) -> Turn:
     """Asks nothing, and knows all the results."""
     rationale = "The simulation shows 26.00 degC after ten steps. I have turned the fan on."
     return answers(0.3, False, rationale, "simulate-1" if _offers(body, "simulate") else None)
@@ -120,9 +120,9 @@ BEHAVIOURS: dict[str, Behaviour] = {
     "hanging": _line(after_s=math.inf),
     "dripping": _line(drip_s=0.05),
     "cut": _line(cut=True),
-    "429": _always(refused(429, "Rate limit reached", Retry_After="20")),
-    "500": _always(refused(500, "The server had an error")),
-    "401": _always(refused(401, "Incorrect API key provided")),
+    "429": _always(refusal(429, "Rate limit reached", Retry_After="20")),
+    "500": _always(refusal(500, "The server had an error")),
+    "401": _always(refusal(401, "Incorrect API key provided")),
     "broken_json": _always(Sending(b'{"choices": [{"message": {"content": "{\\"heater')),
     "broken_answer": _turn(
         lambda body: says('Sure! {"heater_duty": 0.5, "fan_on": false, "rationale": "x"}')
@@ -141,7 +141,7 @@ BEHAVIOURS: dict[str, Behaviour] = {
     "endless_tools": _turn(
         lambda body: calls("sql", {"query": "SELECT count(*) FROM v_ticks"}, len(body["messages"]))
     ),
-    "invented_result": _turn(_invented),
+    "invented_result": _turn(_invent),
     "unfaithful": _unfaithful,
     "boasting": _boasting,
     "obeys_planted": _turn(_obeying),

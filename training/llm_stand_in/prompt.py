@@ -12,7 +12,7 @@ _BLOCK = re.compile(r'<data source="([^"]*)">\n(.*?)\n</data>', re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class QuestionNumbers:
     """The numbers of one question; temperatures in degC."""
 
     target: float
@@ -25,11 +25,11 @@ class Asked:
     steps: int  # longest set of controls for a simulation
 
 
-def read_prompt(messages: Sequence[Message]) -> Asked | None:
+def read_prompt(messages: Sequence[Message]) -> QuestionNumbers | None:
     """None for a prompt that is not a controller's."""
     text = "\n".join(str(message.get("content") or "") for message in messages[:2])
     numbers = [
-        _found(pattern, text)
+        _find(pattern, text)
         for pattern in (
             rf"maintain a temperature of {_NUMBER}",
             rf"temperature now is {_NUMBER}",
@@ -39,15 +39,15 @@ def read_prompt(messages: Sequence[Message]) -> Asked | None:
     if None in numbers:
         return None
     target, current, ambient = (float(number) for number in numbers if number is not None)
-    return Asked(
+    return QuestionNumbers(
         target=target,
         current=current,
         ambient=ambient,
-        heater_max=float(_found(rf"heater_duty at most {_NUMBER}", text) or 1.0),
+        heater_max=float(_find(rf"heater_duty at most {_NUMBER}", text) or 1.0),
         fan_on="the fan is on" in text,
         fan_held="relay stays" in text,
         spare="spare heater and fan" in text,
-        steps=int(_found(rf"A set has up to {_NUMBER} steps", text) or 1),
+        steps=int(_find(rf"A set has up to {_NUMBER} steps", text) or 1),
     )
 
 
@@ -62,6 +62,6 @@ def results(messages: Sequence[Message]) -> list[dict[str, Any]]:
     return [json.loads(block) for block in blocks]
 
 
-def _found(pattern: str, text: str) -> str | None:
+def _find(pattern: str, text: str) -> str | None:
     match = re.search(pattern, text)
     return match[1] if match else None

@@ -147,7 +147,7 @@ def _steps(network: GuardedHamNet, runs: Sequence[RecordedRun]) -> tuple[Tensor,
     for stretch in stretches(runs):
         columns = [torch.from_numpy(column).float() for column in stretch]
         temp, ambient, duty, fan = columns
-        states = network.twin.filtered(*(column[None] for column in columns))[0]
+        states = network.twin.filter_states(*(column[None] for column in columns))[0]
         now = slice(SETTLING_ROWS, -1)
         inputs = ambient[now], duty[now], fan[now]
         rows = network.features(states[now], *inputs)

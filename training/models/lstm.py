@@ -76,10 +76,10 @@ class LstmNet(nn.Module):
             that act from k to k + 1
         Returns : [B] [°C]
         """
-        target = self.scaled(window) * self.target_scale + self.target_mean
+        target = self.scale_output(window) * self.target_scale + self.target_mean
         return window[:, -1, 0] + target if self.predicts_increment else target
 
-    def scaled(self, window: Tensor) -> Tensor:
+    def scale_output(self, window: Tensor) -> Tensor:
         """Return the network's own output, of mean 0 and variance 1 in the training data, [B]."""
         hidden, _ = self.lstm_1((window - self.mean) / self.scale)
         hidden, _ = self.lstm_2(self.dropout(self.linear_1(hidden)))
@@ -116,7 +116,7 @@ def train_on(
     )
     fitted = _pairs(network, inputs, following, settings)
     validated = _pairs(network, *windows(parts.validate, WINDOW), settings)
-    return network, fit(network, network.scaled, fitted, validated, settings, seed, log)
+    return network, fit(network, network.scale_output, fitted, validated, settings, seed, log)
 
 
 def _target(inputs: np.ndarray, following: np.ndarray, settings: LstmSettings) -> np.ndarray:

@@ -34,7 +34,7 @@ class LstmPredictor:
             temps.append(following)
             coming = torch.cat([following[:, None], torch.zeros(len(inputs), 2)], dim=1)
             window = torch.cat([window[:, 1:], coming[:, None]], dim=1)
-        return _stacked(temps)
+        return _stack(temps)
 
 
 class HamPredictor:
@@ -49,7 +49,7 @@ class HamPredictor:
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
         """As `edge.core.predictor.Predictor.rollout`."""
         now = torch.full((len(controls),), float(history["temp_air"][-1]))
-        return _stacked(_advance(self._network, now, controls, ahead))
+        return _stack(_advance(self._network, now, controls, ahead))
 
 
 class GuardedHamPredictor:
@@ -67,7 +67,7 @@ class GuardedHamPredictor:
         window = _tail(history, names, WINDOW)
         start = self._network.start(*(window[None, :, i] for i in range(len(names))))
         states = _advance(self._network, start.repeat(len(controls), 1), controls, ahead)
-        return _stacked([state[:, 0] for state in states])
+        return _stack([state[:, 0] for state in states])
 
 
 def _advance(step: Advance, state: Tensor, controls: Floats, ahead: Mapping[str, Floats]) -> list[Tensor]:
@@ -86,5 +86,5 @@ def _tail(history: Columns, names: tuple[str, ...], rows: int) -> Tensor:
     return torch.from_numpy(np.stack([history[name][-rows:] for name in names], axis=-1)).float()
 
 
-def _stacked(temps: list[Tensor]) -> Floats:
+def _stack(temps: list[Tensor]) -> Floats:
     return torch.stack(temps, dim=1).double().numpy()

@@ -20,7 +20,7 @@ from training.data.pairs import split_all
 from training.models import ham, ham_guarded, linear, lstm, pbm
 from training.models.fit_network import Progress
 from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
-from training.models.study import Train, Trained
+from training.models.study import Train, TrainedModel
 from training.models.weights import save_network
 
 NETWORK_FILE, TWIN_FILE, ARX_FILE = "network.pt", "twin.yaml", "arx.json"
@@ -28,7 +28,7 @@ NETWORK_FILE, TWIN_FILE, ARX_FILE = "network.pt", "twin.yaml", "arx.json"
 
 def _linear(
     settings: linear.LinearSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
-) -> Trained:
+) -> TrainedModel:
     fit = linear.train(runs, settings)
     progress = {
         "p": len(fit.model.temp),
@@ -36,7 +36,7 @@ def _linear(
         "rows": fit.rows,
         "validation_free_run_rmse_k": fit.free_run_rmse_k,
     }
-    return Trained(fit.model, asdict(settings), progress, partial(_save_linear, fit))
+    return TrainedModel(fit.model, asdict(settings), progress, partial(_save_linear, fit))
 
 
 def _save_linear(fit: ArxFit, out: Path, facts: Mapping[str, Any]) -> None:
@@ -50,31 +50,33 @@ def _save_linear(fit: ArxFit, out: Path, facts: Mapping[str, Any]) -> None:
     write_arx(fit.model, out / ARX_FILE, {**facts, **scores})
 
 
-def _pbm(settings: pbm.PbmSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
+def _pbm(settings: pbm.PbmSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> TrainedModel:
     file = pbm.train(runs, settings)
-    return Trained(Pbm(file.twin()), asdict(settings), {}, partial(_save_twin, file))
+    return TrainedModel(Pbm(file.twin()), asdict(settings), {}, partial(_save_twin, file))
 
 
 def _save_twin(file: TwinFile, out: Path, facts: Mapping[str, Any]) -> None:
     write_twin_file(replace(file, provenance=dict(facts)), out / TWIN_FILE)
 
 
-def _lstm(settings: lstm.LstmSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
+def _lstm(
+    settings: lstm.LstmSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
+) -> TrainedModel:
     network, progress = lstm.train(runs, seed, settings, log)
-    return _trained(LstmPredictor(network), network, settings, progress)
+    return _trained_model(LstmPredictor(network), network, settings, progress)
 
 
-def _ham(settings: ham.HamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
+def _ham(settings: ham.HamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> TrainedModel:
     network, progress = ham.train(runs, seed, settings, log)
-    return _trained(HamPredictor(network), network, settings, progress)
+    return _trained_model(HamPredictor(network), network, settings, progress)
 
 
-def _guarded(
+def _train_guarded(
     settings: ham_guarded.GuardedHamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
-) -> Trained:
+) -> TrainedModel:
     file = pbm.train(runs, pbm.FITTED)
     network, progress = ham_guarded.train(runs, file.twin(), seed, settings, log)
-    trained = _trained(GuardedHamPredictor(network), network, settings, progress)
+    trained = _trained_model(GuardedHamPredictor(network), network, settings, progress)
 
     def save(out: Path, facts: Mapping[str, Any]) -> None:
         _save_twin(file, out, facts)
@@ -91,19 +93,21 @@ def over(file: TwinFile) -> Mapping[str, Train]:
     """
     if file.sample_s != ham.STEP_S:
         raise DataError(f"twin: sample_s: {file.sample_s:g}, but the runs are trained on at {ham.STEP_S:g} s")
-    return {TWIN_GIVEN: partial(_given, file), HAM_GIVEN: partial(_guarded_given, file)}
+    return {TWIN_GIVEN: partial(_train_given, file), HAM_GIVEN: partial(_train_guarded_given, file)}
 
 
-def _given(file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
-    known = _known(file, runs)
-    return Trained(Pbm(known.twin()), {}, _origin(file, runs), partial(_save_given, known))
+def _train_given(file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> TrainedModel:
+    known = _known_twin(file, runs)
+    return TrainedModel(Pbm(known.twin()), {}, _origin(file, runs), partial(_save_given, known))
 
 
-def _guarded_given(file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
+def _train_guarded_given(
+    file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Path | None
+) -> TrainedModel:
     settings = ham_guarded.GuardedHamSettings()
-    known = _known(file, runs)
+    known = _known_twin(file, runs)
     network, progress = ham_guarded.train(runs, known.twin(), seed, settings, log)
-    trained = _trained(GuardedHamPredictor(network), network, settings, progress)
+    trained = _trained_model(GuardedHamPredictor(network), network, settings, progress)
 
     def save(out: Path, facts: Mapping[str, Any]) -> None:
         _save_given(known, out, facts)
@@ -112,7 +116,7 @@ def _guarded_given(file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: 
     return replace(trained, progress={**trained.progress, **_origin(file, runs)}, save=save)
 
 
-def _known(file: TwinFile, runs: Sequence[RecordedRun]) -> TwinFile:
+def _known_twin(file: TwinFile, runs: Sequence[RecordedRun]) -> TwinFile:
     return fit_twin(file, split_all(runs).train).file if file.to_fit() else file
 
 
@@ -129,11 +133,13 @@ def _save_given(file: TwinFile, out: Path, facts: Mapping[str, Any]) -> None:
     write_twin_file(replace(file, provenance=provenance), out / TWIN_FILE)
 
 
-def _trained(predictor: Predictor, network: nn.Module, settings: Any, progress: Progress) -> Trained:
+def _trained_model(
+    predictor: Predictor, network: nn.Module, settings: Any, progress: Progress
+) -> TrainedModel:
     def save(out: Path, facts: Mapping[str, Any]) -> None:
         save_network(network, out / NETWORK_FILE, facts)
 
-    return Trained(predictor, asdict(settings), asdict(progress), save)
+    return TrainedModel(predictor, asdict(settings), asdict(progress), save)
 
 
 MODELS: Mapping[str, Train] = {
@@ -146,7 +152,7 @@ MODELS: Mapping[str, Train] = {
     "linear_ambient": partial(_linear, linear.WITH_AMBIENT),
     "twin": partial(_pbm, pbm.FITTED),
     "lstm_increment": partial(_lstm, lstm.LstmSettings(predicts_increment=True)),
-    "ham_guarded": partial(_guarded, ham_guarded.GuardedHamSettings()),
+    "ham_guarded": partial(_train_guarded, ham_guarded.GuardedHamSettings()),
 }
 TWIN_GIVEN, HAM_GIVEN = "twin_given", "ham_given"
 SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded", HAM_GIVEN)  # others come out the same every time

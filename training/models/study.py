@@ -29,7 +29,7 @@ FACTS = (  # of the record, kept with a model
 
 
 @dataclass(frozen=True, slots=True)
-class Trained:
+class TrainedModel:
     """The result of a model's script."""
 
     predictor: Predictor
@@ -38,7 +38,9 @@ class Trained:
     save: Callable[[Path, Mapping[str, Any]], None]  # into a folder, with facts for the file
 
 
-Train = Callable[[Sequence[RecordedRun], int, Path | None], Trained]  # training runs, seed, folder of the log
+Train = Callable[
+    [Sequence[RecordedRun], int, Path | None], TrainedModel
+]  # training runs, seed, folder of the log
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,9 +92,9 @@ class TwinStep(nn.Module):
         temp, ambient [°C], duty, fan : [B, rows], nothing missing; the last row's duty and fan are not read
         Returns : [B, S]
         """
-        return self.filtered(temp, ambient, duty, fan)[:, -1]
+        return self.filter_states(temp, ambient, duty, fan)[:, -1]
 
-    def filtered(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
+    def filter_states(self, temp: Tensor, ambient: Tensor, duty: Tensor, fan: Tensor) -> Tensor:
         """Return the filtered state at every row, [B, rows, S]."""
         room = ambient[:, :1] + self.room_shift
         state = self.rest_excess * (temp[:, :1] - room) + self.rest_ambient * room
@@ -103,7 +103,7 @@ class TwinStep(nn.Module):
         states = [state]
         for k in range(temp.shape[1] - 1):
             state = self.step(state, ambient[:, k], duty[:, k], fan[:, k], none)
-            covariance = self._predicted(covariance, fan[:, k])
+            covariance = self._predict(covariance, fan[:, k])
             gain = covariance[:, :, 0] / (covariance[:, 0, :1] + self.noise**2)
             state = state + gain * (temp[:, k + 1] - state[:, 0]).unsqueeze(-1)
             covariance = covariance - gain.unsqueeze(-1) * covariance[:, :1, :]
@@ -111,7 +111,7 @@ class TwinStep(nn.Module):
         hidden = torch.stack(states, dim=1)[:, :, 1:]
         return torch.cat([temp.unsqueeze(-1), hidden], dim=-1)
 
-    def _predicted(self, covariance: Tensor, fan: Tensor) -> Tensor:
+    def _predict(self, covariance: Tensor, fan: Tensor) -> Tensor:
         share = fan.reshape(-1, 1, 1)
         matrix = self.transition[0] + share * (self.transition[1] - self.transition[0])
         moved = self.drift[0] + share[:, 0] * (self.drift[1] - self.drift[0])
@@ -124,9 +124,9 @@ def beyond_a_graph(twin: BoxTwin) -> list[str]:
     return [
         name
         for name, values in twin.effects.items()
-        if not _held(BoxTwin(twin.geometry, {name: values}, twin.step_s).signals)
+        if not _is_held(BoxTwin(twin.geometry, {name: values}, twin.step_s).signals)
     ]
 
 
-def _held(signals: Signals) -> bool:
+def _is_held(signals: Signals) -> bool:
     return replace(signals, ambient_error_k=0.0, sensor_bias_k=0.0).plain

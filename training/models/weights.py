@@ -62,7 +62,7 @@ def _ham(content: Mapping[str, Any]) -> HamNet:
     return HamNet(Geometry(), STEP_S, torch.zeros(4), torch.ones(4), 0.0, 1.0, hidden)
 
 
-def _guarded(content: Mapping[str, Any]) -> GuardedHamNet:
+def _guarded_net(content: Mapping[str, Any]) -> GuardedHamNet:
     weights = content["weights"]
     return GuardedHamNet(TwinStep(weights["twin.transition"].shape[1]), weights["mlp.0.bias"].shape[0])
 
@@ -70,5 +70,5 @@ def _guarded(content: Mapping[str, Any]) -> GuardedHamNet:
 _EMPTY: dict[str, Callable[[dict[str, Any]], TrainedNet]] = {
     "LstmNet": _lstm,
     "HamNet": _ham,
-    "GuardedHamNet": _guarded,
+    "GuardedHamNet": _guarded_net,
 }

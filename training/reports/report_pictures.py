@@ -12,8 +12,8 @@ from edge.formats.run_file import RecordedRun
 from training.evaluate.resources import ModelCost
 from training.evaluate.scores import TrainingScore, by_seed, maes
 from training.models.rollout import START_ROWS
+from training.models.saved_training import OURS, PAPER
 from training.models.study import SCENARIOS, Regime
-from training.models.trained import OURS, PAPER
 from training.reports.report_tables import LABELS
 
 COLOURS = {

@@ -8,11 +8,11 @@ import numpy as np
 
 from edge.core.predictor import Floats
 from edge.formats.table import Table
-from training.evaluate.ablation import EXCESS_K, Base, ByExcess, Unexplained
+from training.evaluate.ablation import EXCESS_K, Base, ByExcess, UnexplainedError
 from training.evaluate.resources import ModelCost
-from training.evaluate.scores import Swapped, TrainingScore, maes, orders
+from training.evaluate.scores import SwappedModel, TrainingScore, maes, orders
+from training.models.saved_training import OURS, PAPER, UNGUARDED
 from training.models.study import SCENARIOS, Regime
-from training.models.trained import OURS, PAPER, UNGUARDED
 
 LABELS = {
     "linear": "Linear",
@@ -34,9 +34,9 @@ class Evaluation:
     """All figures that the same weights and runs give again."""
 
     scores: tuple[TrainingScore, ...]
-    unexplained: tuple[Unexplained, ...]
+    unexplained: tuple[UnexplainedError, ...]
     bases: tuple[Base, ...]
-    swapped: tuple[Swapped, ...]
+    swapped: tuple[SwappedModel, ...]
     by_excess: tuple[ByExcess, ...]
 
 
@@ -49,9 +49,9 @@ def tables(found: Evaluation) -> list[Table]:
         *(_orders(scores, regime) for regime in SCENARIOS),
         _outside(scores),
         _bias(scores),
-        _swapped(found.swapped),
+        _swap_table(found.swapped),
         _by_excess(found.by_excess),
-        _unexplained(found.unexplained),
+        _unexplained_table(found.unexplained),
         _bases(found.bases),
     ]
 
@@ -169,7 +169,7 @@ def _bias(scores: Sequence[TrainingScore]) -> Table:
     return Table("Free-run bias, predicted minus measured [K]", heads, rows)
 
 
-def _swapped(rows: Sequence[Swapped]) -> Table:
+def _swap_table(rows: Sequence[SwappedModel]) -> Table:
     heads = ("trained for", *(f"scenario {number}" for numbers in SCENARIOS.values() for number in numbers))
     cells = tuple((row.regime, *(f"{value:+.3f}" for value in row.bias_k)) for row in rows)
     note = (
@@ -185,7 +185,7 @@ def _by_excess(rows: Sequence[ByExcess]) -> Table:
     return Table("Bias of the fitted twin by the air's excess over the room [K]", heads, cells, note)
 
 
-def _unexplained(rows: Sequence[Unexplained]) -> Table:
+def _unexplained_table(rows: Sequence[UnexplainedError]) -> Table:
     note = (
         "Least squares on the training parts, RMS on the validation parts; no test run. With the fan on "
         "T_hat is the first row: of the air's own temperature it keeps a = exp(-F dt / V) = 5e-4."

@@ -27,7 +27,7 @@ class World:
 
 
 @dataclass(frozen=True, slots=True)
-class Stepped:
+class StepResult:
     """The result of a step, [B] each; observations are [B, features]."""
 
     observation: Floats
@@ -75,7 +75,7 @@ class EpisodeBoxes:
         now = np.arange(self.count), self._step
         return observe(Recent(self._air, self._duty, self._fan, self._ambient[now], self._reference[now]))
 
-    def step(self, actions: NDArray[np.int64]) -> Stepped:
+    def step(self, actions: NDArray[np.int64]) -> StepResult:
         """One action each; a box whose episode has ended is to be reset before its next."""
         world, now = self.world, (np.arange(self.count), self._step)
         duty, fan = duties_and_fans(actions)
@@ -87,7 +87,7 @@ class EpisodeBoxes:
         self._step += 1
         earned = reward(error, duty, fan, world.weights)
         ended = self._step >= world.episodes.steps
-        return Stepped(self.observation(), earned, ended, error, duty, fan)
+        return StepResult(self.observation(), earned, ended, error, duty, fan)
 
     def _begin(self, box: int) -> EpisodeStart:
         """Draw an episode for a box; the rows that it begins after."""

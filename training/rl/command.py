@@ -99,9 +99,10 @@ def _online(arguments: argparse.Namespace) -> int:
     import tempfile
     from dataclasses import replace
 
-    # Late: torch takes seconds, and `--help` needs nothing of it.
-    from training.rl.kept import WEIGHTS_FILE
     from training.rl.online import OnlineJob, learn_online
+
+    # Late: torch takes seconds, and `--help` needs nothing of it.
+    from training.rl.saved_policy import WEIGHTS_FILE
     from training.rl.settings import ONLINE as SETTINGS
     from training.rl.virtual_daemon import virtual_daemon
 

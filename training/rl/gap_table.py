@@ -6,8 +6,8 @@ from pathlib import Path
 
 from edge.models.onnx_policy import read_policy
 from training.rl.gap import LEAD_STEPS, RIG_SEEDS, STEPS, PolicyGap, gap_of
-from training.rl.kept import POLICY_FILE, Record, read_record
 from training.rl.models import StepModel
+from training.rl.saved_policy import POLICY_FILE, Record, read_record
 
 _COLUMNS = ("model", "rig", "gap", "model", "rig", "gap")
 _HEAD = f"{'policy':9s} {'parameters':11s} {'seed':>12s}" + "".join(f"{name:>15s}" for name in _COLUMNS)

@@ -21,12 +21,12 @@ from edge.formats.atomic_file import write_atomically
 from edge.formats.run_file import data_sha256
 from training.data.datasets import training_runs
 from training.rl import checkpoint
-from training.rl.kept import RECORD_FILE
 from training.rl.read_model import REGIME
 from training.rl.reward import WEIGHTS
+from training.rl.saved_policy import RECORD_FILE
 from training.rl.settings import OnlineSettings, learner_arguments
 from training.rl.socket_env import SocketEnv
-from training.rl.study import SAMPLE_S, keep, software, validated
+from training.rl.study import SAMPLE_S, keep, software, validate
 from training.rl.weights import load_weights
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -178,7 +178,7 @@ def _finish(agent: DQN, job: OnlineJob, course: TrainingCourse, folder: Path) ->
         "seed": job.seed,
         "settings": asdict(job.settings) | {"begin_with": str(job.begin_with or "")},
         "metrics": {
-            "validation": asdict(validated(agent, job.variant, runs)),
+            "validation": asdict(validate(agent, job.variant, runs)),
             "mae_k_while_learning": course.absolute_error_k / learnt_from,
             **{name: getattr(course, name) for name in ("starts", "steps", "used", "gaps")},
         },

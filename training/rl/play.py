@@ -14,7 +14,7 @@ VALIDATION_SEED = 20_001  # no training has it
 
 
 @dataclass(frozen=True, slots=True)
-class Played:
+class PlayMeans:
     """Means over all steps of all episodes."""
 
     mae_k: float  # of the true air against the reference of the step
@@ -23,14 +23,14 @@ class Played:
     fan: float
 
 
-def play(act: Act, world: World, count: int = VALIDATION_BOXES, seed: int = VALIDATION_SEED) -> Played:
+def play(act: Act, world: World, count: int = VALIDATION_BOXES, seed: int = VALIDATION_SEED) -> PlayMeans:
     """One episode in each of `count` boxes; the same seed gives the same rooms and references."""
     boxes = EpisodeBoxes(world, count, np.random.default_rng(seed))
     observation, steps = boxes.reset(), []
     for _ in range(world.episodes.steps):
         steps.append(boxes.step(act(observation.astype(np.float32))))
         observation = steps[-1].observation
-    return Played(
+    return PlayMeans(
         mae_k=float(np.mean([np.abs(step.error_k) for step in steps])),
         reward=float(np.mean([step.reward for step in steps])),
         duty=float(np.mean([step.duty for step in steps])),

@@ -30,13 +30,13 @@ def read_model(name: str, variants: int = 1, seed: int = 0, trained: Path = TRAI
     Errors : DataError for a file that is none, and for variants of a model that has no twin
     """
     if name not in KEPT:
-        return TwinModel(drawn(read_twin_file(Path(name)), variants, seed), Path(name).stem)
+        return TwinModel(draw_twins(read_twin_file(Path(name)), variants, seed), Path(name).stem)
     folder = kept_folder(name, trained)
     if name == "lstm" and variants > 1:
         raise DataError(f"{name}: has no physical parameters to draw at random")
     if name == "lstm":
         return _lstm(folder / NETWORK_FILE)
-    physics = TwinModel(drawn(read_twin_file(folder / TWIN_FILE), variants, seed), name)
+    physics = TwinModel(draw_twins(read_twin_file(folder / TWIN_FILE), variants, seed), name)
     return physics if name == "pbm" else ham_over(physics, folder / NETWORK_FILE)
 
 
@@ -65,7 +65,7 @@ def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def drawn(file: TwinFile, variants: int, seed: int) -> list[BoxTwin]:
+def draw_twins(file: TwinFile, variants: int, seed: int) -> list[BoxTwin]:
     """Return the twin of a file, then others with fitted values uniform between their `low` and `high`.
 
     Errors : DataError where a value is still to be fitted, or there is nothing to draw

@@ -19,11 +19,11 @@ from training.models.study import versions
 from training.rl.boxes import START_ROWS, World
 from training.rl.episodes import DrawnEpisodes
 from training.rl.export import export
-from training.rl.kept import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE
 from training.rl.observations import recorded_observations
-from training.rl.play import Played, play
+from training.rl.play import PlayMeans, play
 from training.rl.read_model import REGIME, read_model
 from training.rl.reward import WEIGHTS
+from training.rl.saved_policy import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE
 from training.rl.settings import DqnSettings
 from training.rl.train import greedy, train
 from training.rl.weights import save_q_network
@@ -54,7 +54,7 @@ def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
     began, cpu = time.perf_counter(), time.process_time()
     agent = train(world, job.seed, job.settings)
     wall_s, cpu_s = time.perf_counter() - began, time.process_time() - cpu
-    played = validated(agent, job.variant, runs, job.model)
+    played = validate(agent, job.variant, runs, job.model)
     facts = {
         "variant": job.variant,
         "sample_s": SAMPLE_S,
@@ -83,7 +83,7 @@ def world_of(variant: str, model: str, runs: list[RecordedRun], variants: int = 
     return World(read_model(model, variants), DrawnEpisodes(runs, START_ROWS), WEIGHTS[variant])
 
 
-def validated(agent: DQN, variant: str, runs: list[RecordedRun], model: str = "ham") -> Played:
+def validate(agent: DQN, variant: str, runs: list[RecordedRun], model: str = "ham") -> PlayMeans:
     """Play validation episodes in a model whose parameters are as fitted."""
     return play(greedy(agent.policy.q_net), world_of(variant, model, runs))
 

@@ -9,11 +9,11 @@ from typing import Annotated
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.wire import Usage
 from edge.config.settings import LlmSettings
-from edge.formats.checked import REQUIRED, Rule
+from edge.formats.cross_check import REQUIRED, Rule
 
 
 @dataclass(frozen=True, slots=True)
-class Spent:
+class Spending:
     """Tokens and requests spent on one UTC day."""
 
     day: str
@@ -29,7 +29,11 @@ class Budget:
     """
 
     def __init__(
-        self, settings: LlmSettings, spent: Spent, save: Callable[[Spent], None], utc: Callable[[], float]
+        self,
+        settings: LlmSettings,
+        spent: Spending,
+        save: Callable[[Spending], None],
+        utc: Callable[[], float],
     ) -> None:
         self._settings = settings
         self._utc = utc
@@ -58,12 +62,12 @@ class Budget:
         return 1e-6 * (usage.sent * self._settings.price_in + usage.received * self._settings.price_out)
 
     @property
-    def spent(self) -> Spent:
+    def spent(self) -> Spending:
         """So far today."""
         with self._lock:
             return self._of_today()
 
-    def _too_much(self, spent: Spent, most: Usage) -> str:
+    def _too_much(self, spent: Spending, most: Usage) -> str:
         """ "" where the exchange fits into the day; what is no number does not."""
         settings = self._settings
         tokens = spent.tokens + most.sent + most.received
@@ -74,16 +78,16 @@ class Budget:
             return f"{spent.cost:.4g} of {settings.cost_per_day:g} is spent today"
         return ""
 
-    def _keep(self, spent: Spent, tokens: int, cost: float, exchanges: int) -> None:
+    def _keep(self, spent: Spending, tokens: int, cost: float, exchanges: int) -> None:
         # An exchange that went over midnight may give back more than the new day has.
-        self._spent = Spent(
+        self._spent = Spending(
             spent.day, max(0, spent.tokens + tokens), max(0.0, spent.cost + cost), spent.exchanges + exchanges
         )
         self._save(self._spent)
 
-    def _of_today(self) -> Spent:
+    def _of_today(self) -> Spending:
         today = self._today()
-        return self._spent if self._spent.day == today else Spent(today)
+        return self._spent if self._spent.day == today else Spending(today)
 
     def _today(self) -> str:
         return datetime.fromtimestamp(self._utc(), UTC).date().isoformat()

@@ -25,7 +25,7 @@ _ROUNDING = 0.05  # in units of the last digit: what binary numbers and double r
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class WrittenNumber:
     """A number as it was written, and the quantum of its last digit, both in the value's unit."""
 
     text: str
@@ -33,37 +33,39 @@ class Said:
     quantum: float
 
 
-def degrees(text: str) -> list[Said]:
+def degrees(text: str) -> list[WrittenNumber]:
     """Temperatures [°C]."""
-    return [_said(match, 1.0) for match in _DEGREES.finditer(text)]
+    return [_written_number(match, 1.0) for match in _DEGREES.finditer(text)]
 
 
-def shares(text: str) -> list[Said]:
+def shares(text: str) -> list[WrittenNumber]:
     """Heater duties 0..1, from "duty 0.45", and from percentages in a text that speaks of the heater.
 
     "0.5" is that level of the heater and not the next one.
     """
-    found = [_said(match, 1.0, 1.0 / HEATER_LEVELS) for match in _DUTY.finditer(text)]
+    found = [_written_number(match, 1.0, 1.0 / HEATER_LEVELS) for match in _DUTY.finditer(text)]
     if re.search(r"\b(?:duty|heater)\b", text, re.IGNORECASE):
-        found += [_said(match, 0.01) for match in _PERCENT.finditer(text)]
+        found += [_written_number(match, 0.01) for match in _PERCENT.finditer(text)]
     return found
 
 
-def energies(text: str) -> list[Said]:
+def energies(text: str) -> list[WrittenNumber]:
     """Energies [Wh]."""
-    return [_said(match, 1000.0 if match["unit"] == "kWh" else 1.0) for match in _ENERGY.finditer(text)]
+    return [
+        _written_number(match, 1000.0 if match["unit"] == "kWh" else 1.0) for match in _ENERGY.finditer(text)
+    ]
 
 
-def fits(said: Said, values: Iterable[float]) -> bool:
+def fits(said: WrittenNumber, values: Iterable[float]) -> bool:
     """Return whether one of the values reads like this when rounded to the digits given."""
     most = said.quantum * (0.5 + _ROUNDING)
     return any(abs(said.value - value) <= most for value in values)
 
 
-def _said(match: "re.Match[str]", factor: float, coarsest: float = math.inf) -> Said:
+def _written_number(match: "re.Match[str]", factor: float, coarsest: float = math.inf) -> WrittenNumber:
     number = match["number"]
     decimals = len(number.partition(".")[2])
-    return Said(match[0].strip(), float(number) * factor, min(factor * 10.0**-decimals, coarsest))
+    return WrittenNumber(match[0].strip(), float(number) * factor, min(factor * 10.0**-decimals, coarsest))
 
 
 CLAIMS_MAX = 12  # of one text
@@ -115,7 +117,7 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class KnownFacts:
     """The facts that a text is checked against."""
 
     context: Context
@@ -123,22 +125,22 @@ class Known:
     chosen: Command
 
 
-def check_claims(text: str, known: Known) -> list[Claim]:
+def check_claims(text: str, known: KnownFacts) -> list[Claim]:
     """Return the claims of `text` that can be judged, in its order."""
     found = [claim for sentence in _SENTENCE.split(text) for claim in _claims(sentence.strip(), known)]
     return found[:CLAIMS_MAX]
 
 
-def _claims(sentence: str, known: Known) -> Iterator[Claim]:
+def _claims(sentence: str, known: KnownFacts) -> Iterator[Claim]:
     """Yield the claims of a sentence. A statement about tools is a claim even as a prediction."""
     yield from _actions(sentence, known.context.last_sent)
     if _SIMULATED.search(sentence):
-        yield from _numbers(sentence, "simulation", known, _simulated)
+        yield from _numbers(sentence, "simulation", known, _simulated_values)
     elif _RECORDED.search(sentence):
         yield from _numbers(sentence, "history", known, _recorded)
     elif not _NOT_A_FACT.search(sentence):
         yield from _states(sentence, known.context.last_sent)
-        yield from _told(sentence, known.context)
+        yield from _clause_claims(sentence, known.context)
         for energy in energies(sentence):
             yield _claim(sentence, "history", False, f"nothing that was read tells of {energy.text}")
 
@@ -171,7 +173,7 @@ def _states(sentence: str, driven: Command) -> Iterator[Claim]:
         yield _claim(sentence, "state", holds, _in_words(driven))
 
 
-def _told(sentence: str, context: Context) -> Iterator[Claim]:
+def _clause_claims(sentence: str, context: Context) -> Iterator[Claim]:
     """Yield claims of a clause with one name and one temperature: the
     target is, the ambient temperature is.
     """
@@ -189,7 +191,7 @@ def _told(sentence: str, context: Context) -> Iterator[Claim]:
 
 
 def _numbers(
-    sentence: str, kind: str, known: Known, values: Callable[[str, Known], tuple[list[float], str]]
+    sentence: str, kind: str, known: KnownFacts, values: Callable[[str, KnownFacts], tuple[list[float], str]]
 ) -> Iterator[Claim]:
     """Every temperature, duty and energy of a sentence must stand in what the tool has said."""
     there, against = values(sentence, known)
@@ -197,7 +199,7 @@ def _numbers(
         yield _claim(sentence, kind, fits(said, there), f"{said.text}: {against}")
 
 
-def _simulated(sentence: str, known: Known) -> tuple[list[float], str]:
+def _simulated_values(sentence: str, known: KnownFacts) -> tuple[list[float], str]:
     """Return the values of the simulation that is named, else of all. The target
     and the present value may stand with them.
     """
@@ -209,14 +211,14 @@ def _simulated(sentence: str, known: Known) -> tuple[list[float], str]:
     return values + (_of_context(known) if entries else []), against
 
 
-def _recorded(sentence: str, known: Known) -> tuple[list[float], str]:
+def _recorded(sentence: str, known: KnownFacts) -> tuple[list[float], str]:
     results = known.ledger.results("sql")
     values = [number for result in results for number in _flat(result["rows"])]
     against = "the history was not asked" if not results else f"{len(results)} answers of the history"
     return values + (_of_context(known) if results else []), against
 
 
-def _of_context(known: Known) -> list[float]:
+def _of_context(known: KnownFacts) -> list[float]:
     context = known.context
     told = [float(context.reference[0]), context.estimate.temp_ambient, context.estimate.temp_air]
     return [*told, context.last_sent.heater_duty, known.chosen.heater_duty]

@@ -2,10 +2,10 @@
 
 from collections import Counter
 
-from edge.assistant.llm.asking import Question
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.language_model import LanguageModel
 from edge.assistant.llm.proposal import Architecture, ModelProposal
+from edge.assistant.llm.question import Question
 from edge.core.controller import Context
 from edge.core.messages import Decision, Event, Severity
 
@@ -45,7 +45,7 @@ class LlmController:
     def decide(self, context: Context) -> Decision:
         """Return the model's proposal. Raises : LlmFailure, with its kind and the count of each kind"""
         if self._unequipped:
-            raise self._counted(LlmFailure("unequipped", self._unequipped))
+            raise self._count(LlmFailure("unequipped", self._unequipped))
         self._look_after(context.now_s)
         if self._under_way is None:
             self._under_way = self._ask(context)
@@ -56,7 +56,7 @@ class LlmController:
         if self._arrived is not None:
             question, self._arrived = self._arrived, None
             return self._decision(question, context)
-        raise self._counted(LlmFailure("late", f"no answer within {self._wait_s:.2g} s; it goes on"))
+        raise self._count(LlmFailure("late", f"no answer within {self._wait_s:.2g} s; it goes on"))
 
     def _look_after(self, now_s: float) -> None:
         """Collect the answer to an earlier tick's question when it has arrived,
@@ -85,7 +85,7 @@ class LlmController:
         try:
             proposal = question.answer()
         except LlmFailure as failure:
-            raise self._counted(failure) from None
+            raise self._count(failure) from None
         if proposal.flagged:
             said = "; ".join(f"{claim.text!r} ({claim.against})" for claim in proposal.flagged)
             text = f"{self.name} claims what does not hold: {said}"
@@ -95,7 +95,7 @@ class LlmController:
         why = {**proposal.why, "asked_s_ago": asked_s_ago, "failures": dict(self._failures)}
         return Decision(proposal.command, self.name, proposal.forecast[passed:], why)
 
-    def _counted(self, failure: LlmFailure) -> LlmFailure:
+    def _count(self, failure: LlmFailure) -> LlmFailure:
         self._failures[failure.kind] += 1
         so_far = ", ".join(f"{kind} {count}" for kind, count in sorted(self._failures.items()))
         return LlmFailure(failure.kind, f"{failure.text} (so far: {so_far})")

@@ -154,7 +154,7 @@ class Endpoint:
         used = Usage(estimated=True)
         try:
             deadline_s = min(self.settings.timeout_s, left_s)
-            response = self._masked(self.line(self._url, body, self._headers(), deadline_s, stop))
+            response = self._mask(self.line(self._url, body, self._headers(), deadline_s, stop))
             used = _usage(response, most)
             return response, used
         except LlmFailure as failure:
@@ -180,7 +180,7 @@ class Endpoint:
             raise _TryAgain(LlmFailure("server_error", said), retry_after_s(response.retry_after))
         raise LlmFailure("bad_request", said)
 
-    def _masked(self, response: HttpResponse) -> HttpResponse:
+    def _mask(self, response: HttpResponse) -> HttpResponse:
         """Return the response as UTF-8 with the key masked, since a server may echo it."""
         text = response.raw.decode(errors="replace")
         pattern = None if self.key is None else key_pattern(self.key.value)

@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from edge.assistant.llm.asking import Question
-from edge.assistant.llm.budget import Budget, Spent
+from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.line import Post, post
+from edge.assistant.llm.question import Question
 from edge.config.secrets import read_secret
 from edge.config.settings import LlmSettings
 from edge.core.errors import ConfigError
@@ -52,8 +52,8 @@ class LanguageModel:
 def open_language_model(
     settings: LlmSettings,
     history: Path,
-    spent: Spent,
-    save: Callable[[Spent], None],
+    spent: Spending,
+    save: Callable[[Spending], None],
     utc: Callable[[], float],
 ) -> LanguageModel:
     """Errors: ConfigError when the key or the authority's certificate can't be read."""

@@ -94,18 +94,18 @@ def _session(interrupts: tuple[Interrupt, ...], ca: str) -> Any:
     from urllib3.connection import HTTPConnection, HTTPSConnection
     from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
 
-    def held(connection: socket.socket) -> socket.socket:
+    def hold(connection: socket.socket) -> socket.socket:
         for interrupt in interrupts:
             interrupt.hold(connection)
         return connection
 
     class Plain(HTTPConnection):
         def _new_conn(self) -> socket.socket:  # before TLS begins: a handshake can drip too
-            return held(super()._new_conn())
+            return hold(super()._new_conn())
 
     class Tls(HTTPSConnection):
         def _new_conn(self) -> socket.socket:
-            return held(super()._new_conn())
+            return hold(super()._new_conn())
 
     class PlainPool(HTTPConnectionPool):
         ConnectionCls = Plain

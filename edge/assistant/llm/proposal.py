@@ -6,7 +6,7 @@ from typing import Any
 
 from edge.assistant.llm.agent import Conversation
 from edge.assistant.llm.answer import ModelAnswer, answer_schema, read_answer
-from edge.assistant.llm.claims import Claim, Known, check_claims
+from edge.assistant.llm.claims import Claim, KnownFacts, check_claims
 from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.language_model import LanguageModel
 from edge.assistant.llm.ledger import AnsweredCall, Ledger, Tool
@@ -65,7 +65,7 @@ class Architecture:
         content = conversation.run(model.settings.answer_age_max_s, stop)
         answer = read_answer(content, simulator is not None)
         forecast = () if simulator is None else cited_forecast(answer, conversation.ledger, simulator)
-        claims = check_claims(answer.rationale, Known(context, conversation.ledger, answer.command))
+        claims = check_claims(answer.rationale, KnownFacts(context, conversation.ledger, answer.command))
         why = self._why(answer, conversation, model) | {"claims": [claim.to_json() for claim in claims]}
         return ModelProposal(
             answer.command, forecast, why, tuple(claim for claim in claims if not claim.holds)

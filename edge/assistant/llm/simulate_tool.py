@@ -10,12 +10,12 @@ from edge.assistant.llm.answer import ModelAnswer, nearest_level
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.wire import ToolSpec
-from edge.controllers.mpc import padded
+from edge.controllers.mpc import pad
 from edge.controllers.plan_rollouts import ahead_with_offset, forecast
 from edge.core.controller import Context, Floats
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import DocumentError, read
 
 NAME = "simulate"
@@ -40,13 +40,13 @@ class Simulator:
         """Air temperature after each of the controls [N, 2]: [N] [°C]. Raises : DataError naming the model"""
         context, steps = self.context, len(controls)
         ahead = {**ahead_with_offset(context, steps), "offset": np.full(steps, self.offset)}
-        history = padded(context.history, self.predictor.rows_needed)
+        history = pad(context.history, self.predictor.rows_needed)
         temps: Floats = forecast(self.predictor, history, controls[None], ahead)[0]
         return temps
 
 
 @dataclass(frozen=True, slots=True)
-class SimulateArguments(Checked):
+class SimulateArguments(CheckedDocument):
     """Arguments of a call, one value per step."""
 
     heater_duty: Annotated[tuple[Annotated[float, Rule(low=0.0, high=1.0)], ...], Rule(least=1)]

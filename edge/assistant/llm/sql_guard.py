@@ -76,9 +76,9 @@ class _Authorizer:
         if action == sqlite3.SQLITE_SELECT:
             return sqlite3.SQLITE_OK
         if action == sqlite3.SQLITE_FUNCTION:
-            return _allowed(second is not None and second.lower() in FUNCTIONS)
+            return _permission(second is not None and second.lower() in FUNCTIONS)
         if action == sqlite3.SQLITE_READ:
-            return _allowed(self._may_read(first, second, view))
+            return _permission(self._may_read(first, second, view))
         return sqlite3.SQLITE_DENY
 
     def _may_read(self, table: str | None, column: str | None, view: str | None) -> bool:
@@ -89,5 +89,5 @@ class _Authorizer:
         return column == "" and self._view_read
 
 
-def _allowed(condition: bool) -> int:
+def _permission(condition: bool) -> int:
     return sqlite3.SQLITE_OK if condition else sqlite3.SQLITE_DENY

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from edge.assistant.llm.failure import LlmFailure
 from edge.core.plain_text import plain
-from edge.formats.checked import Rule
+from edge.formats.cross_check import Rule
 from edge.formats.reader import DocumentError, Foreign, parse_json, read
 
 Message = Mapping[str, Any]

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from edge.config.settings import ReferenceSettings
 from edge.core.errors import RequestError
 from edge.core.plain_text import plain
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import DocumentError, read, read_number
 from edge.tick.steering import HOURS_MAX, PENALTY_MAX, DailyTarget, FanRest, Steering
 
@@ -76,7 +76,7 @@ class SaidRest:
 
 
 @dataclass(frozen=True, slots=True)
-class WishAnswer(Checked):
+class WishAnswer(CheckedDocument):
     """The answer as a model gives it; SCHEMA asks for it."""
 
     reference: Annotated[tuple[SaidTarget, ...], Rule(most=TARGETS_MAX)]

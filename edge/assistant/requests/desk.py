@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from edge.assistant.requests.answer import understood
-from edge.assistant.requests.prediction import predicted
+from edge.assistant.requests.prediction import predict_day
 from edge.assistant.requests.proposal_id import new_id
 from edge.assistant.requests.words import describe
 from edge.config.settings import LightingSettings, Settings
 from edge.core.errors import GreenhouseError, RequestError
-from edge.core.plain_text import plain, shown
+from edge.core.plain_text import plain, quote
 from edge.tick import steering as steerings
 from edge.tick.inbox import is_in_force
 from edge.tick.orders import NoKeys, read_request
@@ -151,13 +151,13 @@ class WishDesk:
                 case "ask":
                     return self._ask(read_request(WishRequest, request).words)
                 case "proposal":
-                    proposal = self._known(read_request(ProposalRequest, request).id)
+                    proposal = self._find(read_request(ProposalRequest, request).id)
                     return {"ok": True, "proposal": proposal.as_json()}
                 case "undo":
                     read_request(NoKeys, request)
                     return self._undo()
                 case _:
-                    return self._confirm(self._known(read_request(ProposalRequest, request).id))
+                    return self._confirm(self._find(read_request(ProposalRequest, request).id))
         except RequestError as error:
             return {"ok": False, "error": str(error)}
 
@@ -211,11 +211,11 @@ class WishDesk:
             self._publish(proposal)
         return answer
 
-    def _known(self, id: str) -> PendingRequest:
+    def _find(self, id: str) -> PendingRequest:
         with self._lock:
             proposal = self._proposals.get(id)
             if proposal is None:
-                raise RequestError(f"proposal: there is no {shown(id)}: it was never made or is forgotten")
+                raise RequestError(f"proposal: there is no {quote(id)}: it was never made or is forgotten")
             gone_s = self._around.utc() - proposal.asked_utc
             if proposal.state != "ready" or 0.0 <= gone_s < PROPOSAL_AGE_MAX_S:
                 return proposal
@@ -270,7 +270,7 @@ class WishDesk:
             steering=heard.steering,
             said=heard.text,
             changes=tuple(describe(heard.steering, self._zone)),
-            effect=predicted(around.twin(), status, heard.steering, around.settings),
+            effect=predict_day(around.twin(), status, heard.steering, around.settings),
         )
 
     def _now(self, status: Json) -> Json:

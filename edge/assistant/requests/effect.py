@@ -37,7 +37,7 @@ class DayStart:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class PlannerGoal:
     """The planner's goal.
 
     heater_penalty, fan_penalty : weights of the stage cost
@@ -74,7 +74,7 @@ class PredictedDay:
         }
 
 
-def coming_day(twin: BoxTwin, now: DayStart, wanted: Wanted) -> PredictedDay:
+def coming_day(twin: BoxTwin, now: DayStart, wanted: PlannerGoal) -> PredictedDay:
     """Predict the next 24 hours. Errors: DataError for a twin that needs more than the ambient temperature"""
     steps = round(DAY_S / twin.step_s)
     offsets: Floats = twin.step_s * np.arange(steps + LOOK_STEPS, dtype=np.float64)
@@ -91,10 +91,10 @@ def coming_day(twin: BoxTwin, now: DayStart, wanted: Wanted) -> PredictedDay:
 
 
 def _cheapest(
-    twin: BoxTwin, state: Floats, ambient: float, reference: Floats, wanted: Wanted, clock_s: float
+    twin: BoxTwin, state: Floats, ambient: float, reference: Floats, wanted: PlannerGoal, clock_s: float
 ) -> tuple[float, float]:
     """Heater duty and fan of this step that cost least."""
-    allowed = _allowed(wanted, clock_s)
+    allowed = _allowed_levels(wanted, clock_s)
     duty, fan = _DUTY[allowed], _FAN[allowed]
     states = np.broadcast_to(state, (len(duty), len(state)))
     cost = len(reference) * wanted.heater_penalty * duty**2 + wanted.fan_penalty * fan
@@ -105,7 +105,7 @@ def _cheapest(
     return float(duty[best]), float(fan[best])
 
 
-def _allowed(wanted: Wanted, clock_s: float) -> NDArray[np.bool_]:
+def _allowed_levels(wanted: PlannerGoal, clock_s: float) -> NDArray[np.bool_]:
     steering, duty_max = wanted.steering, wanted.heater_max_duty
     allowed: NDArray[np.bool_] = np.ones(len(_DUTY), dtype=bool)
     if steering is not None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from edge.assistant.requests.effect import DayStart, Wanted, coming_day
+from edge.assistant.requests.effect import DayStart, PlannerGoal, coming_day
 from edge.config.settings import Settings
 from edge.core.errors import DataError
 from edge.tick.reference import Reference, make_reference, seconds_of_day, zone_of
@@ -16,7 +16,7 @@ from edge.twin.model import BoxTwin
 Json = dict[str, Any]
 
 
-def predicted(
+def predict_day(
     twin: BoxTwin | None, status: Mapping[str, Any], steering: Steering, settings: Settings
 ) -> Json:
     """Figures of the next day as it stands, `now`, and with the steering, `then`; else the `reason`."""
@@ -30,8 +30,8 @@ def predicted(
     here = DayStart(temp, ambient, status["since_start_s"], midnight_s)
     standing = operation["steering"] and steering_from_dict(operation["steering"])
     configured = in_force(operation["reference_c"], standing, make_reference(settings.reference))
-    before = _wanted(configured, standing, operation["controller"], settings)
-    after = _wanted(reference_of(steering) or configured, steering, operation["controller"], settings)
+    before = _goal(configured, standing, operation["controller"], settings)
+    after = _goal(reference_of(steering) or configured, steering, operation["controller"], settings)
     try:
         return {
             "now": coming_day(twin, here, before).figures(),
@@ -41,12 +41,14 @@ def predicted(
         return {"reason": str(error)}
 
 
-def _wanted(reference: Reference, steering: Steering | None, controller: str, settings: Settings) -> Wanted:
+def _goal(
+    reference: Reference, steering: Steering | None, controller: str, settings: Settings
+) -> PlannerGoal:
     weight = settings.control.effort_weight(controller)
     heater = fan = None
     if steering is not None:
         heater, fan = steering.heater_penalty, steering.fan_penalty
-    return Wanted(
+    return PlannerGoal(
         reference,
         weight if heater is None else heater,
         weight if fan is None else fan,

@@ -14,9 +14,10 @@ def explain(record: TickRecord, zone: tzinfo | None) -> list[str]:
 
 def _sentences(record: TickRecord, zone: tzinfo | None) -> Iterator[str]:
     begin = datetime.fromtimestamp(record.utc, zone)
-    yield f"Tick {record.seq}, {begin:%Y-%m-%d %H:%M:%S}: sent {_command(record.sent)}{_confirmed(record)}."
-    yield _seen(record)
-    yield from _decided(record.decision, record.wanted, record.mode)
+    sent = f"{_command(record.sent)}{_confirmation(record)}"
+    yield f"Tick {record.seq}, {begin:%Y-%m-%d %H:%M:%S}: sent {sent}."
+    yield _sensor_text(record)
+    yield from _decision_lines(record.decision, record.wanted, record.mode)
     for change in record.changes:
         yield (
             f"{_who(change.rule)} changed {change.actuator} from {change.wanted:g} to {change.sent:g}: "
@@ -28,7 +29,7 @@ def _sentences(record: TickRecord, zone: tzinfo | None) -> Iterator[str]:
         yield f"At that tick: {event.text} ({event.key})."
 
 
-def _seen(record: TickRecord) -> str:
+def _sensor_text(record: TickRecord) -> str:
     air, estimate = record.readings.get("temp_air"), record.estimate
     if air is None or air.value is None or air.quality is not ReadingQuality.GOOD:
         quality = "absent" if air is None else air.quality.value
@@ -39,7 +40,7 @@ def _seen(record: TickRecord) -> str:
     return f"{seen}, {room}; the reference was {_degrees(record.reference_c)}."
 
 
-def _decided(decision: Decision, wanted: Command, mode: str) -> Iterator[str]:
+def _decision_lines(decision: Decision, wanted: Command, mode: str) -> Iterator[str]:
     why, failure = decision.why, decision.why.get("failure", "no reason is known")
     if "instead_of" in why:
         yield f"{decision.controller} decided, since {why['instead_of']} did not: {failure}."
@@ -64,7 +65,7 @@ def _who(rule: str) -> str:
     return "Standing orders" if rule.startswith("operator.") else "Safety"
 
 
-def _confirmed(record: TickRecord) -> str:
+def _confirmation(record: TickRecord) -> str:
     return ", confirmed by the board" if record.echo is not None else ", which the board did not confirm"
 
 

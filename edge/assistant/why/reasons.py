@@ -6,7 +6,7 @@ from typing import Any
 
 def reasons(why: Mapping[str, Any]) -> Iterator[str]:
     """Yield the sentences for which `why` has values."""
-    for tell in (_rule, _plan, _binding, _next_best, _values, _said, _claims):
+    for tell in (_rule, _plan, _binding, _next_best, _values, _quote, _claims):
         yield from tell(why)
 
 
@@ -50,7 +50,7 @@ def _values(why: Mapping[str, Any]) -> Iterator[str]:
         yield f"{why['policy']} takes that to be worth {_number(why.get('value'))}{margin}."
 
 
-def _said(why: Mapping[str, Any]) -> Iterator[str]:
+def _quote(why: Mapping[str, Any]) -> Iterator[str]:
     """Yield a language model's reason, marked as its own words."""
     if "rationale" in why:
         yield f'The language model said: "{why["rationale"]}"'

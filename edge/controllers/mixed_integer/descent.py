@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def descended(
+def descend(
     problem: PlanningProblem, heater: Floats, levels: Ints, temps: Floats, sweeps: int, exchanges: bool = True
 ) -> tuple[Ints, Floats]:
     """Levels [B, N] and air temperatures [B, N + M] of B plans after so many sweeps over their moves.

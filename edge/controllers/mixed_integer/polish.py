@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.descent import descended
+from edge.controllers.mixed_integer.descent import descend
 from edge.controllers.mixed_integer.problem import Plan, PlanningProblem, lower_toeplitz
 from edge.core.names import HEATER_LEVELS
 
@@ -41,7 +41,7 @@ class Local:
         return self.temps + heated + (fan - self.fan) @ self.fan_response
 
 
-def polished(problem: PlanningProblem, plan: Plan) -> Plan:
+def polish(problem: PlanningProblem, plan: Plan) -> Plan:
     """Return the best plan after repeated small changes, `plan` itself where none is better."""
     n = problem.horizon
     heater, fan = lower_toeplitz(problem.heater, n).T, lower_toeplitz(problem.fan, n).T
@@ -61,11 +61,11 @@ def neighbours(problem: PlanningProblem, local: Local, count: int) -> list[Plan]
     fan = fan[problem.allows(np.zeros_like(fan), fan)]
     levels = np.broadcast_to(local.levels, fan.shape)
     temps = local.temperatures(levels, fan)
-    quickly = descended(problem, local.heater_response, levels, temps, sweeps=1, exchanges=False)
+    quickly = descend(problem, local.heater_response, levels, temps, sweeps=1, exchanges=False)
     cost = problem.cost_at(quickly[1], quickly[0], fan)
     kept = _cheapest(cost, max(_LOOKED_INTO, count))
     fan, levels, temps = fan[kept], quickly[0][kept], quickly[1][kept]
-    levels, temps = descended(problem, local.heater_response, levels, temps, _SWEEPS)
+    levels, temps = descend(problem, local.heater_response, levels, temps, _SWEEPS)
     cost = problem.cost_at(temps, levels, fan)
     return [Plan(levels[place], fan[place], float(cost[place])) for place in _cheapest(cost, count)]
 

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 _NEIGHBOURS_MIN, _NEIGHBOURS_MAX, _NODES_PER_NEIGHBOUR = 4, 32, 16
 
 
-def undominated(
+def undominated_nodes(
     problem: PlanningProblem, free: Floats, cost: Floats, fan: Ints, hold: Ints, best: float, margin: float
 ) -> NDArray[np.bool_]:
     """Mask [M] of the nodes that no compared neighbour dominates; `margin` is left for rounding errors."""
@@ -136,7 +136,7 @@ def search(
             dropped = min(dropped, lowest)
         level, parent, choice = _next_level(problem, options, level, kept, cost, bound, hold)
         if len(kept) > 1 and k < problem.horizon - 1 and np.isfinite(best):
-            alive = undominated(problem, level.free, level.cost, level.fan, level.hold, best, margin)
+            alive = undominated_nodes(problem, level.free, level.cost, level.fan, level.hold, best, margin)
             level = level.only(alive)
             parent, choice = parent[alive], choice[alive]
         trace.append((parent, choice))

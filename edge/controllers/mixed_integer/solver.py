@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge.controllers.mixed_integer.polish import polished
+from edge.controllers.mixed_integer.polish import polish
 from edge.controllers.mixed_integer.problem import Ints, Plan, PlanningProblem
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
 from edge.controllers.mixed_integer.search import rounding_margin, search
@@ -70,7 +70,7 @@ def solve(
             break
         # Most plans are proven by a narrow search; only one that was not is worth the polish, once.
         if width == _POLISH_FROM:
-            best = polished(problem, best)
+            best = polish(problem, best)
         width = _next_width(width, (node_budget - nodes) // problem.horizon)
     assert best is not None and narrow is not None
     if not (proven or found.stopped):
@@ -89,7 +89,7 @@ def _look_around(problem: PlanningProblem, best: Plan, narrow: Plan) -> Plan:
     sparing = search(costly, tangent(costly, relaxed_temperatures(costly)), _WIDTHS[0], np.inf).plan
     assert sparing is not None  # nothing is known that it must be better than
     priced = replace(sparing, cost=float(problem.cost(sparing.levels, sparing.fan)))
-    return min((polished(problem, plan) for plan in (best, narrow, priced)), key=lambda plan: plan.cost)
+    return min((polish(problem, plan) for plan in (best, narrow, priced)), key=lambda plan: plan.cost)
 
 
 def _next_width(width: int, affordable: int) -> int:

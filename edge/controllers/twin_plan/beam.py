@@ -82,12 +82,12 @@ def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int
     trace, nodes, weights = [level], 0, _stored_weights(step)
     for k in range(goal.horizon):
         children = _children(step, goal, drift, level, weights, k)
-        kept = _kept(children, width)
+        kept = _cheapest(children, width)
         nodes += children.cost.size
         level = _next(step, children, kept)
         trace.append(level)
     total = level.cost + _tail_cost(step, goal, drift, level)
-    return _found(step, trace, total, nodes)
+    return _result(step, trace, total, nodes)
 
 
 def _stored_weights(step: LinearStep) -> Floats:
@@ -116,7 +116,7 @@ def _children(
     return _Children(cost, stored, base, mode, hold)
 
 
-def _kept(children: _Children, width: int) -> Ints:
+def _cheapest(children: _Children, width: int) -> Ints:
     """Places of the cheapest child of each kind, the `width` cheapest of them."""
     cost = children.cost.ravel()
     kinds = np.rint(children.stored / KIND_K).astype(np.int64)
@@ -165,7 +165,7 @@ def _tail_cost(step: LinearStep, goal: PlanningProblem, drift: Floats, level: _L
     return np.asarray(goal.tracking(temps, slice(goal.horizon, None)).sum(axis=1))
 
 
-def _found(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) -> BeamResult:
+def _result(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) -> BeamResult:
     first = np.arange(len(trace[1].cost))
     for level in trace[2:]:
         first = first[level.parent]
@@ -173,12 +173,12 @@ def _found(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) -> 
     begins = 2 * trace[1].level + trace[1].fan
     other = np.where(begins[first] == begins[first[best]], np.inf, total)
     second = int(np.argmin(other))
-    plan, states = _traced(trace, best, float(total[best]))
-    runner_up = _traced(trace, second, float(total[second]))[0] if np.isfinite(other[second]) else None
+    plan, states = _trace_back(trace, best, float(total[best]))
+    runner_up = _trace_back(trace, second, float(total[second]))[0] if np.isfinite(other[second]) else None
     return BeamResult(plan, states[:, step.air], states[:, step.shown], runner_up, nodes)
 
 
-def _traced(trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:
+def _trace_back(trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:
     levels, fans, states = [], [], []
     for level in reversed(trace[1:]):
         levels.append(level.level[node])

@@ -55,7 +55,7 @@ def begin(twin: BoxTwin, time_s: float, temp: float, ambient: float) -> Belief:
     return Belief(time_s, at_rest(twin, temp, ambient), 0.0, np.diag(sds**2))
 
 
-def moved(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInputs, time_s: float) -> Belief:
+def move_belief(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInputs, time_s: float) -> Belief:
     """One step on."""
     mode = 2 * inputs.fan_before + inputs.fan
     matrix, heat = step.matrix[mode], step.heat[mode]
@@ -72,7 +72,7 @@ def moved(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInputs, t
     return replace(belief, time_s=time_s, state=state, covariance=covariance)
 
 
-def corrected(belief: Belief, measured: float, shown: int) -> Belief:
+def correct_belief(belief: Belief, measured: float, shown: int) -> Belief:
     """By a measurement [°C] of the state `shown`; one that is no number teaches nothing."""
     if not np.isfinite(measured):
         return belief

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.experiment.improve import Evaluated
+from edge.diagnosis.experiment.improve import ExperimentScores
 from edge.diagnosis.experiment.separation import Separation
 from edge.diagnosis.search import RIVAL_NATS
 from edge.twin.twin_file import Place
@@ -35,7 +35,7 @@ class ValueCalibration:
 
 
 def calibrate_first(
-    found: Separation, pairs: NDArray[np.bool_], chosen: Evaluated | None, expected: float
+    found: Separation, pairs: NDArray[np.bool_], chosen: ExperimentScores | None, expected: float
 ) -> ValueCalibration | None:
     """Return the value whose calibration helps most, None where the
     experiment suffices or the help is too small.
@@ -64,7 +64,7 @@ def _uncertain(found: Separation) -> list[Place]:
     return sorted(place for place in shared if values[place].rel_sd is not None)
 
 
-def swung(found: Separation, tried: Evaluated, pairs: NDArray[np.bool_]) -> float | None:
+def swung(found: Separation, tried: ExperimentScores, pairs: NDArray[np.bool_]) -> float | None:
     """Return the expected log odds if the ambient warms by 3 K during the
     experiment, None where that helps too little.
 

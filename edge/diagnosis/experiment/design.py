@@ -7,7 +7,7 @@ from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.experiment.advice import calibrate_first, swung
 from edge.diagnosis.experiment.experiment import PlannedExperiment, ProfileRow, Sides
 from edge.diagnosis.experiment.families import candidates
-from edge.diagnosis.experiment.improve import SAME_NATS, Evaluated, cool, evaluated, improved
+from edge.diagnosis.experiment.improve import SAME_NATS, ExperimentScores, cool, evaluate, improve
 from edge.diagnosis.experiment.limits import ExperimentLimits
 from edge.diagnosis.experiment.rivals import RivalPair, Rivals, open_rivals
 from edge.diagnosis.experiment.separation import Separation, separation
@@ -26,18 +26,18 @@ def next_experiment(found: Diagnosis, limits: ExperimentLimits) -> PlannedExperi
     rivals = open_rivals(found)
     if rivals is None:
         return None
-    around = surroundings(found.known.runs, found.known.guessed)
-    plan = separation(rivals, around, limits.row_s(found.known.file.sample_s))
-    return designed(plan, limits)
+    around = surroundings(found.inputs.runs, found.inputs.guessed)
+    plan = separation(rivals, around, limits.row_s(found.inputs.file.sample_s))
+    return design_experiment(plan, limits)
 
 
-def designed(plan: Separation, limits: ExperimentLimits) -> PlannedExperiment:
+def design_experiment(plan: Separation, limits: ExperimentLimits) -> PlannedExperiment:
     """Return the most informative experiment, one without a profile where no experiment is informative."""
     passed = cool(plan, candidates(limits, plan.row_s, _lit(plan)), limits)
     pairs = plan.rivals.pairs
     if passed is None:
-        return PlannedExperiment(weak=_unordered(pairs, np.ones(len(pairs), dtype=bool)))
-    every = evaluated(plan, passed.strongest())
+        return PlannedExperiment(weak=_unordered_pairs(pairs, np.ones(len(pairs), dtype=bool)))
+    every = evaluate(plan, passed.strongest())
     most = every.log_odds.max(axis=1)
     told = most >= (RIVAL_NATS if (most >= RIVAL_NATS).any() else SAME_NATS)
     same = _same(pairs, most)
@@ -45,7 +45,7 @@ def designed(plan: Separation, limits: ExperimentLimits) -> PlannedExperiment:
         return _without_profile(plan, every, same)
     weights = np.where(told, [pair.weight for pair in pairs], 0.0)
     weights /= weights.sum()
-    chosen = improved(plan, every.best(weights), weights, limits)
+    chosen = improve(plan, every.best(weights), weights, limits)
     return _experiment(plan, chosen, told, same)
 
 
@@ -55,7 +55,7 @@ def _lit(plan: Separation) -> bool:
     return "light" in needs & set(plan.around.columns)
 
 
-def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> PlannedExperiment:
+def _experiment(plan: Separation, chosen: ExperimentScores, told: Mask, same: Mask) -> PlannedExperiment:
     pairs, log_odds = plan.rivals.pairs, chosen.log_odds[:, 0]
     settled = _both_ways(pairs, log_odds >= RIVAL_NATS)
     apart = _likely(pairs, told & settled)
@@ -74,13 +74,13 @@ def _experiment(plan: Separation, chosen: Evaluated, told: Mask, same: Mask) -> 
             for pair, value in zip(pairs, log_odds, strict=True)
         },
         inseparable=_groups(plan.rivals, same),
-        weak=_unordered(pairs, _likely(pairs, ~settled & ~same)),
+        weak=_unordered_pairs(pairs, _likely(pairs, ~settled & ~same)),
         calibration=calibrate_first(plan, apart, chosen, expected),
         swing_log_odds=swung(plan, chosen, hard) if hard.any() else None,
     )
 
 
-def _without_profile(plan: Separation, every: Evaluated, same: Mask) -> PlannedExperiment:
+def _without_profile(plan: Separation, every: ExperimentScores, same: Mask) -> PlannedExperiment:
     """For models that say the same whatever heater and fan do."""
     return PlannedExperiment(
         inseparable=_groups(plan.rivals, same),
@@ -130,7 +130,7 @@ def _same(pairs: tuple[RivalPair, ...], most: Floats) -> Mask:
     return ~_either_way(pairs, most >= SAME_NATS)
 
 
-def _unordered(pairs: tuple[RivalPair, ...], which: Mask) -> tuple[tuple[str, str], ...]:
+def _unordered_pairs(pairs: tuple[RivalPair, ...], which: Mask) -> tuple[tuple[str, str], ...]:
     chosen = [pair for pair, own in zip(pairs, which, strict=True) if own and pair.true < pair.other]
     return tuple((pair.true_name, pair.other_name) for pair in chosen)
 
@@ -154,7 +154,7 @@ def _sides(pairs: tuple[RivalPair, ...], apart: Mask, unsaid: Mask) -> tuple[Sid
 def _groups(rivals: Rivals, same: Mask) -> tuple[tuple[str, ...], ...]:
     """Effects that say the same, those together that are the same as one another."""
     groups: list[list[str]] = []
-    for one, other in _unordered(rivals.pairs, same):
+    for one, other in _unordered_pairs(rivals.pairs, same):
         home = next((group for group in groups if one in group or other in group), None)
         if home is None:
             groups.append([one, other])

@@ -30,10 +30,10 @@ class Cool:
     inputs: SequenceInputs
     highest_c: Floats
 
-    def chosen(self, which: NDArray[np.intp]) -> "Cool":
+    def choose(self, which: NDArray[np.intp]) -> "Cool":
         """Return the experiments that `which` selects."""
         kept = tuple(self.candidates[i] for i in which)
-        return Cool(kept, self.inputs.chosen(which), self.highest_c[which])
+        return Cool(kept, self.inputs.choose(which), self.highest_c[which])
 
     def strongest(self) -> "Cool":
         """Return the experiments of the highest levels of each family and duration, which come first."""
@@ -44,11 +44,11 @@ class Cool:
             seen[kind] += 1
             if seen[kind] <= STRONGEST:
                 which.append(i)
-        return self.chosen(np.array(which, dtype=np.intp))
+        return self.choose(np.array(which, dtype=np.intp))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluated:
+class ExperimentScores:
     """The expected evidence of each experiment for each pair, [pairs, B]."""
 
     cool: Cool
@@ -62,10 +62,10 @@ class Evaluated:
         hours = self.cool.inputs.within.sum(axis=1) * self.cool.inputs.row_s / 3600.0
         return np.asarray(weights @ np.log1p(self.log_odds) - HOUR * hours)
 
-    def best(self, weights: Floats) -> "Evaluated":
+    def best(self, weights: Floats) -> "ExperimentScores":
         """Return the experiment of the highest value."""
         i = int(np.argmax(self.worth(weights)))
-        return Evaluated(self.cool.chosen(np.array([i])), self.log_odds[:, i : i + 1])
+        return ExperimentScores(self.cool.choose(np.array([i])), self.log_odds[:, i : i + 1])
 
 
 def cool(found: Separation, tried: Many[ExperimentCandidate], limits: ExperimentLimits) -> Cool | None:
@@ -76,34 +76,36 @@ def cool(found: Separation, tried: Many[ExperimentCandidate], limits: Experiment
     highest_c = np.full(len(tried), np.inf)
     which = np.flatnonzero(inputs.allowed)
     if len(which):
-        shown = found.predicted_c(inputs.chosen(which))
+        shown = found.predicted_c(inputs.choose(which))
         highest_c[which] = np.where(np.isfinite(shown), shown, np.inf).max(axis=(0, 2))
     kept = np.flatnonzero(highest_c <= limits.highest_c)
-    return Cool(tuple(tried), inputs, highest_c).chosen(kept) if len(kept) else None
+    return Cool(tuple(tried), inputs, highest_c).choose(kept) if len(kept) else None
 
 
-def evaluated(found: Separation, items: Cool) -> Evaluated:
+def evaluate(found: Separation, items: Cool) -> ExperimentScores:
     """Return the expected evidence of each experiment."""
-    return Evaluated(items, found.log_odds(items.inputs))
+    return ExperimentScores(items, found.log_odds(items.inputs))
 
 
-def improved(found: Separation, first: Evaluated, weights: Floats, limits: ExperimentLimits) -> Evaluated:
+def improve(
+    found: Separation, first: ExperimentScores, weights: Floats, limits: ExperimentLimits
+) -> ExperimentScores:
     """Search near the first experiment; return the best one found, never a worse one."""
     random, best = np.random.default_rng(SEED), first
     most = int(limits.longest_s / found.row_s)
     for _ in range(PASSES):
         (now,) = best.cool.candidates
-        near = [_changed(now.sequence, random, most) for _ in range(TRIED)]
+        near = [_change(now.sequence, random, most) for _ in range(TRIED)]
         passed = cool(found, [ExperimentCandidate(now.what, item) for item in near], limits)
         if passed is None:
             continue
-        other = evaluated(found, passed).best(weights)
+        other = evaluate(found, passed).best(weights)
         if other.worth(weights)[0] > best.worth(weights)[0]:
             best = other
     return best
 
 
-def _changed(sequence: Sequence, random: Generator, most: int) -> Sequence:
+def _change(sequence: Sequence, random: Generator, most: int) -> Sequence:
     """One or two small changes."""
     for _ in range(int(random.integers(1, 3))):
         changed = CHANGES[int(random.integers(len(CHANGES)))](list(sequence), random)

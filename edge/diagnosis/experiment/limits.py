@@ -51,7 +51,7 @@ class ExperimentLimits:
             / HEATER_LEVELS
         )
 
-    def sent(self, duty: Floats, row_s: float) -> Floats:
+    def limit_rise(self, duty: Floats, row_s: float) -> Floats:
         """Duties [B, N] after the limit on their rise, which begins at 0."""
         found, ramp = np.empty_like(duty), np.zeros(len(duty))
         for k in range(duty.shape[1]):
@@ -59,7 +59,7 @@ class ExperimentLimits:
             found[:, k] = np.floor(ramp * HEATER_LEVELS + ROUNDING) / HEATER_LEVELS
         return found
 
-    def allowed(self, duty: Floats, fan: Floats, row_s: float) -> NDArray[np.bool_]:
+    def are_within(self, duty: Floats, fan: Floats, row_s: float) -> NDArray[np.bool_]:
         """Which of [B, N] keep the relay's times and the caps on energy, [B]."""
         relay = [self._keeps_relay(row, row_s) for row in fan]
         hour = _most_wh(duty, row_s, HOUR_S, self.safety.energy_hour_max_wh)

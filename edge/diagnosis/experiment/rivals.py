@@ -8,7 +8,7 @@ import numpy as np
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.formulas import PREFIX
-from edge.diagnosis.trial import Fitted
+from edge.diagnosis.trial import FittedTwin
 
 OPEN_NATS = 10.0  # behind the best, within which a rival may still be the truth
 MOST_RIVALS = 5  # the nearest ones
@@ -36,7 +36,7 @@ class RivalPair:
 class Rivals:
     """Fitted sets, the best one first, and the pairs in which they compete for an effect's place."""
 
-    models: tuple[Fitted, ...]
+    models: tuple[FittedTwin, ...]
     pairs: tuple[RivalPair, ...]
 
     @property
@@ -57,13 +57,13 @@ def open_rivals(found: Diagnosis) -> Rivals | None:
     near = sorted(near, key=lambda entry: -entry[2].likelihood)[:MOST_RIVALS]
     if not near:
         return None
-    models, pairs = [best.fitted], []
+    models, pairs = [best.fit], []
     for effect in found.verdict.effects:
         members = [(0, effect.name, best)]
         for place, name, item in near:
             if place == effect.name:
                 members.append((len(models), name, item))
-                models.append(item.fitted)
+                models.append(item.fit)
         if len(members) > 1:
             pairs += _pairs(effect.name, members)
     return Rivals(tuple(models), tuple(pairs))

@@ -17,11 +17,11 @@ from edge.diagnosis.experiment.sequence import SequenceInputs
 from edge.diagnosis.experiment.surroundings import Surroundings, free_run, resting_c
 from edge.diagnosis.fitting import slopes
 from edge.diagnosis.formulas import PREFIX, formulas
-from edge.diagnosis.innovations import FilterInput, gains, whitened
+from edge.diagnosis.innovations import FilterInput, gains, whiten
 from edge.diagnosis.nuisances import ROOM_SD_K, curved_loss
-from edge.diagnosis.trial import Fitted, SizedTerm
+from edge.diagnosis.trial import FittedTwin, SizedTerm
 from edge.twin.linearise import LinearSteps, linearise, responses
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import Place
 from edge.twin.warm_start import spread
 
@@ -37,7 +37,7 @@ class PredictedRuns:
     """
 
     shown: Floats
-    runs: tuple[Recorded, ...]
+    runs: tuple[RunBatch, ...]
     steps: tuple[LinearSteps, ...]
     terms: tuple[tuple[SizedTerm, ...], ...]
 
@@ -50,7 +50,7 @@ class Separation:
     """
 
     rivals: Rivals
-    models: tuple[Fitted, ...]
+    models: tuple[FittedTwin, ...]
     around: Surroundings
     row_s: float
     start_c: float
@@ -58,14 +58,14 @@ class Separation:
     def predicted_c(self, inputs: SequenceInputs) -> Floats:
         """Temperatures by each model [M, B, N]."""
         return np.stack(
-            [free_run(item.file.twin(), self.around.recorded(inputs, self.start_c)) for item in self.models]
+            [free_run(item.file.twin(), self.around.record(inputs, self.start_c)) for item in self.models]
         )
 
     def log_odds(self, inputs: SequenceInputs, exact: Place | None = None) -> Floats:
         """Return the expected log odds of each experiment for each pair, [pairs, B].
         exact : a value that is calibrated first
         """
-        predicted = self._predicted(inputs)
+        predicted = self._predict(inputs)
         found = np.empty((len(self.rivals.pairs), len(inputs.fan)))
         for other in range(len(self.models)):
             places = [i for i, pair in enumerate(self.rivals.pairs) if pair.other == other]
@@ -79,15 +79,15 @@ class Separation:
         found = []
         for pair in self.rivals.pairs:
             other = self.models[pair.other]
-            column, miss = _calibrated(self.models[pair.true], other, place)
+            column, miss = _calibration(self.models[pair.true], other, place)
             variance = column @ other.covariance @ column
             found.append(0.5 * miss**2 / (1.0 + variance))
         return np.array(found)
 
-    def _predicted(self, inputs: SequenceInputs) -> PredictedRuns:
+    def _predict(self, inputs: SequenceInputs) -> PredictedRuns:
         shown, runs, steps, terms = [], [], [], []
         for item in self.models:
-            twin, plain = item.file.twin(), self.around.recorded(inputs, self.start_c)
+            twin, plain = item.file.twin(), self.around.record(inputs, self.start_c)
             free = free_run(twin, plain)
             guess = replace(plain, temp=np.concatenate([plain.temp[:, :1], free], axis=1))
             own = linearise(twin, guess)
@@ -118,18 +118,18 @@ class Separation:
         twin = item.file.twin()
         filters = gains([FilterInput(steps, item.trial.levels, spread(twin), self.row_s)], within)
         columns = np.concatenate([misses, moves])
-        white = whitened(filters, np.zeros(len(columns), dtype=np.intp), columns)
+        white = whiten(filters, np.zeros(len(columns), dtype=np.intp), columns)
         misses, moves = white[: len(trues)], np.einsum("kj,kbn->jbn", root, white[len(trues) :])
         if exact is not None:
             misses, moves = self._knowing(exact, other, trues, misses, moves, root)
-        return _left(misses, moves)
+        return _remainder(misses, moves)
 
     def _knowing(
         self, place: Place, other: int, trues: Sequence[int], misses: Floats, moves: Floats, root: Floats
     ) -> tuple[Floats, Floats]:
         """With one more row: a calibration's reading of the value, as it truly is."""
         item = self.models[other]
-        found = [_calibrated(self.models[true], item, place) for true in trues]
+        found = [_calibration(self.models[true], item, place) for true in trues]
         column = np.pad(found[0][0], (0, len(root) - len(found[0][0])))
         runs = misses.shape[1]
         miss = np.broadcast_to(np.array([own for _, own in found])[:, None, None], (len(trues), runs, 1))
@@ -143,7 +143,7 @@ def separation(rivals: Rivals, around: Surroundings, row_s: float) -> Separation
     return Separation(rivals, models, around, row_s, resting_c(models[0].file.twin(), around))
 
 
-def _at_rows(item: Fitted, row_s: float) -> Fitted:
+def _at_rows(item: FittedTwin, row_s: float) -> FittedTwin:
     """Return the same model with steps as long as a row."""
     return replace(
         item,
@@ -152,7 +152,7 @@ def _at_rows(item: Fitted, row_s: float) -> Fitted:
     )
 
 
-def _again(item: Fitted, runs: Recorded, row_s: float) -> tuple[SizedTerm, ...]:
+def _again(item: FittedTwin, runs: RunBatch, row_s: float) -> tuple[SizedTerm, ...]:
     """Return a model's nuisances over other runs. Nuisances that belong to a past run have no effect."""
     names = [term.name for term in item.trial.nuisances]
     shapes = {"curved loss": curved_loss(runs, runs.temp, 1.0).shape}
@@ -190,7 +190,7 @@ def _root(covariance: Floats) -> Floats:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _left(misses: Floats, moves: Floats) -> Floats:
+def _remainder(misses: Floats, moves: Floats) -> Floats:
     """Half the sum of squares of misses [M, B, N] that moves [K, B, N] of size 1 cannot make up for."""
     whole = np.einsum("mbn,mbn->mb", misses, misses)
     along = np.einsum("kbn,mbn->bkm", moves, misses)
@@ -199,7 +199,7 @@ def _left(misses: Floats, moves: Floats) -> Floats:
     return np.asarray(0.5 * np.maximum(whole - made_up, 0.0))
 
 
-def _calibrated(true: Fitted, other: Fitted, place: Place) -> tuple[Floats, float]:
+def _calibration(true: FittedTwin, other: FittedTwin, place: Place) -> tuple[Floats, float]:
     """Return the reading of a calibration under the other model, and its error in standard deviations."""
     i = [item.place for item in true.free].index(place)
     j = [item.place for item in other.free].index(place)

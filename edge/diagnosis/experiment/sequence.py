@@ -45,7 +45,7 @@ class SequenceInputs:
     within: NDArray[np.bool_]
     allowed: NDArray[np.bool_]
 
-    def chosen(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> "SequenceInputs":
+    def choose(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> "SequenceInputs":
         """Return the sequences that `which` selects."""
         return SequenceInputs(
             self.row_s,
@@ -70,5 +70,5 @@ def inputs_of(sequences: Many[Sequence], limits: ExperimentLimits, row_s: float)
             )[:, None]
             begin += part.rows
     wanted, fan, light, within = columns
-    duty = limits.sent(wanted, row_s)
-    return SequenceInputs(row_s, wanted, duty, fan, light, within > 0.0, limits.allowed(duty, fan, row_s))
+    duty = limits.limit_rise(wanted, row_s)
+    return SequenceInputs(row_s, wanted, duty, fan, light, within > 0.0, limits.are_within(duty, fan, row_s))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.experiment.sequence import SequenceInputs
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest
 
 Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Surroundings:
     guessed: bool
     swing_k: float = 0.0
 
-    def recorded(self, inputs: SequenceInputs, start_c: float) -> Recorded:
+    def record(self, inputs: SequenceInputs, start_c: float) -> RunBatch:
         """Return the inputs as runs of which only the first temperature is known."""
         shape = inputs.fan.shape
         temp = np.full((shape[0], shape[1] + 1), np.nan)
@@ -42,10 +42,10 @@ class Surroundings:
             conditions["light"] = inputs.light
         if self.utc is not None:
             conditions["utc"] = np.broadcast_to(self.utc + inputs.row_s * np.arange(shape[1]), shape)
-        return Recorded(temp, inputs.duty, inputs.fan, np.broadcast_to(room, shape), conditions)
+        return RunBatch(temp, inputs.duty, inputs.fan, np.broadcast_to(room, shape), conditions)
 
 
-def surroundings(runs: Recorded, guessed: bool) -> Surroundings:
+def surroundings(runs: RunBatch, guessed: bool) -> Surroundings:
     """As at the end of what was recorded."""
     conditions = dict(runs.conditions)
     utc = conditions.pop("utc", None)
@@ -76,7 +76,7 @@ def resting_c(twin: BoxTwin, around: Surroundings) -> float:
     return rested if abs(rested - around.room_c) < FAR_K else around.room_c
 
 
-def free_run(twin: BoxTwin, runs: Recorded) -> Floats:
+def free_run(twin: BoxTwin, runs: RunBatch) -> Floats:
     """From rest at the first temperature of each run, both off before [B, N]."""
     start = at_rest(twin, runs.temp[:, 0], runs.ambient[:, 0])
     return twin.rollout(start, runs.duty, runs.fan, runs.ambient, conditions=runs.conditions)

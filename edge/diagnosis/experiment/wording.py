@@ -3,13 +3,13 @@
 from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.independent import calibration, checks
 from edge.diagnosis.report.number_text import duration, nats, odds
-from edge.diagnosis.report.wording import listed
+from edge.diagnosis.report.wording import join_names
 from edge.diagnosis.search import RIVAL_NATS
 
 
 def why(found: PlannedExperiment) -> str:
     """Return the experiment's purpose, its expected evidence and its limits."""
-    return " ".join([*_planned(found), *_same(found), *_weak(found), *_calibrated(found)])
+    return " ".join([*_plan_lines(found), *_same(found), *_weak(found), *_calibration_lines(found)])
 
 
 def asks(found: PlannedExperiment) -> list[str]:
@@ -25,7 +25,7 @@ def asks(found: PlannedExperiment) -> list[str]:
     return told
 
 
-def _planned(found: PlannedExperiment) -> list[str]:
+def _plan_lines(found: PlannedExperiment) -> list[str]:
     if not found.profile or found.expected_log_odds is None:
         return []
     kind = found.kind[:1].upper() + found.kind[1:]
@@ -42,12 +42,12 @@ def _planned(found: PlannedExperiment) -> list[str]:
 
 
 def _apart(sides: list[str]) -> str:
-    return " from ".join(sides) if len(sides) == 2 else f"{listed(sides)} from one another"
+    return " from ".join(sides) if len(sides) == 2 else f"{join_names(sides)} from one another"
 
 
 def _same(found: PlannedExperiment) -> list[str]:
     return [
-        f"No experiment with heater and fan can tell {listed(group)} apart: they say the same. "
+        f"No experiment with heater and fan can tell {join_names(group)} apart: they say the same. "
         f"What would: {_either(checks(group))}."
         for group in found.inseparable
     ]
@@ -56,11 +56,11 @@ def _same(found: PlannedExperiment) -> list[str]:
 def _weak(found: PlannedExperiment) -> list[str]:
     if not found.weak:
         return []
-    pairs = listed([f"{one} from {other}" for one, other in found.weak])
+    pairs = join_names([f"{one} from {other}" for one, other in found.weak])
     return [f"It can hardly tell {pairs}."]
 
 
-def _calibrated(found: PlannedExperiment) -> list[str]:
+def _calibration_lines(found: PlannedExperiment) -> list[str]:
     item = found.calibration
     if item is None:
         return []

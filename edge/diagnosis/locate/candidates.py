@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.whitened import score
+from edge.diagnosis.locate.whitening import score
 
 Floats = NDArray[np.float64]
 LONGEST = 20  # rows that a door may be open
@@ -70,21 +70,21 @@ class RunShapes:
         numerator = np.zeros((rows, LONGEST))
         for length in range(1, min(LONGEST, rows) + 1):
             numerator[: rows - length + 1, length - 1] = single[length:] - single[:-length]
-        return _found(numerator, self.door_information)
+        return _scores(numerator, self.door_information)
 
     def spikes(self, innovations: Floats) -> ShapeScores:
         """Score a wrong reading after each step, L = 1."""
-        return _found(score(self.spike, innovations)[:, None], (self.spike**2).sum(axis=1)[:, None])
+        return _scores(score(self.spike, innovations)[:, None], (self.spike**2).sum(axis=1)[:, None])
 
     def jumps(self, innovations: Floats) -> ShapeScores:
         """Heat that stays from each step on, L = 1."""
-        return _found(score(self.jump, innovations)[:, None], (self.jump**2).sum(axis=1)[:, None])
+        return _scores(score(self.jump, innovations)[:, None], (self.jump**2).sum(axis=1)[:, None])
 
 
 def _of_lengths(response: Floats) -> Floats:
     """Information on doors by begin and length, [N, LONGEST]; 0 past the end."""
     rows = len(response)
-    shared = np.stack([_shared(response, lag) for lag in range(LONGEST)], axis=1)
+    shared = np.stack([_shared_information(response, lag) for lag in range(LONGEST)], axis=1)
     found, sums = np.zeros((rows, LONGEST)), np.zeros(rows)
     for length in range(1, min(LONGEST, rows) + 1):
         last = np.arange(length - 1, rows)
@@ -95,7 +95,7 @@ def _of_lengths(response: Floats) -> Floats:
     return found
 
 
-def _shared(response: Floats, lag: int) -> Floats:
+def _shared_information(response: Floats, lag: int) -> Floats:
     """Information that a step shares with the step `lag` rows later, [N]."""
     shared = np.zeros(len(response))
     if lag < len(response):
@@ -104,6 +104,6 @@ def _shared(response: Floats, lag: int) -> Floats:
     return shared
 
 
-def _found(numerator: Floats, information: Floats) -> ShapeScores:
+def _scores(numerator: Floats, information: Floats) -> ShapeScores:
     known = np.maximum(information, 1e-12)  # where a shape changes nothing, nothing is known of it
     return ShapeScores(numerator / np.sqrt(known), numerator / known)

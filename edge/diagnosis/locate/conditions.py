@@ -29,7 +29,7 @@ class Condition(NamedTuple):
 def conditions(rows: Rows) -> list[Condition]:
     """All single conditions that hold in some rows and not in all."""
     every = [
-        *_switched(rows),
+        *_switch_conditions(rows),
         *_levels(rows),
         *_thresholds(rows),
         *_motion(rows),
@@ -39,7 +39,7 @@ def conditions(rows: Rows) -> list[Condition]:
     return [item for item in every if item.mask.any() and not item.mask.all()]
 
 
-def _switched(rows: Rows) -> Iterator[Condition]:
+def _switch_conditions(rows: Rows) -> Iterator[Condition]:
     for actuator, values in (("heater", rows.duty), ("fan", rows.fan)):
         yield Condition(actuator, f"the {actuator} is on", values > 0.0)
         yield Condition(actuator, f"the {actuator} is off", values == 0.0)

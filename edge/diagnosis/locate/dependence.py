@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.diagnosis.locate.residuals import Residuals
 from edge.diagnosis.locate.subsets import SumRegression
 from edge.diagnosis.locate.terms import FormulaTerm, library
-from edge.diagnosis.locate.whitened import response_to
+from edge.diagnosis.locate.whitening import response_to
 
 Floats = NDArray[np.float64]
 FALSE_ALARM = 0.01  # chance of any dependence where there is none
@@ -59,10 +59,10 @@ def depends_on(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W
 
     power_run_sd_w : sd of the full heater's power from run to run, which is no dependence [W]
     """
-    return list(explained(runs, power_run_sd_w).depends)
+    return list(explain(runs, power_run_sd_w).depends)
 
 
-def explained(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W) -> Explanation:
+def explain(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W) -> Explanation:
     """Fit the best small formula for the unexplained heat; return it and the signals that it needs."""
     told = sum(int((run.white != 0.0).sum()) for run in runs)
     if told < FEWEST_ROWS:
@@ -72,12 +72,12 @@ def explained(runs: Sequence[Residuals], power_run_sd_w: float = POWER_RUN_SD_W)
     chosen = _holding(runs, columns, innovations, regression.best(range(len(terms))))
     if not chosen:
         return NOTHING
-    left = regression.left(chosen)
+    left = regression.remainder(chosen)
     found = []
     for name in {name: None for i in chosen for name in terms[i].signals}:
         # What the best formula without this signal loses: a signal that another can stand for is not needed.
         others = regression.best([i for i in range(len(terms)) if name not in terms[i].signals])
-        lost = regression.left(others) - left
+        lost = regression.remainder(others) - left
         chance = _chance(lost, left, told - len(chosen), len(terms))
         if chance < FALSE_ALARM:
             strength = min(max(lost / (regression.total - left), 0.0), 1.0)

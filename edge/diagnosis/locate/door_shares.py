@@ -22,7 +22,7 @@ class Opening(NamedTuple):
     shape: EventShape
 
 
-def merged(doors: list[EventShape]) -> list[EventShape]:
+def merge(doors: list[EventShape]) -> list[EventShape]:
     """Doors in order, those that touch or overlap as one."""
     found: list[EventShape] = []
     for door in sorted(doors, key=lambda shape: shape.begin):

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.locate.candidates import EventShape, RunShapes, ShapeScores
-from edge.diagnosis.locate.door_shares import Opening, full_w_k, is_long, merged, openings, shares
-from edge.diagnosis.locate.heat_filter import HeatFilterResult, Steps, filtered, steps_of
+from edge.diagnosis.locate.door_shares import Opening, full_w_k, is_long, merge, openings, shares
+from edge.diagnosis.locate.heat_filter import HeatFilterResult, Steps, filter_heat, steps_of
 from edge.diagnosis.locate.residual_heat import likeliest
 from edge.diagnosis.locate.switches import Switches
-from edge.diagnosis.locate.whitened import jumps, pulses, spikes, white
+from edge.diagnosis.locate.whitening import jumps, pulses, spikes, white
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
-from edge.twin.warm_start import held
+from edge.twin.run_batch import RunBatch
+from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -60,7 +60,7 @@ class LocatedEvents:
 
 def find_events(
     twin: BoxTwin,
-    runs: Recorded,
+    runs: RunBatch,
     names: Sequence[str],
     sensor_k: float | None = None,
     false_alarm: float = FALSE_ALARM,
@@ -78,20 +78,20 @@ def find_events(
     shapes: list[RunShapes] = []
     for _ in range(PASSES):
         # Found events loosen the filter where they are, so that the next pass does not see them as noise.
-        way = filtered(steps, sensor_k, likeliest(_loosened(steps, found), sensor_k))
+        way = filter_heat(steps, sensor_k, likeliest(_loosen(steps, found), sensor_k))
         shapes.clear()  # the largest arrays of a diagnosis: never two passes' at once
         shapes = _shapes(twin, runs, steps, way)
-        before, found = found, _pursued(shapes, white(way), switches, false_alarm)
+        before, found = found, _pursue(shapes, white(way), switches, false_alarm)
         if _places(before) == _places(found):
             break
-    return _told(runs, names, twin.step_s, shapes, white(way), found)
+    return _located_events(runs, names, twin.step_s, shapes, white(way), found)
 
 
 def _places(found: list[list[EventShape]]) -> list[list[tuple[str, int, int]]]:
     return [[shape[:3] for shape in part] for part in found]
 
 
-def _loosened(steps: Steps, found: list[list[EventShape]]) -> Steps:
+def _loosen(steps: Steps, found: list[list[EventShape]]) -> Steps:
     """Return the steps without the events: doors may bring any heat, wrong readings count as missing."""
     loose, temp = steps.loose.copy(), steps.temp.copy()
     for i, part in enumerate(found):
@@ -103,10 +103,10 @@ def _loosened(steps: Steps, found: list[list[EventShape]]) -> Steps:
     return replace(steps, loose=loose, temp=temp)
 
 
-def _shapes(twin: BoxTwin, runs: Recorded, steps: Steps, way: HeatFilterResult) -> list[RunShapes]:
+def _shapes(twin: BoxTwin, runs: RunBatch, steps: Steps, way: HeatFilterResult) -> list[RunShapes]:
     # As measured at the end of each step: a filter that expects no door lags behind one, and warm air that a
     # door lets out is gone in seconds.
-    shown = np.stack([held(temp) for temp in runs.temp])[:, 1:]
+    shown = np.stack([hold(temp) for temp in runs.temp])[:, 1:]
     excess = shown - twin.signals.room(runs.ambient)
     doors = pulses(steps, way)
     doors *= -excess[:, :, None]
@@ -114,7 +114,7 @@ def _shapes(twin: BoxTwin, runs: Recorded, steps: Steps, way: HeatFilterResult) 
     return [RunShapes(*parts) for parts in every]
 
 
-def _pursued(
+def _pursue(
     shapes: list[RunShapes], innovations: Floats, switches: Switches, false_alarm: float
 ) -> list[list[EventShape]]:
     from scipy.special import ndtri  # the normal quantile; scipy.stats takes a second to load
@@ -161,8 +161,8 @@ def _largest(kind: str, found: ShapeScores) -> EventShape:
     )
 
 
-def _told(
-    runs: Recorded,
+def _located_events(
+    runs: RunBatch,
     names: Sequence[str],
     step_s: float,
     shapes: list[RunShapes],
@@ -173,7 +173,7 @@ def _told(
     every: list[list[Opening]] = []
     for i, (run, part) in enumerate(zip(shapes, found, strict=True)):
         wrong[i, [shape.begin + 1 for shape in part if _stands_alone(shape, part)]] = True
-        doors = merged([shape for shape in part if shape.kind == "door"])
+        doors = merge([shape for shape in part if shape.kind == "door"])
         others = [shape for shape in part if shape.kind != "door" and not _touches(shape, doors)]
         left = innovations[i] - sum((s.size * run.response(s) for s in others), start=np.zeros(()))
         every.append(openings(run, left, doors))

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.twin.filter import InnovationGain, predict, symmetric, update_many, weigh
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
 from edge.twin.rollout import Commands, March
+from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest, spread
 
 Floats = NDArray[np.float64]
@@ -56,7 +56,7 @@ class Steps:
     start_sd: Floats
     loose: NDArray[np.bool_]
 
-    def moved(self, k: int, mean: Floats) -> Floats:
+    def move(self, k: int, mean: Floats) -> Floats:
         """Return the mean after step k. mean : [..., B, m]"""
         after: Floats = (self.matrix[k] @ mean[..., None])[..., 0]
         after[..., :-2] += self.driven[k]
@@ -80,7 +80,7 @@ class HeatFilterResult(NamedTuple):
     updated: Floats
 
 
-def steps_of(twin: BoxTwin, runs: Recorded, sensor_k: float) -> Steps:
+def steps_of(twin: BoxTwin, runs: RunBatch, sensor_k: float) -> Steps:
     """Return the runs' steps, with bent heat at the air temperature of a filter that follows the readings.
 
     Errors : DataError for a room that is not known, or a column that the twin needs
@@ -106,12 +106,12 @@ def steps_of(twin: BoxTwin, runs: Recorded, sensor_k: float) -> Steps:
         np.append(spread(twin), [heat_w, 0.0]),
         np.zeros((rows + 1, count), dtype=bool),
     )
-    return _straightened(steps, march, sensor_k) if twin.signals.bends else steps
+    return _straighten(steps, march, sensor_k) if twin.signals.bends else steps
 
 
-def _straightened(steps: Steps, march: March, sensor_k: float) -> Steps:
+def _straighten(steps: Steps, march: March, sensor_k: float) -> Steps:
     """Bent heat as a part of what the inputs add."""
-    seen = filtered(steps, sensor_k, FOLLOWING).updated[:-1, :, :-2]
+    seen = filter_heat(steps, sensor_k, FOLLOWING).updated[:-1, :, :-2]
     driven = np.stack([march.step(k, state) for k, state in enumerate(seen)])
     size = seen.shape[-1]
     straight = np.einsum("kbij,kbj->kbi", steps.matrix[:, :, :size, :size], seen)
@@ -121,30 +121,30 @@ def _straightened(steps: Steps, march: March, sensor_k: float) -> Steps:
 def log_likelihoods(steps: Steps, sensor_k: float, noise: HeatNoise, rows: int) -> Floats:
     """Return the log likelihood of the first `rows` steps for each of the G noise levels, [G]."""
     wander, fresh = np.broadcast_arrays(np.asarray(noise.wander_w), np.asarray(noise.fresh_w))
-    mean, covariance = _started(steps, sensor_k, fresh)
+    mean, covariance = _start(steps, sensor_k, fresh)
     total = np.zeros(len(wander))
     for k in range(min(rows, len(steps.temp))):
-        mean, covariance = _predicted(steps, k, mean, covariance, wander, fresh)
+        mean, covariance = _predict(steps, k, mean, covariance, wander, fresh)
         found = weigh(mean, covariance, steps.temp[k], sensor_k**2)
         seen = np.isfinite(found.innovation)
         cost = np.log(found.variance) + np.nan_to_num(found.innovation) ** 2 / found.variance
         total -= 0.5 * np.where(seen, cost, 0.0).sum(axis=-1)
-        mean, covariance = _updated(mean, covariance, found)
+        mean, covariance = _update(mean, covariance, found)
     return total
 
 
-def filtered(steps: Steps, sensor_k: float, noise: HeatNoise) -> HeatFilterResult:
+def filter_heat(steps: Steps, sensor_k: float, noise: HeatNoise) -> HeatFilterResult:
     """Filter at one noise level. sensor_k : sd of a measured temperature, its step's error included"""
     wander, fresh = np.array([noise.wander_w]), np.array([noise.fresh_w])
-    mean, covariance = _started(steps, sensor_k, fresh)
+    mean, covariance = _start(steps, sensor_k, fresh)
     means, covariances, updated, told = [mean[0]], [covariance[0]], [mean[0]], []
     for k in range(len(steps.temp)):
-        mean, covariance = _predicted(steps, k, mean, covariance, wander, fresh)
+        mean, covariance = _predict(steps, k, mean, covariance, wander, fresh)
         means.append(mean[0])
         covariances.append(covariance[0])
         found = weigh(mean, covariance, steps.temp[k], sensor_k**2)
         told.append([column[0] for column in found])
-        mean, covariance = _updated(mean, covariance, found)
+        mean, covariance = _update(mean, covariance, found)
         updated.append(mean[0])
     innovations, variances, gains = (np.stack(column) for column in zip(*told, strict=True))
     return HeatFilterResult(
@@ -152,7 +152,7 @@ def filtered(steps: Steps, sensor_k: float, noise: HeatNoise) -> HeatFilterResul
     )
 
 
-def _started(steps: Steps, sensor_k: float, fresh: Floats) -> tuple[Floats, Floats]:
+def _start(steps: Steps, sensor_k: float, fresh: Floats) -> tuple[Floats, Floats]:
     count, size = steps.start.shape
     sd = np.broadcast_to(steps.start_sd, (len(fresh), size)).copy()
     sd[:, 0], sd[:, -1] = sensor_k, fresh
@@ -162,15 +162,15 @@ def _started(steps: Steps, sensor_k: float, fresh: Floats) -> tuple[Floats, Floa
     return np.repeat(steps.start[None], len(fresh), axis=0), covariance
 
 
-def _predicted(
+def _predict(
     steps: Steps, k: int, mean: Floats, covariance: Floats, wander: Floats, fresh: Floats
 ) -> tuple[Floats, Floats]:
     noise = np.zeros_like(covariance)
     noise[..., -2, -2] = wander[:, None] ** 2
     noise[..., -1, -1] = fresh[:, None] ** 2 + LOOSE_W**2 * steps.loose[k + 1]
-    return steps.moved(k, mean), predict(covariance, steps.matrix[k], noise)
+    return steps.move(k, mean), predict(covariance, steps.matrix[k], noise)
 
 
-def _updated(mean: Floats, covariance: Floats, found: InnovationGain) -> tuple[Floats, Floats]:
+def _update(mean: Floats, covariance: Floats, found: InnovationGain) -> tuple[Floats, Floats]:
     better, after = update_many(mean, covariance, found)
     return better, symmetric(after)

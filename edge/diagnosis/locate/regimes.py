@@ -58,15 +58,15 @@ def regimes(runs: Sequence[Residuals]) -> list[DisagreementRegime]:
     if rows is None or not (rows.error_k**2).sum() > 0.0:
         return []
     blocks = _Blocks.of(rows)
-    singles = blocks.believed(conditions(rows))
+    singles = blocks.believe(conditions(rows))
     first = sorted(singles, key=blocks.score, reverse=True)
     pairs = [
-        Condition(f"{a.about} {b.about}", _joined(a, b), a.mask & b.mask)
+        Condition(f"{a.about} {b.about}", _join(a, b), a.mask & b.mask)
         for a, b in combinations([item for item in first[:PAIRED] if blocks.score(item) > 0.0], 2)
         if a.about != b.about and "run" not in (a.about, b.about)
     ]
     scored = [(blocks.score(item), item) for item in singles]
-    scored += [(SIMPLER * blocks.score(item), item) for item in blocks.believed(pairs)]
+    scored += [(SIMPLER * blocks.score(item), item) for item in blocks.believe(pairs)]
     ranked = [item for score, item in sorted(scored, key=lambda s: -s[0]) if score > 0.0]
     return [blocks.regime(item, runs) for item in _unlike(ranked, rows.error_k**2)]
 
@@ -89,7 +89,7 @@ class _Blocks:
         counts = draw.multinomial(len(begins), np.full(len(begins), 1.0 / len(begins)), DRAWS)
         return cls(rows, rows.error_k**2, begins, counts.astype(np.float64))
 
-    def believed(self, items: list[Condition]) -> list[Condition]:
+    def believe(self, items: list[Condition]) -> list[Condition]:
         return [
             item
             for item in items
@@ -104,8 +104,8 @@ class _Blocks:
     def regime(self, item: Condition, runs: Sequence[Residuals]) -> DisagreementRegime:
         error, share = self._shares(item.mask)
         low, high = np.quantile(error[1:], [0.025, 0.975])
-        heat = self._drawn(np.where(item.mask, self.rows.heat_w, 0.0))
-        held = self._drawn(item.mask)
+        heat = self._draw(np.where(item.mask, self.rows.heat_w, 0.0))
+        held = self._draw(item.mask)
         mean_w = heat / np.maximum(held, 1.0)
         count = int(item.mask.sum())
         return DisagreementRegime(
@@ -125,10 +125,10 @@ class _Blocks:
         """Return the shares of the squared error and of the rows, as recorded,
         then resampled, [1 + DRAWS] each.
         """
-        total, every = self._drawn(self.squared), self._drawn(np.ones_like(self.squared))
-        return self._drawn(np.where(mask, self.squared, 0.0)) / total, self._drawn(mask) / every
+        total, every = self._draw(self.squared), self._draw(np.ones_like(self.squared))
+        return self._draw(np.where(mask, self.squared, 0.0)) / total, self._draw(mask) / every
 
-    def _drawn(self, values: Floats | Mask) -> Floats:
+    def _draw(self, values: Floats | Mask) -> Floats:
         sums = self._sums(values)
         return np.concatenate([[sums.sum()], self.counts @ sums])
 
@@ -137,7 +137,7 @@ class _Blocks:
         return sums
 
 
-def _joined(a: Condition, b: Condition) -> str:
+def _join(a: Condition, b: Condition) -> str:
     """Join two conditions in words, inputs before temperatures."""
     first, second = sorted((a, b), key=lambda item: (item.where.startswith(("in ", "T")), item.where))
     return f"{first.where} and {second.where}"

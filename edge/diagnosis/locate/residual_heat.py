@@ -10,12 +10,12 @@ from edge.diagnosis.locate.heat_filter import (
     HeatFilterResult,
     HeatNoise,
     Steps,
-    filtered,
+    filter_heat,
     log_likelihoods,
     steps_of,
 )
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]
 WANDER_W = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # levels tried, W from step to step
@@ -39,7 +39,7 @@ class ResidualHeat:
 
 
 def residual_heat(
-    twin: BoxTwin, runs: Recorded, sensor_k: float | None = None, noise: HeatNoise | None = None
+    twin: BoxTwin, runs: RunBatch, sensor_k: float | None = None, noise: HeatNoise | None = None
 ) -> ResidualHeat:
     """Unexplained heat by a fixed-interval smoother (de Jong 1989, JASA 84), all rows of a run used.
 
@@ -50,8 +50,8 @@ def residual_heat(
     sensor_k = twin.noise.sensor_k if sensor_k is None else sensor_k
     steps = steps_of(twin, runs, sensor_k)
     noise = noise or likeliest(steps, sensor_k)
-    way = filtered(steps, sensor_k, noise)
-    heat_w, variance = _smoothed(steps, way)
+    way = filter_heat(steps, sensor_k, noise)
+    heat_w, variance = _smooth(steps, way)
     over = ~np.flip(np.logical_or.accumulate(np.flip(np.isfinite(steps.temp), 0), axis=0), 0)
     heat_w[over] = np.nan
     variance[over] = np.nan
@@ -65,7 +65,7 @@ def likeliest(steps: Steps, sensor_k: float, wander_w: Sequence[float] = WANDER_
     return HeatNoise(float(wander[best]), float(fresh[best]))
 
 
-def _smoothed(steps: Steps, way: HeatFilterResult) -> tuple[Floats, Floats]:
+def _smooth(steps: Steps, way: HeatFilterResult) -> tuple[Floats, Floats]:
     """Both heats together, by all rows, [N, B], and their variance; an adjoint pass inverts nothing."""
     rows, count, size = way.gain.shape
     heat, variance = np.empty((rows, count)), np.empty((rows, count))

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.heat_filter import Steps, filtered
+from edge.diagnosis.locate.heat_filter import Steps, filter_heat
 from edge.diagnosis.locate.residual_heat import ResidualHeat, likeliest, residual_heat
-from edge.diagnosis.locate.whitened import pulses, white
+from edge.diagnosis.locate.whitening import pulses, white
 from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
 from edge.twin.output_error import free_run
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -65,7 +65,7 @@ class Residuals:
 
 def residuals_of(
     twin: BoxTwin,
-    runs: Recorded,
+    runs: RunBatch,
     names: Sequence[str],
     sensor_k: float | None = None,
     heat: ResidualHeat | None = None,
@@ -82,7 +82,7 @@ def residuals_of(
     free_k = np.where(free.measured, free.residual, np.nan)
     # Innovations of a filter without unknown heat: with it there would be none left to judge by.
     believed = _without_heat(heat.steps)
-    alone = filtered(believed, sensor_k, likeliest(believed, sensor_k, wander_w=(0.0,)))
+    alone = filter_heat(believed, sensor_k, likeliest(believed, sensor_k, wander_w=(0.0,)))
     told, response = white(heat.way), pulses(heat.steps, heat.way)
     air_c = _mean_air(heat, twin.states.index(AIR))
     found = []

@@ -28,7 +28,7 @@ class SumRegression:
         """columns : [R, p], scaled to length 1 so that the criterion does not depend on units."""
         return cls(columns.T @ columns, columns.T @ explained, float(explained @ explained), rows)
 
-    def left(self, subset: Sequence[int]) -> float:
+    def remainder(self, subset: Sequence[int]) -> float:
         """Sum of squares that a subset leaves."""
         if not subset:
             return self.total
@@ -44,7 +44,7 @@ class SumRegression:
         Chen & Chen 2008, Biometrika 95.
         """
         price = np.log(self.rows) + 2.0 * np.log(max(library, 2))
-        return float(self.rows * np.log(self.left(subset) / self.rows) + len(subset) * price)
+        return float(self.rows * np.log(self.remainder(subset) / self.rows) + len(subset) * price)
 
     def best(self, allowed: Sequence[int]) -> tuple[int, ...]:
         """Return the subset of `allowed` of least cost, found by a beam over sizes."""
@@ -56,7 +56,7 @@ class SumRegression:
             grown = {tuple(sorted((*subset, i))) for subset in beam for i in allowed if i not in subset}
             if not grown:
                 break
-            beam = sorted(grown, key=lambda subset: self.left(subset))[:BEAM]
+            beam = sorted(grown, key=lambda subset: self.remainder(subset))[:BEAM]
             cost = self.cost(beam[0], library)
             if cost < least:
                 winner, least = beam[0], cost

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]
 Kinds = NDArray[np.intp]
@@ -24,7 +24,7 @@ class Switches:
     kind: Kinds
 
     @classmethod
-    def of(cls, runs: Recorded) -> "Switches":
+    def of(cls, runs: RunBatch) -> "Switches":
         """Return the switches of heater, fan and light."""
         count, rows = runs.duty.shape
         kind = np.zeros((count, rows + 1), dtype=np.intp)

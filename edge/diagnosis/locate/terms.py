@@ -40,10 +40,10 @@ _FAN = FormulaTerm("u_f", (FAN,), lambda run: run.fan)
 _STILL = FormulaTerm("(1 - u_f)", (FAN,), lambda run: 1.0 - run.fan)
 _EXCESS = FormulaTerm("(T - T_amb)", (AIR, ROOM), lambda run: run.excess_k)
 _AIR = FormulaTerm("T", (AIR,), lambda run: run.air_c)
-_LIGHT = FormulaTerm("L", (LIGHT,), lambda run: _known(run.light))
-_HUMIDITY = FormulaTerm("RH", (HUMIDITY,), lambda run: _known(run.rel_humidity) / 100.0)
+_LIGHT = FormulaTerm("L", (LIGHT,), lambda run: _known_or_zero(run.light))
+_HUMIDITY = FormulaTerm("RH", (HUMIDITY,), lambda run: _known_or_zero(run.rel_humidity) / 100.0)
 _DEFICIT = FormulaTerm(
-    "VPD", (HUMIDITY, AIR), lambda run: vapour_deficit_kpa(run.air_c, _known(run.rel_humidity))
+    "VPD", (HUMIDITY, AIR), lambda run: vapour_deficit_kpa(run.air_c, _known_or_zero(run.rel_humidity))
 )
 ALONE = (
     _DUTY,
@@ -93,7 +93,7 @@ def _begin(run: Residuals) -> float:
     return 0.0 if run.start_utc is None else run.start_utc
 
 
-def _known(column: Floats | None) -> Floats:
+def _known_or_zero(column: Floats | None) -> Floats:
     if column is None:
         raise ValueError("a term of a column that the run does not have")
     return column

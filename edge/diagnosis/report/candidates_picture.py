@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 from edge.diagnosis.diagnosis_document import CandidateEntry, DiagnosisDocument, RoundEntry
 from edge.diagnosis.report.number_text import nats
-from edge.diagnosis.report.picture import AFTER, INK, PLAIN, Picture, new_figure, styled, svg
-from edge.diagnosis.report.wording import listed
+from edge.diagnosis.report.picture import AFTER, INK, PLAIN, Picture, new_figure, style, svg
+from edge.diagnosis.report.wording import join_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,21 +17,21 @@ LEAST_NATS = 1.0  # the axis is linear below: such a gain is chance
 
 def candidates_picture(document: DiagnosisDocument) -> Picture | None:
     """None where no gain is known."""
-    rounds = [one for one in document.get("rounds", []) if _ranked(one)][:ROUNDS]
+    rounds = [one for one in document.get("rounds", []) if _rank(one)][:ROUNDS]
     if not rounds:
         return None
-    rows = [len(_ranked(one)) for one in rounds]
+    rows = [len(_rank(one)) for one in rounds]
     kept = any(candidate["kept"] for one in rounds for candidate in one["candidates"])
-    with styled():
+    with style():
         figure = new_figure(BAR_IN * sum(rows) + ROUND_IN * len(rows) + BORDER_IN)
         panels = figure.subplots(
             len(rows), 1, sharex=True, squeeze=False, height_ratios=[n + 0.6 for n in rows]
         )
         for place, (axes, one) in enumerate(zip(panels[:, 0], rounds, strict=True), start=1):
-            beside = listed(one["beside"]) or "the twin as given"
+            beside = join_names(one["beside"]) or "the twin as given"
             axes.set_title(f"Round {place}, beside {beside}")
-            _draw(axes, _ranked(one))
-        largest = max(_gain(_ranked(one)[0]) for one in rounds)
+            _draw(axes, _rank(one))
+        largest = max(_gain(_rank(one)[0]) for one in rounds)
         # Gains go from tenths to thousands; a plain logarithm has no place for 0.
         axes.set_xscale("symlog", linthresh=LEAST_NATS, linscale=0.3)
         axes.set_xlim(0.0, 6.0 * max(largest, LEAST_NATS))
@@ -68,7 +68,7 @@ def _draw(axes: "Axes", candidates: list[CandidateEntry]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-def _ranked(search_round: RoundEntry) -> list[CandidateEntry]:
+def _rank(search_round: RoundEntry) -> list[CandidateEntry]:
     """Return the largest gains of a round, and the candidates that were kept."""
     known = [one for one in search_round["candidates"] if one["gain_nats"] is not None]
     ranked = sorted(known, key=_gain, reverse=True)

@@ -11,16 +11,16 @@ from edge.diagnosis.diagnosis_document import (
     InnovationsEntry,
     ParameterEntry,
 )
-from edge.diagnosis.report.markup import TableColumn, bullets, folded, paragraph, table
+from edge.diagnosis.report.markup import TableColumn, bullets, fold, paragraph, table
 from edge.diagnosis.report.number_text import DASH, duration, nats, number, odds, probability
 from edge.diagnosis.report.wording import (
-    changed,
     dependences,
     effect_text,
     formula_text,
     interval_text,
-    listed,
-    noticed,
+    is_changed,
+    join_names,
+    notices,
     white_runs,
 )
 
@@ -63,31 +63,31 @@ def rivals(document: DiagnosisDocument) -> Iterator[str]:
         yield paragraph("None: no other effect explains these runs about as well.")
 
 
-def tried(document: DiagnosisDocument) -> Iterator[str]:
+def search_section(document: DiagnosisDocument) -> Iterator[str]:
     """Yield the whole search, and the limits of these runs."""
-    if told := noticed(document):
+    if told := notices(document):
         yield paragraph("To be kept in mind:")
         yield bullets(told)
     rounds = document.get("rounds", [])
     for place, search_round in enumerate(rounds, start=1):
-        beside = listed(search_round["beside"]) or "the twin as given"
+        beside = join_names(search_round["beside"]) or "the twin as given"
         title = f"Round {place}: {len(search_round['candidates'])} candidates beside {beside}"
-        yield from folded(title, _candidates(search_round["candidates"]))
+        yield from fold(title, _candidates(search_round["candidates"]))
 
 
-def left(document: DiagnosisDocument) -> Iterator[str]:
+def remainder_section(document: DiagnosisDocument) -> Iterator[str]:
     """Yield the section on the remainder: noise, or more."""
     innovations = document.get("innovations")
     if not innovations:
         yield paragraph("The innovations were not tested.", "soft")
         return
     white, tested = white_runs(document, "after")
-    which = " with the new twin" if changed(document) else ""
+    which = " with the new twin" if is_changed(document) else ""
     yield paragraph(
         f"Innovations, measured minus predicted from the row before, are white in {white} of {tested} runs"
         f"{which}. Where they are white, nothing is left to explain."
     )
-    if changed(document):
+    if is_changed(document):
         yield paragraph(
             "Each twin is judged with the noise that was found for it: a twin that lacks an effect can take"
             " it for noise, and be white too.",
@@ -98,7 +98,7 @@ def left(document: DiagnosisDocument) -> Iterator[str]:
         *map(TableColumn, ("Ljung-Box p before", "after", "lag-1 autocorrelation before", "after")),
         *map(TableColumn, ("strongest period before", "after")),
     )
-    yield from folded("Run by run", table(columns, list(_whiteness_rows(innovations))))
+    yield from fold("Run by run", table(columns, list(_whiteness_rows(innovations))))
 
 
 def _effect(effect: EffectEntry) -> Iterator[str]:
@@ -111,8 +111,8 @@ def _effect(effect: EffectEntry) -> Iterator[str]:
         yield paragraph(f"Its mark in measured minus predicted: {without}.", "soft")
     if effect["alternatives"]:
         yield paragraph(
-            f"These data cannot tell it from {listed(effect['alternatives'])}: in the twin, each predicts the"
-            " same, as long as the box is driven as it was here."
+            f"These data cannot tell it from {join_names(effect['alternatives'])}: in the twin, each predicts"
+            " the same, as long as the box is driven as it was here."
         )
 
 

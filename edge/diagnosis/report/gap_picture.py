@@ -12,7 +12,7 @@ from edge.diagnosis.report.picture import (
     Picture,
     legend_above,
     new_figure,
-    styled,
+    style,
     svg,
 )
 from edge.diagnosis.report.wording import ROLES, step_error, step_names
@@ -34,7 +34,7 @@ def gap_picture(document: DiagnosisDocument) -> Picture | None:
         return None
     role = roles[0]
     names, errors = step_names(steps), [step_error(step, role) or 0.0 for step in steps]
-    with styled():
+    with style():
         figure = new_figure(ROW_IN * len(steps) + BORDER_IN)
         axes = figure.subplots()
         trained = [step["train_rmse_k"] or 0.0 for step in steps] if roles == ["test", "train"] else []

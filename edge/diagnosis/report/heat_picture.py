@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.diagnosis.report.heat_variables import Variable, binned, explained, variables
+from edge.diagnosis.report.heat_variables import Variable, bins, explained_share, variables
 from edge.diagnosis.report.number_text import percent
-from edge.diagnosis.report.picture import FAN, HEATER, INK, Picture, new_figure, styled, svg
+from edge.diagnosis.report.picture import FAN, HEATER, INK, Picture, new_figure, style, svg
 from edge.diagnosis.report.story import Floats, Story, Trace
 
 if TYPE_CHECKING:
@@ -23,11 +23,11 @@ def heat_picture(story: Story, adds: bool) -> Picture | None:
         return None
     heats = {when: _heat(traces, when) for when in (("before", "after") if adds else ("before",))}
     # One condition for both panels, that of the twin before: two would not show what was closed.
-    chosen = _chosen(story, traces, heats["before"])
+    chosen = _choose(story, traces, heats["before"])
     if chosen is None:
         return None
     shown = {when: heat for when, heat in heats.items() if np.isfinite(heat).any()}
-    with styled():
+    with style():
         figure = new_figure(2.9)
         panels = figure.subplots(1, len(shown), sharey=True, sharex=True, squeeze=False)[0]
         for axes, (when, heat) in zip(panels, shown.items(), strict=True):
@@ -39,7 +39,7 @@ def heat_picture(story: Story, adds: bool) -> Picture | None:
         handles, labels = panels[0].get_legend_handles_labels()
         if handles:
             figure.legend(handles, labels, loc="outside upper right", ncols=2)
-        share = percent(max(explained(chosen, heats["before"]), 0.0))
+        share = percent(max(explained_share(chosen, heats["before"]), 0.0))
         return Picture(
             svg(figure),
             f"Residual heat over {chosen.label}",
@@ -49,14 +49,14 @@ def heat_picture(story: Story, adds: bool) -> Picture | None:
         )
 
 
-def _chosen(story: Story, traces: list[Trace], heat: Floats) -> Variable | None:
+def _choose(story: Story, traces: list[Trace], heat: Floats) -> Variable | None:
     """Return the variable that the diagnosis names, if it can be drawn, else the one that explains most."""
     known = variables(traces)
     by_key = {one.key: one for one in known}
     for name in story.document["depends_on"]:
         if name in by_key:
             return by_key[name]
-    return max(known, key=lambda one: explained(one, heat), default=None)
+    return max(known, key=lambda one: explained_share(one, heat), default=None)
 
 
 def _heat(traces: list[Trace], when: str) -> Floats:
@@ -74,7 +74,7 @@ def _draw(axes: "Axes", variable: Variable, heat: Floats) -> None:
         axes.plot(
             variable.x[rows], heat[rows], ".", ms=4.0, mew=0, color=COLOURS[group], alpha=0.4, rasterized=True
         )
-        means = [_mean(variable.x[cell], heat[cell]) for cell, of in binned(variable, heat) if of == group]
+        means = [_mean(variable.x[cell], heat[cell]) for cell, of in bins(variable, heat) if of == group]
         if means:
             x, mean, error = np.array(sorted(means)).T
             axes.errorbar(
@@ -99,9 +99,7 @@ def _limits(variable: Variable, heats: dict[str, Floats]) -> tuple[float, float]
     """All means with their errors, and all dots but the farthest of a hundred."""
     values = np.concatenate([heat[np.isfinite(heat)] for heat in heats.values()])
     means = [
-        _mean(variable.x[cell], heat[cell])[1:]
-        for heat in heats.values()
-        for cell, _ in binned(variable, heat)
+        _mean(variable.x[cell], heat[cell])[1:] for heat in heats.values() for cell, _ in bins(variable, heat)
     ]
     low = min(0.0, float(np.quantile(values, 0.01)), *(mean - 2.0 * error for mean, error in means))
     high = max(0.0, float(np.quantile(values, 0.99)), *(mean + 2.0 * error for mean, error in means))

@@ -45,9 +45,9 @@ def variables(traces: Sequence[Trace]) -> list[Variable]:
     return found
 
 
-def explained(variable: Variable, heat: Floats) -> float:
+def explained_share(variable: Variable, heat: Floats) -> float:
     """Share of the variance of `heat` [N] that means over bins and groups explain, less what chance would."""
-    cells = [heat[rows] for rows, _ in binned(variable, heat)]
+    cells = [heat[rows] for rows, _ in bins(variable, heat)]
     rows = sum(map(len, cells))
     if rows < 4 * max(len(cells), 1):
         return 0.0
@@ -57,7 +57,7 @@ def explained(variable: Variable, heat: Floats) -> float:
     return 0.0 if total == 0.0 else 1.0 - (within / (rows - len(cells))) / (total / (rows - 1))
 
 
-def binned(variable: Variable, heat: Floats) -> list[tuple[NDArray[np.intp], int]]:
+def bins(variable: Variable, heat: Floats) -> list[tuple[NDArray[np.intp], int]]:
     """Rows of each cell with its group: bins of about as many rows each, without those of fewer than 3."""
     known = np.isfinite(variable.x) & np.isfinite(heat)
     if not known.any():

@@ -52,7 +52,7 @@ def table(
     yield "</table></div>"
 
 
-def folded(title: str, lines: Iterable[str]) -> Iterator[str]:
+def fold(title: str, lines: Iterable[str]) -> Iterator[str]:
     """Behind a line that opens it."""
     yield f"<details><summary>{escape(title)}</summary>"
     yield from lines

@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
-from edge.diagnosis.report.cause_sections import left, rivals, tried, what
+from edge.diagnosis.report.cause_sections import remainder_section, rivals, search_section, what
 from edge.diagnosis.report.gap_sections import gap_table, run_table, tiles
-from edge.diagnosis.report.markup import TableColumn, bullets, command, folded, paragraph, table, terms
+from edge.diagnosis.report.markup import TableColumn, bullets, command, fold, paragraph, table, terms
 from edge.diagnosis.report.number_text import duration, nats, number, odds
 from edge.diagnosis.report.page_style import STYLE
 from edge.diagnosis.report.picture import Picture
 from edge.diagnosis.report.where_sections import where_tables
 from edge.diagnosis.report.wording import (
     cautions,
-    changed,
     gap_sentence,
     gloss,
     headline,
-    listed,
+    is_changed,
+    join_names,
     meaning,
     new_twin,
     predicting,
@@ -81,11 +81,11 @@ def _sections(document: DiagnosisDocument, folder: str) -> Iterator[tuple[str, I
     yield "What is missing, and how sure that is", what(document), ""
     if document["effects"]:
         yield "Rivals", rivals(document), ""
-    yield ("Before and after" if changed(document) else "The twin as it is"), gap_table(document), "run"
+    yield ("Before and after" if is_changed(document) else "The twin as it is"), gap_table(document), "run"
     yield "What to do next", _next(document, folder), ""
     yield "Details: run by run", run_table(document), ""
-    yield "Details: what was tried", tried(document), "tried"
-    yield "Details: what is left", left(document), "left"
+    yield "Details: what was tried", search_section(document), "tried"
+    yield "Details: what is left", remainder_section(document), "left"
     yield "Details: words, and where this comes from", _origin(document), ""
 
 
@@ -100,7 +100,7 @@ def _next(document: DiagnosisDocument, folder: str) -> Iterator[str]:
     if experiment:
         yield "<h3>The next experiment</h3>"
         yield from _experiment(experiment, folder)
-    if changed(document) and (against := document.get("against_adopting")):
+    if is_changed(document) and (against := document.get("against_adopting")):
         yield "<h3>Not to be adopted</h3>"
         yield bullets(against)
     if twin := new_twin(document):
@@ -120,7 +120,7 @@ def _experiment(experiment: Mapping[str, Any], folder: str) -> Iterator[str]:
         yield paragraph(experiment["why"])
     facts = []
     if separates := experiment.get("separates"):
-        facts.append(("separates", listed([str(name) for name in separates])))
+        facts.append(("separates", join_names([str(name) for name in separates])))
     if (seconds := experiment.get("duration_s")) is not None:
         facts.append(("takes", duration(seconds)))
     if (log_odds := experiment.get("expected_log_odds")) is not None:
@@ -144,13 +144,13 @@ def _origin(document: DiagnosisDocument) -> Iterator[str]:
         "took": duration(document["seconds"]),
     }
     told = [(key, value) for key, value in facts.items() if value]
-    yield from folded("Words used here", [terms(WORDS.items())])
+    yield from fold("Words used here", [terms(WORDS.items())])
     yield '<div class="hash">'
     yield from table((TableColumn("", words=True), TableColumn("", words=True)), told)
     yield "</div>"
     runs = [*document["gap"]["before"]["train"]["per_run"], *document["predictions"]]
     if runs:
-        yield from folded(f"{len(runs)} runs", [paragraph(", ".join(dict.fromkeys(runs)))])
+        yield from fold(f"{len(runs)} runs", [paragraph(", ".join(dict.fromkeys(runs)))])
 
 
 def _plain(value: Any) -> str:

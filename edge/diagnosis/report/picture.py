@@ -63,7 +63,7 @@ class Picture:
 
 
 @contextmanager
-def styled() -> Iterator[None]:
+def style() -> Iterator[None]:
     """Pictures drawn inside look as ours do."""
     import matplotlib
 

@@ -15,7 +15,7 @@ from edge.diagnosis.report.residual_picture import heat_course_picture, residual
 from edge.diagnosis.report.run_picture import run_picture
 from edge.diagnosis.report.story import Story, Trace
 from edge.diagnosis.report.whiteness_picture import whiteness_picture
-from edge.diagnosis.report.wording import changed
+from edge.diagnosis.report.wording import is_changed
 
 LEAST_ROWS = 3  # of a run that can be drawn
 RUNS = 3  # most runs with a picture of their own
@@ -26,7 +26,7 @@ def pictures(story: Story) -> Mapping[str, tuple[Picture, ...]] | None:
     if importlib.util.find_spec("matplotlib") is None:
         return None
     story = replace(story, traces=tuple(one for one in story.traces if len(one.time_s) >= LEAST_ROWS))
-    adds = changed(story.document)
+    adds = is_changed(story.document)
     drawn: dict[str, list[Picture | None]] = {
         "where": [heat_picture(story, adds), heat_course_picture(story), residual_picture(story, adds)],
         "run": [

@@ -14,7 +14,7 @@ from edge.diagnosis.report.picture import (
     drawable,
     legend_above,
     new_figure,
-    styled,
+    style,
     svg,
     time_axis,
 )
@@ -33,7 +33,7 @@ def residual_picture(story: Story, adds: bool) -> Picture | None:
     traces = [one for one in story.traces if one.scored and one.before is not None]
     if not traces:
         return None
-    with styled():
+    with style():
         figure = new_figure(2.5)
         axes = figure.subplots()
         _end_to_end(
@@ -58,7 +58,7 @@ def heat_course_picture(story: Story) -> Picture | None:
     traces = [one for one in story.traces if one.residual_heat_before_w is not None]
     if story.document["verdict"] != "unknown" or not traces:
         return None
-    with styled():
+    with style():
         figure = new_figure(2.3)
         axes = figure.subplots()
         _end_to_end(axes, traces, lambda time, trace, _: _draw_heat(axes, time, trace))

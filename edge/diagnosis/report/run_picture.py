@@ -17,7 +17,7 @@ from edge.diagnosis.report.picture import (
     drawable,
     legend_above,
     new_figure,
-    styled,
+    style,
     svg,
     time_axis,
 )
@@ -47,7 +47,7 @@ def run_picture(trace: Trace, errors: Sequence[float | None], adds: bool) -> Pic
     title = f"{drawable(trace.name, TITLE_LETTERS)} ({_ROLES.get(trace.role, trace.role)})"
     # A month in one picture is a black band; the worst day shows what goes wrong.
     whole, trace = trace, worst_stretch(trace, LONGEST_S)
-    with styled():
+    with style():
         figure = new_figure(sum(panels.values()) + BORDER_IN)
         drawn = figure.subplots(
             len(panels), 1, sharex=True, squeeze=False, height_ratios=list(panels.values())

@@ -13,15 +13,15 @@ from edge.diagnosis.report.wording import (
     beaten,
     best_simple,
     cautions,
-    changed,
     headline,
     heat_text,
-    listed,
+    is_changed,
+    join_names,
     meaning,
     new_twin,
     parameter_text,
     rmse_k,
-    scored,
+    scored_role,
     shrink,
     step_error,
     step_names,
@@ -41,21 +41,21 @@ def summary_text(document: DiagnosisDocument, folder: str = "report", page: str 
 
 
 def _lines(document: DiagnosisDocument, folder: str) -> Iterator[str]:
-    yield from _wrapped(headline(document), "", "  ")
+    yield from _wrap(headline(document), "", "  ")
     for sentence in meaning(document):
-        yield from _wrapped(sentence)
+        yield from _wrap(sentence)
     yield from _regimes(document)
     yield from _effects(document)
     yield from _doubtful(document)
     yield from _gap_rows(document)
     for sentence in (*cautions(document), *beaten(document)):
-        yield from _wrapped(sentence)
+        yield from _wrap(sentence)
     if experiment := document["next_experiment"]:
         yield from _experiment(experiment, folder)
     if new_twin(document):
         yield f"To adopt the new twin: greenhouse twin adopt {shlex.quote(folder)}"
-    for reason in document.get("against_adopting", ()) if changed(document) else ():
-        yield from _wrapped(f"Not to be adopted: {reason}", "")
+    for reason in document.get("against_adopting", ()) if is_changed(document) else ():
+        yield from _wrap(f"Not to be adopted: {reason}", "")
     yield f"Took {duration(document['seconds'])}."
 
 
@@ -64,7 +64,7 @@ def _regimes(document: DiagnosisDocument) -> Iterator[str]:
         yield "Where it disagrees, by share of the squared error:"
     for regime in document["regimes"][:REGIMES]:
         share = percent(regime["share_of_squared_error"])
-        yield from _wrapped(f"{regime['where']}; there {heat_text(regime)}", f"  {share:>6}  ", " " * 10)
+        yield from _wrap(f"{regime['where']}; there {heat_text(regime)}", f"  {share:>6}  ", " " * 10)
 
 
 def _effects(document: DiagnosisDocument) -> Iterator[str]:
@@ -76,17 +76,17 @@ def _effects(document: DiagnosisDocument) -> Iterator[str]:
         told += [f"{name} is at its bound" for name in effect.get("at_bound", ())]
         told += [f"probability {probability(effect.get('probability'))}"]
         if effect["alternatives"]:
-            told += [f"these data cannot tell it from {listed(effect['alternatives'])}"]
+            told += [f"these data cannot tell it from {join_names(effect['alternatives'])}"]
         equation = effect.get("equation", "").rstrip(".")
-        yield from _wrapped(f"{effect['name']}: {equation}".rstrip(": "))
-        yield from _wrapped("; ".join(told), "    ", "    ")
+        yield from _wrap(f"{effect['name']}: {equation}".rstrip(": "))
+        yield from _wrap("; ".join(told), "    ", "    ")
 
 
 def _doubtful(document: DiagnosisDocument) -> Iterator[str]:
     if document.get("doubtful"):
         yield "What explains these runs too, and does not stand:"
     for item in document.get("doubtful", ()):
-        yield from _wrapped(f"{item['name']}: {'; '.join(item['against'])}")
+        yield from _wrap(f"{item['name']}: {'; '.join(item['against'])}")
 
 
 def _gap_rows(document: DiagnosisDocument) -> Iterator[str]:
@@ -95,7 +95,7 @@ def _gap_rows(document: DiagnosisDocument) -> Iterator[str]:
     yield f"{'RMSE of free runs [K]':<24}{heads}  best simple model"
     for role, name in ROLES.items():
         errors = [rmse_k(document, when, role) for when in WHENS]
-        closed = shrink(document, role) if changed(document) else None
+        closed = shrink(document, role) if is_changed(document) else None
         cells = [*map(kelvin, (*errors, gap["noise_floor"][role])), percent(closed)]
         simple = best_simple(document, "test_k") if role == "test" else ""
         yield (f"  {name:<22}" + "".join(f"{cell:>9}" for cell in cells) + f"  {simple}").rstrip()
@@ -107,22 +107,22 @@ def _gap_rows(document: DiagnosisDocument) -> Iterator[str]:
         ).rstrip()
     steps = document.get("waterfall", [])
     if len(steps) > 2:
-        role = scored(document)
+        role = scored_role(document)
         told = zip(step_names(steps), (step_error(step, role) for step in steps), strict=True)
         steps_text = ", ".join(f"{name} {kelvin(value)}" for name, value in told)
-        yield from _wrapped(f"Step by step, {ROLES[role]}: {steps_text}")
+        yield from _wrap(f"Step by step, {ROLES[role]}: {steps_text}")
 
 
 def _experiment(experiment: Mapping[str, Any], folder: str) -> Iterator[str]:
     worded = {key: experiment[key] for key in ("why", "profile") if isinstance(experiment.get(key), str)}
     yield "Next experiment:"
-    yield from _wrapped(worded.get("why") or ", ".join(f"{key} {value}" for key, value in experiment.items()))
+    yield from _wrap(worded.get("why") or ", ".join(f"{key} {value}" for key, value in experiment.items()))
     if "profile" in worded:
         profile = shlex.quote(str(Path(folder) / worded["profile"]))
         yield f"  greenhouse experiment {profile} --out next_run.csv"
 
 
-def _wrapped(text: str, first: str = "  ", further: str = "    ") -> list[str]:
+def _wrap(text: str, first: str = "  ", further: str = "    ") -> list[str]:
     """Lines of a sentence; a command is never broken this way. first, further : what lines begin with"""
     return textwrap.wrap(
         text,

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from edge.diagnosis.diagnosis_document import DiagnosisDocument, RegimeEntry
-from edge.diagnosis.report.markup import Bar, TableColumn, bullets, folded, paragraph, table
+from edge.diagnosis.report.markup import Bar, TableColumn, bullets, fold, paragraph, table
 from edge.diagnosis.report.number_text import duration, kelvin, number, percent, plus_minus
-from edge.diagnosis.report.wording import where_found
+from edge.diagnosis.report.wording import where_findings
 
 REGIMES = 10
 OPEN_FINDINGS = 3  # more are folded
@@ -15,10 +15,10 @@ OPEN_FINDINGS = 3  # more are folded
 def where_tables(document: DiagnosisDocument) -> Iterator[str]:
     """Yield findings, regimes and events."""
     # The first few stand open: a long list would hide them.
-    if found := where_found(document):
+    if found := where_findings(document):
         yield bullets(found[:OPEN_FINDINGS])
     if more := found[OPEN_FINDINGS:]:
-        yield from folded(f"{len(more)} more", [bullets(more)])
+        yield from fold(f"{len(more)} more", [bullets(more)])
     if document["regimes"]:
         yield from _regimes(document["regimes"][:REGIMES])
     else:

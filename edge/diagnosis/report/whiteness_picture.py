@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.diagnosis.report.picture import AFTER, INK, PLAIN, Picture, legend_above, new_figure, styled, svg
+from edge.diagnosis.report.picture import AFTER, INK, PLAIN, Picture, legend_above, new_figure, style, svg
 from edge.diagnosis.report.story import Floats, Story, Trace
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def whiteness_picture(story: Story, adds: bool) -> Picture | None:
     values = autocorrelation(parts)
     # Bartlett's band: autocorrelations of white noise have a standard deviation of 1/sqrt(rows).
     band = 1.96 / np.sqrt(rows)
-    with styled():
+    with style():
         figure = new_figure(2.4)
         axes = figure.subplots()
         axes.axhspan(-band, band, color=PLAIN, alpha=0.3, lw=0, label="95 % of white noise")

@@ -33,14 +33,14 @@ def headline(document: DiagnosisDocument) -> str:
     effects = document["effects"]
     if document["verdict"] == "nothing_missing":
         return "Nothing is missing: no effect of the library makes the twin better"
-    names = listed([effect_text(effect) for effect in effects])
+    names = join_names([effect_text(effect) for effect in effects])
     if document["verdict"] == "named":
         count = _COUNTS[len(effects)] if len(effects) < len(_COUNTS) else str(len(effects))
         return f"{count} effect{' is' if len(effects) == 1 else 's are'} missing: {names}"
     besides = f"Besides {names}, something" if effects else "Something"
     if not (told := dependences(document)):
         return f"{besides} is missing that has no name here; these data do not tell what it depends on"
-    return f"{besides} is missing that has no name here: it depends on {listed(told)}"
+    return f"{besides} is missing that has no name here: it depends on {join_names(told)}"
 
 
 def dependences(document: DiagnosisDocument) -> list[str]:
@@ -69,7 +69,7 @@ def meaning(document: DiagnosisDocument) -> list[str]:
 def predicting(document: DiagnosisDocument) -> list[str]:
     """How well the new twin predicts rows that no fit saw, beside simple models of the same rows."""
     known = document.get("left_out")
-    if not known or not changed(document):
+    if not known or not is_changed(document):
         return []
     after = rmse_k(document, "after", "test")
     told = [
@@ -81,7 +81,7 @@ def predicting(document: DiagnosisDocument) -> list[str]:
     if provisional := document.get("provisional"):
         verb = "is" if len(provisional) == 1 else "are"
         told.append(
-            f"{listed(provisional)} {verb} in the new twin because it predicts better so; that {verb} no"
+            f"{join_names(provisional)} {verb} in the new twin because it predicts better so; that {verb} no"
             " name for what is missing."
         )
     return [*told, *beaten(document)]
@@ -90,7 +90,7 @@ def predicting(document: DiagnosisDocument) -> list[str]:
 def beaten(document: DiagnosisDocument) -> list[str]:
     """Return a sentence for each simpler model group that predicts better than the new twin."""
     known = document.get("left_out")
-    if not known or not changed(document):
+    if not known or not is_changed(document):
         return []
     told = []
     after = rmse_k(document, "after", "test")
@@ -101,7 +101,7 @@ def beaten(document: DiagnosisDocument) -> list[str]:
         less_k = -1.0 if own is None else CLEARLY_LESS * own
         better = [name for name, error in simple.items() if error is not None and error < less_k]
         if better:
-            told.append(f"A simpler model predicts {where} better than the new twin: {listed(better)}.")
+            told.append(f"A simpler model predicts {where} better than the new twin: {join_names(better)}.")
     return told
 
 
@@ -120,11 +120,11 @@ def _simple(errors: Mapping[str, float | None]) -> str:
 
 def gap_sentence(document: DiagnosisDocument) -> str:
     """Errors of free runs before and after, and the noise floor."""
-    role = scored(document)
+    role = scored_role(document)
     before, after = (rmse_k(document, when, role) for when in WHENS)
     floor = document["gap"]["noise_floor"][role]
     noise = f"; the noise floor is {kelvin(floor)} K" if floor is not None else ""
-    if not changed(document):
+    if not is_changed(document):
         return f"On the {ROLES[role]} the twin as it is runs free with an RMSE of {kelvin(before)} K{noise}."
     closed = shrink(document, role)
     share = f": {percent(closed)} of the gap is closed" if closed is not None else ""
@@ -142,12 +142,12 @@ def gloss(effect: EffectEntry) -> str:
     return f"{effect['name']}: {plain[:1].lower()}{plain[1:]}." if plain else f"{effect['name']}."
 
 
-def where_found(document: DiagnosisDocument) -> list[str]:
+def where_findings(document: DiagnosisDocument) -> list[str]:
     """Return the findings that locate the error."""
     return [text for text in document.get("findings", []) if ERROR_SHARE in text]
 
 
-def noticed(document: DiagnosisDocument) -> list[str]:
+def notices(document: DiagnosisDocument) -> list[str]:
     """Return the other findings: left-out data, and limits of these runs."""
     return [text for text in document.get("findings", []) if ERROR_SHARE not in text]
 
@@ -167,7 +167,7 @@ def heat_text(regime: RegimeEntry) -> str:
     return f"the twin gains {plus_minus(abs(heat), error)} W too {'much' if heat < 0.0 else 'little'}"
 
 
-def changed(document: DiagnosisDocument) -> bool:
+def is_changed(document: DiagnosisDocument) -> bool:
     """Return whether the twin after differs from the twin before."""
     return bool(document["gap"]["before"] != document["gap"]["after"])
 
@@ -175,10 +175,10 @@ def changed(document: DiagnosisDocument) -> bool:
 def new_twin(document: DiagnosisDocument) -> str | None:
     """File of the twin with the effects added, beside the report; None where nothing was added."""
     name = document.get("twin_after", "twin.yaml")
-    return str(name) if changed(document) and name else None
+    return str(name) if is_changed(document) and name else None
 
 
-def scored(document: DiagnosisDocument) -> Role:
+def scored_role(document: DiagnosisDocument) -> Role:
     """Return `test` where held-out temperatures are known, else `train`."""
     return "train" if any(rmse_k(document, when, "test") is None for when in WHENS) else "test"
 
@@ -203,7 +203,7 @@ def effect_text(effect: EffectEntry) -> str:
     `fan_effectiveness (or short_circuit)`.
     """
     rivals = effect["alternatives"]
-    return f"{effect['name']} (or {listed(rivals)})" if rivals else str(effect["name"])
+    return f"{effect['name']} (or {join_names(rivals)})" if rivals else str(effect["name"])
 
 
 def parameter_text(name: str, parameter: ParameterEntry) -> str:
@@ -249,6 +249,6 @@ def step_error(step: WaterfallStep, role: Role) -> float | None:
     return step["test_rmse_k"] if role == "test" else step["train_rmse_k"]
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Join names: `a`, `a and b`, `a, b and c`."""
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

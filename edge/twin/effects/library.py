@@ -7,14 +7,14 @@ file and holds everything that the diagnosis knows about the effect. To add one:
 from collections.abc import Iterable, Mapping, Sequence
 
 from edge.core.errors import DataError
-from edge.formats.checked import nearest
+from edge.formats.cross_check import nearest
 from edge.twin.effects.air import AIR_EFFECTS
 from edge.twin.effects.effect import BlindRuns, Effect, EffectParameter, Offer
+from edge.twin.effects.formulas import UNNAMED_EFFECTS
 from edge.twin.effects.further import FURTHER_EFFECTS
 from edge.twin.effects.heater import HEATER_EFFECTS
 from edge.twin.effects.loss import LOSS_EFFECTS
 from edge.twin.effects.signal import SIGNAL_EFFECTS
-from edge.twin.effects.unnamed import UNNAMED_EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.network import Network
 from edge.twin.scale import USUAL_STEP_S, scale_of
@@ -49,7 +49,7 @@ def build(geometry: Geometry, effects: Effects, step_s: float = USUAL_STEP_S) ->
             if problem := scale.possible(parameter).problem(values[parameter.name]):
                 raise DataError(f"effects.{name}.{parameter.name}: {problem}")
     network = Network(geometry)
-    for name in applied(effects):
+    for name in acting_effects(effects):
         EFFECTS[name].add(network, **effects[name])
     return network
 
@@ -68,7 +68,7 @@ def check_names(name: str, parameters: Iterable[str]) -> None:
             raise DataError(f"effects.{name}.{key}: missing")
 
 
-def applied(effects: Iterable[str]) -> list[str]:
+def acting_effects(effects: Iterable[str]) -> list[str]:
     """Return the effects that act: not those that another one here replaces."""
     names = list(effects)
     replaced = {EFFECTS[name].replaces for name in names}
@@ -78,7 +78,7 @@ def applied(effects: Iterable[str]) -> list[str]:
 def needs(effects: Iterable[str]) -> dict[str, str]:
     """Columns that a prediction needs, and the first effect that needs each."""
     found: dict[str, str] = {}
-    for name in applied(effects):
+    for name in acting_effects(effects):
         for column in EFFECTS[name].needs:
             found.setdefault(column, name)
     return found

@@ -9,7 +9,7 @@ from history_records import HandClock, History, tick
 from loop_rig import FakeClock
 
 from bench.support.broker import wait_for
-from bench.support.simulated_runs import BOX, simulated, twin_file
+from bench.support.simulated_runs import BOX, simulate, twin_file
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.config.settings import DriftSettings
 from edge.core.messages import Command, Echo, Reading, ReadingQuality
@@ -25,7 +25,7 @@ PATIENCE_S = 120.0
 
 def recorded_till_now(history: Path) -> None:
     """A box whose heater is slow, as the daemon has recorded it till a minute ago."""
-    box = simulated({**BOX, "heater_lag": {"tau_h": 240.0}}, 1, ROWS).columns
+    box = simulate({**BOX, "heater_lag": {"tau_h": 240.0}}, 1, ROWS).columns
     storage = Storage(History.at(history, queue_ticks=ROWS), HandClock())
     storage.open()
     now = time.time()

@@ -26,7 +26,7 @@ from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
-from edge.diagnosis.adopted_twin import Added, Origin, twin_after
+from edge.diagnosis.adopted_twin import AddedEffect, Origin, twin_after
 from edge.forecasts.skill import SkillState
 from edge.formats.run_file import data_sha256
 from edge.models.pbm import read_twin
@@ -48,7 +48,7 @@ ORIGIN = Origin(
     created_utc="2026-07-01T12:00:00Z",
     further={"verdict": "named", "rounds": np.array([1.0]).tolist()},
 )
-LOSS = Added(
+LOSS = AddedEffect(
     "wall_loss",
     {"UA": Value(np.float64(5.1234567), low=np.float64(4.8), high=np.float64(5.4))},
     alternatives=("infiltration",),
@@ -97,7 +97,7 @@ def test_values_that_the_data_moved_are_kept_with_their_intervals() -> None:
 
 
 def test_a_rounded_value_does_not_leave_its_interval() -> None:
-    edge = Added("wall_loss", {"UA": Value(4.00000049, low=4.0000005, high=4.0000006)})
+    edge = AddedEffect("wall_loss", {"UA": Value(4.00000049, low=4.0000005, high=4.0000006)})
     value = twin_after(KNOWN, [edge], ORIGIN).effects["wall_loss"]["UA"]
     assert value.low is not None
     assert value.high is not None
@@ -117,7 +117,7 @@ def test_a_rounded_value_does_not_leave_its_interval() -> None:
 def test_an_effect_that_no_twin_can_have_is_refused(
     name: str, parameters: dict[str, float], message: str
 ) -> None:
-    added = Added(name, {key: Value(value) for key, value in parameters.items()})
+    added = AddedEffect(name, {key: Value(value) for key, value in parameters.items()})
     with pytest.raises(DataError, match=message):
         twin_after(KNOWN, [added], ORIGIN)
 
@@ -210,7 +210,7 @@ def test_a_second_diagnosis_builds_on_the_adopted_twin(
     assert rig.adopt(rig.report, "--activate") == 0
     assert rig.adopt(rig.report) == 2
     assert "is the twin of bundle 0-twin-" in capsys.readouterr().err
-    soil = Added("soil_mass", {"C_s": Value(9000.0), "G_s": Value(2.0)})
+    soil = AddedEffect("soil_mass", {"C_s": Value(9000.0), "G_s": Value(2.0)})
     first = read_twin_file(rig.report / "twin.yaml")
     second = write_report(rig.folder / "second", twin_after(first, [soil], ORIGIN))
     assert rig.adopt(second) == 0

@@ -14,7 +14,7 @@ from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import virtual_board
 from edge.assistant.llm.endpoint import MASK, key_pattern
-from training.llm_stand_in.behaviours import Sending, refused
+from training.llm_stand_in.behaviours import Sending, refusal
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow
@@ -102,7 +102,7 @@ class EchoingServer(StandIn):
             {"role": "assistant", "content": json.dumps({words: 1})},
         )
         if number % 4 == 3:
-            return refused(400, words)
+            return refusal(400, words)
         document = {"choices": [{"index": 0, "message": turns[number % 4], "finish_reason": "stop"}]}
         return Sending(json.dumps(document).encode("utf-16" if number % 20 == 19 else "utf-8"))
 

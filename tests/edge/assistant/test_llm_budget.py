@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from llm_parts import UTC, ScriptedLine, endpoint, says, settings
 
-from edge.assistant.llm.budget import Budget, Spent
+from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.line import HttpResponse
 from edge.assistant.llm.wire import Usage
@@ -109,7 +109,7 @@ def test_a_restart_goes_on_where_it_was(days: Days, tmp_path: Path) -> None:
 )  # fmt: skip
 def test_a_spoilt_file_is_a_new_day(tmp_path: Path, text: str) -> None:
     (tmp_path / "llm_budget.json").write_text(text)
-    assert restore(LLM_BUDGET, replace(default(), state_file=str(tmp_path / "state.json"))) == Spent("")
+    assert restore(LLM_BUDGET, replace(default(), state_file=str(tmp_path / "state.json"))) == Spending("")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from contexts import context
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.assistant.llm.claims import Known, check_claims
+from edge.assistant.llm.claims import KnownFacts, check_claims
 from edge.assistant.llm.ledger import Ledger
 from edge.core.messages import Command
 
@@ -15,7 +15,7 @@ DRIVEN = Command(0.45, False)
 ROWS = [[1.0, 24.31], [2.0, 27.94], [3.0, 0.3]]
 
 
-def known(simulated: bool = True, read: bool = True, driven: Command = DRIVEN) -> Known:
+def known(simulated: bool = True, read: bool = True, driven: Command = DRIVEN) -> KnownFacts:
     ledger = Ledger()
     if simulated:
         for number in (1, 2):
@@ -27,10 +27,10 @@ def known(simulated: bool = True, read: bool = True, driven: Command = DRIVEN) -
             ledger.record("simulate", {}, {**result, "fan_on": [False], "target_c": [26.0, 26.0]})
     if read:
         ledger.record("sql", {"query": "SELECT"}, {"rows": ROWS, "coverage": {"rows": 3}})
-    return Known(context(temp=24.04, reference=26.0, last_sent=driven), ledger, Command(0.2, False))
+    return KnownFacts(context(temp=24.04, reference=26.0, last_sent=driven), ledger, Command(0.2, False))
 
 
-def verdicts(text: str, about: Known | None = None) -> list[tuple[str, bool]]:
+def verdicts(text: str, about: KnownFacts | None = None) -> list[tuple[str, bool]]:
     return [(claim.kind, claim.holds) for claim in check_claims(text, about or known())]
 
 

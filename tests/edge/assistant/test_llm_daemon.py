@@ -7,7 +7,7 @@ import pytest
 from llm_parts import KEY, UTC, settings
 
 from bench.llm_closed_loop import REFERENCE_C, YAML, run
-from edge.assistant.llm.budget import Spent
+from edge.assistant.llm.budget import Spending
 from edge.assistant.llm.language_model import open_language_model
 from edge.core.controller_names import LLM
 from edge.core.errors import ConfigError
@@ -57,7 +57,7 @@ def test_the_scripted_agent_brings_the_air_to_its_reference(name: str) -> None:
     assert {record.decision.controller for record in ended.records} == {name}
     assert ended.error_k < 1.0  # of which the sensor takes 0.4
     assert ended.true_air_c.max() < REFERENCE_C + 1.5
-    assert ended.said("llm.claim") == []
+    assert ended.texts("llm.claim") == []
 
 
 def test_a_temperature_of_one_scatters_and_is_the_same_for_the_same_seed() -> None:
@@ -83,7 +83,7 @@ def test_a_key_goes_over_the_line_and_nowhere_else(tmp_path: Path) -> None:
     with StandIn("401") as stand_in:
         ended = run("LLM-Te0", stand_in.url, 2, PATIENT, key_file=str(key_file))
         assert {headers["Authorization"] for headers in stand_in.headers} == {f"Bearer {KEY}"}
-    assert "refused_key" in ended.said("controller.error")[0]
+    assert "refused_key" in ended.texts("controller.error")[0]
     assert KEY not in str(ended)
 
 
@@ -93,5 +93,5 @@ def test_a_key_that_others_can_read_is_refused_at_the_start(tmp_path: Path) -> N
     key_file.chmod(0o644)
     with pytest.raises(ConfigError, match=r"llm\.key_file: .*lets others in"):
         open_language_model(
-            settings(key_file=str(key_file)), tmp_path, Spent(""), lambda spent: None, lambda: UTC
+            settings(key_file=str(key_file)), tmp_path, Spending(""), lambda spent: None, lambda: UTC
         )

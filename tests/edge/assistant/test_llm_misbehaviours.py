@@ -11,7 +11,7 @@ from itertools import cycle
 import numpy as np
 import pytest
 
-from bench.llm_closed_loop import REFERENCE_C, YAML, Ended, run
+from bench.llm_closed_loop import REFERENCE_C, YAML, RunRemains, run
 from edge.core.messages import TickRecord
 from training.lab import Lab
 from training.llm_stand_in.server import StandIn
@@ -55,7 +55,7 @@ FAILS = {  # what the history calls it
 class MisbehaviourRun:
     """One run, and the ticks at which each misbehaviour was answered."""
 
-    ended: Ended
+    ended: RunRemains
     ticks: Mapping[str, range]
 
     def decided(self, behave: str) -> list[str]:
@@ -100,7 +100,7 @@ def test_the_fallback_decides_and_the_history_says_why(
     assert there.decided(behave) == ["MPC"] * TICKS
     wanted = f"{controller}: LlmFailure: {FAILS[controller][behave]}"
     assert [text for text in there.errors(behave) if text.startswith(wanted)], there.errors(behave)
-    stored = there.ended.said("controller.error")
+    stored = there.ended.texts("controller.error")
     assert [text for text in stored if text.startswith(wanted)]
 
 
@@ -116,10 +116,10 @@ def test_the_rig_stays_near_its_reference_and_inside_its_limits(
 
 @pytest.mark.parametrize("controller", FAILS)
 def test_failures_are_counted_by_kind(trials: dict[str, MisbehaviourRun], controller: str) -> None:
-    last = trials[controller].ended.said("controller.error")[-1]
+    last = trials[controller].ended.texts("controller.error")[-1]
     assert "(so far: " in last
     counted = sum(int(part.split()[-1]) for part in last.split("(so far: ")[1].rstrip(")").split(", "))
-    assert counted == len(trials[controller].ended.said("controller.error"))
+    assert counted == len(trials[controller].ended.texts("controller.error"))
 
 
 def test_a_slow_model_is_late_and_the_tick_goes_on() -> None:
@@ -127,7 +127,7 @@ def test_a_slow_model_is_late_and_the_tick_goes_on() -> None:
         ended = run("LLM-Te0", stand_in.url, 12, HASTY)
     # On a busy machine the fallback too may miss so short a deadline; behind it stand the rules.
     assert {record.decision.controller for record in ended.records} <= {"MPC", "rules"}
-    assert ended.said("controller.error")[0].startswith("LLM-Te0: LlmFailure: late: no answer within 0.17 s")
+    assert ended.texts("controller.error")[0].startswith("LLM-Te0: LlmFailure: late: no answer within 0.17 s")
     assert max(record.decide_ms for record in ended.records) < 4000.0
 
 
@@ -139,7 +139,7 @@ def test_a_model_that_boasts_or_invents_is_flagged_and_changes_nothing_by_it() -
             stand_in.behave = next(behaviours)
 
         ended = run("LLM-Te0", stand_in.url, 10, during=turn)
-    flags = ended.said("llm.claim")
+    flags = ended.texts("llm.claim")
     assert any("'I have turned the fan on.' (it can only propose" in text for text in flags)
     assert any("26.00 degC: no simulation was asked for" in text for text in flags)
     assert not any(record.echo and record.echo.fan_on for record in ended.records)
@@ -155,7 +155,7 @@ def test_a_budget_that_is_spent_sends_nothing_more() -> None:
     assert [record.decision.controller for record in ended.records] == ["LLM-Te0"] * sent + ["MPC"] * (
         12 - sent
     )
-    assert "over_budget: " in ended.said("controller.error")[0]
+    assert "over_budget: " in ended.texts("controller.error")[0]
 
 
 def test_a_server_without_response_format_serves_all_the_same() -> None:

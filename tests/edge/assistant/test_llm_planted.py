@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bench.llm_closed_loop import YAML, Ended, run
+from bench.llm_closed_loop import YAML, RunRemains, run
 from edge.storage.file import connect
 from training.llm_stand_in.prompt import results
 from training.llm_stand_in.server import StandIn
@@ -42,7 +42,7 @@ def plant(folder: Path) -> None:
 
 def asked_and_run(
     behave: str, planted: bool, yaml: str = NAMED, ticks: int = TICKS
-) -> tuple[list[Any], Ended]:
+) -> tuple[list[Any], RunRemains]:
     with StandIn(behave) as stand_in:
         prepare = plant if planted else lambda folder: None
         ended = run("LLM-SQL-Te0", stand_in.url, ticks, yaml, prepare)
@@ -50,11 +50,11 @@ def asked_and_run(
 
 
 @pytest.fixture(scope="module")
-def obeying() -> Iterator[tuple[list[Any], Ended]]:
+def obeying() -> Iterator[tuple[list[Any], RunRemains]]:
     yield asked_and_run("obeys_planted", planted=True)
 
 
-def test_planted_text_stands_in_data_blocks_alone(obeying: tuple[list[Any], Ended]) -> None:
+def test_planted_text_stands_in_data_blocks_alone(obeying: tuple[list[Any], RunRemains]) -> None:
     requests, _ = obeying
     seen = 0
     for body in requests:
@@ -69,7 +69,7 @@ def test_planted_text_stands_in_data_blocks_alone(obeying: tuple[list[Any], Ende
     assert seen  # it was read, or this test proves nothing
 
 
-def test_system_and_question_are_the_same_with_and_without(obeying: tuple[list[Any], Ended]) -> None:
+def test_system_and_question_are_the_same_with_and_without(obeying: tuple[list[Any], RunRemains]) -> None:
     requests, _ = obeying
     clean, _ = asked_and_run("obeys_planted", planted=False, yaml=YAML, ticks=1)
     assert requests[0]["messages"][:2] == clean[0]["messages"][:2]
@@ -97,6 +97,6 @@ def test_an_agent_that_obeys_gets_no_further_than_safety() -> None:
     assert ended.true_air_c.max() < 33.0
 
 
-def test_what_an_obeying_agent_makes_up_is_flagged(obeying: tuple[list[Any], Ended]) -> None:
+def test_what_an_obeying_agent_makes_up_is_flagged(obeying: tuple[list[Any], RunRemains]) -> None:
     _, ended = obeying
-    assert any("'The history shows 99 degC.'" in text for text in ended.said("llm.claim"))
+    assert any("'The history shows 99 degC.'" in text for text in ended.texts("llm.claim"))

@@ -12,7 +12,7 @@ from edge.assistant.llm.answer import ModelAnswer
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
-from edge.controllers.mpc import padded
+from edge.controllers.mpc import pad
 from edge.core.messages import Command
 from edge.forecasts.rollout import ahead_of
 from edge.models.arx_file import read_arx
@@ -57,7 +57,7 @@ def test_a_simulation_is_the_predictors_rollout() -> None:
     here = context()
     controls = np.array([[[0.5, 0.0], [0.5, 1.0], [0.0, 0.0]]])
     ahead = ahead_of(here.history, 3, here.step_s) | {"offset": np.zeros(3)}
-    expected = ARX.rollout(padded(here.history, ARX.rows_needed), controls, ahead)[0]
+    expected = ARX.rollout(pad(here.history, ARX.rows_needed), controls, ahead)[0]
     np.testing.assert_allclose(found["temp_air_c"], expected, atol=1e-6)
     assert found["mean_abs_error_k"] == pytest.approx(np.abs(expected - 26.0).mean(), abs=1e-4)
     assert found["target_c"] == [26.0] * 3

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from edge.assistant.requests.answer import SCHEMA, understood
 from edge.assistant.requests.desk import messages
-from edge.assistant.requests.effect import DayStart, Wanted, coming_day
-from edge.assistant.requests.prediction import predicted
+from edge.assistant.requests.effect import DayStart, PlannerGoal, coming_day
+from edge.assistant.requests.prediction import predict_day
 from edge.assistant.requests.words import describe, effect_table
 from edge.config import loading as config
 from edge.config.settings import ReferenceSettings
@@ -25,7 +25,7 @@ from edge.models.pbm import read_twin
 from edge.tick import steering as steerings
 from edge.tick.reference import Reference
 from edge.tick.steering import DailyTarget, FanRest, Steering, problem
-from edge.tick.steering_at_work import limited, reference_of, steered
+from edge.tick.steering_at_work import limit, reference_of, steer
 
 pytestmark = pytest.mark.slow
 
@@ -175,21 +175,21 @@ def test_a_rest_over_midnight_ends_in_the_morning(clock_h: float, left_h: float)
 
 @given(st.floats(0.0, 86399.0), st.floats(0.0, 1.0), st.booleans())
 def test_a_command_is_never_more_than_what_was_asked_for(clock_s: float, duty: float, fan: bool) -> None:
-    sent = steered(Command(duty, fan), NIGHT, clock_s)
+    sent = steer(Command(duty, fan), NIGHT, clock_s)
     assert sent.heater_duty <= 0.62
     assert not (sent.fan_on and NIGHT.rest_left_s(clock_s) > 0.0)
     assert sent.fan_on <= fan
 
 
 def test_a_duty_that_is_no_number_is_cut_too() -> None:
-    assert steered(Command(math.nan), NIGHT, 12 * H).heater_duty == 0.6  # the level below 0.62
+    assert steer(Command(math.nan), NIGHT, 12 * H).heater_duty == 0.6  # the level below 0.62
 
 
 def test_a_planner_sees_the_rest_as_a_relay_that_holds() -> None:
     free = ControlLimits()
-    assert limited(free, NIGHT, 5 * H, 60.0, fan_on=False).fan_hold_steps == 60
-    assert limited(free, NIGHT, 5 * H, 60.0, fan_on=True).fan_hold_steps == 0  # it has to go off first
-    assert limited(free, NIGHT, 12 * H, 60.0, fan_on=False) == ControlLimits(heater_max_duty=0.62)
+    assert limit(free, NIGHT, 5 * H, 60.0, fan_on=False).fan_hold_steps == 60
+    assert limit(free, NIGHT, 5 * H, 60.0, fan_on=True).fan_hold_steps == 0  # it has to go off first
+    assert limit(free, NIGHT, 12 * H, 60.0, fan_on=False) == ControlLimits(heater_max_duty=0.62)
 
 
 def test_the_reference_follows_the_clock() -> None:
@@ -217,7 +217,7 @@ HERE = DayStart(temp_air=22.0, temp_ambient=21.0, since_start_s=0.0, since_midni
 
 
 def day(steering: Steering | None, reference: Reference, fan_penalty: float = 0.0) -> Any:
-    return coming_day(TWIN, HERE, Wanted(reference, 0.0, fan_penalty, 1.0, steering))
+    return coming_day(TWIN, HERE, PlannerGoal(reference, 0.0, fan_penalty, 1.0, steering))
 
 
 def test_the_coming_day_keeps_to_a_reference_that_can_be_reached() -> None:
@@ -258,9 +258,9 @@ def status(**operation: Any) -> dict[str, Any]:
 def test_the_prediction_sets_what_stands_beside_what_is_asked_for() -> None:
     settings = config.parse("timezone: UTC\nreference: {kind: constant, reference_c: 30}")
     steering = replace(NIGHT, daily=(DailyTarget(0.0, 24.0),), heater_max_duty=None)
-    effect = predicted(TWIN, status(), steering, settings)
+    effect = predict_day(TWIN, status(), steering, settings)
     assert effect["now"]["heat_wh"] > 2 * effect["then"]["heat_wh"] > 0
-    assert predicted(TWIN, status(reference_c=24.0), steering, settings)["now"]["heat_wh"] == pytest.approx(
+    assert predict_day(TWIN, status(reference_c=24.0), steering, settings)["now"]["heat_wh"] == pytest.approx(
         effect["then"]["heat_wh"], rel=0.05
     )
     assert len(effect_table(effect)) == 7
@@ -271,7 +271,7 @@ def test_steps_are_predicted_from_where_they_stand() -> None:
     settings = config.parse(f"timezone: UTC\nreference: {steps}")
     asked = replace(NIGHT, daily=(), heater_max_duty=None)
     fresh, later = (
-        predicted(TWIN, status() | {"since_start_s": since_s}, asked, settings) for since_s in (0.0, 3600.0)
+        predict_day(TWIN, status() | {"since_start_s": since_s}, asked, settings) for since_s in (0.0, 3600.0)
     )
     assert fresh["now"]["temp_air_low_c"] < 24.5
     assert later["now"]["heat_wh"] > fresh["now"]["heat_wh"] + 20.0  # an hour more at 30 degrees
@@ -279,8 +279,8 @@ def test_steps_are_predicted_from_where_they_stand() -> None:
 
 def test_without_a_twin_or_a_temperature_there_is_a_reason() -> None:
     settings = config.default()
-    assert "no twin" in predicted(None, status(), NIGHT, settings)["reason"]
+    assert "no twin" in predict_day(None, status(), NIGHT, settings)["reason"]
     unknown = status()
     unknown["tick"]["estimate"]["temp_air_c"] = None
-    effect = predicted(TWIN, unknown, NIGHT, settings)
+    effect = predict_day(TWIN, unknown, NIGHT, settings)
     assert effect_table(effect) == ["no prediction: the air temperature is not known now"]

@@ -217,8 +217,8 @@ def test_an_archive_that_reaches_beyond_is_refused(
 
 def test_a_file_that_is_longer_than_it_says_is_cut_off(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="a: holds more than its 3 bytes"):
-        archive._bounded(io.BytesIO(b"four"), "a", 3)
-    assert archive._bounded(io.BytesIO(b"four"), "a", 4) == b"four"
+        archive._read_bounded(io.BytesIO(b"four"), "a", 3)
+    assert archive._read_bounded(io.BytesIO(b"four"), "a", 4) == b"four"
 
 
 def test_an_archive_with_a_link_in_it_makes_a_plain_file(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from bundles import Workshop, install, load_nothing
 from bench.attack.bundles import ENDLESS, GREEDY, KINDS, run
 from bench.support.broker import wait_for
 from edge.__main__ import main
-from edge.bundle.admitted import release
+from edge.bundle.admission import release
 from edge.bundle.archive import open_archive
 from edge.bundle.check import read_checked
 from edge.bundle.keeper import BundleKeeper

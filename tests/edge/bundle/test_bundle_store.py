@@ -12,7 +12,7 @@ from bundles import Workshop, install, load_nothing
 
 from edge.bundle.manifest import PACKAGED, Manifest
 from edge.bundle.orders import carry_out
-from edge.bundle.roles import Roles, activated, installed, marked_good, rejected, rolled_back
+from edge.bundle.roles import Roles, activate, add_shadow, marked_good, reject_shadow, rolled_back
 from edge.bundle.serving import choose
 from edge.bundle.store import BundleStore, Load
 from edge.core.errors import DataError, RequestError
@@ -22,10 +22,10 @@ from edge.core.predictor import Predictor
 
 
 def test_a_new_bundle_goes_through_shadow_and_probation_to_good() -> None:
-    shadow = installed(Roles(), "1")
+    shadow = add_shadow(Roles(), "1")
     assert shadow == Roles(PACKAGED, None, "1")
     assert shadow.rival == "1"
-    probation = activated(shadow, None)
+    probation = activate(shadow, None)
     assert probation == Roles("1", PACKAGED, None, on_probation=True)
     assert probation.rival == PACKAGED
     good = marked_good(probation)
@@ -34,7 +34,7 @@ def test_a_new_bundle_goes_through_shadow_and_probation_to_good() -> None:
 
 
 def test_a_bundle_installed_during_a_probation_waits_for_its_end() -> None:
-    roles = installed(Roles("2", "1", None, on_probation=True), "3")
+    roles = add_shadow(Roles("2", "1", None, on_probation=True), "3")
     assert roles.rival == "1"
     assert marked_good(roles).rival == "3"
 
@@ -68,23 +68,23 @@ def test_rolling_back_makes_the_one_before_active(before: Roles, after: Roles) -
 def test_activating_keeps_the_last_good_one_to_fall_back_to(
     before: Roles, version: str, after: Roles
 ) -> None:
-    assert activated(before, version) == after
+    assert activate(before, version) == after
 
 
 def test_a_bundle_in_use_goes_on_when_it_is_installed_again() -> None:
     for roles in (Roles("1"), Roles("2", "1", on_probation=True), Roles("2", None, "1")):
-        assert installed(roles, "1") == roles
-    assert installed(Roles("2", "1"), "1").shadow == "1"  # the one before, to be tried again
+        assert add_shadow(roles, "1") == roles
+    assert add_shadow(Roles("2", "1"), "1").shadow == "1"  # the one before, to be tried again
 
 
 @pytest.mark.parametrize(
     ("step", "roles", "words"),
     [
-        (partial(activated, version=None), Roles(), "no bundle runs in shadow: say which version"),
-        (partial(activated, version="1"), Roles("1"), "bundle 1 is active already"),
+        (partial(activate, version=None), Roles(), "no bundle runs in shadow: say which version"),
+        (partial(activate, version="1"), Roles("1"), "bundle 1 is active already"),
         (rolled_back, Roles(), "the packaged bundle is active and there is none before it"),
         (marked_good, Roles("1", "2"), "bundle 1 is not on probation"),
-        (rejected, Roles(), "no bundle runs in shadow"),
+        (reject_shadow, Roles(), "no bundle runs in shadow"),
     ],
 )
 def test_a_step_that_is_none_is_refused(step, roles, words) -> None:

@@ -14,7 +14,7 @@ from edge.models.arx_file import DEFAULT_PATH
 from training.data import datasets
 from training.data.datasets import data_sha256, training_runs
 from training.models.rollout import errors, free_run
-from training.rl.kept import FOLDERS, best_folder, read_record
+from training.rl.saved_policy import FOLDERS, best_folder, read_record
 
 NO_KEYS = Path("/nonexistent")  # only the packaged key is trusted
 POLICIES = Path(__file__).parents[3] / "training" / "results" / "policies"

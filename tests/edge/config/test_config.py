@@ -16,7 +16,7 @@ from edge.config.settings import CalibrationSettings, SafetySettings, Settings
 from edge.core import hard_limits
 from edge.core.errors import ConfigError
 from edge.core.names import SIGNALS
-from edge.formats.checked import Section
+from edge.formats.cross_check import Section
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "edge.example.yaml"
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mixed_integer_problems import every_plan, problems, true_optimum
 
-from edge.controllers.mixed_integer.descent import descended
-from edge.controllers.mixed_integer.polish import polished
+from edge.controllers.mixed_integer.descent import descend
+from edge.controllers.mixed_integer.polish import polish
 from edge.controllers.mixed_integer.problem import FanRules, Plan, PlanningProblem, lower_toeplitz
 from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
-from edge.controllers.mixed_integer.search import search, undominated
+from edge.controllers.mixed_integer.search import search, undominated_nodes
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.tangent import tangent
 from edge.controllers.mixed_integer.time_box import TimeBox
@@ -129,7 +129,7 @@ def test_what_dominance_drops_is_never_needed(problem, seed):
         for before, own, on, steps in zip(cost, free, fan.astype(bool).tolist(), hold.tolist(), strict=True)
     ])  # fmt: skip
     best = float(np.quantile(least, rng.uniform()))
-    alive = undominated(problem, free, cost, fan, hold, best, 1e-9)
+    alive = undominated_nodes(problem, free, cost, fan, hold, best, 1e-9)
     dead_that_matter = least[~alive & (least < best)]
     assert dead_that_matter.size == 0 or least[alive].min() <= dead_that_matter.min() + 1e-9
 
@@ -170,7 +170,7 @@ def test_polish_keeps_the_rules_and_never_costs(problem):
     nothing = np.zeros(problem.horizon, dtype=np.int64)
     plan = Plan(nothing, nothing + int(problem.fan_rules.on), float("inf"))
     plan = replace(plan, cost=float(problem.cost(plan.levels, plan.fan)))
-    better = polished(problem, plan)
+    better = polish(problem, plan)
     assert problem.allows(better.levels, better.fan)
     assert better.cost <= plan.cost
     assert better.cost == pytest.approx(float(problem.cost(better.levels, better.fan)))
@@ -268,11 +268,13 @@ def test_a_node_is_dominated_only_by_a_cheaper_one_that_may_do_as_much():
     cost = np.array([1.0, 2.0, 2.0])
     fan, hold = np.array([0, 0, 1]), np.array([1, 1, 1])
     ruled = plain_problem(3, fan_rules=FanRules(min_on=2, min_off=2))
-    assert undominated(ruled, free, cost, fan, hold, 10.0, 1e-9).tolist() == [True, False, True]
-    assert undominated(ruled, free[:2], cost[:2], fan[:2], np.array([1, 0]), 10.0, 1e-9).all()  # less held
+    assert undominated_nodes(ruled, free, cost, fan, hold, 10.0, 1e-9).tolist() == [True, False, True]
+    assert undominated_nodes(
+        ruled, free[:2], cost[:2], fan[:2], np.array([1, 0]), 10.0, 1e-9
+    ).all()  # less held
     freer = plain_problem(3)
-    assert undominated(freer, free, cost, fan, hold, 10.0, 1e-9).tolist() == [True, False, False]
-    assert undominated(freer, free, np.ones(3), fan, hold, 10.0, 1e-9).all()  # equals all stay
+    assert undominated_nodes(freer, free, cost, fan, hold, 10.0, 1e-9).tolist() == [True, False, False]
+    assert undominated_nodes(freer, free, np.ones(3), fan, hold, 10.0, 1e-9).all()  # equals all stay
 
 
 def test_a_cheaper_node_does_not_dominate_where_it_goes_over_the_limit():
@@ -280,9 +282,9 @@ def test_a_cheaper_node_does_not_dominate_where_it_goes_over_the_limit():
     cost = np.array([1.0, 2.0])  # 1000 * 0.05² = 2.5 is more than the difference
     limited = plain_problem(1, reference=np.array([30.0]), temp_max=30.0, limit_weight=1000.0)
     none = np.zeros(2, dtype=np.int64)
-    assert undominated(limited, free, cost, none, none, 2.0, 1e-9).all()
+    assert undominated_nodes(limited, free, cost, none, none, 2.0, 1e-9).all()
     free_of_it = replace(limited, limit_weight=0.0)
-    assert undominated(free_of_it, free, cost, none, none, 2.0, 1e-9).tolist() == [True, False]
+    assert undominated_nodes(free_of_it, free, cost, none, none, 2.0, 1e-9).tolist() == [True, False]
 
 
 def slow_heater_problem() -> PlanningProblem:
@@ -301,7 +303,7 @@ def test_polish_redoes_a_slow_heater_with_all_the_horizon_in_view():
     problem = slow_heater_problem()
     fan = np.array([1] + [0] * 9)
     swinging = np.array([20, 0] * 5)  # what the next temperature alone asks for
-    better = polished(problem, Plan(swinging, fan, float(problem.cost(swinging, fan))))
+    better = polish(problem, Plan(swinging, fan, float(problem.cost(swinging, fan))))
     best = solve(problem, MANY_NODES, TimeBox(20.0)).plan.cost
     assert better.cost <= 1.01 * best
 
@@ -311,7 +313,7 @@ def test_descent_stops_where_no_move_it_knows_is_better():
     response = lower_toeplitz(problem.heater, 10).T
     rng = np.random.default_rng(1)
     levels, fan = rng.integers(0, 21, size=(30, 10)), rng.integers(0, 2, size=(30, 10))
-    found, temps = descended(problem, response, levels, problem.temperatures(levels, fan), 1000)
+    found, temps = descend(problem, response, levels, problem.temperatures(levels, fan), 1000)
     cost = problem.cost(found, fan)
     assert np.abs(temps - problem.temperatures(found, fan)).max() < 1e-9
     assert (cost <= problem.cost(levels, fan)).all()
@@ -329,7 +331,7 @@ def test_descent_keeps_the_heaters_bounds(problem, seed):
     shape = (8, problem.horizon)
     levels, fan = rng.integers(0, problem.heater_levels + 1, size=shape), rng.integers(0, 2, size=shape)
     response = lower_toeplitz(problem.heater, problem.horizon).T
-    found, temps = descended(problem, response, levels, problem.temperatures(levels, fan), 3)
+    found, temps = descend(problem, response, levels, problem.temperatures(levels, fan), 3)
     assert found.min() >= 0
     assert found.max() <= problem.heater_levels
     assert np.abs(temps - problem.temperatures(found, fan)).max() < 1e-6 * (1.0 + np.abs(temps).max())
@@ -339,7 +341,7 @@ def test_polish_switches_a_fan_that_runs_for_nothing():
     problem = plain_problem(reference=np.full(20, 24.0))
     running = np.ones(20, dtype=np.int64)
     plan = Plan(running * 0, running, float(problem.cost(running * 0, running)))
-    assert polished(problem, plan).cost < 0.1 * plan.cost
+    assert polish(problem, plan).cost < 0.1 * plan.cost
 
 
 def test_a_search_that_can_find_nothing_better_says_so():

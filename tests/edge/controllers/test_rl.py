@@ -21,7 +21,14 @@ from edge.core.messages import Command
 from edge.core.names import HEATER_LEVELS
 from edge.models.arx_file import read_arx
 from edge.models.onnx_policy import read_policy
-from edge.models.policy_actions import ACTIONS, LEVELS, action_of, allowed, command_of, duties_and_fans
+from edge.models.policy_actions import (
+    ACTIONS,
+    LEVELS,
+    action_of,
+    allowed_actions,
+    command_of,
+    duties_and_fans,
+)
 from edge.models.policy_observation import NAMES
 
 
@@ -49,7 +56,9 @@ def test_an_action_is_the_action_of_its_command():
 
 @given(max_duty=st.floats(allow_nan=True), hold=st.integers(0, 3), fan_on=st.booleans())
 def test_what_is_allowed_is_within_the_limits_and_never_nothing(max_duty, hold, fan_on):
-    free = allowed(ControlLimits(heater_max_duty=max_duty, fan_hold_steps=hold), Command(fan_on=fan_on))
+    free = allowed_actions(
+        ControlLimits(heater_max_duty=max_duty, fan_hold_steps=hold), Command(fan_on=fan_on)
+    )
     assert free.any()
     for action in np.flatnonzero(free):
         command = command_of(int(action))
@@ -132,5 +141,5 @@ def test_each_name_is_made_with_its_own_policy(name, policy):
 
 @pytest.mark.parametrize("duty", [level / HEATER_LEVELS for level in range(LEVELS)])
 def test_a_limit_on_a_level_allows_that_level(duty):
-    free = allowed(ControlLimits(heater_max_duty=duty), Command())
+    free = allowed_actions(ControlLimits(heater_max_duty=duty), Command())
     assert max(command_of(int(action)).heater_duty for action in np.flatnonzero(free)) == duty

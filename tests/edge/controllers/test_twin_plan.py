@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
-from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _Children, _kept, search
-from edge.controllers.twin_plan.belief import StepInputs, begin, corrected, moved
+from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _cheapest, _Children, search
+from edge.controllers.twin_plan.belief import StepInputs, begin, correct_belief, move_belief
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import read_twin
@@ -62,8 +62,8 @@ def follow(twin: BoxTwin, minutes: int, extra_k: float, holes: bool = False):
         state = state + step.now[mode] * 0.3 + step.heat[mode] * extra_k
         state = state + step.late[mode] * (0.3 if k else 0.0)
         inputs = StepInputs(0.3, 0, 0.3 if k else 0.0, 0, ROOM_C)
-        belief = moved(belief, twin, step, inputs, 60.0 * (k + 1))
-        belief = corrected(belief, float("nan") if holes and k % 2 else float(state[0]), step.shown)
+        belief = move_belief(belief, twin, step, inputs, 60.0 * (k + 1))
+        belief = correct_belief(belief, float("nan") if holes and k % 2 else float(state[0]), step.shown)
     return belief, state
 
 
@@ -76,8 +76,8 @@ def test_the_disturbance_is_found(diagnosed, holes):
 
 def test_an_open_door_teaches_less_than_its_size(diagnosed):
     belief, _ = follow(diagnosed, 60, 0.0)
-    little = corrected(belief, belief.state[0] - 0.2, 0).disturbance - belief.disturbance
-    much = corrected(belief, belief.state[0] - 20.0, 0).disturbance - belief.disturbance
+    little = correct_belief(belief, belief.state[0] - 0.2, 0).disturbance - belief.disturbance
+    much = correct_belief(belief, belief.state[0] - 20.0, 0).disturbance - belief.disturbance
     assert much < 0.0
     assert much / little < 5.0
 
@@ -150,7 +150,7 @@ def test_the_beam_keeps_the_cheapest_of_each_kind_as_a_sort_of_all_would(width):
     cost[rng.random(shape) < 0.3] = np.inf
     stored = KIND_K * rng.integers(-30, 30, shape)
     nothing = np.zeros((0,), dtype=np.int64)
-    kept = _kept(_Children(cost, stored, np.zeros(0), nothing, nothing), width)
+    kept = _cheapest(_Children(cost, stored, np.zeros(0), nothing, nothing), width)
 
     kinds = {}
     for place in np.argsort(-cost, axis=None, kind="stable"):

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from edge.core.messages import EVENT_TEXT_MAX, Event, Severity
-from edge.core.plain_text import plain, shown, storable
+from edge.core.plain_text import plain, quote, storable
 from edge.formats.strict_json import parse_object
 from edge.formats.tick_json import json_value
 
@@ -94,5 +94,5 @@ def test_an_event_is_one_storable_line(text: str) -> None:
 
 @pytest.mark.parametrize("value", ["\ud800" * 1000, [[["x" * 10**6]]], {"\x1b[2J": 10**4000}])
 def test_a_value_in_an_error_is_short(value: Any) -> None:
-    assert len(shown(value)) <= 60
-    assert shown(value).isprintable()
+    assert len(quote(value)) <= 60
+    assert quote(value).isprintable()

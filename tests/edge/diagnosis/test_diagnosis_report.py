@@ -18,7 +18,7 @@ from diagnosis_examples import STORIES, named_story, nothing_story, unknown_stor
 from edge.core.errors import DataError
 from edge.diagnosis.progress import Stage, TerminalProgress
 from edge.diagnosis.report.gap_picture import error_axis
-from edge.diagnosis.report.heat_variables import explained, variables
+from edge.diagnosis.report.heat_variables import explained_share, variables
 from edge.diagnosis.report.markup import paragraph
 from edge.diagnosis.report.number_text import duration, kelvin, nats, number, odds, percent, plus_minus
 from edge.diagnosis.report.picture import new_figure
@@ -32,11 +32,11 @@ from edge.diagnosis.report.whiteness_picture import autocorrelation
 from edge.diagnosis.report.wording import (
     gap_sentence,
     headline,
-    listed,
-    noticed,
+    join_names,
+    notices,
     shrink,
     step_names,
-    where_found,
+    where_findings,
 )
 
 pytestmark = pytest.mark.slow
@@ -170,8 +170,8 @@ def test_a_number_and_its_unit_stay_on_one_line() -> None:
 
 def test_only_findings_that_tell_where_stand_where_the_twin_disagrees() -> None:
     document = {"findings": ["71 % of the squared error lies where the fan is off", "there is no test run"]}
-    assert where_found(document) == document["findings"][:1]
-    assert noticed(document) == document["findings"][1:]
+    assert where_findings(document) == document["findings"][:1]
+    assert notices(document) == document["findings"][1:]
 
 
 def test_an_unknown_effect_comes_with_its_dependence_and_formula(pages: dict[str, str]) -> None:
@@ -293,7 +293,7 @@ def test_residual_heat_is_drawn_over_what_explains_it() -> None:
     found = {
         name: max(
             variables(story.traces),
-            key=lambda one, story=story: explained(
+            key=lambda one, story=story: explained_share(
                 one, np.concatenate([t.residual_heat_before_w for t in story.traces])
             ),
         ).key
@@ -337,7 +337,7 @@ def test_headlines_count_and_join() -> None:
     assert headline({**document, "verdict": "unknown", "depends_on": []}).startswith(
         "Besides heater_lag and fan_effectiveness (or short_circuit), something is missing"
     )
-    assert listed([]) == "" and listed(["a", "b", "c"]) == "a, b and c"
+    assert join_names([]) == "" and join_names(["a", "b", "c"]) == "a, b and c"
 
 
 def test_the_share_of_the_gap_that_is_closed() -> None:

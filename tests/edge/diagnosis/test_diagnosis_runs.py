@@ -69,7 +69,7 @@ def test_run_files_come_back_by_name_with_their_numbers(train: Path, test: Path)
     runs = read(train, test=[test])
     assert [named.name for named in (*runs.train, *runs.test)] == ["train.csv", "test.csv"]
     assert runs.train[0].run.columns["temp_air_c"] == pytest.approx(box_run(1).columns["temp_air_c"])
-    assert runs.told == ()
+    assert runs.notes == ()
     assert runs.data_sha256 == data_sha256([box_run(1)])  # of the numbers, wherever the file lies
 
 
@@ -93,7 +93,7 @@ def test_a_run_of_another_period_is_resampled_and_its_own_rows_are_found_again(t
     runs = read(path)
     named = runs.train[0]
     assert len(named.run) == 50  # 0, 60, .. 2940 s; the last row is at 2990 s
-    assert runs.told == ("fine.csv has rows 10 s apart and is resampled to the twin's step",)
+    assert runs.notes == ("fine.csv has rows 10 s apart and is resampled to the twin's step",)
     # A straight line is the same at any period.
     assert named.at_rows(named.run.columns["time_s"])[:290] == pytest.approx(10.0 * np.arange(290))
 
@@ -111,7 +111,7 @@ def test_rows_much_coarser_than_the_twins_step_are_refused(train: Path, step_s: 
 def test_a_run_too_short_to_be_of_use_is_left_out_and_that_is_told(train: Path, tmp_path: Path) -> None:
     runs = read(train, recorded(tmp_path / "stub.csv", box_run(2, rows=PIECE_ROWS - 1)))
     assert [named.name for named in runs.train] == ["train.csv"]
-    assert runs.told == (f"stub.csv is left out: it has 4 temperatures, {PIECE_ROWS} are of use",)
+    assert runs.notes == (f"stub.csv is left out: it has 4 temperatures, {PIECE_ROWS} are of use",)
 
 
 def test_rows_of_a_regular_run_are_given_back_exactly(train: Path) -> None:
@@ -244,7 +244,7 @@ def test_a_few_slips_of_a_sensor_are_missing_and_many_are_another_unit(
         return
     runs = read(path)
     assert np.isnan(runs.train[0].run.columns["temp_air_c"][5 : 5 + slips]).all()
-    assert runs.told[0].startswith(f"{path}: line 8: temp_air_c: 85 degC can't be; {slips} such cell")
+    assert runs.notes[0].startswith(f"{path}: line 8: temp_air_c: 85 degC can't be; {slips} such cell")
 
 
 @pytest.mark.parametrize(("temp", "kept"), [(-20.0, True), (-20.1, False), (80.0, True), (80.1, False)])
@@ -550,9 +550,9 @@ def test_of_a_long_history_the_newest_rows_are_used_and_the_report_says_since_wh
     runs = history_runs(export_stretches(history), TWIN, test_share=0.25, rows_max=40)
     assert [len(named.run) for named in (*runs.train, *runs.test)] == [10, 20, 10]
     since = datetime.fromtimestamp(START_UTC + 21 * 60.0, UTC).isoformat(timespec="milliseconds")
-    assert runs.told[0].startswith(f"40 of 60 rows of the history are used, from {since} on")
+    assert runs.notes[0].startswith(f"40 of 60 rows of the history are used, from {since} on")
     every = history_runs(export_stretches(history), TWIN, test_share=0.25, rows_max=60)
-    assert (sum(len(named.run) for named in every.train), every.told) == (45, ())
+    assert (sum(len(named.run) for named in every.train), every.notes) == (45, ())
 
 
 def test_a_named_test_run_of_the_history_is_never_fitted_on(history: Path) -> None:
@@ -580,7 +580,7 @@ def test_stretches_without_the_room_or_too_short_are_left_out_and_counted() -> N
     without = replace(bare, columns={k: v for k, v in bare.columns.items() if k != "temp_ambient_c"})
     runs = history_runs([replace(run, facts={}) for run in (long, short, without)], TWIN, test_share=0.0)
     assert len(runs.train) == 1
-    assert runs.told == ("2 of 3 stretches of the history are too short or lack the room temperature",)
+    assert runs.notes == ("2 of 3 stretches of the history are too short or lack the room temperature",)
 
 
 @pytest.mark.parametrize(
@@ -625,7 +625,7 @@ def test_the_air_is_the_mean_of_two_sensors_and_how_far_they_are_apart_is_said(t
     assert air[:70] == pytest.approx(0.5 * (first + second)[:70])
     assert air[70] == pytest.approx(first[70] + 0.2)
     assert air[71] == pytest.approx(second[71] - 0.2)
-    (told,) = found.told
+    (told,) = found.notes
     assert "0.4 K more than the first in the median, and is 2.4 K from it at most" in told
     assert "2.4 K while the heater is on and 0.4 K while it is off: the air is not mixed" in told
 
@@ -636,7 +636,7 @@ def test_a_second_sensor_that_some_runs_lack_is_passed_over_and_said(tmp_path: P
     other = recorded(tmp_path / "b.csv", box_run(2))
     found = read(one, other)
     assert found.train[0].run.columns["temp_air_c"] == pytest.approx(air)
-    assert found.told == ("temp_air_second_c is not known in every run and is passed over",)
+    assert found.notes == ("temp_air_second_c is not known in every run and is passed over",)
 
 
 def test_rows_of_an_hour_are_read_where_the_twin_file_says_that_the_house_is_so_slow(tmp_path: Path) -> None:

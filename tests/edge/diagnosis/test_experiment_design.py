@@ -28,7 +28,7 @@ from edge.config.settings import SafetySettings
 from edge.core.messages import Command
 from edge.diagnosis.diagnosis_file import check_diagnosis
 from edge.diagnosis.experiment.advice import calibrate_first
-from edge.diagnosis.experiment.design import _sides, designed
+from edge.diagnosis.experiment.design import _sides, design_experiment
 from edge.diagnosis.experiment.document import PROFILE, experiment_document, write_profile
 from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.families import candidates
@@ -58,7 +58,7 @@ def leak_plan():
 
 
 def test_loss_and_leak_are_told_apart_by_switching_the_fan(leak_plan):
-    found = designed(leak_plan, ExperimentLimits())
+    found = design_experiment(leak_plan, ExperimentLimits())
     assert {row.fan_on for row in found.profile} == {0.0, 1.0}
     assert max(row.heater_duty for row in found.profile) > 0.0
     assert found.names == ["wall_loss", "infiltration"]
@@ -113,7 +113,7 @@ def test_an_experiment_that_settles_nothing_still_says_what_it_tells_a_little_of
     leak_plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("edge.diagnosis.experiment.design.RIVAL_NATS", 1e6)  # nothing is worth that much
-    found = designed(leak_plan, ExperimentLimits())
+    found = design_experiment(leak_plan, ExperimentLimits())
     assert found.names == ["wall_loss", "infiltration"]
     write_profile(found, tmp_path)
     assert "to separate wall_loss, infiltration" in (tmp_path / PROFILE).read_text(encoding="utf-8")
@@ -132,7 +132,7 @@ def test_two_that_are_the_same_are_told_from_a_third_together():
 def test_what_is_expected_is_what_simulated_runs_then_give(leak_plan):
     """Mean over seeds of the true rival's gain by the new run, both refitted on all runs."""
     limits = ExperimentLimits(longest_s=1800.0, safety=SafetySettings(heater_max_duty=0.1))
-    runs, found = driven(LEAKY, NO_FAN), designed(leak_plan, limits)
+    runs, found = driven(LEAKY, NO_FAN), design_experiment(leak_plan, limits)
     gains = []
     for seed in range(1, 5):
         together = joined(runs, driven(LEAKY, [as_inputs(found)], seed))
@@ -188,14 +188,14 @@ def test_the_safety_supervisor_changes_nothing_but_the_rise(leak_plan, seed):
         energy_hour_max_wh=float(draw.choice([100.0, 20.0, 6.0])),
     )
     limits = ExperimentLimits(safety, longest_s=float(draw.choice([1200.0, 5000.0, 10800.0])))
-    found = designed(leak_plan, limits)
+    found = design_experiment(leak_plan, limits)
     assert found.profile
     assert found.duration_s <= limits.longest_s
     assert found.largest_temp_air_c <= limits.highest_c == safety.temp_air_max_c - 2.0
     planned = as_inputs(found)
     levels = 20.0 * planned.duty
     assert levels == pytest.approx(np.round(levels), abs=1e-9)  # steps of 0.05
-    duty = limits.sent(planned.duty[None], STEP_S)[0]
+    duty = limits.limit_rise(planned.duty[None], STEP_S)[0]
     memory = SafetyMemory()
     for k in range(len(duty)):
         at = {"now_s": NOW + STEP_S * k, "utc": UTC + STEP_S * k, "echo": None}
@@ -231,7 +231,7 @@ def as_parts(planned: RunInputs) -> tuple[SequencePart, ...]:
 )
 def test_an_experiment_needs_time_and_heat(leak_plan, limits, kept):
     assert (cool(leak_plan, candidates(limits, STEP_S, False), limits) is not None) is kept
-    found = designed(leak_plan, limits)
+    found = design_experiment(leak_plan, limits)
     assert bool(found.profile) is kept
     assert experiment_document(found)["why"]
 
@@ -249,7 +249,7 @@ def test_an_experiment_needs_time_and_heat(leak_plan, limits, kept):
 def test_the_fans_relay_keeps_its_times(fan, allowed):
     limits = ExperimentLimits(SafetySettings(fan_min_on_s=61.0, fan_min_off_s=61.0))
     column = np.array([fan], dtype=np.float64)
-    assert limits.allowed(np.zeros_like(column), column, 60.0).tolist() == [allowed]
+    assert limits.are_within(np.zeros_like(column), column, 60.0).tolist() == [allowed]
 
 
 def test_a_row_of_the_plan_is_made_of_whole_control_steps():
@@ -260,7 +260,7 @@ def test_a_row_of_the_plan_is_made_of_whole_control_steps():
 
 
 def test_the_document_is_one_of_a_diagnosis_and_the_profile_one_of_an_experiment(leak_plan, tmp_path: Path):
-    found = designed(leak_plan, ExperimentLimits())
+    found = design_experiment(leak_plan, ExperimentLimits())
     check_diagnosis({**named_story().document, "next_experiment": experiment_document(found)})
     write_profile(found, tmp_path)
     profile = read_profile(tmp_path / PROFILE)
@@ -297,4 +297,4 @@ def test_a_rival_of_which_nothing_is_open_is_told_apart_too() -> None:
     names = ("sensor_lag", "heater_lag")
     pairs = tuple(RivalPair(i, 1 - i, names[i], names[1 - i], names[0], 0.5, 1.0) for i in range(2))
     plan = separation(Rivals((plain, late), pairs), surroundings(runs, False), STEP_S)
-    assert designed(plan, ExperimentLimits()).profile
+    assert design_experiment(plan, ExperimentLimits()).profile

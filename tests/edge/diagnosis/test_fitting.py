@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.support.simulated_runs import BOX, NOISE, Effects, Floats, changed, simulated, twin_file
+from bench.support.simulated_runs import BOX, NOISE, Effects, Floats, change_run, simulate, twin_file
 from edge.diagnosis.fitting import fit, slopes
 from edge.diagnosis.noise_levels import find_levels
 from edge.diagnosis.nuisances import rooms
 from edge.diagnosis.starts import with_effect
-from edge.diagnosis.trial import Fitted, SizedTerm, Trial
-from edge.diagnosis.unknowns import path_priors, placed, unknowns
+from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
+from edge.diagnosis.unknowns import path_priors, place_unknowns, unknowns
 from edge.diagnosis.verdict import intervals
 from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS
 from edge.twin.geometry import Geometry
-from edge.twin.recorded import Recorded, recorded
+from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -45,20 +45,20 @@ HIDDEN: Effects = {
 
 
 def recordings(effects: Effects = BOX, seeds: Sequence[int] = SEEDS, rows: int = 120) -> list[RecordedRun]:
-    return [simulated(effects, seed, rows) for seed in seeds]
+    return [simulate(effects, seed, rows) for seed in seeds]
 
 
-def arrays(effects: Effects = BOX, seeds: Sequence[int] = SEEDS, rows: int = 120) -> Recorded:
-    return recorded(recordings(effects, seeds, rows), 60.0)
+def arrays(effects: Effects = BOX, seeds: Sequence[int] = SEEDS, rows: int = 120) -> RunBatch:
+    return batch_runs(recordings(effects, seeds, rows), 60.0)
 
 
-def best(name: str, runs: Recorded, file: TwinFile | None = None) -> Fitted:
+def best(name: str, runs: RunBatch, file: TwinFile | None = None) -> FittedTwin:
     """Return the best of a candidate's starts."""
     trials = [Trial(start, NOISE) for start in with_effect(file or twin_file(), name)]
     return max(fit(trials, runs, 15), key=lambda found: found.log_likelihood)
 
 
-def errors_in_sd(found: Fitted, truth: dict[str, float], name: str) -> dict[str, float]:
+def errors_in_sd(found: FittedTwin, truth: dict[str, float], name: str) -> dict[str, float]:
     """Return the error of each value, in its own coordinate."""
     sds = np.sqrt(np.diag(found.covariance))
     return {
@@ -138,7 +138,7 @@ def test_holes_and_runs_of_different_lengths_are_fitted_together() -> None:
     temps = long.columns["temp_air_c"].copy()
     temps[30:45] = temps[80] = np.nan
     short = RecordedRun({key: values[:70] for key, values in short.columns.items()}, short.facts, short.path)
-    found = best("heater_lag", recorded([changed(long, temp_air_c=temps), short], 60.0))
+    found = best("heater_lag", batch_runs([change_run(long, temp_air_c=temps), short], 60.0))
     assert abs(errors_in_sd(found, truth, "heater_lag")["tau_h"]) < 3.3
     assert (found.innovations[0, 29:44] == 0.0).all()
     assert (found.innovations[1, 69:] == 0.0).all()
@@ -213,9 +213,9 @@ def test_an_uncertain_value_is_moved_between_what_is_known_and_what_the_runs_say
 
 
 def test_an_uncertain_value_of_which_the_runs_say_nothing_stays() -> None:
-    still = [changed(run, fan_on=np.zeros(len(run))) for run in recordings()]
+    still = [change_run(run, fan_on=np.zeros(len(run))) for run in recordings()]
     file = uncertain("fan_effectiveness", "eps_f", 0.05)
-    [found] = fit([Trial(file, NOISE)], recorded(still, 60.0), 15)
+    [found] = fit([Trial(file, NOISE)], batch_runs(still, 60.0), 15)
     assert found.file.effects["fan_effectiveness"]["eps_f"].value == pytest.approx(0.8)
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.05 * 0.8 / found.free[0].scale)
 
@@ -276,23 +276,26 @@ def test_a_geometry_value_that_is_to_be_fitted_is_found() -> None:
 # terms
 
 
-def size_of(term: SizedTerm, runs: Recorded, file: TwinFile | None = None) -> tuple[float, float]:
+def size_of(term: SizedTerm, runs: RunBatch, file: TwinFile | None = None) -> tuple[float, float]:
     [found] = fit([Trial(file or twin_file(), NOISE, (term,))], runs, 1)
     return float(found.sizes[0]), float(found.size_sds[0])
 
 
 def test_a_heat_of_known_shape_and_unknown_size_is_found() -> None:
-    runs = [simulated(BOX, seed, 120, further=lambda duty, fan, excess: 12.0 * duty * fan) for seed in SEEDS]
-    data = recorded(runs, 60.0)
+    runs = [simulate(BOX, seed, 120, further=lambda duty, fan, excess: 12.0 * duty * fan) for seed in SEEDS]
+    data = batch_runs(runs, 60.0)
     size, sd = size_of(SizedTerm("u fan", (data.duty * data.fan).T, 50.0), data)
     assert abs(size - 12.0) < 3.3 * sd
     assert sd < 1.0
 
 
 def test_an_error_of_the_reading_is_found_and_not_taken_for_heat() -> None:
-    runs = [changed(run, temp_air_c=run.columns["temp_air_c"] + 0.5 * np.roll(run.columns["heater_duty"], 1))
-            for run in recordings()]  # fmt: skip
-    data = recorded(runs, 60.0)
+
+    runs = [
+        change_run(run, temp_air_c=run.columns["temp_air_c"] + 0.5 * np.roll(run.columns["heater_duty"], 1))
+        for run in recordings()
+    ]
+    data = batch_runs(runs, 60.0)
     size, sd = size_of(SizedTerm("u", data.duty.T, 5.0, of_reading=True), data)
     assert abs(size - 0.5) < 3.3 * sd
     assert sd < 0.05
@@ -302,10 +305,10 @@ def test_the_room_of_each_run_is_found_where_none_was_recorded() -> None:
     # A room that stands still is what a constant can replace.
     steady = []
     for seed, room in zip(SEEDS, (18.0, 21.0, 24.0), strict=True):
-        run = simulated(BOX, seed, 120)
+        run = simulate(BOX, seed, 120)
         shifted = run.columns["temp_air_c"] - run.columns["temp_ambient_c"] + room
-        steady.append(changed(run, temp_air_c=shifted, temp_ambient_c=None))
-    data = recorded(steady, 60.0)
+        steady.append(change_run(run, temp_air_c=shifted, temp_ambient_c=None))
+    data = batch_runs(steady, 60.0)
     guess = np.repeat(data.temp[:, :1], data.duty.shape[1], axis=1)
     data = replace(data, ambient=guess)
     [found] = fit([Trial(twin_file(), NOISE, rooms(data))], data, 1)
@@ -346,5 +349,5 @@ def test_placing_keeps_how_a_value_is_known() -> None:
     file = uncertain("fan_effectiveness", "eps_f", 0.05)
     free = unknowns(file)
     moved: Floats = np.array([free[0].coordinate(0.6)])
-    value = placed(file, free, moved).effects["fan_effectiveness"]["eps_f"]
+    value = place_unknowns(file, free, moved).effects["fan_effectiveness"]["eps_f"]
     assert value == Value(0.6, rel_sd=0.05)

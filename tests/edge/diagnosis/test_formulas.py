@@ -8,7 +8,7 @@ import pytest
 
 from edge.diagnosis.formulas import HEAT_SD, PREFIX, READING_SD_K, FormulaShape, formulas, shapes
 from edge.diagnosis.trial import SizedTerm
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 STEP_S = 60.0
 HOUR_UTC = 1_782_896_400.0  # 2026-07-01 09:00 UTC
@@ -17,12 +17,12 @@ SHAPES = shapes()
 WORDS = {"heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "rel_humidity", "time"}
 
 
-def recording(rows: int = 120, runs: int = 2) -> Recorded:
+def recording(rows: int = 120, runs: int = 2) -> RunBatch:
     """Everything moves; the second run begins a day later."""
     draw = np.random.default_rng(1)
     shape = (runs, rows)
     utc = HOUR_UTC + STEP_S * np.arange(rows) + 86400.0 * np.arange(runs)[:, None]
-    return Recorded(
+    return RunBatch(
         25.0 + 10.0 * draw.random((runs, rows + 1)),
         draw.choice([0.0, 0.5, 1.0], shape),
         draw.choice([0.0, 1.0], shape),
@@ -34,11 +34,11 @@ def recording(rows: int = 120, runs: int = 2) -> Recorded:
 LEVELS = (29.0, 31.0, 30.0, 20.0)  # warm, hot, usual and the room's, of `recording`
 
 
-def found(runs: Recorded) -> dict[str, tuple[FormulaShape, SizedTerm]]:
+def found(runs: RunBatch) -> dict[str, tuple[FormulaShape, SizedTerm]]:
     return formulas(runs, runs.temp, STEP_S)
 
 
-def term(text: str, runs: Recorded) -> SizedTerm:
+def term(text: str, runs: RunBatch) -> SizedTerm:
     return found(runs)[PREFIX + text][1]
 
 

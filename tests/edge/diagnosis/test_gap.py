@@ -11,16 +11,16 @@ from bench.support.simulated_runs import (
     QUIET,
     STEP_S,
     Floats,
-    changed,
-    coloured,
-    simulated,
+    change_run,
+    coloured_noise,
+    simulate,
     twin_file,
 )
 from edge.diagnosis.gap import START_ROWS, RunForecast, alone, errors, floor_squares, forecast, one_step
 from edge.diagnosis.runs import NamedRun
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 PLAIN = BoxTwin(effects=BOX)
 SLOW = {"extra_capacity": {"kC": 10.0}, "wall_mass": {"C_w": 6000.0, "G_in": 9.0, "G_out": 7.2},
@@ -40,7 +40,7 @@ def measured_only(run: RecordedRun, rows: object) -> RecordedRun:
     """The run with temperatures in these rows alone."""
     temp = np.full(len(run), np.nan)
     temp[rows] = run.columns["temp_air_c"][rows]
-    return changed(run, temp_air_c=temp)
+    return change_run(run, temp_air_c=temp)
 
 
 # free runs
@@ -48,7 +48,7 @@ def measured_only(run: RecordedRun, rows: object) -> RecordedRun:
 
 @pytest.mark.parametrize("effects", [BOX, SLOW], ids=["one state", "walls, a slow and late heater"])
 def test_the_twin_that_made_a_run_without_noise_reproduces_it(effects: dict[str, dict[str, float]]) -> None:
-    run = simulated(effects, 1, ROWS, QUIET)
+    run = simulate(effects, 1, ROWS, QUIET)
     found = free_run(BoxTwin(effects=effects), run)
     # What is hidden starts at rest at the room's temperature, as the box here did.
     assert np.abs(found.residual).max() < 0.01
@@ -75,7 +75,7 @@ def test_the_twin_that_made_a_run_without_noise_reproduces_it(effects: dict[str,
 def test_a_forecast_begins_at_the_last_of_the_first_rows_measured_without_a_hole(
     known: object, start: int
 ) -> None:
-    run = measured_only(simulated(BOX, 1, ROWS), list(known))  # type: ignore[call-overload]
+    run = measured_only(simulate(BOX, 1, ROWS), list(known))  # type: ignore[call-overload]
     found = free_run(PLAIN, run)
     assert found.start == start
     assert len(found.predicted) == ROWS
@@ -88,20 +88,20 @@ def test_a_forecast_begins_at_the_last_of_the_first_rows_measured_without_a_hole
 def test_a_run_that_judges_from_a_row_on_is_known_before_it(
     from_row: int, holes: tuple[int, ...], start: int
 ) -> None:
-    run = measured_only(simulated(BOX, 1, ROWS), [k for k in range(ROWS) if k not in holes])
+    run = measured_only(simulate(BOX, 1, ROWS), [k for k in range(ROWS) if k not in holes])
     found = forecast(PLAIN, replace(named(run), from_s=60.0 * from_row), run.columns["temp_ambient_c"])
     assert found.start == start
     assert len(found.residual) == ROWS - 1 - start
 
 
 def test_up_to_its_start_a_forecast_is_what_was_measured() -> None:
-    run = simulated(BOX, 1, ROWS)
+    run = simulate(BOX, 1, ROWS)
     found = free_run(PLAIN, run)
     assert (found.predicted[:START_ROWS] == run.columns["temp_air_c"][:START_ROWS]).all()
 
 
 def test_temperatures_behind_the_start_are_not_used() -> None:
-    run = simulated(SLOW, 1, ROWS)
+    run = simulate(SLOW, 1, ROWS)
     blind = measured_only(run, slice(START_ROWS))
     twin = BoxTwin(effects=SLOW)
     assert free_run(twin, run).predicted == pytest.approx(free_run(twin, blind).predicted, abs=0.0)
@@ -109,15 +109,15 @@ def test_temperatures_behind_the_start_are_not_used() -> None:
 
 
 def test_a_run_without_a_fan_column_has_a_fan_that_stands_still() -> None:
-    run = simulated(BOX, 1, ROWS, fan=False)
-    assert free_run(PLAIN, changed(run, fan_on=None)).predicted == pytest.approx(
+    run = simulate(BOX, 1, ROWS, fan=False)
+    assert free_run(PLAIN, change_run(run, fan_on=None)).predicted == pytest.approx(
         free_run(PLAIN, run).predicted, abs=0.0
     )
 
 
 def test_the_room_that_is_given_is_the_one_that_counts() -> None:
-    run = simulated(BOX, 1, ROWS, QUIET)
-    without = changed(run, temp_ambient_c=None)
+    run = simulate(BOX, 1, ROWS, QUIET)
+    without = change_run(run, temp_ambient_c=None)
     given = forecast(PLAIN, named(without), run.columns["temp_ambient_c"])
     assert given.predicted == pytest.approx(free_run(PLAIN, run).predicted, abs=0.0)
     warmer = forecast(PLAIN, named(run), run.columns["temp_ambient_c"] + 3.0)
@@ -127,13 +127,13 @@ def test_the_room_that_is_given_is_the_one_that_counts() -> None:
 # what a right twin must miss
 
 
-def monte_carlo_k(twin: BoxTwin, runs: Recorded, count: int) -> Floats:
+def monte_carlo_k(twin: BoxTwin, runs: RunBatch, count: int) -> Floats:
     """Return the errors of free runs in each row [N], from a known start, by as many draws of all noise."""
     draw, shape = np.random.default_rng(3), (count, runs.duty.shape[1])
     wide = [np.repeat(column, count, axis=0) for column in (runs.duty, runs.fan, runs.ambient)]
     duty, fan, room = wide
     start = np.full(len(twin.states), 22.0)
-    heat_w = np.stack([coloured(draw, shape[1], NOISE) for _ in range(count)])
+    heat_w = np.stack([coloured_noise(draw, shape[1], NOISE) for _ in range(count)])
     power = duty * (1.0 + NOISE.power_share * draw.standard_normal((count, 1)))
     true_room = room + NOISE.room_k * draw.standard_normal(shape)
     true = twin.rollout(start, power, fan, true_room, heat_w / twin.system.air_capacity_j_k)
@@ -146,7 +146,7 @@ THREE_STATES = {key: SLOW[key] for key in ("extra_capacity", "wall_mass", "heate
 
 @pytest.mark.parametrize("effects", [BOX, THREE_STATES], ids=["one state", "three states"])
 def test_the_noise_floor_is_what_a_right_twin_misses_by(effects: dict[str, dict[str, float]]) -> None:
-    twin, run = BoxTwin(effects=effects), simulated(effects, 1, ROWS)
+    twin, run = BoxTwin(effects=effects), simulate(effects, 1, ROWS)
     runs = alone(named(run), free_run(twin, run), run.columns["temp_ambient_c"])
     seen = np.ones(ROWS, dtype=bool)
     floor = np.sqrt(floor_squares(twin, NOISE, runs, seen))
@@ -158,7 +158,7 @@ def test_the_noise_floor_is_what_a_right_twin_misses_by(effects: dict[str, dict[
 
 
 def test_rows_without_a_temperature_do_not_count_into_the_floor() -> None:
-    run = simulated(BOX, 1, ROWS)
+    run = simulate(BOX, 1, ROWS)
     runs = alone(named(run), free_run(PLAIN, run), run.columns["temp_ambient_c"])
     every = floor_squares(PLAIN, NOISE, runs, np.ones(ROWS, dtype=bool))
     seen = np.arange(ROWS) >= 40
@@ -177,7 +177,7 @@ def steps_ahead(run: RecordedRun, seen: object = slice(None)) -> Floats:
 
 
 def test_one_step_ahead_misses_less_than_a_free_run_and_no_less_than_the_sensor_does() -> None:
-    run = simulated(BOX, 1, 150)
+    run = simulate(BOX, 1, 150)
     measured = run.columns["temp_air_c"]
     ahead_k = np.std(measured[10:] - steps_ahead(run)[10:])
     free_k = np.sqrt(np.mean(free_run(PLAIN, run).residual ** 2))
@@ -185,16 +185,16 @@ def test_one_step_ahead_misses_less_than_a_free_run_and_no_less_than_the_sensor_
 
 
 def test_one_step_ahead_is_told_by_the_rows_before_alone() -> None:
-    run = simulated(BOX, 1, ROWS)
+    run = simulate(BOX, 1, ROWS)
     temp = run.columns["temp_air_c"].copy()
     temp[50:] += 5.0
-    plain, other = steps_ahead(run), steps_ahead(changed(run, temp_air_c=temp))
+    plain, other = steps_ahead(run), steps_ahead(change_run(run, temp_air_c=temp))
     assert plain[:51] == pytest.approx(other[:51], abs=1e-12)
     assert other[51] > plain[51] + 0.1
 
 
 def test_where_nothing_is_measured_any_more_one_step_ahead_runs_free() -> None:
-    run = simulated(BOX, 1, ROWS)
+    run = simulate(BOX, 1, ROWS)
     blind = steps_ahead(run, slice(1))
     free = PLAIN.rollout(
         run.columns["temp_air_c"][:1],
@@ -239,7 +239,7 @@ def test_a_run_with_nothing_to_compare_with_is_left_out() -> None:
 
 
 def test_one_run_alone_has_no_hole_and_all_its_conditions() -> None:
-    run = measured_only(simulated(BOX, 1, ROWS), slice(2))
+    run = measured_only(simulate(BOX, 1, ROWS), slice(2))
     guess = free_run(twin_file().twin(), run)
     runs = alone(named(run), guess, run.columns["temp_ambient_c"])
     assert runs.temp.shape == (1, ROWS)
@@ -247,7 +247,7 @@ def test_one_run_alone_has_no_hole_and_all_its_conditions() -> None:
     assert runs.duty.shape == (1, ROWS - 1)
     assert runs.conditions["utc"][0, 1] - runs.conditions["utc"][0, 0] == STEP_S
     assert {"light", "utc"} <= set(runs.conditions)
-    holes = changed(run, light=np.where(np.arange(ROWS) == 7, np.nan, run.columns["light"]))
+    holes = change_run(run, light=np.where(np.arange(ROWS) == 7, np.nan, run.columns["light"]))
     held = alone(named(holes), guess, run.columns["temp_ambient_c"])
     assert held.conditions["light"][0, 7] == run.columns["light"][6]
     assert runs.has_ambient

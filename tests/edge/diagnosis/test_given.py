@@ -1,21 +1,30 @@
-"""edge/diagnosis/given.py, readings.py, room.py and nuisances.py: runs made ready to be explained."""
+"""edge/diagnosis/prepare.py, readings.py, room.py and nuisances.py: runs made ready to be explained."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, NOISE, Floats, changed, diagnosed, known, simulated, twin_file
+from bench.support.simulated_runs import (
+    BOX,
+    NOISE,
+    Floats,
+    as_diagnosis_runs,
+    change_run,
+    known_effects,
+    simulate,
+    twin_file,
+)
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.gap import errors, forecast
-from edge.diagnosis.given import PreparedRuns, given, with_rooms
 from edge.diagnosis.nuisances import CURVATURE_SD, USUAL_LOSS_W_K, still_loss_w_k
+from edge.diagnosis.prepare import PreparedRuns, prepare, with_rooms
 from edge.diagnosis.readings import spikes
-from edge.diagnosis.room import WAYS, between, over_rows, smoothed
+from edge.diagnosis.room import WAYS, between, over_rows, smooth
 from edge.diagnosis.trial import Trial
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -24,18 +33,18 @@ DOOR_W_K = 20.0
 
 
 def recordings() -> list[RecordedRun]:
-    return [simulated(BOX, seed, ROWS) for seed in (1, 2, 3)]
+    return [simulate(BOX, seed, ROWS) for seed in (1, 2, 3)]
 
 
 def prepared(runs: list[RecordedRun], file: TwinFile | None = None) -> PreparedRuns:
-    return given(file or twin_file(), diagnosed(runs, file=file))
+    return prepare(file or twin_file(), as_diagnosis_runs(runs, file=file))
 
 
 def with_readings(run: RecordedRun, added: dict[int, float]) -> RecordedRun:
     temp = run.columns["temp_air_c"].copy()
     for row, more in added.items():
         temp[row] += more
-    return changed(run, temp_air_c=temp)
+    return change_run(run, temp_air_c=temp)
 
 
 def opened(run: RecordedRun) -> tuple[RecordedRun, slice]:
@@ -57,7 +66,7 @@ def opened(run: RecordedRun) -> tuple[RecordedRun, slice]:
     )[0]
     noise = NOISE.sensor_k * np.random.default_rng(4).standard_normal(rows - 1)
     measured = np.concatenate([columns["temp_air_c"][:1], temp + noise])
-    return changed(run, temp_air_c=measured), slice(first, first + 4)
+    return change_run(run, temp_air_c=measured), slice(first, first + 4)
 
 
 # what is taken out
@@ -67,7 +76,7 @@ def test_plain_runs_are_taken_as_they_are() -> None:
     runs = recordings()
     found = prepared(runs)
     assert found.names == ("run_01.csv", "run_02.csv", "run_03.csv")
-    assert (found.wrong, found.doors, found.told, found.guessed) == (0, (), (), False)
+    assert (found.wrong, found.doors, found.notes, found.guessed) == (0, (), (), False)
     for i, run in enumerate(runs):
         assert (found.runs.temp[i] == run.columns["temp_air_c"]).all()
         assert (found.as_fitted()[i].run.columns["temp_air_c"] == run.columns["temp_air_c"]).all()
@@ -83,7 +92,7 @@ def test_a_reading_that_stands_alone_is_taken_out_wherever_it_is(row: int, more:
     taken = np.isnan(found.as_fitted()[0].run.columns["temp_air_c"])
     assert np.flatnonzero(taken).tolist() == [row]
     assert found.wrong == 1
-    assert found.told == (
+    assert found.notes == (
         "1 temperature of the training runs can't be what the air had and counted as missing",
     )
     assert np.isfinite(found.runs.temp[:, 0]).all()
@@ -98,7 +107,7 @@ def test_several_wrong_readings_are_all_taken_out() -> None:
     ]
     assert taken == [[0, 40, 60], [20], []]
     assert found.wrong == 4
-    assert found.told[0].startswith("4 temperatures")
+    assert found.notes[0].startswith("4 temperatures")
 
 
 def test_a_fast_box_that_is_switched_on_and_off_has_no_wrong_readings() -> None:
@@ -106,21 +115,23 @@ def test_a_fast_box_that_is_switched_on_and_off_has_no_wrong_readings() -> None:
     bare = {"wall_loss": {"UA": 5.0}}
     duty = np.zeros(ROWS)
     duty[[0, 10, 30, 31, 50]] = 1.0
-    runs = [changed(simulated(bare, seed, ROWS), heater_duty=duty, fan_on=np.zeros(ROWS)) for seed in (1, 2)]
+    runs = [
+        change_run(simulate(bare, seed, ROWS), heater_duty=duty, fan_on=np.zeros(ROWS)) for seed in (1, 2)
+    ]
     again = []
     for run in runs:
         room = run.columns["temp_ambient_c"]
         temp = BoxTwin(effects=bare).rollout(room[:1], duty[None, :-1], np.zeros((1, ROWS - 1)), room[:-1])[0]
-        again.append(changed(run, temp_air_c=np.concatenate([room[:1], temp])))
+        again.append(change_run(run, temp_air_c=np.concatenate([room[:1], temp])))
     assert max(run.columns["temp_air_c"][1] for run in again) > 35.0
     assert prepared(again, twin_file(bare)).wrong == 0
 
 
-def lone(off_k: float, duty: Floats | None = None) -> Recorded:
+def lone(off_k: float, duty: Floats | None = None) -> RunBatch:
     temp = np.full((1, 21), 25.0) + 0.02 * np.random.default_rng(1).standard_normal((1, 21))
     temp[0, 10] += off_k
     zeros = np.zeros((1, 20))
-    return Recorded(temp, zeros if duty is None else duty, zeros, np.full((1, 20), 20.0))
+    return RunBatch(temp, zeros if duty is None else duty, zeros, np.full((1, 20), 20.0))
 
 
 @pytest.mark.parametrize(("off_k", "is_one"), [(0.5, False), (1.4, False), (1.7, True), (-1.7, True)])
@@ -167,8 +178,8 @@ def test_a_door_that_was_recorded_is_kept_beside_one_that_was_found() -> None:
     first, rows = opened(runs[0])
     door = np.zeros(ROWS)
     door[5:8] = 1.0
-    listed = [changed(run, door_open=door if run is runs[1] else np.zeros(ROWS)) for run in runs[1:]]
-    found = prepared([changed(first, door_open=np.zeros(ROWS)), *listed])
+    listed = [change_run(run, door_open=door if run is runs[1] else np.zeros(ROWS)) for run in runs[1:]]
+    found = prepared([change_run(first, door_open=np.zeros(ROWS)), *listed])
     assert found.runs.conditions["door_open"][0, rows].all()
     assert np.flatnonzero(found.runs.conditions["door_open"][1]).tolist() == [5, 6, 7]
 
@@ -182,7 +193,7 @@ def test_where_no_room_was_recorded_each_run_has_its_own() -> None:
     for run, room in zip(recordings(), rooms, strict=True):
         duty, fan = (run.columns[key][None, :-1] for key in ("heater_duty", "fan_on"))
         temp = BoxTwin(effects=BOX).rollout(np.array([room]), duty, fan, room)[0]
-        runs.append(changed(run, temp_air_c=np.append(room, temp) + noise, temp_ambient_c=None))
+        runs.append(change_run(run, temp_air_c=np.append(room, temp) + noise, temp_ambient_c=None))
     found = prepared(runs)
     assert found.guessed
     assert [term.name for term in found.terms] == [f"room of run {i}" for i in (1, 2, 3)]
@@ -192,7 +203,7 @@ def test_where_no_room_was_recorded_each_run_has_its_own() -> None:
     for named, room in zip(fitted.as_fitted(), rooms, strict=True):
         assert fitted.room_of(named) == pytest.approx(np.full(ROWS, room), abs=3.3 * best.size_sds.max())
     # A run that had no part begins at rest here, as those did: its room is its first temperature.
-    other = diagnosed(runs[:1]).train[0]
+    other = as_diagnosis_runs(runs[:1]).train[0]
     fresh = replace(other, name="test.csv")
     assert fitted.room_of(fresh)[0] == pytest.approx(runs[0].columns["temp_air_c"][0], abs=0.5)
     assert fitted.room_of(fresh).shape == (ROWS,)
@@ -216,16 +227,16 @@ def wandering(noise_k: float) -> tuple[Floats, Floats]:
 def test_a_room_seen_through_noise_is_seen_better_by_its_neighbours(noise_k: float) -> None:
     true, measured = wandering(noise_k)
     # A level that wanders by 0.02 K a row is known by some noise / 0.02 rows: a good third of the noise.
-    assert np.std(smoothed(measured) - true) < 0.6 * noise_k
+    assert np.std(smooth(measured) - true) < 0.6 * noise_k
 
 
 def test_a_room_that_is_known_exactly_or_stands_still_stays_as_it_is() -> None:
     true, _ = wandering(0.0)
-    assert smoothed(true) == pytest.approx(true, abs=0.02)
+    assert smooth(true) == pytest.approx(true, abs=0.02)
     still = np.full((2, 50), 21.5)
-    assert (smoothed(still) == still).all()
+    assert (smooth(still) == still).all()
     short = np.array([[20.0, 25.0, 21.0]])
-    assert (smoothed(short) == short).all()
+    assert (smooth(short) == short).all()
 
 
 def test_between_two_readings_the_room_is_half_way() -> None:
@@ -238,7 +249,9 @@ def test_between_two_readings_the_room_is_half_way() -> None:
 
 def test_days_are_counted_from_the_first_run_unless_the_file_says() -> None:
     runs = recordings()
-    later = [changed(run, facts={"start_utc": f"2026-07-0{3 - i}T08:00:00Z"}) for i, run in enumerate(runs)]
+    later = [
+        change_run(run, facts={"start_utc": f"2026-07-0{3 - i}T08:00:00Z"}) for i, run in enumerate(runs)
+    ]
     assert prepared(later).file.day0_utc == 1782892800.0  # 2026-07-01 08:00 UTC, the third run's
     assert prepared(later, replace(twin_file(), day0_utc=1.0)).file.day0_utc == 1.0
     timeless = [replace(run, facts={}) for run in runs]
@@ -263,7 +276,7 @@ def test_the_loss_of_a_still_box(effects: dict[str, dict[str, float]], loss_w_k:
 def test_a_loss_may_bend_by_a_few_percent_of_what_it_is_or_usually_is() -> None:
     [term] = prepared(recordings()).terms
     assert term.sd == pytest.approx(CURVATURE_SD * 4.0)
-    lossless = TwinFile(effects=known({"extra_capacity": {"kC": 10.0}}))
+    lossless = TwinFile(effects=known_effects({"extra_capacity": {"kC": 10.0}}))
     [usual] = prepared(recordings(), lossless).terms  # its loss is what it lacks
     assert usual.sd == pytest.approx(CURVATURE_SD * USUAL_LOSS_W_K)
     uncertain = twin_file().with_values({("effects", "wall_loss", "UA"): Value(4.0, rel_sd=0.1)})

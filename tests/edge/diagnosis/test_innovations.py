@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
 
-from bench.support.simulated_runs import BOX, NOISE, STEP_S, Floats, coloured
-from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, log_likelihoods, whitened
+from bench.support.simulated_runs import BOX, NOISE, STEP_S, Floats, coloured_noise
+from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, log_likelihoods, whiten
 from edge.twin.linearise import linearise
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import spread
 
 SLOW = BoxTwin(
@@ -26,15 +26,15 @@ ROWS = 14
 LEVELS = NoiseLevels(sensor_k=0.15, room_k=0.3, heat_w=3.0, heat_tau_s=400.0, power_share=0.1)
 
 
-def recording(rows: int = ROWS, runs: int = 2, seed: int = 5) -> Recorded:
+def recording(rows: int = ROWS, runs: int = 2, seed: int = 5) -> RunBatch:
     draw = np.random.default_rng(seed)
     duty = np.repeat(draw.choice([0.2, 0.5, 1.0], (runs, rows // 7 + 1)), 7, axis=1)[:, :rows]
     fan = np.repeat((draw.random((runs, rows // 5 + 1)) < 0.4).astype(float), 5, axis=1)[:, :rows]
     ambient = 21.0 + np.cumsum(0.05 * draw.standard_normal((runs, rows)), axis=1)
-    return Recorded(np.full((runs, rows + 1), 22.0), duty, fan, ambient)
+    return RunBatch(np.full((runs, rows + 1), 22.0), duty, fan, ambient)
 
 
-def dense_covariance(twin: BoxTwin, runs: Recorded, run: int, levels: NoiseLevels) -> Floats:
+def dense_covariance(twin: BoxTwin, runs: RunBatch, run: int, levels: NoiseLevels) -> Floats:
     """Return the covariance of one run's temperatures [N, N], from rollouts of each source of noise."""
     rows, size = runs.duty.shape[1], len(twin.states)
     duty, fan, ambient = (column[run : run + 1] for column in (runs.duty, runs.fan, runs.ambient))
@@ -61,16 +61,16 @@ def dense_covariance(twin: BoxTwin, runs: Recorded, run: int, levels: NoiseLevel
     )
 
 
-def log_density(twin: BoxTwin, runs: Recorded, levels: NoiseLevels, errors: Floats) -> Floats:
+def log_density(twin: BoxTwin, runs: RunBatch, levels: NoiseLevels, errors: Floats) -> Floats:
     """By the filter, of each run; `errors` [B, N], NaN where nothing was measured."""
     seen = np.isfinite(errors)
     filters = gains([FilterInput(linearise(twin, runs), levels, spread(twin), STEP_S)], seen)
-    white = whitened(filters, np.array([0]), np.nan_to_num(errors)[None])[0]
+    white = whiten(filters, np.array([0]), np.nan_to_num(errors)[None])[0]
     spreads = np.where(seen, np.log(filters.sd[:, 0].T), 0.0).sum(axis=1)
     return -0.5 * (white**2).sum(axis=1) - spreads - 0.5 * np.log(2.0 * np.pi) * seen.sum(axis=1)
 
 
-def expected_density(twin: BoxTwin, runs: Recorded, levels: NoiseLevels, errors: Floats) -> list[float]:
+def expected_density(twin: BoxTwin, runs: RunBatch, levels: NoiseLevels, errors: Floats) -> list[float]:
     found = []
     for run, row in enumerate(errors):
         seen = np.isfinite(row)
@@ -109,7 +109,7 @@ def test_rows_without_a_temperature_say_nothing(missing: list[int]) -> None:
 def test_a_run_that_is_padded_is_worth_what_it_is_alone() -> None:
     runs = recording(rows=20)
     errors = np.random.default_rng(3).normal(0.0, 0.5, (2, 20))
-    errors[1, ROWS:] = np.nan  # as `recorded` pads the shorter one
+    errors[1, ROWS:] = np.nan  # as `batch_runs` pads the shorter one
     both = log_density(SLOW, runs, LEVELS, errors)
     short = replace(
         runs,
@@ -130,11 +130,11 @@ def test_twins_filtered_side_by_side_come_out_as_alone() -> None:
     ]
     errors = np.random.default_rng(4).normal(0.0, 0.5, (3, 2, ROWS))
     owner = np.array([1, 0, 1])
-    together = whitened(gains(filtered, seen), owner, errors)
+    together = whiten(gains(filtered, seen), owner, errors)
     assert together.shape == (3, 2, ROWS)
     assert (together[:, 1, 5] == 0.0).all()
     for i, own in enumerate(owner):
-        alone = whitened(gains([filtered[own]], seen), np.array([0]), errors[i : i + 1])
+        alone = whiten(gains([filtered[own]], seen), np.array([0]), errors[i : i + 1])
         assert together[i] == pytest.approx(alone[0], abs=1e-12)
 
 
@@ -149,7 +149,7 @@ def test_a_likelihood_is_that_of_the_whitened_errors() -> None:
     ]
     errors = np.random.default_rng(4).normal(0.0, 0.5, (2, 2, ROWS))
     found, filters = log_likelihoods(filtered, seen, errors), gains(filtered, seen)
-    white = whitened(filters, np.array([0, 1]), errors)
+    white = whiten(filters, np.array([0, 1]), errors)
     spreads = np.where(seen.T[:, None], np.log(filters.sd), 0.0).sum(axis=(0, 2))
     assert found == pytest.approx(-0.5 * (white**2).sum(axis=(1, 2)) - spreads, rel=1e-12)
 
@@ -161,7 +161,7 @@ def test_a_reading_long_after_a_start_that_is_forgotten_counts_in_full() -> None
     seen = np.ones((1, 1500), dtype=bool)
     filters = gains([FilterInput(linearise(fast, runs), levels, spread(fast), STEP_S)], seen)
     assert filters.rows[-1, 0, 0, 0, -1] == 0.0  # nothing is left to learn, to the last bit
-    white = whitened(filters, np.array([0]), np.ones((1, 1, 1500)))
+    white = whiten(filters, np.array([0]), np.ones((1, 1, 1500)))
     assert white[0, 0, -1] == pytest.approx(1.0 / levels.sensor_k)
 
 
@@ -171,8 +171,8 @@ def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:
     seen[:, 6:] = False
     filters = gains([FilterInput(linearise(SLOW, runs), LEVELS, spread(SLOW), STEP_S)], seen)
     errors = np.random.default_rng(6).normal(0.0, 0.5, (1, 2, ROWS))
-    everywhere = whitened(filters, np.array([0]), errors, everywhere=True)
-    plain = whitened(filters, np.array([0]), errors)
+    everywhere = whiten(filters, np.array([0]), errors, everywhere=True)
+    plain = whiten(filters, np.array([0]), errors)
     assert everywhere[..., :6] == pytest.approx(plain[..., :6])
     assert (plain[..., 6:] == 0.0).all()
     expected = errors - everywhere * filters.sd[:, 0].T  # of the error, from the rows before
@@ -181,10 +181,10 @@ def test_where_nothing_is_measured_the_filter_still_expects_something() -> None:
     assert expected[0, 0, 6:] == pytest.approx(told, abs=1e-9)
 
 
-def drawn(twin: BoxTwin, runs: Recorded) -> Floats:
+def drawn(twin: BoxTwin, runs: RunBatch) -> Floats:
     """Draw measured minus free run, from the middle of the start, by the model [B, N]."""
     draw, shape = np.random.default_rng(7), runs.duty.shape
-    heat_w = np.stack([coloured(draw, shape[1], LEVELS) for _ in range(shape[0])])
+    heat_w = np.stack([coloured_noise(draw, shape[1], LEVELS) for _ in range(shape[0])])
     power = runs.duty * (1.0 + LEVELS.power_share * draw.standard_normal((shape[0], 1)))
     room = runs.ambient + LEVELS.room_k * draw.standard_normal(shape)
     rest = np.full(len(twin.states), 20.0)
@@ -194,10 +194,10 @@ def drawn(twin: BoxTwin, runs: Recorded) -> Floats:
     return measured - twin.rollout(rest, runs.duty, runs.fan, runs.ambient)
 
 
-def innovations(twin: BoxTwin, runs: Recorded, levels: NoiseLevels) -> Floats:
+def innovations(twin: BoxTwin, runs: RunBatch, levels: NoiseLevels) -> Floats:
     errors = drawn(twin, runs)
     filters = gains([FilterInput(linearise(twin, runs), levels, spread(twin), STEP_S)], np.isfinite(errors))
-    return whitened(filters, np.array([0]), errors[None])[0]
+    return whiten(filters, np.array([0]), errors[None])[0]
 
 
 def square_bounds(count: int) -> tuple[float, float]:

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from locate_runs import BASE, NOISE_K, located, made, whiteness_of
 
-from edge.diagnosis.locate.dependence import depends_on, explained
+from edge.diagnosis.locate.dependence import depends_on, explain
 from edge.diagnosis.locate.regimes import regimes
 from edge.diagnosis.locate.subsets import SumRegression
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 DAY_S = 86400.0
 
@@ -32,7 +32,7 @@ def with_heat(watts, seed=0, count=8, rows=150, noise_k=NOISE_K):
             temp = twin.step(temp, now["room"], now["u"], now["fan"], source)
         temps.append(temp)
     whole = np.stack(temps, axis=1)
-    return Recorded(whole + rng.normal(0.0, noise_k, whole.shape), plain.duty, plain.fan, plain.ambient, seen)
+    return RunBatch(whole + rng.normal(0.0, noise_k, whole.shape), plain.duty, plain.fan, plain.ambient, seen)
 
 
 HEATS = {
@@ -57,7 +57,7 @@ def test_the_first_two_dependences_are_true_ones(watts, true):
 
 
 def test_the_best_formula_has_its_watts():
-    found = explained(located(with_heat(HEATS["leak"][0])))
+    found = explain(located(with_heat(HEATS["leak"][0])))
     assert found.terms == ("(1 - u_f) (T - T_amb)",)
     assert found.coefficients_w[0] == pytest.approx(-1.5, rel=0.1)
     assert 0.1 < found.share < 1.0
@@ -123,4 +123,4 @@ def test_a_subset_is_found_among_decoys():
     assert 3 not in regression.best([i for i in range(40) if i != 3])
     noise = SumRegression.of(columns, rng.normal(size=400), 400)
     assert noise.best(range(40)) == ()
-    assert noise.left(()) == noise.total
+    assert noise.remainder(()) == noise.total

@@ -6,7 +6,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, NOISE, changed, simulated, twin_file
+from bench.support.simulated_runs import BOX, NOISE, change_run, simulate, twin_file
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.noise_levels import (
@@ -20,8 +20,8 @@ from edge.diagnosis.noise_levels import (
     level_prior,
     unexplained_heat,
 )
-from edge.diagnosis.trial import Fitted, Trial
-from edge.twin.recorded import Recorded, recorded
+from edge.diagnosis.trial import FittedTwin, Trial
+from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 
 LOUD = NoiseLevels(sensor_k=0.3, room_k=0.05, heat_w=3.0, heat_tau_s=600.0, power_share=0.01)
@@ -29,15 +29,15 @@ HEATER_W = 100.0  # of a twin file that does not say
 SEEDS = range(1, 7)
 
 
-def runs_with(noise: NoiseLevels) -> Recorded:
-    return recorded([simulated(BOX, seed, 120, noise) for seed in SEEDS], 60.0)
+def runs_with(noise: NoiseLevels) -> RunBatch:
+    return batch_runs([simulate(BOX, seed, 120, noise) for seed in SEEDS], 60.0)
 
 
 def undeclared() -> TwinFile:
     return replace(twin_file(), sensor={"quantisation_k": 0.0, "noise_sd_k": None}, nuisance={})
 
 
-def found_levels(file: TwinFile, runs: Recorded) -> tuple[Fitted, NoiseLevels]:
+def found_levels(file: TwinFile, runs: RunBatch) -> tuple[FittedTwin, NoiseLevels]:
     [plain] = fit([Trial(file, first_levels(file, runs))], runs, 1)
     [better] = find_levels([plain], file, runs)
     return plain, better.levels
@@ -69,15 +69,15 @@ def test_a_reading_without_noise_still_has_its_rounding(sensor_k: float | None) 
 
 
 def test_a_run_without_a_still_row_gives_finite_levels() -> None:
-    runs = [simulated(BOX, 1, 60)]
-    busy = changed(runs[0], heater_duty=np.arange(60) % 2.0)
-    holes = changed(runs[0], temp_air_c=np.where(np.arange(60) % 3, np.nan, runs[0].columns["temp_air_c"]))
+    runs = [simulate(BOX, 1, 60)]
+    busy = change_run(runs[0], heater_duty=np.arange(60) % 2.0)
+    holes = change_run(runs[0], temp_air_c=np.where(np.arange(60) % 3, np.nan, runs[0].columns["temp_air_c"]))
     for run in (busy, holes):
-        levels = first_levels(undeclared(), recorded([run], 60.0))
+        levels = first_levels(undeclared(), batch_runs([run], 60.0))
         assert all(math.isfinite(level) and level > 0.0 for level in astuple(levels))
 
 
-def likelihood(levels: NoiseLevels, file: TwinFile, runs: Recorded) -> float:
+def likelihood(levels: NoiseLevels, file: TwinFile, runs: RunBatch) -> float:
     [found] = fit([Trial(file, levels)], runs, 1)
     return found.log_likelihood + level_prior(levels, file)
 

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
-from bench.support.simulated_runs import BOX, QUIET, changed, diagnosed, simulated, twin_file
+from bench.support.simulated_runs import BOX, QUIET, as_diagnosis_runs, change_run, simulate, twin_file
 from edge import DiagnosisResult, Run, Twin, diagnose
 from edge.core.errors import DataError
 from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.cannot_tell import cannot_tell
 from edge.diagnosis.experiment.independent import calibration, checks
-from edge.diagnosis.given import given
+from edge.diagnosis.prepare import prepare
 from edge.diagnosis.starts import with_effect
 from edge.twin.effects.effect import BlindRuns, Effect, EffectParameter, HiddenBy
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS, add_effect
@@ -100,13 +100,15 @@ def test_it_acts() -> None:
 def test_it_is_fitted() -> None:
     place = ("effects", "ballast_heat", "P_bal")
     file = twin_file({**BOX, "ballast_heat": {"P_bal": 10.0}}).with_values({place: Value(10.0, fit=True)})
-    runs = [simulated({**BOX, **HIDDEN}, seed, 60, QUIET) for seed in (1, 2)]
+    runs = [simulate({**BOX, **HIDDEN}, seed, 60, QUIET) for seed in (1, 2)]
     assert fit_twin(file, runs).estimates[place].value == pytest.approx(25.0, rel=1e-3)
 
 
 def test_it_is_a_candidate_where_its_column_is_and_begins_at_its_start() -> None:
-    run = simulated(BOX, 1, 60)
-    lit, dark = (given(twin_file(), diagnosed([item])).runs for item in (run, changed(run, light=None)))
+    run = simulate(BOX, 1, 60)
+    lit, dark = (
+        prepare(twin_file(), as_diagnosis_runs([item])).runs for item in (run, change_run(run, light=None))
+    )
     assert "ballast_heat" in Candidates(twin_file(), lit, {}).names
     assert "ballast_heat" not in Candidates(twin_file(), dark, {}).names
     (begun,) = with_effect(twin_file(), "ballast_heat")
@@ -114,7 +116,7 @@ def test_it_is_a_candidate_where_its_column_is_and_begins_at_its_start() -> None
 
 
 def test_recordings_that_hide_it_say_so() -> None:
-    told = "\n".join(cannot_tell([changed(simulated(BOX, 1, 60), light=None)], {}, 1))
+    told = "\n".join(cannot_tell([change_run(simulate(BOX, 1, 60), light=None)], {}, 1))
     assert "the light was not recorded: led_gain and ballast_heat can't be told" in told
 
 
@@ -127,7 +129,7 @@ def test_its_measurement_is_offered() -> None:
 def found() -> DiagnosisResult:
     """The diagnosis of runs in which it acts, by a twin that lacks it."""
     few = {name: USUAL_EFFECTS[name] for name in (*FEW, "ballast_heat")}
-    runs = [simulated({**BOX, **HIDDEN}, seed, 60) for seed in (1, 2, 3)]
+    runs = [simulate({**BOX, **HIDDEN}, seed, 60) for seed in (1, 2, 3)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(candidates, "USUAL_EFFECTS", few)
         return diagnose(Twin(twin_file()), [Run(run.path.name, run) for run in runs])

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, diagnosed, silent, simulated, twin_file
+from bench.support.simulated_runs import BOX, as_diagnosis_runs, silent, simulate, twin_file
 from edge.diagnosis.baselines import arx_errors, arx_weights, simple_twins
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.folds import FIRST_ROWS, block_sums, folds, halves
 from edge.diagnosis.free_fit import another, apart, fit_values, free_errors, left_out_errors, together
-from edge.diagnosis.handed import JudgedTwin, against_adopting
+from edge.diagnosis.handover import JudgedTwin, against_adopting
 from edge.diagnosis.possible import impossible
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.standing import discovered
+from edge.diagnosis.standing import discover
 from edge.formats.run_file import RecordedRun
-from edge.twin.recorded import Recorded, recorded
+from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -25,8 +25,8 @@ LAG = {"heater_lag": {"tau_h": 200.0}}
 ROWS = 80
 
 
-def runs_of(hidden: dict[str, dict[str, float]], count: int = 3) -> Recorded:
-    return recorded([simulated({**BOX, **hidden}, seed, ROWS) for seed in range(1, count + 1)], 60.0)
+def runs_of(hidden: dict[str, dict[str, float]], count: int = 3) -> RunBatch:
+    return batch_runs([simulate({**BOX, **hidden}, seed, ROWS) for seed in range(1, count + 1)], 60.0)
 
 
 def open_file(start: float = 1.0) -> TwinFile:
@@ -87,7 +87,7 @@ def in_a_still_room(run: RecordedRun) -> RecordedRun:
 
 
 def test_where_slow_and_fast_may_change_places_other_values_do_as_well() -> None:
-    runs = recorded([in_a_still_room(simulated(BOX, seed, 200)) for seed in (1, 2)], 60.0)
+    runs = batch_runs([in_a_still_room(simulate(BOX, seed, 200)) for seed in (1, 2)], 60.0)
     [found] = fit_values([open_file()], (), runs, 0.1, SideBySide())
     other = another(found, runs, 0.02, SideBySide())
     assert other is not None
@@ -160,7 +160,7 @@ def test_an_arx_forecasts_its_own_kind() -> None:
     for k in range(1, rows):
         temp[k + 1] = 1.5 * temp[k] - 0.54 * temp[k - 1] + 0.3 * duty[k] + 0.1 * duty[k - 1] + 0.04 * 20.0
     fan, room = np.zeros((1, rows)), np.full((1, rows), 20.0)
-    runs = Recorded(temp[None], duty[None], fan, room)
+    runs = RunBatch(temp[None], duty[None], fan, room)
     seen = np.ones((1, rows), dtype=bool)
     seen[:, 200:] = False
     assert np.abs(arx_errors(arx_weights(2, runs, seen), runs, seen)).max() < 1e-6
@@ -177,11 +177,11 @@ def test_an_arx_of_too_few_rows_is_no_baseline() -> None:
 
 
 def test_one_strong_name_passes_and_a_weak_one_beside_it_does_not() -> None:
-    assert discovered({"heater_lag": 50.0, "soil_mass": 2.0}, 24) == {"heater_lag"}
-    assert discovered({"heater_lag": 5.0}, 24) == set()
+    assert discover({"heater_lag": 50.0, "soil_mass": 2.0}, 24) == {"heater_lag"}
+    assert discover({"heater_lag": 5.0}, 24) == set()
     # log(24 / 0.05) is 6.17 for one name, log(24 / 0.10) 5.48 for each of two.
-    assert discovered({"heater_lag": 5.6, "soil_mass": 5.6}, 24) == {"heater_lag", "soil_mass"}
-    assert discovered({"heater_lag": 5.6}, 24) == set()
+    assert discover({"heater_lag": 5.6, "soil_mass": 5.6}, 24) == {"heater_lag", "soil_mass"}
+    assert discover({"heater_lag": 5.6}, 24) == set()
 
 
 def test_a_mass_that_does_not_fit_into_the_box_is_said() -> None:
@@ -206,21 +206,21 @@ def test_a_mass_that_does_not_fit_into_the_box_is_said() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> Diagnosis:
-    data = diagnosed([simulated({**BOX, **LAG}, seed, ROWS) for seed in range(1, 5)])
+    data = as_diagnosis_runs([simulate({**BOX, **LAG}, seed, ROWS) for seed in range(1, 5)])
     return diagnose(twin_file(), data, silent, "")
 
 
 def test_what_is_there_stands_and_predicts_rows_that_no_fit_saw(found: Diagnosis) -> None:
-    judged = found.judged
+    judged = found.judgement
     assert [effect.name for effect in judged.verdict.effects] == ["heater_lag"]
     assert judged.standings["heater_lag"].against == ()
     assert judged.standings["heater_lag"].probability > 0.9
-    assert judged.handed.rmse_k < 0.3 * judged.comparison.tried[frozenset()].rmse_k
+    assert judged.handover.rmse_k < 0.3 * judged.comparison.trials[frozenset()].rmse_k
     assert found.is_offered
 
 
 def test_a_twin_is_not_offered_where_it_predicts_no_better(found: Diagnosis) -> None:
-    handed, given = found.judged.handed, found.judged.comparison.tried[frozenset()]
+    handed, given = found.judgement.handover, found.judgement.comparison.trials[frozenset()]
     simple = {"one mass": 9.0}
     assert against_adopting(given, handed, simple, {}) == ()
     [worse] = against_adopting(handed, given, simple, {})
@@ -232,10 +232,10 @@ def test_a_twin_is_not_offered_where_it_predicts_no_better(found: Diagnosis) -> 
 
 
 def test_a_value_at_its_bound_is_not_offered(found: Diagnosis) -> None:
-    handed = found.judged.handed
-    at_end = np.array([item.bounds[1] for item in handed.fitted.free])
-    stuck = JudgedTwin(handed.added, replace(handed.fitted, coordinates=at_end), handed.errors)
-    given = found.judged.comparison.tried[frozenset()]
+    handed = found.judgement.handover
+    at_end = np.array([item.bounds[1] for item in handed.fit.free])
+    stuck = JudgedTwin(handed.added, replace(handed.fit, coordinates=at_end), handed.errors)
+    given = found.judgement.comparison.trials[frozenset()]
     [said] = against_adopting(given, stuck, {"one mass": 9.0}, {})
     assert said.startswith("a value is as far as it can go: ")
     assert "effects.heater_lag.tau_h" in said

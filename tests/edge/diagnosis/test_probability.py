@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.calibrate import fitted
+from bench.calibrate import fit_curve
 from edge.diagnosis.probability import MOST_SURE, evidence, probability
 
 
@@ -30,6 +30,6 @@ def test_a_slope_never_has_the_wrong_sign() -> None:
     draw = np.random.default_rng(1)
     numbers = draw.normal(size=(300, 2))
     right = draw.random(300) < 1.0 / (1.0 + np.exp(-(1.0 + 2.0 * numbers[:, 0] - numbers[:, 1])))
-    weights = fitted(numbers, right)
+    weights = fit_curve(numbers, right)
     assert weights[1] == pytest.approx(2.0, abs=0.7)
     assert weights[2] == pytest.approx(0.0, abs=1e-6)

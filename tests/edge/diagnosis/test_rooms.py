@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, diagnosed, simulated, twin_file
-from edge.diagnosis import linearised
+from bench.support.simulated_runs import BOX, as_diagnosis_runs, simulate, twin_file
+from edge.diagnosis import linearisation
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.free_fit import fit_values, free_levels
-from edge.diagnosis.given import given, with_rooms
 from edge.diagnosis.nuisances import assumed_room, begins_at_rest
+from edge.diagnosis.prepare import prepare, with_rooms
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import Trial
 from edge.formats.run_file import RecordedRun
-from edge.twin.recorded import recorded
+from edge.twin.run_batch import batch_runs
 from edge.twin.value import Value
 
 
@@ -43,13 +43,13 @@ def from_the_middle(run: RecordedRun) -> RecordedRun:
 
 
 def test_the_room_of_a_run_that_begins_hot_is_found() -> None:
-    run = from_the_middle(simulated(BOX, 3, 400))
+    run = from_the_middle(simulate(BOX, 3, 400))
     assert not begins_at_rest(run.columns["temp_air_c"])
     file = replace(
         twin_file(),
         effects={"wall_loss": {"UA": Value(2.0, fit=True)}, "extra_capacity": {"kC": Value(20.0, fit=True)}},
     )
-    known = given(file, diagnosed([run], file=file))
+    known = prepare(file, as_diagnosis_runs([run], file=file))
     [found] = fit_values([known.file], known.terms, known.runs, 0.1, SideBySide())
     room_c = with_rooms(known, found.sizes).runs.ambient[0, 0]
     assert room_c == pytest.approx(21.0, abs=2.5)
@@ -57,14 +57,14 @@ def test_the_room_of_a_run_that_begins_hot_is_found() -> None:
 
 
 def test_a_twin_that_runs_away_is_infinitely_bad_and_ends_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs = recorded([simulated(BOX, 1, 60)], 60.0)
+    runs = batch_runs([simulate(BOX, 1, 60)], 60.0)
     file = replace(
         twin_file(), effects={**twin_file().effects, "heater_lag": {"tau_h": Value(90.0, fit=True)}}
     )
     trial = Trial(file, free_levels(1.0))
     (sound,) = fit([trial], runs)
-    real = linearised.responses
-    monkeypatch.setattr(linearised, "responses", lambda wanted: 1e200 * real(wanted))
+    real = linearisation.responses
+    monkeypatch.setattr(linearisation, "responses", lambda wanted: 1e200 * real(wanted))
     (lost,) = fit([trial], runs)
     assert np.isfinite(sound.log_likelihood)
     assert lost.log_likelihood == -np.inf

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, changed, diagnosed, silent, simulated, twin_file
+from bench.support.simulated_runs import BOX, as_diagnosis_runs, change_run, silent, simulate, twin_file
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
@@ -20,12 +20,12 @@ Change = Callable[[Sequence[RecordedRun]], Sequence[RecordedRun]]
 
 
 def recordings() -> list[RecordedRun]:
-    return [simulated({**BOX, **HIDDEN}, seed, ROWS) for seed in (1, 2, 3)]
+    return [simulate({**BOX, **HIDDEN}, seed, ROWS) for seed in (1, 2, 3)]
 
 
 def answer(runs: Sequence[RecordedRun], file: TwinFile | None = None) -> Diagnosis:
     file = file or twin_file()
-    return diagnose(file, diagnosed(runs, file=file), silent, "")
+    return diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def bad(run: int, first: int, spoil: Callable[[np.ndarray], np.ndarray]) -> Chan
     def change(runs: Sequence[RecordedRun]) -> Sequence[RecordedRun]:
         temps = runs[run].columns["temp_air_c"].copy()
         temps[first : first + BAD] = spoil(temps[first : first + BAD])
-        return [changed(item, temp_air_c=temps) if i == run else item for i, item in enumerate(runs)]
+        return [change_run(item, temp_air_c=temps) if i == run else item for i, item in enumerate(runs)]
 
     return change
 
@@ -54,7 +54,9 @@ def split(runs: Sequence[RecordedRun]) -> Sequence[RecordedRun]:
 
 CHANGES: dict[str, Change] = {
     "shuffled": lambda runs: [runs[2], runs[0], runs[1]],
-    "begun a year later": lambda runs: [changed(run, {"start_utc": "2027-07-01T08:00:00Z"}) for run in runs],
+    "begun a year later": lambda runs: [
+        change_run(run, {"start_utc": "2027-07-01T08:00:00Z"}) for run in runs
+    ],
     "split in two": split,
     "stuck at the start": bad(0, 0, lambda temps: np.full(len(temps), temps[0])),
     "stuck in the middle": bad(1, 60, lambda temps: np.full(len(temps), temps[0])),

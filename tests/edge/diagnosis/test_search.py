@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, Effects, changed, search_over, simulated, twin_file
+from bench.support.simulated_runs import BOX, Effects, change_run, search_over, simulate, twin_file
 from edge.diagnosis import candidates as module
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.search import RIVAL_NATS, Round, Search
@@ -40,7 +40,7 @@ def few_candidates() -> Iterator[None]:
 
 
 def runs_with(hidden: Effects, first_seed: int = 1) -> list[RecordedRun]:
-    return [simulated({**BOX, **hidden}, first_seed + i, ROWS) for i in range(RUNS)]
+    return [simulate({**BOX, **hidden}, first_seed + i, ROWS) for i in range(RUNS)]
 
 
 @cache
@@ -61,18 +61,18 @@ def test_what_is_hidden_is_found_and_nothing_else(names: tuple[str, ...]) -> Non
     assert best.added == set(names)
     assert best.score > search.sets.base().score
     for name in names:
-        found = best.fitted.file.effects[name]
+        found = best.fit.file.effects[name]
         values = {key: value.value for key, value in found.items()}
         assert values == pytest.approx(dict(HIDDEN[name]), rel=0.15)
 
 
 def test_a_heat_that_no_effect_gives_is_a_formula_not_a_name() -> None:
-    runs = [simulated(BOX, seed, ROWS, further=lambda u, fan, _: 15.0 * u * fan) for seed in range(1, 5)]
+    runs = [simulate(BOX, seed, ROWS, further=lambda u, fan, _: 15.0 * u * fan) for seed in range(1, 5)]
     search, shapes = search_over(runs)
     best = search.missing()
     assert best.added == {"~u fan"}
-    place = [term.name for term in best.fitted.trial.nuisances].index("~u fan")
-    assert abs(best.fitted.sizes[place] - 15.0) < 3.3 * best.fitted.size_sds[place]
+    place = [term.name for term in best.fit.trial.nuisances].index("~u fan")
+    assert abs(best.fit.sizes[place] - 15.0) < 3.3 * best.fit.size_sds[place]
     assert shapes["~u fan"].unit == "W"
 
 
@@ -94,7 +94,7 @@ def test_two_names_of_one_flow_are_as_likely_as_each_other() -> None:
 
 
 def test_a_leak_looks_like_a_loss_where_the_fan_never_runs() -> None:
-    runs = [simulated(BOX, seed, ROWS, fan=False) for seed in range(1, 5)]
+    runs = [simulate(BOX, seed, ROWS, fan=False) for seed in range(1, 5)]
     search, _ = search_over(runs, twin_file({"extra_capacity": {"kC": 10.0}}))
     best = search.missing()
     [own] = best.added
@@ -133,7 +133,7 @@ def test_a_member_that_another_explains_better_is_exchanged() -> None:
 def test_candidates_are_what_the_file_has_not_and_the_runs_have_columns_for() -> None:
     search, _ = searched()
     assert set(search.candidates.names) == set(CANDIDATES) - set(BOX)
-    dark, _ = search_over([changed(run, light=None) for run in runs_with({})])
+    dark, _ = search_over([change_run(run, light=None) for run in runs_with({})])
     assert set(search.candidates.names) - set(dark.candidates.names) == {"led_gain"}
 
 
@@ -172,11 +172,11 @@ def test_rounds_tell_what_was_tried_the_most_promising_first() -> None:
     search, _ = searched(LAG)
     first = search.rounds[0]
     assert first.beside == frozenset()
-    assert first.tried[0].name == "heater_lag"
-    worth = [item.score_gain for item in first.tried]
+    assert first.candidates[0].name == "heater_lag"
+    worth = [item.score_gain for item in first.candidates]
     assert worth == sorted(worth, reverse=True)
-    assert set(search.candidates.names) <= {item.name for item in first.tried}
-    for item in first.tried:
+    assert set(search.candidates.names) <= {item.name for item in first.candidates}
+    for item in first.candidates:
         assert item.score_gain == pytest.approx(item.gain_nats - search.penalty(item.name))
 
 
@@ -193,7 +193,7 @@ def test_an_uncertain_value_keeps_its_prior_through_the_search() -> None:
     search, _ = search_over(runs_with(hidden), loose)
     best = search.missing()
     assert best.added == {"heater_lag"}
-    [own] = [item for item in best.fitted.free if item.place[1] == "fan_effectiveness"]
-    [given] = [item for item in search.sets.base().fitted.free if item.place[1] == "fan_effectiveness"]
+    [own] = [item for item in best.fit.free if item.place[1] == "fan_effectiveness"]
+    [given] = [item for item in search.sets.base().fit.free if item.place[1] == "fan_effectiveness"]
     assert (own.mean, own.sd) == (given.mean, given.sd)
     assert own.mean * own.scale == pytest.approx(0.8)

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.simulated_runs import BOX, search_over, simulated
+from bench.support.simulated_runs import BOX, search_over, simulate
 from edge.core.processors import processors
 from edge.diagnosis.side_by_side import AT_ONCE, SideBySide
 
 pytestmark = pytest.mark.slow
 
 PARENT = os.getpid()
-RUNS = [simulated({**BOX, "heater_lag": {"tau_h": 240.0}}, seed, 100) for seed in (1, 2)]
+RUNS = [simulate({**BOX, "heater_lag": {"tau_h": 240.0}}, seed, 100) for seed in (1, 2)]
 
 
 def doubled(lot: Sequence[int]) -> list[int]:
@@ -116,7 +116,7 @@ def test_the_number_of_processes_changes_no_answer() -> None:
         with SideBySide(jobs) as shared:
             search, _ = search_over(RUNS, shared=shared)
             best = search.missing()
-        found.append((best.added, best.score, best.fitted.file.values(), best.fitted.trial.levels))
+        found.append((best.added, best.score, best.fit.file.values(), best.fit.trial.levels))
     assert found[0] == found[1]
 
 

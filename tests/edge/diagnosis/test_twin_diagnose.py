@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from bench.support.simulated_runs import BOX, Effects, changed, simulated, twin_file
+from bench.support.simulated_runs import BOX, Effects, change_run, simulate, twin_file
 from edge.__main__ import main
 from edge.diagnosis import candidates
 from edge.diagnosis.diagnosis_file import check_diagnosis
@@ -61,15 +61,15 @@ def _no_number(text: str) -> None:
 
 
 def recordings(hidden: Effects, **more: Any) -> list[RecordedRun]:
-    return [simulated({**BOX, **hidden}, seed, ROWS, **more) for seed in range(1, RUNS + 1)]
+    return [simulate({**BOX, **hidden}, seed, ROWS, **more) for seed in range(1, RUNS + 1)]
 
 
 def blind_test(hidden: Effects) -> RecordedRun:
     """A run of role test with temperatures in its first two rows alone."""
-    run = simulated({**BOX, **hidden}, 9, ROWS)
+    run = simulate({**BOX, **hidden}, 9, ROWS)
     temp = run.columns["temp_air_c"].copy()
     temp[2:] = np.nan
-    return changed(run, facts={"role": "test"}, temp_air_c=temp)
+    return change_run(run, facts={"role": "test"}, temp_air_c=temp)
 
 
 Command = Callable[..., CommandOutput]
@@ -153,7 +153,7 @@ def test_a_test_run_with_two_temperatures_is_forecast_but_judges_nothing(named: 
     series = document["predictions"]["test_01.csv"]
     assert set(series) == {"before", "after", "one_step_after"}
     assert all(len(values) == ROWS for values in series.values())
-    truth = simulated({**BOX, **LAG}, 9, ROWS).columns["temp_air_c"]
+    truth = simulate({**BOX, **LAG}, 9, ROWS).columns["temp_air_c"]
     missed = {key: np.sqrt(np.mean((np.array(values) - truth) ** 2)) for key, values in series.items()}
     assert missed["after"] < 0.3 * missed["before"]
     assert missed["after"] < 0.5
@@ -235,7 +235,7 @@ def with_readings(run: RecordedRun, added: dict[int, float]) -> RecordedRun:
     temp = run.columns["temp_air_c"].copy()
     for row, more in added.items():
         temp[row] += more
-    return changed(run, temp_air_c=temp)
+    return change_run(run, temp_air_c=temp)
 
 
 @pytest.mark.usefixtures("few_candidates")
@@ -245,7 +245,7 @@ def test_gaps_and_spikes_do_not_hide_what_is_missing(diagnose: Command, tmp_path
     torn = RecordedRun({key: values[rows] for key, values in one.columns.items()}, one.facts, one.path)
     holes = np.where(np.arange(ROWS) % 7 == 3, np.nan, two.columns["temp_air_c"])
     spiky = with_readings(three, {0: 8.0, 30: -7.0})
-    document = diagnose(*words_for(tmp_path, [torn, changed(two, temp_air_c=holes), spiky, four])).document
+    document = diagnose(*words_for(tmp_path, [torn, change_run(two, temp_air_c=holes), spiky, four])).document
     assert [effect["name"] for effect in document["effects"]] == ["heater_lag"]
     said = " ".join(document["findings"])
     assert "train_01.csv is cut into 2 pieces" in said
@@ -265,9 +265,10 @@ def test_one_run_is_enough_to_answer_and_the_answer_says_that_it_is_one(
 
 def test_a_room_and_a_fan_that_were_not_recorded_are_said_to_be_so(diagnose: Command, tmp_path: Path) -> None:
     runs = [
-        changed(with_room(run, 21.0), temp_ambient_c=None, fan_on=None) for run in recordings({}, fan=False)
+        change_run(with_room(run, 21.0), temp_ambient_c=None, fan_on=None)
+        for run in recordings({}, fan=False)
     ]
-    test = changed(runs[3], facts={"role": "test"})
+    test = change_run(runs[3], facts={"role": "test"})
     document = diagnose(*words_for(tmp_path, runs[:3], [test])).document
     assert document["verdict"] == "nothing_missing"
     said = " ".join(document["findings"])
@@ -284,7 +285,7 @@ def with_room(run: RecordedRun, room_c: float) -> RecordedRun:
     duty, fan = (run.columns[key][None, :-1] for key in ("heater_duty", "fan_on"))
     temp = BoxTwin(effects=BOX).rollout(np.array([room_c]), duty, fan, room_c)[0]
     noise = 0.1 * np.random.default_rng(len(str(run.path))).standard_normal(ROWS)
-    return changed(run, temp_air_c=np.append(room_c, temp) + noise, temp_ambient_c=np.full(ROWS, room_c))
+    return change_run(run, temp_air_c=np.append(room_c, temp) + noise, temp_ambient_c=np.full(ROWS, room_c))
 
 
 @pytest.mark.parametrize("noise_k", [0.0, 0.1])
@@ -294,7 +295,7 @@ def test_a_box_that_is_left_alone_tells_nothing_and_that_is_said(
 ) -> None:
     still = np.zeros(ROWS)
     noise = noise_k * np.random.default_rng(1).standard_normal(ROWS)
-    run = changed(
+    run = change_run(
         recordings({})[0], temp_air_c=21.0 + noise, temp_ambient_c=still + 21.0, heater_duty=still,
         fan_on=still, light=still,
     )  # fmt: skip
@@ -356,15 +357,15 @@ def short(run: RecordedRun, rows: int) -> RecordedRun:
 
 
 def kelvin(run: RecordedRun) -> RecordedRun:
-    return changed(run, temp_air_c=run.columns["temp_air_c"] + 273.15)
+    return change_run(run, temp_air_c=run.columns["temp_air_c"] + 273.15)
 
 
 def percent(run: RecordedRun) -> RecordedRun:
-    return changed(run, heater_duty=100.0 * run.columns["heater_duty"])
+    return change_run(run, heater_duty=100.0 * run.columns["heater_duty"])
 
 
 def empty(run: RecordedRun) -> RecordedRun:
-    return changed(run, temp_air_c=np.full(len(run), np.nan))
+    return change_run(run, temp_air_c=np.full(len(run), np.nan))
 
 
 REFUSED: dict[str, tuple[Callable[[RecordedRun], RecordedRun], str]] = {
@@ -373,12 +374,12 @@ REFUSED: dict[str, tuple[Callable[[RecordedRun], RecordedRun], str]] = {
     "kelvin": (kelvin, "is not a plausible air temperature in degC; is it kelvin?"),
     "percent": (percent, "heater_duty: 60 is not in 0..1; is the column in percent?"),
     "milliseconds": (
-        lambda run: changed(run, time_s=1000.0 * run.columns["time_s"]),
+        lambda run: change_run(run, time_s=1000.0 * run.columns["time_s"]),
         "rows are 60000 s apart, more than 600 s; is it in milliseconds?",
     ),
-    "a test run": (lambda run: changed(run, facts={"role": "test"}), "a test run is never fitted on"),
-    "no duty": (lambda run: changed(run, heater_duty=None), "heater_duty is not among the columns"),
-    "a bad start": (lambda run: changed(run, facts={"start_utc": "noon"}), "start_utc: 'noon' is no time"),
+    "a test run": (lambda run: change_run(run, facts={"role": "test"}), "a test run is never fitted on"),
+    "no duty": (lambda run: change_run(run, heater_duty=None), "heater_duty is not among the columns"),
+    "a bad start": (lambda run: change_run(run, facts={"start_utc": "noon"}), "start_utc: 'noon' is no time"),
 }
 
 
@@ -417,7 +418,7 @@ def test_rows_coarser_than_the_twins_step_are_refused(diagnose: Command, tmp_pat
 def test_a_test_run_without_the_room_that_the_others_have_is_refused(
     diagnose: Command, tmp_path: Path
 ) -> None:
-    test = changed(blind_test({}), temp_ambient_c=None)
+    test = change_run(blind_test({}), temp_ambient_c=None)
     refusal = diagnose(*words_for(tmp_path, recordings({})[:1], [test])).refusal
     assert refusal.startswith(f"{tmp_path / 'test_01.csv'}: temp_ambient_c: not known")
 
@@ -446,7 +447,7 @@ def test_a_twin_file_that_is_wrong_is_refused_by_key(
 
 def test_a_twin_that_needs_a_column_which_the_runs_lack_is_refused(diagnose: Command, tmp_path: Path) -> None:
     lit = twin_file({**BOX, "led_gain": {"P_led": 5.0}})
-    dark = [changed(run, light=None) for run in recordings({})[:1]]
+    dark = [change_run(run, light=None) for run in recordings({})[:1]]
     refusal = diagnose(*words_for(tmp_path, dark, file=lit)).refusal
     assert refusal == f"{tmp_path / 'train_01.csv'}: light: missing, the twin's led_gain needs it"
 

@@ -1,20 +1,20 @@
-"""edge/twin/effects/unnamed.py: bounded heat without a name, and what it is for."""
+"""edge/twin/effects/formulas.py: bounded heat without a name, and what it is for."""
 
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import NOISE, diagnosed, silent, simulated, twin_file
+from bench.support.simulated_runs import NOISE, as_diagnosis_runs, silent, simulate, twin_file
 from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.diagnose import diagnose
-from edge.diagnosis.handed import OPEN, JudgedTwin, opened
-from edge.diagnosis.judged import _is_moved
-from edge.diagnosis.trial import Fitted, Trial
+from edge.diagnosis.handover import OPEN, JudgedTwin, free_values
+from edge.diagnosis.judgement import _is_moved
+from edge.diagnosis.trial import FittedTwin, Trial
 from edge.diagnosis.unknowns import UnknownValue
+from edge.twin.effects.formulas import UNNAMED_EFFECTS
 from edge.twin.effects.library import EFFECTS
-from edge.twin.effects.unnamed import UNNAMED_EFFECTS
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.value import Value
 
 pytestmark = pytest.mark.slow
@@ -62,14 +62,14 @@ def test_a_march_of_single_steps_is_the_rollout() -> None:
 
 
 def test_values_that_the_runs_contradict_are_opened_and_that_is_said() -> None:
-    runs = [simulated({"wall_loss": {"UA": 9.0}, "extra_capacity": {"kC": 10.0}}, seed) for seed in (1, 2, 3)]
+    runs = [simulate({"wall_loss": {"UA": 9.0}, "extra_capacity": {"kC": 10.0}}, seed) for seed in (1, 2, 3)]
     wrong = {("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)}
     file = twin_file().with_values(wrong)
-    found = diagnose(file, diagnosed(runs, file=file), silent, "")
+    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
     fitted = found.adopted.effects["wall_loss"]["UA"]
     assert fitted.value == pytest.approx(9.0, rel=0.1) or found.verdict.kind == "named"
-    if OPEN in found.judged.handed.added:
-        assert any("wall_loss.UA is" in line for line in found.judged.told)
+    if OPEN in found.judgement.handover.added:
+        assert any("wall_loss.UA is" in line for line in found.judgement.told)
 
 
 def test_a_known_effect_of_a_fan_that_never_runs_is_no_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,20 +77,20 @@ def test_a_known_effect_of_a_fan_that_never_runs_is_no_stand_in(monkeypatch: pyt
     monkeypatch.setattr(candidates, "USUAL_EFFECTS", few)
     file = twin_file({**BASE, "fan_heat": {"P_fan": 3.0}})
     runs = [
-        simulated(BASE, seed, 60, fan=False, further=lambda _, __, excess: 12.0 * np.sin(excess))
+        simulate(BASE, seed, 60, fan=False, further=lambda _, __, excess: 12.0 * np.sin(excess))
         for seed in (1, 2, 3)
     ]
-    found = diagnose(file, diagnosed(runs, file=file), silent, "")
+    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
     assert "fan_heat" in found.adopted.effects  # as the file has it
 
 
 def test_opened_values_are_adopted_like_any_other() -> None:
     file = twin_file().with_values({("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)})
-    assert opened(file).to_fit() == [("effects", "wall_loss", "UA")]
+    assert free_values(file).to_fit() == [("effects", "wall_loss", "UA")]
 
 
 def test_it_is_never_offered_as_a_name() -> None:
-    runs = Recorded(np.full((1, 41), 20.0), np.zeros((1, 40)), np.zeros((1, 40)), np.full((1, 40), 20.0), {})
+    runs = RunBatch(np.full((1, 41), 20.0), np.zeros((1, 40)), np.zeros((1, 40)), np.full((1, 40), 20.0), {})
     assert set(UNNAMED_EFFECTS) <= EFFECTS.keys()
     assert not set(UNNAMED_EFFECTS) & set(Candidates(twin_file(), runs, {}).names)
 
@@ -99,7 +99,7 @@ def predicted(added: set[str], places: dict[tuple[str, str, str], float], sd: fl
     """A twin of which no more is told than its values."""
     free = tuple(UnknownValue(place, 1e-3, 1e3, True, 1.0, 0.0, 1.0) for place in places)
     file, coordinates = twin_file(), np.array(list(places.values()))
-    fitted = Fitted(
+    fitted = FittedTwin(
         Trial(file, NOISE), file, free, coordinates, 0.0, sd**2 * np.eye(len(free)), np.zeros((1, 1)),
         np.empty(0), np.empty(0),
     )  # fmt: skip

@@ -6,20 +6,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, NOISE, simulated, twin_file
+from bench.support.simulated_runs import BOX, NOISE, simulate, twin_file
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.formulas import shapes
 from edge.diagnosis.search import RIVAL_NATS
 from edge.diagnosis.starts import with_effect
-from edge.diagnosis.trial import Fitted, SizedTerm, Trial
+from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
 from edge.diagnosis.unknowns import unknowns
 from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
-from edge.twin.recorded import Recorded, recorded
+from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 
 SHAPE = {f"~{shape.text}": shape for shape in shapes()}
-NO_RUNS = Recorded(np.full((1, 3), 21.0), np.zeros((1, 2)), np.zeros((1, 2)), np.full((1, 2), 21.0))
+NO_RUNS = RunBatch(np.full((1, 3), 21.0), np.zeros((1, 2)), np.zeros((1, 2)), np.full((1, 2), 21.0))
 
 
 @dataclass
@@ -32,7 +32,7 @@ class FinishedSearch:
     vague: ScoredSet | None = None
     alone: Mapping[frozenset[str], ScoredSet] = field(default_factory=dict)
     file: TwinFile = field(default_factory=twin_file)
-    runs: Recorded = NO_RUNS
+    runs: RunBatch = NO_RUNS
 
     @property
     def sets(self) -> "FinishedSearch":
@@ -56,7 +56,7 @@ class FinishedSearch:
         return {name: self.near.get(name, []) for name in names}
 
 
-def fitted(*names: str, variance: float = 1e-4, terms: tuple[SizedTerm, ...] = ()) -> Fitted:
+def fitted(*names: str, variance: float = 1e-4, terms: tuple[SizedTerm, ...] = ()) -> FittedTwin:
     """Effects at their usual values, as if a fit had ended there."""
     file = twin_file()
     for name in names:
@@ -66,7 +66,7 @@ def fitted(*names: str, variance: float = 1e-4, terms: tuple[SizedTerm, ...] = (
     place = np.array([item.coordinate(values[item.place].value) for item in free])
     sizes = np.arange(1.0, len(terms) + 1.0)
     trial = Trial(file, NOISE, terms)
-    return Fitted(
+    return FittedTwin(
         *(trial, file, free, place, 0.0, variance * np.eye(len(free)), np.zeros((1, 2)), sizes, 0.1 * sizes)
     )
 
@@ -165,7 +165,7 @@ def errors_that_follow(share: float) -> np.ndarray:
 )
 def test_a_name_that_leaves_errors_which_follow_from_each_other_is_none(share: float, kind: str) -> None:
     best = scored("infiltration")
-    best = replace(best, fitted=replace(best.fitted, innovations=errors_that_follow(share)))
+    best = replace(best, fitted=replace(best.fit, innovations=errors_that_follow(share)))
     vague = scored("~t (T - T_amb)", score=50.0)
     said = read(FinishedSearch(best, vague=vague))
     assert said.kind == kind
@@ -176,7 +176,7 @@ def test_a_name_that_leaves_errors_which_follow_from_each_other_is_none(share: f
 def test_where_no_formula_explains_such_errors_either_it_depends_on_nothing_known() -> None:
     best = scored("infiltration")
     loud = errors_that_follow(0.8)
-    best, plain = (replace(item, fitted=replace(item.fitted, innovations=loud)) for item in (best, scored()))
+    best, plain = (replace(item, fitted=replace(item.fit, innovations=loud)) for item in (best, scored()))
     said = read(FinishedSearch(best, vague=plain))
     assert (said.kind, said.effects, said.depends_on) == ("unknown", (), ("none",))
 
@@ -185,14 +185,14 @@ def test_rows_that_were_not_measured_refute_nothing() -> None:
     best = scored("infiltration")
     holes = errors_that_follow(0.9)
     holes[0, ::2] = 0.0
-    found = FinishedSearch(replace(best, fitted=replace(best.fitted, innovations=holes)))
+    found = FinishedSearch(replace(best, fitted=replace(best.fit, innovations=holes)))
     assert read(found).kind == "named"
 
 
 def test_values_beside_a_formula_are_those_of_the_twin_that_has_none() -> None:
     best = scored("~u fan", "infiltration")
     alone = scored("infiltration")
-    there = replace(alone.fitted, coordinates=alone.fitted.coordinates + 0.5)
+    there = replace(alone.fit, coordinates=alone.fit.coordinates + 0.5)
     alone = replace(alone, fitted=there)
     left = {frozenset({"infiltration"}): 90.0, frozenset({"~u fan"}): 10.0}
     said = read(FinishedSearch(best, left, alone={frozenset({"infiltration"}): alone}))
@@ -202,7 +202,7 @@ def test_values_beside_a_formula_are_those_of_the_twin_that_has_none() -> None:
 
 @pytest.mark.parametrize(("heat_w", "kind"), [(NOISE.heat_w, "nothing_missing"), (15.0, "unknown")])
 def test_heat_that_no_set_explains_is_unknown_too(heat_w: float, kind: str) -> None:
-    runs = recorded([simulated(BOX, seed, 60, replace(NOISE, heat_w=heat_w)) for seed in (1, 2, 3, 4)], 60.0)
+    runs = batch_runs([simulate(BOX, seed, 60, replace(NOISE, heat_w=heat_w)) for seed in (1, 2, 3, 4)], 60.0)
     [plain] = fit([Trial(twin_file(), replace(NOISE, heat_w=heat_w))], runs, 1)
     said = read(FinishedSearch(ScoredSet(frozenset(), plain, 0.0, 0.0), runs=runs))
     assert said.kind == kind

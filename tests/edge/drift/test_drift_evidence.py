@@ -33,8 +33,8 @@ def test_no_likelihood_ratio_grows_in_the_mean_while_the_mean_is_allowed(mean):
 
 
 def _ratio(white: float) -> np.ndarray:
-    """L of each size, as `heard` multiplies by it: from R = 0, R becomes L."""
-    found = evidence.heard(Evidence.none(0.0), np.asarray(white), ALL, 0.0, THRESHOLD)
+    """L of each size, as `hear` multiplies by it: from R = 0, R becomes L."""
+    found = evidence.hear(Evidence.none(0.0), np.asarray(white), ALL, 0.0, THRESHOLD)
     return np.exp(found.log_sum[0])
 
 
@@ -72,13 +72,13 @@ def test_a_shift_of_half_a_kelvin_a_step_is_seen_within_20_minutes_and_dated_to_
 def test_the_wildest_ticks_take_ten_minutes_to_raise_an_alarm():
     found, ticks = Evidence.none(0.0), 0
     while found.total < THRESHOLD:
-        found, ticks = evidence.heard(found, np.asarray(1e9), ALL, 60.0 * ticks, THRESHOLD), ticks + 1
+        found, ticks = evidence.hear(found, np.asarray(1e9), ALL, 60.0 * ticks, THRESHOLD), ticks + 1
     assert ticks == 9  # the door open for eight minutes is none
 
 
 def test_a_regime_that_is_not_there_neither_gathers_nor_loses_evidence():
-    one = evidence.heard(Evidence.none(0.0), np.asarray(2.0), only("all", "fan_on"), 0.0, THRESHOLD)
-    two = evidence.heard(one, np.asarray(-2.0), only("all", "fan_off"), 60.0, THRESHOLD)
+    one = evidence.hear(Evidence.none(0.0), np.asarray(2.0), only("all", "fan_on"), 0.0, THRESHOLD)
+    two = evidence.hear(one, np.asarray(-2.0), only("all", "fan_off"), 60.0, THRESHOLD)
     fan_on = NAMES.index("fan_on")
     np.testing.assert_array_equal(one.cusum[fan_on], two.cusum[fan_on])
     np.testing.assert_array_equal(one.log_sum[fan_on], two.log_sum[fan_on])
@@ -88,7 +88,7 @@ def test_the_change_is_dated_to_the_last_time_without_evidence():
     found = Evidence.none(0.0)
     for k in range(60):
         white = np.asarray(2.0 if k >= 40 else 0.0)
-        found = evidence.heard(found, white, ALL, 60.0 * k, THRESHOLD)
+        found = evidence.hear(found, white, ALL, 60.0 * k, THRESHOLD)
     assert evidence.change_utc(found) == 60.0 * 40
 
 
@@ -99,7 +99,7 @@ def learn(z: np.ndarray, cell: int = 0) -> np.ndarray:
     sums, past = noise.nothing_learnt(), noise.InnovationPast(np.asarray(0.0), np.asarray(0.0))
     for value in z:
         sums = noise.learnt(sums, cell, np.asarray(value), past)
-        past = noise.followed(past, np.asarray(value), 60.0)
+        past = noise.follow(past, np.asarray(value), 60.0)
     return sums
 
 
@@ -139,8 +139,8 @@ def test_cells_are_learnt_one_by_one():
 def table_of(ticks: list[tuple[float, np.ndarray]]) -> tuple[np.ndarray, Evidence]:
     table, found = where.empty(), Evidence.none(0.0)
     for white, regimes in ticks:
-        table = where.noted(table, white, 0.1 * white, regimes, 60.0)
-        found = evidence.heard(found, np.asarray(white), regimes, 0.0, THRESHOLD)
+        table = where.note(table, white, 0.1 * white, regimes, 60.0)
+        found = evidence.hear(found, np.asarray(white), regimes, 0.0, THRESHOLD)
     return table, found
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
-from edge.forecasts.adaptive import RATE, WIDTH_MAX_K, WIDTH_MIN_K, tracked
+from edge.forecasts.adaptive import RATE, WIDTH_MAX_K, WIDTH_MIN_K, track
 from edge.forecasts.conformal import Interval, Intervals, half_width, read_intervals, write_intervals
 
 ROW = Interval("arx", "v1", 5, 0.25, 100, "interpolation")
@@ -99,18 +99,18 @@ def test_a_wrong_table_is_refused_by_file_and_key(tmp_path, change, named):
     ("residual_k", "wider"), [(1.0, False), (-1.0, False), (1.001, True), (-1.001, True)]
 )
 def test_a_miss_widens_and_a_hit_narrows_a_ninth_as_much(residual_k, wider):
-    step = math.log(tracked(1.0, residual_k))
+    step = math.log(track(1.0, residual_k))
     assert step == pytest.approx(0.9 * RATE if wider else -0.1 * RATE)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_no_number_teaches_nothing(bad):
-    assert tracked(1.0, bad) == 1.0
+    assert track(1.0, bad) == 1.0
 
 
 def test_the_width_stays_within_its_bounds():
-    assert tracked(WIDTH_MIN_K, 0.0) == WIDTH_MIN_K
-    assert tracked(WIDTH_MAX_K, 1e9) == WIDTH_MAX_K
+    assert track(WIDTH_MIN_K, 0.0) == WIDTH_MIN_K
+    assert track(WIDTH_MAX_K, 1e9) == WIDTH_MAX_K
 
 
 def test_the_share_held_comes_to_the_claim_when_the_errors_are_three_times_larger():
@@ -119,5 +119,5 @@ def test_the_share_held_comes_to_the_claim_when_the_errors_are_three_times_large
     width, held = 1.0, 0
     for error in errors:
         held += abs(error) <= width
-        width = tracked(width, float(error))
+        width = track(width, float(error))
     assert abs(held / 5000 - 0.9) <= abs(math.log(width)) / (RATE * 5000) + 1e-9 < 0.02

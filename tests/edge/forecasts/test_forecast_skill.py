@@ -9,7 +9,7 @@ from edge.bundle.rivals import rival_rows
 from edge.core.errors import DataError
 from edge.forecasts.conformal import Interval, Intervals
 from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
-from edge.forecasts.skill import SkillState, half_widths, skills, updated
+from edge.forecasts.skill import SkillState, half_widths, skills, update_skill
 from edge.state.codecs import decode_skill, encode_skill
 
 NONE = Intervals()
@@ -24,7 +24,7 @@ def scored(name, residual_k, horizon_min=5, version="1"):
 def tick(state, persistence_k=1.0, intervals=NONE, version="1", **residuals_k):
     """The state after one tick with these residuals at 5 min."""
     found = [scored(name.replace("_", "."), value, version=version) for name, value in residuals_k.items()]
-    return updated(state, [scored(PERSISTENCE, persistence_k), *found], intervals, STEP_S)
+    return update_skill(state, [scored(PERSISTENCE, persistence_k), *found], intervals, STEP_S)
 
 
 def only(state, predictors=ARX):
@@ -64,15 +64,15 @@ def test_errors_are_compared_on_the_same_forecasts_alone():
 
 def test_without_a_good_start_nothing_changes():
     state = tick(SkillState(), arx=0.1)
-    assert updated(state, [], NONE, STEP_S) is state
+    assert update_skill(state, [], NONE, STEP_S) is state
 
 
 def test_a_day_counts_alike_and_then_older_errors_fade():
     state, step_s = SkillState(), 21600.0  # a quarter of a day
     for error in (1.0, 2.0, 3.0, 4.0):
-        state = updated(state, [scored(PERSISTENCE, 1.0), scored("arx", error)], NONE, step_s)
+        state = update_skill(state, [scored(PERSISTENCE, 1.0), scored("arx", error)], NONE, step_s)
     assert only(state).mae_k == pytest.approx(2.5)
-    state = updated(state, [scored(PERSISTENCE, 1.0), scored("arx", 6.5)], NONE, step_s)
+    state = update_skill(state, [scored(PERSISTENCE, 1.0), scored("arx", 6.5)], NONE, step_s)
     assert only(state).mae_k == pytest.approx(2.5 + 0.25 * (6.5 - 2.5))
     assert only(state).scored == 5
 
@@ -91,7 +91,7 @@ def test_predictors_that_serve_no_more_are_not_told():
 def test_rows_come_by_predictor_and_horizon():
     found = [scored(n, 0.1, m) for n in ("pbm", "arx", PERSISTENCE) for m in (60, 5)]
     rows = skills(
-        updated(SkillState(), found, NONE, STEP_S), {"pbm": RampPredictor(), "arx": RampPredictor()}
+        update_skill(SkillState(), found, NONE, STEP_S), {"pbm": RampPredictor(), "arx": RampPredictor()}
     )
     assert [(r.predictor, r.horizon_min) for r in rows] == [("arx", 5), ("arx", 60), ("pbm", 5), ("pbm", 60)]
 

@@ -18,14 +18,14 @@ from edge.app.nightly_diagnosis import Findings
 from edge.app.request_routes import WhyRequest
 from edge.assistant.llm import wire
 from edge.assistant.llm.answer import SaidControls, SimulatedControls, read_answer
-from edge.assistant.llm.budget import Spent
+from edge.assistant.llm.budget import Spending
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.simulate_tool import SimulateArguments
 from edge.assistant.llm.sql_tool import SqlArguments
 from edge.assistant.llm.wire import ChoicesDocument
 from edge.assistant.requests.answer import WishAnswer, understood
 from edge.assistant.requests.desk import ProposalRequest, WishRequest
-from edge.bundle.admitted import Admitted
+from edge.bundle.admission import Admission
 from edge.bundle.keeper import BundleRequest
 from edge.bundle.manifest import MANIFEST, TWIN, Manifest, parse_manifest
 from edge.bundle.roles import Roles
@@ -247,9 +247,11 @@ KINDS: dict[type, DocumentKind] = {
     Steering: in_memory_by(steering.from_dict, steering.to_dict(STEERING), ("until_utc",)),
     SkillDocument: in_memory_by(codecs.decode_skill, codecs.encode_skill(SKILL), ("pairs", 0, 6)),
     DriftDocument: in_memory_by(codecs.decode_drift, codecs.encode_drift(DRIFT), ("sums", 0)),
-    Spent: in_memory_by(codecs.decode_spent, codecs.encode_spent(Spent("2026-07-01", 5)), ("tokens",)),
+    Spending: in_memory_by(
+        codecs.decode_spending, codecs.encode_spending(Spending("2026-07-01", 5)), ("tokens",)
+    ),
     Roles: in_memory(Roles, asdict(Roles())),
-    Admitted: in_memory(Admitted, asdict(Admitted("1.0", ("0" * 64,)))),
+    Admission: in_memory(Admission, asdict(Admission("1.0", ("0" * 64,)))),
 }
 FOREIGN = {ChoicesDocument, ReportedTwin, Findings}  # may hold keys of others
 PARTS = {"UsageDocument"}  # read out of a reply; the usage is None where it is wrong

@@ -1,4 +1,4 @@
-"""edge/formats/reader.py, checked.py, strict_json.py: what a class allows, and one error for all the rest."""
+"""edge/formats: reader, cross_check, strict_json. Every class allows what it says, and errors look alike."""
 
 import json
 import math
@@ -15,7 +15,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.formats.checked import Checked, Rule
+from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.input_file import SMALL, YAML
 from edge.formats.reader import DocumentError, parse_json, parse_yaml, read, read_json, read_number, read_yaml
 from edge.formats.strict_json import DEPTH_MAX
@@ -34,7 +34,7 @@ class Wheel:
 
 
 @dataclass(frozen=True)
-class Bicycle(Checked):
+class Bicycle(CheckedDocument):
     format: Literal[1]
     wheels: Annotated[tuple[Wheel, ...], Rule(least=1, most=3)]
     colour: Paint = Paint.RED

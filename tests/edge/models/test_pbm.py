@@ -5,7 +5,7 @@ from edge.core.errors import DataError
 from edge.core.predictor import Predictor
 from edge.models.pbm import Pbm, read_twin
 from edge.twin.model import BoxTwin
-from edge.twin.warm_start import PastColumns, at_rest, held, state_now
+from edge.twin.warm_start import PastColumns, at_rest, hold, state_now
 
 HIDDEN = {
     "wall_mass": {"C_w": 20000.0, "G_in": 8.0, "G_out": 8.0},
@@ -144,8 +144,8 @@ def test_hidden_states_need_the_room_once():
 
 def test_a_value_holds_until_the_next_and_the_first_before_it():
     values = np.array([np.nan, 1.0, np.nan, 2.0, np.nan])
-    np.testing.assert_array_equal(held(values), [1.0, 1.0, 1.0, 2.0, 2.0])
-    assert np.isnan(held(np.full(2, np.nan))).all()
+    np.testing.assert_array_equal(hold(values), [1.0, 1.0, 1.0, 2.0, 2.0])
+    assert np.isnan(hold(np.full(2, np.nan))).all()
 
 
 def test_a_twin_file_is_read_as_a_predictor(tmp_path):

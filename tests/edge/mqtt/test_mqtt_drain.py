@@ -53,7 +53,7 @@ def test_no_more_than_the_window_is_in_flight():
     own.window = 3
     assert own.step() is True
     assert client.seqs() == [1, 2, 3]
-    own.answered(1, "")
+    own.note_answer(1, "")
     own.step()
     assert client.seqs() == [1, 2, 3, 4]
 
@@ -62,10 +62,10 @@ def test_nothing_is_forgotten_before_it_is_answered():
     outbox, _, _, own = make(3)
     own.step()
     for mid in (1, 2):
-        own.answered(mid, "")
+        own.note_answer(mid, "")
         own.step()
     assert outbox.depth() == 3
-    own.answered(3, "")
+    own.note_answer(3, "")
     assert own.step() is False
     assert outbox.acknowledged == [1, 2, 3]
     assert outbox.depth() == 0
@@ -77,7 +77,7 @@ def test_answers_in_any_order_keep_the_order_of_rows():
     while own.step():
         mids = [mid for mid, _ in client.sent]
         for mid in random.sample(mids, len(mids)):
-            own.answered(mid, "")
+            own.note_answer(mid, "")
     assert client.seqs() == list(range(1, BATCH_ROWS + 6))
     assert outbox.acknowledged == list(range(1, BATCH_ROWS + 6))
 
@@ -85,9 +85,9 @@ def test_answers_in_any_order_keep_the_order_of_rows():
 def test_a_refused_row_stays_and_is_tried_again_after_a_pause():
     outbox, client, clock, own = make(3)
     own.step()
-    own.answered(1, "")
-    own.answered(2, "Not authorized")
-    own.answered(3, "")
+    own.note_answer(1, "")
+    own.note_answer(2, "Not authorized")
+    own.note_answer(3, "")
     assert own.step() is False
     assert own.refusal == "Not authorized"
     assert list(outbox.rows) == [2]
@@ -96,14 +96,14 @@ def test_a_refused_row_stays_and_is_tried_again_after_a_pause():
     clock.time_s += 0.001
     assert own.step() is True
     assert client.seqs() == [1, 2, 3, 2]
-    own.answered(4, "")
+    own.note_answer(4, "")
     own.step()
     assert (own.refusal, outbox.depth()) == ("", 0)
 
 
 def test_the_answer_to_somebody_elses_message_is_not_taken_for_ours():
     outbox, _, _, own = make(1, first_mid=7)
-    own.answered(7, "")  # the same id, one round of ids ago
+    own.note_answer(7, "")  # the same id, one round of ids ago
     assert own.step() is True
     assert own.step() is True
     assert outbox.depth() == 1
@@ -112,8 +112,8 @@ def test_the_answer_to_somebody_elses_message_is_not_taken_for_ours():
 def test_an_acknowledgement_the_database_did_not_take_is_given_again():
     outbox, client, _, own = make(2)
     own.step()
-    own.answered(1, "")
-    own.answered(2, "")
+    own.note_answer(1, "")
+    own.note_answer(2, "")
     take = outbox.acknowledge
 
     def locked(ids):
@@ -147,7 +147,7 @@ def test_every_row_arrives_whatever_is_refused_and_in_whatever_order_answers_com
         for mid, payload in order.sample(waiting, len(waiting)):
             answered += 1
             refused = answered in refusals
-            own.answered(mid, "quota exceeded" if refused else "")
+            own.note_answer(mid, "quota exceeded" if refused else "")
             if not refused:
                 taken.append(json.loads(payload)["seq"])
         clock.time_s += REFUSED_PAUSE_S

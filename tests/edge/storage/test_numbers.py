@@ -12,7 +12,7 @@ from history_records import START_UTC, HandClock, History, tick
 
 from edge.storage import Session, Storage
 from edge.storage import storage as storage_module
-from edge.storage.numbers import NumbersFile, Reserved
+from edge.storage.numbers import NumbersFile, Reservation
 
 PATIENCE_S = 20.0
 QUEUE_TICKS = 20
@@ -255,7 +255,7 @@ def test_a_deleted_history_is_followed_by_one_with_later_numbers(path: Path) -> 
 
 def test_a_reservation_reads_back(path: Path) -> None:
     file = NumbersFile(path)
-    for reserved in (Reserved(10**12, 10**12 + 9, False), Reserved(1, 2, True)):
+    for reserved in (Reservation(10**12, 10**12 + 9, False), Reservation(1, 2, True)):
         file.write(reserved)
         assert file.read() == reserved
 
@@ -269,7 +269,7 @@ def test_a_broken_reservation_counts_as_none(path: Path, content: bytes) -> None
 @needs_mount
 def test_a_reservation_is_renewed_on_a_full_disk(small_disk: Path) -> None:
     file = NumbersFile(small_disk / "history.db")
-    file.write(Reserved(1, 250, False))
+    file.write(Reservation(1, 250, False))
     fill(small_disk)
-    file.write(Reserved(1, 10**9, False))
-    assert file.read() == Reserved(1, 10**9, False)
+    file.write(Reservation(1, 10**9, False))
+    assert file.read() == Reservation(1, 10**9, False)

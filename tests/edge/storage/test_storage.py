@@ -19,7 +19,7 @@ from edge.formats.tick_json import tick_json
 from edge.storage import Outbox, Session, Storage
 from edge.storage import storage as storage_module
 from edge.storage.file import connect
-from edge.storage.numbers import NumbersFile, Reserved
+from edge.storage.numbers import NumbersFile, Reservation
 from edge.storage.runs import export_run
 from edge.storage.schema_version import SCHEMA_VERSION, USABLE_VERSION, VIEWS
 from edge.storage.tick_rows import read_ticks
@@ -150,7 +150,7 @@ def as_a_kill_leaves_it(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE sessions SET ended_utc = NULL")
         (first,) = connection.execute("SELECT max(first_seq) FROM sessions").fetchone()
-    NumbersFile(path).write(Reserved(first, first + RESERVED, is_final=False))
+    NumbersFile(path).write(Reservation(first, first + RESERVED, is_final=False))
 
 
 @pytest.mark.parametrize(

@@ -35,15 +35,15 @@ def test_no_sensor_no_water() -> None:
 
 def test_water_gets_time_to_arrive() -> None:
     watering = Watering(SETTINGS)
-    watering.given(2.0, 100.0)
+    watering.count_pulse(2.0, 100.0)
     assert watering.pulse(soil(0.1), 699.9) == 0.0
     assert watering.pulse(soil(0.1), 700.0) == 2.0
 
 
 def test_the_daily_dose_ends_the_pulses_until_a_day_has_passed() -> None:
     watering = Watering(SETTINGS)
-    watering.given(2.0, 0.0)
-    watering.given(2.0, 1000.0)  # a third pulse of 2 s would make 6 s, above 5 s
+    watering.count_pulse(2.0, 0.0)
+    watering.count_pulse(2.0, 1000.0)  # a third pulse of 2 s would make 6 s, above 5 s
     assert watering.pulse(soil(0.1), 5000.0) == 0.0
     assert watering.pulse(soil(0.1), 86400.0) == 2.0  # the first one is a day old
 

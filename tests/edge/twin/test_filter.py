@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whitened
+from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whiten
 from edge.twin.filter import expectation, predict, symmetric, update, update_many, weigh
 from edge.twin.linearise import linearise
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import spread
 
 RNG = np.random.default_rng(2)
@@ -100,11 +100,11 @@ def test_the_diagnosis_filter_of_many_twins_is_this_one():
     twin = BoxTwin(effects={"heater_lag": {"tau_h": 120.0}, "sensor_lag": {"tau_s": 45.0}})
     rows, levels = 30, NoiseLevels(sensor_k=0.15, room_k=0.3, heat_w=3.0, heat_tau_s=400.0, power_share=0.1)
     duty, fan = RNG.random((1, rows)), RNG.integers(0, 2, (1, rows)).astype(float)
-    runs = Recorded(np.full((1, rows + 1), 22.0), duty, fan, np.full((1, rows), 21.0))
+    runs = RunBatch(np.full((1, rows + 1), 22.0), duty, fan, np.full((1, rows), 21.0))
     steps, errors = linearise(twin, runs), RNG.normal(size=rows)
     seen = RNG.random((1, rows)) > 0.2
     filters = gains([FilterInput(steps, levels, spread(twin), twin.step_s)], seen)
-    white = whitened(filters, np.array([0]), errors[None, None])[0, 0]
+    white = whiten(filters, np.array([0]), errors[None, None])[0, 0]
 
     kept, size = np.exp(-twin.step_s / levels.heat_tau_s), len(twin.states)
     mean = np.zeros(size + 2)  # the twin's states, the unknown heat and the power's share

@@ -7,11 +7,11 @@ import pytest
 
 from bench.support.simulated_runs import BOX, Effects, Floats
 from edge.core.errors import DataError
+from edge.twin.effects.formulas import UNNAMED_EFFECTS
 from edge.twin.effects.library import EFFECTS
-from edge.twin.effects.unnamed import UNNAMED_EFFECTS
 from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest
 
 ROWS, RUNS = 90, 2
@@ -23,7 +23,7 @@ ROUNDING_K = 1e-10
 AGEING_K = 2e-3
 
 
-def recording() -> Recorded:
+def recording() -> RunBatch:
     """Two runs, six days apart, in which every input moves; temperatures are put in later."""
     draw = np.random.default_rng(1)
     rows, column = np.arange(ROWS), np.ones((RUNS, 1))
@@ -40,7 +40,7 @@ def recording() -> Recorded:
         "door_open": door,
     }
     ambient = column * (21.0 + np.sin(rows / 20.0))
-    return Recorded(np.full((RUNS, ROWS + 1), 21.0), duty, fan, ambient, conditions)
+    return RunBatch(np.full((RUNS, ROWS + 1), 21.0), duty, fan, ambient, conditions)
 
 
 def twin_with(name: str, box: Effects = BOX) -> BoxTwin:
@@ -48,11 +48,11 @@ def twin_with(name: str, box: Effects = BOX) -> BoxTwin:
     return BoxTwin(effects={**box, name: start}, day0_utc=DAY0_UTC)
 
 
-def rolled(twin: BoxTwin, runs: Recorded, start: Floats) -> Floats:
+def rolled(twin: BoxTwin, runs: RunBatch, start: Floats) -> Floats:
     return twin.rollout(start, runs.duty, runs.fan, runs.ambient, conditions=runs.conditions)
 
 
-def rest(twin: BoxTwin, runs: Recorded) -> Floats:
+def rest(twin: BoxTwin, runs: RunBatch) -> Floats:
     return at_rest(twin, runs.ambient[:, 0], runs.ambient[:, 0])
 
 

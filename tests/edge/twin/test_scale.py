@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, changed, diagnosed, silent, simulated, twin_file
+from bench.support.simulated_runs import BOX, as_diagnosis_runs, change_run, silent, simulate, twin_file
 from edge.core.errors import DataError
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.runs import read_runs
@@ -122,7 +122,7 @@ def test_sun_through_a_window_is_named_where_it_was_measured() -> None:
     sun = np.clip(800.0 * np.sin(np.arange(150) / 25.0), 0.0, None)
     runs = []
     for seed in (1, 2, 3):
-        plain = simulated(BOX, seed)
+        plain = simulate(BOX, seed)
         twin = BoxTwin(effects={**BOX, "solar_gain": {"A_sun": 0.04}})
         columns = plain.columns
         warmer = twin.rollout(
@@ -133,7 +133,7 @@ def test_sun_through_a_window_is_named_where_it_was_measured() -> None:
             conditions={"solar": sun[:-1]},
         )[0]
         temps = columns["temp_air_c"] + np.concatenate([[0.0], warmer])
-        runs.append(changed(plain, temp_air_c=temps, solar_w_m2=sun))
-    found = diagnose(twin_file(), diagnosed(runs), silent, "")
+        runs.append(change_run(plain, temp_air_c=temps, solar_w_m2=sun))
+    found = diagnose(twin_file(), as_diagnosis_runs(runs), silent, "")
     assert [effect.name for effect in found.verdict.effects] == ["solar_gain"]
     assert found.verdict.effects[0].parameters["A_sun"].value == pytest.approx(0.04, rel=0.1)

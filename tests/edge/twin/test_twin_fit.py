@@ -7,7 +7,7 @@ from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun
 from edge.twin.fit import fit_twin
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import recorded
+from edge.twin.run_batch import batch_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
@@ -154,7 +154,7 @@ def test_rows_that_validate_are_not_fitted_on(runs):
 def test_a_run_at_another_period_is_resampled(runs):
     fine = {name: np.repeat(values, 2) for name, values in runs[0].columns.items()}
     fine["time_s"] = 30.0 * np.arange(300)
-    data, plain = recorded([RecordedRun(fine)], 60.0), recorded([runs[0]], 60.0)
+    data, plain = batch_runs([RecordedRun(fine)], 60.0), batch_runs([runs[0]], 60.0)
     np.testing.assert_array_equal(data.duty, plain.duty)
     np.testing.assert_array_equal(data.temp, plain.temp)
 

@@ -20,11 +20,11 @@ from training.control.comparison import (
     table,
 )
 from training.control.figures import DecisionTime, Figures
-from training.control.kept_figures import (
+from training.control.saved_figures import (
     FIGURES_FILE,
     TIMES_FILE,
     beside,
-    changed,
+    first_change,
     json_of,
     read_results,
     read_times,
@@ -211,12 +211,16 @@ def test_broken_figures_are_refused_by_file(tmp_path, text):
 
 
 def test_a_few_runs_are_checked_against_theirs_alone():
-    assert changed(RESULTS, RESULTS[3:5]) == ""
+    assert first_change(RESULTS, RESULTS[3:5]) == ""
     other = [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.2000001)]
-    assert changed(RESULTS, other).startswith("MPC-Twin, reference_1, seed 2.figures.mae_true: 0.2 is kept")
-    assert changed(RESULTS, other, tolerance=1e-6) == ""
-    assert "mae_true" in changed(RESULTS, [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.202)], 0.005)
-    assert "seed 7: no such run is kept" in changed(RESULTS, [made("MPC-Twin", 7)])
+    assert first_change(RESULTS, other).startswith(
+        "MPC-Twin, reference_1, seed 2.figures.mae_true: 0.2 is kept"
+    )
+    assert first_change(RESULTS, other, tolerance=1e-6) == ""
+    assert "mae_true" in first_change(
+        RESULTS, [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.202)], 0.005
+    )
+    assert "seed 7: no such run is kept" in first_change(RESULTS, [made("MPC-Twin", 7)])
 
 
 def test_json_is_json():

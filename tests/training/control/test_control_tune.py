@@ -2,7 +2,7 @@ import numpy as np
 
 from edge.controllers.rules import Rules, Thresholds
 from training.control.rig import TUNED
-from training.control.tune import GRIDS, Grid, costs, tuned
+from training.control.tune import GRIDS, Grid, costs, tune
 
 
 def test_what_is_in_use_stands_in_its_grid():
@@ -19,6 +19,6 @@ def test_the_tuned_thermostat_costs_a_fraction_of_the_fallbacks():
 def test_the_cheapest_setting_comes_first(monkeypatch):
     monkeypatch.setattr("training.control.tune.CASES", (("tuning_1", 101),))
     grid = Grid(lambda on: Rules(Thresholds(heat_below_k=on)), ("on",), ((0.5, 3.0),), (0.5,))
-    found = tuned(grid)
+    found = tune(grid)
     assert [setting for _, setting in found] == [(0.5,), (3.0,)]
     assert found[0][0] < found[1][0]

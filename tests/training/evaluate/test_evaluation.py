@@ -19,30 +19,30 @@ from training.evaluate import ablation, scores
 from training.evaluate import evaluation as command
 from training.evaluate.difference import first_difference
 from training.evaluate.evaluation import ELSEWHERE_K, MACHINE_FILE, json_of
-from training.evaluate.scores import TrainingScore, by_seed, maes, orders, scored
+from training.evaluate.scores import TrainingScore, by_seed, maes, orders, score_runs
+from training.models.saved_training import SavedTraining, read_trained, remove_guard, without_weights
 from training.models.summary import best_seed
-from training.models.trained import Kept, read_trained, unguarded, without_weights
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "training" / "results"
 
 
 @pytest.fixture(scope="module")
-def kept() -> list[Kept]:
+def kept() -> list[SavedTraining]:
     torch.set_num_threads(1)
     return read_trained(RESULTS / "trained")
 
 
-def of(kept: list[Kept], model: str, regime: str, seed: int = 0) -> Kept:
+def of(kept: list[SavedTraining], model: str, regime: str, seed: int = 0) -> SavedTraining:
     return next(one for one in kept if (one.model, one.regime, one.seed) == (model, regime, seed))
 
 
-def test_scores_out_of_the_kept_weights_are_those_committed(kept: list[Kept]) -> None:
+def test_scores_out_of_the_kept_weights_are_those_committed(kept: list[SavedTraining]) -> None:
     committed = json.loads((RESULTS / "evaluation.json").read_text())["scores"]
     mine = list({one.model: one for one in kept if one.regime == "interpolation"}.values())
     assert {one.model for one in mine} >= {"lstm", "ham", "lstm_increment", "ham_guarded"}
     guarded = next(one for one in mine if one.model == "ham_guarded")
-    for found in scored([*mine, unguarded(guarded)], scenarios=[2]):
+    for found in score_runs([*mine, remove_guard(guarded)], scenarios=[2]):
         now = json.loads(json.dumps(asdict(found.score)))
         same = [
             row for row in committed if all(row[key] == now[key] for key in ("model", "seed", "scenario"))
@@ -51,7 +51,9 @@ def test_scores_out_of_the_kept_weights_are_those_committed(kept: list[Kept]) ->
         assert first_difference(same[0], now, ELSEWHERE_K) == ""
 
 
-def test_every_seed_is_recorded_and_the_weights_are_there_but_for_most_lstms(kept: list[Kept]) -> None:
+def test_every_seed_is_recorded_and_the_weights_are_there_but_for_most_lstms(
+    kept: list[SavedTraining],
+) -> None:
     seeds = {(one.model, one.regime) for one in kept}
     assert len(seeds) == 18  # 9 models in 2 regimes
     absent = without_weights(RESULTS / "trained")
@@ -90,11 +92,11 @@ def _score(row: dict[str, Any]) -> TrainingScore:
     return score(row["model"], row["regime"], row["seed"], row["scenario"], row["free_run"]["mae_k"])
 
 
-def test_a_training_on_other_runs_is_refused(kept: list[Kept]) -> None:
+def test_a_training_on_other_runs_is_refused(kept: list[SavedTraining]) -> None:
     other = of(kept, "pbm", "interpolation")
     other = replace(other, record={**other.record, "data_sha256": "0" * 64})
     with pytest.raises(DataError, match="data_sha256"):
-        scored([other])
+        score_runs([other])
 
 
 def test_a_missing_training_is_named(tmp_path: Path) -> None:
@@ -102,7 +104,7 @@ def test_a_missing_training_is_named(tmp_path: Path) -> None:
         read_trained(tmp_path)
 
 
-def test_a_record_that_lies_elsewhere_is_refused(tmp_path: Path, kept: list[Kept]) -> None:
+def test_a_record_that_lies_elsewhere_is_refused(tmp_path: Path, kept: list[SavedTraining]) -> None:
     folder = tmp_path / "linear" / "extrapolation" / "seed_0"
     folder.mkdir(parents=True)
     (folder / "result.json").write_text(json.dumps(of(kept, "linear", "interpolation").record))
@@ -111,9 +113,9 @@ def test_a_record_that_lies_elsewhere_is_refused(tmp_path: Path, kept: list[Kept
         read_trained(tmp_path)
 
 
-def test_without_its_guard_the_hybrid_differs_outside_its_box_alone(kept: list[Kept]) -> None:
+def test_without_its_guard_the_hybrid_differs_outside_its_box_alone(kept: list[SavedTraining]) -> None:
     guarded = of(kept, "ham_guarded", "extrapolation")
-    free = unguarded(guarded)
+    free = remove_guard(guarded)
     low, high = guarded.record["validity"]["temp_air_c"]
     for temp, same in ((0.5 * (low + high), True), (high + 3.0, False)):
         history = {"temp_air": np.full(10, temp), "temp_ambient": np.full(10, 22.0)}
@@ -123,9 +125,9 @@ def test_without_its_guard_the_hybrid_differs_outside_its_box_alone(kept: list[K
         assert (one == other) == same
 
 
-def test_only_the_guarded_hybrid_has_a_guard(kept: list[Kept]) -> None:
+def test_only_the_guarded_hybrid_has_a_guard(kept: list[SavedTraining]) -> None:
     with pytest.raises(DataError, match="no guard"):
-        unguarded(of(kept, "ham", "extrapolation"))
+        remove_guard(of(kept, "ham", "extrapolation"))
 
 
 def test_orders_are_counted_by_seed() -> None:
@@ -264,7 +266,7 @@ def test_past_duties_explain_what_a_lagging_heater_does(monkeypatch: pytest.Monk
     monkeypatch.setattr(
         ablation, "training_runs", lambda regime: [box_run(seed, rows=150) for seed in range(6)]
     )
-    room, air, past = ablation.unexplained()
+    room, air, past = ablation.unexplained_errors()
     # The box of these runs has a heater that lags by 300 s: five steps of duty are in its air.
     assert past.fan_off_k < 0.5 * air.fan_off_k < 0.5 * room.fan_off_k
     assert past.fan_on_k < 0.5 * air.fan_on_k
@@ -285,15 +287,15 @@ def test_a_base_is_judged_on_validation_parts_alone(monkeypatch: pytest.MonkeyPa
     assert set(judged) == {"validate"}
 
 
-def test_both_twins_forecast_all_test_runs(kept: list[Kept]) -> None:
-    found = scores.swapped([one for one in kept if one.model == "pbm"], "pbm")
+def test_both_twins_forecast_all_test_runs(kept: list[SavedTraining]) -> None:
+    found = scores.swap_models([one for one in kept if one.model == "pbm"], "pbm")
     assert [one.regime for one in found] == ["interpolation", "extrapolation"]
     # Nothing is fitted in the paper's PBM: it is the same in both regimes.
     assert found[0].bias_k == found[1].bias_k
 
 
 def test_the_bias_is_told_by_the_excess_over_the_room(
-    monkeypatch: pytest.MonkeyPatch, kept: list[Kept]
+    monkeypatch: pytest.MonkeyPatch, kept: list[SavedTraining]
 ) -> None:
     run = box_run(0)
     excess = run.columns["temp_air_c"] - run.columns["temp_ambient_c"]

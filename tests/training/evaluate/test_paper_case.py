@@ -30,10 +30,10 @@ from training.evaluate.paper_case_models import (
     HAM_GUARDED,
     TWIN,
     TWIN_HELD,
-    Improved,
+    ImprovedTwin,
     diagnose,
     forecasts,
-    improved,
+    improved_twin,
 )
 from training.evaluate.paper_case_tables import tables, text_of, waterfall
 from training.evaluate.scores import TrainingScore, maes
@@ -73,7 +73,7 @@ def document(*effects: dict[str, Any], data: str = "") -> dict[str, Any]:
     }
 
 
-def case(**left_out: tuple[str, ...]) -> dict[Regime, Improved]:
+def case(**left_out: tuple[str, ...]) -> dict[Regime, ImprovedTwin]:
     """Two twins that name a lag each, one of them the fan's, which the chamber hasn't."""
     found = {
         "interpolation": document(effect("sensor_lag", "tau_s", 26.0, "heater_lag")),
@@ -81,7 +81,7 @@ def case(**left_out: tuple[str, ...]) -> dict[Regime, Improved]:
     }
     file = TwinFile()
     return {
-        regime: Improved(regime, 7, file, file, left_out.get(regime, ()), found[regime])
+        regime: ImprovedTwin(regime, 7, file, file, left_out.get(regime, ()), found[regime])
         for regime in SCENARIOS
     }
 
@@ -120,7 +120,7 @@ def test_the_bare_twin_is_told_what_it_lacks(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(paper_case_models, "SCENARIOS", {"interpolation": (1,)})
     diagnose("interpolation", tmp_path / "found")
     assert read_twin_file(tmp_path / "found" / "bare.yaml").effects == {}
-    twin = improved("interpolation", tmp_path / "found")
+    twin = improved_twin("interpolation", tmp_path / "found")
     assert list(twin.file.effects) == ["wall_loss"]
     assert twin.file.effects["wall_loss"]["UA"].value == pytest.approx(UA, rel=0.03)
     judged = twin.document["command"].partition("--test")[2]
@@ -152,15 +152,15 @@ def two_runs(monkeypatch: pytest.MonkeyPatch) -> list[RecordedRun]:
 
 def test_a_diagnosis_of_other_runs_is_refused(tmp_path: Path, two_runs: list[RecordedRun]) -> None:
     with pytest.raises(DataError, match=r"diagnosis\.json: cannot be read"):
-        improved("interpolation", tmp_path)
+        improved_twin("interpolation", tmp_path)
     (tmp_path / "diagnosis.json").write_text(json.dumps(document(data="0" * 64)))
     with pytest.raises(DataError, match=r"diagnosis\.json: data_sha256"):
-        improved("interpolation", tmp_path)
+        improved_twin("interpolation", tmp_path)
 
 
 def test_where_nothing_is_named_the_twin_stays_bare(tmp_path: Path, two_runs: list[RecordedRun]) -> None:
     (tmp_path / "diagnosis.json").write_text(json.dumps(document(data=data_sha256(two_runs))))
-    assert improved("interpolation", tmp_path).file == TwinFile()
+    assert improved_twin("interpolation", tmp_path).file == TwinFile()
 
 
 def test_what_a_graph_does_not_hold_is_left_out_and_the_rest_fitted_again(
@@ -174,7 +174,7 @@ def test_what_a_graph_does_not_hold_is_left_out_and_the_rest_fitted_again(
     write_twin_file(TwinFile(effects=effects), tmp_path / "twin.yaml")
     named = document(effect("wall_loss", "UA", 1.0), data=data_sha256(two_runs))
     (tmp_path / "diagnosis.json").write_text(json.dumps(named))
-    twin = improved("interpolation", tmp_path)
+    twin = improved_twin("interpolation", tmp_path)
     assert twin.left_out == ("fan_deadtime",)
     assert list(twin.held.effects) == ["wall_loss", "sensor_bias"]
     assert twin.held.effects["wall_loss"]["UA"].value > 2.0  # a box with G_in 7 and G_out 11 W/K in series
@@ -188,7 +188,7 @@ def test_the_hybrid_forecasts_with_and_without_its_guard(
     monkeypatch.setattr(ham_guarded, "GuardedHamSettings", lambda: quick)
     file = TwinFile(effects={"wall_loss": {"UA": Value(4.0)}, "extra_capacity": {"kC": Value(8.0)}})
     late = replace(file, effects={**file.effects, "fan_deadtime": {"d_f": Value(20.0)}})
-    twin = Improved("extrapolation", 7, late, file, ("fan_deadtime",), document())
+    twin = ImprovedTwin("extrapolation", 7, late, file, ("fan_deadtime",), document())
     found = forecasts(twin, (3,), tmp_path, scenarios=[5])
     assert [(one.model, one.seed) for one in found] == [(TWIN, 0), (TWIN_HELD, 0), (HAM, 3), (HAM_GUARDED, 3)]
     mae = {one.model: one.free_run.mae_k for one in found}
@@ -334,7 +334,7 @@ def test_the_kept_twin_began_bare_and_forecasts_as_was_scored(regime: Regime, ke
 
 
 def test_the_kept_text_says_what_the_kept_figures_say(kept: dict[str, Any]) -> None:
-    twins = {regime: improved(regime, KEPT / regime) for regime in SCENARIOS}
+    twins = {regime: improved_twin(regime, KEPT / regime) for regime in SCENARIOS}
     figures = [*read_scores(RESULTS / "evaluation.json"), *read_scores(KEPT / "paper_case.json")]
     text = text_of([Real(**row) for row in kept["chamber"]], twins, figures)
     assert (KEPT / "paper_case.txt").read_text() == f"greenhouse-train paper-case\n\n{text}"

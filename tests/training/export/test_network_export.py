@@ -20,7 +20,7 @@ from edge.models.onnx_predictor import OnnxPredictor
 from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
 from training.data.datasets import EXTRAPOLATION_MAX_C
-from training.export.ham_graph import scanned
+from training.export.ham_graph import scan_steps
 from training.export.network_export import ExportFacts, export, main
 from training.export.onnx_step import ham_start, single_step
 from training.models.ham import HamNet
@@ -244,7 +244,7 @@ def test_a_single_step_is_the_module_for_any_batch(guarded_step: tuple[GuardedHa
 def test_the_guarded_hybrid_carries_its_hidden_states(guarded_step: tuple[GuardedHamNet, ModelProto]) -> None:
     network, step = guarded_step
     rows = 3
-    graph = scanned(ham_start(network, rows), step, rows)
+    graph = scan_steps(ham_start(network, rows), step, rows)
     session = onnxruntime.InferenceSession(graph.SerializeToString())
     window = np.stack([past(rows)[name] for name in contract.FEATURES["ham_guarded"]], axis=-1)
     start = network.start(*torch.tensor(window.T[:, None], dtype=torch.float32))

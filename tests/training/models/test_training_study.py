@@ -20,7 +20,7 @@ from training.models import ham, ham_guarded, lstm, study
 from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
 from training.models.registry import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
 from training.models.rollout import START_ROWS, errors, free_run, one_step
-from training.models.study import Trained, TrainingJob
+from training.models.study import TrainedModel, TrainingJob
 from training.models.summary import best_seed, records, table
 from training.models.weights import load_network, save_network
 
@@ -153,8 +153,8 @@ def small_data(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study, "data_sha256", lambda runs: f"{len(runs)} runs")
 
 
-def held(runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
-    return Trained(Recorder(), {}, {"validation_loss": 1.0 - 0.1 * seed}, lambda out, facts: None)
+def held(runs: Sequence[RecordedRun], seed: int, log: Path | None) -> TrainedModel:
+    return TrainedModel(Recorder(), {}, {"validation_loss": 1.0 - 0.1 * seed}, lambda out, facts: None)
 
 
 def three_trainings(out: Path) -> None:
@@ -182,10 +182,10 @@ def test_a_record_says_what_was_trained_on_what_and_how_well(tmp_path: Path) -> 
     assert record["scenarios"]["1"]["free_run"]["rows"] == 80
 
 
-def quick_ham(runs: Sequence[RecordedRun], seed: int, log: Path | None) -> Trained:
+def quick_ham(runs: Sequence[RecordedRun], seed: int, log: Path | None) -> TrainedModel:
     network, _ = ham.train(runs, seed, ham.HamSettings(epochs=1, hidden=4), log)
     settings = {"batch_size": ham.HamSettings().batch_size}
-    return Trained(HamPredictor(network), settings, {}, lambda out, facts: None)
+    return TrainedModel(HamPredictor(network), settings, {}, lambda out, facts: None)
 
 
 @pytest.mark.usefixtures("small_data")

@@ -27,7 +27,7 @@ from training.rl.episodes import (
 )
 from training.rl.models import Window
 from training.rl.play import play
-from training.rl.read_model import KEPT, TRAINED, drawn, read_model
+from training.rl.read_model import KEPT, TRAINED, draw_twins, read_model
 from training.rl.reward import WEIGHTS, Weights, reward
 from training.rl.vec_env import OBSERVATION_SPACE, BoxesVecEnv
 
@@ -86,7 +86,7 @@ def test_a_twin_file_can_be_the_model(runs):
 
 def test_drawn_parameters_lie_in_their_intervals_and_differ():
     file = read_twin_file(TWIN)
-    twins = drawn(file, 20, seed=1)
+    twins = draw_twins(file, 20, seed=1)
     assert twins[0].sha256 == file.twin().sha256
     assert len({twin.sha256 for twin in twins}) == 20
     for twin in twins[1:]:
@@ -97,7 +97,7 @@ def test_drawn_parameters_lie_in_their_intervals_and_differ():
 
 def test_the_same_seed_draws_the_same_parameters():
     file = read_twin_file(TWIN)
-    first, second = drawn(file, 5, seed=3), drawn(file, 5, seed=3)
+    first, second = draw_twins(file, 5, seed=3), draw_twins(file, 5, seed=3)
     assert [twin.sha256 for twin in first] == [twin.sha256 for twin in second]
 
 

@@ -13,9 +13,9 @@ from edge.tick.reference import Reference
 from training.rl import gap, gap_table
 from training.rl.boxes import START_ROWS
 from training.rl.gap import LEAD_STEPS, STEPS, episode_of, gap_of
-from training.rl.kept import POLICY_FILE, RECORD_FILE
 from training.rl.read_model import read_model
 from training.rl.rig import Ticks, run_on_rig
+from training.rl.saved_policy import POLICY_FILE, RECORD_FILE
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,10 @@ from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
 from training.data.datasets import training_runs
 from training.rl.export import export, graph_of
-from training.rl.kept import POLICY_FILE, WEIGHTS_FILE, best_folder
 from training.rl.observations import recorded_observations
 from training.rl.parity import main as tell_parity
 from training.rl.parity import parity
+from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE, best_folder
 from training.rl.settings import DqnSettings
 from training.rl.study import PolicyJob, study, world_of
 from training.rl.train import greedy, train

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from edge.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weights, simple_twins
 from edge.diagnosis.candidates import Names
 from edge.diagnosis.folds import block_sums, folds
-from edge.diagnosis.free_fit import fit_values, left_out_errors, rms_k, widened
-from edge.diagnosis.given import PreparedRuns, errors_over
+from edge.diagnosis.free_fit import fit_values, left_out_errors, rms_k, widen
 from edge.diagnosis.possible import impossible
+from edge.diagnosis.prepare import PreparedRuns, errors_over
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.trial import Fitted
+from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -39,7 +39,7 @@ class JudgedTwin:
     """
 
     added: Names
-    fitted: Fitted
+    fit: FittedTwin
     errors: Floats
 
     @property
@@ -50,7 +50,7 @@ class JudgedTwin:
     @property
     def open_values(self) -> list[tuple[UnknownValue, float]]:
         """Fitted unknowns and their coordinates, without values that another effect replaces."""
-        return list(zip(self.fitted.free, map(float, self.fitted.coordinates), strict=True))
+        return list(zip(self.fit.free, map(float, self.fit.coordinates), strict=True))
 
     @property
     def at_bound(self) -> list[str]:
@@ -60,7 +60,7 @@ class JudgedTwin:
     @property
     def spreads(self) -> list[tuple[UnknownValue, float, float]]:
         """Fitted unknowns, their coordinates, and the standard deviations of these."""
-        sds = np.sqrt(np.maximum(np.diag(self.fitted.covariance), 0.0))
+        sds = np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))
         return [(own, x, float(sd)) for (own, x), sd in zip(self.open_values, sds, strict=False)]
 
 
@@ -75,39 +75,39 @@ class ArxBaseline(NamedTuple):
 class Comparison:
     """Sets of effects over the same left-out rows, each fitted once. noise_k : of a reading"""
 
-    known: PreparedRuns
+    inputs: PreparedRuns
     noise_k: float
-    shared: SideBySide
+    pool: SideBySide
     telling: Telling
-    tried: dict[Names, JudgedTwin] = field(default_factory=dict)
+    trials: dict[Names, JudgedTwin] = field(default_factory=dict)
     simple: dict[str, JudgedTwin] = field(default_factory=dict)
     arx: dict[str, ArxBaseline] = field(default_factory=dict)
 
     def add(self, files: Mapping[Names, TwinFile], below_k: float = np.inf) -> None:
         """Judge sets that were not yet, those alone that miss by less over the rows that are fitted."""
-        new = {key: file for key, file in files.items() if key not in self.tried}
+        new = {key: file for key, file in files.items() if key not in self.trials}
         for size in sorted({len(key) for key in new}):
             # One after another, as each begins near a smaller one.
             self._add({key: file for key, file in new.items() if len(key) == size}, below_k)
 
     def _add(self, new: Mapping[Names, TwinFile], below_k: float) -> None:
         self.telling(f"free runs over left-out rows: {len(new)} twins")
-        fitted = self._fitted(new.values(), [self._near(key) for key in new])
+        fitted = self._fit(new.values(), [self._near(key) for key in new])
         kept = [
             (key, item)
             for key, item in zip(new, fitted, strict=True)
-            if below_k == np.inf or rms_k(item, self.known.runs) < below_k
+            if below_k == np.inf or rms_k(item, self.inputs.runs) < below_k
         ]
         found = self._left_out([item for _, item in kept])
         for (key, _), (item, errors) in zip(kept, found, strict=True):
-            self.tried[key] = JudgedTwin(key, item, errors)
+            self.trials[key] = JudgedTwin(key, item, errors)
 
     def add_simple(self) -> None:
         """Judge the baselines."""
-        runs = self.known.runs
-        twins = simple_twins(self.known.file, runs)
+        runs = self.inputs.runs
+        twins = simple_twins(self.inputs.file, runs)
         self.telling("simple models")
-        judged = self._left_out(self._fitted(twins.values()))
+        judged = self._left_out(self._fit(twins.values()))
         for name, (fitted, errors) in zip(twins, judged, strict=True):
             self.simple[name] = JudgedTwin(frozenset(), fitted, errors)
         seen = np.isfinite(runs.temp[:, 1:])
@@ -130,11 +130,11 @@ class Comparison:
 
         What has no name is added only where it is clearly better.
         """
-        named = self.tried[names]
+        named = self.trials[names]
         most_start_k = NO_WORSE * self.from_start_k(named)
         others = [
             item
-            for key, item in self.tried.items()
+            for key, item in self.trials.items()
             if key == names or (key > names and self.is_sound(item, most_start_k))
         ]
         best = min(others, key=lambda item: item.rmse_k)
@@ -150,7 +150,7 @@ class Comparison:
         A body that may begin anywhere is a heat that no input makes: it helps where what was before is seen,
         and misleads in a run of its own.
         """
-        return rmse(errors_over(self.known.as_fitted(), item.fitted, self.known))
+        return rmse(errors_over(self.inputs.as_fitted(), item.fit, self.inputs))
 
     def is_sound(self, item: JudgedTwin, most_start_k: float) -> bool:
         """Return whether its values can be in this greenhouse and its runs from the first rows are near."""
@@ -158,8 +158,8 @@ class Comparison:
 
     def is_impossible(self, item: JudgedTwin) -> bool:
         """Return whether an added effect has a value that is impossible in this greenhouse."""
-        runs, step_s = self.known.runs, self.known.file.sample_s
-        return any(impossible(name, item.fitted, runs, step_s) for name in item.added - {OPEN})
+        runs, step_s = self.inputs.runs, self.inputs.file.sample_s
+        return any(impossible(name, item.fit, runs, step_s) for name in item.added - {OPEN})
 
     def is_better(self, item: JudgedTwin, than: JudgedTwin, errors: float = 1.0) -> bool:
         """Return whether one twin's free runs miss left-out rows by much less,
@@ -171,7 +171,7 @@ class Comparison:
         """Return whether a twin is clearly better, in all fifths of the runs but one, and at their ends."""
         if not self.is_better(item, than, CLEARLY):
             return False
-        parts = folds(self.known.runs)
+        parts = folds(self.inputs.runs)
         less = [rmse(item.errors[part]) < rmse(than.errors[part]) for part in parts]
         return less[-1] and sum(less) >= len(parts) - 1
 
@@ -181,9 +181,9 @@ class Comparison:
         By the logarithm of what each misses in a block: one that runs away in a single one decides nothing.
         """
         known = np.isfinite(item.errors) & np.isfinite(best.errors)
-        least = block_sums(np.where(known, self.noise_k**2, 0.0), self.known.runs)
+        least = block_sums(np.where(known, self.noise_k**2, 0.0), self.inputs.runs)
         own, less = (
-            block_sums(np.where(known, each.errors**2, 0.0), self.known.runs) for each in (item, best)
+            block_sums(np.where(known, each.errors**2, 0.0), self.inputs.runs) for each in (item, best)
         )
         told = least > 0.0
         off = np.log((own[told] + least[told]) / (less[told] + least[told]))
@@ -191,24 +191,24 @@ class Comparison:
             return 0.0
         return float(off.mean()) / max(float(off.std(ddof=1)) / float(np.sqrt(len(off))), 1e-12)
 
-    def _near(self, names: Names) -> Fitted | None:
+    def _near(self, names: Names) -> FittedTwin | None:
         """Return the best judged twin that has all of these effects but one."""
-        others = [item for key, item in self.tried.items() if key < names and len(names - key) == 1]
+        others = [item for key, item in self.trials.items() if key < names and len(names - key) == 1]
         best = min(others, key=lambda item: item.rmse_k, default=None)
-        return None if best is None else best.fitted
+        return None if best is None else best.fit
 
-    def _fitted(self, files: Iterable[TwinFile], near: Sequence[Fitted | None] = ()) -> list[Fitted]:
-        rooms = [term for term in self.known.terms if term.of_room]
-        return fit_values(list(files), rooms, self.known.runs, self.noise_k, self.shared, near)
+    def _fit(self, files: Iterable[TwinFile], near: Sequence[FittedTwin | None] = ()) -> list[FittedTwin]:
+        rooms = [term for term in self.inputs.terms if term.of_room]
+        return fit_values(list(files), rooms, self.inputs.runs, self.noise_k, self.pool, near)
 
-    def _left_out(self, fitted: Sequence[Fitted]) -> list[tuple[Fitted, Floats]]:
+    def _left_out(self, fitted: Sequence[FittedTwin]) -> list[tuple[FittedTwin, Floats]]:
         """With wider intervals, and the errors."""
-        runs = self.known.runs
-        told = left_out_errors(fitted, folds(runs), runs, self.shared)
-        return [(widened(item, sds), errors) for item, (errors, sds) in zip(fitted, told, strict=True)]
+        runs = self.inputs.runs
+        told = left_out_errors(fitted, folds(runs), runs, self.pool)
+        return [(widen(item, sds), errors) for item, (errors, sds) in zip(fitted, told, strict=True)]
 
 
-def opened(file: TwinFile) -> TwinFile:
+def free_values(file: TwinFile) -> TwinFile:
     """With uncertain values to be fitted, whatever the file says of them."""
     return file.with_values(
         {place: Value(value.value, fit=True) for place, value in file.values().items() if value.rel_sd}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun, refuse_test, resample
 from edge.twin.signals import Conditions
-from edge.twin.warm_start import held
+from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
 CONDITIONS = {
@@ -21,7 +21,7 @@ CONDITIONS = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recorded:
+class RunBatch:
     """B runs, padded to the longest with missing temperatures; row k's inputs hold to row k + 1.
 
     temp : [B, N + 1], NaN where missing [°C]; duty, fan, ambient : [B, N]
@@ -49,7 +49,7 @@ class Recorded:
         return known if self.left_out is None else known & ~self.left_out
 
 
-def recorded(runs: Sequence[RecordedRun], step_s: float) -> Recorded:
+def batch_runs(runs: Sequence[RecordedRun], step_s: float) -> RunBatch:
     """Return the runs as arrays at `step_s` that a model may be fitted on.
 
     A run ends where its fact `validate_from_s` says that validation begins; a fan column that is absent is a
@@ -66,11 +66,11 @@ def recorded(runs: Sequence[RecordedRun], step_s: float) -> Recorded:
         place = runs[known.index(False)].path
         raise DataError(f"{place}: temp_ambient_c: not known, but other runs have it")
     rows = max(part.temp.shape[1] for part in parts)
-    return Recorded(
-        np.concatenate([_padded(part.temp, rows, np.nan) for part in parts]),
-        np.concatenate([_padded(part.duty, rows - 1, 0.0) for part in parts]),
-        np.concatenate([_padded(part.fan, rows - 1, 0.0) for part in parts]),
-        np.concatenate([_padded(part.ambient, rows - 1, part.ambient[0, -1]) for part in parts]),
+    return RunBatch(
+        np.concatenate([_pad(part.temp, rows, np.nan) for part in parts]),
+        np.concatenate([_pad(part.duty, rows - 1, 0.0) for part in parts]),
+        np.concatenate([_pad(part.fan, rows - 1, 0.0) for part in parts]),
+        np.concatenate([_pad(part.ambient, rows - 1, part.ambient[0, -1]) for part in parts]),
         {
             name: np.concatenate([_held_on(part.conditions[name], rows - 1) for part in parts])
             for name in parts[0].conditions
@@ -79,7 +79,7 @@ def recorded(runs: Sequence[RecordedRun], step_s: float) -> Recorded:
     )
 
 
-def _part(run: RecordedRun, step_s: float) -> Recorded:
+def _part(run: RecordedRun, step_s: float) -> RunBatch:
     refuse_test(run)
     columns = resample(run, step_s).columns
     rows = len(columns["time_s"])
@@ -93,12 +93,12 @@ def _part(run: RecordedRun, step_s: float) -> Recorded:
     duty, fan = columns["heater_duty"], columns.get("fan_on", np.zeros(len(columns["time_s"])))
     ambient = columns.get("temp_ambient_c", np.full(len(fan), np.nan))
     steps = slice(begin, end)
-    return Recorded(
+    return RunBatch(
         temp[None, begin : end + 1],
         duty[None, steps],
         fan[None, steps],
-        held(ambient)[None, steps],
-        {name: held(values)[None, steps] for name, values in _conditions(run, columns).items()},
+        hold(ambient)[None, steps],
+        {name: hold(values)[None, steps] for name, values in _conditions(run, columns).items()},
     )
 
 
@@ -125,6 +125,6 @@ def _held_on(values: Floats, columns: int) -> Floats:
     return np.pad(values, ((0, 0), (0, columns - values.shape[1])), mode="edge")
 
 
-def _padded(values: Floats, columns: int, with_value: float) -> Floats:
+def _pad(values: Floats, columns: int, with_value: float) -> Floats:
     missing = ((0, 0), (0, columns - values.shape[1]))
     return np.pad(values, missing, constant_values=with_value)

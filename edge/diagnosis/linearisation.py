@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.innovations import FilterGains, FilterInput, gains, whitened
+from edge.diagnosis.innovations import FilterGains, FilterInput, gains, whiten
 from edge.diagnosis.trial import Trial, start_of, start_spread
-from edge.diagnosis.unknowns import UnknownValue, path_priors, placed, unknowns
+from edge.diagnosis.unknowns import UnknownValue, path_priors, place_unknowns, unknowns
 from edge.twin.linearise import EnsembleRun, LinearSteps, linearise, responses
 from edge.twin.model import BoxTwin
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -37,7 +37,7 @@ class TrialState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linearised:
+class Linearisation:
     """Sums over all rows: normal matrix and gradient, over the unknowns and then the nuisances."""
 
     normal: Floats
@@ -47,7 +47,7 @@ class Linearised:
     terms: Floats  # whitened, [terms, B N]
 
 
-def filters_of(states: list[TrialState], runs: Recorded, measured: NDArray[np.bool_]) -> FilterGains:
+def filters_of(states: list[TrialState], runs: RunBatch, measured: NDArray[np.bool_]) -> FilterGains:
     """Return the filter gains of the present states."""
     filtered = []
     for state in states:
@@ -64,7 +64,7 @@ def begun_from(trial: Trial) -> TrialState:
     return TrialState(trial, free, x)
 
 
-def neighbours(state: TrialState, runs: Recorded) -> list[tuple[BoxTwin, LinearSteps]]:
+def neighbours(state: TrialState, runs: RunBatch) -> list[tuple[BoxTwin, LinearSteps]]:
     """Return the twin displaced a little in each unknown."""
     found = []
     for j, item in enumerate(state.free):
@@ -75,8 +75,8 @@ def neighbours(state: TrialState, runs: Recorded) -> list[tuple[BoxTwin, LinearS
 
 
 def normal_equations(
-    states: list[TrialState], owners: Indices, filters: FilterGains, runs: Recorded
-) -> list[Linearised]:
+    states: list[TrialState], owners: Indices, filters: FilterGains, runs: RunBatch
+) -> list[Linearisation]:
     """Residuals and their derivatives, whitened."""
     wanted: list[EnsembleRun] = []
     counts = [1 + len(state.free) + len(state.trial.nuisances) for state in states]
@@ -87,12 +87,12 @@ def normal_equations(
             wanted.append(EnsembleRun(moved, start_of(other, runs), moved.driven))
         wanted += [term.response(steps) for term in state.trial.nuisances]
     columns = _columns(responses(wanted), states, runs)
-    white = whitened(filters, np.repeat(owners, counts), columns)
+    white = whiten(filters, np.repeat(owners, counts), columns)
     parts = np.split(white.reshape(len(white), -1), np.cumsum(counts)[:-1])
     return [_normal(own, state) for own, state in zip(parts, states, strict=True)]
 
 
-def nominal(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, LinearSteps]:
+def nominal(state: TrialState, x: Floats, runs: RunBatch) -> tuple[BoxTwin, LinearSteps]:
     """Return the twin at `x`; each step begins where the last one ended."""
     place = x.tobytes()
     if place not in state.seen:
@@ -102,8 +102,8 @@ def nominal(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, Line
     return state.seen[place]
 
 
-def _at(state: TrialState, x: Floats, runs: Recorded) -> tuple[BoxTwin, LinearSteps]:
-    twin = placed(state.trial.file, state.free, x).twin()
+def _at(state: TrialState, x: Floats, runs: RunBatch) -> tuple[BoxTwin, LinearSteps]:
+    twin = place_unknowns(state.trial.file, state.free, x).twin()
     return twin, linearise(twin, runs)
 
 
@@ -112,7 +112,7 @@ def difference(item: UnknownValue, x: float) -> float:
     return DIFFERENCE if x + DIFFERENCE <= item.bounds[1] else -DIFFERENCE
 
 
-def _columns(shown: Floats, states: list[TrialState], runs: Recorded) -> Floats:
+def _columns(shown: Floats, states: list[TrialState], runs: RunBatch) -> Floats:
     """From temperatures to the residual, its derivatives by the unknowns and the nuisances."""
     place = 0
     measured = np.nan_to_num(runs.temp[:, 1:])
@@ -134,14 +134,14 @@ def _readings(shown: Floats, place: int, trial: Trial) -> int:
     return place + len(trial.nuisances)
 
 
-def _normal(columns: Floats, state: TrialState) -> Linearised:
+def _normal(columns: Floats, state: TrialState) -> Linearisation:
     """With the priors of the unknowns, of what two values must agree on, and of the nuisances."""
     residual, slopes = columns[0], columns[1:]
     p = len(state.free)
     if not np.abs(columns).max(initial=0.0) < RUNAWAY:
         # A twin that runs away is infinitely bad, and no way leads on from it.
         own = np.zeros_like(columns)
-        return Linearised(np.eye(len(slopes)), np.zeros(len(slopes)), np.inf, own[0], own[1 + p :])
+        return Linearisation(np.eye(len(slopes)), np.zeros(len(slopes)), np.inf, own[0], own[1 + p :])
     normal, gradient = slopes @ slopes.T, slopes @ residual
     for j, item in enumerate(state.free):
         normal[j, j] += item.sd**-2
@@ -150,18 +150,18 @@ def _normal(columns: Floats, state: TrialState) -> Linearised:
         normal[p + j, p + j] += term.sd**-2
         gradient[p + j] += term.mean / term.sd**2
     normal[:p, :p], gradient[:p] = _with_paths(normal[:p, :p], gradient[:p], state)
-    return Linearised(normal, gradient, float(residual @ residual), residual, slopes[p:])
+    return Linearisation(normal, gradient, float(residual @ residual), residual, slopes[p:])
 
 
 def _with_paths(normal: Floats, gradient: Floats, state: TrialState) -> tuple[Floats, Floats]:
-    here = path_priors(placed(state.trial.file, state.free, state.x))
+    here = path_priors(place_unknowns(state.trial.file, state.free, state.x))
     if not here:
         return normal, gradient
     slopes = np.empty((len(here), len(state.free)))
     for j, item in enumerate(state.free):
         near = state.x.copy()
         near[j] += difference(item, near[j])
-        there = path_priors(placed(state.trial.file, state.free, near))
+        there = path_priors(place_unknowns(state.trial.file, state.free, near))
         slopes[:, j] = (np.array(there) - here) / difference(item, state.x[j])
     return normal + slopes.T @ slopes, gradient - slopes.T @ np.array(here)
 
@@ -169,16 +169,16 @@ def _with_paths(normal: Floats, gradient: Floats, state: TrialState) -> tuple[Fl
 def prior_cost(state: TrialState, x: Floats) -> float:
     """Squares by which the unknowns, and what two of them must agree on, are off their priors."""
     own = sum(((a - item.mean) / item.sd) ** 2 for a, item in zip(x, state.free, strict=True))
-    paths = path_priors(placed(state.trial.file, state.free, x))
+    paths = path_priors(place_unknowns(state.trial.file, state.free, x))
     return float(own + sum(item**2 for item in paths))
 
 
-def cost(found: Linearised, state: TrialState) -> float:
+def cost(found: Linearisation, state: TrialState) -> float:
     """Half the sum of squares, the nuisances at their best."""
-    return 0.5 * (found.square + prior_cost(state, state.x)) - explained(found, len(state.free))
+    return 0.5 * (found.square + prior_cost(state, state.x)) - explained_cost(found, len(state.free))
 
 
-def explained(found: Linearised, p: int) -> float:
+def explained_cost(found: Linearisation, p: int) -> float:
     """Cost that the nuisances take away at their best; p : how many unknowns come before them."""
     if p == len(found.gradient):
         return 0.0

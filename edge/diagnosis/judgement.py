@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 from edge.diagnosis.candidates import Names, ScoredSet
 from edge.diagnosis.formulas import FormulaShape
 from edge.diagnosis.free_fit import APART_SDS, another, apart, rms_k
-from edge.diagnosis.given import PreparedRuns, errors_over
-from edge.diagnosis.handed import NO_WORSE, OPEN, Comparison, JudgedTwin, opened, rmse
+from edge.diagnosis.handover import NO_WORSE, OPEN, Comparison, JudgedTwin, free_values, rmse
 from edge.diagnosis.possible import impossible, none_at_all
+from edge.diagnosis.prepare import PreparedRuns, errors_over
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.search import WORTH_A_LOOK, Search
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.standing import HALF, NameEvidence, standing
 from edge.diagnosis.starts import with_usual
-from edge.diagnosis.trial import Fitted
+from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import SDS_95
-from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, intervals, read, unnamed
+from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, intervals, read, unnamed_verdict
 from edge.twin.effects.effect import Effect, Offer, ParameterKind
 from edge.twin.effects.library import EFFECTS, common_effects
-from edge.twin.recorded import Recorded
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -47,7 +47,7 @@ class Doubtful:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class DiagnosisJudgement:
     """verdict : with the names that stand; handed : the twin to hand over, perhaps with more than names
 
     other : the same twin with other values that do as well, None where there are none
@@ -57,22 +57,22 @@ class Judged:
     doubtful: tuple[Doubtful, ...]
     standings: Mapping[str, NameEvidence]
     comparison: Comparison
-    handed: JudgedTwin
-    other: Fitted | None
+    handover: JudgedTwin
+    other: FittedTwin | None
 
     @property
     def provisional(self) -> tuple[str, ...]:
         """Effects of the twin that is handed over whose names do not stand."""
-        return tuple(sorted(self.handed.added - {item.name for item in self.verdict.effects} - {OPEN}))
+        return tuple(sorted(self.handover.added - {item.name for item in self.verdict.effects} - {OPEN}))
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """Other values that do as well, and values of the twin file that the runs contradict, sentences."""
-        told = [] if self.other is None else [_other_values(self.handed.fitted, self.other)]
-        if OPEN not in self.handed.added:
+        told = [] if self.other is None else [_other_values(self.handover.fit, self.other)]
+        if OPEN not in self.handover.added:
             return tuple(told)
-        given = self.comparison.known.file.values()
-        for item, x in self.handed.open_values:
+        given = self.comparison.inputs.file.values()
+        for item, x in self.handover.open_values:
             if item.place not in given or (rel_sd := given[item.place].rel_sd) is None:
                 continue
             stated = given[item.place].value
@@ -84,7 +84,7 @@ class Judged:
         return tuple(told)
 
 
-def judged(
+def judge(
     search: Search,
     found: DiagnosisVerdict,
     known: PreparedRuns,
@@ -92,26 +92,26 @@ def judged(
     shared: SideBySide,
     telling: Telling,
     tests: Sequence[NamedRun] = (),
-) -> Judged:
+) -> DiagnosisJudgement:
     """Keep the names that stand, and choose the twin. tests : runs that are only judged by"""
-    comparison = Comparison(known, search.sets.base().fitted.trial.levels.sensor_k, shared, telling)
+    comparison = Comparison(known, search.sets.base().fit.trial.levels.sensor_k, shared, telling)
     effects, doubtful = list(found.effects), list[Doubtful]()
     every: dict[str, NameEvidence] = {}
     refused = set[str]()
     while True:
         comparison.add(_files(known.file, search, effects))
-        effects, exchanged = _exchanged(search, comparison, effects)
+        effects, exchanged = _exchange(search, comparison, effects)
         doubtful += exchanged
         names = frozenset(effect.name for effect in effects)
-        whole = scored(search, names)
-        if not names and comparison.tried[names].rmse_k <= EXPLAINED * comparison.noise_k:
-            handed = comparison.tried[names]
+        whole = score_set(search, names)
+        if not names and comparison.trials[names].rmse_k <= EXPLAINED * comparison.noise_k:
+            handed = comparison.trials[names]
             break
         if not names:
             handed = _with_unnamed(search, comparison, comparison.choose(names))
             if not (more := _thought_of(search, comparison, handed, names, refused)):
                 break
-            effects = list(read(search, scored(search, more)))
+            effects = list(read(search, score_set(search, more)))
             continue
         without = {name: search.sets.without(whole, name) for name in names}
         tries = len(search.candidates.names) + len(search.candidates.formulas)
@@ -123,26 +123,26 @@ def judged(
             handed = _with_unnamed(search, comparison, comparison.choose(names))
             # With what else is in that twin a name may have become what it can't be.
             for name in names:
-                said = impossible(name, handed.fitted, known.runs, known.file.sample_s)
-                said += none_at_all(name, handed.fitted)
-                said += _refuted(name, names, comparison, tests)
+                said = impossible(name, handed.fit, known.runs, known.file.sample_s)
+                said += none_at_all(name, handed.fit)
+                said += _refutations(name, names, comparison, tests)
                 if said:
                     against[name] = tuple(said)
         if not against:
             if not (more := _thought_of(search, comparison, handed, names, refused)):
                 break
-            effects = list(read(search, scored(search, names | more)))
+            effects = list(read(search, score_set(search, names | more)))
             continue
         refused |= against.keys()
         doubtful += [Doubtful(effect, against[effect.name]) for effect in effects if effect.name in against]
         effects = [effect for effect in effects if effect.name not in against]
     comparison.add_simple()
-    text = _said(search, found, tuple(effects), handed, shapes, comparison.noise_k)
-    other = another(handed.fitted, known.runs, comparison.noise_k, shared)
-    return Judged(text, tuple(doubtful), every, comparison, handed, other)
+    text = _final_verdict(search, found, tuple(effects), handed, shapes, comparison.noise_k)
+    other = another(handed.fit, known.runs, comparison.noise_k, shared)
+    return DiagnosisJudgement(text, tuple(doubtful), every, comparison, handed, other)
 
 
-def _other_values(found: Fitted, other: Fitted) -> str:
+def _other_values(found: FittedTwin, other: FittedTwin) -> str:
     own, far = (item.file.values() for item in (found, other))
     told = [
         f"{'.'.join(item.place)} {far[item.place].value:.3g} in the place of {own[item.place].value:.3g}"
@@ -151,23 +151,23 @@ def _other_values(found: Fitted, other: Fitted) -> str:
     return f"Other values do as well: {', '.join(told)}"
 
 
-def scored(search: Search, names: Names) -> ScoredSet:
+def score_set(search: Search, names: Names) -> ScoredSet:
     """Return a set of names with its likelihood."""
     base = search.sets.base()
-    return search.sets.fitted({names: search.sets.as_usual(base, names)})[0] if names else base
+    return search.sets.fit({names: search.sets.as_usual(base, names)})[0] if names else base
 
 
-def _exchanged(
+def _exchange(
     search: Search, comparison: Comparison, effects: list[MissingEffect]
 ) -> tuple[list[MissingEffect], list[Doubtful]]:
     """With another name in the place of one, where free runs are clearly better with it."""
     names = frozenset(effect.name for effect in effects)
     if not names:
         return effects, []
-    own = comparison.tried[names]
+    own = comparison.trials[names]
     others = [
         item
-        for key, item in comparison.tried.items()
+        for key, item in comparison.trials.items()
         if len(key) == len(names) == len(key & names) + 1
         and key <= set(search.candidates.names)
         and comparison.is_better(item, own)
@@ -176,7 +176,7 @@ def _exchanged(
     # Where the likelihood says the opposite, nothing is exchanged.
     if (
         best is None
-        or scored(search, best.added).likelihood < scored(search, names).likelihood - WORTH_A_LOOK
+        or score_set(search, best.added).likelihood < score_set(search, names).likelihood - WORTH_A_LOOK
     ):
         return effects, []
     (gone,) = names - best.added
@@ -186,7 +186,7 @@ def _exchanged(
         "in its place"
     )
     left = [Doubtful(effect, (why,)) for effect in effects if effect.name == gone]
-    return list(read(search, scored(search, best.added))), left
+    return list(read(search, score_set(search, best.added))), left
 
 
 def _files(file: TwinFile, search: Search, effects: Iterable[MissingEffect]) -> dict[Names, TwinFile]:
@@ -206,16 +206,16 @@ def _files(file: TwinFile, search: Search, effects: Iterable[MissingEffect]) -> 
     return {key: _with(file, key) for key in keys}
 
 
-def _refuted(name: str, names: Names, comparison: Comparison, tests: Sequence[NamedRun]) -> list[str]:
+def _refutations(name: str, names: Names, comparison: Comparison, tests: Sequence[NamedRun]) -> list[str]:
     """Test runs that are predicted worse with a name."""
-    both = [comparison.tried[names], comparison.tried[names - {name}]]
-    own, less = (rmse(_missed(tests, item.fitted, comparison.known)) for item in both)
+    both = [comparison.trials[names], comparison.trials[names - {name}]]
+    own, less = (rmse(_test_errors(tests, item.fit, comparison.inputs)) for item in both)
     if not own > REFUTED_FROM * less:
         return []
     return [f"free runs miss the test runs by {own:.3g} K with it, by {less:.3g} K without"]
 
 
-def _missed(tests: Sequence[NamedRun], fitted: Fitted, known: PreparedRuns) -> Floats:
+def _test_errors(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> Floats:
     """Errors over test runs, without their means where no room was recorded: that may be anything there."""
     every = [errors_over([test], fitted, known) for test in tests]
     if known.guessed:
@@ -229,14 +229,14 @@ def _thought_of(
     """Effects that the search did not name and that take away most of what free runs missed by."""
     more = handed.added & set(search.candidates.names) - names - refused
     refused |= more  # each is thought of once
-    less = comparison.tried[names].rmse_k
+    less = comparison.trials[names].rmse_k
     return frozenset(more) if more and handed.rmse_k < HALF * less else frozenset()
 
 
 def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) -> JudgedTwin:
     """With what makes free runs clearly better over left-out rows, whatever it stands for."""
-    file, runs = search.file, comparison.known.runs
-    last = search.rounds[-1].tried[:FIRST_FEW] if search.rounds else ()
+    file, runs = search.file, comparison.inputs.runs
+    last = search.rounds[-1].candidates[:FIRST_FEW] if search.rounds else ()
     also = [item.name for item in last if item.name in search.candidates.names]
     usual = [name for name in common_effects() if name in search.candidates.names]
     # Where much is unexplained, a twin without a name predicts better with these.
@@ -249,9 +249,9 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) ->
         if handed.rmse_k <= EXPLAINED * comparison.noise_k:
             break
         wanted = [handed.added | {name} for name in possible if name not in handed.added]
-        most_k = LESS_SEEN * rms_k(handed.fitted, runs)
+        most_k = LESS_SEEN * rms_k(handed.fit, runs)
         comparison.add({key: _with(file, key, middle_c) for key in wanted}, most_k)
-        found = [comparison.tried[key] for key in wanted if key in comparison.tried]
+        found = [comparison.trials[key] for key in wanted if key in comparison.trials]
         most_start_k = NO_WORSE * comparison.from_start_k(handed)
         best = min(
             (
@@ -273,7 +273,7 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) ->
     return handed
 
 
-def _moves(effect: Effect, runs: Recorded) -> bool:
+def _moves(effect: Effect, runs: RunBatch) -> bool:
     """Return True where all commands change without which the effect says nothing."""
     commands = {"heater_duty": runs.duty, "fan_on": runs.fan}
     return all(np.ptp(commands[key]) > 0.0 for key in effect.must_change)
@@ -297,10 +297,10 @@ def _with(file: TwinFile, names: Names, middle_c: float = 0.0) -> TwinFile:
         for item in EFFECTS[name].parameters:
             if item.kind is ParameterKind.TURNING_POINT:
                 file = file.with_values({("effects", name, item.name): Value(middle_c, fit=True)})
-    return opened(file) if OPEN in names else file
+    return free_values(file) if OPEN in names else file
 
 
-def _said(
+def _final_verdict(
     search: Search,
     found: DiagnosisVerdict,
     effects: tuple[MissingEffect, ...],
@@ -309,17 +309,17 @@ def _said(
     noise_k: float,
 ) -> DiagnosisVerdict:
     """Return the verdict with the standing names and the values that are handed over."""
-    valued = tuple(_valued(effect, handed) for effect in effects)
+    valued = tuple(_with_values(effect, handed) for effect in effects)
     if valued:
         return replace(found, kind="named", effects=valued, depends_on=())
     if handed.rmse_k <= EXPLAINED * noise_k and not handed.added - {OPEN}:
         return replace(found, kind="nothing_missing", effects=(), depends_on=(), formula=())
     too_far = handed.rmse_k > FAR_FROM_NOISE * noise_k
     if found.effects or (found.kind == "nothing_missing" and (handed.added - {OPEN} or too_far)):
-        return unnamed(search, shapes)
+        return unnamed_verdict(search, shapes)
     return found
 
 
-def _valued(effect: MissingEffect, handed: JudgedTwin) -> MissingEffect:
-    values, bound = intervals(handed.fitted, effect.name)
+def _with_values(effect: MissingEffect, handed: JudgedTwin) -> MissingEffect:
+    values, bound = intervals(handed.fit, effect.name)
     return replace(effect, parameters=values, at_bound=bound)

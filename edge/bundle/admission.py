@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from edge.bundle.manifest import Sha256
-from edge.formats.checked import REQUIRED
+from edge.formats.cross_check import REQUIRED
 from edge.formats.reader import read
 from edge.formats.state_document import read_document, write_document
 
@@ -15,13 +15,13 @@ _RELEASE = re.compile(r"\d{1,9}(?:\.\d{1,9})*")
 
 
 @dataclass(frozen=True, slots=True)
-class Admitted:
+class Admission:
     """newest : version of the newest bundle, by number; "" before the first; proved : sha256 of manifests."""
 
     newest: str = field(default="", metadata=REQUIRED)
     proved: tuple[Sha256, ...] = field(default=(), metadata=REQUIRED)
 
-    def with_install(self, version: str, manifest_sha256: str) -> "Admitted":
+    def with_install(self, version: str, manifest_sha256: str) -> "Admission":
         """Return the record after an install. An older bundle that the operator
         allowed sets `newest` back.
         """
@@ -38,15 +38,15 @@ def release(version: str) -> tuple[int, ...]:
     return tuple(numbers)
 
 
-def read_admitted(folder: Path) -> Admitted | None:
+def read_admission(folder: Path) -> Admission | None:
     """Read the store's record, None where there is none. Errors: DataError"""
     path = folder / FILE
     values = read_document(path)
     if values is None:
         return None
-    return read(Admitted, values, str(path))
+    return read(Admission, values, str(path))
 
 
-def write_admitted(folder: Path, admitted: Admitted) -> None:
+def write_admission(folder: Path, admitted: Admission) -> None:
     """Replace the record. Errors: OSError"""
     write_document(folder / FILE, asdict(admitted))

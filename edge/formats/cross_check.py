@@ -14,7 +14,7 @@ from datetime import time
 from typing import Any, NoReturn
 
 from edge.core.errors import ConfigError
-from edge.core.plain_text import shown
+from edge.core.plain_text import quote
 
 REQUIRED = {"required": True}  # metadata: in a document, though an object made in code has a default
 ABSENT: Any = None  # default of a key that may be left out of a document but not be null
@@ -48,7 +48,7 @@ class SettingError(ConfigError):
         self.problem = problem
 
 
-class Checked:
+class CheckedDocument:
     """Base of a document's class with a check of its values against each other."""
 
     __slots__ = ()
@@ -62,7 +62,7 @@ class Checked:
 
 
 @dataclass(frozen=True, slots=True)
-class Section(Checked):
+class Section(CheckedDocument):
     """Base of all settings. Raises SettingError when made with a value its rules do not allow."""
 
     def __post_init__(self) -> None:
@@ -112,7 +112,7 @@ def value_problem(value: object, rule: Rule | None) -> str:
     if rule is None or value is None:
         return ""
     if rule.choices and value not in rule.choices:
-        return f"{shown(value)} is none of {', '.join(str(choice) for choice in rule.choices)}"
+        return f"{quote(value)} is none of {', '.join(str(choice) for choice in rule.choices)}"
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _number_problem(value, rule)
     if isinstance(value, str):
@@ -126,9 +126,9 @@ def value_problem(value: object, rule: Rule | None) -> str:
 def _text_problem(value: str, rule: Rule) -> str:
     most = rule.most or TEXT_MAX
     if len(value) > most or not value.isprintable():
-        return f"{shown(value)} is longer than {most} characters or has some that are not printable"
+        return f"{quote(value)} is longer than {most} characters or has some that are not printable"
     if rule.pattern and not re.fullmatch(rule.pattern, value):
-        return f"{shown(value)} does not match {rule.pattern}"
+        return f"{quote(value)} does not match {rule.pattern}"
     return ""
 
 
@@ -138,7 +138,7 @@ def _number_problem(value: float, rule: Rule) -> str:
     except OverflowError:  # a whole number with more digits than a float has
         is_finite = False
     if not is_finite:
-        return f"{shown(value)} is not a finite number"
+        return f"{quote(value)} is not a finite number"
     if value > rule.high:
         return f"{value:g} is above the {'hard limit' if rule.hard else 'largest allowed,'} {rule.high:g}"
     if value < rule.low:

@@ -13,14 +13,14 @@ from edge.diagnosis.gap import forecast
 from edge.diagnosis.locate.events import DoorOpening, find_events
 from edge.diagnosis.noise_levels import find_levels, first_levels
 from edge.diagnosis.nuisances import answer_s, assumed_room, begins_at_rest, nuisances, rooms
-from edge.diagnosis.readings import expected, spikes, stuck, wrong_starts
+from edge.diagnosis.readings import expected_readings, spikes, stuck, wrong_starts
 from edge.diagnosis.room import WAYS, over_rows
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.trial import Fitted, SizedTerm, Trial
-from edge.twin.recorded import Recorded, recorded
+from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
+from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
-from edge.twin.warm_start import held
+from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
 ITERATIONS, FEW = 6, 3
@@ -42,7 +42,7 @@ class PreparedRuns:
 
     file: TwinFile
     train: tuple[NamedRun, ...]
-    runs: Recorded
+    runs: RunBatch
     terms: tuple[SizedTerm, ...]
     doors: tuple[DoorOpening, ...]
     wrong: int
@@ -56,7 +56,7 @@ class PreparedRuns:
         return tuple(named.name for named in self.train)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """Sentences about the data that were taken out."""
         if not self.wrong:
             return ()
@@ -70,7 +70,7 @@ class PreparedRuns:
     def _as_fitted(self, i: int, named: NamedRun) -> NamedRun:
         columns = dict(named.run.columns)
         known = np.flatnonzero(np.isfinite(columns["temp_air_c"]))
-        first, last = int(known[0]), int(known[-1])  # the rows that `recorded` takes
+        first, last = int(known[0]), int(known[-1])  # the rows that `batch_runs` takes
         columns["temp_air_c"] = np.full(len(named.run), np.nan)
         columns["temp_air_c"][first : last + 1] = self.runs.temp[i, : last + 1 - first]
         if self.doors:
@@ -87,7 +87,7 @@ class PreparedRuns:
         """
         rows = len(named.run)
         if not self.guessed:
-            return np.asarray(over_rows(held(named.run.columns["temp_ambient_c"])[None], self.room)[0])
+            return np.asarray(over_rows(hold(named.run.columns["temp_ambient_c"])[None], self.room)[0])
         own = named.rest_of or named.name
         if own in self.names:
             return np.full(rows, self.runs.ambient[self.names.index(own), 0])
@@ -100,16 +100,16 @@ class PreparedRuns:
         return np.full(rows, first + np.mean(fitted[at_rest] - known))
 
 
-def given(file: TwinFile, data: DiagnosisRuns) -> PreparedRuns:
+def prepare(file: TwinFile, data: DiagnosisRuns) -> PreparedRuns:
     """Prepare the training runs. Errors: DataError for a column that the twin needs and the runs have not"""
-    item = _prepared(_begun_well(file, data), data.train)
-    best = _fitted(item)
+    item = _prepare(_begun_well(file, data), data.train)
+    best = _fit(item)
     wrong = wrong_starts(best, item.runs)
     if wrong.any():
         train = [_begun_later(named) if bad else named for named, bad in zip(data.train, wrong, strict=True)]
-        item = _prepared(item.file, train)
+        item = _prepare(item.file, train)
         item = replace(item, wrong=item.wrong + int(wrong.sum()))
-        best = _fitted(item)
+        best = _fit(item)
     return _without_events(item, best)
 
 
@@ -117,7 +117,7 @@ def _begun_well(file: TwinFile, data: DiagnosisRuns) -> TwinFile:
     """With its open values where free runs fit best, wherever they were to start, and its speed."""
     if not file.to_fit():
         return replace(file, answer_s=answer_s(file.twin()))
-    plain = _prepared(file, data.train)
+    plain = _prepare(file, data.train)
     rooms = [term for term in plain.terms if term.of_room]
     best = fit_values([file], rooms, plain.runs, first_levels(file, plain.runs).sensor_k, SideBySide())[
         0
@@ -133,9 +133,9 @@ def _begun_later(named: NamedRun) -> NamedRun:
     return replace(named, run=replace(named.run, columns={**named.run.columns, "temp_air_c": temp}))
 
 
-def _prepared(file: TwinFile, train: Sequence[NamedRun]) -> PreparedRuns:
+def _prepare(file: TwinFile, train: Sequence[NamedRun]) -> PreparedRuns:
     """Without what is wrong on its face, and with a room temperature."""
-    runs = recorded([named.run for named in train], file.sample_s)
+    runs = batch_runs([named.run for named in train], file.sample_s)
     if file.day0_utc is None and "utc" in runs.conditions:
         file = replace(file, day0_utc=float(runs.conditions["utc"].min()))
     guessed = not runs.has_ambient
@@ -156,22 +156,22 @@ def _with_room(item: PreparedRuns) -> PreparedRuns:
         replace(item, runs=replace(item.runs, ambient=over_rows(item.runs.ambient, way)), room=way)
         for way in WAYS
     ]
-    return max(ways, key=lambda way: _fitted(way, FEW).log_likelihood)
+    return max(ways, key=lambda way: _fit(way, FEW).log_likelihood)
 
 
-def _fitted(item: PreparedRuns, iterations: int = ITERATIONS) -> Fitted:
+def _fit(item: PreparedRuns, iterations: int = ITERATIONS) -> FittedTwin:
     """Fit the twin before any effect is added."""
     trial = Trial(item.file, first_levels(item.file, item.runs), item.terms)
     levelled = find_levels(fit([trial], item.runs, iterations), item.file, item.runs)
     return fit(levelled, item.runs, FEW)[0]
 
 
-def _with_expected(item: PreparedRuns, best: Fitted) -> PreparedRuns:
+def _with_expected(item: PreparedRuns, best: FittedTwin) -> PreparedRuns:
     """With what the twin expected of each temperature, which has nothing of the readings' own noise.
 
     A twin that lacks much expects nonsense: then the readings stand for the air, noise and all.
     """
-    temps = expected(best, item.runs)
+    temps = expected_readings(best, item.runs)
     off_k = np.sqrt(np.nanmean((temps - item.runs.temp) ** 2))
     if not off_k <= FAR_OFF * first_levels(item.file, item.runs).sensor_k:
         return item
@@ -179,7 +179,7 @@ def _with_expected(item: PreparedRuns, best: Fitted) -> PreparedRuns:
     return replace(item, expected=temps, terms=terms)
 
 
-def _without_events(plain: PreparedRuns, best: Fitted) -> PreparedRuns:
+def _without_events(plain: PreparedRuns, best: FittedTwin) -> PreparedRuns:
     """Find doors and wrong readings by the twin as it fits best before anything is added."""
     known = with_rooms(plain, best.sizes)
     try:
@@ -197,7 +197,7 @@ def _without_events(plain: PreparedRuns, best: Fitted) -> PreparedRuns:
         runs = replace(runs, conditions={**runs.conditions, "door_open": door_open})
     wrong = int(np.isfinite(plain.runs.temp).sum() - np.isfinite(temp).sum())
     clean = replace(plain, runs=runs, doors=events.doors, wrong=plain.wrong + wrong)
-    return _with_expected(clean, _fitted(clean))
+    return _with_expected(clean, _fit(clean))
 
 
 def with_rooms(item: PreparedRuns, sizes: Sequence[float] | Floats) -> PreparedRuns:
@@ -208,7 +208,7 @@ def with_rooms(item: PreparedRuns, sizes: Sequence[float] | Floats) -> PreparedR
     return replace(item, runs=replace(item.runs, ambient=item.runs.ambient + offsets[:, None]))
 
 
-def errors_over(tests: Sequence[NamedRun], fitted: Fitted, known: PreparedRuns) -> Floats:
+def errors_over(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> Floats:
     """Measured minus free run over all test runs, one after another, NaN where not measured [K]."""
     own = with_rooms(known, fitted.sizes)
     twin = fitted.file.twin()

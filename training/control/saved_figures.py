@@ -64,7 +64,7 @@ def times_beside(kept: Times, now: Times, names: Sequence[str]) -> Times:
     return {name: both[name] for name in names if name in (both := {**kept, **whole})}
 
 
-def changed(kept: Results, now: Results, tolerance: float = 0.0) -> str:
+def first_change(kept: Results, now: Results, tolerance: float = 0.0) -> str:
     """Return the first figure of `now` that differs from the saved one, "" where none does.
 
     tolerance : share of the saved figure that it may differ by
@@ -74,12 +74,12 @@ def changed(kept: Results, now: Results, tolerance: float = 0.0) -> str:
         place = f"{one.entry}, {one.reference}, seed {one.seed}"
         if (before := runs.get(_run(one))) is None:
             return f"{place}: no such run is kept"
-        if found := first_difference(asdict(before), asdict(_rounded(before, one, tolerance)), place=place):
+        if found := first_difference(asdict(before), asdict(_round(before, one, tolerance)), place=place):
             return found
     return ""
 
 
-def _rounded(saved: RunResult, now: RunResult, tolerance: float) -> RunResult:
+def _round(saved: RunResult, now: RunResult, tolerance: float) -> RunResult:
     """Return `now` with the saved value of each figure that is within the tolerance."""
     pairs = {name: (value, getattr(now.figures, name)) for name, value in asdict(saved.figures).items()}
     near = {name: a for name, (a, b) in pairs.items() if abs(a - b) <= tolerance * abs(a)}

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Located:
+class Location:
     """In the form of diagnosis.json.
 
     before, after : residuals by run name, none where a twin is too far off
@@ -55,7 +55,7 @@ class Located:
         return found
 
 
-def located(found: Diagnosis) -> Located:
+def locate(found: Diagnosis) -> Location:
     """By the residual heat of the training runs."""
     before = _residuals(found, found.before)
     after = _residuals(found, found.after)
@@ -75,7 +75,7 @@ def located(found: Diagnosis) -> Located:
             "rmse_k": place.rmse_k,
         }
         listed.append({**rows, **_afterwards(place.masks, list(before), after)})
-    return Located(
+    return Location(
         listed,
         findings(places, times),
         _events(found),
@@ -89,9 +89,9 @@ def located(found: Diagnosis) -> Located:
 
 def _innovations(found: Diagnosis, item: ScoredSet) -> dict[str, Floats]:
     """In standard deviations, by run, NaN where nothing was measured, with the noise found for the set."""
-    measured = np.isfinite(found.known.runs.temp[:, 1:])
-    values = np.where(measured, item.fitted.innovations, np.nan)
-    return dict(zip(found.known.names, values, strict=True))
+    measured = np.isfinite(found.inputs.runs.temp[:, 1:])
+    values = np.where(measured, item.fit.innovations, np.nan)
+    return dict(zip(found.inputs.names, values, strict=True))
 
 
 def _afterwards(
@@ -112,7 +112,7 @@ def _afterwards(
 def _residuals(found: Diagnosis, side: Side) -> dict[str, Residuals]:
     """By run; none of a twin that is so far off that its filter has no sense."""
     try:
-        every = residuals_of(side.file.twin(), found.known.runs, found.known.names, side.levels.sensor_k)
+        every = residuals_of(side.file.twin(), found.inputs.runs, found.inputs.names, side.levels.sensor_k)
     except (DataError, np.linalg.LinAlgError):
         return {}
     return {item.name: item for item in every if np.isfinite(item.heat_w).any()}
@@ -121,7 +121,7 @@ def _residuals(found: Diagnosis, side: Side) -> dict[str, Residuals]:
 def _events(found: Diagnosis) -> list[EventEntry]:
     return [
         {"run": door.run, "from_s": door.from_s, "to_s": door.to_s, "kind": "door", "heat_w": door.heat_w}
-        for door in found.known.doors
+        for door in found.inputs.doors
     ]
 
 

@@ -26,7 +26,7 @@ OURS = ("pbm_fitted", "linear_ambient", "twin", "lstm_increment", "ham_guarded")
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class SavedTraining:
     """One training that was kept.
 
     record : its facts (settings, time, memory, versions); the errors in it are never read
@@ -40,7 +40,7 @@ class Kept:
     folder: Path
 
 
-def read_trained(root: Path) -> list[Kept]:
+def read_trained(root: Path) -> list[SavedTraining]:
     """Every training under `root`, by model in the order of the tables, regime and seed.
 
     Errors : DataError for none, for one whose model doesn't load, or for a missing model or regime
@@ -76,16 +76,18 @@ def _has_weights(folder: Path) -> bool:
     return any((folder / name).exists() for name in (NETWORK_FILE, ARX_FILE, TWIN_FILE))
 
 
-def unguarded(kept: Kept) -> Kept:
+def remove_guard(kept: SavedTraining) -> SavedTraining:
     """Our hybrid trusted everywhere: margins without end, so that the correction never fades."""
     network, _ = load_network(kept.folder / NETWORK_FILE)
     if not isinstance(network, GuardedHamNet):
         raise DataError(f"{kept.folder}: {kept.model} has no guard to switch off")
     network.margin.copy_(torch.full_like(network.margin, torch.inf))
-    return Kept(UNGUARDED, kept.regime, kept.seed, GuardedHamPredictor(network), kept.record, kept.folder)
+    return SavedTraining(
+        UNGUARDED, kept.regime, kept.seed, GuardedHamPredictor(network), kept.record, kept.folder
+    )
 
 
-def _read(folder: Path, model: str, regime: Regime) -> Kept:
+def _read(folder: Path, model: str, regime: Regime) -> SavedTraining:
     try:
         record = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -93,7 +95,7 @@ def _read(folder: Path, model: str, regime: Regime) -> Kept:
     for key, value in (("model", model), ("regime", regime)):
         if record.get(key) != value:
             raise DataError(f"{folder / RESULT_FILE}: {key}: {record.get(key)!r}, but it lies in {value}")
-    return Kept(model, regime, int(record["seed"]), _predictor(folder), record, folder)
+    return SavedTraining(model, regime, int(record["seed"]), _predictor(folder), record, folder)
 
 
 def _predictor(folder: Path) -> Predictor:

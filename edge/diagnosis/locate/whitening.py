@@ -30,7 +30,7 @@ def jumps(steps: Steps, way: HeatFilterResult) -> Floats:
 
 def spikes(steps: Steps, way: HeatFilterResult) -> Floats:
     """Return the innovations if only the reading after step i is 1 K too high."""
-    shown = _scaled(way, np.ones_like(way.innovation), 0)
+    shown = _scale(way, np.ones_like(way.innovation), 0)
     later = -np.einsum("kbij,kbj->kbi", steps.matrix[1:], way.gain[:-1])
     rest = _responses(steps, way, np.concatenate([np.zeros_like(way.gain[:1]), later]))
     # In place, as a second array of this size is what a small machine lacks.
@@ -49,14 +49,14 @@ def _responses(steps: Steps, way: HeatFilterResult, state: Floats) -> Floats:
     for lag in range(lags):
         reach = rows - lag
         state = state[:reach]
-        found[:, :reach, lag] = _scaled(way, state[..., 0], lag).T
+        found[:, :reach, lag] = _scale(way, state[..., 0], lag).T
         state = state - way.gain[lag:] * state[..., :1]
         if reach > 1:
             state = np.einsum("kbij,kbj->kbi", steps.matrix[lag + 1 :], state[:-1])
     return found
 
 
-def _scaled(way: HeatFilterResult, shown: Floats, lag: int) -> Floats:
+def _scale(way: HeatFilterResult, shown: Floats, lag: int) -> Floats:
     measured = np.isfinite(way.innovation[lag:])
     return np.where(measured, shown / np.sqrt(way.variance[lag:]), 0.0)
 

@@ -14,8 +14,8 @@ import numpy as np
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.noise_levels import FIRST_FACTOR, NEAR_FACTOR, find_levels, first_levels, level_prior
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.trial import Fitted, Trial
-from edge.twin.recorded import Recorded
+from edge.diagnosis.trial import FittedTwin, Trial
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
@@ -25,36 +25,36 @@ LOUD = 3.0  # times the usual heat noise: no twin that lacks nothing has that mu
 SEVERAL = 3  # effects, beside which another one may change what the first ones were taken for
 
 
-def refined(
+def refine(
     trials: Sequence[Trial],
     given: TwinFile,
-    runs: Recorded,
+    runs: RunBatch,
     again: int = AGAIN,
     shared: SideBySide | None = None,
-) -> list[Fitted]:
+) -> list[FittedTwin]:
     """Return the likelier fit of each trial, in the order given.
 
     given : the twin as it was before anything was added; again : how many, the best, may begin again
     """
     shared = shared or SideBySide()
-    found = shared.map(partial(_levelled, given=given, runs=runs, first=REFITTED), trials)
+    found = shared.map(partial(_level, given=given, runs=runs, first=REFITTED), trials)
     doubtful = [i for i, item in enumerate(found) if again and _doubtful(item, given, runs)]
     best = sorted(doubtful, key=lambda i: -_worth(found[i], given, runs))[:again]
     if best:
-        fresh = [begun(trials[i], given, runs) for i in best]
-        others = shared.map(partial(_levelled, given=given, runs=runs, first=AFRESH), fresh)
+        fresh = [begin(trials[i], given, runs) for i in best]
+        others = shared.map(partial(_level, given=given, runs=runs, first=AFRESH), fresh)
         for i, other in zip(best, others, strict=True):
             if likelihood(other, given) > likelihood(found[i], given):
                 found[i] = other
     return found
 
 
-def likelihood(found: Fitted, given: TwinFile) -> float:
+def likelihood(found: FittedTwin, given: TwinFile) -> float:
     """In nats, the prior of its noise levels included."""
     return found.log_likelihood + level_prior(found.trial.levels, given)
 
 
-def _levelled(trials: Sequence[Trial], given: TwinFile, runs: Recorded, first: int) -> list[Fitted]:
+def _level(trials: Sequence[Trial], given: TwinFile, runs: RunBatch, first: int) -> list[FittedTwin]:
     """Fitted, and then twice with better noise. first : iterations before"""
     found = fit(trials, runs, first)
     for factor in (FIRST_FACTOR, NEAR_FACTOR):
@@ -62,19 +62,19 @@ def _levelled(trials: Sequence[Trial], given: TwinFile, runs: Recorded, first: i
     return found
 
 
-def _worth(found: Fitted, given: TwinFile, runs: Recorded) -> float:
+def _worth(found: FittedTwin, given: TwinFile, runs: RunBatch) -> float:
     """Likelihood less what its values may explain by chance (BIC) [nats]."""
     rows = runs.measured.sum()
     return likelihood(found, given) - 0.5 * len(found.free) * float(np.log(rows))
 
 
-def _doubtful(found: Fitted, given: TwinFile, runs: Recorded) -> bool:
+def _doubtful(found: FittedTwin, given: TwinFile, runs: RunBatch) -> bool:
     added = found.file.effects.keys() - given.effects.keys()
     usual = first_levels(given, runs).heat_w
     return len(added) >= SEVERAL or found.trial.levels.heat_w > LOUD * usual
 
 
-def begun(trial: Trial, given: TwinFile, runs: Recorded) -> Trial:
+def begin(trial: Trial, given: TwinFile, runs: RunBatch) -> Trial:
     """With its free values where a fit begins, and the noise that is usual."""
     known = given.values()
     starts: dict[Place, Value] = {}
