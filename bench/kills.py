@@ -33,7 +33,7 @@ from edge.board.virtual_rig import die_with_parent
 from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.core.hard_limits import LEASE_S
-from edge.formats.state_document import write_document
+from edge.formats.atomic_file import write_document
 from edge.sockets.control_socket import request
 from training.lab import Lab
 

@@ -1,9 +1,13 @@
 """The diagnosis at night: `greenhouse twin diagnose` over the stored history, as a process of its own.
 
 Control never waits for it: it runs at the lowest priority of processor and disk, one at a time, for a limited
-time and with limited memory, and ends with the daemon. On a rig a unit of systemd runs it, see
-`edge.app.nightly_diagnosis`; elsewhere it is a child. A twin that it finds
-goes no further than the settings say.
+time and with limited memory, and ends with the daemon. On a rig a unit of systemd runs it; elsewhere it is
+a child process. A twin that it finds goes no further than the settings say.
+
+The daemon can start no process outside its own memory limit, so it writes a request into a folder; a path
+unit of systemd sees it and starts `python -m edge.app.nightly_diagnosis FOLDER` with another limit. The
+folder lives as long as the daemon: however the daemon ends, the folder is removed, and the command ends
+with it.
 """
 
 import json

@@ -29,11 +29,10 @@ from edge.bundle.roles import Roles, add_shadow, rolled_back
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
-from edge.formats.atomic_file import make_folder, move, sync_folder
+from edge.formats.atomic_file import make_folder, move, read_document, sync_folder, write_document
 from edge.formats.cross_check import REQUIRED
 from edge.formats.input_file import Folder, read_file
 from edge.formats.reader import read
-from edge.formats.state_document import read_document, write_document
 from edge.models.onnx_policy import OnnxPolicy, read_policy
 
 FILE = "admitted.json"

@@ -1,4 +1,8 @@
-"""`greenhouse check-config FILE`: check a configuration on this machine: files, folders, sockets, ports."""
+"""`greenhouse check-config FILE`: check a configuration on this machine: files, folders, sockets, ports.
+
+An error would end the daemon or leave a part of it without work. A warning may be right at another moment or
+for another user: a board that is not plugged in, a credential that only systemd hands over.
+"""
 
 import argparse
 import errno
@@ -15,8 +19,8 @@ from edge.config import loading as config
 from edge.config.secrets import read_secret
 from edge.config.settings import BundleSettings, ControlSocketSettings, MqttSettings, Settings
 from edge.core.errors import ConfigError, DataError, GreenhouseError
+from edge.formats.atomic_file import read_document
 from edge.formats.input_file import read_file
-from edge.formats.state_document import read_document
 from edge.tick.reference import make_reference
 
 SOCKET_PATH_MAX = 107  # bytes of a Unix socket's address, unix(7)

@@ -1,5 +1,8 @@
 """Offset-free model predictive control over the bundle's twin, with a Kalman filter for its state and
 disturbance.
+
+The disturbance is heat into the air that the twin does not know, a random walk, so that a plan which adds it
+has no steady-state error (offset-free MPC: Pannocchia and Rawlings, AIChE J. 49(2), 2003).
 """
 
 import time

@@ -1,5 +1,9 @@
 """Every signal and actuator once: unit, range, wire field, symbol in the literature; the levels of the
 heater.
+
+A range is what the sensor's datasheet class can report; a value outside it is no measurement
+(`Quality.RANGE`). Inside the program the bare name is used, in the unit given here; at a border
+(YAML, SQLite, JSON, CSV) the key carries the unit, see `Signal.key`.
 """
 
 from dataclasses import dataclass

@@ -1,5 +1,9 @@
 """Fitted sets of effects, each refitted with noise levels of its own and saved as good as it was ever
 found.
+
+A likelihood has several tops. While effects are missing, the twin does best with noise that swallows most of
+what was measured, and its values follow; a set that is then grown from there stays on that slope. So a set
+with that much noise, or with several effects, is fitted once more as if nothing had been found before.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,8 @@
-"""The verdict of the search in the terms of diagnosis.json, with the probability of each name."""
+"""The verdict of the search in the terms of diagnosis.json, with the probability of each name.
+
+The probability is a logistic regression on the evidence of left-out rows for the name. A likelihood alone is
+too sure: it knows its own model, not the alternatives outside it.
+"""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,16 @@ the same whatever its length, and the one still to come gets its share at infini
 quantile of the mixture sum_k 1/((K+1) n_k) sum_i |e_ki| + 1/(K+1) at infinity. A forecast from a new run is
 then inside with at least the claimed probability, whatever the model and the distribution of its errors.
 All forecasts of a run count, not one drawn from it: the guarantee is the same and the width scatters less.
-Source: Lee, Barber and Willett, Distribution-free inference with hierarchical data, arXiv:2306.06342, sec. 3;
-for single errors it is the usual ceil((n + 1)(1 - a)) / n (Vovk et al., Algorithmic Learning, 2005).
+Source: Lee, Barber and Willett, Distribution-free inference with hierarchical data, arXiv:2306.06342, sec.
+3; for single errors it is the usual ceil((n + 1)(1 - a)) / n (Vovk et al., Algorithmic Learning, 2005).
+
+Adaptation to this rig: a calibration holds for data like those it was made from. Each missed forecast
+widens the interval and each held one narrows it, ninefold less for a claim of 90 %, so that in the long run
+the share held is the claim, whatever the errors do: it differs by |log(w_T / w_0)| / (RATE T) after T.
+Source: Gibbs and Candès, Adaptive conformal inference under distribution shift, NeurIPS 2021; on the width
+instead of the level as Angelopoulos, Candès and Tibshirani, Conformal PID control, NeurIPS 2023, sec. 2.1
+(a level leaves 0..1 where the model extrapolates, and the interval is then all or nothing); in its
+logarithm, so that a width stays above 0 and one rate suits every model.
 """
 
 import json

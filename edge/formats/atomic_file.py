@@ -5,11 +5,16 @@ a file without a name, so that a kill leaves nothing else in the folder.
 """
 
 import errno
+import json
 import os
 import secrets
 import stat
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+from edge.core.errors import DataError
+from edge.formats.reader import parse_json, read_bytes
 
 # Answers of file systems and kernels that have no files without a name (NFS, exFAT, an old overlay).
 _NEEDS_A_NAME = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL)
@@ -134,3 +139,20 @@ def _take_over(file: int, before: os.stat_result | None) -> None:
         with suppress(PermissionError):
             os.fchown(file, before.st_uid, before.st_gid)
     os.fchmod(file, stat.S_IMODE(before.st_mode) & 0o777)
+
+
+def read_document(path: Path) -> dict[str, Any] | None:
+    """Return the object that was written last, None without a file. Errors: DataError, which names `path`"""
+    try:
+        return parse_json(read_bytes(path), str(path))
+    except DataError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return None
+        raise
+
+
+def write_document(path: Path, values: dict[str, Any]) -> None:
+    """Replace the file whole. Errors: OSError."""
+    if not path.is_file():  # a FIFO, or a link to a device, would swallow the values
+        path.unlink(missing_ok=True)
+    write_atomically(path, json.dumps(values, indent=1))

@@ -1,6 +1,8 @@
 """JSON and YAML from outside: no key twice, finite numbers, storable text, bounded depth.
 
 YAML as people mean it: `on` and `off` are words, 22:00 is not a number in base 60. Only ValueError is raised.
+
+Depth, digits and the number of values are limited before any value is made.
 """
 
 import json

@@ -21,7 +21,7 @@ from edge.config.settings import Settings
 from edge.core.errors import DataError
 from edge.drift.monitor import DriftMemory
 from edge.forecasts.skill import SkillState
-from edge.formats.state_document import read_document
+from edge.formats.atomic_file import read_document
 from edge.safety.memory import SafetyMemory
 from edge.state import codecs
 from edge.state.codecs import StandingState

@@ -11,7 +11,7 @@ from typing import Generic
 
 from edge.config.settings import Settings
 from edge.core.messages import DriftState, TickRecord
-from edge.formats.state_document import write_document
+from edge.formats.atomic_file import write_document
 from edge.safety.memory import SafetyMemory
 from edge.state.codecs import StandingState
 from edge.state.store import StoredValue, Value

@@ -1,4 +1,8 @@
-"""Parameters of a twin from recorded runs: least squares on the error of free runs, with 95 % intervals."""
+"""Parameters of a twin from recorded runs: least squares on the error of free runs, with 95 % intervals.
+
+A free run is linear in its start, so the starts are found in closed form at any parameters (variable
+projection; Golub & Pereyra 2003, Inverse Problems 19), held to a prior: rest, give or take `spread`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,8 @@ from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.messages import LAYOUTS, ErrorCode, ErrorMessage, Hello, ResetCause, read_header
 from firmware_protocol.virtual_board.core import Pins
 from firmware_protocol.virtual_board.faults import BoardFault, Schedule
-from firmware_protocol.virtual_board.line import FaultyLine
 from firmware_protocol.virtual_board.plant import Plant
+from firmware_protocol.virtual_board.port import FaultyLine
 from firmware_protocol.virtual_board.sensors import Sample, SensorFaults
 from firmware_protocol.virtual_board.store import Eeprom
 

@@ -14,8 +14,8 @@ from firmware_protocol.messages import Capability, Quality
 from firmware_protocol.virtual_board.core import Pins
 from firmware_protocol.virtual_board.device import BoardClock
 from firmware_protocol.virtual_board.faults import KINDS, FaultError, Schedule, make_fault
-from firmware_protocol.virtual_board.line import FaultyLine
 from firmware_protocol.virtual_board.plant import Plant
+from firmware_protocol.virtual_board.port import FaultyLine
 from firmware_protocol.virtual_board.sensors import SensorFaults
 
 pytestmark = pytest.mark.slow

@@ -1,4 +1,7 @@
-"""The twins of the paper's case, the models over them, and the truth that they are compared with."""
+"""The twins of the paper's case, the models over them, and the truth that they are compared with.
+
+Nothing that finds, fits or trains reads the truth.
+"""
 
 import json
 import os

@@ -1,6 +1,7 @@
 """The hybrid's whole rollout as one graph: its step, as torch exports it, in a Scan over the steps.
 
-The part of a step that depends on its inputs alone is computed once for all steps.
+The inputs of all steps are known beforehand, and each row of a batch is computed for itself, so the part that
+depends on the inputs and not on the state is computed once, for the rows of all steps together.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,11 +1,13 @@
 """One training of one policy by deep Q-learning: the network, the file that a rig runs, the record of
 both.
+
+The file is read back as the rig reads it, golden observations and all, before it counts as written.
 """
 
 import importlib.metadata
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,25 +15,73 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from onnx import ModelProto
 from stable_baselines3 import DQN
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
+from edge.core.errors import DataError
 from edge.formats.atomic_file import write_atomically
 from edge.formats.run_file import RecordedRun, data_sha256
-from edge.models.onnx_policy import OnnxPolicy
-from edge.models.policy_observation import table_sha256
+from edge.models import policy_contract as contract
+from edge.models.onnx_policy import INPUT, OUTPUT, OnnxPolicy, read_policy
+from edge.models.policy_actions import ACTIONS
+from edge.models.policy_observation import FEATURES, table_sha256
 from training.data.datasets import training_runs
+from training.export.onnx_graph import Graph, real
 from training.models.study import versions
 from training.rl.boxes import START_ROWS, EpisodeBoxes, World
 from training.rl.episodes import DrawnEpisodes, recorded_observations
-from training.rl.export import export
 from training.rl.read_model import REGIME, read_model
 from training.rl.reward import WEIGHTS
 from training.rl.saved_policy import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE
 from training.rl.settings import DqnSettings, learner_arguments
 from training.rl.vec_env import BoxesVecEnv
 from training.rl.weights import save_q_network
+
+GOLDEN = 16  # observations, spread over the given ones
+
+
+def export(
+    network: nn.Sequential,
+    name: str,
+    observations: NDArray[np.float32],
+    facts: Mapping[str, Any],
+    path: Path,
+) -> OnnxPolicy:
+    """Write the Q-network to `path`, prove it, and return what the rig will run.
+
+    network : linear layers with ReLU between, [B, features] -> [B, ACTIONS]
+    observations : recorded ones [n, features]; the golden ones are among them
+    facts : variant, sample_s, model, data_sha256, ... as `edge.models.policy_contract` has them; JSON values
+    Errors : DataError for another kind of network, and when the graph misses it
+    """
+    model = graph_of(network)
+    chosen = observations[np.linspace(0, len(observations) - 1, GOLDEN).astype(int)]
+    with torch.no_grad():
+        values = network(torch.from_numpy(chosen)).numpy()
+    software = {name: importlib.metadata.version(name) for name in ("stable-baselines3", "torch", "onnx")}
+    document = contract.document_of(chosen, values, {**facts, "software": software})
+    model.metadata_props.add(key=contract.KEY, value=json.dumps(document, allow_nan=False))
+    write_atomically(path, model.SerializeToString(deterministic=True))
+    return read_policy(path, name, facts["sample_s"])
+
+
+def graph_of(network: nn.Sequential) -> ModelProto:
+    """Return the graph of the network alone. Errors: DataError for layers it cannot hold"""
+    graph, value = Graph(), INPUT
+    for layer in network:
+        match layer:
+            case nn.Linear():
+                weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
+                value = graph.op("Gemm", value, graph.constant(weight), graph.constant(bias), transB=1)
+            case nn.ReLU():
+                value = graph.op("Relu", value)
+            case _:
+                raise DataError(f"{type(layer).__name__}: no layer that a policy's graph holds")
+    graph.give(OUTPUT, value)
+    return graph.model("policy", [real(INPUT, ["B", len(FEATURES)])], [real(OUTPUT, ["B", ACTIONS])])
+
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.int64]]  # observations [B, features] -> actions [B]
 VALIDATION_BOXES = 64

@@ -3,9 +3,8 @@
 from collections import Counter
 
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.language_model import LanguageModel
+from edge.assistant.llm.language_model import LanguageModel, Question
 from edge.assistant.llm.proposal import Architecture, ModelProposal
-from edge.assistant.llm.question import Question
 from edge.core.controller import Context
 from edge.core.messages import Decision, Event, Severity
 

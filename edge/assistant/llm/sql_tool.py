@@ -1,4 +1,10 @@
-"""The history for a language model: one guarded SELECT over the read views, and how much of it is covered."""
+"""The history for a language model: one guarded SELECT over the read views, and how much of it is covered.
+
+Beside `mode=ro` and `query_only` an authorizer is asked for everything that a statement would touch. Of a
+base table it sees which view reads it, but it takes the name of a common table expression for a view's
+(`WITH v_ticks AS (SELECT * FROM ticks) ...`), so WITH is refused as a word; a keyword can't be spelt
+otherwise.
+"""
 
 import math
 import re

@@ -1,8 +1,16 @@
 """Breadth-first branch and bound over the steps of the horizon, with a limited width.
 
 A level holds the first k inputs of many plans. Its children are pruned against the best plan known, by a
-certified bound on the cost to go and by dominance (dominance.py). Where more survive than the width, those
+certified bound on the cost to go and by dominance. Where more survive than the width, those
 with the highest bounds are dropped, and the lowest bound among them limits what is proven.
+
+The bound (`tangent`): tracking cost is convex, so with its slopes s_m at any temperatures t_m
+
+    cost of steps k..N+M-1 >= sum_m [tracking(t_m) + s_m (T_m - t_m)] + effort,
+
+and the right side is linear in the inputs: its minimum over the discrete inputs splits into one small
+minimum per step. Every choice of t gives a true bound, whatever it was computed from; taken at the optimum
+of the continuous relaxation it equals that optimum (Lagrangian duality).
 """
 
 from collections.abc import Callable

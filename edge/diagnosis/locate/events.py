@@ -1,4 +1,5 @@
-"""Doors that were opened: short heat towards the room at times that no input tells, and back again.
+"""Doors that were opened: short heat towards the ambient that no input explains, when, and for how much of
+a step.
 
 At every row a door, a wrong reading and a heat that stays are weighed against each other, and the one that
 explains most is taken out, until none is left that chance would not bring: matching pursuit with a threshold.
@@ -6,21 +7,151 @@ explains most is taken out, until none is left that chance would not bring: matc
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.candidates import EventShape, RunShapes, ShapeScores
-from edge.diagnosis.locate.door_shares import Opening, full_w_k, is_long, merge, openings, shares
-from edge.diagnosis.locate.heat_filter import HeatFilterResult, Steps, filter_heat, steps_of
-from edge.diagnosis.locate.residual_heat import likeliest
-from edge.diagnosis.locate.switches import Switches
-from edge.diagnosis.locate.whitening import jumps, pulses, spikes, white
+from edge.diagnosis.locate.candidates import EventShape, RunShapes, ShapeScores, jumps, pulses, spikes, white
+from edge.diagnosis.locate.residual_heat import HeatFilterResult, Steps, filter_heat, likeliest, steps_of
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
+SURE_SDS = 3.0  # above 0 that a row beside a door must be to belong to it, and
+SMALLEST = 0.2  # share of the step
+LONG = 3  # rows of a door whose inner ones tell how wide it was open
+
+
+class Opening(NamedTuple):
+    """conductance_w_k : of rows [begin, begin + L) and a row on either side, [L]; sd_w_k : its sd"""
+
+    begin: int
+    conductance_w_k: Floats
+    sd_w_k: Floats
+    shape: EventShape
+
+
+def merge(doors: list[EventShape]) -> list[EventShape]:
+    """Doors in order, those that touch or overlap as one."""
+    found: list[EventShape] = []
+    for door in sorted(doors, key=lambda shape: shape.begin):
+        if found and door.begin <= found[-1].end:
+            last = max(found[-1], door, key=lambda shape: shape.z)
+            end = max(found[-1].end, door.end)
+            found[-1] = last._replace(begin=found[-1].begin, end=end)
+        else:
+            found.append(door)
+    return found
+
+
+def openings(run: RunShapes, innovations: Floats, doors: list[EventShape]) -> list[Opening]:
+    """Each door's conductance row by row, by least squares beside the other doors.
+
+    innovations : [N], white, wrong readings and jumps taken out
+    """
+    found = []
+    for door in doors:
+        left = innovations - sum(
+            (other.size * run.response(other) for other in doors if other is not door), start=np.zeros(())
+        )
+        begin, end = max(door.begin - 1, 0), min(door.end + 1, len(left))
+        columns = np.stack([run.response(EventShape("door", i, i + 1, 1.0, 0.0)) for i in range(begin, end)])
+        normal = columns @ columns.T + 1e-9 * np.eye(end - begin)
+        sizes = np.linalg.solve(normal, columns @ left)
+        sds = np.sqrt(np.diag(np.linalg.inv(normal)))
+        found.append(Opening(begin, sizes.astype(np.float64), sds.astype(np.float64), door))
+    return found
+
+
+def full_w_k(opening: Opening) -> float:
+    """How wide it was: the median of its inner rows, or the most of its rows where it was short."""
+    rows = _own(opening)
+    return float(np.median(rows[1:-1]) if len(rows) >= LONG else rows.max())
+
+
+def is_long(opening: Opening) -> bool:
+    """Return whether an opening has inner rows."""
+    return len(_own(opening)) >= LONG
+
+
+def shares(opening: Opening, full: float) -> Floats:
+    """Return the share of each row, 0..1, for a door of `full` W/K: inner rows whole, both ends in part."""
+    part = np.clip(opening.conductance_w_k / full, 0.0, 1.0)
+    place = np.arange(len(part)) + opening.begin
+    inner = (place > opening.shape.begin) & (place < opening.shape.end - 1)
+    outer = (place < opening.shape.begin) | (place >= opening.shape.end)
+    unsure = (opening.conductance_w_k < SURE_SDS * opening.sd_w_k) | (part < SMALLEST)
+    return np.where(inner, 1.0, np.where(outer & unsure, 0.0, part))
+
+
+def _own(opening: Opening) -> Floats:
+    first = opening.shape.begin - opening.begin
+    return opening.conductance_w_k[first : first + opening.shape.end - opening.shape.begin]
+
+
+Kinds = NDArray[np.intp]
+OFFSETS = (-1, 0, 1, 2)  # rows from a change to where what it does may seem to begin
+FEWEST = 6  # changes of a kind, below which one cannot tell what is usual after them
+FIRST_ROWS = 3  # of a run, in which a wrong start looks like an event
+# Share of the rows by which the usual z² is told, and that of a normal variable. Events themselves may be in
+# half of the rows; few are just at a change, but perhaps only some changes do something that is not known.
+ANYWHERE, AT_CHANGE = (0.3, 0.1485), (0.8, 1.6424)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Switches:
+    """kind : [B, N + 1], 0 where no input has just changed, else a number per input, direction and offset."""
+
+    kind: Kinds
+
+    @classmethod
+    def of(cls, runs: RunBatch) -> "Switches":
+        """Return the switches of heater, fan and light."""
+        count, rows = runs.duty.shape
+        kind = np.zeros((count, rows + 1), dtype=np.intp)
+        light = [runs.conditions["light"]] if "light" in runs.conditions else []
+        number = 1
+        for values in (runs.duty, runs.fan, *light):
+            change = np.diff(values, axis=1, prepend=values[:, :1])
+            for changed in (change > 0.0, change < 0.0):
+                for offset in OFFSETS:
+                    places = np.argwhere(changed) + np.array([0, offset])
+                    inside = (places[:, 1] >= 0) & (places[:, 1] <= rows)
+                    kind[places[inside, 0], places[inside, 1]] = number
+                    number += 1
+        return cls(kind)
+
+    def usual(self, z: Floats) -> Floats:
+        """Usual size of z where a thing begins or ends like this, 1 at least; infinite where none can tell.
+
+        z, returned : [B, N, L], by where an event begins and how long it is
+        """
+        rows, lengths = z.shape[1:]
+        begins, by_end = _by_kind(self.kind[:, :-1], z), np.zeros((len(z), rows + 1, lengths))
+        for length in range(1, min(lengths, rows) + 1):
+            by_end[:, length:, length - 1] = z[:, : rows - length + 1, length - 1]
+        ends = _by_kind(self.kind, by_end)
+        for length in range(1, min(lengths, rows) + 1):
+            here = begins[:, : rows - length + 1, length - 1]
+            np.maximum(here, ends[:, length:, length - 1], out=here)
+        begins[:, :FIRST_ROWS] = np.inf
+        return begins
+
+
+def _by_kind(kind: Kinds, z: Floats) -> Floats:
+    """kind : [B, N]; z, returned : [B, N, L]."""
+    found = np.ones_like(z)
+    for number in np.unique(kind):
+        here = kind == number
+        share, normal = AT_CHANGE if number else ANYWHERE
+        squares = np.sort(z[here] ** 2, axis=0)
+        size = np.sqrt(squares[int(share * len(squares))] / normal)
+        found[here] = np.maximum(size, 1.0) if number == 0 or here.sum() >= FEWEST else np.inf
+    return found
+
+
 Mask = NDArray[np.bool_]
 FALSE_ALARM = 0.01  # per run, in noise alone
 INDEPENDENT = 6.0  # lengths of a door that are tried, as if they had nothing in common

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.heat_filter import Steps, filter_heat
-from edge.diagnosis.locate.residual_heat import ResidualHeat, likeliest, residual_heat
-from edge.diagnosis.locate.whitening import pulses, white
+from edge.diagnosis.locate.candidates import pulses, white
+from edge.diagnosis.locate.residual_heat import ResidualHeat, Steps, filter_heat, likeliest, residual_heat
 from edge.twin.fit import free_run
 from edge.twin.model import BoxTwin
 from edge.twin.network import AIR

@@ -2,6 +2,9 @@
 
 A function is given the network and its parameters and adds the effect; its row stands below it in the same
 file and holds everything that the diagnosis knows about the effect. To add one: docs/add-an-effect.md.
+
+Heat without a name (`formulas`) is a smooth step over the air temperature and so stays what it was beyond the
+data; neither formula is ever offered as a name.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

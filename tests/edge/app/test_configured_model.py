@@ -12,7 +12,7 @@ from edge.config import loading as config
 from edge.config.settings import ControlSettings
 from edge.core.clock import RealClock
 from edge.core.errors import ConfigError, DataError
-from edge.formats.state_document import write_document
+from edge.formats.atomic_file import write_document
 from edge.models.arx_file import DEFAULT_PATH, read_arx, write_arx
 from edge.models.persistence import Persistence
 from edge.safety.supervisor import SafetyMemory

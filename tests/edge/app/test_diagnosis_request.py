@@ -1,4 +1,4 @@
-"""app/diagnosis_request.py: the daemon asks by a file, a unit of its own runs the command and answers."""
+"""app/nightly_diagnosis.py: the daemon asks by a file, a unit of its own runs the command and answers."""
 
 import os
 import subprocess

@@ -22,9 +22,9 @@ from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
 from edge.core.errors import DataError, GreenhouseError
+from edge.formats.atomic_file import write_document
 from edge.formats.profile_file import Profile, read_profile
 from edge.formats.run_file import RecordedRun, read_run
-from edge.formats.state_document import write_document
 from edge.safety.supervisor import SafetyMemory
 from edge.state.codecs import StandingState, encode_standing
 from edge.state.store import STANDING, restore

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from locate_runs import BASE, NOISE_K, located, made, whiteness_of
 
-from edge.diagnosis.locate.dependence import depends_on, explain
+from edge.diagnosis.locate.dependence import SumRegression, depends_on, explain
 from edge.diagnosis.locate.regimes import regimes
-from edge.diagnosis.locate.subsets import SumRegression
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 

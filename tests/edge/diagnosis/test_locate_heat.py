@@ -5,9 +5,8 @@ import pytest
 from locate_runs import BASE, NOISE_K, located, made, names
 
 from edge.core.errors import DataError
-from edge.diagnosis.locate.heat_filter import HeatNoise
-from edge.diagnosis.locate.residual_heat import residual_heat
-from edge.diagnosis.locate.whitening import jumps, pulses, response_to, score, spikes, white
+from edge.diagnosis.locate.candidates import jumps, pulses, response_to, score, spikes, white
+from edge.diagnosis.locate.residual_heat import HeatNoise, residual_heat
 from edge.twin.model import BoxTwin
 
 BENT = {**BASE, "natural_convection": {"G_nc": 2.0}}

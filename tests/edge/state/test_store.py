@@ -11,7 +11,7 @@ from bench.support.virtual_board import virtual_board
 from edge.config.loading import default
 from edge.config.settings import BundleSettings, HistorySettings, Settings
 from edge.core.messages import Command
-from edge.formats.state_document import read_document, write_document
+from edge.formats.atomic_file import read_document, write_document
 from edge.safety.memory import Dose
 from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, STORED, SURVIVORS, StoredValue, restore
 from edge.tick.orders import FanMode, Mode

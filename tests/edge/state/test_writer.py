@@ -1,4 +1,4 @@
-"""edge/state/writer.py and edge/formats/state_document.py: values survive, whole or not at all."""
+"""edge/state/writer.py and edge/formats/atomic_file.py: values survive, whole or not at all."""
 
 import queue
 import threading
@@ -11,8 +11,8 @@ import pytest
 
 from edge.config.loading import default
 from edge.core.errors import DataError
-from edge.formats.state_document import read_document as read
-from edge.formats.state_document import write_document as write
+from edge.formats.atomic_file import read_document as read
+from edge.formats.atomic_file import write_document as write
 from edge.state.store import StoredValue
 from edge.state.writer import ANSWERS_MAX, StateWriter
 

@@ -15,12 +15,11 @@ from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
 from training.data.datasets import training_runs
 from training.rl.episodes import recorded_observations
-from training.rl.export import export, graph_of
 from training.rl.parity import main as tell_parity
 from training.rl.parity import parity
 from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE, best_folder
 from training.rl.settings import DqnSettings
-from training.rl.study import PolicyJob, greedy, study, train, world_of
+from training.rl.study import PolicyJob, export, graph_of, greedy, study, train, world_of
 from training.rl.weights import load_q_network, save_q_network
 
 POLICIES = Path(__file__).parents[3] / "training" / "results" / "policies"
