@@ -54,7 +54,6 @@ BENCHES = {
     "real_truth": Bench(("--only", "energy balance")),
     "house": Bench(()),
     "unchanged": Bench(("--only", "golden vectors"), keeps_its_table=True),
-    "real_diagnosis": Bench(("--out", "out/bench"), keeps_its_table=True),
 }  # fmt: skip
 
 
