@@ -273,7 +273,7 @@ def arguments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> argparse.Names
     found = case()
     new = [one for one in scores() if one.model in (TWIN, HAM, HAM_GUARDED)]
     monkeypatch.setattr(paper_case, "diagnose", lambda regime, folder: folder.mkdir())
-    monkeypatch.setattr(paper_case, "improved", lambda regime, folder: found[regime])
+    monkeypatch.setattr(paper_case, "improved_twin", lambda regime, folder: found[regime])
     monkeypatch.setattr(paper_case, "real_effects", lambda: CHAMBER)
     monkeypatch.setattr(
         paper_case, "forecasts", lambda twin, seeds, out: [s for s in new if s.regime == twin.regime]
