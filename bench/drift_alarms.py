@@ -27,6 +27,11 @@ from edge.twin.warm_start import at_rest
 ROWS = 120  # of the history that a monitor sees, as the estimator's
 ROOM_C = 21.0
 UTC_0 = 1_767_225_600.0  # 2026-01-01T00:00Z
+STEP_S = 60.0
+TICKS_A_DAY = 1440
+LIFT_K, LIFT_TICKS = 12.0, 30.0  # a temperature for the regime of a warm box
+CHANGE_H = 24
+BOX_LEARN_H = 4.0  # four cells in less than CHANGE_H
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,13 +133,6 @@ def _rows(inputs: list[TickInputs], step_s: float) -> dict[str, Floats]:
         "fan_on": np.array([item.fan for item in inputs]),
         "light": np.full(count, np.nan),
     }
-
-
-STEP_S = 60.0
-TICKS_A_DAY = 1440
-LIFT_K, LIFT_TICKS = 12.0, 30.0  # a temperature for the regime of a warm box
-CHANGE_H = 24
-BOX_LEARN_H = 4.0  # four cells in less than CHANGE_H
 
 
 @dataclass(frozen=True, slots=True)

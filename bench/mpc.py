@@ -36,6 +36,8 @@ Method = Callable[[PlanningProblem], tuple[float, float, bool]]  # cost, lower b
 Ints = NDArray[np.int64]
 Answer = tuple[Ints, Ints, bool]  # heater levels, fan, proven optimal
 _REGULARISATION = 1e-6  # daqp needs a positive definite Hessian
+Floats = NDArray[np.float64]
+STEP_MIN = 1.0
 
 
 def scipy_bfgs(problem: PlanningProblem) -> Answer:
@@ -94,8 +96,6 @@ def scip(problem: PlanningProblem, limit_s: float) -> Answer:
     return plan[0], plan[1], model.getStatus() == "optimal"
 
 
-Floats = NDArray[np.float64]
-STEP_MIN = 1.0
 # Each value is drawn evenly from its range, time constants evenly in their logarithm.
 RANGES: Mapping[str, tuple[float, float]] = {
     "air time constant [min]": (5.0, 60.0),

@@ -42,6 +42,10 @@ ARITHMETIC: dict[type[ast.operator], type[ast.operator]] = {
     ast.Div: ast.Mult,
 }
 OPPOSITE = {"min": "max", "max": "min"}
+IN_PROCESS = "mutation"  # tests that import it change the sources themselves
+SLOWER = 3.0  # a mutant's tests may take this many times as long as the tests without a change
+LEAST_LIMIT_S = 60.0
+NOTICED, TIMED_OUT, SURVIVED = "noticed", "timed out", "survived"
 
 
 def changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
@@ -105,10 +109,6 @@ PACKAGES = (
     "edge.safety.relay_proof",
     "edge.core.hard_limits",
 )  # whose tests take seconds; others are asked for by name
-IN_PROCESS = "mutation"  # tests that import it change the sources themselves
-SLOWER = 3.0  # a mutant's tests may take this many times as long as the tests without a change
-LEAST_LIMIT_S = 60.0
-NOTICED, TIMED_OUT, SURVIVED = "noticed", "timed out", "survived"
 
 
 @dataclass(frozen=True, slots=True)

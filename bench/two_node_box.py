@@ -18,6 +18,16 @@ from edge.models.arx import Arx, FanInput
 from edge.models.fit_arx import ArxFit, fit_arx
 
 Floats = NDArray[np.float64]
+STEP_S = 60.0
+RUNS, ROWS = 15, 212  # as many runs of as many minutes as the paper has
+SENSOR_NOISE_K = 0.05
+REFERENCES_C = (22.0, 34.0)
+ROOM_C = 21.0
+STEPS_PER_REFERENCE = 20
+OFFSET_GAIN = 0.3  # share of a forecast error that is taken for a lasting disturbance
+BEAM = 150
+TAIL = 10  # as the daemon has it
+_NODE_BUDGET = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +64,6 @@ class TwoNodeBox:
         air_slope = (self.heater_w * heater - to_cover - to_room) / self.air_j_k
         cover_slope = (to_cover - self.cover_room_w_k * (cover - room)) / self.cover_j_k
         return np.stack(np.broadcast_arrays(air_slope, cover_slope), axis=-1)
-
-
-STEP_S = 60.0
-RUNS, ROWS = 15, 212  # as many runs of as many minutes as the paper has
-SENSOR_NOISE_K = 0.05
-REFERENCES_C = (22.0, 34.0)
 
 
 def random_inputs(rng: np.random.Generator, rows: int, change: float) -> Floats:
@@ -132,14 +136,6 @@ def box_context(
     }
     estimate = Estimate(float(temps[-1]), 0.0, offset, None, room, now_s)
     return Context(now_s, now_s, STEP_S, history, estimate, np.full(60, reference), last, ControlLimits())
-
-
-ROOM_C = 21.0
-STEPS_PER_REFERENCE = 20
-OFFSET_GAIN = 0.3  # share of a forecast error that is taken for a lasting disturbance
-BEAM = 150
-TAIL = 10  # as the daemon has it
-_NODE_BUDGET = 20_000
 
 
 @dataclass(slots=True)

@@ -24,6 +24,9 @@ from edge.twin.value import Value
 
 FIRST_DAY = datetime(2026, 3, 2, tzinfo=UTC)
 HUMIDITY_NOISE_PCT, AMBIENT_NOISE_K, AMBIENT_STEP_K = 0.4, 0.05, 0.1
+REL_SD = 0.05
+START_SD = 0.15  # of where a fit begins
+LOSSES = ("wall_loss", "wall_mass", "longwave_radiation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +89,6 @@ def as_given(run: RecordedRun) -> RecordedRun:
     temps = run.columns["temp_air_c"].copy()
     temps[GIVEN_ROWS:] = np.nan
     return replace(run, columns={**run.columns, "temp_air_c": temps})
-
-
-REL_SD = 0.05
-START_SD = 0.15  # of where a fit begins
-LOSSES = ("wall_loss", "wall_mass", "longwave_radiation")
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,10 @@ QUIET: Settings = {
     "effects.power_run_variation": 0.0, "effects.power_wander": 0.0, "effects.sensor_noise": 0.0,
     "effects.sensor_step": 0.0,
 }  # fmt: skip
+# Sheets that let heat through, so that what happens at the outer one happens to the air.
+THIN_WALLS: Settings = {"cover.inner_film_w_m2_k": 80.0, "cover.gap_w_m2_k": 150.0}
+LEAD_ROWS = 40  # driven before the first row, where the box does not begin at rest
+COLUMNS = ("temp_air_c", "temp_ambient_c", "light", "rel_humidity_pct")
 
 
 class Setting(NamedTuple):
@@ -163,10 +167,6 @@ def chamber_of(settings: Mapping[str, float]) -> tuple[ChamberParameters, Effect
     return replace(parameters, **changed), effects
 
 
-# Sheets that let heat through, so that what happens at the outer one happens to the air.
-THIN_WALLS: Settings = {"cover.inner_film_w_m2_k": 80.0, "cover.gap_w_m2_k": 150.0}
-
-
 def draw_base(rng: Generator) -> Settings:
     """Films and contacts of a box, and what else acts in it."""
     also = {f"effects.{name}": 1.0 for name in BYSTANDERS if rng.random() < BYSTANDER_ODDS}
@@ -187,10 +187,6 @@ def draw_known(rng: Generator, name: str) -> Settings:
 def draw_sign(rng: Generator) -> float:
     """Draw the sign of an effect with two signs."""
     return 1.0 if rng.random() < 0.5 else -1.0
-
-
-LEAD_ROWS = 40  # driven before the first row, where the box does not begin at rest
-COLUMNS = ("temp_air_c", "temp_ambient_c", "light", "rel_humidity_pct")
 
 
 @dataclass(frozen=True, slots=True)

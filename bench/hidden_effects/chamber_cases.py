@@ -67,6 +67,9 @@ GRID, GRID_RUNS, GRID_ROWS = 5, 2, 100  # runs and rows that a strength is searc
 CHECKED_RUNS = 3  # the last ones, tests among them
 GLOWING = {"radiative_split", "sensor_radiation"}  # the element radiates, so its lag is not one number
 Range = tuple[float, float]
+CALIBRATION_ROWS, CALIBRATION_RUNS = 120, 2
+LIT = {"led_gain", "evapotranspiration"}
+ATTEMPTS = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,11 +207,6 @@ def _runs(settings: Settings, plans: Sequence[RunPlan]) -> Floats:
 
 def _rms(one: Floats, other: Floats) -> float:
     return float(np.sqrt(np.mean((one - other) ** 2)))
-
-
-CALIBRATION_ROWS, CALIBRATION_RUNS = 120, 2
-LIT = {"led_gain", "evapotranspiration"}
-ATTEMPTS = 80
 
 
 def make_case(split: str, kind: str, number: int) -> HiddenCase:

@@ -13,6 +13,8 @@ from numpy.random import Generator
 from bench.hidden_effects.inputs import Bend, Floats, OutsideConditions
 
 Effects = dict[str, dict[str, float]]
+MOST_OPTIONAL = 3
+LIT = ("led_gain", "evapotranspiration")
 
 
 class Strength(NamedTuple):
@@ -89,8 +91,6 @@ ALIKE = (
     {"evapotranspiration", "constant_heat"},
     {"wall_loss", "wall_mass"},
 )
-MOST_OPTIONAL = 3
-LIT = ("led_gain", "evapotranspiration")
 
 
 def are_alike(names: set[str]) -> bool:

@@ -61,6 +61,11 @@ from edge.formats.run_file import RecordedRun
 
 MARGIN = 0.15
 Parameters = Mapping[str, float]
+GRID = 9
+BODIES = {"wall_mass", "soil_mass"}  # that radiation warms
+Range = tuple[float, float]
+CURVE_ODDS, CURVE = 0.75, (0.02, 0.04)  # of a loss that grows with the difference, share per 10 K
+ATTEMPTS = 80
 
 
 def quiet(inputs: ColumnInputs) -> ColumnInputs:
@@ -103,11 +108,6 @@ def strength_for(
         return None
     target = np.exp(rng.uniform(np.log(low), np.log(high)))
     return float(np.exp(np.interp(np.log(target), np.log(rising), np.log(strengths))))
-
-
-GRID = 9
-BODIES = {"wall_mass", "soil_mass"}  # that radiation warms
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,10 +240,6 @@ def draw_pair(rng: Generator, first: str) -> tuple[str, ...]:
     """Return the first effect and another unlike it."""
     rest = [name for name in STRENGTHS if name != first and not are_alike({first, name})]
     return first, str(rng.choice(rest))
-
-
-CURVE_ODDS, CURVE = 0.75, (0.02, 0.04)  # of a loss that grows with the difference, share per 10 K
-ATTEMPTS = 80
 
 
 def make_case(split: str, kind: str, number: int) -> HiddenCase:

@@ -12,6 +12,9 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+REST_ROWS = 15  # off before the first recorded row, so that no command is under way
+BEFORE_ROWS = 90  # simulated before it
+MINUTE_S, DAY_S = 60.0, 86400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +68,6 @@ class Bend:
     power: Callable[[OutsideConditions], Floats] | None = None  # factor on the heater
     flow: Callable[[OutsideConditions], Floats] | None = None  # factor on the fan
     reading: Callable[[OutsideConditions], Floats] | None = None  # added to what the sensor shows
-
-
-REST_ROWS = 15  # off before the first recorded row, so that no command is under way
-BEFORE_ROWS = 90  # simulated before it
-MINUTE_S, DAY_S = 60.0, 86400.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,8 @@ NEARLY = 1.1
 _ALIKE = 0.3  # difference of two coefficients that are one, share of the larger
 _NAMES = [term.effect for term in TERMS]
 _STRAIGHT, _LEAK, _BLOWN = (_NAMES.index(name) for name in ("wall_loss", "infiltration", "fan_effectiveness"))
+_95 = 1.959964
+MOST_TERMS = 6  # of the stepwise regression
 
 
 def sindy(found: OneStepRegression) -> list[int]:
@@ -92,10 +94,6 @@ def _merge(by_term: dict[int, float]) -> list[int]:
             order = [i for i in by_term if i not in (_LEAK, _BLOWN)]
             return [*order[:first], _STRAIGHT, *order[first:]]
     return list(by_term)
-
-
-_95 = 1.959964
-MOST_TERMS = 6  # of the stepwise regression
 
 
 def stepwise(found: OneStepRegression) -> list[int]:

@@ -28,6 +28,9 @@ from edge.twin.warm_start import PastColumns, at_rest, hold, state_now
 
 Floats = NDArray[np.float64]
 _BENDS_ABOVE = 0.6  # duty
+SLOW_S = 3600.0  # memory of a body that is guessed
+DAY_S = 86400.0
+_RUNAWAY_C = (-50.0, 150.0)  # a correction that runs away ends here, without overflow
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +100,6 @@ TERMS: tuple[PeerTerm, ...] = (
          TermParameter("k_e", "W/kPa", lambda c, t: -c)),
     PeerTerm("ua_drift", lambda r: r.day * r.excess),
 )  # fmt: skip
-
-
-SLOW_S = 3600.0  # memory of a body that is guessed
-DAY_S = 86400.0
-_RUNAWAY_C = (-50.0, 150.0)  # a correction that runs away ends here, without overflow
 
 
 @dataclass(frozen=True, slots=True, eq=False)

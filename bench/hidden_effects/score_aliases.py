@@ -50,6 +50,15 @@ _HOPELESS_SHARE = 0.1  # of what the effect explains, on top, for a rival betwee
 _TRIED = (0.25, 1.0, 4.0)
 _STEP = 1e-4
 _MOST_EVALUATIONS = 10
+METHOD_VERSION = 4  # classes of another version are computed anew
+ALIAS_NATS = 3.0
+BETTER_NATS = 6.0  # by which a rival is ahead in one case of exp(6) = 400 at most
+KEPT_NATS = 10.0  # rivals further behind are not written down
+SECOND_LOOK_NATS = 20.0  # rivals further behind after one pass get no second
+OUTLIER_SD = 6.0
+_TRUTH_PASSES = 6
+_FIRST_NOISE = ReadingNoise(0.1, 0.1, 20.0)
+_WITHOUT_A_COLUMN = ("door_opening",)  # the runs don't say when the door was open
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,17 +193,6 @@ def _fit(missed: _Remainder, rival: Structure, start: Floats) -> Floats:
 
 def _nats(missed: Floats) -> float:
     return 0.5 * float(missed @ missed)
-
-
-METHOD_VERSION = 4  # classes of another version are computed anew
-ALIAS_NATS = 3.0
-BETTER_NATS = 6.0  # by which a rival is ahead in one case of exp(6) = 400 at most
-KEPT_NATS = 10.0  # rivals further behind are not written down
-SECOND_LOOK_NATS = 20.0  # rivals further behind after one pass get no second
-OUTLIER_SD = 6.0
-_TRUTH_PASSES = 6
-_FIRST_NOISE = ReadingNoise(0.1, 0.1, 20.0)
-_WITHOUT_A_COLUMN = ("door_opening",)  # the runs don't say when the door was open
 
 
 @dataclass(frozen=True, slots=True)

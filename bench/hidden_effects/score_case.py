@@ -44,6 +44,13 @@ from bench.hidden_effects.cases import (
 from bench.hidden_effects.score_aliases import AliasClass
 from edge.core.errors import DataError
 
+Floats = NDArray[np.float64]
+VERDICTS = ("named", "nothing_missing", "unknown")
+MOST_ALTERNATIVES = 5  # more is no answer
+CLEARLY_IN_NATS, CLEARLY_OUT_NATS = 2.0, 6.0
+SHRINKABLE = 1.05
+COUNTED_DEPENDENCES = 2
+
 
 def read_truth(path: Path) -> Truth:
     """Read the truth of a case. Errors: DataError naming the file, if it is invalid or of another version"""
@@ -101,11 +108,6 @@ def cases_of(arguments: argparse.Namespace) -> list[CasePaths]:
     if not found:
         raise DataError(f"{place}: no case of {arguments.kinds}: make them first")
     return found
-
-
-Floats = NDArray[np.float64]
-VERDICTS = ("named", "nothing_missing", "unknown")
-MOST_ALTERNATIVES = 5  # more is no answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,11 +177,6 @@ def _series(values: list[float | None]) -> Floats:
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
-
-
-CLEARLY_IN_NATS, CLEARLY_OUT_NATS = 2.0, 6.0
-SHRINKABLE = 1.05
-COUNTED_DEPENDENCES = 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,14 @@ LEAST_SD_K = 1e-3
 _LONGEST_ROWS = 500.0  # a correlation beyond this is an offset, which would take the place of effects
 _LEAST_SHARE, _START_ROWS = 0.3, (3.0, 60.0)  # of a start
 _MOST_NOISE_EVALUATIONS = 80
+_LEAST = 1e-4  # of a positive parameter, share of the table's start
+_INSIDE = 1e-6  # of a bound, so that a fit does not begin on it
+_SURE_REL_SD = 0.005  # of a wall's loss at rest, where the file gives it as exact
+_MAINS_STEP = 0.01
+_BODY_START_K, _HEATER_START_W = 1.0, 3.0
+_CLOSE = 1e-4  # of a sum of squares of about the number of rows: a tenth of a nat
+_MOST_FIT_EVALUATIONS = 25
+_WORTH_NATS = 0.1  # that a further pass must bring
 
 
 class ReadingNoise(NamedTuple):
@@ -129,13 +137,6 @@ def likeliest(
         options={"maxfev": _MOST_NOISE_EVALUATIONS, "fatol": 0.02, "xatol": 0.02},
     )
     return noise(found.x)
-
-
-_LEAST = 1e-4  # of a positive parameter, share of the table's start
-_INSIDE = 1e-6  # of a bound, so that a fit does not begin on it
-_SURE_REL_SD = 0.005  # of a wall's loss at rest, where the file gives it as exact
-_MAINS_STEP = 0.01
-_BODY_START_K, _HEATER_START_W = 1.0, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,11 +315,6 @@ def _range(place: Place, start: float) -> tuple[float, float]:
         return 0.1 * start, 10.0 * start
     parameter = EFFECTS[place[1]].parameter(place[2])
     return parameter.low, parameter.high
-
-
-_CLOSE = 1e-4  # of a sum of squares of about the number of rows: a tenth of a nat
-_MOST_FIT_EVALUATIONS = 25
-_WORTH_NATS = 0.1  # that a further pass must bring
 
 
 class LikelihoodFit(NamedTuple):
