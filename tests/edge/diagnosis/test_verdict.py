@@ -11,9 +11,8 @@ from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.formulas import shapes
 from edge.diagnosis.search import RIVAL_NATS
-from edge.diagnosis.starts import with_effect
 from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
-from edge.diagnosis.unknowns import unknowns
+from edge.diagnosis.unknowns import unknowns, with_effect
 from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
