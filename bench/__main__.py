@@ -28,21 +28,14 @@ class Bench:
 BENCHES = {
     "mpc": Bench(("--instances", "5", "--peer-seconds", "0.05", "--references", "1")),
     "mutants": Bench(("edge.safety.relay_proof", "--count", "2")),
-    "mpc_rollout": Bench(("--hours", "1", "--every", "30")),
     "daemon": Bench(("--seconds", "15", "--starts", "2", "--hours", "1")),
     "kills": Bench(("--kills", "5")),
     "outbox": Bench(("--ticks", "1000", "--kills", "2")),
-    "closed_loop_day": Bench(
-        ("--seeds", "1", "--hours", "1", "--controllers", "rules", "MPC",
-         "--out", "out/bench/closed_loop_day.txt", "--picture", "out/bench/closed_loop_day.png"),
-        keeps_its_table=True,
-    ),
     "resolve_alias": Bench(("heater_saturation",)),
     "example_diagnosis": Bench(
         ("--out", "out/bench/example_diagnosis.txt", "--images", "out/bench"), keeps_its_table=True
     ),
     "clairvoyant": Bench(("--references", "tuning_1", "--minutes", "10")),
-    "decision_time": Bench(("--controllers", "rules")),
     "diagnosis_memory": Bench(("--days", "0.5")),
     "history_year": Bench(("--days", "3", "--hours", "0.5", "--file", "out/bench/history_days.db")),
     "attack": Bench(("--share", "0.01")),
@@ -54,7 +47,6 @@ BENCHES = {
     "real_truth": Bench(("--only", "energy balance")),
     "house": Bench(()),
     "unchanged": Bench(("--only", "golden vectors"), keeps_its_table=True),
-    "real_diagnosis": Bench(("--out", "out/bench"), keeps_its_table=True),
 }  # fmt: skip
 
 

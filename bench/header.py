@@ -17,12 +17,7 @@ MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its figure
     "attack": ("edge", "firmware_protocol", "bench/attack", "bench/kills.py"),
     "kills": ("edge", "firmware_protocol", "bench/kills.py"),
     "daemon": ("edge", "firmware_protocol", "bench/daemon.py", "bench/default_daemon.py"),
-    "decision_time": (
-        *("edge/controllers", "edge/models", "edge/twin", "edge/assistant/llm"),
-        "edge/tick/decider.py",
-    ),
-    "mpc": ("edge/controllers", "edge/models/arx.py", "bench/mpc.py", "bench/instances.py"),
-    "mpc_rollout": ("edge/controllers", "edge/models", "edge/twin", "bench/mpc_rollout.py"),
+    "mpc": ("edge/controllers", "edge/models/arx.py", "bench/mpc.py", "bench/two_node_box.py"),
     "outbox": ("edge/mqtt", "edge/storage", "edge/formats/tick_json.py", "bench/outbox.py"),
     "real_truth": ("edge/twin", "edge/diagnosis", "bench/real_truth"),
     "rollout": ("edge/models", "edge/twin", "bench/rollout.py"),

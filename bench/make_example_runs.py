@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from bench.hidden_effects.chamber_box import THIN_WALLS, Settings
-from bench.hidden_effects.chamber_calibration import calibrate
+from bench.hidden_effects.chamber_box import THIN_WALLS, Settings, calibrate
 from bench.resolve_alias import chamber_document, quiet_plan
 from edge.__main__ import main as greenhouse
 from edge.core.errors import GreenhouseError

@@ -1,7 +1,8 @@
 """python -m bench.mpc: the exact planner beside the paper's and two mixed-integer peers.
 
 Cost is the sum over all instances divided by the sum of the best known (the best over all methods and a
-long run of ours). Times are CPU times of one thread. One plant first, then random ones.
+long run of ours). Times are CPU times of one thread. One plant first (bench/two_node_box.py), then random
+ones: boxes of any size, heater and fan, within ranges that are plausible.
 """
 
 import argparse
@@ -10,7 +11,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 
 from edge.models.arx import Arx
@@ -18,19 +19,135 @@ from edge.models.arx import Arx
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: CPU time is of one thread
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bench import closed_loop, peers
-from bench.instances import fitted_model, instances
-from bench.random_plants import random_problems, ranges
-from edge.controllers.mixed_integer.problem import PlanningProblem
+from bench.two_node_box import BEAM, closed_loop_cost, fitted_model, instances, policies
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, FanRules, PlanningProblem, lower_toeplitz
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
+from edge.controllers.mpc_bfgs import rounded_bfgs
+from edge.core.names import HEATER_LEVELS
 
 HORIZONS = (5, 10, 20, 30)
 RANDOM_HORIZONS = (10, 20)
 _NO_BUDGET = 10**9  # here the time box alone ends a search
 _LONG_S = 2.0
 Method = Callable[[PlanningProblem], tuple[float, float, bool]]  # cost, lower bound, proven
+Ints = NDArray[np.int64]
+Answer = tuple[Ints, Ints, bool]  # heater levels, fan, proven optimal
+_REGULARISATION = 1e-6  # daqp needs a positive definite Hessian
+Floats = NDArray[np.float64]
+STEP_MIN = 1.0
+
+
+def scipy_bfgs(problem: PlanningProblem) -> Answer:
+    """Return the paper's plan: L-BFGS-B within the bounds, rounded."""
+    levels, fan, _ = rounded_bfgs(problem)
+    return levels, fan, False
+
+
+def daqp_rounded(problem: PlanningProblem, limit_s: float) -> Answer:
+    """daqp with a binary fan; its continuous heater is rounded to the grid."""
+    import daqp
+
+    n = problem.horizon
+    response = np.hstack([lower_toeplitz(problem.heater, n), lower_toeplitz(problem.fan, n)])
+    hessian = 2.0 * TRACKING_WEIGHT * response.T @ response
+    hessian += np.diag(np.repeat([2.0 * problem.heater_weight, 0.0], n) + _REGULARISATION)
+    linear = 2.0 * TRACKING_WEIGHT * response.T @ (problem.free - problem.reference)
+    linear += np.repeat([0.0, problem.fan_weight], n)
+    sense = np.repeat([0, 16], n).astype(np.int32)
+    none = np.zeros((0, 2 * n))
+    bounds = np.ones(2 * n), np.zeros(2 * n)
+    inputs, *_ = daqp.solve(hessian, linear, none, *bounds, sense, time_limit=limit_s)
+    inputs = np.clip(inputs, 0.0, 1.0)
+    levels = np.rint(inputs[:n] * HEATER_LEVELS).astype(np.int64)
+    return levels, np.rint(inputs[n:]).astype(np.int64), False
+
+
+def scip(problem: PlanningProblem, limit_s: float) -> Answer:
+    """SCIP on the whole mixed-integer quadratic problem, heater levels as integers."""
+    from pyscipopt import Model, quicksum
+
+    n = problem.horizon
+    model = Model()
+    model.hideOutput()
+    # Processor time: a busy machine must not shorten a peer's search.
+    model.setParam("timing/clocktype", 1)
+    model.setParam("limits/time", limit_s)
+    model.setParam("limits/gap", 0.0)
+    levels = [model.addVar(vtype="I", lb=0, ub=problem.heater_levels) for _ in range(n)]
+    fan = [model.addVar(vtype="B") for _ in range(n)]
+    error = [model.addVar(lb=None) for _ in range(n)]
+    for k in range(n):
+        heated = quicksum(problem.heater[k - j] / HEATER_LEVELS * levels[j] for j in range(k + 1))
+        fanned = quicksum(problem.fan[k - j] * fan[j] for j in range(k + 1))
+        model.addCons(error[k] == float(problem.free[k] - problem.reference[k]) + heated + fanned)
+    total = model.addVar(lb=0.0)
+    effort = quicksum(problem.heater_weight / HEATER_LEVELS**2 * u * u for u in levels)
+    effort += quicksum(problem.fan_weight * f for f in fan)
+    model.addCons(total >= TRACKING_WEIGHT * quicksum(e * e for e in error) + effort)
+    model.setObjective(total, "minimize")
+    model.optimize()
+    if not model.getNSols():
+        nothing = np.zeros(n, dtype=np.int64)
+        return nothing, nothing, False
+    plan = [np.array([round(model.getVal(v)) for v in variables]) for variables in (levels, fan)]
+    return plan[0], plan[1], model.getStatus() == "optimal"
+
+
+# Each value is drawn evenly from its range, time constants evenly in their logarithm.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "air time constant [min]": (5.0, 60.0),
+    "heater time constant [min]": (0.5, 8.0),
+    "heater dead time [steps]": (0, 3),
+    "fan dead time [steps]": (0, 1),
+    "rise at full heat [K]": (10.0, 45.0),
+    "fall by the fan [K]": (2.0, 25.0),
+    "room [degC]": (15.0, 28.0),
+    "air above room at the start, share of the rise": (0.0, 0.8),
+    "reference above room, share of the rise": (0.1, 0.9),
+    "heater's stored heat at the start, share": (0.0, 1.0),
+}
+
+
+def ranges() -> str:
+    """Return the ranges as one line."""
+    return "; ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in RANGES.items())
+
+
+def random_problems(count: int, horizon: int, weight: float, seed: int) -> Iterator[PlanningProblem]:
+    """Draw `count` problems; the same plants and starts for every horizon and weight."""
+    for number in range(count):
+        yield _problem(np.random.default_rng([seed, number]), horizon, weight)
+
+
+def _problem(rng: np.random.Generator, horizon: int, weight: float) -> PlanningProblem:
+    """Draw a heater that warms the air, each of first order; the fan cools the air linearly."""
+    air_min, heater_min = (np.exp(rng.uniform(*np.log(RANGES[name]))) for name in list(RANGES)[:2])
+    heater_late, fan_late = (
+        int(rng.integers(int(low), int(high) + 1)) for low, high in list(RANGES.values())[2:4]
+    )
+    rise, fall, room, above, goal, stored = (rng.uniform(*RANGES[name]) for name in list(RANGES)[4:])
+    minutes = STEP_MIN * np.arange(horizon + 1)
+    by_air, by_heater = np.exp(-minutes / air_min), np.exp(-minutes / heater_min)
+    # The air after a pulse of heat that was in the element, and after a step of the duty, both from rest.
+    pulse = heater_min / (heater_min - air_min) * (by_heater - by_air)
+    step = 1.0 - (air_min * by_air - heater_min * by_heater) / (air_min - heater_min)
+    free = room + rise * (above * by_air + stored * pulse)
+    return PlanningProblem(
+        free=free[1:],
+        heater=_late(rise * np.diff(step), heater_late),
+        fan=_late(-fall * np.diff(1.0 - by_air), fan_late),
+        reference=np.full(horizon, room + goal * rise),
+        heater_weight=weight,
+        fan_weight=weight,
+        fan_rules=FanRules(on=bool(rng.integers(0, 2))),
+    )
+
+
+def _late(response: Floats, steps: int) -> Floats:
+    return np.concatenate([np.zeros(steps), response])[: len(response)]
 
 
 def ours(box_s: float) -> Method:
@@ -43,7 +160,7 @@ def ours(box_s: float) -> Method:
     return method
 
 
-def peer(answer: Callable[[PlanningProblem], peers.Answer]) -> Method:
+def peer(answer: Callable[[PlanningProblem], Answer]) -> Method:
     """Return a peer, whose plan is priced by the same function as ours."""
 
     def method(problem: PlanningProblem) -> tuple[float, float, bool]:
@@ -95,9 +212,9 @@ def main() -> None:
     methods = {
         "ours, 20 ms box": ours(0.020),
         "ours, 250 ms box": ours(0.250),
-        "L-BFGS-B, rounded": peer(peers.scipy_bfgs),
-        "daqp, rounded heater": peer(lambda problem: peers.daqp_rounded(problem, options.peer_seconds)),
-        f"SCIP, {options.peer_seconds:g} s": peer(lambda problem: peers.scip(problem, options.peer_seconds)),
+        "L-BFGS-B, rounded": peer(scipy_bfgs),
+        "daqp, rounded heater": peer(lambda problem: daqp_rounded(problem, options.peer_seconds)),
+        f"SCIP, {options.peer_seconds:g} s": peer(lambda problem: scip(problem, options.peer_seconds)),
     }
     if options.plants == "all":
         one_plant(methods, options)
@@ -136,12 +253,12 @@ def print_closed_loop(model: Arx, excess: Arx, references: int, seed: int) -> No
     print(
         f"\nclosed loop on the two-node box, N = 10, {references} reference steps of 20 min, no sensor noise;"
     )
-    print(f"clairvoyant: beam of {closed_loop.BEAM} on the box itself, same horizon, no preview;")
+    print(f"clairvoyant: beam of {BEAM} on the box itself, same horizon, no preview;")
     print("the others plan with an ARX model and a disturbance estimate; the box's fan is bilinear")
     for weight in (0.0, 1.0):
-        policies = closed_loop.policies(model, excess, 10, weight)
         costs = {
-            name: closed_loop.closed_loop_cost(p, weight, references, seed) for name, p in policies.items()
+            name: closed_loop_cost(policy, weight, references, seed)
+            for name, policy in policies(model, excess, 10, weight).items()
         }
         split = ", ".join(f"{name} {cost / costs['clairvoyant']:.2f}" for name, cost in costs.items())
         print(f"weights ({weight:g}, {weight:g}): {split}", flush=True)

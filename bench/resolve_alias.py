@@ -20,9 +20,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bench.hidden_effects.chamber_box import BASE, THIN_WALLS, Settings
-from bench.hidden_effects.chamber_calibration import calibrate
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, RunPlan
+from bench.hidden_effects.chamber_box import BASE, LEAD_ROWS, THIN_WALLS, RunPlan, Settings, calibrate
 from edge.formats.number_table import write_table
 from edge.tick.sensor_health import AVERAGE_S
 from edge.twin.twin_file import TwinFile, write_twin_file

@@ -24,7 +24,7 @@ from bench.attack.part import TrialResult, main_of
 from bench.support.broker import Broker, Listener
 from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import VirtualBoard, virtual_board
-from bench.watched_clock import ACTUATORS
+from bench.support.watched_clock import ACTUATORS
 from edge.core.errors import RequestError
 from edge.sockets.control_socket import request
 

@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from bench.attack.plan import AttackPlan, Life
-from bench.watched_clock import Look, TimedRequest, WatchedClock, look_at
+from bench.support.watched_clock import Look, TimedRequest, WatchedClock, look_at
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config

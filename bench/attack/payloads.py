@@ -19,7 +19,7 @@ from bench.attack.part import TrialResult, main_of
 from bench.support.broker import Broker, Listener, wait_for
 from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import VirtualBoard, virtual_board
-from bench.watched_clock import ACTUATORS
+from bench.support.watched_clock import ACTUATORS
 from edge.mqtt.commands import COMMANDS
 
 STOP_WITHIN_S = 2.0  # through the broker, on a machine that is busy with all of this

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.watched_clock import TimedRequest
+from bench.support.watched_clock import TimedRequest
 from firmware_protocol.virtual_board.faults import KINDS, Choice, Number
 
 SILENT = ("mute", "unplug", "other_protocol")  # line faults after which the board surely hears nothing valid

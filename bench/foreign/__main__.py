@@ -3,11 +3,12 @@
 make    cases of a split     run    the diagnosis on them     score  answers against truths, as a table
 """
 
-import importlib
 import sys
 from collections.abc import Sequence
 
-COMMANDS = ("make", "run", "score")
+from bench.foreign import make, score
+
+COMMANDS = {"make": make.main, "run": score.run_cases, "score": score.main}
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -16,7 +17,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if name not in COMMANDS:
         print(__doc__, end="")
         return 2
-    return int(importlib.import_module(f"bench.foreign.{name}").main(rest))
+    return COMMANDS[name](rest)
 
 
 if __name__ == "__main__":

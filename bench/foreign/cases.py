@@ -8,8 +8,18 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from bench.foreign.box import AIR_J_KG_K, BoxWeather, ForeignBox, air_kg_m3, drive
-from bench.foreign.weather import DRIVES, draw_control, draw_weather, sun_w, visits_w
+from bench.foreign.box import (
+    AIR_J_KG_K,
+    DRIVES,
+    BoxWeather,
+    ForeignBox,
+    air_kg_m3,
+    draw_control,
+    draw_weather,
+    drive,
+    sun_w,
+    visits_w,
+)
 
 Floats = NDArray[np.float64]
 KINDS = {"null": 20, "single": 44, "pair": 22, "outside": 28, "lid": 8}

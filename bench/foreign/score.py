@@ -1,4 +1,4 @@
-"""python -m bench.foreign score: answers against truths.
+"""python -m bench.foreign run, score: the diagnosis of every case, and its answers against truths.
 
 A name is right strictly where it is hidden in the box, and by class where a log of temperatures hardly tells
 it from what is (ALIASES of bench/foreign/cases.py). Errors are those of free runs over test rows [K]; the
@@ -17,7 +17,7 @@ from typing import Any, cast
 
 from bench.foreign.cases import ALIASES, PLACES
 from bench.foreign.make import add_place, name_of, tasks_of
-from bench.foreign.run import answer_of
+from bench.hidden_effects.run_cases import LIMIT_S, OURS, SolverTask, is_done, run_all
 from bench.hidden_effects.wilson import Share, share
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.wording import beaten
@@ -26,6 +26,27 @@ SURE = 0.95
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.01)
 TRUSTED = {"UA": "effects.wall_loss.UA", "kC": "effects.extra_capacity.kC"}
 NEAR_BEST, NEAR_SIMPLE = 1.02, 1.10
+
+
+def run_cases(words: Sequence[str]) -> int:
+    """Run `greenhouse twin diagnose` on what has no answer of its present files yet."""
+    parser = argparse.ArgumentParser(prog="python -m bench.foreign run", description=__doc__)
+    add_place(parser)
+    parser.add_argument("--limit-s", type=float, default=LIMIT_S, help="of one case; default: %(default)g")
+    parser.add_argument("--again", action="store_true", help="also what has an answer")
+    arguments = parser.parse_args(words)
+    wanted = []
+    for task in tasks_of(arguments):
+        folder = task[0] / "cases" / name_of(task)
+        wanted.append(SolverTask(OURS, folder, answer_of(task[0], name_of(task)), arguments.limit_s))
+    missing = [task for task in wanted if arguments.again or not is_done(task)]
+    run_all(missing, arguments.workers, arguments.dask)
+    return 0
+
+
+def answer_of(root: Path, name: str) -> Path:
+    """Folder of a case's answer."""
+    return root / "answers" / name
 
 
 @dataclass(frozen=True, slots=True)

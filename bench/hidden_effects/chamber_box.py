@@ -1,17 +1,31 @@
-"""Boxes of the independent chamber: what each effect is there, and which values of the chamber say how much.
+"""Boxes of the independent chamber, their runs, and values of the effects that a case declares as known.
 
-Each of the chamber's further effects, BYSTANDERS, acts in some boxes; what is known of these is calibrated as
-well as the twin's equations can be, however badly that is. The fan does not stir the walls and the floor does
-not leak. `imperfect_mixing` never acts: the chamber's fan blows through both zones in turn, the library's
-through one; nor does the heater's thermostat, which nobody would calibrate a box with.
+`SETTINGS` says what each effect is there, and which values of the chamber say how much. Each of the chamber's
+further effects, BYSTANDERS, acts in some boxes; what is known of these is calibrated as well as the twin's
+equations can be, however badly that is. The fan does not stir the walls and the floor does not leak.
+`imperfect_mixing` never acts: the chamber's fan blows through both zones in turn, the library's through one;
+nor does the heater's thermostat, which nobody would calibrate a box with.
+
+Runs have one reading a row and are driven without a board in between. A known value that the chamber has
+under another name is read off. Walls, radiation and the element's lag are fitted by a calibration: the
+chamber has no number for them in the twin's terms.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
 from numpy.random import Generator
 
+from bench.hidden_effects.case_files import run_of
+from bench.hidden_effects.cases import STEP_S
+from bench.hidden_effects.inputs import Floats
+from edge.twin.effects.library import EFFECTS
+from edge.twin.fit import fit_twin
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, load
 from firmware_protocol.virtual_board.effects import Effects
 
@@ -34,6 +48,10 @@ QUIET: Settings = {
     "effects.power_run_variation": 0.0, "effects.power_wander": 0.0, "effects.sensor_noise": 0.0,
     "effects.sensor_step": 0.0,
 }  # fmt: skip
+# Sheets that let heat through, so that what happens at the outer one happens to the air.
+THIN_WALLS: Settings = {"cover.inner_film_w_m2_k": 80.0, "cover.gap_w_m2_k": 150.0}
+LEAD_ROWS = 40  # driven before the first row, where the box does not begin at rest
+COLUMNS = ("temp_air_c", "temp_ambient_c", "light", "rel_humidity_pct")
 
 
 class Setting(NamedTuple):
@@ -149,10 +167,6 @@ def chamber_of(settings: Mapping[str, float]) -> tuple[ChamberParameters, Effect
     return replace(parameters, **changed), effects
 
 
-# Sheets that let heat through, so that what happens at the outer one happens to the air.
-THIN_WALLS: Settings = {"cover.inner_film_w_m2_k": 80.0, "cover.gap_w_m2_k": 150.0}
-
-
 def draw_base(rng: Generator) -> Settings:
     """Films and contacts of a box, and what else acts in it."""
     also = {f"effects.{name}": 1.0 for name in BYSTANDERS if rng.random() < BYSTANDER_ODDS}
@@ -173,3 +187,150 @@ def draw_known(rng: Generator, name: str) -> Settings:
 def draw_sign(rng: Generator) -> float:
     """Draw the sign of an effect with two signs."""
     return 1.0 if rng.random() < 0.5 else -1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """A run before it is driven.
+
+    duty, fan, light : [LEAD_ROWS + rows], those before the first row included
+    day, hour : of the first row; room_c : mean temperature of the room that day
+    seed : of the chamber's noise and weather
+    """
+
+    duty: Floats
+    fan: Floats
+    light: Floats
+    day: float
+    hour: float
+    room_c: float
+    seed: int
+
+    def shorten(self, rows: int) -> "RunPlan":
+        """Return the first rows of the plan, begun at rest."""
+        cut = [column[: LEAD_ROWS + rows].copy() for column in (self.duty, self.fan, self.light)]
+        for column in cut[:2]:
+            column[:LEAD_ROWS] = 0.0
+        return replace(self, duty=cut[0], fan=cut[1], light=cut[2])
+
+    @property
+    def first(self) -> int:
+        """Row at which the chamber begins, at rest: LEAD_ROWS where nothing happens before."""
+        before = self.duty[:LEAD_ROWS].any() or self.fan[:LEAD_ROWS].any()
+        return 0 if before else LEAD_ROWS
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenRun:
+    """Columns of a run, one number a row.
+
+    shown : what the sensors show; clean_c : the air's without noise and steps
+    start : true temperatures at the first row
+    """
+
+    shown: Mapping[str, Floats]
+    clean_c: Floats
+    start: Mapping[str, float]
+
+
+def drive(settings: Mapping[str, float], plan: RunPlan) -> DrivenRun:
+    """Run the chamber through a plan."""
+    begun_h = (plan.first - LEAD_ROWS) * STEP_S / 3600.0
+    there = {
+        "room.temp_c": plan.room_c,
+        "room.start_hour": (plan.hour + begun_h) % 24.0,
+        "room.start_day": plan.day + begun_h / 24.0,
+    }
+    parameters, effects = chamber_of({**settings, **there})
+    chamber = Chamber(parameters, effects, plan.seed)
+    bias_k = effects.sensor_bias * parameters.sensors.air_bias_k
+    drift_k_s = effects.sensor_drift * parameters.sensors.air_drift_k_day / 86400.0
+    shown: list[dict[str, float]] = []
+    clean, start = [], {}
+    for k in range(plan.first, len(plan.duty)):
+        if k == LEAD_ROWS:
+            start = {key: item for key, item in chamber.truth().items() if key.startswith("temp_")}
+        if k >= LEAD_ROWS:
+            shown.append(chamber.sense())
+            clean.append(chamber.truth()["temp_sensor_c"] + bias_k + drift_k_s * chamber.time_s)
+        chamber.step(STEP_S, plan.duty[k], bool(plan.fan[k]), plan.light[k], False)
+    columns = {name: np.array([row[name] for row in shown]) for name in COLUMNS}
+    return DrivenRun(columns, np.array(clean), start)
+
+
+def quiet_c(settings: Mapping[str, float], plan: RunPlan) -> Floats:
+    """Return the air sensor's readings without noise, steps and disturbances."""
+    return drive({**settings, **QUIET}, plan).clean_c
+
+
+def believed_c(settings: Mapping[str, float], plan: RunPlan) -> Floats:
+    """Return the readings as predicted by someone who trusts the room's
+    sensor: its offset has no effect on the air.
+    """
+    switch, offset_k = (
+        settings.get(key, 0.0) for key in ("effects.ambient_offset", "sensors.ambient_offset_k")
+    )
+    return quiet_c(settings, replace(plan, room_c=plan.room_c + switch * offset_k))
+
+
+DIRECT: Mapping[str, Mapping[str, str]] = {
+    "infiltration": {"F_inf": "air.leak_flow_m3_s"},
+    "soil_mass": {"C_s": "soil.capacity_j_k", "G_s": "soil.air_w_k"},
+    "extra_capacity": {"kC": "air.contact_capacity_factor"},
+    "heater_deadtime": {"d_h": "heater.deadtime_s"},
+    "heater_efficiency": {"eta": "heater.efficiency"},
+    "heater_saturation": {"u_sat": "heater.saturation_duty"},
+    "heater_sag": {"sag": "heater.sag"},
+    "fan_effectiveness": {"eps_f": "fan.effectiveness"},
+    "short_circuit": {"s_sc": "fan.short_circuit"},
+    "fan_deadtime": {"d_f": "fan.deadtime_s"},
+    "fan_spinup": {"tau_f": "fan.spinup_s"},
+    "sensor_lag": {"tau_s": "sensors.air_lag_s"},
+    "sensor_bias": {"bias": "sensors.air_bias_k"},
+    "ambient_offset": {"b_amb": "sensors.ambient_offset_k"},
+    "constant_heat": {"P0": "events.constant_heat_w"},
+    "led_gain": {"P_led": "led.power_w"},
+    "door_opening": {"G_door": "events.door_w_k"},
+}
+
+
+class ChamberCalibration(NamedTuple):
+    """Parameters by effect, and the error of free runs with them [K]."""
+
+    effects: dict[str, dict[str, float]]
+    rmse_k: float
+
+
+def read_off(names: Sequence[str], settings: Settings) -> dict[str, dict[str, float]]:
+    """Return the true parameters in the library's terms, of the effects that have them."""
+    found = {**BASE, **settings}
+    return {
+        name: {key: float(found[place]) for key, place in DIRECT[name].items()}
+        for name in names
+        if name in DIRECT
+    }
+
+
+def calibrate(names: Sequence[str], settings: Settings, plans: Sequence[RunPlan]) -> ChamberCalibration:
+    """All parameters of these effects, from quiet runs of a chamber that has them and no other."""
+    direct = read_off(names, settings)
+    if set(names) <= set(direct):
+        return ChamberCalibration(direct, 0.0)
+    file = TwinFile(
+        effects={
+            name: {
+                item.name: Value(direct[name][item.name]) if name in direct else Value(item.start, fit=True)
+                for item in EFFECTS[name].parameters
+            }
+            for name in names
+        },
+        sensor={"quantisation_k": None, "noise_sd_k": 0.02},
+    )
+    runs = []
+    for plan in plans:
+        shown = drive({**settings, **QUIET}, plan).shown
+        commands = {"heater_duty": plan.duty[LEAD_ROWS:], "fan_on": plan.fan[LEAD_ROWS:]}
+        runs.append(run_of({**shown, **commands}, "train", plan.day, plan.hour))
+    fit = fit_twin(file, runs)
+    effects = {name: {key: item.value for key, item in own.items()} for name, own in fit.file.effects.items()}
+    return ChamberCalibration(effects, fit.rmse_k)

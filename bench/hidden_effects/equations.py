@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.hidden_effects.equations_inputs import Bend, ColumnInputs, Floats, OutsideConditions
+from bench.hidden_effects.inputs import Bend, ColumnInputs, Floats, OutsideConditions
 
 HEAT_J_M3_K = 1.2 * 1005.0  # of air
 AIR_J_K = HEAT_J_M3_K * 0.15

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from bench.hidden_effects.case_files import folders, is_made, write_case
 from bench.hidden_effects.cases import FIRST_SEEDS, KINDS, SUITES, case_id, seed_of
-from bench.hidden_effects.write_case import folders, is_made, write_case
 from training import sweep
 
 

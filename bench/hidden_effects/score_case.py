@@ -1,4 +1,7 @@
-"""One answer held against one truth.
+"""One answer held against one truth, and both as the scorer reads them.
+
+Read: which cases are meant and their truths; of a diagnosis only what the contract says, and nothing of it
+believed.
 
 Names: an effect is found where the name given for it is in its alias class (`score_aliases`) and it is not
 hedged over more than MOST_ALTERNATIVES alternatives; each name finds one effect at most, an exact name first.
@@ -17,21 +20,163 @@ floor), not counted where before is not SHRINKABLE times the floor; the floor is
 parameters miss from the true start, without the heat noise and mains that nobody could know.
 """
 
+import argparse
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.hidden_effects.cases import GIVEN_ROWS, RunTruth, Truth
+from bench.hidden_effects.cases import (
+    FIRST_SEEDS,
+    GENERATOR_VERSION,
+    GIVEN_ROWS,
+    KINDS,
+    SUITES,
+    HiddenEffect,
+    RunTruth,
+    Truth,
+)
 from bench.hidden_effects.score_aliases import AliasClass
-from bench.hidden_effects.score_answer import DiagnosisAnswer, NamedEffect
+from edge.core.errors import DataError
 
 Floats = NDArray[np.float64]
+VERDICTS = ("named", "nothing_missing", "unknown")
+MOST_ALTERNATIVES = 5  # more is no answer
 CLEARLY_IN_NATS, CLEARLY_OUT_NATS = 2.0, 6.0
 SHRINKABLE = 1.05
 COUNTED_DEPENDENCES = 2
+
+
+def read_truth(path: Path) -> Truth:
+    """Read the truth of a case. Errors: DataError naming the file, if it is invalid or of another version"""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        truth = _truth(document)
+    except (OSError, json.JSONDecodeError, TypeError, KeyError) as error:
+        raise DataError(f"{path}: no truth of a case: {error!r}") from error
+    if truth.generator_version != GENERATOR_VERSION:
+        raise DataError(f"{path}: of generator version {truth.generator_version}: make the cases anew")
+    return truth
+
+
+def _truth(document: dict[str, Any]) -> Truth:
+    outside = document["outside"]
+    return Truth(
+        **{
+            **document,
+            "hidden": tuple(HiddenEffect(**item) for item in document["hidden"]),
+            "outside": None if outside is None else HiddenEffect(**outside),
+            "depends_on": tuple(document["depends_on"]),
+            "known": tuple(document["known"]),
+            "tests": {name: RunTruth(**item) for name, item in document["tests"].items()},
+        }
+    )
+
+
+class CasePaths(NamedTuple):
+    """A case's folder, and the file of its truth."""
+
+    folder: Path
+    truth: Path
+
+
+def add_place(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `run`, `score` and `table`: where cases and answers lie, and which."""
+    parser.add_argument("--suite", choices=SUITES, required=True)
+    parser.add_argument("--split", choices=list(FIRST_SEEDS), default="dev")
+    parser.add_argument("--root", type=Path, default=Path("out/hidden"), help="of the cases")
+    parser.add_argument("--results", type=Path, default=Path("out/hidden_results"))
+    parser.add_argument("--kinds", default=",".join(KINDS), help="comma between; default: %(default)s")
+    parser.add_argument("--per-kind", type=int, help="first cases of each kind; default: all that are there")
+
+
+def cases_of(arguments: argparse.Namespace) -> list[CasePaths]:
+    """Return the cases that the arguments mean, in order. Errors: DataError where there are none"""
+    place = arguments.root / arguments.suite / arguments.split
+    kinds, found = dict.fromkeys(arguments.kinds.split(","), 0), []
+    for path in sorted((place / "truth").glob("case_*.json")):
+        kind = read_truth(path).kind
+        if kind not in kinds or kinds[kind] == arguments.per_kind:
+            continue
+        kinds[kind] += 1
+        found.append(CasePaths(place / "cases" / path.stem, path))
+    if not found:
+        raise DataError(f"{place}: no case of {arguments.kinds}: make them first")
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """An effect of an answer. intervals : low and high by parameter, NaN where there is none."""
+
+    name: str
+    alternatives: tuple[str, ...]
+    intervals: Mapping[str, tuple[float, float]]
+
+    @property
+    def hedges(self) -> bool:
+        return len(set(self.alternatives) - {self.name}) > MOST_ALTERNATIVES
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisAnswer:
+    """A diagnosis. before, after : predictions of test runs by file name, NaN where there is none [°C]."""
+
+    verdict: str
+    effects: tuple[NamedEffect, ...]
+    depends_on: tuple[str, ...]
+    before: Mapping[str, Floats]
+    after: Mapping[str, Floats]
+
+
+def read_answer(path: Path) -> DiagnosisAnswer:
+    """Read the diagnosis in a file. Errors: DataError naming the file, if it is missing or invalid"""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return answer(document)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DataError(f"{path}: no diagnosis: {error!r}") from error
+
+
+def answer(document: Mapping[str, Any]) -> DiagnosisAnswer:
+    """Return the answer of a document. Errors: ValueError, KeyError,
+    TypeError, AttributeError for an invalid one
+    """
+    verdict = document["verdict"]
+    if verdict not in VERDICTS:
+        raise ValueError(f"verdict {verdict!r} is none of {VERDICTS}")
+    effects = document["effects"] if verdict == "named" else []  # others have no say
+    if verdict == "named" and not effects:
+        raise ValueError("the verdict is 'named', but no effect is")
+    predictions = document["predictions"]
+    return DiagnosisAnswer(
+        verdict,
+        tuple(_named_effect(item) for item in effects),
+        tuple(document["depends_on"]),
+        {run: _series(own["before"]) for run, own in predictions.items()},
+        {run: _series(own["after"]) for run, own in predictions.items()},
+    )
+
+
+def _named_effect(document: Mapping[str, Any]) -> NamedEffect:
+    intervals = {
+        key: (_number(item.get("low")), _number(item.get("high")))
+        for key, item in document["parameters"].items()
+    }
+    return NamedEffect(document["name"], tuple(document["alternatives"]), intervals)
+
+
+def _series(values: list[float | None]) -> Floats:
+    return np.array([_number(item) for item in values], dtype=np.float64)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,16 @@ from typing import Any
 from bench.hidden_effects.run_cases import SOLVERS, case_sha256
 from bench.hidden_effects.score import document, write_document
 from bench.hidden_effects.score_aliases import AliasClass, cached_classes
-from bench.hidden_effects.score_answer import DiagnosisAnswer, read_answer
-from bench.hidden_effects.score_case import ScoredCase, score
-from bench.hidden_effects.score_truth import CasePaths, add_place, cases_of, read_truth
+from bench.hidden_effects.score_case import (
+    CasePaths,
+    DiagnosisAnswer,
+    ScoredCase,
+    add_place,
+    cases_of,
+    read_answer,
+    read_truth,
+    score,
+)
 from bench.hidden_effects.table import markdown, text
 from edge.core.errors import DataError
 from edge.formats.run_file import read_run

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from bench.hidden_effects.run_cases import OURS
-from bench.hidden_effects.score_truth import add_place
+from bench.hidden_effects.score_case import add_place
 from edge.formats.table import Table
 
 Document = Mapping[str, Any]

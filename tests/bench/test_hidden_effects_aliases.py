@@ -11,8 +11,7 @@ from scipy.stats import multivariate_normal
 
 from bench.hidden_effects.cases import HiddenEffect, Truth
 from bench.hidden_effects.score_aliases import AliasClass, alias_classes, cached_classes
-from bench.hidden_effects.score_noise import ReadingNoise, likeliest, log_likelihood
-from bench.hidden_effects.score_structure import structure
+from bench.hidden_effects.score_likelihood import ReadingNoise, likeliest, log_likelihood, structure
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import batch_runs

@@ -7,20 +7,38 @@ import numpy as np
 import pytest
 from twin_equations import shown
 
-from bench.hidden_effects import chamber_hide, make
+from bench.hidden_effects import chamber_cases, make
+from bench.hidden_effects.case_files import Sensing, read_temps
 from bench.hidden_effects.cases import FIRST_SEEDS, GIVEN_ROWS, KINDS, case_id, seed_of
-from bench.hidden_effects.chamber_box import BASE, OUTSIDE, SETTINGS, chamber_of, draw_base, draw_known
-from bench.hidden_effects.chamber_calibration import DIRECT, read_off
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, RunPlan, believed_c, drive, quiet_c
-from bench.hidden_effects.draw_inputs import BEFORE_ROWS
-from bench.hidden_effects.draw_readings import Sensing, read_temps
+from bench.hidden_effects.chamber_box import (
+    BASE,
+    DIRECT,
+    LEAD_ROWS,
+    OUTSIDE,
+    SETTINGS,
+    RunPlan,
+    believed_c,
+    chamber_of,
+    draw_base,
+    draw_known,
+    drive,
+    quiet_c,
+    read_off,
+)
 from bench.hidden_effects.equations import STATES, simulate
+from bench.hidden_effects.equations_box import OUTSIDE as NAMELESS
 from bench.hidden_effects.equations_box import STRENGTHS, draw_effect
-from bench.hidden_effects.equations_cases import make_case
-from bench.hidden_effects.equations_hide import adding, draw_scene, flat, hide, without
-from bench.hidden_effects.equations_inputs import Bend, ColumnInputs
-from bench.hidden_effects.equations_outside import OUTSIDE as NAMELESS
-from bench.hidden_effects.equations_search import rms_k, strength_for
+from bench.hidden_effects.equations_cases import (
+    adding,
+    draw_scene,
+    flat,
+    hide,
+    make_case,
+    rms_k,
+    strength_for,
+    without,
+)
+from bench.hidden_effects.inputs import BEFORE_ROWS, Bend, ColumnInputs
 from edge.formats.run_file import read_run
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS
 from edge.twin.twin_file import read_twin_file
@@ -325,7 +343,7 @@ def test_a_plan_at_rest_begins_at_its_first_row_with_what_the_sensors_show() -> 
 def test_known_effects_of_a_chamber_do_not_hide_what_is_hidden() -> None:
     for name in SETTINGS:
         for seed in range(3):
-            known, settings = chamber_hide.draw_known_box(np.random.default_rng(seed), {name})
+            known, settings = chamber_cases.draw_known_box(np.random.default_rng(seed), {name})
             assert name not in known
             off = "effects.wall_loss" if name == "wall_mass" else f"effects.{name}"
             assert bool(settings.get(off, 0.0)) is (name == "wall_mass")

@@ -11,10 +11,9 @@ import pytest
 
 from bench.hidden_effects import __main__ as commands
 from bench.hidden_effects.peers import diagnose, stepwise
-from bench.hidden_effects.peers_regression import OneStepRegression
-from bench.hidden_effects.peers_terms import TERMS
+from bench.hidden_effects.peers_regression import TERMS, OneStepRegression
 from bench.hidden_effects.run_cases import OURS, SolverTask, case_sha256, run_one
-from bench.hidden_effects.score_answer import answer
+from bench.hidden_effects.score_case import answer
 from edge.commands import twin_benchmark
 from edge.core.errors import RequestError
 from edge.formats.run_file import RecordedRun, write_run

@@ -11,9 +11,16 @@ import pytest
 from bench.hidden_effects.cases import HiddenEffect, RunTruth, Truth
 from bench.hidden_effects.score import document, figures, write_document
 from bench.hidden_effects.score_aliases import AliasClass
-from bench.hidden_effects.score_answer import answer, read_answer
-from bench.hidden_effects.score_case import FreeRunErrors, ScoredCase, errors, score
-from bench.hidden_effects.score_truth import cases_of, read_truth
+from bench.hidden_effects.score_case import (
+    FreeRunErrors,
+    ScoredCase,
+    answer,
+    cases_of,
+    errors,
+    read_answer,
+    read_truth,
+    score,
+)
 from bench.hidden_effects.table import markdown, text
 from bench.hidden_effects.wilson import Share
 from edge.core.errors import DataError

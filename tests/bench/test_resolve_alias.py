@@ -6,8 +6,8 @@
 import numpy as np
 from designed import as_inputs
 
-from bench.hidden_effects.chamber_runs import LEAD_ROWS, RunPlan, drive
-from bench.hidden_effects.draw_readings import Sensing, read_temps, run_of
+from bench.hidden_effects.case_files import Sensing, read_temps, run_of
+from bench.hidden_effects.chamber_box import LEAD_ROWS, RunPlan, drive
 from bench.resolve_alias import CASES, AliasCase, Columns, twin_of
 from bench.support.simulated_runs import silent
 from edge.diagnosis.diagnose import Diagnosis, diagnose

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from bench.watched_clock import Look, TimedRequest, WatchedClock
+from bench.support.watched_clock import Look, TimedRequest, WatchedClock
 from edge.board.sim_clock import START_UTC
 from edge.board.virtual_rig import BOARD
 from edge.config import loading as config

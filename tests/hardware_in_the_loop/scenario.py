@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from bench.watched_clock import TimedRequest
+from bench.support.watched_clock import TimedRequest
 
 FOLDER = Path(__file__).parent / "scenarios"
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from bench.source_changes import changes
+from bench.mutants import changes
 
 
 @dataclass(frozen=True)

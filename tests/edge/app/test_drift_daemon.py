@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from bundles import FACTS, Workshop, install
 
-from bench.drift_box import with_fan
+from bench.drift_alarms import with_fan
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from edge.app import daemon
 from edge.app.nightly_diagnosis import NightlyDiagnosis

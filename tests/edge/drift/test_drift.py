@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from bench.drift_box import UTC_0, Chances, DriftBox, TickInputs, heat_for, switching, ticks, with_fan
+from bench.drift_alarms import UTC_0, Chances, DriftBox, TickInputs, heat_for, switching, ticks, with_fan
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.core.errors import DataError
 from edge.core.messages import Drift, DriftState, Event

@@ -1,9 +1,9 @@
-"""bench/random_plants.py: planning problems of plausible boxes."""
+"""bench/mpc.py: planning problems of plausible boxes."""
 
 import numpy as np
 import pytest
 
-from bench.random_plants import random_problems
+from bench.mpc import random_problems
 
 MANY = list(random_problems(50, 120, 0.0, seed=1))
 

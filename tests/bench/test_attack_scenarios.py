@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from bench.attack.invariants import violations
 from bench.attack.lives import AnsweredOrder, LifeRemains, Outcome
 from bench.attack.plan import AttackPlan, Life, draw
-from bench.watched_clock import Look
+from bench.attack.scenarios import violations
+from bench.support.watched_clock import Look
 
 OK = {"ok": True}
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.instances import fitted_model, instances
+from bench.two_node_box import fitted_model, instances
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 

@@ -1,0 +1,93 @@
+"""Two hours of the whole daemon on the virtual board: the controllers hold what they are asked for.
+
+Bounds of the error are two to four times what was measured. Whole days: `greenhouse-train compare`.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.config import loading as config
+from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
+
+HOURS = 2.0
+SETTLE_MIN = 30  # after each change of the reference
+WARM_THEN_COOL = """
+timezone: UTC
+reference:
+  kind: steps
+  steps: [{at_s: 0, reference_c: 27}, {at_s: 3600, reference_c: 24}]
+"""
+
+
+@dataclass(frozen=True)
+class HeldReference:
+    """One controller's two hours."""
+
+    log: ClosedLoopLog
+    heater_off_at_end: bool
+
+    @property
+    def settled_errors_k(self) -> NDArray[np.float64]:
+        """Measured air at the end of each step less its reference, once settled [K]."""
+        reference = self.log.columns["reference_c"][:-1]
+        settled = np.ones(len(reference), dtype=bool)
+        for change in np.flatnonzero(np.diff(reference, prepend=np.nan) != 0.0):
+            settled[change : change + SETTLE_MIN] = False
+        return (self.log.columns["temp_air_c"][1:] - reference)[settled]
+
+    @property
+    def settled_mae_k(self) -> float:
+        return float(np.nanmean(np.abs(self.settled_errors_k)))
+
+    @property
+    def effort(self) -> float:
+        """As the penalty counts it."""
+        return float((self.log.columns["heater_duty"] ** 2).sum() + self.log.columns["fan_on"].sum())
+
+
+def hold(controller: str) -> HeldReference:
+    settings = config.parse(WARM_THEN_COOL, "test")
+    settings = replace(settings, control=replace(settings.control, controller=controller))
+    with closed_loop(settings, seed=1, chamber={"room": {"start_hour": 0}}) as lab:
+        lab.run(minutes=60.0 * HOURS)
+        heater_off = not lab.board.truth()["pins"]["heater_relay"]
+    return HeldReference(log_of(lab), heater_off)
+
+
+@pytest.fixture(scope="module")
+def held() -> dict[str, HeldReference]:
+    return {name: hold(name) for name in ("MPC", "MPC-P", "rules")}
+
+
+def test_both_planners_hold_the_reference_better_than_the_thermostat(held):
+    assert held["MPC-P"].settled_mae_k < 0.2
+    assert held["MPC"].settled_mae_k < 0.4
+    for name in ("MPC", "MPC-P"):
+        assert held[name].settled_mae_k < held["rules"].settled_mae_k
+
+
+def test_no_controller_overheats_the_box(held):
+    for one in held.values():
+        assert np.nanmax(one.log.columns["temp_air_c"]) < 27.0 + 4.0  # the thermostat's overshoot, from 29.6
+
+
+def test_the_planner_with_penalty_has_no_steady_state_error(held):
+    assert abs(np.nanmean(held["MPC-P"].settled_errors_k)) < 0.05
+
+
+def test_the_penalty_saves_effort(held):
+    assert held["MPC-P"].effort < held["MPC"].effort
+
+
+def test_every_minute_has_its_tick_and_the_heater_is_off_at_the_end(held):
+    for one in held.values():
+        assert len(one.log.columns["time_s"]) == HOURS * 60
+        np.testing.assert_allclose(np.diff(one.log.columns["time_s"]), 60.0, atol=0.01)
+        assert one.heater_off_at_end
+
+
+def test_safety_changes_nothing_of_a_quiet_run(held):
+    assert not any(one.log.changes for one in held.values())
