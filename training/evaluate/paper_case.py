@@ -24,17 +24,16 @@ from edge.diagnosis.report.number_text import number
 from edge.formats.table import Table
 from training.data.datasets import data_sha256, training_runs
 from training.evaluate.difference import first_difference
+from training.evaluate.paper_case_chamber import Real, real_effects
 from training.evaluate.paper_case_models import (
     HAM,
     HAM_GUARDED,
     TWIN,
     TWIN_HELD,
     ImprovedTwin,
-    Real,
     diagnose,
     forecasts,
     improved_twin,
-    real_effects,
 )
 from training.evaluate.scores import TrainingScore
 from training.models.fit_network import make_deterministic

@@ -24,17 +24,16 @@ from training.data.datasets import data_sha256
 from training.data.datasets import test_run as run_of
 from training.evaluate import paper_case, paper_case_models
 from training.evaluate.paper_case import json_of, read_scores, tables, text_of, waterfall, waterfall_picture
+from training.evaluate.paper_case_chamber import Real, real_effects
 from training.evaluate.paper_case_models import (
     HAM,
     HAM_GUARDED,
     TWIN,
     TWIN_HELD,
     ImprovedTwin,
-    Real,
     diagnose,
     forecasts,
     improved_twin,
-    real_effects,
 )
 from training.evaluate.scores import TrainingScore, maes
 from training.models import ham_guarded
