@@ -29,6 +29,7 @@ from edge.storage.runs import events_between, export_run, import_run, name_run
 
 pytestmark = pytest.mark.slow
 
+NAN = math.nan
 HEADER = "time_s,temp_air_c,temp_ambient_c,heater_duty,fan_on\n"
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 LOGS = [Path(__file__).parents[2] / "data" / "made_irregular_run.csv", *sorted(SHARED.glob("*/*.csv"))]
@@ -124,6 +125,7 @@ def test_a_mark_of_unicode_and_carriage_returns_are_no_matter(path: Path) -> Non
         (HEADER + "0,1_0,20,0,0\n", "temp_air_c: '1_0' is no number"),
         (HEADER + '0,"20,5",20,0,0\n', "temp_air_c: '20,5' is no number"),
         (HEADER + "0,1e999,20,0,0\n", "temp_air_c: '1e999' is no number"),
+        (HEADER + "0,1e308,20,0,0\n", "temp_air_c: '1e308' is no number of at most 1e"),
         (HEADER + "1,20,20,0,0\n", "line 2: time_s: 1 must be 0 in the first row"),
         (HEADER + "0,20,20,0,0\n,20,20,0,0\n", "line 3: time_s: empty is no time"),
         (HEADER + "0,20,20,0,0\n60,20,20,0,0\n59,20,20,0,0\n", "line 4: time_s: 59 does not come after"),
@@ -184,12 +186,9 @@ def test_a_written_run_says_which_columns_it_lacks(path: Path) -> None:
     assert absence_facts(read(path, HEADER + "0,20,20,0,0\n")).facts == {}
 
 
-def test_a_file_that_is_not_there_is_a_data_error(path: Path) -> None:
+def test_a_missing_file_and_bytes_that_are_no_text_are_data_errors(path: Path) -> None:
     with pytest.raises(DataError, match=r"run\.csv"):
         read_run(path)
-
-
-def test_bytes_that_are_no_text_are_a_data_error(path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00time_s")
     with pytest.raises(DataError, match=r"run\.csv"):
         read_run(path)
@@ -277,54 +276,27 @@ def test_a_run_that_has_just_these_rows_is_left_as_it_is() -> None:
     assert same(resample(run, 60.0), run)
 
 
-def test_inputs_of_a_longer_period_are_means_so_that_no_heat_is_lost() -> None:
-    run = run_of(time_s=[0, 1, 2, 3, 4, 5], heater_duty=[1, 0, 0, 0, 1, 1], fan_on=[0, 1, 1, 1, 1, 1])
-    new = resample(run, 2.0)
-    assert list(new.columns["heater_duty"]) == [0.5, 0.0, 1.0]
-    assert list(new.columns["fan_on"]) == [0.5, 1.0, 1.0]
-
-
-def test_inputs_hold_until_the_next_row() -> None:
-    run = run_of(time_s=[0, 3, 6], heater_duty=[0.2, 0.8, 0.4], heater_2_duty=[1, 0, 1])
-    new = resample(run, 1.0)
-    assert list(new.columns["heater_duty"]) == [0.2, 0.2, 0.2, 0.8, 0.8, 0.8, 0.4]
-    assert list(new.columns["heater_2_duty"]) == [1, 1, 1, 0, 0, 0, 1]
-
-
-def test_readings_are_interpolated_at_the_new_instants() -> None:
-    run = run_of(time_s=[0, 3, 6], temp_air_c=[20, 23, 20])
-    assert list(resample(run, 2.0).columns["temp_air_c"]) == [20, 22, 22, 20]
-
-
-def test_between_far_readings_there_is_none() -> None:
-    run = run_of(time_s=[0, 1, 2, 9, 10], temp_air_c=[20, 20, 20, 27, 28])
-    values = resample(run, 1.0).columns["temp_air_c"]
-    assert list(np.isnan(values)) == [False] * 3 + [True] * 6 + [False] * 2
-
-
-def test_before_the_first_and_after_the_last_reading_there_is_none() -> None:
-    run = run_of(time_s=[0, 2, 4, 6], temp_air_c=[math.nan, 20, 20, math.nan])
-    assert list(np.isnan(resample(run, 1.0).columns["temp_air_c"])) == [
-        True,
-        True,
-        False,
-        False,
-        False,
-        True,
-        True,
-    ]
-
-
-def test_a_column_without_any_reading_stays_so() -> None:
-    run = run_of(time_s=[0, 3], temp_air_c=[math.nan, math.nan])
-    assert np.isnan(resample(run, 1.0).columns["temp_air_c"]).all()
-
-
-def test_a_missing_light_does_not_spread() -> None:
-    run = run_of(time_s=[0, 1, 2, 3, 4, 5], light=[1, math.nan, 1, 1, 0, 0])
-    light = resample(run, 2.0).columns["light"]
-    assert math.isnan(light[0])
-    assert list(light[1:]) == [1.0, 0.0]
+@pytest.mark.parametrize(
+    ("times", "step_s", "key", "values", "expected"),
+    [
+        # Inputs: means over a longer period, so that no heat is lost; else they hold until the next row.
+        ([0, 1, 2, 3, 4, 5], 2.0, "heater_duty", [1, 0, 0, 0, 1, 1], [0.5, 0.0, 1.0]),
+        ([0, 1, 2, 3, 4, 5], 2.0, "fan_on", [0, 1, 1, 1, 1, 1], [0.5, 1.0, 1.0]),
+        ([0, 3, 6], 1.0, "heater_duty", [0.2, 0.8, 0.4], [0.2, 0.2, 0.2, 0.8, 0.8, 0.8, 0.4]),
+        ([0, 3, 6], 1.0, "heater_2_duty", [1, 0, 1], [1, 1, 1, 0, 0, 0, 1]),
+        # Readings: interpolated, but not between far ones, before the first or after the last.
+        ([0, 3, 6], 2.0, "temp_air_c", [20, 23, 20], [20, 22, 22, 20]),
+        ([0, 1, 2, 9, 10], 1.0, "temp_air_c", [20, 20, 20, 27, 28], [20] * 3 + [NAN] * 6 + [27, 28]),
+        ([0, 2, 4, 6], 1.0, "temp_air_c", [NAN, 20, 20, NAN], [NAN, NAN, 20, 20, 20, NAN, NAN]),
+        ([0, 3], 1.0, "temp_air_c", [NAN, NAN], [NAN] * 4),
+        ([0, 1, 2, 3, 4, 5], 2.0, "light", [1, NAN, 1, 1, 0, 0], [NAN, 1, 0]),  # does not spread
+    ],
+)
+def test_columns_at_new_instants(
+    times: list[float], step_s: float, key: str, values: list[float], expected: list[float]
+) -> None:
+    found = resample(run_of(time_s=times, **{key: values}), step_s).columns[key]
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("step_s", [0.0, -1.0, math.nan])
