@@ -8,7 +8,7 @@ from pathlib import Path
 from edge.bundle.archive import open_archive
 from edge.bundle.manifest import Manifest
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key, sign_folder
-from edge.bundle.store import BundleStore
+from edge.bundle.store import BundleStore, Load, Prove
 from edge.core.predictor import Predictor
 from edge.models.arx_file import DEFAULT_PATH
 
@@ -63,3 +63,11 @@ def install(store: BundleStore, source: Path) -> str:
     """The version that was installed."""
     with open_archive(source) as archive:
         return store.install(archive).version
+
+
+def make_store(workshop: Workshop, load: Load = load_nothing, prove: Prove | None = None) -> BundleStore:
+    """A store whose packaged bundle is version 0."""
+    packaged = workshop.folder / "packaged"
+    if not packaged.exists():
+        workshop.signed_folder("packaged", version="0")
+    return BundleStore(workshop.folder / "store", workshop.trusted, load, packaged, prove)

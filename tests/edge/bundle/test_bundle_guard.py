@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
-from bundles import Workshop, install, load_nothing
+from bundles import Workshop, install, load_nothing, make_store
 
 from bench.attack.bundles import ENDLESS, GREEDY, KINDS, run
 from bench.support.broker import wait_for
@@ -24,18 +24,6 @@ from edge.core.clock import RealClock
 from edge.core.errors import DataError
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
-    workshop = Workshop(tmp_path)
-    workshop.signed_folder("packaged", version="0")
-    return workshop
-
-
-def make_store(workshop: Workshop, prove: Prover | None = None) -> BundleStore:
-    load = load_nothing if prove is None else loader(60.0)
-    return BundleStore(workshop.folder / "store", workshop.trusted, load, workshop.folder / "packaged", prove)
 
 
 def prover(workshop: Workshop, **limits: float) -> Prover:
@@ -119,7 +107,8 @@ def test_without_its_record_a_store_asks_the_operator(workshop: Workshop, text: 
 
 
 def test_the_command_has_the_flag_and_the_daemon_tells_of_it(workshop: Workshop, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (workshop.folder / "packaged", None))
+    packaged = workshop.signed_folder("packaged", version="0")
+    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (packaged, None))
     monkeypatch.setattr("edge.commands.bundle.Prover", lambda *_: None)
     config = workshop.folder / "edge.yaml"
     folder = workshop.folder / "store"
@@ -147,7 +136,7 @@ def test_the_command_has_the_flag_and_the_daemon_tells_of_it(workshop: Workshop,
 def test_a_graph_without_end_or_measure_is_refused_in_its_own_process(
     workshop: Workshop, graph: bytes, memory: int
 ) -> None:
-    store = make_store(workshop, prover(workshop, cpu_s=3, memory=memory))
+    store = make_store(workshop, loader(60.0), prover(workshop, cpu_s=3, memory=memory))
     begin_s = time.monotonic()
     with pytest.raises(DataError, match=r"models end the process|cannot be run"):
         install(store, with_graph(workshop, graph))
@@ -157,7 +146,7 @@ def test_a_graph_without_end_or_measure_is_refused_in_its_own_process(
 
 
 def test_a_process_that_only_waits_is_ended_by_the_clock(workshop: Workshop) -> None:
-    store = make_store(workshop, prover(workshop, cpu_s=60, wall_s=2.0))
+    store = make_store(workshop, loader(60.0), prover(workshop, cpu_s=60, wall_s=2.0))
     with pytest.raises(DataError, match="not proved after 2 s"):
         install(store, with_graph(workshop, ENDLESS))
 
@@ -180,7 +169,7 @@ def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(
 
 
 def test_a_sound_bundle_is_proved_and_a_wrong_one_refused_with_its_reason(workshop: Workshop) -> None:
-    store = make_store(workshop, prover(workshop))
+    store = make_store(workshop, loader(60.0), prover(workshop))
     install(store, with_graph(workshop, (PACKAGED_FOLDER / "rl-off.onnx").read_bytes(), "1.0"))
     assert store.versions() == ["1.0"]
     with pytest.raises(DataError, match=r"rl-off\.onnx: not an ONNX file"):

@@ -24,11 +24,6 @@ from edge.forecasts.skill import SkillState
 from edge.models.policy_actions import command_of
 
 
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
-    return Workshop(tmp_path)
-
-
 def with_policies(workshop: Workshop, **facts: object) -> Path:
     folder = workshop.models("policies")
     policy_file(folder / "rl-off.onnx", favourite=3, **facts)

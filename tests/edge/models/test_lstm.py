@@ -13,7 +13,6 @@ from edge.core.errors import DataError
 from edge.core.predictor import Floats
 from edge.models.lstm import read_lstm
 from edge.models.onnx_predictor import BATCH, OnnxPredictor
-from edge.models.validity import outside_steps
 
 
 @pytest.fixture(scope="module")
@@ -90,13 +89,6 @@ def test_an_unknown_input_gives_nan_from_its_step_on_in_its_sequence_alone(
 def test_an_unknown_offset_gives_nan_from_its_step_on(model: OnnxPredictor) -> None:
     temps = model.rollout(history(20.0, 20.0, 20.0), duties([0.5, 0.5]), {"offset": np.array([0.0, np.nan])})
     np.testing.assert_allclose(temps, [[20.5, np.nan]])
-
-
-def test_a_rollout_out_of_the_box_is_flagged(model: OnnxPredictor) -> None:  # the box ends at 40 °C
-    past = history(38.0, 38.0, 38.0)
-    for controls, is_outside in ((duties([1.0, 1.0]), False), (duties([1.0, 1.0, 0.05]), True)):
-        temps = model.rollout(past, controls, {})
-        assert outside_steps(model.validity, past, controls, {}, temps)[0, -1] == is_outside
 
 
 def test_the_version_is_the_hash_of_the_file(tmp_path: Path) -> None:
