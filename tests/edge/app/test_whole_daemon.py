@@ -6,8 +6,6 @@ Control goes on or ends safely, and what was recorded is not lost.
 import json
 import sqlite3
 import subprocess
-import tempfile
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -20,22 +18,10 @@ from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.tick.order_words import in_words
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 LEASE_S = 10.0  # firmware_protocol/PROTOCOL.md
 TICKS = f"{RIG}/history/tick"
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """Short, for the names of sockets."""
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:
-        yield Path(name)
-
-
-@pytest.fixture
-def board(folder: Path) -> Iterator[VirtualBoard]:
-    with virtual_board(folder, "--real-time") as board:
-        yield board
 
 
 def heats(board: VirtualBoard) -> bool:

@@ -1,7 +1,6 @@
 """Wishes and why through the whole daemon as a process: command line, control socket and broker."""
 
 import json
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,26 +9,15 @@ import pytest
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.virtual_board import VirtualBoard, virtual_board
+from bench.support.virtual_board import VirtualBoard
 from edge.__main__ import main
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 WISH = "keep 26 by day and 20 at night, go easy on the fan"
 RULES = {"model": "", "controller": "rules"}
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:  # socket paths must be short
-        yield Path(name)
-
-
-@pytest.fixture
-def board(folder: Path) -> Iterator[VirtualBoard]:
-    with virtual_board(folder, "--real-time") as running:
-        yield running
 
 
 @pytest.fixture

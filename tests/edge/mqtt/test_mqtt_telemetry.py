@@ -20,16 +20,10 @@ from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 from edge.sockets.control_socket import ControlSocket
 
-pytestmark = needs_mosquitto
+pytestmark = [pytest.mark.usefixtures("quick_reconnect"), needs_mosquitto]
+pytest_plugins = ["rig_places"]
 AVAILABILITY, STATE, REPLY, EVENT = (f"{ROOT}/{name}" for name in ("availability", "state", "reply", "event"))
 DISCOVERY, HISTORY = "homeassistant/device/rig-1/config", f"{ROOT}/history"
-
-
-@pytest.fixture(autouse=True)
-def quick_reconnect(monkeypatch):
-    monkeypatch.setattr(connection, "RECONNECT_MIN_S", 0.1)
-    monkeypatch.setattr(connection, "RECONNECT_MAX_S", 0.2)
-    monkeypatch.setattr(telemetry, "POLL_S", 0.05)
 
 
 @pytest.fixture
