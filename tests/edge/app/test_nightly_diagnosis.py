@@ -194,12 +194,7 @@ def test_where_it_names_nothing_nothing_is_adopted(tmp_path, found, words):
     [
         ("sys.exit('history: no run of an hour')", "ended with 1: history: no run of an hour"),
         ("", "diagnosis.json"),
-        ("(Path(words[-1]) / 'diagnosis.json').write_text('[]')", "not a JSON object"),
-        ("(Path(words[-1]) / 'diagnosis.json').write_text('{')", "diagnosis.json"),
-        (
-            "(Path(words[-1]) / 'diagnosis.json').write_text('[' * 100_000)",
-            "diagnosis.json: not JSON: nested too deep",
-        ),
+        ("(Path(words[-1]) / 'diagnosis.json').write_text('{')", "diagnosis.json: not JSON"),
         (
             "os.mkfifo(Path(words[-1]) / 'diagnosis.json')",
             "diagnosis.json: cannot be read: not a regular file",

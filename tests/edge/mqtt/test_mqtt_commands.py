@@ -56,23 +56,8 @@ def test_a_well_formed_command_becomes_a_request(what, payload, request_):
 @pytest.mark.parametrize(
     ("what", "payload"),
     [
-        *(
-            ("temperature", text.encode())
-            for text in [
-                "nan",
-                "NaN",
-                "inf",
-                "-inf",
-                "1e1",
-                "14.99",
-                "38.01",
-                "2_5",
-                "+25",
-                "0x19",
-                "25,5",
-                "-25",
-            ]
-        ),
+        *(("temperature", text) for text in (b"nan", b"NaN", b"inf", b"-inf", b"1e1", b"14.99", b"38.01")),
+        *(("temperature", text) for text in (b"2_5", b"+25", b"0x19", b"25,5", b"-25", b"true", b"null")),
         *(("temperature", text) for text in (b"", b" 25", b"25\n", "٢٥".encode(), b"9" * 400)),
         ("mode", b"cool"),
         ("mode", b"AUTO"),

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
 from history_records import tick
 
 from edge.config.loading import default
@@ -40,9 +39,5 @@ def test_scores_are_saved_every_hour_and_at_the_end(tmp_path: Path) -> None:
     assert count_in(tmp_path) == 5
 
 
-@pytest.mark.parametrize("content", [None, "", "{", '{"pairs": 3}', "[]"])
-def test_without_a_readable_file_scores_begin_anew(tmp_path: Path, content: str | None) -> None:
-    path = tmp_path / "skill.json"
-    if content is not None:
-        path.write_text(content)
+def test_without_a_file_scores_begin_anew(tmp_path: Path) -> None:
     assert restore(SKILL, settings(tmp_path)) == SkillState()
