@@ -18,8 +18,10 @@ from edge.core.messages import (
     Severity,
     TickRecord,
 )
+from edge.storage import Storage
 
 START_UTC = 1_767_225_600.0
+PATIENCE_S = 20.0
 
 
 @dataclass
@@ -51,6 +53,15 @@ class History:
     @classmethod
     def at(cls, path: Path, **values: Any) -> "History":
         return cls(str(path), **values)
+
+
+def store(path: Path, *records: TickRecord) -> None:
+    """Record these ticks in the history at `path`, as a session of its own."""
+    storage = Storage(History.at(path, queue_ticks=max(50, len(records))), HandClock())
+    storage.open()
+    for record in records:
+        storage.write(record)
+    assert storage.close(PATIENCE_S)
 
 
 def tick(seq: int, **values: Any) -> TickRecord:

@@ -4,26 +4,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from history_records import tick
+from history_records import store, tick
 
 from edge.app.request_routes import resend
 from edge.config import loading as config
 from edge.config.settings import HistorySettings, Settings
-from edge.core.clock import RealClock
 from edge.mqtt.commands import Resend
-from edge.storage import Storage
 
 
 @pytest.fixture
 def settings(tmp_path: Path) -> Settings:
     """With a history of three ticks, all waiting to be sent."""
-    history = HistorySettings(path=str(tmp_path / "history.db"))
-    storage = Storage(history, RealClock())
-    storage.open()
-    for seq in (1, 2, 3):
-        storage.write(tick(seq))
-    assert storage.close(20.0)
-    return replace(config.default(), history=history)
+    store(tmp_path / "history.db", *(tick(seq) for seq in (1, 2, 3)))
+    return replace(config.default(), history=HistorySettings(path=str(tmp_path / "history.db")))
 
 
 @pytest.mark.parametrize(("first", "last", "queued"), [(1, 1, 1), (2, 3, 2), (1, 2**63 - 1, 3), (9, 9, 0)])

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from history_records import START_UTC, HandClock, History, eventful_tick, tick
+from history_records import START_UTC, eventful_tick, store, tick
 
 from edge.__main__ import main
 from edge.assistant.why.ask_history import why
@@ -13,7 +13,6 @@ from edge.assistant.why.explain import explain
 from edge.assistant.why.reasons import reasons
 from edge.core.errors import DataError
 from edge.core.messages import Change, Command, Decision, TickRecord
-from edge.storage import Storage
 
 PLAN = {
     "cost": 12.5,
@@ -126,11 +125,7 @@ def test_a_tick_with_everything_odd_is_told() -> None:
 @pytest.fixture
 def history(tmp_path: Path) -> Path:
     path = tmp_path / "history.db"
-    storage = Storage(History.at(path), HandClock())
-    storage.open()
-    for number in (1, 2, 3, 30):
-        storage.write(tick(number))
-    assert storage.close()
+    store(path, *(tick(number) for number in (1, 2, 3, 30)))
     return path
 
 

@@ -95,35 +95,6 @@ def test_a_confirmed_wish_moves_the_reference_outlives_a_kill_and_ends_by_itself
         wait_for(lambda: daemon.ask("status")["tick"]["reference_c"] == 32.0)
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"daily": [{"from_s": 0.0, "reference_c": 60.0}]}, "outside 15 to 38"),
-        ({"until_utc": 4e9}, "within the next 168 h"),
-        ({"fan_penalty": "5"}, "must be a number, not '5'"),
-        ({"heater_max_duty": 2.0}, "heater_max_duty"),
-    ],
-)
-def test_an_order_past_the_desk_is_held_to_the_same_limits(
-    folder: Path, board: VirtualBoard, model: StandIn, changed: dict[str, Any], said: str
-) -> None:
-    with daemon_of(folder, model, step_s=60) as daemon:
-        whole = {
-            "id": "x",
-            "words": "w",
-            "until_utc": daemon.ask("status")["tick"]["utc"] + 60.0,
-            "daily": [],
-            "heater_penalty": None,
-            "fan_penalty": None,
-            "heater_max_duty": None,
-            "fan_rest": [],
-        }
-        answer = daemon.ask("steer", steering={**whole, **changed})
-        assert not answer["ok"]
-        assert said in answer["error"]
-        assert standing(daemon)["steering"] is None
-
-
 @needs_mosquitto
 def test_wish_confirmation_undo_and_why_over_the_broker(
     folder: Path, board: VirtualBoard, model: StandIn

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from history_records import HandClock, History, tick
+from history_records import store, tick
 from training_runs import BOX, box_run
 
 from edge.__main__ import main
@@ -17,7 +17,6 @@ from edge.commands.twin_simulate import START_ROWS, errors, simulate
 from edge.core.errors import DataError, RequestError
 from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.models.pbm import Pbm
-from edge.storage import Storage
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from edge.twin.value import Value
@@ -278,12 +277,8 @@ def test_run_files_are_named_before_and_after_test(made: Path, tmp_path: Path) -
 
 def test_the_history_is_taken_by_its_age(tmp_path: Path) -> None:
     history = tmp_path / "history.db"
-    storage = Storage(History.at(history, queue_ticks=1000), HandClock())
-    storage.open()
-    now = time.time()
-    for seq in range(1, 101):  # the newest now, the oldest 99 minutes ago
-        storage.write(tick(seq, utc=now - 60.0 * (100 - seq)))
-    assert storage.close(20.0)
+    now = time.time()  # of the newest; the oldest is 99 minutes older
+    store(history, *(tick(seq, utc=now - 60.0 * (100 - seq)) for seq in range(1, 101)))
     runs = diagnosis_runs_of(data("--history", history, "--since", "1h", "--test-share", "0.5"), TwinFile())
     assert [len(named.run) for named in (*runs.train, *runs.test)] == [31, 30]  # both ends count
     with pytest.raises(DataError, match="no ticks in this stretch"):

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from history_records import START_UTC, HandClock, History, eventful_tick, tick
+from history_records import START_UTC, HandClock, History, eventful_tick, store, tick
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from edge.core.errors import DataError
-from edge.core.messages import Reading, ReadingQuality, TickRecord
+from edge.core.messages import Reading, ReadingQuality
 from edge.formats.run_file import (
     OPTION_WITHOUT,
     RecordedRun,
@@ -343,16 +343,8 @@ def history(tmp_path: Path) -> Path:
     return tmp_path / "history.db"
 
 
-def record(history: Path, *ticks: TickRecord) -> None:
-    storage = Storage(History.at(history), HandClock())
-    storage.open()
-    for one in ticks:
-        storage.write(one)
-    assert storage.close(20.0)
-
-
 def test_a_stretch_of_history_is_a_run_file(history: Path, path: Path) -> None:
-    record(history, *(tick(seq) for seq in range(1, 6)))
+    store(history, *(tick(seq) for seq in range(1, 6)))
     write_run(export_run(history, first_seq=2, last_seq=4), path)
     run = read_run(path)
     assert list(run.columns)[:5] == ["time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on"]
@@ -366,13 +358,13 @@ def test_a_stretch_of_history_is_a_run_file(history: Path, path: Path) -> None:
 
 
 def test_a_stretch_by_wall_clock_includes_both_ends(history: Path) -> None:
-    record(history, *(tick(seq) for seq in range(1, 6)))
+    store(history, *(tick(seq) for seq in range(1, 6)))
     run = export_run(history, since_utc=START_UTC + 120.0, until_utc=START_UTC + 240.0)
     assert len(run) == 3
 
 
 def test_bad_readings_are_missing_and_unconfirmed_commands_are_off(history: Path) -> None:
-    record(
+    store(
         history,
         tick(1),
         eventful_tick(2),
@@ -384,7 +376,7 @@ def test_bad_readings_are_missing_and_unconfirmed_commands_are_off(history: Path
 
 
 def test_time_follows_the_grid_whatever_the_wall_clock_does(history: Path) -> None:
-    record(
+    store(
         history,
         tick(1, utc=START_UTC),
         tick(2, utc=START_UTC + 1e6),
@@ -395,10 +387,10 @@ def test_time_follows_the_grid_whatever_the_wall_clock_does(history: Path) -> No
 
 
 def test_between_sessions_the_wall_clock_counts(history: Path) -> None:
-    record(history, tick(1, utc=START_UTC))
-    record(history, tick(2, utc=START_UTC + 1000.0))
+    store(history, tick(1, utc=START_UTC))
+    store(history, tick(2, utc=START_UTC + 1000.0))
     assert list(export_run(history).columns["time_s"]) == [0.0, 1000.0]
-    record(history, tick(3, utc=START_UTC))
+    store(history, tick(3, utc=START_UTC))
     with pytest.raises(DataError, match="tick 3: the wall clock went back"):
         export_run(history)
 
@@ -443,7 +435,7 @@ def test_an_import_does_not_disturb_the_daemon(history: Path) -> None:
 
 
 def test_a_named_stretch_is_exported_with_its_facts(history: Path) -> None:
-    record(history, *(tick(seq) for seq in range(1, 6)))
+    store(history, *(tick(seq) for seq in range(1, 6)))
     name_run(history, "steps", "train", 2, 3, {"role": "train"})
     run = export_run(history, name="steps")
     assert len(run) == 2
@@ -461,13 +453,13 @@ def test_a_named_stretch_is_exported_with_its_facts(history: Path) -> None:
 def test_a_stretch_that_is_not_there_is_refused(
     history: Path, arguments: dict[str, object], message: str
 ) -> None:
-    record(history, tick(1))
+    store(history, tick(1))
     with pytest.raises(DataError, match=message):
         export_run(history, **arguments)  # type: ignore[arg-type]
 
 
 def test_a_view_in_a_tables_place_is_refused_its_query_may_have_no_end(history: Path) -> None:
-    record(history, tick(1))
+    store(history, tick(1))
     with closing(sqlite3.connect(history)) as connection:
         connection.executescript("PRAGMA legacy_alter_table = ON; ALTER TABLE ticks RENAME TO hidden;")
         connection.execute("CREATE VIEW ticks AS SELECT * FROM hidden")
@@ -476,7 +468,7 @@ def test_a_view_in_a_tables_place_is_refused_its_query_may_have_no_end(history: 
 
 
 def test_a_damaged_letter_in_the_history_is_one_letter(history: Path) -> None:
-    record(history, tick(1))
+    store(history, tick(1))
     with closing(sqlite3.connect(history)) as connection, connection:
         connection.execute("UPDATE ticks SET controller = CAST(X'4dd143' AS TEXT)")
     assert export_run(history).facts["controllers"] == "M\ufffdC"
@@ -491,6 +483,6 @@ def test_exporting_makes_no_history(history: Path) -> None:
 
 
 def test_events_are_found_by_their_time(history: Path) -> None:
-    record(history, eventful_tick(1))
+    store(history, eventful_tick(1))
     assert [event.key for event in events_between(history, START_UTC, START_UTC)] == ["board.link_lost"]
     assert len(events_between(history, START_UTC, START_UTC + 1.0)) == 2

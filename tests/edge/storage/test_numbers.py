@@ -180,6 +180,7 @@ def test_a_history_that_is_locked_at_the_start_continues_its_numbers(path: Path)
         other.execute("BEGIN EXCLUSIVE")
         daemon = NumberingDaemon(path)
         assert daemon.first == 4
+        assert "locked" in daemon.storage.faults()["history.behind"]
         daemon.tick()
     assert daemon.is_written()
     assert daemon.events() == []
@@ -230,8 +231,9 @@ def test_a_last_tick_that_cannot_be_stored_is_reported(path: Path) -> None:
 
 
 def test_a_clean_end_leaves_no_gap(path: Path) -> None:
-    for _ in range(3):
+    for ended in (0, 2, 4):
         daemon = NumberingDaemon(path)
+        assert (daemon.storage.written_seq, daemon.events()) == (ended, [])
         daemon.tick(2)
         daemon.end()
     assert numbers(path) == (set(range(1, 7)), set())

@@ -93,23 +93,17 @@ def test_an_unknown_request_names_the_nearest() -> None:
             ask(do=junk)
 
 
-def test_maintenance_expires_by_itself() -> None:
-    operation = ask(do="maintenance", minutes=30)
+@pytest.mark.parametrize("minutes", [30, 24 * 60])
+def test_maintenance_expires_by_itself(minutes: int) -> None:
+    operation = ask(do="maintenance", minutes=minutes)
     assert operation.in_maintenance(1000.0)
-    assert operation.in_maintenance(1000.0 + 1799.0)
-    assert not operation.in_maintenance(1000.0 + 1800.0)
+    assert operation.in_maintenance(1000.0 + 60.0 * minutes - 1.0)
+    assert not operation.in_maintenance(1000.0 + 60.0 * minutes)
 
 
 def test_a_clock_that_lost_the_date_does_not_end_maintenance() -> None:
     operation = ask(do="maintenance", minutes=30)
     assert operation.in_maintenance(1000.0 - 10 * 86400.0)
-
-
-def test_maintenance_may_last_a_whole_day_and_ends_after_it() -> None:
-    operation = ask(do="maintenance", minutes=24 * 60)
-    assert operation.in_maintenance(1000.0)
-    assert operation.in_maintenance(1000.0 + 86399.0)
-    assert not operation.in_maintenance(1000.0 + 86400.0)
 
 
 @pytest.mark.parametrize("minutes", [-1, 1440.1, 1441, math.nan, "30", None])
@@ -120,6 +114,20 @@ def test_maintenance_of_no_sane_length_is_refused(minutes: object) -> None:
 
 def test_zero_minutes_end_maintenance() -> None:
     assert operate(ask(do="maintenance", minutes=5), {"do": "maintenance", "minutes": 0}, DESK) == AUTO
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"daily": [{"from_s": 0.0, "reference_c": 60.0}]}, "outside 15 to 38"),
+        ({"until_utc": 4e9}, "within the next 168 h"),
+        ({"fan_penalty": "5"}, "must be a number, not '5'"),
+        ({"heater_max_duty": 2.0}, "heater_max_duty"),
+    ],
+)
+def test_steering_past_the_desk_is_held_to_the_same_limits(changed: dict[str, object], said: str) -> None:
+    with pytest.raises(RequestError, match=said):
+        ask(do="steer", steering={**steerings.to_dict(NIGHT), **changed})
 
 
 def test_orders_survive_the_state_file() -> None:
