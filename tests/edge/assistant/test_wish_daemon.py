@@ -29,11 +29,7 @@ def model() -> Iterator[StandIn]:
 def daemon_of(folder: Path, model: StandIn | None, port: int | None = None, **control: Any) -> DaemonProcess:
     llm = {} if model is None else {"url": model.url, "model": "stand-in"}
     return DaemonProcess(
-        folder,
-        port,
-        control={**RULES, **control},
-        llm=llm,
-        bundle={"path": str(folder / "bundles")},
+        folder, port, control={**RULES, **control}, llm=llm, bundle={"path": str(folder / "bundles")}
     )
 
 

@@ -151,9 +151,7 @@ def test_a_process_that_only_waits_is_ended_by_the_clock(workshop: Workshop) -> 
         install(store, with_graph(workshop, ENDLESS))
 
 
-def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(
-    workshop: Workshop,
-) -> None:
+def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(workshop: Workshop) -> None:
     trusting = make_store(workshop)
     install(trusting, workshop.archive("1.0"))
     folder = workshop.folder / "store" / "1.1"

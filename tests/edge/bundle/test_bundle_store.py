@@ -274,10 +274,7 @@ def test_a_damaged_shadow_leaves_the_active_bundle_alone(workshop: Workshop) -> 
     assert serving.problems == ("bundle 3.0: arx.json: is missing",)
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["", "{}", '{"active": "../x", "on_probation": false}'],
-)
+@pytest.mark.parametrize("text", ["", "{}", '{"active": "../x", "on_probation": false}'])
 def test_a_spoilt_roles_file_means_the_packaged_bundle_until_it_is_written_anew(
     workshop: Workshop, text: str
 ) -> None:

@@ -208,22 +208,13 @@ def test_a_twin_file_that_is_wrong_is_named_with_its_key(
 @pytest.mark.parametrize(
     ("column", "change", "message"),
     [
-        (
-            "temp_air_c",
-            273.15,
-            "line 4: temp_air_c: 295.15 is not a plausible air temperature in degC",
-        ),
+        ("temp_air_c", 273.15, "line 4: temp_air_c: 295.15 is not a plausible air temperature in degC"),
         ("temp_air_c", np.nan, "temp_air_c: nothing was measured to start from"),
         ("temp_ambient_c", np.nan, "temp_ambient_c: not known"),
     ],
 )
 def test_a_run_that_is_wrong_is_named_with_its_column(
-    twin: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    column: str,
-    change: float,
-    message: str,
+    twin: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], column: str, change: float, message: str
 ) -> None:
     run = box_run(1)  # facts stand in lines 1 and 2, the header in 3
     path = run_file(

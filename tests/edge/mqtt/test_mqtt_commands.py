@@ -37,11 +37,7 @@ REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
         ("undo", b"PRESS", {"do": "undo"}),
         ("why", b"", {"do": "why", "at_utc": None}),
         ("why", b"1767225600.5", {"do": "why", "at_utc": 1767225600.5}),
-        (
-            "resend",
-            b'{"first_seq": 3, "last_seq": 9}',
-            {"do": "resend", "first_seq": 3, "last_seq": 9},
-        ),
+        ("resend", b'{"first_seq": 3, "last_seq": 9}', {"do": "resend", "first_seq": 3, "last_seq": 9}),
         ("emergency_stop", b"PRESS", {"do": "emergency_stop"}),
         ("release_emergency_stop", b"PRESS", {"do": "release_emergency_stop"}),
         ("clear_trip", b"PRESS", {"do": "clear_trip"}),
@@ -112,8 +108,7 @@ def test_garbage_is_refused_or_is_an_order_the_loop_understands(what, payload):
 
 
 @given(
-    what=st.sampled_from(("temperature", "maintenance")),
-    value=st.floats() | st.integers() | st.decimals(),
+    what=st.sampled_from(("temperature", "maintenance")), value=st.floats() | st.integers() | st.decimals()
 )
 def test_no_number_outside_the_range_passes(what, value):
     try:

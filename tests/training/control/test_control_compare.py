@@ -11,14 +11,7 @@ import requests
 from edge.core.errors import DataError
 from training.control import compare
 from training.control.compare import _endpoint, kept_section, pictures_of, run, section, text_of
-from training.control.comparison import (
-    RunResult,
-    column,
-    knowledge,
-    ranking,
-    regret,
-    table,
-)
+from training.control.comparison import RunResult, column, knowledge, ranking, regret, table
 from training.control.figures import DecisionTime, Figures
 from training.control.saved_figures import (
     FIGURES_FILE,
@@ -86,7 +79,7 @@ def test_a_controller_is_ranked_among_those_that_know_as_much():
         *("MPC-BFGS", "MPC-Twin/present", "MPC"),
     ]
     assert [knowledge(name) for name in ("clairvoyant", "MPC-Twin", "MPC", "RL-Off")] == [
-        *("everything", "coming reference", "present reference", "present reference"),
+        *("everything", "coming reference", "present reference", "present reference")
     ]
 
 
