@@ -308,7 +308,7 @@ def test_a_late_tick_still_gets_its_own_row():
 
 def paths_of(part: object, place: str = "") -> Iterator[tuple[str, str]]:
     """Settings that are absolute paths, by their keys."""
-    for field in fields(part):  # type: ignore[arg-type]
+    for field in fields(part):
         value, key = getattr(part, field.name), f"{place}.{field.name}".lstrip(".")
         if is_dataclass(value):
             yield from paths_of(value, key)

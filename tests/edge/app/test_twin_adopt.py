@@ -255,7 +255,7 @@ def refused(rig: AdoptingRig, capsys: pytest.CaptureFixture[str]) -> Iterator[ob
     return call
 
 
-def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: AdoptingRig, refused) -> None:  # type: ignore[no-untyped-def]
+def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: AdoptingRig, refused) -> None:
     stranger = rig.folder / "stranger.pem"
     generate_key(stranger)  # its public half is trusted by nobody
     assert "the signature is by none of the 1 trusted keys" in refused(rig.report, "--key", stranger)
@@ -282,16 +282,12 @@ def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: Adopting
     ],
 )
 def test_a_report_that_holds_no_new_twin_is_refused(
-    rig: AdoptingRig,
-    refused,  # type: ignore[no-untyped-def]
-    twin: TwinFile,
-    document: dict[str, object],
-    message: str,
+    rig: AdoptingRig, refused, twin: TwinFile, document: dict[str, object], message: str
 ) -> None:
     assert message in refused(write_report(rig.folder / "other", twin, **document))
 
 
-def test_a_folder_that_is_no_report_is_told(rig: AdoptingRig, refused) -> None:  # type: ignore[no-untyped-def]
+def test_a_folder_that_is_no_report_is_told(rig: AdoptingRig, refused) -> None:
     assert "is this the folder of a diagnosis?" in refused(rig.folder)
     (rig.report / "diagnosis.json").write_text("{")
     assert "diagnosis.json: not JSON" in refused(rig.report)

@@ -212,7 +212,7 @@ MESSAGES = st.dictionaries(st.sampled_from(KEYS), JSON)
 @hypothesis_settings(suppress_health_check=[HealthCheck.too_slow])
 @given(MESSAGES, JSON, st.sampled_from(["stop", "length", "tool_calls", "content_filter", None]))
 def test_any_reply_is_read_or_refused(message: dict[str, Any], usage: Any, finish: str | None) -> None:
-    whole = read_document(json.dumps(document(message, finish, usage)).encode())  # type: ignore[arg-type]
+    whole = read_document(json.dumps(document(message, finish, usage)).encode())
     read_usage(whole)
     try:
         read_reply(whole, Usage())

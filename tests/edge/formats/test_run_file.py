@@ -455,7 +455,7 @@ def test_a_stretch_that_is_not_there_is_refused(
 ) -> None:
     store(history, tick(1))
     with pytest.raises(DataError, match=message):
-        export_run(history, **arguments)  # type: ignore[arg-type]
+        export_run(history, **arguments)
 
 
 def test_a_view_in_a_tables_place_is_refused_its_query_may_have_no_end(history: Path) -> None:

@@ -29,7 +29,7 @@ def add(history: sqlite3.Connection, *records: TickRecord) -> None:
 
 def skill(mae_k: float, horizon_min: int = 5, **values: object) -> ForecastSkill:
     given = {"against_persistence": 0.9, "against_pbm": None, "half_width_k": 0.5, "covered": 0.91, **values}
-    return ForecastSkill("arx", "v1", horizon_min, 100, mae_k, **given)  # type: ignore[arg-type]
+    return ForecastSkill("arx", "v1", horizon_min, 100, mae_k, **given)
 
 
 def test_forecasts_read_back_to_a_hundredth(history: sqlite3.Connection) -> None:

@@ -56,7 +56,7 @@ def rows(path: Path, query: str) -> list[tuple[object, ...]]:
 
 
 def seqs(path: Path) -> list[int]:
-    return [seq for (seq,) in rows(path, "SELECT seq FROM ticks ORDER BY seq")]  # type: ignore[misc]
+    return [seq for (seq,) in rows(path, "SELECT seq FROM ticks ORDER BY seq")]
 
 
 def write(storage: Storage, *numbers: int) -> None:
@@ -78,7 +78,7 @@ def test_a_new_history_makes_its_directory_and_begins_with_tick_one(tmp_path: Pa
 
 
 @pytest.mark.parametrize("make", [tick, eventful_tick])
-def test_a_stored_tick_reads_back_as_the_same_json(path: Path, make) -> None:  # type: ignore[no-untyped-def]
+def test_a_stored_tick_reads_back_as_the_same_json(path: Path, make) -> None:
     record = make(1)
     with opened(path) as (storage, _):
         storage.write(record)
@@ -241,7 +241,7 @@ def middle_broken(data: bytes) -> bytes:
 @pytest.mark.parametrize(
     "damage", [half, header_broken, middle_broken, lambda data: b"", lambda data: b"hello"]
 )
-def test_a_broken_file_is_set_aside_and_a_new_history_begun(path: Path, damage) -> None:  # type: ignore[no-untyped-def]
+def test_a_broken_file_is_set_aside_and_a_new_history_begun(path: Path, damage) -> None:
     with opened(path) as (storage, _):
         write(storage, *range(1, 41))
     damaged = damage(path.read_bytes())
@@ -361,7 +361,7 @@ def locked(path: Path) -> Iterator[None]:
         other.execute("ROLLBACK")
 
 
-def until(condition) -> None:  # type: ignore[no-untyped-def]
+def until(condition) -> None:
     """Wait for another thread, without a sleep that has to be right."""
     gate = storage_module.threading.Event()
     for _ in range(2000):
@@ -401,7 +401,7 @@ def test_a_full_queue_drops_the_oldest_ticks_and_counts_them(path: Path) -> None
         assert all("are not in the history: the queue was full" in event.text for event in events)
     assert seqs(path) == [1, 2, *range(10, 20)]
     gaps = rows(path, "SELECT first_seq, last_seq FROM gaps ORDER BY 1")
-    assert [seq for first, last in gaps for seq in range(first, last + 1)] == list(range(3, 10))  # type: ignore[call-overload]
+    assert [seq for first, last in gaps for seq in range(first, last + 1)] == list(range(3, 10))
 
 
 def test_a_history_that_stays_locked_does_not_hold_up_the_end(path: Path) -> None:
@@ -511,7 +511,7 @@ def without_indexes(path: Path) -> None:
 
 
 def version(path: Path) -> int:
-    return rows(path, "PRAGMA user_version")[0][0]  # type: ignore[return-value]
+    return rows(path, "PRAGMA user_version")[0][0]
 
 
 @pytest.fixture
