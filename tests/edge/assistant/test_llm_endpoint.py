@@ -162,8 +162,10 @@ def test_no_failure_tells_the_key(tmp_path: Path) -> None:
     [
         ({}, "malformed"),
         ({"choices": []}, "malformed"),
+        ({"choices": [{"message": None}]}, "malformed"),
         (document({"content": 3}), "malformed"),
         (document({"content": None, "tool_calls": [{"id": "a"}]}), "malformed"),
+        (document({"tool_calls": [{"id": "a", "function": {"name": "f", "arguments": {}}}]}), "malformed"),
         (document({"tool_calls": [{"id": 1, "function": {"name": "f", "arguments": ""}}]}), "malformed"),
         (document({"content": "{"}, "length"), "truncated"),
         (document({"content": ""}, "content_filter"), "refusal"),

@@ -146,7 +146,12 @@ def _memory() -> dict:
 
 @pytest.mark.parametrize(
     "change",
-    [lambda d: d["sums"].pop(), lambda d: d.update(table=[0.0]), lambda d: d["evidence"].update(cusum=[])],
+    [
+        lambda d: d["sums"].pop(),
+        lambda d: d.update(table=[0.0]),
+        lambda d: d["table"].__setitem__(0, None),  # only the first of the evidence may hold null
+        lambda d: d["evidence"].update(cusum=[]),
+    ],
 )
 def test_a_memory_that_is_not_understood_is_refused(change):
     values = _memory()
