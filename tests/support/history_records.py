@@ -1,6 +1,7 @@
 """Ticks to store, for the tests of the history."""
 
 import math
+import sqlite3
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from edge.core.messages import (
     TickRecord,
 )
 from edge.storage import Storage
+from edge.storage.tick_rows import insert_ticks
 
 START_UTC = 1_767_225_600.0
 PATIENCE_S = 20.0
@@ -62,6 +64,13 @@ def store(path: Path, *records: TickRecord) -> None:
     for record in records:
         storage.write(record)
     assert storage.close(PATIENCE_S)
+
+
+def add(history: sqlite3.Connection, *records: TickRecord) -> None:
+    """Insert these ticks in one transaction."""
+    history.execute("BEGIN")
+    insert_ticks(history, records, session=1)
+    history.execute("COMMIT")
 
 
 def tick(seq: int, **values: Any) -> TickRecord:

@@ -76,8 +76,7 @@ def test_the_control_thread_never_waits_for_models_that_load(workshop: Workshop)
         assert go_on.wait(20)
         return {}
 
-    store = make_store(workshop, slow)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0", load=slow)
     with keeping(store) as keeper:
         go_on.clear()
         loading.clear()
@@ -112,8 +111,7 @@ def test_a_bug_in_a_job_does_not_end_the_thread(workshop: Workshop) -> None:
     def load(folder: Path, manifest: Manifest) -> dict[str, Predictor]:
         return {"arx": 1 / 0} if broken else {}
 
-    store = make_store(workshop, load)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0", load=load)
     with keeping(store) as keeper:
         broken = True
         assert "ZeroDivisionError" in done(keeper, keeper.answer({"action": "activate"}))["job_error"]
@@ -122,8 +120,7 @@ def test_a_bug_in_a_job_does_not_end_the_thread(workshop: Workshop) -> None:
 
 
 def test_a_bundle_that_cannot_serve_is_a_fault_while_that_is_so(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     (store.folder / "1.0" / "arx.json").unlink()
     with keeping(store) as keeper:
         assert keeper.faults() == {"bundle.refused": "bundle 1.0: arx.json: is missing"}
@@ -135,8 +132,7 @@ def test_a_bundle_that_cannot_serve_is_a_fault_while_that_is_so(workshop: Worksh
 
 
 def test_a_better_shadow_is_activated_and_marked_good(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with keeping(store, automatic=True) as keeper:
         keeper.consider(keeper.serving, rows(0.3, 0.2, TICKS - 1))
         settled(keeper)
@@ -152,8 +148,7 @@ def test_a_better_shadow_is_activated_and_marked_good(workshop: Workshop) -> Non
 
 
 def test_a_bundle_that_turns_out_worse_is_rolled_back_and_not_tried_again(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with keeping(store, automatic=True) as keeper:
         done(keeper, keeper.answer({"action": "activate"}))
         keeper.consider(keeper.serving, rows(0.4, 0.3))
@@ -163,8 +158,7 @@ def test_a_bundle_that_turns_out_worse_is_rolled_back_and_not_tried_again(worksh
 
 
 def test_a_worse_shadow_runs_no_more(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with keeping(store, automatic=True) as keeper:
         keeper.consider(keeper.serving, rows(0.3, 0.4))
         settled(keeper)
@@ -172,8 +166,7 @@ def test_a_worse_shadow_runs_no_more(workshop: Workshop) -> None:
 
 
 def test_without_automatic_the_judgement_is_shown_and_nothing_done(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with keeping(store) as keeper:
         keeper.consider(keeper.serving, rows(0.3, 0.2))
         settled(keeper)
@@ -182,8 +175,7 @@ def test_without_automatic_the_judgement_is_shown_and_nothing_done(workshop: Wor
 
 
 def test_scores_of_bundles_that_were_exchanged_meanwhile_decide_nothing(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with keeping(store, automatic=True) as keeper:
         old = keeper.serving
         done(keeper, keeper.answer({"action": "activate"}))
@@ -193,8 +185,7 @@ def test_scores_of_bundles_that_were_exchanged_meanwhile_decide_nothing(workshop
 
 
 def test_an_automatic_order_that_fails_is_not_repeated_at_each_tick(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with keeping(store, automatic=True) as keeper:
         (store.folder / "1.0" / "arx.json").unlink()
         serving = keeper.serving

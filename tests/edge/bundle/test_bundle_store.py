@@ -126,8 +126,7 @@ def test_installing_twice_changes_nothing(workshop: Workshop) -> None:
 
 
 def test_a_version_never_changes_what_it_holds(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with pytest.raises(DataError, match=r"1\.0 is installed and is another one: give it a new version"):
         install(store, workshop.signed_folder("other", version="1.0", data_sha256="e" * 64))
 
@@ -148,7 +147,7 @@ def test_what_is_refused_leaves_nothing_behind(workshop: Workshop) -> None:
     def refuse(folder: Path, manifest: Manifest) -> Mapping[str, Predictor]:
         raise DataError("lstm.onnx: does not prove its golden vectors")
 
-    store = make_store(workshop, refuse)
+    store = make_store(workshop, load=refuse)
     with pytest.raises(DataError, match=r"lstm\.onnx: does not prove"):
         install(store, workshop.archive("1.0"))
     assert names(store) == ["lock"]
@@ -165,8 +164,7 @@ def test_what_an_interrupted_install_has_left_is_cleared_by_the_next(workshop: W
 
 
 def test_a_damaged_bundle_never_activates(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     (store.folder / "1.0" / "twin.yaml").write_text("sample_s: 61\n")
     with pytest.raises(DataError, match=r"bundle 1\.0: twin\.yaml: its sha256 is not the manifest's"):
         carry_out(store, "activate", "1.0")
@@ -194,8 +192,7 @@ def test_rolling_back_to_a_damaged_bundle_ends_at_the_packaged_one(workshop: Wor
 
 def test_changes_by_two_at_once_take_turns(workshop: Workshop) -> None:
     """Each of them activates, marks good and rolls back; nothing is ever half done."""
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     unexpected = []
 
     def work() -> None:

@@ -6,11 +6,11 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from history_records import START_UTC, eventful_tick, tick
+from history_records import START_UTC, add, eventful_tick, tick
 
 from edge.core.messages import Forecast, ForecastSkill, TickRecord
 from edge.storage.file import connect
-from edge.storage.tick_rows import insert_ticks, read_ticks
+from edge.storage.tick_rows import read_ticks
 
 HOUR_S = 3600.0
 
@@ -19,12 +19,6 @@ HOUR_S = 3600.0
 def history(tmp_path: Path) -> Iterator[sqlite3.Connection]:
     with closing(connect(tmp_path / "history.db", 5.0)) as connection:
         yield connection
-
-
-def add(history: sqlite3.Connection, *records: TickRecord) -> None:
-    history.execute("BEGIN")
-    insert_ticks(history, records, session=1)
-    history.execute("COMMIT")
 
 
 def skill(mae_k: float, horizon_min: int = 5, **values: object) -> ForecastSkill:

@@ -14,11 +14,6 @@ from edge.storage import Outbox, OutboxMessage, Storage
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "history.db"
-
-
-@pytest.fixture
 def outbox(path: Path) -> Iterator[Outbox]:
     with closing(Outbox(path, "greenhouse/g1")) as outbox:
         yield outbox

@@ -28,11 +28,6 @@ PATIENCE_S = 20.0
 RESERVED = 50 + storage_module.BATCH_TICKS  # numbers that a session may give out before the next reservation
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "history.db"
-
-
 @pytest.fixture(autouse=True)
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage_module, "RETRY_FIRST_S", 0.02)
