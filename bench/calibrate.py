@@ -4,7 +4,7 @@ ANSWERS are folders of development answers: of `bench.foreign` (DIR/dev with cas
 `bench.hidden_effects run` (given as ANSWERS:TRUTHS) or of `bench.real_truth --out DIR` (which count MEASURED
 times, as there are few). A logistic regression of whether a name was right, on two numbers of its evidence,
 each of which can only help, prints the coefficients of
-edge/diagnosis/probability.py and what was said beside what held. Names are right by class, as
+edge/diagnosis/verdict.py and what was said beside what held. Names are right by class, as
 `bench.foreign.score` has it. Scored cases have no part in it.
 """
 
@@ -20,7 +20,7 @@ from bench.foreign.score import bins, calibration_error, match_names
 from bench.hidden_effects.wilson import share
 from bench.real_truth.__main__ import folder_name, is_true
 from bench.real_truth.logs import LOGS
-from edge.diagnosis.probability import MOST_SURE, evidence
+from edge.diagnosis.verdict import MOST_SURE, evidence
 
 MEASURED = 3
 RIDGE = 0.05  # of the slopes, so that a perfect separation stays finite

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bench.closed_loop_picture import draw
 from edge.config import loading as config
-from edge.core.controller_names import MPC, RULES
+from edge.core.controller import MPC, RULES
 from edge.core.names import HEATER_MAX_W
 from edge.core.version import __version__
 from edge.models.arx_file import read_arx

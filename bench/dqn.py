@@ -34,12 +34,11 @@ from training.rl.boxes import START_ROWS, World
 from training.rl.command import POLICIES
 from training.rl.episodes import DrawnEpisodes
 from training.rl.models import Floats, Indices, StepModel, TwinModel
-from training.rl.play import play
 from training.rl.read_model import ham_over, kept_folder, read_model
 from training.rl.reward import WEIGHTS
 from training.rl.saved_policy import FOLDERS, WEIGHTS_FILE, read_record
 from training.rl.settings import DqnSettings
-from training.rl.train import greedy, train
+from training.rl.study import greedy, play, train
 from training.rl.vec_env import BoxesVecEnv
 from training.rl.weights import load_q_network
 

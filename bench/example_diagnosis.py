@@ -18,7 +18,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from edge.diagnosis.report.page_style import STYLE
+from edge.diagnosis.report.markup import STYLE
 from edge.formats.run_file import read_run
 
 ROOT = Path(__file__).parent.parent

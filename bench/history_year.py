@@ -19,21 +19,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from edge.assistant.llm.ledger import ToolError
-from edge.assistant.llm.sql_guard import DEADLINE_S
-from edge.assistant.llm.sql_tool import SqlTool
+from edge.assistant.llm.sql_tool import DEADLINE_S, SqlTool
 from edge.assistant.why.ask_history import why
 from edge.config import loading as config
 from edge.config.settings import HistorySettings
 from edge.core.messages import Event, Severity, TickRecord
 from edge.storage import Outbox, Session
 from edge.storage.archive import Archive
-from edge.storage.file import connect
+from edge.storage.file import SliceCheck, connect
 from edge.storage.retention import thin
-from edge.storage.runs import events_between, export_run
+from edge.storage.runs import events_between, export_run, export_stretches
 from edge.storage.schema import INDEXES
 from edge.storage.schema_version import USABLE_VERSION, VIEWS
-from edge.storage.slice_check import SliceCheck
-from edge.storage.stretches import export_stretches
 from edge.storage.tick_rows import insert_ticks
 from training.lab import Lab
 

@@ -31,8 +31,7 @@ from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.mpc import MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
-from edge.controllers.plan_rollouts import plan_rollouts
-from edge.controllers.rollout_search import Meter, RolloutSearch
+from edge.controllers.rollout_search import Meter, RolloutSearch, plan_rollouts
 from edge.core.controller import Context, Controller
 from edge.core.messages import Decision
 from edge.core.predictor import Predictor

@@ -12,7 +12,7 @@ import pytest
 
 from bench.support.daemon_process import ROOT
 from edge.bundle.store import PACKAGED_FOLDER
-from edge.models.onnx_session import open_session
+from edge.models.onnx_predictor import open_session
 
 ALONE = ("unshare", "-rn")  # a network namespace of its own, without an address
 CAN = shutil.which("strace") is not None and shutil.which(ALONE[0]) is not None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bench.watched_clock import TimedRequest
-from firmware_protocol.virtual_board.fault_table import KINDS, Choice, Number
+from firmware_protocol.virtual_board.faults import KINDS, Choice, Number
 
 SILENT = ("mute", "unplug", "other_protocol")  # line faults after which the board surely hears nothing valid
 LENGTHS_S = (180.0, 1500.0)  # of one life of the daemon, simulated

@@ -24,7 +24,7 @@ from bench.hidden_effects.peers import PEERS, diagnose
 from bench.hidden_effects.score import write_document
 from bench.hidden_effects.score_truth import add_place, cases_of
 from edge.core.errors import DataError, GreenhouseError
-from edge.core.processors import processors
+from edge.core.processes import processors
 from training import sweep
 
 OURS = "diagnose"

@@ -1,17 +1,15 @@
-"""The predictive models a daemon works with: those of the active bundle, exchanged between two ticks."""
+"""The predictive models of a daemon: the configured one, or the active bundle, changed between ticks."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from edge.app import controllers as registry
-from edge.app.configured_model import configured_model
 from edge.assistant.llm.language_model import LanguageModel
-from edge.bundle.keeper import BundleKeeper
-from edge.bundle.rivals import rival_rows
-from edge.bundle.serving import Serving
+from edge.bundle.keeper import BundleKeeper, Serving
 from edge.bundle.store import LoadedBundle
-from edge.config.settings import Settings
-from edge.core.controller import Controller
-from edge.core.controller_names import EXTERNAL, MPC_TWIN, NEED_A_MODEL
+from edge.bundle.trial import rival_rows
+from edge.config.settings import ControlSettings, Settings
+from edge.core.controller import EXTERNAL, MPC_TWIN, NEED_A_MODEL, NEED_NO_MODEL, Controller
 from edge.core.errors import ConfigError
 from edge.core.messages import Command, Decision
 from edge.core.predictor import Columns, Predictor
@@ -19,11 +17,30 @@ from edge.forecasts.conformal import Intervals
 from edge.forecasts.forecasting import Forecasting
 from edge.forecasts.skill import SkillState
 from edge.models.arx import Arx
+from edge.models.arx_file import DEFAULT_PATH, read_arx
 from edge.models.pbm import Pbm
 from edge.models.persistence import Persistence
 from edge.tick.estimator import Estimator
 from edge.tick.rig import Forecasts
 from edge.twin.model import BoxTwin
+
+
+def configured_model(control: ControlSettings) -> Predictor:
+    """Return the ARX model of `control.model`, else the packaged one. A rig
+    that runs by rules alone needs neither.
+
+    Errors : ConfigError when the model is made for another step than `control.step_s`; DataError by its file
+    """
+    model = read_arx(Path(control.model) if control.model else DEFAULT_PATH)
+    if model.step_s == control.step_s:
+        return model
+    if not control.model and control.controller in NEED_NO_MODEL:
+        return Persistence(control.step_s)
+    raise ConfigError(
+        f"control.model: {control.model or 'the packaged model'} is made for steps of {model.step_s:g} s, "
+        f"control.step_s is {control.step_s:g}: fit one to recorded runs with "
+        f"`greenhouse fit-arx --step-s {control.step_s:g}`, or use the controller `rules`"
+    )
 
 
 class ActiveModels:

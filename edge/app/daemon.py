@@ -16,8 +16,8 @@ from edge.app.active_models import ActiveModels
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.app.request_routes import Routes, outbox_of
 from edge.assistant.llm.language_model import LanguageModel, open_language_model
+from edge.assistant.requests.answer import settings_from
 from edge.assistant.requests.desk import DeskParts, WishDesk
-from edge.assistant.requests.language import settings_from
 from edge.board.board import Board
 from edge.board.serial_port import OpenPort, SerialPort
 from edge.bundle.keeper import BundleKeeper
@@ -37,9 +37,8 @@ from edge.mqtt.telemetry import Telemetry
 from edge.safety.supervisor import SafetyMemory
 from edge.sockets.control_socket import ControlSocket
 from edge.sockets.external_proposals import ExternalProposals
-from edge.state.sinks import DriftTurns, HourlySink, StandingSink
 from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
-from edge.state.writer import StateWriter
+from edge.state.writer import DriftTurns, HourlySink, StandingSink, StateWriter
 from edge.storage import Session, Storage
 from edge.tick.decider import decision_deadline_s
 from edge.tick.estimator import Estimator
@@ -65,7 +64,7 @@ class Daemon:
     reference: Reference | None = None  # instead of the configured one
     stop_at_s: float = float("inf")
     experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
-    more_controllers: Sequence[Controller] = ()  # than those of edge/core/controller_names.py
+    more_controllers: Sequence[Controller] = ()  # than those of edge/core/controller.py
     client_wait_s: float = 0.0  # how long to wait for a client at `external.socket` before the first tick
     open_port: OpenPort = SerialPort  # else a board in this process
     more_sinks: Sequence[Sink] = ()  # a display

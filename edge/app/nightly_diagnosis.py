@@ -2,28 +2,128 @@
 
 Control never waits for it: it runs at the lowest priority of processor and disk, one at a time, for a limited
 time and with limited memory, and ends with the daemon. On a rig a unit of systemd runs it, see
-`edge.app.diagnosis_request`; elsewhere it is a child. A twin that it finds
+`edge.app.nightly_diagnosis`; elsewhere it is a child. A twin that it finds
 goes no further than the settings say.
 """
 
+import json
 import os
 import queue
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, time, tzinfo
 from pathlib import Path
+from time import monotonic, sleep
+from typing import Annotated, Any
 
-from edge.app.diagnosis_request import GREENHOUSE, LATE, NoUnit, ask
 from edge.config.settings import DriftSettings
 from edge.core.clock import Clock
 from edge.core.messages import DriftState, Event, Severity, TickRecord
-from edge.formats.reader import DocumentError, Foreign, read_json
+from edge.formats.atomic_file import write_atomically
+from edge.formats.cross_check import Rule
+from edge.formats.reader import DocumentError, Foreign, parse_json, read, read_bytes, read_json
 from edge.tick.reference import seconds_of_day
+
+GREENHOUSE = (sys.executable, "-m", "edge")
+REQUEST, ANSWER = "request", "answer"
+START_MAX_S = 120.0  # for systemd to take up a request, on a busy single-board computer
+END_MAX_S = 60.0  # for an answer after the time that the request allows
+LOOK_S = 0.5
+LATE = "late"  # instead of an exit code
+
+
+@dataclass(frozen=True, slots=True)
+class UnitRequest:
+    """The file through which the daemon asks."""
+
+    words: Annotated[tuple[str, ...], Rule(least=1)]
+    log: str
+    patience_s: Annotated[float, Rule(above=0.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitAnswer:
+    """The file through which the unit answers: an exit code, or LATE."""
+
+    code: Any
+
+
+class NoUnit(Exception):
+    """The unit took up no request, or ended without an answer; the text says which."""
+
+
+def ask(
+    folder: Path, words: Sequence[str], log: Path, patience_s: float, is_over: Callable[[], bool]
+) -> int | str:
+    """Have `greenhouse *words` run by the unit.
+
+    is_over : the daemon ends, and the unit with it
+    Returns : its exit code, below 0 the signal that ended it; LATE
+    Errors : NoUnit; DataError of an answer that can't be read
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    request, answer = folder / REQUEST, folder / ANSWER
+    answer.unlink(missing_ok=True)
+    # Who sees the file sees all of it.
+    asked = {"words": list(words), "log": str(log), "patience_s": patience_s}
+    write_atomically(request, json.dumps(asked))
+    try:
+        _wait(lambda: not request.exists(), START_MAX_S, is_over, "greenhouse-diagnosis.path is not active")
+        _wait(answer.exists, patience_s + END_MAX_S, is_over, "greenhouse-diagnosis.service gave no answer")
+    except NoUnit:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    code = read_json(UnitAnswer, answer).code
+    return code if isinstance(code, int) else LATE
+
+
+def serve(folder: Path, program: Sequence[str] = GREENHOUSE) -> int:
+    """Take the request and run it; whatever way the command ends, an answer says how."""
+    content = read_bytes(folder / REQUEST)
+    (folder / REQUEST).unlink()  # first of all: while it is there the path unit starts this again
+    code: int | str = 1
+    try:
+        request = read(UnitRequest, parse_json(content))
+        code = _run([*program, *request.words], Path(request.log), request.patience_s, folder)
+    finally:
+        if folder.exists():
+            write_atomically(folder / ANSWER, json.dumps({"code": code}))
+    return 0
+
+
+def _run(command: Sequence[str], log: Path, patience_s: float, folder: Path) -> int | str:
+    until = monotonic() + patience_s
+    with log.open("ab") as out:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
+        )
+    try:
+        while monotonic() < until and folder.exists():
+            with suppress(subprocess.TimeoutExpired):
+                return process.wait(LOOK_S)
+        return LATE
+    finally:
+        with suppress(ProcessLookupError):  # whatever it started ends with it
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def _wait(condition: Callable[[], bool], at_most_s: float, is_over: Callable[[], bool], failed: str) -> None:
+    until = monotonic() + at_most_s
+    while not condition():
+        if is_over():
+            raise NoUnit("the daemon ends")
+        if monotonic() > until:
+            raise NoUnit(failed)
+        sleep(LOOK_S)
+
 
 LATE_MAX_S = 3600.0  # a night whose hour went by while the rig was off, or its clock wrong, is left out
 ADOPT_MAX_S = 600.0
@@ -269,3 +369,7 @@ def _last_line(log: Path) -> str:
     """Return the command's last line, "" where it said nothing."""
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return lines[-1] if lines else ""
+
+
+if __name__ == "__main__":
+    sys.exit(serve(Path(sys.argv[1])))

@@ -15,13 +15,12 @@ from edge.board.recorded_board import RecordedBoard, ReplayClock
 from edge.config.settings import Settings
 from edge.controllers.mpc import Mpc
 from edge.controllers.mpc_rollout import MpcRollout
-from edge.core.controller import Context, Controller
-from edge.core.controller_names import MPC, MPC_TWIN, PID, RULES
+from edge.core.controller import MPC, MPC_TWIN, PID, RULES, Context, Controller
 from edge.core.errors import DataError
 from edge.core.messages import Decision, ReadingQuality, TickRecord
 from edge.core.names import SIGNALS
 from edge.core.predictor import Predictor
-from edge.forecasts.rollout import ahead_of
+from edge.forecasts.scorer import ahead_of
 from edge.formats.run_file import RecordedRun
 from edge.formats.tick_json import tick_json
 from edge.models.pbm import Pbm

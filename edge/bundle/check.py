@@ -6,7 +6,7 @@ from pathlib import Path
 
 from edge.bundle.archive import FILE_BYTES_MAX, TOTAL_BYTES_MAX
 from edge.bundle.manifest import MANIFEST, SIGNATURE, Manifest, parse_manifest
-from edge.bundle.signature_process import check_apart
+from edge.bundle.signature import check_apart
 from edge.core.errors import DataError
 from edge.formats.input_file import MemoryFolder, read_file
 

@@ -8,14 +8,14 @@ disk does not hold up the control socket either.
 import queue
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from edge.bundle.manifest import TWIN
-from edge.bundle.orders import ACTIONS, carry_out
-from edge.bundle.serving import Serving, choose
+from edge.bundle.manifest import PACKAGED, TWIN
+from edge.bundle.roles import Roles, activate, marked_good, reject_shadow
 from edge.bundle.store import BundleStore, LoadedBundle
 from edge.bundle.trial import HorizonScore, Judgement, Scores, TrialVerdict, judge
 from edge.core.clock import Clock
@@ -24,6 +24,90 @@ from edge.core.messages import Event, Severity, TickRecord
 from edge.core.plain_text import plain, quote
 from edge.formats.cross_check import Rule
 from edge.tick.orders import read_request
+
+
+@dataclass(frozen=True, slots=True)
+class Serving:
+    """The models that forecast at each tick. Exchanged whole, never changed."""
+
+    active: LoadedBundle | None  # None: not even the packaged bundle is fit for this rig
+    rival: LoadedBundle | None = None  # runs beside it and is scored
+    on_probation: bool = False  # the active one is on trial against the rival; else the rival against it
+    problems: tuple[str, ...] = ()  # bundles that should serve and can't, with the reason
+
+
+def choose(store: BundleStore, loaded: Mapping[str, LoadedBundle] | None = None) -> Serving:
+    """Choose the active bundle, the previous one if that is damaged, else the packaged one.
+
+    loaded : bundles that are in memory already, by name: they are not read again
+
+    Nothing is written: the store keeps what was asked for, and the next start tries it again.
+    """
+    problems: list[str] = []
+
+    def load(name: str | None) -> LoadedBundle | None:
+        if name is None:
+            return None
+        try:
+            return (loaded or {}).get(name) or store.load(name)
+        except (DataError, RequestError) as error:
+            problems.append(str(error))
+            return None
+
+    try:
+        roles = store.roles()
+    except DataError as error:
+        problems.append(str(error))
+        roles = Roles()
+    active = load(roles.active)
+    if active is not None:
+        rival = load(roles.rival)
+        return Serving(active, rival, roles.on_probation and rival is not None, tuple(problems))
+    # The active bundle may also be the previous one; it is damaged and not read a second time.
+    instead = dict.fromkeys((roles.previous, PACKAGED))
+    active = next((bundle for name in instead if name != roles.active and (bundle := load(name))), None)
+    return Serving(active, problems=tuple(problems))
+
+
+Action = Callable[[BundleStore, str | None], Roles]
+
+
+def _activate(store: BundleStore, version: str | None) -> Roles:
+    return store.change(partial(activate, version=version))
+
+
+def _roll_back(store: BundleStore, version: str | None) -> Roles:
+    return store.roll_back()
+
+
+def _mark_good(store: BundleStore, version: str | None) -> Roles:
+    return store.change(marked_good)
+
+
+def _reject(store: BundleStore, version: str | None) -> Roles:
+    return store.change(reject_shadow)
+
+
+def _refresh(store: BundleStore, version: str | None) -> Roles:
+    return store.roles()
+
+
+ACTIONS: dict[str, Action] = {
+    "activate": _activate,
+    "rollback": _roll_back,
+    "mark-good": _mark_good,
+    "reject": _reject,
+    "refresh": _refresh,  # changes nothing: the daemon reads again what others have changed
+    "refresh-older": _refresh,  # the same after `install --allow-older VERSION`, for the event
+}
+
+
+def carry_out(store: BundleStore, action: str, version: str | None) -> Roles:
+    """Do one of ACTIONS. Errors: RequestError, DataError; nothing has changed then."""
+    if action not in ACTIONS:
+        raise RequestError(f"action: {action!r} is none of {', '.join(ACTIONS)}")
+    return ACTIONS[action](store, version)
+
 
 JOBS_REMEMBERED = 32
 JOBS_WAITING = 8

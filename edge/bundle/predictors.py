@@ -61,13 +61,13 @@ def _pbm(path: Source, manifest: Manifest) -> Predictor:
 
 
 def _lstm(path: Source, manifest: Manifest) -> Predictor:
-    from edge.models.lstm import read_lstm
+    from edge.models.onnx_predictor import read_lstm
 
     return read_lstm(path)
 
 
 def _ham(path: Source, manifest: Manifest) -> Predictor:
-    from edge.models.ham import read_ham
+    from edge.models.onnx_predictor import read_ham
 
     return read_ham(path, manifest.twin_sha256)
 

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from edge.core.errors import DataError
-from edge.core.own_process import environment
 from edge.core.plain_text import plain
+from edge.core.processes import environment
 
 
 @dataclass(frozen=True, slots=True)

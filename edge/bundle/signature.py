@@ -1,4 +1,6 @@
-"""Ed25519 signatures (RFC 8032) over a manifest's exact bytes, and the keys that are trusted."""
+"""Ed25519 signatures (RFC 8032) over the exact bytes of a manifest, the trusted keys, and a check in a
+process of its own: the library that checks them takes 7 MB, which the daemon does without.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,6 +10,11 @@ from edge.formats.input_file import read_file
 
 if TYPE_CHECKING:  # the package is imported when a signature is checked, not with the daemon
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+import subprocess
+import sys
+
+from edge.core.plain_text import plain
+from edge.core.processes import environment
 
 # The public half of the key that signed the bundle which ships with the software.
 PACKAGED_KEY = Path(__file__).parent.parent / "models" / "default_bundle.pub"
@@ -57,3 +64,49 @@ def _read_key(path: Path) -> "Ed25519PublicKey":
     if not isinstance(key, Ed25519PublicKey):
         raise DataError(f"{path}: is no Ed25519 public key (PEM)")
     return key
+
+
+REFUSED = 3  # exit code: the reason is on stdout
+TIME_MAX_S = 60.0  # a single-board computer needs 2
+
+
+def check_apart(content: bytes, signature: bytes, keys: Path) -> None:
+    """Check as `check_signature` does, with the trusted keys of the folder `keys`.
+
+    Where the library is loaded already, or no process can be started, it is checked in this process.
+
+    Errors : DataError
+    """
+    if "cryptography" in sys.modules or len(signature) != SIGNATURE_BYTES:
+        check_signature(content, signature, trusted_keys(keys))
+        return
+    command = [sys.executable, "-m", "edge.bundle.signature", str(keys.absolute())]
+    try:
+        done = subprocess.run(
+            command, input=signature + content, capture_output=True, env=environment(), timeout=TIME_MAX_S
+        )
+    except OSError:
+        check_signature(content, signature, trusted_keys(keys))
+        return
+    except subprocess.TimeoutExpired:
+        raise DataError(f"the signature is not checked after {TIME_MAX_S:g} s") from None
+    if done.returncode == REFUSED:
+        raise DataError(plain(done.stdout.decode(errors="replace"), 400))
+    if done.returncode:
+        said = plain(done.stderr.decode(errors="replace")[-200:])
+        raise DataError(f"the process that checks the signature ended with {done.returncode}: {said}")
+
+
+def main(keys: str) -> int:
+    """Check what stands on standard input: the signature, then what it signs."""
+    signed = sys.stdin.buffer.read()
+    try:
+        check_signature(signed[SIGNATURE_BYTES:], signed[:SIGNATURE_BYTES], trusted_keys(Path(keys)))
+    except DataError as error:
+        print(error)
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

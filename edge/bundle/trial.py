@@ -4,9 +4,12 @@ The bundle on trial is the shadow, or the active one while it is on probation ag
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+
+from edge.core.predictor import Predictor
+from edge.forecasts.skill import RIVAL, SkillState
 
 WORSE = 1.05  # ratio of mean errors, over all models and horizons, from which a bundle is worse
 WORSE_ONCE = 1.25  # the same for any single model at any single horizon
@@ -102,3 +105,20 @@ def _ratio(row: HorizonScore, on_probation: bool) -> float:
         return 1.0 / _RATIO_MAX
     ratio = max(tried, ERROR_FLOOR_K) / max(other, ERROR_FLOOR_K)
     return min(max(ratio, 1.0 / _RATIO_MAX), _RATIO_MAX)
+
+
+def rival_rows(
+    state: SkillState, active: Mapping[str, Predictor], rivals: Mapping[str, Predictor]
+) -> tuple[HorizonScore, ...]:
+    """Return a row per horizon and model of both bundles, in their present
+    versions, the shortest horizon first.
+    """
+    rows = []
+    for (name, horizon, reference), pair in sorted(state.pairs.items(), key=lambda item: item[0][1]):
+        if name != reference + RIVAL or reference not in active or reference not in rivals:
+            continue
+        if pair.versions == (rivals[reference].version, active[reference].version):
+            rows.append(
+                HorizonScore(reference, 60.0 * horizon, pair.scored, pair.reference_mae_k, pair.mae_k)
+            )
+    return tuple(rows)

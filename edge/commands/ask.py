@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from edge.assistant.requests.words import effect_table
+from edge.assistant.requests.prediction import effect_table
 from edge.commands.which_rig import add_socket, socket_of
 from edge.core.errors import RequestError
 from edge.sockets.control_socket import request

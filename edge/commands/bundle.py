@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from edge.bundle.archive import open_archive
+from edge.bundle.keeper import carry_out
 from edge.bundle.manifest import PACKAGED, Manifest
-from edge.bundle.orders import carry_out
 from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
 from edge.bundle.roles import Roles
@@ -129,7 +129,7 @@ def install(store: BundleStore, settings: Settings, archive: BinaryIO, allow_old
 
 
 def change(store: BundleStore, settings: Settings, action: str, version: str | None) -> None:
-    """One of `edge.bundle.orders.ACTIONS`, by the daemon where one runs. Errors: DataError, RequestError"""
+    """One of `edge.bundle.keeper.ACTIONS`, by the daemon where one runs. Errors: DataError, RequestError"""
     reply = _ask(settings, action, version)
     if reply is not None:
         print_serving(reply)

@@ -12,10 +12,10 @@ from edge.app.display import make_display
 from edge.app.outlet import standard_output
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
-from edge.commands.numbers import SEED_MAX, number, whole
+from edge.commands.arguments import SEED_MAX, number, whole
 from edge.config import loading as config
 from edge.config.settings import MqttSettings, Settings
-from edge.core.controller_names import CONTROLLERS
+from edge.core.controller import CONTROLLERS
 
 RIG = "demo"  # its name over MQTT
 DEMO_YAML = """

@@ -11,13 +11,12 @@ from typing import Any
 from edge.app.experiment import ROLES, Experiment, describe_changes, run_experiment
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
-from edge.commands.numbers import SEED_MAX, number, whole
-from edge.commands.output import writing
+from edge.commands.arguments import SEED_MAX, number, whole, writing
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
 from edge.core.clock import Clock, RealClock
-from edge.core.controller_names import CONTROLLERS
+from edge.core.controller import CONTROLLERS
 from edge.core.errors import DataError
 from edge.formats.profile_file import Profile, read_profile
 from edge.formats.reader import read_yaml

@@ -3,9 +3,7 @@
 import argparse
 from pathlib import Path
 
-from edge.commands.numbers import whole
-from edge.commands.output import writing
-from edge.commands.stretch import add_bounds, bounds
+from edge.commands.arguments import add_bounds, bounds, whole, writing
 from edge.commands.which_rig import history_of
 from edge.formats.run_file import absence_facts, write_run
 from edge.storage.runs import export_run

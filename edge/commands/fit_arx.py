@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from edge.commands.numbers import number
-from edge.commands.output import writing
+from edge.commands.arguments import number, writing
 from edge.core.hard_limits import STEP_MAX_S
 from edge.formats.run_file import RecordedRun, read_run
 from edge.models.arx import FanInput

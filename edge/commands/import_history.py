@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from edge.commands.absent_columns import add_absent_columns
+from edge.commands.arguments import add_absent_columns
 from edge.config.settings import HistorySettings
 from edge.formats.run_file import read_run
 from edge.storage.runs import import_run

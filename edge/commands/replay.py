@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from edge.app.replay import REPLAYED, Skill, decisions_digest, fired_limits, replay, score
-from edge.commands.absent_columns import add_absent_columns
-from edge.commands.numbers import number
+from edge.commands.arguments import add_absent_columns, number
 from edge.config import loading as config
 from edge.config.settings import Settings
-from edge.core.controller_names import MPC_TWIN
+from edge.core.controller import MPC_TWIN
 from edge.core.errors import DataError
 from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.messages import TickRecord

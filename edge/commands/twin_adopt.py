@@ -17,8 +17,8 @@ from typing import Annotated
 from edge.bundle.adopt import AdoptedBundle, is_adopted, with_twin
 from edge.bundle.archive import open_archive, pack
 from edge.bundle.manifest import FILE_NAME
+from edge.commands.arguments import writing
 from edge.commands.bundle import change, install, settings_of, store_of
-from edge.commands.output import writing
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.core.names import SIGNALS

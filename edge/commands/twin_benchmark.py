@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from edge.commands.numbers import whole
+from edge.commands.arguments import whole
 from edge.core.errors import RequestError
 
 CHECKOUT = Path(__file__).resolve().parents[2]

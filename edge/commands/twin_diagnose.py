@@ -11,17 +11,76 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.commands.numbers import whole
-from edge.commands.output import writing
-from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
+from edge.commands.arguments import whole, writing
 from edge.config import loading as config
-from edge.core.processors import processors
+from edge.core.processes import processors
 from edge.diagnosis.progress import TerminalProgress
 from edge.diagnosis.report.summary import summary_text
 from edge.twin.twin_file import read_twin_file, write_twin_file
 
 if TYPE_CHECKING:
-    from edge.diagnosis.experiment.limits import ExperimentLimits
+    from edge.diagnosis.experiment.sequence import ExperimentLimits
+from edge.commands.arguments import add_absent_columns, add_times, bounds, number
+from edge.commands.which_rig import history_of
+from edge.config.settings import HistorySettings
+from edge.core.errors import RequestError
+from edge.diagnosis.history_runs import TEST_SHARE, history_runs
+from edge.diagnosis.runs import DiagnosisRuns, read_runs
+from edge.twin.twin_file import TwinFile
+
+
+def add_data_arguments(parser: argparse.ArgumentParser) -> None:
+    """Run files, or a stretch of the history."""
+    parser.add_argument("train", nargs="*", type=Path, metavar="TRAIN.csv", help="runs to fit on")
+    parser.add_argument(
+        "--test",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="TEST.csv",
+        help="runs that show the gap and have no part in the choice; only their first rows need temperatures",
+    )
+    parser.add_argument(
+        "--history",
+        type=Path,
+        help=f"database to read instead of run files; default: {HistorySettings().path}",
+    )
+    add_absent_columns(parser, "fan_on", "temp_ambient_c")
+    add_times(parser)
+    # None says "not given": a share goes with a history alone.
+    parser.add_argument(
+        "--test-share",
+        type=number(0.0, 1.0),
+        help=f"share 0..1 of the rows, the newest, that becomes test runs; default: {TEST_SHARE:g}",
+    )
+    parser.add_argument(
+        "--rows",
+        type=int,
+        help="use so many of the newest rows of the history; memory grows with them; default: all",
+    )
+
+
+def diagnosis_runs_of(arguments: argparse.Namespace, twin: TwinFile) -> DiagnosisRuns:
+    """Return the runs that the arguments name. Errors: DataError;
+    RequestError for files and history together
+    """
+    given = (arguments.history, arguments.since, arguments.until, arguments.test_share, arguments.rows)
+    if all(value is None for value in given):
+        if not arguments.train:
+            raise RequestError(
+                "nothing to diagnose: give run files, or a time of the history like --since 14d"
+            )
+        return read_runs(arguments.train, arguments.test, twin, arguments.without)
+    if arguments.train or arguments.test:
+        raise RequestError("run files and the history don't go together: export what you need of the history")
+    from edge.storage.runs import export_stretches
+
+    path = history_of(arguments.history)
+    stretches = export_stretches(path, *bounds(arguments, path))
+    share = TEST_SHARE if arguments.test_share is None else arguments.test_share
+    if arguments.rows is not None and arguments.rows < 1:
+        raise RequestError(f"--rows: {arguments.rows} is not above 0")
+    return history_runs(stretches, twin, share, str(path), arguments.rows)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
     from edge.diagnosis.experiment.design import next_experiment
     from edge.diagnosis.experiment.document import experiment_document, write_profile
     from edge.diagnosis.location import locate
-    from edge.diagnosis.report.report import PAGE_NAME, write_report
+    from edge.diagnosis.report.page import PAGE_NAME, write_report
     from edge.diagnosis.report.story import Story
 
     file = read_twin_file(arguments.twin)
@@ -92,7 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _limits(path: Path | None) -> "ExperimentLimits":
     """Those of the rig. Errors: ConfigError"""
     from edge.commands.experiment import RIG_CONFIG
-    from edge.diagnosis.experiment.limits import ExperimentLimits
+    from edge.diagnosis.experiment.sequence import ExperimentLimits
 
     if path is None and not os.access(RIG_CONFIG, os.R_OK):
         return ExperimentLimits()

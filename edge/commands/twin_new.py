@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from edge.commands.output import writing
+from edge.commands.arguments import writing
 from edge.core.errors import RequestError
 from edge.formats.atomic_file import write_atomically
 from edge.twin.new_file import CONDUCTIVITY_W_M_K, BoxDescription, check, text

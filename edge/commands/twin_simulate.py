@@ -13,11 +13,9 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.commands.absent_columns import add_absent_columns
-from edge.commands.numbers import number, whole
-from edge.commands.output import writing
+from edge.commands.arguments import add_absent_columns, number, whole, writing
 from edge.core.errors import DataError, RequestError
-from edge.diagnosis.plausible import plausible_run
+from edge.diagnosis.readings import plausible_run
 from edge.formats.number_table import print_table, read_table
 from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, inside_names, resample, write_run
 from edge.models.pbm import Pbm, read_twin

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from edge.assistant.why.ask_history import why
-from edge.commands.stretch import moment, moment_in
+from edge.commands.arguments import moment, moment_in
 from edge.commands.which_rig import add_socket, socket_of
 from edge.core.errors import RequestError
 from edge.sockets.control_socket import request

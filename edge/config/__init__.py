@@ -1,5 +1,5 @@
 """The settings of the daemon: every key with its range and meaning, loading, the example file, secrets.
 
 Whether the files and ports that the settings name exist on this machine is checked by
-`edge.app.config_check`.
+`edge.commands.check_config`.
 """

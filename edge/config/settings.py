@@ -5,7 +5,7 @@ from datetime import time
 from itertools import pairwise
 
 from edge.core import hard_limits as hard
-from edge.core.controller_names import CONTROLLERS, EXTERNAL, LLM, MPC, RULES
+from edge.core.controller import CONTROLLERS, EXTERNAL, LLM, MPC, RULES
 from edge.formats.cross_check import Section, clock, flag, items, number, text, whole
 
 URL = r"(https?://[^\s/]+(/\S*)?)?"

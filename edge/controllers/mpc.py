@@ -1,4 +1,6 @@
-"""Model predictive control: the paper's cost, solved as the mixed-integer problem it is."""
+"""Model predictive control: the paper's cost, solved as the mixed-integer problem it is, and the reasons
+for a plan.
+"""
 
 import time
 from dataclasses import dataclass
@@ -6,15 +8,63 @@ from typing import Any
 
 import numpy as np
 
-from edge.controllers.mixed_integer.problem import FanRules, Ints, PlanningProblem
+from edge.controllers.mixed_integer.problem import FanRules, Ints, Plan, PlanningProblem
 from edge.controllers.mixed_integer.solver import Solution, solve
 from edge.controllers.mixed_integer.time_box import WALL_FACTOR, TimeBox
-from edge.controllers.plan_why import binding, cost_split, first_command, planned_inputs, runner_up
-from edge.core.controller import Columns, Context, goal_ahead
-from edge.core.heater_levels import levels_allowed
-from edge.core.messages import Decision
-from edge.core.names import HEATER_LEVELS
+from edge.core.controller import Columns, Context, Floats, goal_ahead
+from edge.core.messages import Command, Decision
+from edge.core.names import HEATER_LEVELS, levels_allowed
 from edge.models.arx import Arx
+
+
+def cost_split(problem: PlanningProblem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
+    """Split a plan's cost into its parts."""
+    heater = float(problem.heater_weight * (duty**2).sum())
+    fan_cost = float(problem.fan_weight * fan.sum())
+    tracking = float(problem.tracking(temps).sum())
+    return {
+        "cost": tracking + heater + fan_cost,
+        "cost_tracking": tracking,
+        "cost_heater": heater,
+        "cost_fan": fan_cost,
+    }
+
+
+def binding(problem: PlanningProblem, plan: Plan, temps: Floats) -> list[str]:
+    """Return the constraints that shape the plan, those of the first step first."""
+    rules, found = problem.fan_rules, []
+    if plan.levels[0] == problem.heater_levels:
+        found.append("heater at its upper limit")
+    if plan.levels[0] == 0:
+        found.append("heater at 0")
+    if rules.hold > 0:
+        found.append(f"fan held {'on' if rules.on else 'off'} by its relay")
+    if not temps.max() < problem.temp_max:
+        found.append("air temperature limit")
+    return found
+
+
+def runner_up(plan: Plan, other: Plan | None) -> dict[str, float | bool] | None:
+    """Return the best known plan with another first step, and its extra cost; None if there is none."""
+    if other is None:
+        return None
+    command = first_command(other)
+    return {
+        "heater_duty": command.heater_duty,
+        "fan_on": command.fan_on,
+        "cost_more": other.cost - plan.cost,
+    }
+
+
+def first_command(plan: Plan) -> Command:
+    """Return the plan's command for the step that begins now."""
+    return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))
+
+
+def planned_inputs(plan: Plan) -> tuple[tuple[float, float], ...]:
+    """Heater duty and fan of each step, as `Decision.plan` has them."""
+    return tuple(zip((plan.levels / HEATER_LEVELS).tolist(), map(float, plan.fan), strict=True))
+
 
 LIMIT_WEIGHT = 1000.0  # 1 K above the soft limit costs as much as 10 K off the reference
 

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from edge.controllers.mixed_integer.problem import Ints, PlanningProblem, lower_toeplitz
-from edge.controllers.mpc import planning_problem
-from edge.controllers.plan_why import cost_split
+from edge.controllers.mpc import cost_split, planning_problem
 from edge.core.controller import Context, Floats
 from edge.core.messages import Command, Decision
 from edge.core.names import HEATER_LEVELS

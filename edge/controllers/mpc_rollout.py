@@ -4,10 +4,18 @@ import time
 from typing import Any
 
 from edge.controllers.mixed_integer.problem import Plan, PlanningProblem
-from edge.controllers.mpc import MpcSettings, Previous, planning_problem, shift_plan
-from edge.controllers.plan_rollouts import PlanRollouts, plan_rollouts
-from edge.controllers.plan_why import binding, cost_split, first_command, planned_inputs, runner_up
-from edge.controllers.rollout_search import Meter, PricedPlan, RolloutSearch
+from edge.controllers.mpc import (
+    MpcSettings,
+    Previous,
+    binding,
+    cost_split,
+    first_command,
+    planned_inputs,
+    planning_problem,
+    runner_up,
+    shift_plan,
+)
+from edge.controllers.rollout_search import Meter, PlanRollouts, PricedPlan, RolloutSearch, plan_rollouts
 from edge.core.controller import Context
 from edge.core.messages import Decision
 from edge.core.names import HEATER_LEVELS

@@ -5,9 +5,8 @@ import math
 from simple_pid import PID
 
 from edge.core.controller import Context
-from edge.core.heater_levels import levels_allowed
 from edge.core.messages import Command, Decision
-from edge.core.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS, levels_allowed
 
 # Chosen on the tuning references by `python -m training.control.tune PID`: of the settings within 5 % of the
 # best those with the least derivative, as a real sensor has noise, and the fan that cools soonest.

@@ -4,9 +4,8 @@ import math
 from dataclasses import dataclass
 
 from edge.core.controller import Context
-from edge.core.heater_levels import levels_allowed
 from edge.core.messages import Command, Decision
-from edge.core.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS, levels_allowed
 
 DEADBAND_K = 0.5  # half-width: the box cools and heats by less than this in a fraction of a minute
 COOLING_DEADBAND_K = 1.5  # the fan starts later than the heater stops, so that they never fight

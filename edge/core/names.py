@@ -1,8 +1,5 @@
-"""Every signal and actuator once: unit, range, wire field, symbol in the greenhouse literature.
-
-A range is what the sensor's datasheet class can report; a value outside it is no measurement
-(`Quality.RANGE`). Inside the program the bare name is used, in the unit given here; at a border
-(YAML, SQLite, JSON, CSV) the key carries the unit, see `Signal.key`.
+"""Every signal and actuator once: unit, range, wire field, symbol in the literature; the levels of the
+heater.
 """
 
 from dataclasses import dataclass
@@ -61,3 +58,10 @@ ACTUATORS: dict[str, Actuator] = {actuator.name: actuator for actuator in _ACTUA
 HEATER_LEVELS = 20  # the heater duty moves in steps of 1/20 (paper, Modeling)
 HEATER_MAX_W = 100.0  # paper, Experimental setup
 VOLUME_M3 = 0.5 * 0.5 * 0.6  # paper, Experimental setup
+
+
+def levels_allowed(max_duty: float) -> int:
+    """Highest level (duty * 20) that is not above `max_duty`; 0 when that is not a number."""
+    if not max_duty > 0.0:
+        return 0
+    return int(min(max_duty, 1.0) * HEATER_LEVELS + 1e-9)  # 0.15 * 20 is 3 less a rounding error

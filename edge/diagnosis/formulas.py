@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.nuisances import middle
 from edge.diagnosis.trial import SizedTerm
+from edge.twin.geometry import USUAL_HEATER_W
 from edge.twin.model import DAY_S
 from edge.twin.run_batch import RunBatch
-from edge.twin.scale import USUAL_HEATER_W
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge.core.errors import DataError
-from edge.diagnosis.pieces import pieces
-from edge.diagnosis.runs import PIECE_ROWS, DiagnosisRuns, diagnosis_runs
+from edge.diagnosis.runs import PIECE_ROWS, DiagnosisRuns, diagnosis_runs, pieces
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 

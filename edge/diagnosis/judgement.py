@@ -9,17 +9,24 @@ from numpy.typing import NDArray
 from edge.diagnosis.candidates import Names, ScoredSet
 from edge.diagnosis.formulas import FormulaShape
 from edge.diagnosis.free_fit import APART_SDS, another, apart, rms_k
-from edge.diagnosis.handover import NO_WORSE, OPEN, Comparison, JudgedTwin, free_values, rmse
-from edge.diagnosis.possible import impossible, none_at_all
+from edge.diagnosis.handover import (
+    NO_WORSE,
+    OPEN,
+    Comparison,
+    JudgedTwin,
+    free_values,
+    impossible,
+    none_at_all,
+    rmse,
+)
 from edge.diagnosis.prepare import PreparedRuns, errors_over
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.search import WORTH_A_LOOK, Search
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.standing import HALF, NameEvidence, standing
-from edge.diagnosis.starts import with_usual
 from edge.diagnosis.trial import FittedTwin
-from edge.diagnosis.unknowns import SDS_95
+from edge.diagnosis.unknowns import SDS_95, with_usual
 from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, intervals, read, unnamed_verdict
 from edge.twin.effects.effect import Effect, Offer, ParameterKind
 from edge.twin.effects.library import EFFECTS, common_effects

@@ -1,7 +1,10 @@
-"""Disagreement of the twin before anything is added, and its remainder afterwards."""
+"""Disagreement of the twin before anything is added and afterwards: whiteness tests, and sentences about
+it.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import floor, log10
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +13,160 @@ from edge.core.errors import DataError
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.diagnose import Diagnosis, Side
 from edge.diagnosis.diagnosis_document import EventEntry, RegimeAfterEntry, RegimeEntry, WhitenessEntry
-from edge.diagnosis.locate.regimes import regimes
+from edge.diagnosis.locate.regimes import DisagreementRegime, regimes
 from edge.diagnosis.locate.residuals import Residuals, residuals_of
-from edge.diagnosis.locate.sentences import findings
-from edge.diagnosis.locate.stretches import stretches
-from edge.diagnosis.locate.whiteness import whiteness
+from edge.diagnosis.locate.stretches import Stretch, stretches
 
 Floats = NDArray[np.float64]
+MOST_LAGS = 20
+FEWEST_ROWS = 20  # below, nothing is said
+FINENESS = 10  # frequencies between two of the coarse grid, to find the peak's period
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Tests of one run's innovations, or of several runs together; None where the rows are too few.
+
+    rows : measured; lags : of the Ljung-Box test
+    ljung_box_p : small where innovations go together in time
+    lag1_autocorrelation : -1..1
+    strongest_period_s : of the periodogram, two whole periods in the run at least
+    false_alarm : chance that white noise of as many rows has so strong a period
+    """
+
+    rows: int
+    lags: int
+    statistic: float
+    ljung_box_p: float | None
+    lag1_autocorrelation: float | None
+    strongest_period_s: float | None
+    false_alarm: float | None
+
+
+def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
+    """Test innovations in standard deviations, NaN where not measured. Gaps are left out, not filled.
+
+    Ljung & Box 1978, Biometrika 65, with the number of pairs that there are at each lag; the period by
+    the periodogram, its false alarm by Fisher's exact test of the largest ordinate (1929, Proc. R. Soc. A
+    125).
+
+    values : [N]; fitted : parameters of the noise model, degrees of freedom that are spent
+    """
+    seen = np.isfinite(values)
+    rows = int(seen.sum())
+    if rows < FEWEST_ROWS or not np.ptp(values[seen]) > 0.0:
+        return Whiteness(rows, 0, 0.0, None, None, None, None)
+    off = np.where(seen, values - values[seen].mean(), 0.0)
+    lags = min(MOST_LAGS, rows // 5)
+    correlation, pairs = (np.array(column) for column in zip(*_correlations(off, seen, lags), strict=True))
+    # Of a run without gaps this is Ljung & Box's n (n + 2) sum r^2 / (n - lag), r over all n rows.
+    statistic = float((rows + 2) / rows * (pairs * correlation**2).sum())
+    period_s, false_alarm = _strongest(off, step_s)
+    chance = _chance(statistic, lags - fitted)
+    return Whiteness(rows, lags, statistic, chance, float(correlation[0]), period_s, false_alarm)
+
+
+def together(parts: Sequence[Whiteness]) -> Whiteness:
+    """Combine runs: sum the test statistics, average correlations by rows, take the least likely period."""
+    told = [part for part in parts if part.ljung_box_p is not None]
+    rows = sum(part.rows for part in told)
+    if not told:
+        return Whiteness(sum(part.rows for part in parts), 0, 0.0, None, None, None, None)
+    statistic, lags = sum(part.statistic for part in told), sum(part.lags for part in told)
+    mean = sum(part.rows * (part.lag1_autocorrelation or 0.0) for part in told) / rows
+    best = min(told, key=lambda part: 1.0 if part.false_alarm is None else part.false_alarm)
+    alarm = None if best.false_alarm is None else min(1.0, len(told) * best.false_alarm)
+    return Whiteness(rows, lags, statistic, _chance(statistic, lags), mean, best.strongest_period_s, alarm)
+
+
+def _correlations(off: Floats, seen: NDArray[np.bool_], lags: int) -> list[tuple[float, int]]:
+    """Mean product of the pairs that there are over the variance, and how many, at each lag."""
+    variance, found = float((off[seen] ** 2).mean()), []
+    for lag in range(1, lags + 1):
+        pairs = int((seen[lag:] & seen[:-lag]).sum())
+        found.append((float((off[lag:] * off[:-lag]).sum()) / (max(pairs, 1) * variance), pairs))
+    return found
+
+
+def _chance(statistic: float, freedom: int) -> float | None:
+    from scipy.special import chdtrc  # a chi square's tail; scipy.stats takes a second to load
+
+    return float(chdtrc(freedom, statistic)) if freedom > 0 else None
+
+
+def _strongest(off: Floats, step_s: float) -> tuple[float | None, float | None]:
+    """off : [N], 0 where nothing was measured"""
+    power = np.abs(np.fft.rfft(off, FINENESS * len(off))) ** 2
+    # A grid on which white noise has independent ordinates, from two periods in the run on.
+    coarse = np.arange(2, len(off) // 2) * FINENESS
+    if len(coarse) < 3:
+        return None, None
+    share = float(power[coarse].max() / power[coarse].sum())
+    peak = int(coarse[power[coarse].argmax()])
+    near = power[peak - FINENESS : peak + FINENESS + 1]
+    sharp = (peak - FINENESS + int(near.argmax())) / (FINENESS * len(off) * step_s)
+    return float(1.0 / sharp), float(min(1.0, len(coarse) * (1.0 - share) ** (len(coarse) - 1)))
+
+
+CLEAR = 2.0  # standard errors from 0 that a heat must be before it is given a direction
+
+
+def regime_sentence(regime: DisagreementRegime) -> str:
+    """Such as `71 % of the squared error lies where the fan is off; there the model gains 38 ± 3 W too much`.
+
+    The share of the rows stands beside that of the error.
+    """
+    share = f"{percent(regime.share_of_squared_error)} of the squared error lies {_where(regime.where)}"
+    rows = f"({percent(regime.share_of_rows)} of the rows)"
+    if abs(regime.heat_w) < CLEAR * regime.heat_w_se:
+        heat = (
+            f"the residual heat averages {with_error(regime.heat_w, regime.heat_w_se)} W: no clear direction"
+        )
+        return f"{share} {rows}; there {heat}"
+    direction = "too much" if regime.heat_w < 0.0 else "too little"
+    heat = with_error(abs(regime.heat_w), regime.heat_w_se)
+    return f"{share} {rows}; there the model gains {heat} W {direction}"
+
+
+def stretch_sentence(stretch: Stretch) -> str:
+    """Such as `19 % of the squared error lies in run_3 from 30 to 55 min, where it is 2.1 K`."""
+    begin, end = stretch.from_s / 60.0, stretch.to_s / 60.0
+    return (
+        f"{percent(stretch.share)} of the squared error lies in {stretch.run} "
+        f"from {begin:.0f} to {end:.0f} min, where the free run is off by {stretch.rmse_k:.2g} K"
+    )
+
+
+def findings(regimes: Sequence[DisagreementRegime], stretches: Sequence[Stretch]) -> list[str]:
+    """All sentences, strongest first; one that says so where nothing stands out."""
+    told = [regime_sentence(item) for item in regimes] + [stretch_sentence(item) for item in stretches]
+    return told or ["The squared error is spread evenly: no regime and no time has more than its share"]
+
+
+def percent(share: float) -> str:
+    """In whole percent, but neither 0 nor 100 where it is not."""
+    if 0.0 < share < 0.005:
+        return "less than 1 %"
+    if 0.995 < share < 1.0:
+        return "more than 99 %"
+    return f"{100.0 * share:.0f} %"
+
+
+def with_error(value: float, error: float) -> str:
+    """`38 ± 3`: the error to one digit (two if it begins with 1), the value as far as that."""
+    if not error > 0.0:
+        return f"{value:.3g}"
+    place = floor(log10(error))
+    if round(error / 10.0**place, 1) < 2.0:
+        place -= 1
+    elif round(error / 10.0**place) == 10:
+        place += 1
+    digits = max(0, -place)
+    return f"{round(value, -place):.{digits}f} ± {round(error, -place):.{digits}f}"
+
+
+def _where(where: str) -> str:
+    return where if where.startswith(("in ", "on ", "between ", "from ")) else f"where {where}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,6 @@
-"""Inputs of a diagnosis: cleaned training runs as arrays, the doors found in them, and the twin as given."""
+"""Inputs of a diagnosis: cleaned training runs as arrays, the ambient over each row, doors, and the given
+twin.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +16,6 @@ from edge.diagnosis.locate.events import DoorOpening, find_events
 from edge.diagnosis.noise_levels import find_levels, first_levels
 from edge.diagnosis.nuisances import answer_s, assumed_room, begins_at_rest, nuisances, rooms
 from edge.diagnosis.readings import expected_readings, spikes, stuck, wrong_starts
-from edge.diagnosis.room import WAYS, over_rows
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
@@ -23,6 +24,58 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
+RATIOS = np.logspace(-3.0, 2.0, 16)  # wander between two rows over the noise of a reading, variances
+LEAST_ROWS = 10
+
+
+def smooth(ambient: Floats) -> Floats:
+    """Return the ambient without the noise of its readings. ambient : [B, N], without holes
+
+    A random walk seen through white noise (local level model; Harvey 1989, Forecasting, ch. 2), the ratio of
+    the two by maximum likelihood over all runs.
+    """
+    from scipy.linalg import solveh_banded
+
+    rows = ambient.shape[1]
+    if rows < LEAST_ROWS or not np.ptp(ambient, axis=1).any():
+        return ambient
+    ratio = RATIOS[int(np.argmax(_log_likelihoods(ambient, RATIOS)))]
+    bands = np.zeros((2, rows))
+    bands[1] = 1.0 + 2.0 / ratio
+    bands[1, [0, -1]] = 1.0 + 1.0 / ratio
+    bands[0, 1:] = -1.0 / ratio
+    return np.asarray(solveh_banded(bands, ambient.T).T)
+
+
+def _log_likelihoods(values: Floats, ratios: Floats) -> Floats:
+    """Return the log likelihood of each ratio, up to a constant, at the best noise size."""
+    level = np.repeat(values[:, 0][None], len(ratios), axis=0)
+    variance, square, spread = np.ones(len(ratios)), np.zeros(len(ratios)), np.zeros(len(ratios))
+    for reading in values.T[1:]:
+        variance = variance + ratios
+        total = variance + 1.0
+        error = reading - level
+        level += (variance / total)[:, None] * error
+        variance /= total
+        square += (error**2).sum(axis=1) / total
+        spread += np.log(total)
+    count = values.size - len(values)
+    return -0.5 * (count * np.log(np.maximum(square, 1e-12) / count) + len(values) * spread)
+
+
+def between(ambient: Floats) -> Floats:
+    """In the middle of each row: half way to the next reading; ambient : [B, N]."""
+    return np.concatenate([0.5 * (ambient[:, 1:] + ambient[:, :-1]), ambient[:, -1:]], axis=1)
+
+
+WAYS = {"held": lambda ambient: ambient, "between": between}  # how the room goes from reading to reading
+
+
+def over_rows(ambient: Floats, way: str) -> Floats:
+    """Return the ambient over each row, [B, N]."""
+    return np.asarray(WAYS[way](smooth(ambient)))
+
+
 ITERATIONS, FEW = 6, 3
 FAR_OFF = 3.0  # times a reading's noise: what a twin expects is then worse than the reading
 
@@ -36,7 +89,7 @@ class PreparedRuns:
         found
     guessed : whether no room temperature was recorded: `runs` has one constant per run that fits the twin
     wrong : readings taken out
-    room : how the room goes from one reading to the next, of `edge.diagnosis.room.WAYS`; "" if guessed
+    room : how the room goes from one reading to the next, of `edge.diagnosis.prepare.WAYS`; "" if guessed
     expected : the air without its reading's noise, [B, N + 1] [°C]
     """
 

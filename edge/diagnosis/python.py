@@ -23,11 +23,11 @@ from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.experiment.design import next_experiment
 from edge.diagnosis.experiment.document import experiment_document
-from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.gap import forecast
 from edge.diagnosis.location import Location, locate
 from edge.diagnosis.progress import Progress
-from edge.diagnosis.report.report import PAGE_NAME, write_report
+from edge.diagnosis.report.page import PAGE_NAME, write_report
 from edge.diagnosis.report.story import Story
 from edge.diagnosis.report.summary import summary_text
 from edge.diagnosis.runs import NamedRun, diagnosis_runs

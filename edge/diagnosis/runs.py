@@ -1,21 +1,108 @@
-"""Recordings of a diagnosis: read, checked, cut into pieces and resampled to the twin's step."""
+"""Recordings of a diagnosis: read, checked, cut into pieces and resampled to the step of the twin.
 
+Two sensors in the air become one, their mean.
+"""
+
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.diagnosis.air_sensors import average
 from edge.diagnosis.cannot_tell import cannot_tell
-from edge.diagnosis.pieces import pieces
-from edge.diagnosis.plausible import plausible_run
+from edge.diagnosis.readings import plausible_run
 from edge.formats.number_table import read_table
 from edge.formats.run_file import RecordedRun, cut, data_sha256, refuse_test, resample
 from edge.twin.run_batch import CONDITIONS
 from edge.twin.twin_file import TwinFile
+
+GAP_S = 600.0  # without rows for longer, nothing is known of what the heater did meanwhile
+WHOLE_S = 48 * 3600.0  # in steps of a minute: what is no longer stays one, as long as its steps are slower
+LONGEST_S = 24 * 3600.0  # of the parts of what is longer, as time grows with the longest of them
+USUAL_STEP_S = 60.0
+
+
+def pieces(run: RecordedRun, step_s: float = USUAL_STEP_S) -> list[RecordedRun]:
+    """Cut a run where rows are more than GAP_S apart, and cut what is longer than WHOLE_S into equal parts.
+
+    What a body had stored is not known where a part begins.
+
+    step_s : of the twin; where it is more than a minute, gaps and parts may be longer by as much
+    Each piece begins at time 0 and says when that was. No row is in two of them.
+    """
+    slower = max(1.0, step_s / USUAL_STEP_S)
+    time_s = run.columns["time_s"]
+    starts = [0, *(np.flatnonzero(np.diff(time_s) > GAP_S * slower) + 1).tolist(), len(time_s)]
+    found = []
+    for begin, end in pairwise(starts):
+        lasts_s = (time_s[end - 1] - time_s[begin]) / slower
+        parts = 1 if lasts_s <= WHOLE_S else math.ceil(lasts_s / LONGEST_S)
+        bounds = np.linspace(begin, end, parts + 1).round().astype(int)
+        found += [cut(run, int(first), int(last)) for first, last in pairwise(bounds)]
+    return [piece for piece in found if len(piece)]
+
+
+SECOND = "temp_air_second_c"
+MUCH_K = 0.5  # farther apart while it heats than while it does not: more than two sensors of one air
+
+Named = tuple[str, RecordedRun]
+
+
+def average(train: Sequence[Named], test: Sequence[Named]) -> tuple[list[Named], list[Named], list[str]]:
+    """Return the recordings with the mean of both air sensors as their air, and sentences that say
+    so. Runs without both sensors in every file stay as they are.
+    """
+    every = [*train, *test]
+    with_second = [run for _, run in every if np.isfinite(_apart(run)).any()]
+    if not with_second:
+        return list(train), list(test), []
+    if len(with_second) < len(every):
+        return list(train), list(test), [f"{SECOND} is not known in every run and is passed over"]
+    return (
+        [(name, _mean(run)) for name, run in train],
+        [(name, _mean(run)) for name, run in test],
+        [_note([run for _, run in train])],
+    )
+
+
+def _apart(run: RecordedRun) -> np.ndarray:
+    return np.asarray(run.columns.get(SECOND, np.full(len(run), np.nan)) - run.columns["temp_air_c"])
+
+
+def _mean(run: RecordedRun) -> RecordedRun:
+    """Return a run with the mean of both sensors. Where one has no reading, the other
+    replaces it, shifted by their usual difference.
+    """
+    first, second, apart = run.columns["temp_air_c"], run.columns[SECOND], _apart(run)
+    half_k = 0.5 * float(np.nanmedian(apart))
+    either = np.where(np.isfinite(first), first + half_k, second - half_k)
+    air = np.where(np.isfinite(apart), 0.5 * (first + second), either)
+    kept = {key: values for key, values in run.columns.items() if key != SECOND}
+    return replace(run, columns={**kept, "temp_air_c": air})
+
+
+def _note(runs: Sequence[RecordedRun]) -> str:
+    apart = np.concatenate([_apart(run) for run in runs])
+    heats = np.concatenate([run.columns["heater_duty"] > 0.0 for run in runs])
+    known = np.isfinite(apart)
+    said = (
+        f"the air is the mean of two sensors: the second shows {np.nanmedian(apart):.2g} K more than the "
+        f"first in the median, and is {np.nanmax(np.abs(apart)):.2g} K from it at most"
+    )
+    if not (known & heats).any() or not (known & ~heats).any():
+        return said
+    on_k, off_k = (float(np.median(apart[known & mask])) for mask in (heats, ~heats))
+    if abs(on_k - off_k) < MUCH_K:
+        return said
+    return (
+        f"{said}; {on_k:.2g} K while the heater is on and {off_k:.2g} K while it is off: the air is not "
+        "mixed, or one of them is warmed by the heater itself"
+    )
+
 
 USABLE_ROWS = 30  # with a temperature, of all training runs together
 PIECE_ROWS = 5  # with a temperature: in fewer, the start takes all that a piece tells

@@ -14,8 +14,8 @@ from edge.diagnosis.fitting import fit, gains_of, glance, slopes
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.starts import settle, with_effect
 from edge.diagnosis.trial import Trial
+from edge.diagnosis.unknowns import settle, with_effect
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 

@@ -9,9 +9,8 @@ from itertools import combinations
 
 from edge.diagnosis.candidates import Candidates, Names, ScoredSet
 from edge.diagnosis.progress import Telling
-from edge.diagnosis.refinement import AGAIN, SEVERAL
 from edge.diagnosis.screening import FORMULAS, ScreenedCandidate, Screening
-from edge.diagnosis.sets import Sets, best_of
+from edge.diagnosis.sets import AGAIN, SEVERAL, Sets, best_of
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import SizedTerm
 from edge.twin.effects.library import EFFECTS

@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.candidates import Names, ScoredSet
-from edge.diagnosis.folds import folds, halves
-from edge.diagnosis.free_fit import APART_SDS, again, left_out_nats, row_nats, together
-from edge.diagnosis.handover import NO_WORSE, Comparison
-from edge.diagnosis.possible import impossible
-from edge.diagnosis.probability import LIKELY, evidence, probability
+from edge.diagnosis.free_fit import APART_SDS, again, folds, halves, left_out_nats, row_nats, together
+from edge.diagnosis.handover import NO_WORSE, Comparison, impossible
 from edge.diagnosis.trial import FittedTwin
+from edge.diagnosis.verdict import LIKELY, evidence, probability
 from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]

@@ -1,7 +1,7 @@
-"""The running twin watched: its filter, the sequential test, and what is told of it."""
+"""The running twin watched: its filter, the sequential test, its memory, and the report of drift."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, tzinfo
 
 import numpy as np
@@ -12,9 +12,32 @@ from edge.core.predictor import Columns, Floats
 from edge.drift import evidence, noise, where
 from edge.drift.evidence import CLEAR, Evidence
 from edge.drift.kalman import DriftFilterState, Filter, Innovation
-from edge.drift.memory import DriftMemory
 from edge.drift.regimes import CELLS, REGIMES, WORDS, situation
 from edge.twin.model import BoxTwin
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftMemory:
+    """About one twin.
+
+    twin_sha256 : the twin's; what is known of one says nothing of another
+    sums : what was learnt of its ordinary errors, see edge/drift/noise.py
+    table : errors by regime, see edge/drift/where.py
+    since_utc : since when it disagrees, NaN while it agrees
+    agreeing_s : time without evidence, while it disagrees
+    """
+
+    twin_sha256: str
+    evidence: Evidence
+    sums: Floats = field(default_factory=noise.nothing_learnt)
+    table: Floats = field(default_factory=where.empty)
+    since_utc: float = math.nan
+    agreeing_s: float = 0.0
+
+    @property
+    def disagrees(self) -> bool:
+        """True while the alarm stands."""
+        return math.isfinite(self.since_utc)
 
 
 def in_words(drift: Drift, zone: tzinfo | None) -> str:

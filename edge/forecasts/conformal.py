@@ -105,3 +105,17 @@ def read_intervals(path: Source) -> Intervals:
     """Read the calibration in `path`. Errors: DataError, naming the file and the row"""
     document = read_json(IntervalsDocument, path)
     return Intervals(document.intervals, document.provenance)
+
+
+RATE = 0.02  # an hour of misses widens by e^(60 * 0.02 * 0.9) = 2.9, nine hours without any narrow as much
+WIDTH_MIN_K = 0.02  # a fifth of the sensor's resolution
+WIDTH_MAX_K = 1e4  # a number at all: the paper's PBM is hundreds of K off after an hour
+
+
+def track(half_width_k: float, residual_k: float) -> float:
+    """Return the half width after one more forecast [K]. A NaN residual changes nothing."""
+    if not math.isfinite(residual_k):
+        return half_width_k
+    missed = float(abs(residual_k) > half_width_k)
+    width = half_width_k * math.exp(RATE * (missed - (1.0 - CLAIMED)))
+    return min(max(width, WIDTH_MIN_K), WIDTH_MAX_K)

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from edge.core.messages import ForecastSkill
 from edge.core.predictor import Predictor
-from edge.forecasts.adaptive import track
-from edge.forecasts.conformal import Intervals
+from edge.forecasts.conformal import Intervals, track
 from edge.forecasts.scorer import PERSISTENCE, ScoredForecast
 
 WINDOW_S = 86400.0  # means are plain up to a day of scored forecasts, then older ones fade over a day

@@ -22,7 +22,7 @@ import yaml
 
 from edge.core.errors import DataError
 from edge.core.plain_text import plain, quote
-from edge.formats import strict_json, strict_yaml
+from edge.formats import parsing
 from edge.formats.cross_check import CheckedDocument, Rule, SettingError, nearest, value_problem
 from edge.formats.input_file import SMALL, YAML, Source, read_file, read_text
 
@@ -84,7 +84,7 @@ def parse_json(content: bytes | str, place: str = "", most: int = SMALL) -> dict
     if len(content) > most:
         raise DocumentError(place, [("", f"larger than {most >> 10} kB")])
     try:
-        return strict_json.parse_object(content)
+        return parsing.parse_object(content)
     except ValueError as error:
         raise DocumentError(place, [("", f"not JSON: {error}")]) from None
 
@@ -94,7 +94,7 @@ def parse_yaml(text: str, place: str = "") -> Any:
     if len(text) > YAML:
         raise DocumentError(place, [("", f"larger than {YAML >> 10} kB")])
     try:
-        return strict_yaml.parse_yaml(text)
+        return parsing.parse_yaml(text)
     except yaml.YAMLError as error:
         raise DocumentError(place, [("", f"not YAML: {error}")]) from None
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from edge.core.errors import DataError
 from edge.formats.input_file import MODEL, Source, read_file
-from edge.models.onnx_session import one_line, open_session
+from edge.models.onnx_predictor import one_line, open_session
 from edge.models.policy_actions import ACTIONS
 from edge.models.policy_contract import KEY, TOLERANCE, PolicyContract, parse_policy_contract
 from edge.models.policy_observation import FEATURES, Floats

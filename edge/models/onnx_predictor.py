@@ -4,6 +4,7 @@ onnxruntime is imported when a file is read and not before: a rig without such a
 """
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,27 @@ from edge.core.errors import DataError
 from edge.core.predictor import Columns, Floats
 from edge.formats.input_file import MODEL, Source, read_file
 from edge.models.contract import KEY, Contract, parse_contract
-from edge.models.onnx_session import one_line, open_session
+
+
+def open_session(content: bytes) -> Any:
+    """Open a session on the bytes of an ONNX file. Errors: DataError where they cannot be run"""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # newer than the pinned version, it would call its maker
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1  # the other cores are not ours
+    options.enable_cpu_mem_arena = False  # it keeps the memory of the largest batch for good
+    options.log_severity_level = 4  # what goes wrong is raised
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its own errors have no other base
+        raise DataError(f"not an ONNX file that can be run: {one_line(error)}") from error
+
+
+def one_line(error: Exception) -> str:
+    """Its text, fit for an error of ours."""
+    return " ".join(str(error).split())
+
 
 # Sequences per call: states and gates of more of the LSTM's leave the cache, and each costs twice as much.
 BATCH = {"lstm": 64, "ham": 1024, "ham_guarded": 1024}
@@ -162,3 +183,25 @@ def _check_shapes(contract: Contract, session: Any) -> None:
         raise DataError(f"inputs: {found} are not {expected}")
     if (given := [item.name for item in session.get_outputs()]) != ["temps"]:
         raise DataError(f"outputs: {given} are not ['temps']")
+
+
+KINDS = ("ham", "ham_guarded")  # the paper's, and the one that falls back to its twin outside its data
+
+
+def read_ham(path: Source, twin_sha256: str, step_s: float | None = None) -> OnnxPredictor:
+    """Read the predictor "ham" in `path`, proved by its golden vectors; its `kind` names the hybrid.
+
+    twin_sha256 : `Twin.sha256` of the twin beside it: a hybrid corrects one twin and no other
+    step_s : the control step that it has to be made for [s], None for any
+    Errors : DataError that names the file and the key
+    """
+    return read_onnx(path, "ham", KINDS, step_s, twin_sha256)
+
+
+def read_lstm(path: Source, step_s: float | None = None) -> OnnxPredictor:
+    """Read the predictor "lstm" in `path`, proved by its golden vectors.
+
+    step_s : the control step that it has to be made for [s], None for any
+    Errors : DataError that names the file and the key
+    """
+    return read_onnx(path, "lstm", ("lstm",), step_s)

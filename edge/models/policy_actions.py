@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.controller import ControlLimits
-from edge.core.heater_levels import levels_allowed
 from edge.core.messages import Command
-from edge.core.names import HEATER_LEVELS
+from edge.core.names import HEATER_LEVELS, levels_allowed
 
 LEVELS = HEATER_LEVELS + 1  # off is one of them
 ACTIONS = 2 * LEVELS

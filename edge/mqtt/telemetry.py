@@ -16,16 +16,15 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from edge.config.settings import Settings
-from edge.core.allowance import Allowance
 from edge.core.errors import RequestError
+from edge.core.event_log import Allowance
 from edge.core.messages import Event, Severity, TickRecord
 from edge.core.plain_text import plain
 from edge.formats.tick_json import event_json
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
-from edge.mqtt.connection import make_client
+from edge.mqtt.connection import Lane, end, make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, MessageQueue
-from edge.mqtt.lane import Lane, end
 from edge.mqtt.topics import Topics
 from edge.tick.status import LoopStatus, reply_json, status_json
 

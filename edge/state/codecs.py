@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.assistant.llm.budget import Spending
-from edge.core.controller_names import CONTROLLERS
+from edge.core.controller import CONTROLLERS
 from edge.core.errors import DataError
 from edge.core.plain_text import quote
 from edge.drift import noise, where
 from edge.drift.evidence import Evidence
-from edge.drift.memory import DriftMemory
+from edge.drift.monitor import DriftMemory
 from edge.forecasts.skill import ErrorPair, SkillState, Width
 from edge.formats.cross_check import Rule
 from edge.formats.reader import read

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from edge.assistant.llm.budget import Spending
-from edge.bundle.admission import Admission
 from edge.bundle.roles import Roles
+from edge.bundle.store import Admission
 from edge.config.settings import Settings
 from edge.core.errors import DataError
-from edge.drift.memory import DriftMemory
+from edge.drift.monitor import DriftMemory
 from edge.forecasts.skill import SkillState
 from edge.formats.state_document import read_document
 from edge.safety.memory import SafetyMemory

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from edge.core.hard_limits import STEP_MIN_S
 from edge.core.messages import TickRecord
-from edge.storage.file import Unusable, connect, identity
+from edge.storage.file import SliceCheck, Unusable, connect, identity
 from edge.storage.retention import RetentionSettings, thin
 from edge.storage.schema_version import SCHEMA_VERSION
-from edge.storage.slice_check import SliceCheck
 from edge.storage.tick_rows import insert_ticks
 
 BUSY_S = 1.0  # how long one statement waits for another process's lock

@@ -6,7 +6,7 @@ from edge.core.controller import Columns, Context, ControlLimits, Penalty
 from edge.core.messages import Command, Estimate
 from edge.tick.orders import Operation
 from edge.tick.reference import Reference
-from edge.tick.steering_at_work import in_force, limit, penalty_of
+from edge.tick.steering import in_force, limit, penalty_of
 
 REFERENCE_STEPS = 120  # how far ahead controllers may see the reference [steps]
 

@@ -10,10 +10,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from edge.core.allowance import Allowance
 from edge.core.controller import Context
 from edge.core.errors import RequestError
-from edge.core.event_log import EventLog
+from edge.core.event_log import Allowance, EventLog
 from edge.core.hard_limits import LEASE_S
 from edge.core.messages import (
     Change,
@@ -35,12 +34,11 @@ from edge.safety.supervisor import (
     supervise,
     survives_as,
 )
-from edge.tick.conditions import Conditions
 from edge.tick.context import TickTime, context_of
 from edge.tick.decider import Decider
+from edge.tick.faults import Conditions
 from edge.tick.inbox import ORDINARY, Letter, Reply, Request
-from edge.tick.light import led_level
-from edge.tick.order_words import in_words
+from edge.tick.light_and_water import Watering, led_level
 from edge.tick.orders import (
     UTC_MAX,
     Desk,
@@ -49,6 +47,7 @@ from edge.tick.orders import (
     acts_at_once,
     apply_orders,
     has_lost_date,
+    in_words,
     is_released,
     operate,
     read_request,
@@ -56,7 +55,6 @@ from edge.tick.orders import (
 from edge.tick.reference import seconds_of_day
 from edge.tick.rig import Rig
 from edge.tick.status import STATUS, LoopStatus
-from edge.tick.water import Watering
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
 NOT_REACHED = "no link to the board: it obeys as soon as it is back; what it drives now ends with its lease"

@@ -5,7 +5,7 @@ covariance on by the step's matrix; `update` corrects both by the reading, if th
 filter: Jazwinski 1970, Stochastic Processes and Filtering Theory, ch. 8).
 
 Users: `edge.twin.warm_start` (state from a history), `edge.tick.estimator` (the running rig),
-`edge.drift.kalman` (the twin watched), `edge.controllers.twin_plan.belief` (`MPC-Twin`) and
+`edge.drift.kalman` (the twin watched), `edge.controllers.mpc_twin` (`MPC-Twin`) and
 `edge.diagnosis.locate.heat_filter` (many runs and noise levels). Two forms of their own are held to this one
 by tests: `edge.diagnosis.innovations` (many twins at once) and `training.models.twin_step` (torch).
 """

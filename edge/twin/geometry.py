@@ -1,9 +1,56 @@
-"""Geometry of the greenhouse, known before anything is measured."""
+"""Geometry of the greenhouse, known before anything is measured, and its scale beside the usual one."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 from edge.core.errors import DataError
+from edge.twin.effects.effect import EffectParameter
+
+USUAL_HEATER_W, USUAL_STEP_S, USUAL_ANSWER_S = 100.0, 60.0, 150.0  # of the paper's box
+SLOWER = 10.0  # or quicker, than its steps tell
+# By unit: powers of the two factors.
+POWERS = {
+    "W": (1, 0), "W/K": (1, 0), "W/kPa": (1, 0), "m²": (1, 0), "m³/s": (1, 0), "J/K": (1, 1), "s": (0, 1),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """heat : power of the heater, time : of answers, both in those of the paper's box"""
+
+    heat: float = 1.0
+    time: float = 1.0
+
+    def of(self, unit: str) -> float:
+        """Factor of a value in this unit; 1 for one that has nothing to do with size or speed."""
+        heat, time = POWERS.get(unit, (0, 0))
+        return float(self.heat**heat * self.time**time)
+
+    def usual(self, parameter: EffectParameter) -> EffectParameter:
+        """With its start where it usually is in such a box, and a range that is only ever wider."""
+        factor = self.of(parameter.unit)
+        low = parameter.low * (min(1.0, factor) if parameter.low > 0.0 else max(1.0, factor))
+        return replace(
+            parameter, low=low, high=parameter.high * max(1.0, factor), start=parameter.start * factor
+        )
+
+    @lru_cache(maxsize=512)  # noqa: B019 - looked up for each twin that a fit makes, of few scales
+    def possible(self, parameter: EffectParameter) -> EffectParameter:
+        """With the widest range that a box of such a heater, recorded in such steps, may have."""
+        slow, quick = replace(self, time=self.time * SLOWER), replace(self, time=self.time / SLOWER)
+        return replace(parameter, low=quick.usual(parameter).low, high=slow.usual(parameter).high)
+
+
+def scale_of(heater_w: float, step_s: float, answer_s: float | None = None) -> Scale:
+    """answer_s : time constant of the box, None where it is not known
+
+    Steps are chosen to fit a box, so they tell its speed too: where both are known, their geometric mean.
+    """
+    steps = step_s / USUAL_STEP_S
+    time = steps if answer_s is None else (steps * answer_s / USUAL_ANSWER_S) ** 0.5
+    time = min(max(time, steps / SLOWER), steps * SLOWER)  # what `possible` lets a file have
+    return Scale(heater_w / USUAL_HEATER_W, time)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.twin.distinct import distinct
+from edge.twin.discretisation import distinct, exponentials
 from edge.twin.effects.library import day_counter
-from edge.twin.fan_speeds import exponentials
 from edge.twin.model import DAY_S, BoxTwin
 from edge.twin.network import AIR
 from edge.twin.rollout import cuts, late, rollout, spun_up

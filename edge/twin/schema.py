@@ -6,8 +6,7 @@ from typing import Any
 
 from edge.twin.effects.effect import Effect
 from edge.twin.effects.library import EFFECTS
-from edge.twin.geometry import Geometry
-from edge.twin.scale import Scale
+from edge.twin.geometry import Geometry, Scale
 from edge.twin.twin_file import FAN_ROLES, NUISANCE, SENSOR
 
 _NUMBER = {"type": "number"}

@@ -16,9 +16,8 @@ from edge.formats.input_file import Source
 from edge.formats.reader import read_yaml
 from edge.twin.effects.effect import EffectParameter
 from edge.twin.effects.library import EFFECTS, check_names
-from edge.twin.geometry import Geometry
+from edge.twin.geometry import Geometry, Scale, scale_of
 from edge.twin.model import BoxTwin, StateNoise
-from edge.twin.scale import Scale, scale_of
 from edge.twin.value import Value, read_value
 
 Place = tuple[str, ...]  # ("effects", "wall_loss", "UA") or ("geometry", "heater_max_w")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from firmware_protocol.virtual_board.board_config import PWM_SLOTS
-from firmware_protocol.virtual_board.board_time import elapsed_ms
+from firmware_protocol.virtual_board.board_samples import elapsed_ms
 
 
 @dataclass(frozen=True, slots=True)

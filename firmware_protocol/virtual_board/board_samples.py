@@ -1,11 +1,23 @@
-"""Sensor samples of the board: raw integers, each with a quality and an age."""
+"""Time and samples of the board: milliseconds that wrap, raw integers with a quality and an age."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol.fields import Field
 from firmware_protocol.messages import LAYOUTS, Quality, SensorReport, StateEcho
-from firmware_protocol.virtual_board.board_time import elapsed_ms
+
+_MASK = 0xFFFFFFFF
+
+
+def wrap(ms: int) -> int:
+    """Return a time as the board's clock shows it."""
+    return ms & _MASK
+
+
+def elapsed_ms(now_ms: int, since_ms: int) -> int:
+    """Time that passed [ms], right across a wrap; a clock that goes back shows as very much."""
+    return (now_ms - since_ms) & _MASK
+
 
 MAX_AGE_MS = 3000
 AIR = "temp_air_c"

@@ -33,8 +33,7 @@ from firmware_protocol.messages import (
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.board_outputs import Pins
 from firmware_protocol.virtual_board.board_safety import Safety
-from firmware_protocol.virtual_board.board_samples import AIR, Samples
-from firmware_protocol.virtual_board.board_time import elapsed_ms, wrap
+from firmware_protocol.virtual_board.board_samples import AIR, Samples, elapsed_ms, wrap
 
 __all__ = ["BoardCore", "Pins"]
 

@@ -9,7 +9,7 @@ from firmware_protocol.virtual_board.core import Pins
 from firmware_protocol.virtual_board.faults import BoardFault, Schedule
 from firmware_protocol.virtual_board.line import FaultyLine
 from firmware_protocol.virtual_board.plant import Plant
-from firmware_protocol.virtual_board.sensor_faults import Sample, SensorFaults
+from firmware_protocol.virtual_board.sensors import Sample, SensorFaults
 from firmware_protocol.virtual_board.store import Eeprom
 
 _HELLO, _ERROR = LAYOUTS[Hello].kind, LAYOUTS[ErrorMessage].kind

@@ -1,11 +1,150 @@
-"""Between the board's pins and the chamber: relays and fan as they really are, and a meter on them."""
+"""Between the board's pins and the chamber: relays, dead times, heater supply, fan, and a meter on them."""
 
+import copy
 import math
+from collections import deque
 from collections.abc import Mapping, Set
 from typing import Protocol
 
 from firmware_protocol.messages import Capability
+from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, Number
 from firmware_protocol.virtual_board.core import Pins
+from firmware_protocol.virtual_board.effects import Effects
+from firmware_protocol.virtual_board.noise import Wander, normal
+
+_DAY_S = 86400.0
+
+
+class DeadTime:
+    """A value that arrives delay_s late."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._coming: deque[tuple[float, float]] = deque()
+        self._last = self.value = 0.0
+
+    def put(self, value: float, now_s: float) -> None:
+        """Set the value that holds from now on."""
+        if value != self._last:
+            self._coming.append((now_s + self._delay_s, value))
+            self._last = value
+        self.arrive(now_s)
+
+    def arrive(self, now_s: float) -> None:
+        """Let through what is due."""
+        while self._coming and self._coming[0][0] <= now_s:
+            self.value = self._coming.popleft()[1]
+
+    def next_change(self) -> float:
+        """When the value changes next [s], infinite when nothing is under way."""
+        return self._coming[0][0] if self._coming else math.inf
+
+    def copy(self) -> "DeadTime":
+        twin = copy.copy(self)
+        twin._coming = self._coming.copy()
+        return twin
+
+
+class SlidingMean:
+    """Mean of a piecewise constant value over the last window_s (0: the value itself)."""
+
+    def __init__(self, window_s: float) -> None:
+        self._window_s = window_s
+        self._pieces: deque[tuple[float, float]] = deque()  # length [s], value
+        self._length_s = 0.0
+
+    def add(self, value: float, dt_s: float) -> float:
+        """Return the mean after dt_s more of this value."""
+        if self._window_s <= 0.0:
+            return value
+        self._pieces.append((dt_s, value))
+        self._length_s += dt_s
+        while self._length_s - self._pieces[0][0] >= self._window_s:
+            self._length_s -= self._pieces.popleft()[0]
+        total = sum(length * piece for length, piece in self._pieces)
+        oldest_s, oldest = self._pieces[0]
+        surplus_s = self._length_s - self._window_s
+        if surplus_s > 0.0:
+            return (total - min(surplus_s, oldest_s) * oldest) / self._window_s
+        return total / self._length_s
+
+    def copy(self) -> "SlidingMean":
+        twin = copy.copy(self)
+        twin._pieces = self._pieces.copy()
+        return twin
+
+
+class HeaterSupply:
+    """Power that reaches the element."""
+
+    def __init__(self, parameters: ChamberParameters, effects: Effects, seed: int) -> None:
+        heater, mains = parameters.heater, parameters.mains
+        run = effects.power_run_variation * mains.run_sd * normal(seed, 20, 0)
+        self._power_w = heater.power_w * max(1.0 + run, 0.0)
+        self._wander_sd = effects.power_wander * mains.wander_sd
+        self._wander = Wander(seed, 21, mains.wander_tau_s)
+        self._efficiency = max(1.0 - effects.heater_efficiency * (1.0 - heater.efficiency), 0.0)
+        self._saturation = max(1.0 - effects.heater_saturation * (1.0 - heater.saturation_duty), 0.0)
+        self._sag = effects.heater_sag * heater.sag
+        self._thermostat_c = heater.thermostat_c
+        self._derating = effects.heater_thermostat * heater.thermostat_share_per_k
+        self._needs_duty = self._saturation < 1.0 or self._sag > 0.0
+        self._duty = SlidingMean(heater.duty_window_s)
+
+    def power_w(self, fraction: float, dt_s: float, now_s: float, element_c: float) -> float:
+        """Heat in the element while the relay is closed for this fraction of dt_s [W]."""
+        power = self._power_w * fraction * self._efficiency
+        if self._wander_sd > 0.0:
+            power *= 1.0 + self._wander_sd * self._wander.at(now_s)
+        if self._needs_duty:
+            power *= self._limit(self._duty.add(fraction, dt_s))
+        if self._derating > 0.0 and element_c > self._thermostat_c:
+            power *= max(1.0 - self._derating * (element_c - self._thermostat_c), 0.0)
+        return max(power, 0.0)
+
+    def _limit(self, duty: float) -> float:
+        """Factor of saturation, min(u, u_sat)/u, and of sag, 1 - sag u."""
+        cut = self._saturation / duty if duty > self._saturation else 1.0
+        return cut * max(1.0 - self._sag * duty, 0.0)
+
+    def copy(self) -> "HeaterSupply":
+        twin = copy.copy(self)
+        twin._wander, twin._duty = copy.copy(self._wander), self._duty.copy()
+        return twin
+
+
+class Fan:
+    """Speed and flow of the fan pair."""
+
+    def __init__(self, parameters: ChamberParameters, effects: Effects) -> None:
+        fan = parameters.fan
+        self._spinup_s = effects.fan_spinup * fan.spinup_s
+        self.full_flow_m3_s = (
+            fan.flow_m3_s
+            * max(1.0 - effects.fan_effectiveness * (1.0 - fan.effectiveness), 0.0)
+            * max(1.0 - effects.short_circuit * fan.short_circuit, 0.0)
+        )
+        self._clogging_per_s = effects.fan_clogging * fan.clogging_per_day / _DAY_S
+        self._run_s = 0.0
+        self.speed = 0.0  # now, share of full
+        self.mean_speed = 0.0  # over the last step
+        self.flow_m3_s = 0.0  # air really exchanged, mean over the last step
+
+    def spun_up(self, speed: Number, on: Number, dt_s: float) -> tuple[Number, Number]:
+        """Speed after dt_s towards `on` (0 or 1), and its mean; exact for a first-order spin-up."""
+        if self._spinup_s <= 0.0:
+            return on, on
+        part = self._spinup_s / dt_s * -math.expm1(-dt_s / self._spinup_s)
+        return on + (speed - on) * math.exp(-dt_s / self._spinup_s), on + (speed - on) * part
+
+    def step(self, dt_s: float, on: float) -> None:
+        """Run towards on (0 or 1) for dt_s."""
+        self.speed, self.mean_speed = self.spun_up(self.speed, on, dt_s)
+        self._run_s += self.mean_speed * dt_s
+        self.flow_m3_s = (
+            self.full_flow_m3_s * self.mean_speed * max(1.0 - self._clogging_per_s * self._run_s, 0.0)
+        )
+
 
 ACTUATOR_PINS = ("heater_relay", "fan", "led", "valve")
 FAN_RPM = 2800.0  # of a fan that turns

@@ -8,10 +8,16 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from firmware_protocol.virtual_board.control import BoardControlSocket, ControlClient, ControlRequestError
 from firmware_protocol.virtual_board.device import Device
 from firmware_protocol.virtual_board.faults import FaultError, make_fault
-from firmware_protocol.virtual_board.lockstep import advance, carry, follow_plug
+from firmware_protocol.virtual_board.lockstep import (
+    BoardControlSocket,
+    ControlClient,
+    ControlRequestError,
+    advance,
+    carry,
+    follow_plug,
+)
 from firmware_protocol.virtual_board.port import PseudoTerminal
 
 

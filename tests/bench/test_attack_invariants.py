@@ -39,7 +39,7 @@ def outcome(looks: dict[float, tuple[str, ...]] | None = None, **changes: Any) -
 def stopped_at(time_s: float, *on: str, do: str = "emergency_stop", **request: Any) -> dict[str, Any]:
     """A stop at `time_s`, after which the pins in `on` are on."""
     looks = {t / 2: on for t in range(int(2 * time_s) + 2, 280)}
-    return {"looks": looks, "given": (AnsweredOrder(time_s, {"do": do, **request}, OK),)}
+    return {"looks": looks, "orders": (AnsweredOrder(time_s, {"do": do, **request}, OK),)}
 
 
 def test_a_good_outcome_has_no_violation() -> None:
@@ -78,7 +78,7 @@ def test_a_pin_after_the_release_is_none_of_the_stops_business() -> None:
     case = stopped_at(40.0)
     case["looks"] |= {t / 2: ("fan",) for t in range(140, 160)}
     assert violations(outcome(**case)) != []
-    case["given"] += (AnsweredOrder(70.0, {"do": "release_emergency_stop"}, OK),)
+    case["orders"] += (AnsweredOrder(70.0, {"do": "release_emergency_stop"}, OK),)
     assert violations(outcome(**case)) == []
 
 
@@ -89,13 +89,13 @@ def test_maintenance_holds_for_its_minutes_and_until_it_is_taken_back() -> None:
     case["looks"] |= {69.0: (), 71.0: ("fan",)}
     assert violations(outcome(**case)) == []
     case["looks"][60.0] = ("fan",)
-    case["given"] += (AnsweredOrder(50.0, {"do": "maintenance", "minutes": 0.0}, OK),)
+    case["orders"] += (AnsweredOrder(50.0, {"do": "maintenance", "minutes": 0.0}, OK),)
     assert violations(outcome(**case)) == []
 
 
 def test_a_stop_that_was_refused_promises_nothing() -> None:
     refused = (AnsweredOrder(40.0, {"do": "emergency_stop"}, {"ok": False}),)
-    assert violations(outcome(given=refused)) == []
+    assert violations(outcome(orders=refused)) == []
 
 
 def test_a_stop_during_a_cut_line_counts_from_the_lines_return() -> None:

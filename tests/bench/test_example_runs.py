@@ -14,8 +14,8 @@ from bench.example_diagnosis import EXAMPLE, command, standalone, with_answer
 from bench.make_example_runs import KNOWN, RECORDINGS, SINCE
 from edge.__main__ import main
 from edge.diagnosis import candidates
-from edge.diagnosis.diagnosis_schema import schema
-from edge.diagnosis.report.report import PAGE_NAME, write_report
+from edge.diagnosis.diagnosis_file import schema
+from edge.diagnosis.report.page import PAGE_NAME, write_report
 from edge.formats.run_file import read_run
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.twin_file import read_twin_file

@@ -275,7 +275,7 @@ def test_what_the_chamber_has_and_no_library_changes_what_a_quiet_run_shows(name
     rng = np.random.default_rng(3)
     base = {**draw_base(rng), **draw_known(rng, "wall_loss")}
     on = np.ones(LEAD_ROWS + 30)
-    plan = RunPlan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
+    plan = RunPlan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shorten(30)
     setting = OUTSIDE[name][0]
     changed = quiet_c({**base, **setting.at(setting.high)}, plan) - quiet_c(base, plan)
     assert np.abs(changed).max() > 0.1
@@ -284,7 +284,7 @@ def test_what_the_chamber_has_and_no_library_changes_what_a_quiet_run_shows(name
 def test_an_offset_of_the_rooms_sensor_matters_to_one_who_believes_it() -> None:
     base = {**draw_base(np.random.default_rng(3)), **draw_known(np.random.default_rng(3), "wall_loss")}
     on = np.ones(LEAD_ROWS + 30)
-    plan = RunPlan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(30)
+    plan = RunPlan(0.6 * on, 1.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shorten(30)
     offset = {**base, **SETTINGS["ambient_offset"].at(2.0, 1.0)}
     assert quiet_c(offset, plan) == pytest.approx(quiet_c(base, plan))  # nothing happens to the air
     assert believed_c(offset, plan) - believed_c(base, plan) == pytest.approx(2.0, abs=0.1)
@@ -294,7 +294,7 @@ def test_the_chamber_without_an_effect_is_the_chamber_before_it() -> None:
     rng = np.random.default_rng(2)
     base = {**draw_base(rng), **draw_known(rng, "wall_loss")}
     on = np.ones(LEAD_ROWS + 12)
-    plan = RunPlan(0.5 * on, 0.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shortened(12)
+    plan = RunPlan(0.5 * on, 0.0 * on, 0.0 * on, day=1.0, hour=12.0, room_c=21.0, seed=3).shorten(12)
     plain = quiet_c(base, plan)
     assert len(plain) == 12
     stronger = [quiet_c({**base, **SETTINGS["heater_efficiency"].at(lost)}, plan)[-1] for lost in (0.1, 0.3)]
@@ -316,8 +316,8 @@ def test_a_plan_at_rest_begins_at_its_first_row_with_what_the_sensors_show() -> 
     on = np.ones(LEAD_ROWS + 3)
     plan = RunPlan(on, 0.0 * on, 0.0 * on, day=0.0, hour=9.0, room_c=20.0, seed=1)
     assert plan.first == 0
-    assert plan.shortened(2).first == LEAD_ROWS
-    found = drive({}, plan.shortened(2))
+    assert plan.shorten(2).first == LEAD_ROWS
+    found = drive({}, plan.shorten(2))
     assert len(found.clean_c) == len(found.shown["temp_ambient_c"]) == 2
     assert found.start["temp_soil_c"] == pytest.approx(found.clean_c[0])
 

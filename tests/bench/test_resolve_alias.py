@@ -12,7 +12,7 @@ from bench.resolve_alias import CASES, AliasCase, Columns, twin_of
 from bench.support.simulated_runs import silent
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.experiment.design import next_experiment
-from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.runs import diagnosis_runs
 from edge.twin.twin_file import TwinFile
 

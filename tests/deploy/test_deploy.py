@@ -19,7 +19,7 @@ from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import virtual_board
 from edge.app.daemon import REQUESTS_VARIABLE
-from edge.app.diagnosis_request import REQUEST
+from edge.app.nightly_diagnosis import REQUEST
 from edge.config import loading as config
 from edge.config.settings import Settings
 
@@ -89,7 +89,7 @@ def test_daemon_path_unit_and_diagnosis_mean_one_folder() -> None:
     assert values("PathExists", PATH_UNIT) == [f"{requests}/{REQUEST}"]
     program, _, arguments = values("ExecStart", DIAGNOSIS)[0].partition(" ")
     assert program == "/opt/greenhouse/venv/bin/python"
-    assert arguments == f"-m edge.app.diagnosis_request {requests}"
+    assert arguments == f"-m edge.app.nightly_diagnosis {requests}"
     assert requests.startswith(f"/run/{values('RuntimeDirectory')[0]}/")
     assert f"/run/{values('RuntimeDirectory')[0]}" in values("ReadWritePaths", DIAGNOSIS)[0].split()
 

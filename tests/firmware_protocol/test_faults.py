@@ -13,11 +13,10 @@ from firmware_protocol.link import BoardReset, LinkLost, LinkUp, Nonsense, Versi
 from firmware_protocol.messages import Capability, Quality
 from firmware_protocol.virtual_board.core import Pins
 from firmware_protocol.virtual_board.device import BoardClock
-from firmware_protocol.virtual_board.fault_table import KINDS
-from firmware_protocol.virtual_board.faults import FaultError, Schedule, make_fault
+from firmware_protocol.virtual_board.faults import KINDS, FaultError, Schedule, make_fault
 from firmware_protocol.virtual_board.line import FaultyLine
 from firmware_protocol.virtual_board.plant import Plant
-from firmware_protocol.virtual_board.sensor_faults import SensorFaults
+from firmware_protocol.virtual_board.sensors import SensorFaults
 
 pytestmark = pytest.mark.slow
 

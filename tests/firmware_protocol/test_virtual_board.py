@@ -288,7 +288,7 @@ def test_a_port_closed_and_opened_again_works_on(tmp_path):
             host.serve(host.clock.now() + 5)
             assert host.up
             host.close_port()
-            host.events += host._link.disconnected(host.clock.now())
+            host.events += host._link.disconnect(host.clock.now())
             assert len(host.seen(LinkUp)) == turn
 
 

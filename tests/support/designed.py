@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from bench.support.simulated_runs import NOISE, STEP_S, coloured_noise
 from edge.diagnosis.experiment.design import design_experiment
 from edge.diagnosis.experiment.experiment import PlannedExperiment
-from edge.diagnosis.experiment.limits import ExperimentLimits
 from edge.diagnosis.experiment.rivals import RivalPair, Rivals
 from edge.diagnosis.experiment.separation import Separation, separation
+from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.experiment.surroundings import surroundings
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.innovations import NoiseLevels
-from edge.diagnosis.starts import with_effect
 from edge.diagnosis.trial import FittedTwin, Trial
+from edge.diagnosis.unknowns import with_effect
 from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch

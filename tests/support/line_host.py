@@ -69,7 +69,7 @@ class LineHost:
             except PortGone as error:
                 self.errors.append(error)
                 self.close_port()
-                self.events += self._link.disconnected(self.clock.now())
+                self.events += self._link.disconnect(self.clock.now())
 
     def _open(self) -> None:
         if self._port is None:

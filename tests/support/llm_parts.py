@@ -9,9 +9,8 @@ from typing import Any
 from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.language_model import LanguageModel
-from edge.assistant.llm.line import HttpResponse
+from edge.assistant.llm.line import HttpResponse, Interrupt
 from edge.config.secrets import Secret
 from edge.config.settings import LlmSettings
 

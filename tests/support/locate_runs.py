@@ -3,7 +3,7 @@
 import numpy as np
 
 from edge.diagnosis.locate.residuals import residuals_of
-from edge.diagnosis.locate.whiteness import whiteness
+from edge.diagnosis.location import whiteness
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest

@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.virtual_board.actuators import Fan, HeaterSupply
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters
 from firmware_protocol.virtual_board.effects import Effects
 from firmware_protocol.virtual_board.humidity import (
@@ -26,6 +25,7 @@ from firmware_protocol.virtual_board.network import (
     Loads,
     NetworkEquations,
 )
+from firmware_protocol.virtual_board.plant import Fan, HeaterSupply
 from firmware_protocol.virtual_board.weather import Weather
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from training.control.comparison import Results, column
-from training.control.spread import mean_of
+from training.control.figures import mean_of
 
 Floats = NDArray[np.float64]
 DPI = 74  # the pictures lie in the repository

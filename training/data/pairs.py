@@ -1,13 +1,25 @@
-"""Training pairs out of runs: windows for the LSTM, transitions for the hybrids; never across two runs."""
+"""Training pairs of runs, never across two: windows for the LSTM, transitions for the hybrids; the scaler."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from edge.formats.run_file import RecordedRun
 from training.data.datasets import Split, split
+
+CONSTANT = 1e-6  # a standard deviation below this is no spread to divide by
+
+
+def scaler(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation of each column of `rows` [n, k], both [k]; 1 where a column is constant."""
+    exact = rows.double()  # or a constant column spreads by rounding
+    mean, deviation = exact.mean(dim=0), exact.std(dim=0, correction=0)
+    return mean, torch.where(deviation > CONSTANT, deviation, 1.0)
+
 
 Floats = NDArray[np.float64]
 INPUTS = ("temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")

@@ -58,10 +58,10 @@ def _read(kind: str, file: Path, twin_sha256: str = "") -> Predictor:
 
         return read_twin(file)
     if kind == "lstm":
-        from edge.models.lstm import read_lstm
+        from edge.models.onnx_predictor import read_lstm
 
         return read_lstm(file)
-    from edge.models.ham import read_ham
+    from edge.models.onnx_predictor import read_ham
 
     return read_ham(file, twin_sha256)
 

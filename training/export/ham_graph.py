@@ -1,11 +1,78 @@
-"""The hybrid's whole rollout as one graph: its step, as torch exports it, in a Scan over the steps."""
+"""The hybrid's whole rollout as one graph: its step, as torch exports it, in a Scan over the steps.
+
+The part of a step that depends on its inputs alone is computed once for all steps.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from onnx import GraphProto, ModelProto
+import onnx
+from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper
 
-from training.export.onnx_graph import Graph, real
-from training.export.onnx_invariant import DividedStep, divide
+from training.export.onnx_graph import Graph, read_names, real
 from training.export.onnx_step import HAM_FEATURES, Hybrid, ham_start, single_step
+
+
+@dataclass(frozen=True, slots=True)
+class DividedStep:
+    """A step in two: `before`, from the inputs to `values`; `after`, from state and those to the result."""
+
+    before: ModelProto
+    after: ModelProto
+    values: tuple[ValueInfoProto, ...]
+
+
+def divide(step: ModelProto, state: str) -> DividedStep:
+    """Divide a step into the part that needs `state` and the part that is known beforehand."""
+    graph = onnx.shape_inference.infer_shapes(step).graph
+    inputs = [value for value in graph.input if value.name != state]
+    names = {value.name for value in inputs}
+    early = _dependents(graph.node, names) - _dependents(graph.node, {state})
+    known = {
+        value.name: value
+        for value in (*graph.value_info, *inputs)
+        if value.name in early and value.type.tensor_type.elem_type == TensorProto.FLOAT
+    }
+    after = _needed_nodes(graph.node, {graph.output[0].name}, {state, *known})
+    read = read_names(after)
+    values = tuple(value for name, value in known.items() if name in read)
+    before = _needed_nodes(graph.node, {value.name for value in values}, names)
+    carried = [value for value in graph.input if value.name == state]
+    return DividedStep(
+        before=_part(step, before, inputs, values),
+        after=_part(step, after, [*carried, *values], graph.output),
+        values=values,
+    )
+
+
+def _dependents(nodes: Iterable[NodeProto], values: set[str]) -> set[str]:
+    """Return these values and all that is computed from them."""
+    found = set(values)
+    for node in nodes:
+        if read_names([node]) & found:
+            found |= set(node.output)
+    return found
+
+
+def _needed_nodes(nodes: Sequence[NodeProto], wanted: set[str], given: set[str]) -> list[NodeProto]:
+    """Return the nodes that lead from the given to the wanted values."""
+    missing, found = wanted - given, []
+    for node in reversed(nodes):
+        if missing.intersection(node.output):
+            missing |= read_names([node]) - given
+            found.append(node)
+    return found[::-1]
+
+
+def _part(
+    step: ModelProto,
+    nodes: Sequence[NodeProto],
+    inputs: Sequence[ValueInfoProto],
+    outputs: Sequence[ValueInfoProto],
+) -> ModelProto:
+    graph = helper.make_graph(nodes, "part", inputs, outputs, step.graph.initializer)
+    return helper.make_model(graph, opset_imports=step.opset_import, ir_version=step.ir_version)
 
 
 def ham_rollout(network: Hybrid, window: int) -> ModelProto:

@@ -20,9 +20,7 @@ from edge.core.predictor import Predictor
 from edge.formats.atomic_file import write_atomically
 from edge.formats.run_file import RecordedRun, inside_names
 from edge.models import contract
-from edge.models.ham import read_ham
-from edge.models.lstm import read_lstm
-from edge.models.onnx_predictor import OnnxPredictor
+from edge.models.onnx_predictor import OnnxPredictor, read_ham, read_lstm
 from edge.models.validity import box_of
 from edge.twin.model import BoxTwin
 from training.data.datasets import training_runs

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from training.llm_stand_in import MODEL
-from training.llm_stand_in.agent import Turn, answers, calls, reply, says
-from training.llm_stand_in.prompt import results
+from training.llm_stand_in.agent import Turn, answers, calls, reply, results, says
 
 Body = Mapping[str, Any]
 SLOW_S = 1.5  # answers come so late

@@ -21,8 +21,7 @@ from torch import Tensor, nn
 
 from edge.formats.run_file import RecordedRun
 from edge.twin.geometry import Geometry
-from training.data.pairs import Transitions, split_all, transitions
-from training.data.scaler import scaler
+from training.data.pairs import Transitions, scaler, split_all, transitions
 from training.models.fit_network import Pairs, Progress, fit, make_deterministic
 
 HIDDEN = 64

@@ -20,8 +20,7 @@ from torch import Tensor, nn
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
 from training.data.datasets import Split
-from training.data.pairs import split_all, stretches
-from training.data.scaler import scaler
+from training.data.pairs import scaler, split_all, stretches
 from training.models.fit_network import Pairs, Progress, fit, make_deterministic
 from training.models.ham import DROPOUT, HIDDEN, source_network
 from training.models.twin_step import TwinStep

@@ -10,8 +10,7 @@ from torch import Tensor, nn
 
 from edge.formats.run_file import RecordedRun
 from training.data.datasets import Split
-from training.data.pairs import split_all, windows
-from training.data.scaler import scaler
+from training.data.pairs import scaler, split_all, windows
 from training.models.fit_network import Pairs, Progress, fit, make_deterministic
 
 WINDOW = 10

@@ -150,7 +150,7 @@ def _add_gap(sub: argparse.ArgumentParser) -> None:
 
 def _gap(arguments: argparse.Namespace) -> int:
     """the same policies in their model and on the virtual rig, with and without randomised parameters"""
-    from training.rl.gap_table import gap_table, hashes
+    from training.rl.gap import gap_table, hashes
     from training.rl.read_model import read_model
 
     groups = [

@@ -18,10 +18,10 @@ from edge.core.errors import GreenhouseError
 from edge.models.onnx_policy import OnnxPolicy, read_policy
 from training.data.datasets import training_runs
 from training.rl.command import POLICIES
-from training.rl.observations import recorded_observations
+from training.rl.episodes import recorded_observations
 from training.rl.read_model import REGIME
 from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE
-from training.rl.train import greedy
+from training.rl.study import greedy
 from training.rl.weights import load_q_network
 
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from edge.assistant.llm.budget import Budget
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.interrupt import Interrupt
-from edge.assistant.llm.line import HttpResponse, Post, post
+from edge.assistant.llm.line import HttpResponse, Interrupt, Post, post
 from edge.assistant.llm.wire import (
     Chat,
     Dialect,

@@ -1,13 +1,54 @@
-"""One POST to a server that may be slow, endless or hostile: a total deadline and a size limit."""
+"""One POST to a server that may be slow, endless or hostile: a deadline, a size limit, and an interrupt."""
 
 import socket
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.interrupt import Interrupt
+
+
+class Interrupt:
+    """Fired once, for good. Sockets that are held here are shut down, so that no read outlasts it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._fired = threading.Event()
+        self._sockets: list[socket.socket] = []
+
+    @property
+    def fired(self) -> bool:
+        """True when the work must end."""
+        return self._fired.is_set()
+
+    def fire(self) -> None:
+        """From any thread."""
+        with self._lock:
+            self._fired.set()
+            for held in self._sockets:
+                with suppress(OSError):  # not connected any more
+                    held.shutdown(socket.SHUT_RDWR)
+
+    def hold(self, connection: socket.socket) -> None:
+        """Shut `connection` down when fired; a second descriptor of it is kept, which TLS does not wrap."""
+        with self._lock:
+            self._sockets.append(connection.dup())
+        if self.fired:
+            self.fire()
+
+    def wait(self, seconds: float) -> bool:
+        """Pause; return True early when interrupted."""
+        return self._fired.wait(seconds)
+
+    def let_go(self) -> None:
+        """Close what was held."""
+        with self._lock:
+            for held in self._sockets:
+                held.close()
+            self._sockets.clear()
+
 
 SIZE_MAX = 1 << 20  # of a reply [bytes]
 PIECE = 1 << 14

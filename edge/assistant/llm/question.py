@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.interrupt import Interrupt
+from edge.assistant.llm.line import Interrupt
 
 T = TypeVar("T")
 END_S = 2.0  # how long the end of a thread is waited for; one that hangs is a daemon thread

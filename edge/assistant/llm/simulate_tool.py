@@ -11,7 +11,7 @@ from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.wire import ToolSpec
 from edge.controllers.mpc import pad
-from edge.controllers.plan_rollouts import ahead_with_offset, forecast
+from edge.controllers.rollout_search import ahead_with_offset, forecast
 from edge.core.controller import Context, Floats
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor

@@ -1,19 +1,167 @@
-"""The history for a language model: one SELECT over the read views, answered with what it covers."""
+"""The history for a language model: one guarded SELECT over the read views, and how much of it is covered."""
 
 import math
+import re
 import sqlite3
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-from edge.assistant.llm.coverage import UNITS, coverage
 from edge.assistant.llm.ledger import ToolError
-from edge.assistant.llm.sql_guard import open_guarded, refusal
 from edge.assistant.llm.wire import ToolSpec
 from edge.core.names import SIGNALS
 from edge.formats.reader import DocumentError, read
+from edge.storage.schema_version import VIEWS
+
+FUNCTIONS = frozenset(
+    (
+        *("abs", "avg", "coalesce", "count", "date", "datetime", "ifnull", "iif", "julianday", "length"),
+        *("like", "lower", "max", "min", "nullif", "round", "sign", "strftime", "substr", "sum", "time"),
+        *("total", "unixepoch", "upper", "json_extract", "json_each", "lag", "lead", "row_number"),
+    )
+)
+DEADLINE_S = 1.0
+STEPS_PER_LOOK = 1000  # of SQLite's machine, between two looks at the clock
+LENGTH_MAX = 1 << 18  # of a text or a row [bytes]
+BUSY_S = 0.2
+_LIMITS = {
+    sqlite3.SQLITE_LIMIT_LENGTH: LENGTH_MAX,
+    sqlite3.SQLITE_LIMIT_SQL_LENGTH: 8000,
+    sqlite3.SQLITE_LIMIT_COLUMN: 100,
+    sqlite3.SQLITE_LIMIT_EXPR_DEPTH: 50,
+    sqlite3.SQLITE_LIMIT_COMPOUND_SELECT: 10,
+    sqlite3.SQLITE_LIMIT_ATTACHED: 0,
+    sqlite3.SQLITE_LIMIT_LIKE_PATTERN_LENGTH: 200,
+    sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH: 0,
+    sqlite3.SQLITE_LIMIT_WORKER_THREADS: 0,
+}
+_WITH = re.compile(r"\bwith\b", re.IGNORECASE)
+
+
+def open_guarded(path: Path) -> sqlite3.Connection:
+    """For one statement of a stranger and no more. Errors: sqlite3.Error"""
+    place = f"file:{quote(str(path.absolute()))}?mode=ro"
+    connection = sqlite3.connect(place, uri=True, timeout=BUSY_S, isolation_level=None)
+    try:
+        connection.execute("PRAGMA query_only = ON")
+        connection.execute("SELECT count(*) FROM v_ticks WHERE seq < 0")  # the schema is read, and is ours
+        for limit, value in _LIMITS.items():
+            connection.setlimit(limit, value)
+        connection.set_authorizer(_Authorizer())
+        end_s = time.monotonic() + DEADLINE_S
+        connection.set_progress_handler(lambda: time.monotonic() > end_s, STEPS_PER_LOOK)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def refusal(statement: str) -> str:
+    """Why a statement is not even tried, "" where it may be."""
+    if "\0" in statement:
+        return "a NUL in the statement"
+    return "WITH is not allowed: write a subquery" if _WITH.search(statement) else ""
+
+
+class _Authorizer:
+    """Asked by SQLite while it prepares a statement; whatever is not on a list is denied."""
+
+    def __init__(self) -> None:
+        self._view_read = False
+
+    def __call__(
+        self, action: int, first: str | None, second: str | None, database: str | None, view: str | None
+    ) -> int:
+        if action == sqlite3.SQLITE_SELECT:
+            return sqlite3.SQLITE_OK
+        if action == sqlite3.SQLITE_FUNCTION:
+            return _permission(second is not None and second.lower() in FUNCTIONS)
+        if action == sqlite3.SQLITE_READ:
+            return _permission(self._may_read(first, second, view))
+        return sqlite3.SQLITE_DENY
+
+    def _may_read(self, table: str | None, column: str | None, view: str | None) -> bool:
+        if table in VIEWS or view in VIEWS:
+            self._view_read = True
+            return True
+        # No column: the rows of a view's table are counted, which is told of after the view.
+        return column == "" and self._view_read
+
+
+def _permission(condition: bool) -> int:
+    return sqlite3.SQLITE_OK if condition else sqlite3.SQLITE_DENY
+
+
+UNITS = {  # by the ending of a column's name
+    "_c": "degC",
+    "_k": "K",
+    "_pct": "%",
+    "_ppm": "ppm",
+    "_s": "s",
+    "utc": "s since 1970",
+    "_min": "min",
+    "_duty": "0 to 1",
+    "_on": "0 or 1",
+}
+_TIMES = ("utc", "start_utc", "hour_utc")
+
+
+def coverage(
+    history: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]], truncated: bool, utc: float
+) -> dict[str, Any]:
+    """Return the coverage of the rows found, and of the whole record that was searched.
+
+    truncated : there were more rows than are shown
+    Errors : sqlite3.Error
+    """
+    with closing(open_guarded(history)) as connection:
+        # Three queries: each of them alone is answered by an index.
+        count, first, last = (
+            connection.execute(f"SELECT {value} FROM v_ticks").fetchone()[0]
+            for value in ("count(*)", "min(utc)", "max(utc)")
+        )
+        span = _span(columns, rows) or (first, last)
+        gaps = 0
+        if None not in span:
+            found = connection.execute("SELECT count(*) FROM v_gaps WHERE utc BETWEEN ? AND ?", span)
+            gaps = int(found.fetchone()[0])
+    return {
+        "rows": len(rows),
+        "truncated": truncated,
+        "first_utc": span[0],
+        "last_utc": span[1],
+        "gaps": gaps,
+        "recorded_ticks": count,
+        "newest_tick_age_s": None if last is None else round(utc - last, 1),
+        "units": {column: unit for column in columns if (unit := _unit(column))},
+        "note": _note(len(rows), count, truncated),
+    }
+
+
+def _note(rows: int, recorded: int, truncated: bool) -> str:
+    if not recorded:
+        return "nothing has been recorded yet"
+    if not rows:
+        return "no row matches; that is not the same as nothing recorded, see recorded_ticks"
+    return "there are more rows than these" if truncated else "these are all rows that match"
+
+
+def _span(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> tuple[float, float] | None:
+    """Return the time span of the rows, if they have times."""
+    place = next((columns.index(name) for name in _TIMES if name in columns), None)
+    if place is None:
+        return None
+    times = [row[place] for row in rows if isinstance(row[place], int | float)]
+    return (min(times), max(times)) if times else None
+
+
+def _unit(column: str) -> str:
+    return next((unit for ending, unit in UNITS.items() if column.endswith(ending)), "")
+
 
 NAME = "sql"
 ROWS_MAX = 200

@@ -1,5 +1,5 @@
-"""Answer of a language model to an operator's request: its form, and
-the check that makes a Steering of it.
+"""An operator's request as the language model answers it: the question, the form of the answer, the check
+that makes a Steering of the answer.
 """
 
 from collections.abc import Mapping
@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Annotated, Any
 
+from edge.assistant.llm.answer import read_object
+from edge.assistant.llm.language_model import LanguageModel
+from edge.assistant.llm.wire import Schema
 from edge.config.settings import ReferenceSettings
 from edge.core.errors import RequestError
 from edge.core.plain_text import plain
@@ -140,3 +143,12 @@ def _seconds(clock: str) -> float:
     """Convert "HH:MM" to seconds since midnight."""
     hours, minutes = clock.split(":")
     return 3600.0 * int(hours) + 60.0 * int(minutes)
+
+
+ANSWER_S = 120.0  # nobody waits for it but the operator
+
+
+def settings_from(model: LanguageModel, messages: list[dict[str, str]]) -> Mapping[str, Any]:
+    """Return the object in the model's answer. Errors: LlmFailure"""
+    reply = model.endpoint.chat(messages, schema=Schema("settings", SCHEMA), deadline_s=ANSWER_S)
+    return read_object(reply.content)

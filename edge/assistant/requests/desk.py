@@ -6,15 +6,14 @@ forgotten.
 """
 
 import json
+import secrets
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from edge.assistant.requests.answer import understood
-from edge.assistant.requests.prediction import predict_day
-from edge.assistant.requests.proposal_id import new_id
-from edge.assistant.requests.words import describe
+from edge.assistant.requests.prediction import describe, predict_day
 from edge.config.settings import LightingSettings, Settings
 from edge.core.errors import GreenhouseError, RequestError
 from edge.core.plain_text import plain, quote
@@ -24,6 +23,15 @@ from edge.tick.orders import NoKeys, read_request
 from edge.tick.reference import seconds_of_day, zone_of
 from edge.tick.steering import HOURS_MAX, WORDS_MAX, Steering
 from edge.twin.model import BoxTwin
+
+_BYTES = 3
+PROPOSAL_ID = f"[0-9a-f]{{{2 * _BYTES}}}"  # a regular expression
+
+
+def new_id() -> str:
+    """Return a new id."""
+    return secrets.token_hex(_BYTES)
+
 
 _SYSTEM = """\
 You turn what the operator of a small greenhouse wants into settings. You cannot act: the operator reads the

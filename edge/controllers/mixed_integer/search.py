@@ -11,13 +11,58 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Plan, PlanningProblem
-from edge.controllers.mixed_integer.tangent import Tangent
+from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT, Plan, PlanningProblem, lower_toeplitz
 from edge.core.names import HEATER_LEVELS
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tangent:
+    """Cost to go from step k >= constant[k, fan, hold] + slope[k:] @ (free response from step k on).
+
+    slope : [N + M] [1/K]
+    constant : [N + 1, 2, H], by the fan's state before step k and the steps its relay must still hold
+    """
+
+    slope: Floats
+    constant: Floats
+
+
+def tangent(problem: PlanningProblem, temps: Floats) -> Tangent:
+    """Return the bound from the tangent at `temps` [N + M] [°C]."""
+    slope = problem.tracking_slope(temps)
+    n = problem.horizon
+    heater = slope @ lower_toeplitz(problem.heater, n)  # what duty 1 at step k adds to all later steps
+    fan = slope @ lower_toeplitz(problem.fan, n)
+    duty = np.arange(problem.heater_levels + 1) / HEATER_LEVELS
+    heater_least = (problem.heater_weight * duty**2 + heater[:, None] * duty).min(axis=1)
+    intercept = problem.tracking(temps) - slope * temps
+    intercept[:n] += heater_least
+    return Tangent(slope, _constants(problem, intercept, problem.fan_weight + fan))
+
+
+def _constants(problem: PlanningProblem, intercept: Floats, fan_cost: Floats) -> Floats:
+    """Sum of `intercept` from each step on, plus the cheapest fan plan the relay allows, by recursion."""
+    n, rules = problem.horizon, problem.fan_rules
+    constant = np.full((n + 1, 2, rules.holds), intercept[n:].sum())
+    if rules.holds == 1:
+        constant[:n] += np.cumsum((intercept[:n] + np.minimum(fan_cost, 0.0))[::-1])[::-1, None, None]
+        return constant
+    shorter = np.maximum(np.arange(rules.holds) - 1, 0)
+    for k in range(n - 1, -1, -1):
+        later = constant[k + 1]
+        cost = np.array([0.0, fan_cost[k]])
+        stay = later[:, shorter] + cost[:, None]
+        switched_on = later[1, rules.min_on - 1] + cost[1]
+        switched_off = later[0, rules.min_off - 1] + cost[0]
+        stay[:, 0] = np.minimum(stay[:, 0], [switched_on, switched_off])
+        constant[k] = intercept[k] + stay
+    return constant
+
 
 Ints = NDArray[np.int64]
 
-Floats = NDArray[np.float64]
 
 # A node is compared with so many on either side, sorted by mean free response: the more nodes, the more pay.
 _NEIGHBOURS_MIN, _NEIGHBOURS_MAX, _NODES_PER_NEIGHBOUR = 4, 32, 16

@@ -6,12 +6,17 @@ from numpy.typing import NDArray
 from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.experiment.advice import calibrate_first, swung
 from edge.diagnosis.experiment.experiment import PlannedExperiment, ProfileRow, Sides
-from edge.diagnosis.experiment.families import candidates
-from edge.diagnosis.experiment.improve import SAME_NATS, ExperimentScores, cool, evaluate, improve
-from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.experiment.families import (
+    SAME_NATS,
+    ExperimentScores,
+    candidates,
+    cool,
+    evaluate,
+    improve,
+)
 from edge.diagnosis.experiment.rivals import RivalPair, Rivals, open_rivals
 from edge.diagnosis.experiment.separation import Separation, separation
-from edge.diagnosis.experiment.sequence import SequenceInputs
+from edge.diagnosis.experiment.sequence import ExperimentLimits, SequenceInputs
 from edge.diagnosis.experiment.surroundings import surroundings
 from edge.diagnosis.search import RIVAL_NATS
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from edge.diagnosis.locate.heat_filter import Steps, filter_heat
 from edge.diagnosis.locate.residual_heat import ResidualHeat, likeliest, residual_heat
 from edge.diagnosis.locate.whitening import pulses, white
+from edge.twin.fit import free_run
 from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
-from edge.twin.output_error import free_run
 from edge.twin.run_batch import RunBatch
 
 Floats = NDArray[np.float64]

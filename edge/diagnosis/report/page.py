@@ -1,20 +1,32 @@
-"""The page: one HTML file that needs nothing beside it."""
+"""The report of a diagnosis: report.html, one file that needs nothing beside it, and diagnosis.json."""
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from edge.diagnosis.diagnosis_document import DiagnosisDocument
+from edge.diagnosis.diagnosis_document import DiagnosisDocument, GapErrors, RegimeEntry, Role, RunErrors, When
+from edge.diagnosis.diagnosis_file import FILE_NAME, write_json
 from edge.diagnosis.report.cause_sections import remainder_section, rivals, search_section, what
-from edge.diagnosis.report.gap_sections import gap_table, run_table, tiles
-from edge.diagnosis.report.markup import TableColumn, bullets, command, fold, paragraph, table, terms
-from edge.diagnosis.report.number_text import duration, nats, number, odds
-from edge.diagnosis.report.page_style import STYLE
+from edge.diagnosis.report.markup import (
+    STYLE,
+    Bar,
+    TableColumn,
+    bullets,
+    command,
+    fold,
+    paragraph,
+    table,
+    terms,
+    tile,
+)
+from edge.diagnosis.report.number_text import DASH, duration, kelvin, nats, number, odds, percent, plus_minus
 from edge.diagnosis.report.picture import Picture
-from edge.diagnosis.report.where_sections import where_tables
+from edge.diagnosis.report.pictures import pictures
+from edge.diagnosis.report.story import Story
 from edge.diagnosis.report.wording import (
+    ROLES,
     cautions,
     gap_sentence,
     gloss,
@@ -24,7 +36,153 @@ from edge.diagnosis.report.wording import (
     meaning,
     new_twin,
     predicting,
+    rmse_k,
+    scored_role,
+    shrink,
+    where_findings,
 )
+from edge.formats.atomic_file import write_atomically
+
+REGIMES = 10
+OPEN_FINDINGS = 3  # more are folded
+
+
+def where_tables(document: DiagnosisDocument) -> Iterator[str]:
+    """Yield findings, regimes and events."""
+    # The first few stand open: a long list would hide them.
+    if found := where_findings(document):
+        yield bullets(found[:OPEN_FINDINGS])
+    if more := found[OPEN_FINDINGS:]:
+        yield from fold(f"{len(more)} more", [bullets(more)])
+    if document["regimes"]:
+        yield from _regimes(document["regimes"][:REGIMES])
+    else:
+        yield paragraph("No regime has clearly more of the error than its share of the rows.", "soft")
+    if events := document.get("events"):
+        columns = (
+            TableColumn("event", words=True),
+            TableColumn("run", words=True),
+            *map(TableColumn, ("from", "for", "heat [W]")),
+        )
+        rows = [
+            (
+                event["kind"],
+                event["run"],
+                duration(event["from_s"]),
+                duration(event["to_s"] - event["from_s"]),
+                number(event["heat_w"]),
+            )
+            for event in events
+        ]
+        yield from table(columns, rows)
+
+
+def _regimes(regimes: list[RegimeEntry]) -> Iterator[str]:
+    columns = [
+        TableColumn("where", words=True),
+        TableColumn("share of squared error", words=True),
+        TableColumn("heat [W]"),
+    ]
+    further = {
+        "heat_after_w": "heat after [W]",
+        "rmse_k": "RMSE before [K]",
+        "rmse_after_k": "RMSE after [K]",
+    }
+    # A column that no row has a value for says nothing and costs a phone's width.
+    known = [key for key in further if any(regime.get(key) is not None for regime in regimes)]
+    rows: list[tuple[str | Bar, ...]] = [
+        (
+            regime["where"],
+            Bar(regime["share_of_squared_error"], percent(regime["share_of_squared_error"])),
+            plus_minus(regime["heat_w"], regime["heat_w_se"]),
+            *(_further(regime, key) for key in known),
+        )
+        for regime in regimes
+    ]
+    yield from table([*columns, *(TableColumn(further[key]) for key in known)], rows)
+    yield paragraph(
+        "Heat: what the box gains beyond the twin, with its standard error; below 0 the twin gains too much.",
+        "soft",
+    )
+
+
+def _further(regime: Mapping[str, Any], key: str) -> str:
+    if key == "heat_after_w":
+        error = regime.get("heat_after_w_se")
+        return plus_minus(regime.get(key), error) if error else number(regime.get(key), 2)
+    return kelvin(regime.get(key))
+
+
+OPEN_RUNS = 8  # a longer table of runs is folded
+
+
+def tiles(document: DiagnosisDocument) -> Iterator[str]:
+    """Yield the gap at a glance."""
+    role, floor = scored_role(document), document["gap"]["noise_floor"][scored_role(document)]
+    where = "held out" if role == "test" else "on the training runs"
+    yield '<div class="tiles">'
+    for when, text in _sides(document).items():
+        yield tile(
+            f"{kelvin(rmse_k(document, when, role))} K", f"error{text}, {where}", when if text else "after"
+        )
+    if floor is not None:
+        yield tile(f"{kelvin(floor)} K", "noise floor: what a perfect twin leaves")
+    if is_changed(document) and (closed := shrink(document, role)) is not None:
+        yield tile(percent(closed), "of the gap closed")
+    yield "</div>"
+
+
+def gap_table(document: DiagnosisDocument) -> Iterator[str]:
+    """Errors of free runs, all together."""
+    yield paragraph(
+        "Free runs: the twin is given the inputs and the first temperature, and no other. Held-out test runs"
+        " had no part in any fit or choice."
+    )
+    further = [TableColumn("noise floor [K]"), *([TableColumn("closed")] if is_changed(document) else [])]
+    rows = [_role_row(document, role) for role in ROLES]
+    yield from table([TableColumn("", words=True), *_errors(document), *further], rows)
+    if document["gap"]["before"]["test"] is None:
+        yield paragraph("No temperatures of a test run were given to compare with.", "soft")
+
+
+def run_table(document: DiagnosisDocument) -> Iterator[str]:
+    """Errors of free runs, run by run."""
+    runs = [row for role in ROLES for row in _run_rows(document, role)]
+    lines = table([TableColumn("run", words=True), TableColumn("role", words=True), *_errors(document)], runs)
+    yield from lines if len(runs) <= OPEN_RUNS else fold(f"Run by run ({len(runs)} runs)", lines)
+
+
+def _errors(document: DiagnosisDocument) -> list[TableColumn]:
+    return [
+        TableColumn(f"{error}{text} [K]") for error in ("RMSE", "MAE") for text in _sides(document).values()
+    ]
+
+
+def _sides(document: DiagnosisDocument) -> dict[When, str]:
+    """Return the sides of the gap and their words; only `before` where nothing was added."""
+    return {"before": " before", "after": " after"} if is_changed(document) else {"before": ""}
+
+
+def _role_row(document: DiagnosisDocument, role: Role) -> list[str]:
+    sides = [document["gap"][when][role] for when in _sides(document)]
+    closed = [percent(shrink(document, role))] if is_changed(document) else []
+    return [ROLES[role], *_cells(sides), kelvin(document["gap"]["noise_floor"][role]), *closed]
+
+
+def _run_rows(document: DiagnosisDocument, role: Role) -> list[list[str]]:
+    """Return a row per run, the largest error first."""
+    gaps = [document["gap"][when][role] for when in _sides(document)]
+    sides = [gap["per_run"] if gap else {} for gap in gaps]
+    word = "training" if role == "train" else "held out"
+    names = sorted(sides[0], key=lambda name: -(sides[0][name]["rmse_k"] or 0.0))
+    return [[name, word, *_cells([side.get(name) for side in sides])] for name in names]
+
+
+def _cells(sides: Sequence[RunErrors | GapErrors | None]) -> list[str]:
+    """Return the RMSE of each side, then the MAE."""
+    keys: tuple[Literal["rmse_k", "mae_k"], ...] = ("rmse_k", "mae_k")
+    return [kelvin(side[key]) if side else DASH for key in keys for side in sides]
+
 
 NO_PICTURES = (
     "No pictures: they need matplotlib. Install it with `pip install matplotlib` and diagnose again."
@@ -159,3 +317,17 @@ def _plain(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
     return ", ".join(map(_plain, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+PAGE_NAME = "report.html"
+
+
+def write_report(folder: Path, story: Story) -> None:
+    """Write both into `folder`, made where it is not there; without matplotlib the page has no pictures.
+
+    Errors : DataError where the diagnosis is not as its schema says; OSError
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / FILE_NAME, story.document)
+    text = page(story.document, pictures(story), str(folder))
+    write_atomically(folder / PAGE_NAME, text.encode(errors="backslashreplace"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from edge.__main__ import main
-from edge.app.config_check import problems
+from edge.commands.check_config import problems
 from edge.config import loading as config
 
 MQTT = "mqtt: {{enabled: true, username: rig, tls: true, "

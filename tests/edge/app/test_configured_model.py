@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge.__main__ import main
-from edge.app.configured_model import configured_model
+from edge.app.active_models import configured_model
 from edge.app.daemon import Daemon
 from edge.config import loading as config
 from edge.config.settings import ControlSettings

@@ -13,16 +13,16 @@ import pytest
 from test_nightly_diagnosis import Night
 
 from bench.support.broker import wait_for
-from edge.app import diagnosis_request
-from edge.app.diagnosis_request import ANSWER, LATE, REQUEST, NoUnit, ask, serve
+from edge.app import nightly_diagnosis
+from edge.app.nightly_diagnosis import ANSWER, LATE, REQUEST, NoUnit, ask, serve
 
 HERE = Path(__file__).parents[3]
 
 
 @pytest.fixture(autouse=True)
 def short_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(diagnosis_request, "LOOK_S", 0.02)
-    monkeypatch.setattr(diagnosis_request, "START_MAX_S", 5.0)
+    monkeypatch.setattr(nightly_diagnosis, "LOOK_S", 0.02)
+    monkeypatch.setattr(nightly_diagnosis, "START_MAX_S", 5.0)
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def test_an_old_answer_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
 
 
 def test_without_the_unit_the_failure_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(diagnosis_request, "START_MAX_S", 0.1)
+    monkeypatch.setattr(nightly_diagnosis, "START_MAX_S", 0.1)
     with pytest.raises(NoUnit, match=r"greenhouse-diagnosis\.path is not active"):
         ask(tmp_path / "requests", ["twin"], tmp_path / "log.txt", 1.0, lambda: False)
     assert not (tmp_path / "requests").exists()  # no request is left for a unit that is enabled later
@@ -98,7 +98,7 @@ def test_the_command_ends_with_the_daemon(tmp_path: Path, way: str) -> None:
         thread.start()
         wait_for(lambda: pid_file.exists() and pid_file.read_text())
         if way == "kill":
-            diagnosis_request.shutil.rmtree(folder)
+            nightly_diagnosis.shutil.rmtree(folder)
         over.set()
         thread.join(10.0)
         wait_for(lambda: not is_alive(int(pid_file.read_text())))
@@ -119,7 +119,7 @@ def test_the_unit_is_started_as_a_program(tmp_path: Path) -> None:
 
     def start_unit() -> bool:
         if not started and (folder / REQUEST).exists():
-            command = [sys.executable, "-m", "edge.app.diagnosis_request", str(folder)]
+            command = [sys.executable, "-m", "edge.app.nightly_diagnosis", str(folder)]
             started.append(subprocess.Popen(command, cwd=HERE))
         return False
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 from loop_rig import LoopRig
 
-from edge.app.display import LineDisplay, make_display, tick_line
-from edge.app.live_page import chart_rows, forecast_facts, page
+from edge.app.display import LineDisplay, chart_rows, forecast_facts, make_display, page, tick_line
 from edge.app.outlet import Outlet
 from edge.core.messages import (
     Change,

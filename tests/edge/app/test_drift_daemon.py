@@ -13,7 +13,7 @@ from bench.drift_box import with_fan
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from edge.app import daemon
 from edge.app.nightly_diagnosis import NightlyDiagnosis
-from edge.bundle.orders import carry_out
+from edge.bundle.keeper import carry_out
 from edge.bundle.predictors import loader
 from edge.bundle.sign import sign_folder
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore

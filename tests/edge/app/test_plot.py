@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from history_records import START_UTC, eventful_tick, store, tick
 
-from edge.app import plot
+from edge.commands import plot
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event, Severity
 from edge.formats.run_file import RecordedRun

@@ -15,7 +15,7 @@ import pytest
 from bench.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
 from bench.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import VirtualBoard, virtual_board
-from edge.tick.order_words import in_words
+from edge.tick.orders import in_words
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

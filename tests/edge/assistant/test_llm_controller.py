@@ -13,12 +13,11 @@ from edge.app import controllers as registry
 from edge.assistant.llm.claims import Claim
 from edge.assistant.llm.controller import LlmController
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.language_model import LanguageModel
+from edge.assistant.llm.line import Interrupt
 from edge.assistant.llm.proposal import Architecture, ModelProposal
 from edge.config.settings import ControlSettings
-from edge.core.controller import Context
-from edge.core.controller_names import LLM
+from edge.core.controller import LLM, Context
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Decision
 from edge.models.arx_file import read_arx

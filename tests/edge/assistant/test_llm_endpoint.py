@@ -12,8 +12,7 @@ from llm_parts import KEY, ScriptedLine, document, endpoint, ok, says
 
 from edge.assistant.llm.endpoint import retry_after_s
 from edge.assistant.llm.failure import KINDS, LlmFailure
-from edge.assistant.llm.interrupt import Interrupt
-from edge.assistant.llm.line import HttpResponse
+from edge.assistant.llm.line import HttpResponse, Interrupt
 from edge.assistant.llm.wire import Schema, ToolSpec, Usage, read_document, read_reply, read_usage
 
 HELLO = [{"role": "user", "content": "hello"}]

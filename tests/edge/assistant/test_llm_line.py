@@ -12,9 +12,8 @@ import pytest
 from certificates import make_certificates
 
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.interrupt import Interrupt
 from edge.assistant.llm.language_model import open_line
-from edge.assistant.llm.line import post
+from edge.assistant.llm.line import Interrupt, post
 from edge.config.settings import LlmSettings
 from edge.core.errors import ConfigError
 from training.llm_stand_in.server import StandIn

@@ -10,7 +10,7 @@ import pytest
 
 from bench.llm_closed_loop import YAML, RunRemains, run
 from edge.storage.file import connect
-from training.llm_stand_in.prompt import results
+from training.llm_stand_in.agent import results
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow

@@ -6,10 +6,9 @@ import pytest
 from contexts import context
 
 from edge.assistant.llm.prompts import EXACTLY, SPARE, question, system_prompt
-from edge.core.controller import ControlLimits, Penalty
-from edge.core.controller_names import LLM
+from edge.core.controller import LLM, ControlLimits, Penalty
 from edge.core.messages import Command
-from training.llm_stand_in.prompt import read_prompt
+from training.llm_stand_in.agent import read_prompt
 
 HERE = context(temp=24.04, reference=26.0, last_sent=Command(0.45, True), limits=ControlLimits(0.62, 3))
 

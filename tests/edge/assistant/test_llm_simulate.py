@@ -14,7 +14,7 @@ from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
 from edge.controllers.mpc import pad
 from edge.core.messages import Command
-from edge.forecasts.rollout import ahead_of
+from edge.forecasts.scorer import ahead_of
 from edge.models.arx_file import read_arx
 
 ARX = read_arx()

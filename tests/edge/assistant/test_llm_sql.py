@@ -1,4 +1,4 @@
-"""llm/sql_guard.py, sql_tool.py, coverage.py: a stranger's SELECT reads the views and nothing else."""
+"""llm/sql_tool.py: a stranger's SELECT reads the views and nothing else."""
 
 import json
 import re
@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.assistant.llm.ledger import ToolError
-from edge.assistant.llm.sql_guard import open_guarded, refusal
-from edge.assistant.llm.sql_tool import ANSWER_MAX, ROWS_MAX, SqlTool
+from edge.assistant.llm.sql_tool import ANSWER_MAX, ROWS_MAX, SqlTool, open_guarded, refusal
 from edge.storage.file import connect
 from edge.storage.schema_version import VIEWS
 

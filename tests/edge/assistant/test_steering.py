@@ -12,9 +12,14 @@ from hypothesis import strategies as st
 
 from edge.assistant.requests.answer import SCHEMA, understood
 from edge.assistant.requests.desk import messages
-from edge.assistant.requests.effect import DayStart, PlannerGoal, coming_day
-from edge.assistant.requests.prediction import predict_day
-from edge.assistant.requests.words import describe, effect_table
+from edge.assistant.requests.prediction import (
+    DayStart,
+    PlannerGoal,
+    coming_day,
+    describe,
+    effect_table,
+    predict_day,
+)
 from edge.config import loading as config
 from edge.config.settings import ReferenceSettings
 from edge.core.controller import ControlLimits
@@ -24,8 +29,7 @@ from edge.models.arx_file import DEFAULT_PATH
 from edge.models.pbm import read_twin
 from edge.tick import steering as steerings
 from edge.tick.reference import Reference
-from edge.tick.steering import DailyTarget, FanRest, Steering, problem
-from edge.tick.steering_at_work import limit, reference_of, steer
+from edge.tick.steering import DailyTarget, FanRest, Steering, limit, problem, reference_of, steer
 
 pytestmark = pytest.mark.slow
 

@@ -8,9 +8,7 @@ import pytest
 from history_records import START_UTC, eventful_tick, store, tick
 
 from edge.__main__ import main
-from edge.assistant.why.ask_history import why
-from edge.assistant.why.explain import explain
-from edge.assistant.why.reasons import reasons
+from edge.assistant.why.ask_history import explain, reasons, why
 from edge.core.errors import DataError
 from edge.core.messages import Change, Command, Decision, TickRecord
 

@@ -342,11 +342,11 @@ def test_a_twin_that_is_not_the_manifests_is_refused(workshop: Workshop) -> None
 
 
 def test_the_hybrid_is_held_to_the_bundles_twin(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
-    """edge/models/ham.py refuses another twin than its own; it must be told the one that is in the bundle."""
+    """edge/models/onnx_predictor.py refuses another twin than its own; it must get that of the bundle."""
     asked = []
-    stand_in = ModuleType("edge.models.ham")
+    stand_in = ModuleType("edge.models.onnx_predictor")
     stand_in.read_ham = lambda path, twin_sha256: asked.append((path.name, twin_sha256)) or Pbm()
-    monkeypatch.setitem(sys.modules, "edge.models.ham", stand_in)
+    monkeypatch.setitem(sys.modules, "edge.models.onnx_predictor", stand_in)
     folder = workshop.models("hybrid")
     (folder / "ham.onnx").write_bytes(b"a graph")
     manifest = sign_folder(folder, FACTS, workshop.key)

@@ -10,16 +10,14 @@ from bundles import Workshop, install, load_nothing, make_store
 from bench.attack.bundles import ENDLESS, GREEDY, KINDS, run
 from bench.support.broker import wait_for
 from edge.__main__ import main
-from edge.bundle.admission import release
 from edge.bundle.archive import open_archive
 from edge.bundle.check import read_checked
-from edge.bundle.keeper import BundleKeeper
+from edge.bundle.keeper import BundleKeeper, carry_out
 from edge.bundle.manifest import PACKAGED
-from edge.bundle.orders import carry_out
 from edge.bundle.predictors import loader
 from edge.bundle.proof import ProofLimits, Prover
 from edge.bundle.sign import ManifestFacts, build_bundle
-from edge.bundle.store import PACKAGED_FOLDER, BundleStore
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore, release
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
 

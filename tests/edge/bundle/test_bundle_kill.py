@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 from bundles import Workshop, install, load_nothing
 
+from edge.bundle.keeper import carry_out, choose
 from edge.bundle.manifest import PACKAGED
-from edge.bundle.orders import carry_out
-from edge.bundle.serving import choose
 from edge.bundle.store import BundleStore
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")]
@@ -26,8 +25,8 @@ from pathlib import Path
 import cryptography  # signatures are checked in this process then: a pipe to another is no call of the store
 sys.path[:0] = [{tests!r}]
 from bundles import install, load_nothing
-from edge.bundle.orders import carry_out
-from edge.bundle.serving import choose
+from edge.bundle.keeper import carry_out
+from edge.bundle.keeper import choose
 from edge.bundle.store import BundleStore
 
 folder, kind, children = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])

@@ -1,4 +1,4 @@
-"""edge/bundle/store.py, roles.py, serving.py: what is installed, what is active, what serves."""
+"""edge/bundle/store.py, roles.py, keeper.py: what is installed, what is active, what serves."""
 
 import json
 import shutil
@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 from bundles import Workshop, install, make_store
 
+from edge.bundle.keeper import carry_out, choose
 from edge.bundle.manifest import PACKAGED, Manifest
-from edge.bundle.orders import carry_out
 from edge.bundle.roles import Roles, activate, add_shadow, marked_good, reject_shadow, rolled_back
-from edge.bundle.serving import choose
 from edge.bundle.store import BundleStore
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor

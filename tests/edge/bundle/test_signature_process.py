@@ -1,4 +1,4 @@
-"""edge/bundle/signature_process.py: the daemon checks signatures without loading the library for it."""
+"""edge/bundle/signature.py: the daemon checks signatures without loading the library for it."""
 
 import shutil
 import subprocess

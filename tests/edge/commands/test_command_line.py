@@ -12,8 +12,7 @@ import pytest
 from loop_rig import LoopRig
 
 from edge.__main__ import COMMANDS, GROUPS, main, parser_for
-from edge.commands.orders import ORDERS
-from edge.commands.status_text import status_lines
+from edge.commands.orders import ORDERS, status_lines
 from edge.core.version import __version__
 from edge.tick.status import status_json
 

@@ -11,8 +11,8 @@ from history_records import store, tick
 from training_runs import BOX, box_run
 
 from edge.__main__ import main
-from edge.commands.stretch import moment
-from edge.commands.twin_data import add_data_arguments, diagnosis_runs_of
+from edge.commands.arguments import moment
+from edge.commands.twin_diagnose import add_data_arguments, diagnosis_runs_of
 from edge.commands.twin_simulate import START_ROWS, errors, simulate
 from edge.core.errors import DataError, RequestError
 from edge.formats.run_file import RecordedRun, read_run, write_run

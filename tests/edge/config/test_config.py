@@ -1,4 +1,4 @@
-"""edge/config/loading.py, settings.py, config_schema.py, strict_yaml.py and the example file."""
+"""edge/config/loading.py, settings.py, formats/parsing.py and the example file."""
 
 import dataclasses
 import math

@@ -9,13 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mixed_integer_problems import every_plan, problems, true_optimum
 
-from edge.controllers.mixed_integer.descent import descend
-from edge.controllers.mixed_integer.polish import polish
+from edge.controllers.mixed_integer.polish import descend, polish
 from edge.controllers.mixed_integer.problem import FanRules, Plan, PlanningProblem, lower_toeplitz
-from edge.controllers.mixed_integer.relaxation import relaxed_temperatures
-from edge.controllers.mixed_integer.search import search, undominated_nodes
-from edge.controllers.mixed_integer.solver import solve
-from edge.controllers.mixed_integer.tangent import tangent
+from edge.controllers.mixed_integer.search import search, tangent, undominated_nodes
+from edge.controllers.mixed_integer.solver import relaxed_temperatures, solve
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.core.errors import DataError
 

@@ -10,8 +10,7 @@ from contexts import context
 from edge.app.controllers import ControllerParts, make
 from edge.config.settings import ControlSettings
 from edge.controllers.mpc import Mpc, MpcSettings
-from edge.core.controller import ControlLimits, Penalty
-from edge.core.controller_names import MPC, RULES
+from edge.core.controller import MPC, RULES, ControlLimits, Penalty
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.models.arx_file import read_arx
@@ -186,7 +185,7 @@ def test_an_mpc_decides_without_scipy():
         "from contexts import context\n"
         "from edge.app.controllers import ControllerParts, make\n"
         "from edge.models.arx_file import read_arx\n"
-        "from edge.core.controller_names import MPC\n"
+        "from edge.core.controller import MPC\n"
         "from edge.config.settings import ControlSettings\n"
         "made = {name: make(name, ControllerParts(ControlSettings(), read_arx())) for name in MPC}\n"
         "made['MPC-P'].decide(context())\n"

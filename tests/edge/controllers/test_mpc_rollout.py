@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.mpc import Mpc, MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
-from edge.controllers.plan_rollouts import plan_rollouts
-from edge.controllers.rollout_search import Meter, RolloutSearch
+from edge.controllers.rollout_search import Meter, RolloutSearch, plan_rollouts
 from edge.core.controller import Context, ControlLimits
 from edge.core.errors import DataError
 from edge.core.messages import Command

@@ -5,8 +5,8 @@ from contexts import context
 
 from edge.controllers.rules import Rules
 from edge.core.controller import ControlLimits
-from edge.core.heater_levels import levels_allowed
 from edge.core.messages import Command
+from edge.core.names import levels_allowed
 
 HEATING, COOLING, WAITING = Command(heater_duty=1.0), Command(fan_on=True), Command()
 STEP = 1e-6  # the reference is 26: heat on below 25.5, off above 26.5; fan on above 27.5, off below 26

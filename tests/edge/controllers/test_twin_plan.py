@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
+from edge.controllers.mpc_twin import StepInputs, begin, correct_belief, move_belief
 from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _cheapest, _Children, search
-from edge.controllers.twin_plan.belief import StepInputs, begin, correct_belief, move_belief
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import read_twin

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from edge.core.messages import EVENT_TEXT_MAX, Event, Severity
 from edge.core.plain_text import plain, quote, storable
-from edge.formats.strict_json import parse_object
+from edge.formats.parsing import parse_object
 from edge.formats.tick_json import json_value
 
 pytestmark = pytest.mark.slow

@@ -17,18 +17,16 @@ from diagnosis_examples import STORIES, named_story, nothing_story, unknown_stor
 
 from edge.core.errors import DataError
 from edge.diagnosis.progress import Stage, TerminalProgress
-from edge.diagnosis.report.gap_picture import error_axis
-from edge.diagnosis.report.heat_variables import explained_share, variables
+from edge.diagnosis.report.heat_picture import explained_share, variables
 from edge.diagnosis.report.markup import paragraph
 from edge.diagnosis.report.number_text import duration, kelvin, nats, number, odds, percent, plus_minus
+from edge.diagnosis.report.page import write_report
 from edge.diagnosis.report.picture import new_figure
-from edge.diagnosis.report.pictures import pictures, told_runs
-from edge.diagnosis.report.report import write_report
+from edge.diagnosis.report.pictures import autocorrelation, error_axis, pictures, told_runs
 from edge.diagnosis.report.residual_picture import residual_limits
 from edge.diagnosis.report.run_picture import limits
 from edge.diagnosis.report.story import Story, Trace, worst_stretch
 from edge.diagnosis.report.summary import summary_text
-from edge.diagnosis.report.whiteness_picture import autocorrelation
 from edge.diagnosis.report.wording import (
     gap_sentence,
     headline,
@@ -245,7 +243,7 @@ def test_without_matplotlib_the_page_says_how_to_get_pictures(
 
 
 def test_matplotlib_is_not_there_until_a_picture_is_drawn() -> None:
-    program = "import sys, edge.diagnosis.report.report; print('matplotlib' in sys.modules)"
+    program = "import sys, edge.diagnosis.report.page; print('matplotlib' in sys.modules)"
     out = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
     )

@@ -13,12 +13,19 @@ from training_runs import box_run
 from edge.core.errors import DataError
 from edge.core.messages import Command, Echo, Reading, ReadingQuality
 from edge.diagnosis.history_runs import history_runs
-from edge.diagnosis.pieces import GAP_S, LONGEST_S, WHOLE_S, pieces
-from edge.diagnosis.runs import PIECE_ROWS, USABLE_ROWS, DiagnosisRuns, read_runs
+from edge.diagnosis.runs import (
+    GAP_S,
+    LONGEST_S,
+    PIECE_ROWS,
+    USABLE_ROWS,
+    WHOLE_S,
+    DiagnosisRuns,
+    pieces,
+    read_runs,
+)
 from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write_run
 from edge.storage import Storage
-from edge.storage.runs import name_run
-from edge.storage.stretches import export_stretches
+from edge.storage.runs import export_stretches, name_run
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 

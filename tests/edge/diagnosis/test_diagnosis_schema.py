@@ -13,12 +13,12 @@ from diagnosis_examples import STORIES, named_story
 from jsonschema import Draft202012Validator
 
 from edge.core.errors import DataError
-from edge.diagnosis import diagnosis_schema
+from edge.diagnosis import diagnosis_file
 from edge.diagnosis.diagnosis_document import RequiredAnswer
 from edge.diagnosis.diagnosis_file import check_diagnosis, write_json
 
 ALWAYS = list(RequiredAnswer.__annotations__)
-VALIDATOR = Draft202012Validator(diagnosis_schema.schema())
+VALIDATOR = Draft202012Validator(diagnosis_file.schema())
 UNDERSTOOD = {  # keywords of JSON Schema that check_diagnosis heeds, or that say nothing
     "type", "enum", "properties", "required", "additionalProperties", "items", "minimum", "minLength",
     "$schema", "title", "description",
@@ -52,16 +52,16 @@ def rules(rule: Any) -> Iterator[dict[str, Any]]:
 
 
 def test_the_schema_file_is_the_one_the_code_writes() -> None:
-    kept = Path(diagnosis_schema.__file__).with_name("diagnosis.schema.json").read_text(encoding="utf-8")
-    assert kept == diagnosis_schema.document()
+    kept = Path(diagnosis_file.__file__).with_name("diagnosis.schema.json").read_text(encoding="utf-8")
+    assert kept == diagnosis_file.document()
 
 
 def test_the_schema_is_one() -> None:
-    Draft202012Validator.check_schema(diagnosis_schema.schema())
+    Draft202012Validator.check_schema(diagnosis_file.schema())
 
 
 def test_the_check_understands_every_keyword_of_the_schema() -> None:
-    assert {key for rule in rules(diagnosis_schema.schema()) for key in rule} <= UNDERSTOOD
+    assert {key for rule in rules(diagnosis_file.schema()) for key in rule} <= UNDERSTOOD
 
 
 @pytest.mark.parametrize("name", STORIES)

@@ -31,12 +31,10 @@ from edge.diagnosis.experiment.advice import calibrate_first
 from edge.diagnosis.experiment.design import _sides, design_experiment
 from edge.diagnosis.experiment.document import PROFILE, experiment_document, write_profile
 from edge.diagnosis.experiment.experiment import PlannedExperiment
-from edge.diagnosis.experiment.families import candidates
-from edge.diagnosis.experiment.improve import cool
-from edge.diagnosis.experiment.limits import ExperimentLimits
+from edge.diagnosis.experiment.families import candidates, cool
 from edge.diagnosis.experiment.rivals import RivalPair, Rivals
 from edge.diagnosis.experiment.separation import separation
-from edge.diagnosis.experiment.sequence import SequencePart, inputs_of
+from edge.diagnosis.experiment.sequence import ExperimentLimits, SequencePart, inputs_of
 from edge.diagnosis.experiment.surroundings import surroundings
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.trial import Trial

@@ -12,9 +12,8 @@ from bench.support.simulated_runs import BOX, NOISE, Effects, Floats, change_run
 from edge.diagnosis.fitting import fit, slopes
 from edge.diagnosis.noise_levels import find_levels
 from edge.diagnosis.nuisances import rooms
-from edge.diagnosis.starts import with_effect
 from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
-from edge.diagnosis.unknowns import path_priors, place_unknowns, unknowns
+from edge.diagnosis.unknowns import path_priors, place_unknowns, unknowns, with_effect
 from edge.diagnosis.verdict import intervals
 from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS

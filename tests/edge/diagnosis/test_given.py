@@ -1,4 +1,4 @@
-"""edge/diagnosis/prepare.py, readings.py, room.py and nuisances.py: runs made ready to be explained."""
+"""edge/diagnosis/prepare.py, readings.py and nuisances.py: runs made ready to be explained."""
 
 from dataclasses import replace
 
@@ -18,9 +18,8 @@ from bench.support.simulated_runs import (
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.gap import errors, forecast
 from edge.diagnosis.nuisances import CURVATURE_SD, USUAL_LOSS_W_K, still_loss_w_k
-from edge.diagnosis.prepare import PreparedRuns, prepare, with_rooms
+from edge.diagnosis.prepare import WAYS, PreparedRuns, between, over_rows, prepare, smooth, with_rooms
 from edge.diagnosis.readings import spikes
-from edge.diagnosis.room import WAYS, between, over_rows, smooth
 from edge.diagnosis.trial import Trial
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin

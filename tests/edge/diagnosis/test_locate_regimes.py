@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from locate_runs import BASE, located, made
 
-from edge.diagnosis.locate.conditions import conditions
-from edge.diagnosis.locate.regimes import DisagreementRegime, regimes
+from edge.diagnosis.locate.regimes import DisagreementRegime, conditions, regimes
 from edge.diagnosis.locate.rows import rows_of
-from edge.diagnosis.locate.sentences import findings, percent, regime_sentence, with_error
 from edge.diagnosis.locate.stretches import stretches
+from edge.diagnosis.location import findings, percent, regime_sentence, with_error
 
 
 def test_a_right_twin_has_no_regime_and_says_so():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from locate_runs import BASE, located, made, whiteness_of
 
-from edge.diagnosis.locate.whiteness import together, whiteness
+from edge.diagnosis.location import together, whiteness
 
 
 def holes(values, rng):

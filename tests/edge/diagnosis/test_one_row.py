@@ -19,9 +19,9 @@ from edge.core.errors import DataError
 from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.cannot_tell import cannot_tell
-from edge.diagnosis.experiment.independent import calibration, checks
+from edge.diagnosis.experiment.advice import calibration, checks
 from edge.diagnosis.prepare import prepare
-from edge.diagnosis.starts import with_effect
+from edge.diagnosis.unknowns import with_effect
 from edge.twin.effects.effect import BlindRuns, Effect, EffectParameter, HiddenBy
 from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS, add_effect
 from edge.twin.fit import fit_twin

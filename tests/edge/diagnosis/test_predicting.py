@@ -8,10 +8,19 @@ import pytest
 from bench.support.simulated_runs import BOX, as_diagnosis_runs, silent, simulate, twin_file
 from edge.diagnosis.baselines import arx_errors, arx_weights, simple_twins
 from edge.diagnosis.diagnose import Diagnosis, diagnose
-from edge.diagnosis.folds import FIRST_ROWS, block_sums, folds, halves
-from edge.diagnosis.free_fit import another, apart, fit_values, free_errors, left_out_errors, together
-from edge.diagnosis.handover import JudgedTwin, against_adopting
-from edge.diagnosis.possible import impossible
+from edge.diagnosis.free_fit import (
+    FIRST_ROWS,
+    another,
+    apart,
+    block_sums,
+    fit_values,
+    folds,
+    free_errors,
+    halves,
+    left_out_errors,
+    together,
+)
+from edge.diagnosis.handover import JudgedTwin, against_adopting, impossible
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.standing import discover
 from edge.formats.run_file import RecordedRun

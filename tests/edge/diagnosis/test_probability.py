@@ -1,10 +1,10 @@
-"""edge/diagnosis/probability.py: how sure a name is, and bench/calibrate.py, which learns it."""
+"""edge/diagnosis/verdict.py: how sure a name is, and bench/calibrate.py, which learns it."""
 
 import numpy as np
 import pytest
 
 from bench.calibrate import fit_curve
-from edge.diagnosis.probability import MOST_SURE, evidence, probability
+from edge.diagnosis.verdict import MOST_SURE, evidence, probability
 
 
 def sure(nats: float = 30.0, with_k: float = 0.1, without_k: float = 0.5) -> float:

@@ -108,10 +108,10 @@ class Misled(Search):
     __slots__ = ()
     OFFERED = ("infiltration", "sensor_lag", "")
 
-    def _grown(self, beside: ScoredSet) -> list[ScoredSet]:
+    def _grow(self, beside: ScoredSet) -> list[ScoredSet]:
         turn = len(self.rounds)
         if turn >= len(self.OFFERED):
-            return Search._grown(self, beside)
+            return Search._grow(self, beside)
         self.rounds.append(Round(beside.added, ()))
         return self._looked_at(
             beside, [x for x in self.screening.beside(beside) if x.name == self.OFFERED[turn]]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bench.support.simulated_runs import BOX, search_over, simulate
-from edge.core.processors import processors
+from edge.core.processes import processors
 from edge.diagnosis.side_by_side import AT_ONCE, SideBySide
 
 pytestmark = pytest.mark.slow

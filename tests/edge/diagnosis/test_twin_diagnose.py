@@ -15,8 +15,7 @@ from jsonschema import Draft202012Validator
 from bench.support.simulated_runs import BOX, Effects, change_run, simulate, twin_file
 from edge.__main__ import main
 from edge.diagnosis import candidates
-from edge.diagnosis.diagnosis_file import check_diagnosis
-from edge.diagnosis.diagnosis_schema import schema
+from edge.diagnosis.diagnosis_file import check_diagnosis, schema
 from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write_run
 from edge.models.pbm import read_twin
 from edge.twin.effects.library import USUAL_EFFECTS

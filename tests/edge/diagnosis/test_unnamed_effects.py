@@ -1,4 +1,4 @@
-"""edge/twin/effects/formulas.py: bounded heat without a name, and what it is for."""
+"""edge/twin/effects/library.py: bounded heat without a name, and what it is for."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,7 @@ from edge.diagnosis.handover import OPEN, JudgedTwin, free_values
 from edge.diagnosis.judgement import _is_moved
 from edge.diagnosis.trial import FittedTwin, Trial
 from edge.diagnosis.unknowns import UnknownValue
-from edge.twin.effects.formulas import UNNAMED_EFFECTS
-from edge.twin.effects.library import EFFECTS
+from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.value import Value

@@ -11,9 +11,8 @@ from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.formulas import shapes
 from edge.diagnosis.search import RIVAL_NATS
-from edge.diagnosis.starts import with_effect
 from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
-from edge.diagnosis.unknowns import unknowns
+from edge.diagnosis.unknowns import unknowns, with_effect
 from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
@@ -41,7 +40,7 @@ class FinishedSearch:
     def missing(self) -> ScoredSet:
         return self.best
 
-    def unnamed(self) -> ScoredSet:
+    def formulas_alone(self) -> ScoredSet:
         assert self.vague is not None
         return self.vague
 
@@ -165,7 +164,7 @@ def errors_that_follow(share: float) -> np.ndarray:
 )
 def test_a_name_that_leaves_errors_which_follow_from_each_other_is_none(share: float, kind: str) -> None:
     best = scored("infiltration")
-    best = replace(best, fitted=replace(best.fit, innovations=errors_that_follow(share)))
+    best = replace(best, fit=replace(best.fit, innovations=errors_that_follow(share)))
     vague = scored("~t (T - T_amb)", score=50.0)
     said = read(FinishedSearch(best, vague=vague))
     assert said.kind == kind
@@ -176,7 +175,7 @@ def test_a_name_that_leaves_errors_which_follow_from_each_other_is_none(share: f
 def test_where_no_formula_explains_such_errors_either_it_depends_on_nothing_known() -> None:
     best = scored("infiltration")
     loud = errors_that_follow(0.8)
-    best, plain = (replace(item, fitted=replace(item.fit, innovations=loud)) for item in (best, scored()))
+    best, plain = (replace(item, fit=replace(item.fit, innovations=loud)) for item in (best, scored()))
     said = read(FinishedSearch(best, vague=plain))
     assert (said.kind, said.effects, said.depends_on) == ("unknown", (), ("none",))
 
@@ -185,7 +184,7 @@ def test_rows_that_were_not_measured_refute_nothing() -> None:
     best = scored("infiltration")
     holes = errors_that_follow(0.9)
     holes[0, ::2] = 0.0
-    found = FinishedSearch(replace(best, fitted=replace(best.fit, innovations=holes)))
+    found = FinishedSearch(replace(best, fit=replace(best.fit, innovations=holes)))
     assert read(found).kind == "named"
 
 
@@ -193,11 +192,11 @@ def test_values_beside_a_formula_are_those_of_the_twin_that_has_none() -> None:
     best = scored("~u fan", "infiltration")
     alone = scored("infiltration")
     there = replace(alone.fit, coordinates=alone.fit.coordinates + 0.5)
-    alone = replace(alone, fitted=there)
+    alone = replace(alone, fit=there)
     left = {frozenset({"infiltration"}): 90.0, frozenset({"~u fan"}): 10.0}
     said = read(FinishedSearch(best, left, alone={frozenset({"infiltration"}): alone}))
     assert said.effects[0].parameters == intervals(there, "infiltration")[0]
-    assert said.effects[0].parameters != intervals(best.fitted, "infiltration")[0]
+    assert said.effects[0].parameters != intervals(best.fit, "infiltration")[0]
 
 
 @pytest.mark.parametrize(("heat_w", "kind"), [(NOISE.heat_w, "nothing_missing"), (15.0, "unknown")])

@@ -5,8 +5,17 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
-from edge.forecasts.adaptive import RATE, WIDTH_MAX_K, WIDTH_MIN_K, track
-from edge.forecasts.conformal import Interval, Intervals, half_width, read_intervals, write_intervals
+from edge.forecasts.conformal import (
+    RATE,
+    WIDTH_MAX_K,
+    WIDTH_MIN_K,
+    Interval,
+    Intervals,
+    half_width,
+    read_intervals,
+    track,
+    write_intervals,
+)
 
 ROW = Interval("arx", "v1", 5, 0.25, 100, "interpolation")
 

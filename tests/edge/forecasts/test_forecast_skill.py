@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 from forecast_rig import STEP_S, RampPredictor
 
-from edge.bundle.rivals import rival_rows
+from edge.bundle.trial import rival_rows
 from edge.core.errors import DataError
 from edge.forecasts.conformal import Interval, Intervals
 from edge.forecasts.scorer import PERSISTENCE, ScoredForecast

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from forecast_rig import STEP_S, BrokenForecast, RampPredictor, columns
 
-from edge.bundle.rivals import rival_rows
+from edge.bundle.trial import rival_rows
 from edge.config.settings import EstimatorSettings
 from edge.core.messages import Command, Decision, Reading, ReadingQuality
 from edge.forecasts.conformal import Interval, Intervals

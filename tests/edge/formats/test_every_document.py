@@ -13,8 +13,7 @@ import policy_files
 import pytest
 import yaml
 
-from edge.app.diagnosis_request import UnitAnswer, UnitRequest
-from edge.app.nightly_diagnosis import Findings
+from edge.app.nightly_diagnosis import Findings, UnitAnswer, UnitRequest
 from edge.app.request_routes import WhyRequest
 from edge.assistant.llm import wire
 from edge.assistant.llm.answer import SaidControls, SimulatedControls, read_answer
@@ -25,11 +24,10 @@ from edge.assistant.llm.sql_tool import SqlArguments
 from edge.assistant.llm.wire import ChoicesDocument
 from edge.assistant.requests.answer import WishAnswer, understood
 from edge.assistant.requests.desk import ProposalRequest, WishRequest
-from edge.bundle.admission import Admission
 from edge.bundle.keeper import BundleRequest
 from edge.bundle.manifest import MANIFEST, TWIN, Manifest, parse_manifest
 from edge.bundle.roles import Roles
-from edge.bundle.store import PACKAGED_FOLDER
+from edge.bundle.store import PACKAGED_FOLDER, Admission
 from edge.commands.twin_adopt import ReportedTwin
 from edge.config import loading
 from edge.config.settings import Settings
@@ -38,7 +36,7 @@ from edge.controllers.external import Proposal
 from edge.core.errors import ConfigError, DataError, GreenhouseError, RequestError
 from edge.data_intake.mapping import MapDocument, Source, read_map
 from edge.drift.evidence import Evidence
-from edge.drift.memory import DriftMemory
+from edge.drift.monitor import DriftMemory
 from edge.forecasts.conformal import IntervalsDocument, read_intervals
 from edge.forecasts.skill import ErrorPair, SkillState
 from edge.formats.input_file import MemoryFile
@@ -339,15 +337,13 @@ PAST_THE_READER = {  # file -> why it may parse by itself
     "edge/board/sim_clock.py": "answers of the virtual board that this process started",
     "edge/bundle/proof.py": "the task that this process gives its own child",
     "edge/formats/reader.py": "the reader",
-    "edge/formats/strict_json.py": "the reader's JSON",
-    "edge/formats/strict_yaml.py": "the reader's YAML",
-    "edge/storage/forecast_rows.py": "rows of the database that this software wrote",
+    "edge/formats/parsing.py": "JSON and YAML of the reader",
+    "edge/storage/tick_rows.py": "rows of the database that this software wrote",
     "edge/storage/numbers.py": "128 bytes that the history overwrites in place",
     "edge/storage/runs.py": "rows of the database that this software wrote",
-    "edge/storage/tick_rows.py": "rows of the database that this software wrote",
     "firmware_protocol/gen_spec.py": "messages.yaml of this repository, read by the generators",
     "firmware_protocol/virtual_board/chamber_parameters.py": "imports nothing of edge",
-    "firmware_protocol/virtual_board/control.py": "imports nothing of edge",
+    "firmware_protocol/virtual_board/lockstep.py": "imports nothing of edge",
     "firmware_protocol/virtual_board/faults.py": "imports nothing of edge",
     "firmware_protocol/virtual_board/store.py": "imports nothing of edge",
 }

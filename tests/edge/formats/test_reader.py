@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.input_file import SMALL, YAML
+from edge.formats.parsing import DEPTH_MAX
 from edge.formats.reader import DocumentError, parse_json, parse_yaml, read, read_json, read_number, read_yaml
-from edge.formats.strict_json import DEPTH_MAX
 
 
 class Paint(Enum):

@@ -1,4 +1,4 @@
-"""edge/formats/strict_yaml.py: what a hostile or careless document may cost, and what its scalars mean."""
+"""edge/formats/parsing.py: what a hostile or careless document may cost, and what its scalars mean."""
 
 import time
 
@@ -7,8 +7,7 @@ import yaml
 
 from edge.config import loading as config
 from edge.core.errors import ConfigError
-from edge.formats.strict_json import DEPTH_MAX
-from edge.formats.strict_yaml import VALUES_MAX, parse_yaml
+from edge.formats.parsing import DEPTH_MAX, VALUES_MAX, parse_yaml
 
 pytestmark = pytest.mark.slow
 

@@ -12,8 +12,7 @@ from onnx_files import TWIN, document_of, graph_of, write_onnx
 
 from edge.core.errors import DataError
 from edge.models.contract import parse_contract
-from edge.models.ham import read_ham
-from edge.models.lstm import read_lstm
+from edge.models.onnx_predictor import read_ham, read_lstm
 from training.export.onnx_graph import Graph, real
 
 VALID = document_of("lstm")

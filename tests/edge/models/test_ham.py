@@ -8,8 +8,7 @@ from onnx_files import TWIN, WINDOWS, write_onnx
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats
-from edge.models.ham import KINDS, read_ham
-from edge.models.onnx_predictor import OnnxPredictor
+from edge.models.onnx_predictor import KINDS, OnnxPredictor, read_ham
 from edge.models.validity import outside_steps
 
 

@@ -11,8 +11,7 @@ from onnx_files import write_onnx
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats
-from edge.models.lstm import read_lstm
-from edge.models.onnx_predictor import BATCH, OnnxPredictor
+from edge.models.onnx_predictor import BATCH, OnnxPredictor, read_lstm
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +96,6 @@ def test_the_version_is_the_hash_of_the_file(tmp_path: Path) -> None:
 
 
 def test_onnxruntime_is_imported_only_to_read_a_file() -> None:
-    program = "import sys, edge.models.lstm, edge.models.ham; print('onnxruntime' in sys.modules)"
+    program = "import sys, edge.models.onnx_predictor; print('onnxruntime' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -6,10 +6,9 @@ import pytest
 from home_assistant import check_device, check_topic
 
 from bench.support.mqtt_rig import ROOT, ControlLoop, settings
-from edge.assistant.requests.desk import PendingRequest
-from edge.assistant.requests.proposal_id import new_id
+from edge.assistant.requests.desk import PendingRequest, new_id
 from edge.config.settings import ControlSettings, LlmSettings, ReferenceSettings, Settings
-from edge.core.controller_names import LLM
+from edge.core.controller import LLM
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.topics import Topics

@@ -6,7 +6,7 @@ import pytest
 from home_assistant import check_device
 
 from bench.support.mqtt_rig import ControlLoop, record, settings
-from edge.app.live_page import page
+from edge.app.display import page
 from edge.core.messages import Drift, DriftRow, DriftState
 from edge.mqtt import discovery, states
 from edge.mqtt.topics import Topics

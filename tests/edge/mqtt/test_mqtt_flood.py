@@ -15,7 +15,7 @@ from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.mqtt_rig import ROOT as TOPICS
 from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, settings
 from bench.support.virtual_board import virtual_board
-from edge.core.allowance import Allowance
+from edge.core.event_log import Allowance
 from edge.mqtt.telemetry import COMMANDS_WAITING_MAX, Telemetry
 
 pytestmark = pytest.mark.slow

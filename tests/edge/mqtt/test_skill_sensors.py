@@ -6,7 +6,7 @@ from home_assistant import check_device
 from bench.support.mqtt_rig import ControlLoop, record, settings
 from edge.core.messages import ForecastSkill
 from edge.mqtt import discovery, states
-from edge.mqtt.skill_sensors import PREDICTORS
+from edge.mqtt.discovery import PREDICTORS
 from edge.mqtt.topics import Topics
 
 CONFIGURED = settings()

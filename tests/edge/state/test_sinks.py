@@ -1,4 +1,4 @@
-"""edge/state/sinks.py: the forecasts' scores outlive a kill, but for the last hour."""
+"""edge/state/writer.py: the forecasts' scores outlive a kill, but for the last hour."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,8 +8,8 @@ from history_records import tick
 from edge.config.loading import default
 from edge.config.settings import Settings
 from edge.forecasts.skill import ErrorPair, SkillState
-from edge.state.sinks import SAVE_S, HourlySink
 from edge.state.store import SKILL, restore
+from edge.state.writer import SAVE_S, HourlySink
 
 KEY = ("ham", 3, "persistence")
 

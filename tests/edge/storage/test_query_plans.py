@@ -14,9 +14,8 @@ from edge.assistant.llm.sql_tool import SqlTool
 from edge.assistant.why.ask_history import why
 from edge.storage import Outbox, Session
 from edge.storage.archive import Archive
-from edge.storage.runs import events_between, export_run, name_run
+from edge.storage.runs import events_between, export_run, export_stretches, name_run
 from edge.storage.schema_version import VIEWS
-from edge.storage.stretches import export_stretches
 
 LARGE = ("ticks", "events", "readings", "decisions", "forecasts", "changes", "outbox")
 ALIASES = ("t", "f", "r", "d", "c")  # of the views, edge/storage/schema.py

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from history_records import HandClock, History, eventful_tick, store, tick
 
-from edge.storage import Storage, slice_check
-from edge.storage.file import FileFault, fault_of
-from edge.storage.slice_check import SliceCheck
+from edge.storage import Storage, file
+from edge.storage.file import FileFault, SliceCheck, fault_of
 
 TICKS = 300
 
@@ -53,7 +52,7 @@ def test_a_whole_file_passes_and_is_not_changed(path: Path) -> None:
 def test_a_slice_is_small_and_all_slices_together_are_the_file(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(slice_check, "SLICE_ROWS", 50)
+    monkeypatch.setattr(file, "SLICE_ROWS", 50)
     # 150 plain ticks have three readings, 150 eventful ones one; one more slice finds nothing left.
     assert check(path) == (150 * 3 + 150) // 50 + 1
 

@@ -1,9 +1,8 @@
-"""edge/tick/conditions.py: an event when a failure begins, one when it ends, none in between."""
+"""edge/tick/faults.py: an event when a failure begins, one when it ends, none in between."""
 
 import pytest
 
-from edge.tick.conditions import Conditions
-from edge.tick.faults import FAILURES
+from edge.tick.faults import FAILURES, Conditions
 
 
 def test_a_lasting_failure_is_told_twice() -> None:

@@ -1,11 +1,11 @@
-"""edge/tick/decision_thread.py: a controller may be slow, hang or raise; the loop gets an answer in time."""
+"""edge/tick/decider.py: a controller may be slow, hang or raise; the loop gets an answer in time."""
 
 import threading
 from typing import Any, cast
 
 from edge.core.controller import Context
 from edge.core.messages import Command, Decision
-from edge.tick.decision_thread import DecisionThread
+from edge.tick.decider import DecisionThread
 
 CONTEXT = cast(Context, None)  # these controllers don't look
 

@@ -1,11 +1,11 @@
-"""edge/tick/light.py: the photoperiod at its edges."""
+"""edge/tick/light_and_water.py: the photoperiod at its edges."""
 
 from datetime import time
 
 import pytest
 
 from edge.config.settings import LightingSettings
-from edge.tick.light import led_level
+from edge.tick.light_and_water import led_level
 
 DAY = LightingSettings(enabled=True, on=time(6), off=time(22), level=0.8)
 NIGHT = LightingSettings(enabled=True, on=time(22), off=time(6), level=0.8)

@@ -1,11 +1,10 @@
-"""edge/tick/order_words.py: what an operator ordered, in words that a person would use."""
+"""edge/tick/orders.py: what an operator ordered, in words that a person would use."""
 
 from typing import Any
 
 import pytest
 
-from edge.tick.order_words import in_words
-from edge.tick.orders import ORDERS
+from edge.tick.orders import ORDERS, in_words
 
 SAID = {
     "the mode was set to heat": {"do": "set_mode", "mode": "heat"},

@@ -1,4 +1,4 @@
-"""edge/tick/water.py: when a pulse is given, and above all when not."""
+"""edge/tick/light_and_water.py: when a pulse is given, and above all when not."""
 
 import math
 
@@ -6,7 +6,7 @@ import pytest
 
 from edge.config.settings import WateringSettings
 from edge.core.messages import Reading, ReadingQuality
-from edge.tick.water import Watering
+from edge.tick.light_and_water import Watering
 
 SETTINGS = WateringSettings(enabled=True, threshold=0.3, pulse_s=2.0, soak_s=600.0, daily_max_s=5.0)
 

@@ -1,10 +1,9 @@
-"""edge/twin/fan_speeds.py: what is interpolated is what each exponential is."""
+"""edge/twin/discretisation.py: what is interpolated is what each exponential is."""
 
 import numpy as np
 import pytest
 
-from edge.twin.discretisation import exponential
-from edge.twin.fan_speeds import MANY, exponentials
+from edge.twin.discretisation import MANY, exponential, exponentials
 
 LENGTHS = np.array([5.0, 5.0, 2.5, 1e-3])
 AIR_1_S = np.array([[-1.0, 0.0], [0.0, 0.0]])  # the fan at full speed changes the air within a second

@@ -7,8 +7,7 @@ import pytest
 
 from bench.support.simulated_runs import BOX, Effects, Floats
 from edge.core.errors import DataError
-from edge.twin.effects.formulas import UNNAMED_EFFECTS
-from edge.twin.effects.library import EFFECTS
+from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
 from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch

@@ -1,4 +1,4 @@
-"""edge/twin/scale.py: what is usual in a box as strong and as slow as this one."""
+"""edge/twin/geometry.py: what is usual in a box as strong and as slow as this one."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +11,8 @@ from edge.core.errors import DataError
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.runs import read_runs
 from edge.twin.effects.library import EFFECTS, build
-from edge.twin.geometry import Geometry
+from edge.twin.geometry import POWERS, Geometry, Scale, scale_of
 from edge.twin.model import BoxTwin
-from edge.twin.scale import POWERS, Scale, scale_of
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import twin_equations
 
-from edge.twin.effects.formulas import UNNAMED_EFFECTS
-from edge.twin.effects.library import EFFECTS
+from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
 from edge.twin.model import BoxTwin
 
 STEPS = 25

@@ -11,20 +11,25 @@ import requests
 from edge.core.errors import DataError
 from training.control import compare
 from training.control.compare import _endpoint, kept_section, pictures_of, run, section, text_of
-from training.control.comparison import RunResult, column, knowledge, ranking, regret, table
-from training.control.figures import DecisionTime, Figures
-from training.control.saved_figures import (
+from training.control.comparison import (
     FIGURES_FILE,
     TIMES_FILE,
+    RunResult,
     beside,
+    column,
     first_change,
     json_of,
+    knowledge,
+    ranking,
     read_results,
     read_times,
+    regret,
     results_of,
+    table,
     times_beside,
     times_json,
 )
+from training.control.figures import DecisionTime, Figures
 from training.llm_stand_in import MODEL as STAND_IN
 
 ZERO = Figures(*[0.0] * 16)

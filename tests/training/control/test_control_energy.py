@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from training.control.compare import OURS, at_most, energy_picture, energy_table, energy_tables
 from training.control.comparison import RunResult
-from training.control.energy import OURS, at_most, energy_picture, energy_table, energy_tables
 from training.control.figures import Figures
 
 ZERO = Figures(*[0.0] * 16)

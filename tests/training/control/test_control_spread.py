@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from training.control.spread import Mean, mean_of, ratio
+from training.control.figures import Mean, mean_of, ratio
 
 
 def test_the_interval_is_students():

@@ -16,7 +16,7 @@ from firmware_protocol.virtual_board.chamber_parameters import load
 from firmware_protocol.virtual_board.profiles.generate import SequencePlan
 from firmware_protocol.virtual_board.profiles.record import RecordedRow, record
 from training.evaluate import coverage, fresh_runs
-from training.evaluate.forecast_errors import errors_of, errors_of_run
+from training.evaluate.coverage import errors_of, errors_of_run
 
 ROWS = [RecordedRow(60 * k, 0.35, int(k > 3)) for k in range(6)]
 MINUTES = 70

@@ -175,10 +175,10 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> argparse.Namespace
     """The command over made-up figures."""
     figures = evaluation(found := all_scored())
     monkeypatch.setattr(command, "read_trained", lambda root: [])
-    monkeypatch.setattr(command, "scored", lambda trainings: found)
-    monkeypatch.setattr(command, "unexplained", lambda: list(figures.unexplained))
+    monkeypatch.setattr(command, "score_runs", lambda trainings: found)
+    monkeypatch.setattr(command, "unexplained_errors", lambda: list(figures.unexplained))
     monkeypatch.setattr(command, "bases", lambda: list(figures.bases))
-    monkeypatch.setattr(command, "swapped", lambda trainings, model: list(figures.swapped))
+    monkeypatch.setattr(command, "swap_models", lambda trainings, model: list(figures.swapped))
     monkeypatch.setattr(command, "by_excess", lambda trainings, model: list(figures.by_excess))
     monkeypatch.setattr(command, "costs", lambda trainings: costs())
     monkeypatch.setattr(command, "pictures_of", lambda found, cost: {"one": b"picture"})

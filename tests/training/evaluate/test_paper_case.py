@@ -23,19 +23,19 @@ from firmware_protocol.virtual_board.profiles.record import RecordedRow
 from training.data.datasets import data_sha256
 from training.data.datasets import test_run as run_of
 from training.evaluate import paper_case, paper_case_models
-from training.evaluate.paper_case import json_of, read_scores, waterfall_picture
-from training.evaluate.paper_case_chamber import Real, real_effects
+from training.evaluate.paper_case import json_of, read_scores, tables, text_of, waterfall, waterfall_picture
 from training.evaluate.paper_case_models import (
     HAM,
     HAM_GUARDED,
     TWIN,
     TWIN_HELD,
     ImprovedTwin,
+    Real,
     diagnose,
     forecasts,
     improved_twin,
+    real_effects,
 )
-from training.evaluate.paper_case_tables import tables, text_of, waterfall
 from training.evaluate.scores import TrainingScore, maes
 from training.models import ham_guarded
 from training.models.rollout import errors, free_run
@@ -273,7 +273,7 @@ def arguments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> argparse.Names
     found = case()
     new = [one for one in scores() if one.model in (TWIN, HAM, HAM_GUARDED)]
     monkeypatch.setattr(paper_case, "diagnose", lambda regime, folder: folder.mkdir())
-    monkeypatch.setattr(paper_case, "improved", lambda regime, folder: found[regime])
+    monkeypatch.setattr(paper_case, "improved_twin", lambda regime, folder: found[regime])
     monkeypatch.setattr(paper_case, "real_effects", lambda: CHAMBER)
     monkeypatch.setattr(
         paper_case, "forecasts", lambda twin, seeds, out: [s for s in new if s.regime == twin.regime]

@@ -15,8 +15,7 @@ from edge.core.errors import DataError
 from edge.core.predictor import Floats
 from edge.formats.run_file import RecordedRun
 from edge.models import contract
-from edge.models.lstm import read_lstm
-from edge.models.onnx_predictor import OnnxPredictor
+from edge.models.onnx_predictor import OnnxPredictor, read_lstm
 from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
 from training.data.datasets import EXTRAPOLATION_MAX_C

@@ -6,8 +6,8 @@ import onnxruntime
 from onnx import ModelProto
 
 from edge.core.predictor import Floats
+from training.export.ham_graph import divide
 from training.export.onnx_graph import Graph, real
-from training.export.onnx_invariant import divide
 
 
 def step_graph() -> ModelProto:

@@ -26,9 +26,9 @@ from training.rl.episodes import (
     draw_reference,
 )
 from training.rl.models import Window
-from training.rl.play import play
 from training.rl.read_model import KEPT, TRAINED, draw_twins, read_model
 from training.rl.reward import WEIGHTS, Weights, reward
+from training.rl.study import play
 from training.rl.vec_env import OBSERVATION_SPACE, BoxesVecEnv
 
 SHORT = EpisodeSettings(steps=12)

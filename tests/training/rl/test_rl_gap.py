@@ -10,7 +10,7 @@ from edge.controllers.rl import Rl
 from edge.core.errors import DataError
 from edge.models.onnx_policy import read_policy
 from edge.tick.reference import Reference
-from training.rl import gap, gap_table
+from training.rl import gap
 from training.rl.boxes import START_ROWS
 from training.rl.gap import LEAD_STEPS, STEPS, episode_of, gap_of
 from training.rl.read_model import read_model
@@ -73,9 +73,9 @@ def test_the_table_has_a_line_for_each_policy_and_one_for_all(tmp_path, monkeypa
         policy_file(folders[-1] / POLICY_FILE)
         record = {"variant": "RL-Off", "seed": seed, "policy": "abc", "command": "greenhouse-train rl"}
         (folders[-1] / RECORD_FILE).write_text(json.dumps(record))
-    monkeypatch.setattr(gap_table, "gap_of", lambda *_: gap.PolicyGap(0.4, 0.5, -0.8, -1.0))
+    monkeypatch.setattr(gap, "gap_of", lambda *_: gap.PolicyGap(0.4, 0.5, -0.8, -1.0))
     groups = [("as fitted", folders)]
-    lines = list(gap_table.gap_table(groups, read_model("pbm"), "greenhouse-train rl-gap"))
+    lines = list(gap.gap_table(groups, read_model("pbm"), "greenhouse-train rl-gap"))
     assert lines[0] == "# greenhouse-train rl-gap"
     assert [line.split()[:4] for line in lines[-3:]] == [
         ["RL-Off", "as", "fitted", "0"],
@@ -84,4 +84,4 @@ def test_the_table_has_a_line_for_each_policy_and_one_for_all(tmp_path, monkeypa
     ]
     assert "0.100" in lines[-2]
     assert "0.100 ± 0.000" in lines[-1]
-    assert len(list(gap_table.hashes(groups))) == 2
+    assert len(list(gap.hashes(groups))) == 2

@@ -23,10 +23,16 @@ from edge.models.policy_actions import ACTIONS, LEVELS
 from edge.models.policy_observation import FEATURES
 from edge.sockets.external_proposals import ExternalProposals
 from training.rl import checkpoint
-from training.rl.online import CHECKPOINT_FILE, DrivenReplayBuffer, OnlineJob, make_online_agent
+from training.rl.online import (
+    CHECKPOINT_FILE,
+    DrivenReplayBuffer,
+    OnlineJob,
+    RigGone,
+    SocketEnv,
+    make_online_agent,
+)
 from training.rl.reward import WEIGHTS
 from training.rl.settings import OnlineSettings
-from training.rl.socket_env import RigGone, SocketEnv
 from training.rl.vec_env import ACTION_SPACE, OBSERVATION_SPACE
 from training.rl.virtual_daemon import virtual_daemon
 

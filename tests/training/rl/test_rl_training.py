@@ -14,14 +14,13 @@ from edge.models.onnx_policy import read_policy
 from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
 from training.data.datasets import training_runs
+from training.rl.episodes import recorded_observations
 from training.rl.export import export, graph_of
-from training.rl.observations import recorded_observations
 from training.rl.parity import main as tell_parity
 from training.rl.parity import parity
 from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE, best_folder
 from training.rl.settings import DqnSettings
-from training.rl.study import PolicyJob, study, world_of
-from training.rl.train import greedy, train
+from training.rl.study import PolicyJob, greedy, study, train, world_of
 from training.rl.weights import load_q_network, save_q_network
 
 POLICIES = Path(__file__).parents[3] / "training" / "results" / "policies"
@@ -51,7 +50,7 @@ def test_the_same_seed_gives_the_same_policy_and_another_another(runs):
 
 def test_a_training_learns(runs):
     """In 8000 steps, to hold the box better than any one action does."""
-    from training.rl.play import play
+    from training.rl.study import play
 
     world = world_of("RL-Off", "pbm", runs)
     agent = train(world, 1, replace(SMALL, steps=8000, hidden=(64,), batch=128, updates=2))

@@ -1,9 +1,23 @@
-"""Soil-moisture watering: a pulse, then a pause to soak. The interlock is in edge/safety/supervisor.py."""
+"""Light by the local clock, and water by soil moisture: a pulse, then a pause to soak.
+
+The interlock of the valve is in edge/safety/supervisor.py.
+"""
 
 import math
 
-from edge.config.settings import WateringSettings
+from edge.config.settings import LightingSettings, WateringSettings
 from edge.core.messages import Reading, ReadingQuality
+
+
+def led_level(settings: LightingSettings, second_of_day: float) -> float:
+    """LED level for this time of day, 0..1. An `off` before `on` means a period over midnight."""
+    if not settings.enabled:
+        return 0.0
+    begin = settings.on.hour * 3600 + settings.on.minute * 60 + settings.on.second
+    end = settings.off.hour * 3600 + settings.off.minute * 60 + settings.off.second
+    lit = begin <= second_of_day < end if begin < end else not end <= second_of_day < begin
+    return settings.level if lit else 0.0
+
 
 DAY_S = 86400.0
 

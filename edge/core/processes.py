@@ -1,8 +1,13 @@
-"""Processes of this software that the daemon starts."""
+"""Processes of this software that the daemon starts, and the processors they share."""
 
 import os
 import sys
 from pathlib import Path
+
+
+def processors() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def environment() -> dict[str, str]:
