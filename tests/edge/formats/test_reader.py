@@ -1,4 +1,4 @@
-"""edge/formats: reader, cross_check, strict_json. Every class allows what it says, and errors look alike."""
+"""edge/formats: reader, cross_check, parsing. Every class allows what it says, and errors look alike."""
 
 import json
 import math

@@ -1,14 +1,15 @@
-"""edge/tick/orders.py: what a person may ask, and what it does to a command."""
+"""edge/tick/orders.py: what a person may ask, what it does to a command, and its words."""
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.tick import steering as steerings
-from edge.tick.orders import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, operate
+from edge.tick.orders import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, in_words, operate
 from edge.tick.orders_json import from_dict, to_dict
 from edge.tick.steering import DailyTarget, FanRest, Steering
 
@@ -181,3 +182,36 @@ def test_the_controller_none_is_the_configured_one():
     assert changed.controller == "MPC"
     with pytest.raises(RequestError):
         operate(changed, {"do": "set_controller"}, desk)
+
+
+# in words
+
+SAID = {
+    "the mode was set to heat": {"do": "set_mode", "mode": "heat"},
+    "the fan was set to on": {"do": "set_fan_mode", "fan_mode": "on"},
+    "the reference was set to 26 °C": {"do": "set_reference", "reference_c": 26.0},
+    "the reference follows the configuration again": {"do": "set_reference", "reference_c": None},
+    "the controller was set to PID": {"do": "set_controller", "name": "PID"},
+    "the controller follows the configuration again": {"do": "set_controller", "name": None},
+    "manual: heater 0.50, fan on, until the mode changes": {
+        "do": "set_manual",
+        "heater_duty": 0.5,
+        "fan_on": 1,
+    },
+    "emergency stop: everything is off until it is released": {"do": "emergency_stop"},
+    "the emergency stop was released": {"do": "release_emergency_stop"},
+    "maintenance: everything is off for 30 minutes": {"do": "maintenance", "minutes": 30.0},
+    "maintenance: everything is off for 1 minute": {"do": "maintenance", "minutes": 1.0},
+    "maintenance was ended": {"do": "maintenance", "minutes": 0.0},
+    "confirmed: 20 at night": {"do": "steer", "steering": {"words": "20 at night"}},
+    "what was confirmed last was undone": {"do": "undo"},
+}
+
+
+@pytest.mark.parametrize(("text", "request_"), SAID.items())
+def test_an_order_reads_as_a_sentence(text: str, request_: dict[str, Any]) -> None:
+    assert in_words(request_) == text
+
+
+def test_every_order_has_its_words() -> None:
+    assert {request["do"] for request in SAID.values()} == set(ORDERS)
