@@ -77,6 +77,13 @@ class NumberingDaemon:
         return [event.key for event in self.storage.events_pending()]
 
 
+def lived(path: Path, ticks: int = 1, boot_id: str = "") -> None:
+    """Leave a history of these ticks and a clean end."""
+    daemon = NumberingDaemon(path, boot_id)
+    daemon.tick(ticks)
+    daemon.end()
+
+
 def numbers(path: Path) -> tuple[set[int], set[int]]:
     """Stored, and in gaps."""
     with closing(sqlite3.connect(path)) as connection:
@@ -109,9 +116,7 @@ def fill(disk: Path) -> Path:
 @needs_mount
 def test_a_restart_on_a_full_disk_continues_the_numbers(small_disk: Path) -> None:
     path = small_disk / "history.db"
-    daemon = NumberingDaemon(path)
-    daemon.tick(15)
-    daemon.end()
+    lived(path, 15)
     ballast = fill(small_disk)
     daemon = NumberingDaemon(path)
     assert daemon.first == 16
@@ -126,9 +131,7 @@ def test_a_restart_on_a_full_disk_continues_the_numbers(small_disk: Path) -> Non
 @pytest.mark.parametrize("ticks", [3, 100])  # the latter more than wait for a disk
 def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Path, ticks: int) -> None:
     path = small_disk / "history.db"
-    daemon = NumberingDaemon(path)
-    daemon.tick(15)
-    daemon.end()
+    lived(path, 15)
     ballast = fill(small_disk)
     daemon = NumberingDaemon(path)
     for _ in range(ticks):
@@ -149,9 +152,7 @@ def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Pa
 
 def test_numbers_of_the_clock_are_followed_by_a_gap(path: Path) -> None:
     """A history of software without the numbers file, unreadable at the start."""
-    daemon = NumberingDaemon(path)
-    daemon.tick(3)
-    daemon.end()
+    lived(path, 3)
     Path(f"{path}-numbers").unlink()
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
@@ -167,9 +168,7 @@ def test_numbers_of_the_clock_are_followed_by_a_gap(path: Path) -> None:
 
 
 def test_a_history_that_is_locked_at_the_start_continues_its_numbers(path: Path) -> None:
-    daemon = NumberingDaemon(path)
-    daemon.tick(3)
-    daemon.end()
+    lived(path, 3)
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("BEGIN EXCLUSIVE")
@@ -190,9 +189,7 @@ def test_a_history_that_is_locked_at_the_start_continues_its_numbers(path: Path)
 @pytest.mark.parametrize("sessions_before", [0, 1])
 def test_a_damaged_log_gives_no_number_twice(path: Path, sessions_before: int, place: int) -> None:
     for _ in range(sessions_before):
-        daemon = NumberingDaemon(path, "boot")
-        daemon.tick(15)
-        daemon.end()
+        lived(path, 15, "boot")
     daemon = NumberingDaemon(path, "boot")
     daemon.tick(8)
     assert daemon.is_written()
@@ -235,9 +232,7 @@ def test_a_clean_end_leaves_no_gap(path: Path) -> None:
 
 
 def test_a_deleted_history_is_followed_by_one_with_later_numbers(path: Path) -> None:
-    daemon = NumberingDaemon(path)
-    daemon.tick(5)
-    daemon.end()
+    lived(path, 5)
     path.unlink()
     daemon = NumberingDaemon(path)
     assert daemon.first == 6
