@@ -49,6 +49,17 @@ def converted(greenhouse, path: Path, **changed: str):
     return read_run(out / f"{path.stem}_01.csv"), said
 
 
+def refusal(greenhouse, path: Path, *edit: str) -> str:
+    """What `convert` says when it refuses the mapping that `look` made, edited."""
+    place = path.parent / "map.yaml"
+    assert greenhouse("data", "look", path, "--map", place)[0] == 0
+    if edit:
+        place.write_text(place.read_text().replace(*edit))
+    code, _, error = greenhouse("data", "convert", path, "--map", place, "--out", path.parent / "runs")
+    assert code == 2
+    return error
+
+
 def german(times: list[str]) -> str:
     lines = ["Logger 3;;;", "Datum;T_in [°C];Heizung (%);T_room [°C]"]
     for text, (_, air, room, duty) in zip(times, ROWS, strict=True):
@@ -184,14 +195,9 @@ def test_a_repeated_time_is_told_and_its_first_row_counts(greenhouse, tmp_path: 
 
 def test_what_no_column_sounds_like_is_asked_for(greenhouse, tmp_path: Path) -> None:
     path = written(tmp_path, "time,foo,bar\n0,20,0\n10,21,1\n")
-    code, said, _ = greenhouse("data", "look", path, "--map", tmp_path / "map.yaml")
-    assert code == 0
+    said = greenhouse("data", "look", path, "--map", tmp_path / "map.yaml")[1]
     assert "columns.temp_air_c: no column sounds like it" in said
-    code, _, error = greenhouse(
-        "data", "convert", path, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs"
-    )
-    assert code == 2
-    assert "there is no column '?'" in error
+    assert "there is no column '?'" in refusal(greenhouse, path)
     named = {f"{name}: {{from: '?'": f"{name}: {{from: {own}" for name, own in ASKED.items()}
     run, _ = converted(greenhouse, path, **named)
     assert run.columns["temp_air_c"].tolist() == [20.0, 21.0]
@@ -208,11 +214,7 @@ def test_what_no_column_sounds_like_is_asked_for(greenhouse, tmp_path: Path) -> 
 def test_what_is_not_understood_is_refused_by_line_and_column(
     greenhouse, tmp_path: Path, text: str, message: str
 ) -> None:
-    path, place = written(tmp_path, text), tmp_path / "map.yaml"
-    assert greenhouse("data", "look", path, "--map", place)[0] == 0
-    code, _, error = greenhouse("data", "convert", path, "--map", place, "--out", tmp_path / "runs")
-    assert code == 2
-    assert message in error
+    assert message in refusal(greenhouse, written(tmp_path, text))
 
 
 @pytest.mark.parametrize(
@@ -228,12 +230,8 @@ def test_what_is_not_understood_is_refused_by_line_and_column(
 def test_a_wrong_mapping_is_refused_by_its_key(
     greenhouse, tmp_path: Path, old: str, new: str, message: str
 ) -> None:
-    path, place = written(tmp_path, "time,temp_air_c,heater_duty\n0,20,0\n10,21,1\n"), tmp_path / "map.yaml"
-    greenhouse("data", "look", path, "--map", place)
-    place.write_text(place.read_text().replace(old, new))
-    code, _, error = greenhouse("data", "convert", path, "--map", place, "--out", tmp_path / "runs")
-    assert code == 2
-    assert message in error
+    path = written(tmp_path, "time,temp_air_c,heater_duty\n0,20,0\n10,21,1\n")
+    assert message in refusal(greenhouse, path, old, new)
 
 
 @pytest.mark.parametrize(
