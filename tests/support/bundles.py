@@ -1,16 +1,23 @@
 """Small signed bundles for tests: a real ARX model and a real twin, no network."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import pytest
+
+from edge.bundle import signature
 from edge.bundle.archive import open_archive
+from edge.bundle.keeper import BundleKeeper
 from edge.bundle.manifest import Manifest
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key, sign_folder
-from edge.bundle.store import BundleStore
+from edge.bundle.store import BundleStore, Load, Prove
+from edge.core.clock import RealClock
 from edge.core.predictor import Predictor
 from edge.models.arx_file import DEFAULT_PATH
+from edge.sockets.control_socket import ControlSocket
 
 FACTS = ManifestFacts(version="1.0", created_utc="2026-07-01T12:00:00Z", data_sha256="d" * 64)
 
@@ -63,3 +70,43 @@ def install(store: BundleStore, source: Path) -> str:
     """The version that was installed."""
     with open_archive(source) as archive:
         return store.install(archive).version
+
+
+def make_store(
+    workshop: Workshop, *installed: str, load: Load = load_nothing, prove: Prove | None = None
+) -> BundleStore:
+    """A store whose packaged bundle is version 0, and in which these versions were installed."""
+    packaged = workshop.folder / "packaged"
+    if not packaged.exists():
+        workshop.signed_folder("packaged", version="0")
+    store = BundleStore(workshop.folder / "store", workshop.trusted, load, packaged, prove)
+    for version in installed:
+        install(store, workshop.archive(version))
+    return store
+
+
+def configured_rig(folder: Path, monkeypatch: pytest.MonkeyPatch, bundle: str = "") -> Workshop:
+    """A rig with edge.yaml and a packaged bundle, and a person who signs.
+
+    bundle : further keys of the section, with the workshop's in braces
+    """
+    workshop = Workshop(folder)
+    packaged = workshop.signed_folder("packaged", version="0")
+    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (packaged, None))
+    monkeypatch.setattr(signature, "PACKAGED_KEY", folder / "none.pub")
+    more = bundle.format(key=workshop.key)
+    (folder / "edge.yaml").write_text(
+        f"control_socket: {{path: {folder}/control.sock}}\n"
+        f"bundle: {{path: {folder}/rig/bundles, trusted_keys: {workshop.trusted}{more}}}\n"
+    )
+    return workshop
+
+
+@contextmanager
+def answering(store: BundleStore, folder: Path) -> Iterator[BundleKeeper]:
+    """The part of a running daemon that answers for bundles, at `folder`/control.sock."""
+    with (
+        closing(BundleKeeper(store, RealClock(), automatic=False, trial_ticks=10)) as keeper,
+        closing(ControlSocket(folder / "control.sock", keeper.answer, lambda *_: None)),
+    ):
+        yield keeper

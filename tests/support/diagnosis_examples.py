@@ -286,7 +286,7 @@ def nothing_story() -> Story:
     """A twin that has all; its test run told no later temperatures."""
     traces = [trace(f"train_0{n}.csv", "train", prompt, prompt, prompt, n) for n in (1, 2)]
     forecast = trace("test_01.csv", "test", prompt, prompt, prompt, 9)
-    measured = np.where(np.arange(150) < 2, forecast.measured, np.nan)  # type: ignore[arg-type]
+    measured = np.where(np.arange(150) < 2, forecast.measured, np.nan)
     untold = Trace(
         "test_01.csv", "test", forecast.time_s, measured, forecast.before, forecast.after, forecast.duty,
         forecast.fan, forecast.ambient,

@@ -43,7 +43,7 @@ class Exchange:
                 self.obeyed.append((self.now_ms, command))
             return obeyed
 
-        core._safety.obey = record  # type: ignore[method-assign]
+        core._safety.obey = record
         return core
 
     def reset_board(self) -> None:

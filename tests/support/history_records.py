@@ -1,6 +1,7 @@
 """Ticks to store, for the tests of the history."""
 
 import math
+import sqlite3
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,11 @@ from edge.core.messages import (
     Severity,
     TickRecord,
 )
+from edge.storage import Storage
+from edge.storage.tick_rows import insert_ticks
 
 START_UTC = 1_767_225_600.0
+PATIENCE_S = 20.0
 
 
 @dataclass
@@ -51,6 +55,22 @@ class History:
     @classmethod
     def at(cls, path: Path, **values: Any) -> "History":
         return cls(str(path), **values)
+
+
+def store(path: Path, *records: TickRecord) -> None:
+    """Record these ticks in the history at `path`, as a session of its own."""
+    storage = Storage(History.at(path, queue_ticks=max(50, len(records))), HandClock())
+    storage.open()
+    for record in records:
+        storage.write(record)
+    assert storage.close(PATIENCE_S)
+
+
+def add(history: sqlite3.Connection, *records: TickRecord) -> None:
+    """Insert these ticks in one transaction."""
+    history.execute("BEGIN")
+    insert_ticks(history, records, session=1)
+    history.execute("COMMIT")
 
 
 def tick(seq: int, **values: Any) -> TickRecord:

@@ -21,15 +21,7 @@ AVAILABILITY = {
     "payload_available",
     "payload_not_available",
 }
-ROOT = AVAILABILITY | {
-    "device",
-    "origin",
-    "components",
-    "state_topic",
-    "command_topic",
-    "qos",
-    "encoding",
-}
+ROOT = AVAILABILITY | {"device", "origin", "components", "state_topic", "command_topic", "qos", "encoding"}
 DEVICE = {
     "identifiers",
     "connections",

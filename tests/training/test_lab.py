@@ -50,9 +50,6 @@ def test_a_signal_before_the_limit_is_not_a_short_run():
     def interrupt(record):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    with (
-        Lab(SETTINGS, board="here", on_tick=interrupt) as lab,
-        pytest.raises(KeyboardInterrupt),
-    ):
+    with Lab(SETTINGS, board="here", on_tick=interrupt) as lab, pytest.raises(KeyboardInterrupt):
         lab.run(minutes=5)
     assert len(lab.history) == 1

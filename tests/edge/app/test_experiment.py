@@ -54,6 +54,17 @@ def lock_step(folder: Path) -> Iterator[SimClock]:
         yield lab.board
 
 
+def stop_after(clock: SimClock, time_s: float) -> None:
+    wait = clock.wait
+
+    def wait_and_stop(*arguments):
+        if clock.now() > time_s:
+            signal.raise_signal(signal.SIGTERM)
+        wait(*arguments)
+
+    clock.wait = wait_and_stop
+
+
 def stand(settings: Settings, standing: StandingState) -> None:
     write_document(Path(settings.state_file), encode_standing(standing))
 
@@ -164,14 +175,7 @@ def test_the_history_keeps_the_run_without_its_lead_in_and_the_lead_in_as_ticks(
 def test_a_stop_during_the_lead_in_leaves_no_run(tmp_path):
     profile = read_profile(profile_file(tmp_path, "# record_from_s: 600\n" + TWELVE_MINUTES))
     with lock_step(tmp_path) as clock:
-        wait = clock.wait
-
-        def wait_and_stop(*arguments):
-            if clock.now() > 200.0:
-                signal.raise_signal(signal.SIGTERM)
-            wait(*arguments)
-
-        clock.wait = wait_and_stop
+        stop_after(clock, 200.0)
         with pytest.raises(GreenhouseError, match=r"steps\.csv: stopped during the lead-in"):
             run_experiment(Experiment(profile), settings_in(tmp_path, config.default()), clock)
 
@@ -195,14 +199,7 @@ def test_a_stop_leaves_a_shorter_run_that_says_so(tmp_path):
     settings = settings_in(tmp_path, config.default())
     profile = read_profile(profile_file(tmp_path))
     with lock_step(tmp_path) as clock:
-        wait = clock.wait
-
-        def wait_and_stop(*arguments):
-            if clock.now() > 200.0:
-                signal.raise_signal(signal.SIGTERM)
-            wait(*arguments)
-
-        clock.wait = wait_and_stop
+        stop_after(clock, 200.0)
         run, course = run_experiment(Experiment(profile), settings, clock)
         pins = clock.truth()["pins"]
     assert course.passed_s == 180.0
@@ -311,7 +308,7 @@ def test_a_late_tick_still_gets_its_own_row():
 
 def paths_of(part: object, place: str = "") -> Iterator[tuple[str, str]]:
     """Settings that are absolute paths, by their keys."""
-    for field in fields(part):  # type: ignore[arg-type]
+    for field in fields(part):
         value, key = getattr(part, field.name), f"{place}.{field.name}".lstrip(".")
         if is_dataclass(value):
             yield from paths_of(value, key)

@@ -6,10 +6,8 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +15,14 @@ import pytest
 
 from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT, DaemonProcess, run_command
-from bench.support.virtual_board import VirtualBoard, virtual_board
+from bench.support.virtual_board import VirtualBoard
 from edge.app.outlet import WAITING_MAX, Outlet, standard_output
 from edge.board.virtual_rig import die_with_parent
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 FILLED = 200_000  # bytes, more than a pipe holds
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:  # socket paths must be short
-        yield Path(name)
-
-
-@pytest.fixture
-def board(folder: Path) -> Iterator[VirtualBoard]:
-    with virtual_board(folder, "--real-time") as running:
-        yield running
 
 
 def test_what_is_written_comes_out_in_order() -> None:

@@ -23,14 +23,7 @@ STEP_S = 10.0
 LOGS = Path(__file__).parents[4] / "shared" / "data" / "heated_box"
 
 # A box that warms 0.1 K a step at full heat and loses 1 % of its excess over 20 degC: the recording's truth.
-TRUE_BOX = Arx(
-    temp=np.array([0.99]),
-    heater=np.array([0.1]),
-    fan=np.array([-0.05]),
-    ambient=0.0,
-    intercept=0.2,
-    step_s=STEP_S,
-)
+TRUE_BOX = Arx(np.array([0.99]), np.array([0.1]), np.array([-0.05]), 0.0, intercept=0.2, step_s=STEP_S)
 
 
 def recording(rows: int = 90, missing: int | None = None) -> RecordedRun:
@@ -126,14 +119,7 @@ def test_a_predictor_is_handed_every_column_that_effects_need() -> None:
 
 
 def test_a_wrong_predictor_is_scored_worse() -> None:
-    wrong = Arx(
-        temp=np.array([0.99]),
-        heater=np.array([0.0]),
-        fan=np.array([0.0]),
-        ambient=0.0,
-        intercept=0.2,
-        step_s=STEP_S,
-    )
+    wrong = replace(TRUE_BOX, heater=np.zeros(1), fan=np.zeros(1))
     records = replayed(recording())
     (good,), (bad,) = score(records, TRUE_BOX, (300.0,)), score(records, wrong, (300.0,))
     assert bad.model_mae_k > 5 * good.model_mae_k
@@ -155,14 +141,7 @@ def test_a_horizon_longer_than_the_run_gives_no_forecasts_and_says_so() -> None:
 @pytest.mark.skipif(not LOGS.exists(), reason="the measured logs are not part of the repository")
 def test_a_measured_log_replays_the_same_twice() -> None:
     run = read_run(sorted(LOGS.glob("*.csv"))[-1], without=OPTION_WITHOUT)
-    model = Arx(
-        temp=np.array([1.0]),
-        heater=np.array([0.03]),
-        fan=np.array([0.0]),
-        ambient=0.0,
-        intercept=0.0,
-        step_s=STEP_S,
-    )
+    model = Arx(np.array([1.0]), np.array([0.03]), np.zeros(1), 0.0, intercept=0.0, step_s=STEP_S)
     settings = settings_for(STEP_S, "MPC", 23.0)
     first, second = (replay(run, settings, model, fan_always_on=True) for _ in range(2))
     assert decisions_digest(first) == decisions_digest(second)

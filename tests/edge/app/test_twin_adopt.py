@@ -3,7 +3,6 @@
 import json
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,26 +10,22 @@ import jsonschema
 import numpy as np
 import pytest
 import yaml
-from bundles import Workshop
+from bundles import Workshop, answering, configured_rig
 from contexts import context
 from training_runs import BOX, box_run
 
 from edge.__main__ import main
 from edge.app.active_models import ActiveModels
-from edge.bundle import signature
 from edge.bundle.adopt import is_adopted
-from edge.bundle.keeper import BundleKeeper
 from edge.bundle.predictors import loader
 from edge.bundle.sign import generate_key
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config
-from edge.core.clock import RealClock
 from edge.core.errors import DataError
 from edge.diagnosis.adopted_twin import AddedEffect, Origin, twin_after
 from edge.forecasts.skill import SkillState
 from edge.formats.run_file import data_sha256
 from edge.models.pbm import read_twin
-from edge.sockets.control_socket import ControlSocket
 from edge.twin.schema import schema
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from edge.twin.value import Value
@@ -158,15 +153,7 @@ def write_report(folder: Path, twin: TwinFile, **document: object) -> Path:
 
 @pytest.fixture
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AdoptingRig:
-    workshop = Workshop(tmp_path)
-    packaged = workshop.signed_folder("packaged", version="0")
-    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (packaged, None))
-    monkeypatch.setattr(signature, "PACKAGED_KEY", tmp_path / "none.pub")
-    (tmp_path / "edge.yaml").write_text(
-        f"control_socket: {{path: {tmp_path}/control.sock}}\n"
-        f"bundle: {{path: {tmp_path}/rig/bundles, trusted_keys: {workshop.trusted},"
-        f" signing_key: {workshop.key}}}\n"
-    )
+    workshop = configured_rig(tmp_path, monkeypatch, ", signing_key: {key}")
     return AdoptingRig(workshop, write_report(tmp_path / "report", twin_after(KNOWN, [LOSS], ORIGIN)))
 
 
@@ -220,25 +207,13 @@ def test_a_second_diagnosis_builds_on_the_adopted_twin(
 
 
 def test_a_running_daemon_has_it_when_the_command_ends(rig: AdoptingRig) -> None:
-    with daemon(rig) as keeper:
+    with answering(rig.store, rig.folder) as keeper:
         assert rig.adopt(rig.report) == 0
         assert keeper.serving.rival.name == version_of(rig.report)
         assert rig.adopt(rig.report, "--activate") == 0
         assert keeper.serving.active.name == version_of(rig.report)
         assert rig.adopt("--back") == 0
         assert keeper.serving.active.name == "packaged"
-
-
-@contextmanager
-def daemon(rig: AdoptingRig) -> Iterator[BundleKeeper]:
-    """The part of a running daemon that answers."""
-    keeper = BundleKeeper(rig.store, RealClock(), automatic=False, trial_ticks=10)
-    socket = ControlSocket(rig.folder / "control.sock", keeper.answer, lambda *_: None)
-    try:
-        yield keeper
-    finally:
-        socket.close()
-        keeper.close()
 
 
 @pytest.fixture
@@ -255,7 +230,7 @@ def refused(rig: AdoptingRig, capsys: pytest.CaptureFixture[str]) -> Iterator[ob
     return call
 
 
-def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: AdoptingRig, refused) -> None:  # type: ignore[no-untyped-def]
+def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: AdoptingRig, refused) -> None:
     stranger = rig.folder / "stranger.pem"
     generate_key(stranger)  # its public half is trusted by nobody
     assert "the signature is by none of the 1 trusted keys" in refused(rig.report, "--key", stranger)
@@ -282,19 +257,13 @@ def test_nothing_is_signed_without_a_key_that_is_named_and_trusted(rig: Adopting
     ],
 )
 def test_a_report_that_holds_no_new_twin_is_refused(
-    rig: AdoptingRig,
-    refused,  # type: ignore[no-untyped-def]
-    twin: TwinFile,
-    document: dict[str, object],
-    message: str,
+    rig: AdoptingRig, refused, twin: TwinFile, document: dict[str, object], message: str
 ) -> None:
     assert message in refused(write_report(rig.folder / "other", twin, **document))
 
 
-def test_a_folder_that_is_no_report_is_told(rig: AdoptingRig, refused) -> None:  # type: ignore[no-untyped-def]
+def test_a_folder_that_is_no_report_is_told(rig: AdoptingRig, refused) -> None:
     assert "is this the folder of a diagnosis?" in refused(rig.folder)
-    (rig.report / "diagnosis.json").write_text("[]")
-    assert refused(rig.report).endswith("diagnosis.json: not JSON: not a JSON object")
     (rig.report / "diagnosis.json").write_text("{")
     assert "diagnosis.json: not JSON" in refused(rig.report)
     assert "give the folder of a diagnosis, or --back" in refused()
@@ -356,11 +325,8 @@ def test_the_adopted_twin_estimates_and_the_mpc_plans_with_it(rig: AdoptingRig) 
     assert rig.adopt(rig.report, "--activate") == 0
     rig.configure("control: {predictor: pbm, controller: MPC}")
     settings = config.load(rig.folder / "edge.yaml")
-    keeper = BundleKeeper(rig.store, RealClock(), automatic=False, trial_ticks=10)
-    try:
+    with answering(rig.store, rig.folder) as keeper:
         models = ActiveModels(settings, keeper, SkillState())
-    finally:
-        keeper.close()
     adopted = read_twin(rig.report / "twin.yaml")
     assert models.model.version == adopted.version
     decision = models.controllers()["MPC"].decide(context(temp=24.0, reference=26.0))

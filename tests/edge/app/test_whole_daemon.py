@@ -6,8 +6,6 @@ Control goes on or ends safely, and what was recorded is not lost.
 import json
 import sqlite3
 import subprocess
-import tempfile
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -20,22 +18,10 @@ from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.tick.orders import in_words
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 LEASE_S = 10.0  # firmware_protocol/PROTOCOL.md
 TICKS = f"{RIG}/history/tick"
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """Short, for the names of sockets."""
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:
-        yield Path(name)
-
-
-@pytest.fixture
-def board(folder: Path) -> Iterator[VirtualBoard]:
-    with virtual_board(folder, "--real-time") as board:
-        yield board
 
 
 def heats(board: VirtualBoard) -> bool:
@@ -133,36 +119,25 @@ def test_what_a_killed_broker_lost_is_a_gap_that_a_resend_fills(folder: Path, bo
 # the history
 
 
-def test_a_deleted_history_is_begun_anew_and_says_what_went_with_it(
-    folder: Path, board: VirtualBoard
+@pytest.mark.parametrize("way", ["deleted", "overwritten with garbage"])
+def test_a_history_that_is_lost_is_begun_anew_and_says_what_went_with_it(
+    folder: Path, board: VirtualBoard, way: str
 ) -> None:
     with DaemonProcess(folder) as daemon:
         last = daemon.wait_ticks(1)
         wait_for(lambda: daemon.seqs()[-1] >= last)
-        for path in folder.glob("history.db*"):
-            path.unlink()
+        if way == "deleted":
+            for path in folder.glob("history.db*"):
+                path.unlink()
+        else:
+            for path in (daemon.history, folder / "history.db-wal"):  # a young history is all in its log
+                path.write_bytes(bytes(range(256)) * 400)
+            wait_for(lambda: list(folder.glob("history.db.aside-*")))
         wait_for(lambda: daemon.has_event("history.replaced"))
+        assert len(list(folder.glob("history.db.aside-*Z"))) == (way != "deleted")
         ((first_lost, last_lost),) = daemon.rows("SELECT first_seq, last_seq FROM gaps")
         assert first_lost == 1
         assert daemon.seqs()[0] == last_lost + 1  # none is missing beside those in the file
-        assert is_without_gap(daemon.seqs())
-        assert heats(board)
-
-
-def test_a_history_overwritten_with_garbage_is_set_aside_and_counted(
-    folder: Path, board: VirtualBoard
-) -> None:
-    with DaemonProcess(folder) as daemon:
-        last = daemon.wait_ticks(1)
-        wait_for(lambda: daemon.seqs()[-1] >= last)
-        for path in (daemon.history, folder / "history.db-wal"):  # a young history is all in its log
-            path.write_bytes(bytes(range(256)) * 400)
-        wait_for(lambda: list(folder.glob("history.db.aside-*")))
-        wait_for(lambda: daemon.has_event("history.replaced"))
-        assert len(list(folder.glob("history.db.aside-*Z"))) == 1
-        ((first_lost, last_lost),) = daemon.rows("SELECT first_seq, last_seq FROM gaps")
-        assert first_lost == 1
-        assert daemon.seqs()[0] == last_lost + 1
         assert is_without_gap(daemon.seqs())
         assert daemon.rows("PRAGMA integrity_check") == [("ok",)]
         assert heats(board)
@@ -311,23 +286,20 @@ RULES = {"controller": "rules", "fallback": "rules"}
         ("control: {stepp_s: 1}", "edge.yaml: control: unknown key 'stepp_s'; did you mean 'step_s'?"),
         ("control: {step_s: 7}", "control.step_s is 7"),
         ("control: {model: /nowhere/arx.json}", "/nowhere/arx.json"),
+        (None, "edge.yaml: cannot be read"),
     ],
 )
-def test_a_wrong_configuration_is_one_clear_line_and_exit_code_2(folder: Path, text: str, said: str) -> None:
+def test_a_wrong_or_missing_configuration_is_one_clear_line_and_exit_code_2(
+    folder: Path, text: str | None, said: str
+) -> None:
     config = folder / "edge.yaml"
-    config.write_text(text)
+    if text is not None:
+        config.write_text(text)
     ended = subprocess.run(run_command(config), capture_output=True, text=True, cwd=ROOT, timeout=30)
     assert ended.returncode == 2
     assert said in ended.stderr
     assert len(ended.stderr.strip().splitlines()) == 1
     assert ended.stdout == ""
-
-
-def test_a_missing_configuration_is_one_clear_line_and_exit_code_2(folder: Path) -> None:
-    ended = subprocess.run(run_command(folder / "no.yaml"), capture_output=True, text=True, cwd=ROOT)
-    assert ended.returncode == 2
-    assert "no.yaml" in ended.stderr
-    assert len(ended.stderr.strip().splitlines()) == 1
 
 
 def test_a_second_daemon_is_refused_at_the_socket_and_gets_no_board(

@@ -20,6 +20,8 @@ from training.llm_stand_in.server import StandIn
 pytestmark = pytest.mark.slow
 
 KEY = "sk-ve/y+secret_0123456789~"
+PATTERN = key_pattern(KEY)
+assert PATTERN is not None
 Write = Callable[[str], str]
 
 
@@ -53,24 +55,18 @@ def forms(key: str) -> Iterator[str]:
 
 
 def test_every_way_of_writing_the_key_is_masked() -> None:
-    pattern = key_pattern(KEY)
-    assert pattern is not None
     for form in forms(KEY):
-        assert MASK in pattern.sub(MASK, f"I was given {form}, thank you"), form
+        assert MASK in PATTERN.sub(MASK, f"I was given {form}, thank you"), form
 
 
 def test_a_text_without_the_key_stays_as_it_is() -> None:
-    pattern = key_pattern(KEY)
-    assert pattern is not None
     for form in forms("sk-another/key+9876543210"):
-        assert pattern.sub(MASK, form) == form
+        assert PATTERN.sub(MASK, form) == form
 
 
 def test_a_masked_document_is_still_json() -> None:
-    pattern = key_pattern(KEY)
-    assert pattern is not None
     for form in forms(KEY):
-        assert KEY not in str(json.loads(pattern.sub(MASK, json.dumps({"content": form}))))
+        assert KEY not in str(json.loads(PATTERN.sub(MASK, json.dumps({"content": form}))))
 
 
 def test_a_placeholder_is_not_a_secret() -> None:
@@ -79,10 +75,8 @@ def test_a_placeholder_is_not_a_secret() -> None:
 
 @pytest.mark.parametrize("part", ["\\", "%25", "sk-ve", "\\u0073", "7", "c2st"])
 def test_a_reply_of_the_largest_size_is_masked_in_time(part: str) -> None:
-    pattern = key_pattern(KEY)
-    assert pattern is not None
     begin_s = time.process_time()
-    pattern.sub(MASK, part * ((1 << 20) // len(part)))
+    PATTERN.sub(MASK, part * ((1 << 20) // len(part)))
     assert time.process_time() - begin_s < 5.0
 
 
@@ -133,8 +127,6 @@ def test_a_server_that_echoes_the_key_gets_it_nowhere(tmp_path: Path) -> None:
         stored = b"".join(path.read_bytes() for path in tmp_path.glob("history.db*"))
         assert any(f"Bearer {KEY}" == headers["Authorization"] for headers in model.headers)
     found = f"{heard!r}{stored!r}{daemon.log}"
-    pattern = key_pattern(KEY)
-    assert pattern is not None
     assert [form for form in forms(KEY) if form in found] == []
-    assert pattern.search(found) is None
+    assert PATTERN.search(found) is None
     assert MASK in found

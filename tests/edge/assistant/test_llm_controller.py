@@ -82,6 +82,18 @@ def settled(controller: LlmController) -> None:
     assert question is not None and question.wait(SOON_S)
 
 
+def after_its_tick(made: Made, *answers: float | Exception) -> tuple[LlmController, Thinking]:
+    """A controller whose first answer has come too late; the next one will too."""
+    thinking = Thinking(*answers)
+    thinking.release.clear()
+    controller = made(thinking, AT_ONCE_S)
+    assert failure(controller, 0).kind == "late"
+    thinking.release.set()
+    settled(controller)
+    thinking.release.clear()
+    return controller, thinking
+
+
 def test_an_answer_in_time_decides_this_tick(made: Made) -> None:
     decision = at(made(Thinking(0.45)), 0)
     assert decision.command == Command(heater_duty=0.45)
@@ -108,13 +120,7 @@ def test_whatever_breaks_in_the_thread_is_a_failure(made: Made) -> None:
 
 
 def test_a_late_answer_serves_the_next_tick_once_and_says_how_old_it_is(made: Made) -> None:
-    thinking = Thinking(0.1, 0.2, 0.3)
-    thinking.release.clear()
-    controller = made(thinking, AT_ONCE_S)
-    assert failure(controller, 0).kind == "late"
-    thinking.release.set()
-    settled(controller)
-    thinking.release.clear()
+    controller, thinking = after_its_tick(made, 0.1, 0.2, 0.3)
     decision = at(controller, 1)  # the question of minute 1 is under way meanwhile
     assert (decision.command.heater_duty, decision.why["asked_s_ago"]) == (0.1, 60.0)
     assert decision.forecast == FORECAST[1:]  # the first step has passed
@@ -136,13 +142,7 @@ def test_one_question_at_a_time(made: Made) -> None:
 
 @pytest.mark.parametrize(("minute", "used"), [(1.5, True), (1.51, False), (float("nan"), False)])
 def test_an_answer_to_a_question_of_long_ago_is_not_used(made: Made, minute: float, used: bool) -> None:
-    thinking = Thinking(0.1, 0.2)
-    thinking.release.clear()
-    controller = made(thinking, AT_ONCE_S)
-    failure(controller, 0)
-    thinking.release.set()
-    settled(controller)
-    thinking.release.clear()
+    controller, thinking = after_its_tick(made, 0.1, 0.2)
     if used:
         assert at(controller, minute).command.heater_duty == 0.1
     else:
@@ -166,13 +166,7 @@ def test_a_question_that_grew_old_is_interrupted_and_another_asked(made: Made) -
 
 
 def test_a_late_failure_is_told_at_the_next_tick(made: Made) -> None:
-    thinking = Thinking(LlmFailure("truncated", "cut"), 0.2)
-    thinking.release.clear()
-    controller = made(thinking, AT_ONCE_S)
-    assert failure(controller, 0).kind == "late"
-    thinking.release.set()
-    settled(controller)
-    thinking.release.clear()
+    controller, thinking = after_its_tick(made, LlmFailure("truncated", "cut"), 0.2)
     assert str(failure(controller, 1)) == "truncated: cut (so far: late 1, truncated 1)"
     thinking.release.set()
 

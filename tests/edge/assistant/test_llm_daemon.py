@@ -76,17 +76,6 @@ def test_without_an_endpoint_there_is_no_such_controller() -> None:
         run("LLM-Te0", "", 1)
 
 
-def test_a_key_goes_over_the_line_and_nowhere_else(tmp_path: Path) -> None:
-    key_file = tmp_path / "key"
-    key_file.write_text(KEY + "\n")
-    key_file.chmod(0o600)
-    with StandIn("401") as stand_in:
-        ended = run("LLM-Te0", stand_in.url, 2, PATIENT, key_file=str(key_file))
-        assert {headers["Authorization"] for headers in stand_in.headers} == {f"Bearer {KEY}"}
-    assert "refused_key" in ended.texts("controller.error")[0]
-    assert KEY not in str(ended)
-
-
 def test_a_key_that_others_can_read_is_refused_at_the_start(tmp_path: Path) -> None:
     key_file = tmp_path / "key"
     key_file.write_text(KEY)

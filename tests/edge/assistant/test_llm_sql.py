@@ -235,13 +235,9 @@ def test_a_recursion_is_denied_where_no_word_is_looked_at(history: Path) -> None
         connection.execute(bomb)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [{}, {"query": None}, {"query": 3}, {"query": ["SELECT 1"]}, {"query": "SELECT 1", "path": "/x"}],
-)
-def test_other_arguments_are_refused(history: Path, arguments: dict[str, Any]) -> None:
+def test_other_arguments_are_refused(history: Path) -> None:
     with pytest.raises(ToolError, match="query"):
-        tool(history).call(arguments)
+        tool(history).call({"query": 3})
 
 
 # what is wrong with the file

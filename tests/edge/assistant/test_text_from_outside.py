@@ -2,8 +2,6 @@
 
 import json
 import socket
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +9,13 @@ import pytest
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.virtual_board import VirtualBoard, virtual_board
+from bench.support.virtual_board import VirtualBoard
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 EVIL = "\ud800\x1b[2J\x00\u202e"
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:  # socket paths must be short
-        yield Path(name)
-
-
-@pytest.fixture
-def board(folder: Path) -> Iterator[VirtualBoard]:
-    with virtual_board(folder, "--real-time") as running:
-        yield running
 
 
 def ask(daemon: DaemonProcess, line: bytes) -> dict[str, Any]:

@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from history_records import START_UTC, HandClock, History, eventful_tick, tick
+from history_records import START_UTC, eventful_tick, store, tick
 
 from edge.__main__ import main
 from edge.assistant.why.ask_history import explain, reasons, why
 from edge.core.errors import DataError
 from edge.core.messages import Change, Command, Decision, TickRecord
-from edge.storage import Storage
 
 PLAN = {
     "cost": 12.5,
@@ -124,11 +123,7 @@ def test_a_tick_with_everything_odd_is_told() -> None:
 @pytest.fixture
 def history(tmp_path: Path) -> Path:
     path = tmp_path / "history.db"
-    storage = Storage(History.at(path), HandClock())
-    storage.open()
-    for number in (1, 2, 3, 30):
-        storage.write(tick(number))
-    assert storage.close()
+    store(path, *(tick(number) for number in (1, 2, 3, 30)))
     return path
 
 

@@ -1,7 +1,6 @@
 """Wishes and why through the whole daemon as a process: command line, control socket and broker."""
 
 import json
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,26 +9,15 @@ import pytest
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.virtual_board import VirtualBoard, virtual_board
+from bench.support.virtual_board import VirtualBoard
 from edge.__main__ import main
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 WISH = "keep 26 by day and 20 at night, go easy on the fan"
 RULES = {"model": "", "controller": "rules"}
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:  # socket paths must be short
-        yield Path(name)
-
-
-@pytest.fixture
-def board(folder: Path) -> Iterator[VirtualBoard]:
-    with virtual_board(folder, "--real-time") as running:
-        yield running
 
 
 @pytest.fixture
@@ -41,11 +29,7 @@ def model() -> Iterator[StandIn]:
 def daemon_of(folder: Path, model: StandIn | None, port: int | None = None, **control: Any) -> DaemonProcess:
     llm = {} if model is None else {"url": model.url, "model": "stand-in"}
     return DaemonProcess(
-        folder,
-        port,
-        control={**RULES, **control},
-        llm=llm,
-        bundle={"path": str(folder / "bundles")},
+        folder, port, control={**RULES, **control}, llm=llm, bundle={"path": str(folder / "bundles")}
     )
 
 
@@ -105,35 +89,6 @@ def test_a_confirmed_wish_moves_the_reference_outlives_a_kill_and_ends_by_itself
         wait_for(lambda: standing(daemon)["steering"] is None)
         wait_for(lambda: daemon.has_event("steering.ended"))
         wait_for(lambda: daemon.ask("status")["tick"]["reference_c"] == 32.0)
-
-
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"daily": [{"from_s": 0.0, "reference_c": 60.0}]}, "outside 15 to 38"),
-        ({"until_utc": 4e9}, "within the next 168 h"),
-        ({"fan_penalty": "5"}, "must be a number, not '5'"),
-        ({"heater_max_duty": 2.0}, "heater_max_duty"),
-    ],
-)
-def test_an_order_past_the_desk_is_held_to_the_same_limits(
-    folder: Path, board: VirtualBoard, model: StandIn, changed: dict[str, Any], said: str
-) -> None:
-    with daemon_of(folder, model, step_s=60) as daemon:
-        whole = {
-            "id": "x",
-            "words": "w",
-            "until_utc": daemon.ask("status")["tick"]["utc"] + 60.0,
-            "daily": [],
-            "heater_penalty": None,
-            "fan_penalty": None,
-            "heater_max_duty": None,
-            "fan_rest": [],
-        }
-        answer = daemon.ask("steer", steering={**whole, **changed})
-        assert not answer["ok"]
-        assert said in answer["error"]
-        assert standing(daemon)["steering"] is None
 
 
 @needs_mosquitto

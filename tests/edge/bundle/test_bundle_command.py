@@ -6,40 +6,25 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from bundles import Workshop
+from bundles import Workshop, answering, configured_rig
 
 from edge.__main__ import main
 from edge.bundle import signature, store
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.predictors import loader
 from edge.bundle.store import BundleStore
-from edge.core.clock import RealClock
-from edge.sockets.control_socket import ControlSocket
 
 
 @pytest.fixture
 def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workshop:
-    """A rig with a configuration and a packaged bundle, and a person who signs."""
-    workshop = Workshop(tmp_path)
-    packaged = workshop.signed_folder("packaged", version="0")
-    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (packaged, None))
-    monkeypatch.setattr(signature, "PACKAGED_KEY", tmp_path / "none.pub")
-    (tmp_path / "edge.yaml").write_text(
-        f"bundle: {{path: {tmp_path}/rig/bundles, trusted_keys: {workshop.trusted}}}\n"
-        f"control_socket: {{path: {tmp_path}/control.sock}}\n"
-    )
-    return workshop
+    return configured_rig(tmp_path, monkeypatch)
 
 
 @pytest.fixture
 def daemon(workshop: Workshop) -> Iterator[BundleKeeper]:
-    """The part of a running daemon that answers."""
     place = BundleStore(workshop.folder / "rig" / "bundles", workshop.trusted, loader(60.0))
-    keeper = BundleKeeper(place, RealClock(), automatic=False, trial_ticks=10)
-    socket = ControlSocket(workshop.folder / "control.sock", keeper.answer, lambda *_: None)
-    yield keeper
-    socket.close()
-    keeper.close()
+    with answering(place, workshop.folder) as keeper:
+        yield keeper
 
 
 def bundle(workshop: Workshop, *words: object) -> int:

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
-from bundles import Workshop, install, load_nothing
+from bundles import Workshop, install, load_nothing, make_store
 
 from bench.attack.bundles import ENDLESS, GREEDY, KINDS, run
 from bench.support.broker import wait_for
@@ -22,18 +22,6 @@ from edge.core.clock import RealClock
 from edge.core.errors import DataError
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
-    workshop = Workshop(tmp_path)
-    workshop.signed_folder("packaged", version="0")
-    return workshop
-
-
-def make_store(workshop: Workshop, prove: Prover | None = None) -> BundleStore:
-    load = load_nothing if prove is None else loader(60.0)
-    return BundleStore(workshop.folder / "store", workshop.trusted, load, workshop.folder / "packaged", prove)
 
 
 def prover(workshop: Workshop, **limits: float) -> Prover:
@@ -62,8 +50,7 @@ def test_versions_compare_by_the_numbers_that_they_begin_with(version: str, numb
 
 @pytest.mark.parametrize("version", ["0.1", "1.9.9", "alpha"])
 def test_an_older_bundle_is_refused_however_it_is_signed(workshop: Workshop, version: str) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("2.0"))
+    store = make_store(workshop, "2.0")
     with pytest.raises(DataError, match=rf"bundle {version} is older than 2\.0.*--allow-older"):
         install(store, workshop.archive(version))
     assert store.versions() == ["2.0"]
@@ -82,8 +69,7 @@ def test_removing_the_newest_or_rolling_back_lowers_nothing(workshop: Workshop) 
 
 
 def test_the_operators_flag_takes_an_older_one_in_and_begins_to_count_there(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("2.0"))
+    store = make_store(workshop, "2.0")
     with open_archive(workshop.archive("1.0")) as archive:
         store.install(archive, allow_older=True)
     install(store, workshop.archive("1.1"))
@@ -106,8 +92,7 @@ def test_a_bundle_with_another_twin_is_as_old_as_the_active_one(workshop: Worksh
 
 @pytest.mark.parametrize("text", ["", "[]", '{"newest": 5, "proved": []}', "[" * 100_000])
 def test_without_its_record_a_store_asks_the_operator(workshop: Workshop, text: str) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("2.0"))
+    store = make_store(workshop, "2.0")
     (store.folder / "admitted.json").write_text(text)
     with pytest.raises(DataError, match=r"admitted\.json: .*--allow-older"):
         install(store, workshop.archive("2.1"))
@@ -117,7 +102,8 @@ def test_without_its_record_a_store_asks_the_operator(workshop: Workshop, text: 
 
 
 def test_the_command_has_the_flag_and_the_daemon_tells_of_it(workshop: Workshop, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (workshop.folder / "packaged", None))
+    packaged = workshop.signed_folder("packaged", version="0")
+    monkeypatch.setattr(BundleStore.__init__, "__defaults__", (packaged, None))
     monkeypatch.setattr("edge.commands.bundle.Prover", lambda *_: None)
     config = workshop.folder / "edge.yaml"
     folder = workshop.folder / "store"
@@ -145,7 +131,7 @@ def test_the_command_has_the_flag_and_the_daemon_tells_of_it(workshop: Workshop,
 def test_a_graph_without_end_or_measure_is_refused_in_its_own_process(
     workshop: Workshop, graph: bytes, memory: int
 ) -> None:
-    store = make_store(workshop, prover(workshop, cpu_s=3, memory=memory))
+    store = make_store(workshop, load=loader(60.0), prove=prover(workshop, cpu_s=3, memory=memory))
     begin_s = time.monotonic()
     with pytest.raises(DataError, match=r"models end the process|cannot be run"):
         install(store, with_graph(workshop, graph))
@@ -155,16 +141,13 @@ def test_a_graph_without_end_or_measure_is_refused_in_its_own_process(
 
 
 def test_a_process_that_only_waits_is_ended_by_the_clock(workshop: Workshop) -> None:
-    store = make_store(workshop, prover(workshop, cpu_s=60, wall_s=2.0))
+    store = make_store(workshop, load=loader(60.0), prove=prover(workshop, cpu_s=60, wall_s=2.0))
     with pytest.raises(DataError, match="not proved after 2 s"):
         install(store, with_graph(workshop, ENDLESS))
 
 
-def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(
-    workshop: Workshop,
-) -> None:
-    trusting = make_store(workshop)
-    install(trusting, workshop.archive("1.0"))
+def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(workshop: Workshop) -> None:
+    trusting = make_store(workshop, "1.0")
     folder = workshop.folder / "store" / "1.1"
     shutil.copytree(workshop.signed_folder("by-hand", version="1.1"), folder)
     asked: list[str] = []
@@ -178,7 +161,7 @@ def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(
 
 
 def test_a_sound_bundle_is_proved_and_a_wrong_one_refused_with_its_reason(workshop: Workshop) -> None:
-    store = make_store(workshop, prover(workshop))
+    store = make_store(workshop, load=loader(60.0), prove=prover(workshop))
     install(store, with_graph(workshop, (PACKAGED_FOLDER / "rl-off.onnx").read_bytes(), "1.0"))
     assert store.versions() == ["1.0"]
     with pytest.raises(DataError, match=r"rl-off\.onnx: not an ONNX file"):
@@ -189,7 +172,7 @@ def test_a_sound_bundle_is_proved_and_a_wrong_one_refused_with_its_reason(worksh
 
 
 def test_a_file_exchanged_between_check_and_load_is_not_loaded(workshop: Workshop, monkeypatch) -> None:
-    install(make_store(workshop), workshop.archive("1.0"))
+    make_store(workshop, "1.0")
     place = workshop.folder / "store" / "1.0"
 
     def exchange(folder: Path, keys: Path) -> object:

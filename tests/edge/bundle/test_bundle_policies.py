@@ -5,28 +5,21 @@ import shutil
 from pathlib import Path
 
 import pytest
-from bundles import FACTS, Workshop, load_nothing
+from bundles import FACTS, Workshop, answering, load_nothing
 from contexts import context
 from policy_files import policy_file
 
 from edge.__main__ import main
 from edge.app.active_models import ActiveModels
 from edge.bundle.check import check_folder
-from edge.bundle.keeper import BundleKeeper
 from edge.bundle.manifest import MANIFEST, parse_manifest
 from edge.bundle.predictors import loader
 from edge.bundle.sign import sign_folder
 from edge.bundle.store import BundleStore
 from edge.config import loading as config
-from edge.core.clock import RealClock
 from edge.core.errors import DataError
 from edge.forecasts.skill import SkillState
 from edge.models.policy_actions import command_of
-
-
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
-    return Workshop(tmp_path)
 
 
 def with_policies(workshop: Workshop, **facts: object) -> Path:
@@ -92,11 +85,8 @@ def test_the_command_names_the_policies(workshop: Workshop, capsys: pytest.Captu
 
 def test_controllers_have_the_policies_of_the_active_bundle(workshop: Workshop) -> None:
     place = BundleStore(workshop.folder / "store", workshop.trusted, loader(60.0), with_policies(workshop))
-    keeper = BundleKeeper(place, RealClock(), automatic=False, trial_ticks=10)
-    try:
+    with answering(place, workshop.folder) as keeper:
         controllers = ActiveModels(config.default(), keeper, SkillState()).controllers()
-    finally:
-        keeper.close()
     assert controllers["RL-Off"].decide(context(24.0, 26.0)).command == command_of(3)
     assert controllers["RL-Tr-P"].decide(context(24.0, 26.0)).command == command_of(5)
     with pytest.raises(DataError, match="no policy RL-On-P"):

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from bundles import Workshop, install, load_nothing
+from bundles import Workshop, install, make_store
 
 from edge.bundle.keeper import carry_out, choose
 from edge.bundle.manifest import PACKAGED, Manifest
 from edge.bundle.roles import Roles, activate, add_shadow, marked_good, reject_shadow, rolled_back
-from edge.bundle.store import BundleStore, Load
+from edge.bundle.store import BundleStore
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor
 
@@ -94,19 +94,6 @@ def test_a_step_that_is_none_is_refused(step, roles, words) -> None:
 # store
 
 
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
-    return Workshop(tmp_path)
-
-
-def make_store(workshop: Workshop, load: Load = load_nothing) -> BundleStore:
-    """A store whose packaged bundle is version 0."""
-    packaged = workshop.folder / "packaged"
-    if not packaged.exists():
-        workshop.signed_folder("packaged", version="0")
-    return BundleStore(workshop.folder / "store", workshop.trusted, load, packaged)
-
-
 def names(store: BundleStore) -> list[str]:
     return sorted(path.name for path in store.folder.iterdir())
 
@@ -138,8 +125,7 @@ def test_installing_twice_changes_nothing(workshop: Workshop) -> None:
 
 
 def test_a_version_never_changes_what_it_holds(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     with pytest.raises(DataError, match=r"1\.0 is installed and is another one: give it a new version"):
         install(store, workshop.signed_folder("other", version="1.0", data_sha256="e" * 64))
 
@@ -160,7 +146,7 @@ def test_what_is_refused_leaves_nothing_behind(workshop: Workshop) -> None:
     def refuse(folder: Path, manifest: Manifest) -> Mapping[str, Predictor]:
         raise DataError("lstm.onnx: does not prove its golden vectors")
 
-    store = make_store(workshop, refuse)
+    store = make_store(workshop, load=refuse)
     with pytest.raises(DataError, match=r"lstm\.onnx: does not prove"):
         install(store, workshop.archive("1.0"))
     assert names(store) == ["lock"]
@@ -177,8 +163,7 @@ def test_what_an_interrupted_install_has_left_is_cleared_by_the_next(workshop: W
 
 
 def test_a_damaged_bundle_never_activates(workshop: Workshop) -> None:
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     (store.folder / "1.0" / "twin.yaml").write_text("sample_s: 61\n")
     with pytest.raises(DataError, match=r"bundle 1\.0: twin\.yaml: its sha256 is not the manifest's"):
         carry_out(store, "activate", "1.0")
@@ -206,8 +191,7 @@ def test_rolling_back_to_a_damaged_bundle_ends_at_the_packaged_one(workshop: Wor
 
 def test_changes_by_two_at_once_take_turns(workshop: Workshop) -> None:
     """Each of them activates, marks good and rolls back; nothing is ever half done."""
-    store = make_store(workshop)
-    install(store, workshop.archive("1.0"))
+    store = make_store(workshop, "1.0")
     unexpected = []
 
     def work() -> None:
@@ -286,11 +270,7 @@ def test_a_damaged_shadow_leaves_the_active_bundle_alone(workshop: Workshop) -> 
     assert serving.problems == ("bundle 3.0: arx.json: is missing",)
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["", "{", "[]", "{}", '{"active": "1.0"}', '{"active": "../x", "on_probation": false}',
-     '{"active": "1.0", "previous": 1, "on_probation": false}'],
-)  # fmt: skip
+@pytest.mark.parametrize("text", ["", "{}", '{"active": "../x", "on_probation": false}'])
 def test_a_spoilt_roles_file_means_the_packaged_bundle_until_it_is_written_anew(
     workshop: Workshop, text: str
 ) -> None:

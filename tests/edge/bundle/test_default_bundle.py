@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.bundle.check import check_folder
-from edge.bundle.predictors import load_predictors, loader
+from edge.bundle.predictors import loader
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore
-from edge.core.errors import DataError
 from edge.models.arx_file import DEFAULT_PATH
 from training.data import datasets
 from training.data.datasets import data_sha256, training_runs
@@ -67,23 +65,3 @@ def test_every_model_gives_persistence_a_lesson(packaged):
     still = np.abs(run.columns["temp_air_c"] - run.columns["temp_air_c"][9]).mean()
     for model in packaged.predictors.values():
         assert errors(free_run(model, run), run).mae_k < 0.5 * still
-
-
-def test_a_hybrid_on_another_twin_is_refused(tmp_path):
-    for path in PACKAGED_FOLDER.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    manifest = BundleStore(NO_KEYS, NO_KEYS, loader(60.0)).load("packaged").manifest
-    twin = (tmp_path / "twin.yaml").read_text()
-    (tmp_path / "twin.yaml").write_text(twin.replace("volume_m3: 0.15", "volume_m3: 0.16"))
-    with pytest.raises(DataError, match=r"twin_sha256: is not that of twin\.yaml"):
-        load_predictors(tmp_path, manifest, 60.0)
-
-
-def test_a_byte_that_was_changed_is_found(tmp_path):
-    for path in PACKAGED_FOLDER.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    graph = bytearray((tmp_path / "ham.onnx").read_bytes())
-    graph[-1] ^= 1
-    (tmp_path / "ham.onnx").write_bytes(graph)
-    with pytest.raises(DataError, match=r"ham\.onnx"):
-        check_folder(tmp_path, NO_KEYS)

@@ -3,6 +3,7 @@
 import argparse
 import io
 import json
+import re
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -31,6 +32,7 @@ def test_every_command_stands_once_in_the_help_and_fits_80_columns() -> None:
     grouped = [name for names in GROUPS.values() for name in names]
     assert sorted(grouped) == sorted([*COMMANDS, *ORDERS])
     text = parser_for(None).format_help()
+    assert all(re.search(rf"^\s+{name}\b", text, re.MULTILINE) for name in (*COMMANDS, *ORDERS))
     assert all(len(line) <= 80 for line in text.splitlines())
     assert text.index("greenhouse demo") < text.index("check-config /etc") < text.index("emergency-stop")
 

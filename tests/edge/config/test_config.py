@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from edge.config import loading as config
 from edge.config.example import document
-from edge.config.settings import CalibrationSettings, SafetySettings, Settings
+from edge.config.settings import SafetySettings, Settings
 from edge.core import hard_limits
 from edge.core.errors import ConfigError
-from edge.core.names import SIGNALS
 from edge.formats.cross_check import Section
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "edge.example.yaml"
@@ -75,16 +74,6 @@ def test_a_misspelt_key_is_refused_with_the_nearest_known_one():
     )
 
 
-def test_a_key_like_no_other_is_refused_with_all_known_ones():
-    assert refusal("board: {qqq: 1}") == "edge.yaml: board: unknown key 'qqq'; known keys: baudrate, port"
-
-
-def test_a_value_above_a_hard_limit_is_refused_with_its_place():
-    assert refusal("safety: {temp_air_max_c: 180}") == (
-        "edge.yaml: safety.temp_air_max_c: 180 is above the hard limit 60"
-    )
-
-
 HARD_LIMITS = {  # smallest and largest value as plain numbers: who changes a limit changes this table
     "safety.temp_air_max_c": (None, 60.0),
     "safety.temp_trip_c": (None, 65.0),
@@ -127,14 +116,6 @@ def test_every_number_is_held_to_its_range(path, item):
     place = f"edge.yaml: {'.'.join(path)}: "
     for outside in (rule.low - step, rule.high + step):
         assert refusal(nested(path, repr(outside))).startswith(place)
-    for wrong in ("true", "'1'", "[]", "null"):
-        assert refusal(nested(path, wrong)).startswith(place + "must be")
-
-
-@pytest.mark.parametrize("value", [".nan", ".inf", "-.inf"])
-@pytest.mark.parametrize("path", [path for path, item in NUMBERS if item.type is float])
-def test_what_is_not_finite_is_no_number(path, value):
-    assert "is not a finite number" in refusal(nested(path, value))
 
 
 @given(st.floats(allow_nan=True, allow_infinity=True))
@@ -156,51 +137,9 @@ def test_settings_made_in_code_are_held_to_the_same_limits():
         SafetySettings(temp_air_max_c=61.0)
 
 
-@pytest.mark.parametrize("path", [path for path, item in LEAVES if item.type is bool])
-@pytest.mark.parametrize("value", ["1", "0", "'true'", "yes", "on", "null"])
-def test_only_true_and_false_are_flags(path, value):
-    assert "must be true or false" in refusal(nested(path, value))
-
-
-@pytest.mark.parametrize("value", ["1.5", "1e3", "'5'", "true"])
-def test_a_whole_number_must_be_one(value):
-    assert "must be a whole number" in refusal(f"control: {{horizon: {value}}}")
-
-
-def test_a_whole_number_will_do_for_a_real_one():
-    settings = config.parse("safety: {temp_air_max_c: 39}")
-    assert settings.safety.temp_air_max_c == 39.0
-    assert type(settings.safety.temp_air_max_c) is float
-
-
-def test_an_exponent_needs_no_point():
-    assert config.parse("safety: {temp_air_max_c: 4e1}").safety.temp_air_max_c == 40.0
-
-
-@pytest.mark.parametrize(
-    ("source", "place"),
-    [
-        ("- a", ""),
-        ("word", ""),
-        ("board: 3", "board"),
-        ("board: [1]", "board"),
-        ("reference: {steps: 3}", "reference.steps"),
-        ("reference: {steps: {at_s: 0}}", "reference.steps"),
-        ("reference: {steps: [3]}", "reference.steps[0]"),
-    ],
-)
-def test_what_is_no_section_is_refused(source, place):
-    assert refusal(source).startswith(f"edge.yaml: {place}{': ' if place else ''}must ")
-
-
 @pytest.mark.parametrize("source", ["a: [", "\t- x", "a: b: c", "*x", "!!python/object:os.system {}"])
 def test_what_is_no_yaml_is_refused_with_its_line(source):
     assert "line 1" in refusal(source)
-
-
-def test_a_key_given_twice_is_refused():
-    assert "key 'port' is given twice" in refusal("board: {port: a, port: b}")
-    assert "key 'board' is given twice" in refusal("board: {port: a}\nboard: {baudrate: 9600}")
 
 
 def test_an_empty_section_keeps_its_defaults():
@@ -210,11 +149,6 @@ def test_an_empty_section_keeps_its_defaults():
 def test_on_and_off_are_keys_and_times_need_no_quotes():
     lighting = config.parse("lighting: {on: 06:00, off: 22:00}").lighting
     assert (lighting.on, lighting.off) == (time(6), time(22))
-
-
-@pytest.mark.parametrize("value", ["25:00", "6", "0600Z", "'06:00+01:00'", "true", "''"])
-def test_a_time_of_day_must_be_one(value):
-    assert 'lighting.on: must be "HH:MM"' in refusal(f"lighting: {{on: {value}}}")
 
 
 @pytest.mark.parametrize(
@@ -253,37 +187,19 @@ def test_values_that_contradict_each_other_are_refused(source, message):
     assert message in refusal(source)
 
 
-def test_edges_of_ranges_are_allowed():
-    safety = config.parse("safety: {temp_air_max_c: 60, temp_trip_c: 65}").safety
-    assert (safety.temp_air_max_c, safety.temp_trip_c) == (60.0, 65.0)
-    calibration = config.parse("calibration: {temp_air: {offset: -5, gain: 1.1}}").calibration
-    assert calibration.temp_air.offset == -5.0
-
-
-def test_every_signal_has_a_calibration():
-    assert {item.name for item in dataclasses.fields(CalibrationSettings)} == set(SIGNALS)
-
-
 def test_a_reference_by_the_clock_is_read():
     source = "reference: {kind: daily, daily: [{at: '06:00', reference_c: 26}, {at: 22:30, reference_c: 20}]}"
     daily = config.parse(source).reference.daily
     assert [(point.at, point.reference_c) for point in daily] == [(time(6), 26.0), (time(22, 30), 20.0)]
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_errors_of_a_file_name_that_file(tmp_path):
     with pytest.raises(ConfigError, match=r"nothing\.yaml: cannot be read"):
         config.load(tmp_path / "nothing.yaml")
-
-
-def test_a_file_that_is_no_text_is_refused(tmp_path):
-    path = tmp_path / "edge.yaml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="cannot be read"):
-        config.load(path)
-
-
-def test_errors_of_a_file_name_that_file(tmp_path):
     path = tmp_path / "rig.yaml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match=r"rig\.yaml: cannot be read"):
+        config.load(path)
     path.write_text("safety: {temp_air_max_c: 99}")
     with pytest.raises(
         ConfigError, match=r"rig\.yaml: safety\.temp_air_max_c: 99 is above the hard limit 60"

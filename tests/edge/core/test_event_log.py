@@ -57,10 +57,7 @@ def test_a_summary_has_the_last_text_and_the_gravest_severity() -> None:
     log = EventLog()
     grave = [Severity.INFO, Severity.ALARM, Severity.WARNING, Severity.INFO]
     log.add(*(event("a", str(number), severity) for number, severity in enumerate(grave)))
-    assert log.take() == [
-        event("a", "0"),
-        event("a", "3 more times, the last one: 3", Severity.ALARM),
-    ]
+    assert log.take() == [event("a", "0"), event("a", "3 more times, the last one: 3", Severity.ALARM)]
 
 
 class LoosePort:

@@ -87,7 +87,6 @@ def test_what_was_not_calibrated_has_no_interval(key):
         ({"format": 2}, "format"),
         ({"claimed": 0.8}, "claimed"),
         *(({"half_width_k": value}, r"intervals\[0\]\.half_width_k") for value in (0.0, -1.0)),
-        ({"horizon_min": 5.0}, r"intervals\[0\]\.horizon_min"),
     ],
 )
 def test_a_wrong_table_is_refused_by_file_and_key(tmp_path, change, named):

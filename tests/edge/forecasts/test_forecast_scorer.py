@@ -94,29 +94,26 @@ def test_inputs_that_were_not_confirmed_end_what_is_under_way():
     assert min(tick for tick, scored in scores.items() if scored) == 91
 
 
-def test_an_input_that_changed_within_its_step_ends_what_is_under_way():
+def an_order_between_the_ticks(history):
+    history["heater_duty"][29] = 0.9
+    return window(history, 31)
+
+
+@pytest.mark.parametrize(
+    "then",
+    [
+        an_order_between_the_ticks,
+        lambda history: window(history, 32),
+        lambda history: window(history, 36),
+        lambda history: columns([22.0], start_s=9000.0),
+    ],
+    ids=["an input changed within its step", "a missed tick", "five missed ticks", "a history begun anew"],
+)
+def test_what_is_under_way_ends(then):
     scorer, history = Scorer(STEP_S), columns(TRUTH, DUTIES)
     for tick in range(1, 31):
         scorer.observe({}, window(history, tick), True)
-    history["heater_duty"][29] = 0.9  # an order between the ticks
-    scorer.observe({}, window(history, 31), True)
-    assert scorer.skipped == 30
-
-
-@pytest.mark.parametrize("missed", [1, 5])
-def test_a_missed_tick_ends_what_is_under_way(missed):
-    scorer, history = Scorer(STEP_S), columns(TRUTH, DUTIES)
-    for tick in range(1, 31):
-        scorer.observe({}, window(history, tick), True)
-    scorer.observe({}, window(history, 31 + missed), True)
-    assert scorer.skipped == 30
-
-
-def test_a_history_that_began_anew_ends_what_is_under_way():
-    scorer, history = Scorer(STEP_S), columns(TRUTH, DUTIES)
-    for tick in range(1, 31):
-        scorer.observe({}, window(history, tick), True)
-    scorer.observe({}, columns([22.0], start_s=9000.0), True)
+    scorer.observe({}, then(history), True)
     assert scorer.skipped == 30
 
 

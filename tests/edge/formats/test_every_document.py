@@ -331,7 +331,7 @@ def test_a_document_of_others_may_hold_more_keys(cls: type) -> None:
 
 PARSERS = {
     *("json.loads", "json.load", "yaml.load", "yaml.safe_load", "yaml.full_load", "yaml.unsafe_load"),
-    *("strict_json.parse_object", "strict_yaml.parse_yaml", "parse_object"),
+    *("parsing.parse_object", "parsing.parse_yaml", "parse_object"),
 }
 PAST_THE_READER = {  # file -> why it may parse by itself
     "edge/board/sim_clock.py": "answers of the virtual board that this process started",

@@ -1,4 +1,4 @@
-"""edge/formats: reader, cross_check, strict_json. Every class allows what it says, and errors look alike."""
+"""edge/formats: reader, cross_check, parsing. Every class allows what it says, and errors look alike."""
 
 import json
 import math
@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.input_file import SMALL, YAML
-from edge.formats.parsing import DEPTH_MAX, VALUES_MAX
+from edge.formats.parsing import DEPTH_MAX
 from edge.formats.reader import DocumentError, parse_json, parse_yaml, read, read_json, read_number, read_yaml
 
 
@@ -249,17 +249,3 @@ def test_any_json_text_is_a_document_or_that_one_error(text: str | bytes) -> Non
 def test_any_yaml_text_is_a_document_or_that_one_error(text: str) -> None:
     with suppress(DocumentError):
         read(Bicycle, parse_yaml(text), null_is_empty=True)
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.dictionaries(st.text(min_size=1), st.integers(), min_size=1))
-def test_a_json_object_is_read_as_it_is_or_twice_the_same_key_is_refused(document: dict[str, int]) -> None:
-    text = json.dumps(document)
-    twice = f"{text[:-1]}, {text[1:]}"
-    with pytest.raises(DocumentError, match="is given twice"):
-        parse_json(twice)
-
-
-def test_yaml_of_many_values_is_refused() -> None:
-    with pytest.raises(DocumentError, match=f"more than {VALUES_MAX} values"):
-        parse_yaml("[" + "1," * VALUES_MAX + "1]")

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from history_records import START_UTC, HandClock, History, eventful_tick, tick
+from history_records import START_UTC, HandClock, History, eventful_tick, store, tick
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from edge.core.errors import DataError
-from edge.core.messages import Reading, ReadingQuality, TickRecord
+from edge.core.messages import Reading, ReadingQuality
 from edge.formats.run_file import (
     OPTION_WITHOUT,
     RecordedRun,
@@ -29,6 +29,7 @@ from edge.storage.runs import events_between, export_run, import_run, name_run
 
 pytestmark = pytest.mark.slow
 
+NAN = math.nan
 HEADER = "time_s,temp_air_c,temp_ambient_c,heater_duty,fan_on\n"
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 LOGS = [Path(__file__).parents[2] / "data" / "made_irregular_run.csv", *sorted(SHARED.glob("*/*.csv"))]
@@ -124,6 +125,7 @@ def test_a_mark_of_unicode_and_carriage_returns_are_no_matter(path: Path) -> Non
         (HEADER + "0,1_0,20,0,0\n", "temp_air_c: '1_0' is no number"),
         (HEADER + '0,"20,5",20,0,0\n', "temp_air_c: '20,5' is no number"),
         (HEADER + "0,1e999,20,0,0\n", "temp_air_c: '1e999' is no number"),
+        (HEADER + "0,1e308,20,0,0\n", "temp_air_c: '1e308' is no number of at most 1e"),
         (HEADER + "1,20,20,0,0\n", "line 2: time_s: 1 must be 0 in the first row"),
         (HEADER + "0,20,20,0,0\n,20,20,0,0\n", "line 3: time_s: empty is no time"),
         (HEADER + "0,20,20,0,0\n60,20,20,0,0\n59,20,20,0,0\n", "line 4: time_s: 59 does not come after"),
@@ -184,12 +186,9 @@ def test_a_written_run_says_which_columns_it_lacks(path: Path) -> None:
     assert absence_facts(read(path, HEADER + "0,20,20,0,0\n")).facts == {}
 
 
-def test_a_file_that_is_not_there_is_a_data_error(path: Path) -> None:
+def test_a_missing_file_and_bytes_that_are_no_text_are_data_errors(path: Path) -> None:
     with pytest.raises(DataError, match=r"run\.csv"):
         read_run(path)
-
-
-def test_bytes_that_are_no_text_are_a_data_error(path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00time_s")
     with pytest.raises(DataError, match=r"run\.csv"):
         read_run(path)
@@ -277,54 +276,27 @@ def test_a_run_that_has_just_these_rows_is_left_as_it_is() -> None:
     assert same(resample(run, 60.0), run)
 
 
-def test_inputs_of_a_longer_period_are_means_so_that_no_heat_is_lost() -> None:
-    run = run_of(time_s=[0, 1, 2, 3, 4, 5], heater_duty=[1, 0, 0, 0, 1, 1], fan_on=[0, 1, 1, 1, 1, 1])
-    new = resample(run, 2.0)
-    assert list(new.columns["heater_duty"]) == [0.5, 0.0, 1.0]
-    assert list(new.columns["fan_on"]) == [0.5, 1.0, 1.0]
-
-
-def test_inputs_hold_until_the_next_row() -> None:
-    run = run_of(time_s=[0, 3, 6], heater_duty=[0.2, 0.8, 0.4], heater_2_duty=[1, 0, 1])
-    new = resample(run, 1.0)
-    assert list(new.columns["heater_duty"]) == [0.2, 0.2, 0.2, 0.8, 0.8, 0.8, 0.4]
-    assert list(new.columns["heater_2_duty"]) == [1, 1, 1, 0, 0, 0, 1]
-
-
-def test_readings_are_interpolated_at_the_new_instants() -> None:
-    run = run_of(time_s=[0, 3, 6], temp_air_c=[20, 23, 20])
-    assert list(resample(run, 2.0).columns["temp_air_c"]) == [20, 22, 22, 20]
-
-
-def test_between_far_readings_there_is_none() -> None:
-    run = run_of(time_s=[0, 1, 2, 9, 10], temp_air_c=[20, 20, 20, 27, 28])
-    values = resample(run, 1.0).columns["temp_air_c"]
-    assert list(np.isnan(values)) == [False] * 3 + [True] * 6 + [False] * 2
-
-
-def test_before_the_first_and_after_the_last_reading_there_is_none() -> None:
-    run = run_of(time_s=[0, 2, 4, 6], temp_air_c=[math.nan, 20, 20, math.nan])
-    assert list(np.isnan(resample(run, 1.0).columns["temp_air_c"])) == [
-        True,
-        True,
-        False,
-        False,
-        False,
-        True,
-        True,
-    ]
-
-
-def test_a_column_without_any_reading_stays_so() -> None:
-    run = run_of(time_s=[0, 3], temp_air_c=[math.nan, math.nan])
-    assert np.isnan(resample(run, 1.0).columns["temp_air_c"]).all()
-
-
-def test_a_missing_light_does_not_spread() -> None:
-    run = run_of(time_s=[0, 1, 2, 3, 4, 5], light=[1, math.nan, 1, 1, 0, 0])
-    light = resample(run, 2.0).columns["light"]
-    assert math.isnan(light[0])
-    assert list(light[1:]) == [1.0, 0.0]
+@pytest.mark.parametrize(
+    ("times", "step_s", "key", "values", "expected"),
+    [
+        # Inputs: means over a longer period, so that no heat is lost; else they hold until the next row.
+        ([0, 1, 2, 3, 4, 5], 2.0, "heater_duty", [1, 0, 0, 0, 1, 1], [0.5, 0.0, 1.0]),
+        ([0, 1, 2, 3, 4, 5], 2.0, "fan_on", [0, 1, 1, 1, 1, 1], [0.5, 1.0, 1.0]),
+        ([0, 3, 6], 1.0, "heater_duty", [0.2, 0.8, 0.4], [0.2, 0.2, 0.2, 0.8, 0.8, 0.8, 0.4]),
+        ([0, 3, 6], 1.0, "heater_2_duty", [1, 0, 1], [1, 1, 1, 0, 0, 0, 1]),
+        # Readings: interpolated, but not between far ones, before the first or after the last.
+        ([0, 3, 6], 2.0, "temp_air_c", [20, 23, 20], [20, 22, 22, 20]),
+        ([0, 1, 2, 9, 10], 1.0, "temp_air_c", [20, 20, 20, 27, 28], [20] * 3 + [NAN] * 6 + [27, 28]),
+        ([0, 2, 4, 6], 1.0, "temp_air_c", [NAN, 20, 20, NAN], [NAN, NAN, 20, 20, 20, NAN, NAN]),
+        ([0, 3], 1.0, "temp_air_c", [NAN, NAN], [NAN] * 4),
+        ([0, 1, 2, 3, 4, 5], 2.0, "light", [1, NAN, 1, 1, 0, 0], [NAN, 1, 0]),  # does not spread
+    ],
+)
+def test_columns_at_new_instants(
+    times: list[float], step_s: float, key: str, values: list[float], expected: list[float]
+) -> None:
+    found = resample(run_of(time_s=times, **{key: values}), step_s).columns[key]
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("step_s", [0.0, -1.0, math.nan])
@@ -371,16 +343,8 @@ def history(tmp_path: Path) -> Path:
     return tmp_path / "history.db"
 
 
-def record(history: Path, *ticks: TickRecord) -> None:
-    storage = Storage(History.at(history), HandClock())
-    storage.open()
-    for one in ticks:
-        storage.write(one)
-    assert storage.close(20.0)
-
-
 def test_a_stretch_of_history_is_a_run_file(history: Path, path: Path) -> None:
-    record(history, *(tick(seq) for seq in range(1, 6)))
+    store(history, *(tick(seq) for seq in range(1, 6)))
     write_run(export_run(history, first_seq=2, last_seq=4), path)
     run = read_run(path)
     assert list(run.columns)[:5] == ["time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on"]
@@ -394,13 +358,13 @@ def test_a_stretch_of_history_is_a_run_file(history: Path, path: Path) -> None:
 
 
 def test_a_stretch_by_wall_clock_includes_both_ends(history: Path) -> None:
-    record(history, *(tick(seq) for seq in range(1, 6)))
+    store(history, *(tick(seq) for seq in range(1, 6)))
     run = export_run(history, since_utc=START_UTC + 120.0, until_utc=START_UTC + 240.0)
     assert len(run) == 3
 
 
 def test_bad_readings_are_missing_and_unconfirmed_commands_are_off(history: Path) -> None:
-    record(
+    store(
         history,
         tick(1),
         eventful_tick(2),
@@ -412,7 +376,7 @@ def test_bad_readings_are_missing_and_unconfirmed_commands_are_off(history: Path
 
 
 def test_time_follows_the_grid_whatever_the_wall_clock_does(history: Path) -> None:
-    record(
+    store(
         history,
         tick(1, utc=START_UTC),
         tick(2, utc=START_UTC + 1e6),
@@ -423,10 +387,10 @@ def test_time_follows_the_grid_whatever_the_wall_clock_does(history: Path) -> No
 
 
 def test_between_sessions_the_wall_clock_counts(history: Path) -> None:
-    record(history, tick(1, utc=START_UTC))
-    record(history, tick(2, utc=START_UTC + 1000.0))
+    store(history, tick(1, utc=START_UTC))
+    store(history, tick(2, utc=START_UTC + 1000.0))
     assert list(export_run(history).columns["time_s"]) == [0.0, 1000.0]
-    record(history, tick(3, utc=START_UTC))
+    store(history, tick(3, utc=START_UTC))
     with pytest.raises(DataError, match="tick 3: the wall clock went back"):
         export_run(history)
 
@@ -471,7 +435,7 @@ def test_an_import_does_not_disturb_the_daemon(history: Path) -> None:
 
 
 def test_a_named_stretch_is_exported_with_its_facts(history: Path) -> None:
-    record(history, *(tick(seq) for seq in range(1, 6)))
+    store(history, *(tick(seq) for seq in range(1, 6)))
     name_run(history, "steps", "train", 2, 3, {"role": "train"})
     run = export_run(history, name="steps")
     assert len(run) == 2
@@ -489,13 +453,13 @@ def test_a_named_stretch_is_exported_with_its_facts(history: Path) -> None:
 def test_a_stretch_that_is_not_there_is_refused(
     history: Path, arguments: dict[str, object], message: str
 ) -> None:
-    record(history, tick(1))
+    store(history, tick(1))
     with pytest.raises(DataError, match=message):
-        export_run(history, **arguments)  # type: ignore[arg-type]
+        export_run(history, **arguments)
 
 
 def test_a_view_in_a_tables_place_is_refused_its_query_may_have_no_end(history: Path) -> None:
-    record(history, tick(1))
+    store(history, tick(1))
     with closing(sqlite3.connect(history)) as connection:
         connection.executescript("PRAGMA legacy_alter_table = ON; ALTER TABLE ticks RENAME TO hidden;")
         connection.execute("CREATE VIEW ticks AS SELECT * FROM hidden")
@@ -504,7 +468,7 @@ def test_a_view_in_a_tables_place_is_refused_its_query_may_have_no_end(history: 
 
 
 def test_a_damaged_letter_in_the_history_is_one_letter(history: Path) -> None:
-    record(history, tick(1))
+    store(history, tick(1))
     with closing(sqlite3.connect(history)) as connection, connection:
         connection.execute("UPDATE ticks SET controller = CAST(X'4dd143' AS TEXT)")
     assert export_run(history).facts["controllers"] == "M\ufffdC"
@@ -519,6 +483,6 @@ def test_exporting_makes_no_history(history: Path) -> None:
 
 
 def test_events_are_found_by_their_time(history: Path) -> None:
-    record(history, eventful_tick(1))
+    store(history, eventful_tick(1))
     assert [event.key for event in events_between(history, START_UTC, START_UTC)] == ["board.link_lost"]
     assert len(events_between(history, START_UTC, START_UTC + 1.0)) == 2

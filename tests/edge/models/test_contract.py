@@ -53,7 +53,6 @@ def test_a_file_that_keeps_its_contract_is_read(tmp_path: Path) -> None:
         ({"sample_s": 0}, "sample_s: 0 is not above 0"),
         ({"window": 0}, "window: 0 is below the smallest allowed, 1"),
         ({"window": 121}, "window: 121 is above the largest allowed, 120"),
-        ({"window": 3.0}, "window: must be a whole number, not 3.0"),
         ({"window": 4}, "golden[0].window: shape (3, 3), not (4, 3)"),
         ({"validity": {**BOX, "temp_air_c": [30.0, 20.0]}}, "validity.temp_air_c: 30, 20 are not a lowest"),
         ({"validity": {**BOX, "temp_air": [0, 1]}}, "validity: does not bound exactly temp_air_c"),
@@ -63,12 +62,8 @@ def test_a_file_that_keeps_its_contract_is_read(tmp_path: Path) -> None:
         ({"golden": [ONE_STEP]}, "golden: no rollout of more than one step"),
         ({"golden": golden_with("temps", [])}, "golden[0].temps: not numbers in 2 dimensions"),
         ({"golden": golden_with("temps", [[], []])}, "golden[0].temps: not numbers in 2 dimensions"),
-        ({"golden": golden_with("temps", [[20.5, "x"]])}, "golden[0].temps[0][1]: must be a number"),
-        ({"golden": golden_with("temps", [[20.5, True]])}, "golden[0].temps[0][1]: must be a number"),
         ({"golden": golden_with("temps", [[20.5, 20.75], [20.5]])}, "golden[0].temps: not numbers in 2 dim"),
         ({"golden": golden_with("temps", [[20.5]])}, "golden[0].controls: shape (1, 2, 2), not (1, 1, 2)"),
-        ({"golden": golden_with("controls", None)}, "golden[0].controls: must be a list, not None"),
-        ({"extra": 1}, "unknown key 'extra'"),
     ],
 )  # fmt: skip
 def test_a_contract_that_does_not_fit_is_refused_with_its_key(
@@ -81,11 +76,6 @@ def test_a_contract_that_does_not_fit_is_refused_with_its_key(
 def test_no_key_of_the_contract_may_be_missing(key: str) -> None:
     with pytest.raises(DataError, match=f"^{key}: "):
         parse_contract(json.dumps({name: value for name, value in VALID.items() if name != key}))
-
-
-@pytest.mark.parametrize("text", ["{", "[]", '{"contract": NaN}', "[" * 100_000])
-def test_metadata_that_are_no_object_are_refused(text: str, tmp_path: Path) -> None:
-    assert refusal(write_onnx(tmp_path / "lstm.onnx", text=text)).startswith("greenhouse_contract: ")
 
 
 @pytest.mark.parametrize(
@@ -157,6 +147,7 @@ def test_what_is_no_onnx_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_onnx_file_without_a_contract_is_refused(tmp_path: Path) -> None:
+    assert refusal(write_onnx(tmp_path / "lstm.onnx", text="{")).startswith("greenhouse_contract: not JSON")
     message = refusal(write_onnx(tmp_path / "lstm.onnx", text=""))
     assert message.startswith("greenhouse_contract: missing in the metadata")
 

@@ -17,12 +17,6 @@ def test_a_policy_gives_the_values_of_its_graph(tmp_path):
     assert (policy.name, policy.step_s, len(policy.version)) == ("RL-Off", 60.0, 12)
 
 
-def without(key):
-    changed = document()
-    del changed[key]
-    return changed
-
-
 def golden(**changed):
     return document() | {"golden": document()["golden"] | changed}
 
@@ -36,9 +30,6 @@ def golden(**changed):
         (document() | {"features": ["error"]}, "features: "),
         (document() | {"actions": 41}, "actions: 41 is not 42"),
         (document() | {"sample_s": 0}, "sample_s: 0 is not above 0"),
-        (document() | {"oracle": 1}, "unknown key 'oracle'"),
-        (without("variant"), "variant: missing"),
-        (without("table_sha256"), "table_sha256: missing"),
         (golden(observations=[]), "golden.observations: not numbers in 2 dimensions"),
         (golden(observations=[[1.0] * 12]), r"golden.observations: shape \(1, 12\), not \(1, 13\)"),
         (golden(values=[[0.0] * ACTIONS]), r"golden.values: shape \(1, 42\), not \(3, 42\)"),

@@ -1,3 +1,5 @@
+"""edge/mqtt/discovery.py: what Home Assistant is told of a rig, and what it sends."""
+
 import json
 import re
 from dataclasses import replace
@@ -5,12 +7,14 @@ from dataclasses import replace
 import pytest
 from home_assistant import check_device, check_topic
 
-from bench.support.mqtt_rig import ROOT, ControlLoop, settings
+from bench.support.mqtt_rig import ROOT, ControlLoop, record, settings
 from edge.assistant.requests.desk import PendingRequest, new_id
 from edge.config.settings import ControlSettings, LlmSettings, ReferenceSettings, Settings
 from edge.core.controller import LLM
+from edge.core.messages import ForecastSkill
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
+from edge.mqtt.discovery import PREDICTORS
 from edge.mqtt.topics import Topics
 
 CONFIGURED = settings()
@@ -157,3 +161,56 @@ def parse_topic(topic: str, payload: str):
     root, _, what = topic.rpartition("/")
     assert root == f"{ROOT}/set"
     return parse(what, payload.encode(), CONFIGURED.reference)
+
+
+# sensors of the skill
+
+ROW = ForecastSkill("arx", "v1", 15, 7, 0.214, 0.905, None, 0.5, 0.91)
+
+
+def skill_payload(*rows):
+    loop = ControlLoop()
+    loop.last_record = record(skill=rows)
+    return json.loads(json.dumps(states.skill(loop.status()), allow_nan=False))
+
+
+def rendered(key, shown, template="value_template"):
+    """As Home Assistant renders it; "None" is shown as unknown."""
+    jinja2 = pytest.importorskip("jinja2")
+    return jinja2.Environment().from_string(COMPONENTS[key][template]).render(value_json=shown)
+
+
+def test_every_predictor_has_its_diagnostics_on_the_topic_of_the_skill():
+    for name in PREDICTORS:
+        for key in (f"error_{name}", f"skill_{name}"):
+            assert COMPONENTS[key]["state_topic"] == Topics.of(CONFIGURED.mqtt).skill
+            assert COMPONENTS[key]["entity_category"] == "diagnostic"
+    check_device(discovery.device(CONFIGURED))
+
+
+def test_error_is_in_kelvin_and_skill_in_percent():
+    assert (rendered("error_arx", skill_payload(ROW)), COMPONENTS["error_arx"]["unit_of_measurement"]) == (
+        "0.214",
+        "K",
+    )
+    assert (rendered("skill_arx", skill_payload(ROW)), COMPONENTS["skill_arx"]["unit_of_measurement"]) == (
+        "90.5",
+        "%",
+    )
+
+
+@pytest.mark.parametrize("rows", [(), (ForecastSkill("arx", "v1", 60, 7, 0.2, 0.9, None, None, None),)])
+@pytest.mark.parametrize("key", ["error_arx", "skill_arx", "error_ham"])
+def test_what_was_not_scored_is_unknown(rows, key):
+    assert rendered(key, skill_payload(*rows)) == "None"
+
+
+def test_a_skill_that_does_not_exist_is_unknown():
+    shown = skill_payload(ForecastSkill("arx", "v1", 15, 7, 0.0, None, None, None, None))
+    assert (rendered("skill_arx", shown), rendered("error_arx", shown)) == ("None", "0.0")
+
+
+def test_all_horizons_are_attributes():
+    shown = json.loads(rendered("error_arx", skill_payload(ROW), "json_attributes_template"))
+    assert shown["horizons"]["15"]["covered"] == 0.91
+    assert json.loads(rendered("error_ham", skill_payload(ROW), "json_attributes_template")) == {}

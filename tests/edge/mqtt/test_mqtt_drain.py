@@ -1,6 +1,7 @@
 import json
 import random
 import sqlite3
+from contextlib import closing
 from types import SimpleNamespace
 
 import pytest
@@ -9,11 +10,12 @@ from hypothesis import strategies as st
 
 from bench.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
 from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, settings
-from edge.mqtt import connection, drain, telemetry
+from edge.mqtt import drain
 from edge.mqtt.drain import BATCH_ROWS, REFUSED_PAUSE_S, Drain
 from edge.mqtt.telemetry import Telemetry
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 HISTORY = f"{ROOT}/history"
 
@@ -155,11 +157,8 @@ def test_every_row_arrives_whatever_is_refused_and_in_whatever_order_answers_com
     assert outbox.depth() == 0
 
 
-@pytest.fixture
-def quick_reconnect(monkeypatch):
-    monkeypatch.setattr(connection, "RECONNECT_MIN_S", 0.1)
-    monkeypatch.setattr(connection, "RECONNECT_MAX_S", 0.2)
-    monkeypatch.setattr(telemetry, "POLL_S", 0.05)
+def draining(broker, outbox):
+    return closing(Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox))
 
 
 def heard(listener):
@@ -174,8 +173,7 @@ def without_repeats(numbers):
 def test_what_gathered_while_the_broker_was_away_arrives_in_order(tmp_path, quick_reconnect):
     outbox = MemoryOutbox(2000)
     broker = Broker(tmp_path)
-    own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
-    try:
+    with draining(broker, outbox) as own:
         wait_for(own.faults)
         with broker, Listener(broker.port, HISTORY) as listener:
             wait_for(lambda: outbox.depth() == 0)
@@ -183,50 +181,44 @@ def test_what_gathered_while_the_broker_was_away_arrives_in_order(tmp_path, quic
             # The first rows may have passed before the listener was there.
             numbers = heard(listener)
             assert numbers == list(range(numbers[0], 2001))
-    finally:
-        own.close()
 
 
 @needs_mosquitto
 def test_a_restart_of_the_broker_loses_nothing(tmp_path, quick_reconnect, monkeypatch):
     monkeypatch.setattr(drain, "BATCH_ROWS", 50)
     outbox = MemoryOutbox(3000)
-    with Broker(tmp_path, KEEPS_SESSIONS) as broker, Listener(broker.port, HISTORY) as listener:
-        own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
-        try:
-            for part in (500, 1500):
-                wait_for(lambda part=part: len(outbox.acknowledged) >= part)
-                broker.stop()
-                broker.start()
-            wait_for(lambda: outbox.depth() == 0)
-            wait_for(lambda: len(set(heard(listener))) == 3000)
-            assert without_repeats(heard(listener)) == list(range(1, 3001))
-        finally:
-            own.close()
+    with (
+        Broker(tmp_path, KEEPS_SESSIONS) as broker,
+        Listener(broker.port, HISTORY) as listener,
+        draining(broker, outbox),
+    ):
+        for part in (500, 1500):
+            wait_for(lambda part=part: len(outbox.acknowledged) >= part)
+            broker.stop()
+            broker.start()
+        wait_for(lambda: outbox.depth() == 0)
+        wait_for(lambda: len(set(heard(listener))) == 3000)
+        assert without_repeats(heard(listener)) == list(range(1, 3001))
 
 
 @needs_mosquitto
 def test_what_a_killed_broker_lost_is_a_gap_that_a_resend_fills(tmp_path, quick_reconnect, monkeypatch):
     monkeypatch.setattr(drain, "BATCH_ROWS", 50)
     outbox = MemoryOutbox(3000)
-    with Broker(tmp_path) as broker, Listener(broker.port, HISTORY) as listener:
-        own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
-        try:
-            for part in (500, 1500):
-                wait_for(lambda part=part: len(outbox.acknowledged) >= part)
-                broker.kill()
-                broker.start()
-            wait_for(lambda: outbox.depth() == 0)
-            assert set(outbox.acknowledged) == set(range(1, 3001))
-            listener.wait_until_subscribed()
-            outbox.resend(3000, 3000)  # the end, for a listener that was back too late
-            wait_for(lambda: heard(listener)[-1:] == [3000])
-            assert without_repeats(heard(listener)) == sorted(set(heard(listener)))
-            for missing in set(range(1, 3001)) - set(heard(listener)):
-                outbox.resend(missing, missing)
-            wait_for(lambda: set(heard(listener)) == set(range(1, 3001)))
-        finally:
-            own.close()
+    with Broker(tmp_path) as broker, Listener(broker.port, HISTORY) as listener, draining(broker, outbox):
+        for part in (500, 1500):
+            wait_for(lambda part=part: len(outbox.acknowledged) >= part)
+            broker.kill()
+            broker.start()
+        wait_for(lambda: outbox.depth() == 0)
+        assert set(outbox.acknowledged) == set(range(1, 3001))
+        listener.wait_until_subscribed()
+        outbox.resend(3000, 3000)  # the end, for a listener that was back too late
+        wait_for(lambda: heard(listener)[-1:] == [3000])
+        assert without_repeats(heard(listener)) == sorted(set(heard(listener)))
+        for missing in set(range(1, 3001)) - set(heard(listener)):
+            outbox.resend(missing, missing)
+        wait_for(lambda: set(heard(listener)) == set(range(1, 3001)))
 
 
 @needs_mosquitto
@@ -234,10 +226,7 @@ def test_rows_a_broker_may_not_take_stay(tmp_path, quick_reconnect):
     access = tmp_path / "acl"
     access.write_text("topic readwrite other/#\ntopic write greenhouse/rig-1/availability\n")
     outbox = MemoryOutbox(5)
-    with Broker(tmp_path, f"allow_anonymous true\nacl_file {access}") as broker:
-        own = Telemetry(settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: outbox)
-        try:
-            wait_for(lambda: "the broker refuses: Not authorized" in str(own.faults()))
-            assert outbox.depth() == 5
-        finally:
-            own.close()
+    anyone = f"allow_anonymous true\nacl_file {access}"
+    with Broker(tmp_path, anyone) as broker, draining(broker, outbox) as own:
+        wait_for(lambda: "the broker refuses: Not authorized" in str(own.faults()))
+        assert outbox.depth() == 5

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from edge.core.event_log import Allowance
 from edge.mqtt.telemetry import COMMANDS_WAITING_MAX, Telemetry
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 # Behind a flood it would wait for minutes; how long it does wait: `python -m bench attack`.
 HELD_UP_S = 10.0
@@ -56,12 +56,6 @@ def flood(port: int, what: str, payload: str, count: int = 10_000, qos: int = 1)
     finally:
         process.kill()
         process.wait()
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:  # socket paths must be short
-        yield Path(name)
 
 
 def cpu_s(pid: int) -> float:

@@ -1,6 +1,7 @@
 import logging
 import ssl
 import subprocess
+from contextlib import closing
 
 import pytest
 from certificates import make_certificates
@@ -8,18 +9,13 @@ from certificates import make_certificates
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
 from edge.core.errors import ConfigError
-from edge.mqtt import connection, telemetry
 from edge.mqtt.connection import make_client
 from edge.mqtt.telemetry import Telemetry
 
+pytestmark = pytest.mark.usefixtures("quick_reconnect")
+pytest_plugins = ["rig_places"]
+
 PASSWORD = "correct horse"
-
-
-@pytest.fixture(autouse=True)
-def quick_reconnect(monkeypatch):
-    monkeypatch.setattr(connection, "RECONNECT_MIN_S", 0.1)
-    monkeypatch.setattr(connection, "RECONNECT_MAX_S", 0.2)
-    monkeypatch.setattr(telemetry, "POLL_S", 0.05)
 
 
 @pytest.fixture(scope="module")
@@ -47,44 +43,24 @@ def fault(own):
 def test_a_client_certificate_opens_a_broker_that_demands_one(tmp_path, certificates):
     context = ssl.create_default_context(cafile=str(certificates / "ca.crt"))
     context.load_cert_chain(certificates / "client.crt", certificates / "client.key")
+    own_files = {"client_cert": certificates / "client.crt", "client_key": certificates / "client.key"}
+    files = {key: str(path) for key, path in own_files.items()}
     with (
         tls_broker(tmp_path, certificates, "require_certificate true") as broker,
         Listener(broker.port, context=context) as listener,
+        closing(start(broker.port, tls=True, ca=str(certificates / "ca.crt"), **files)) as own,
     ):
-        own = start(
-            broker.port,
-            tls=True,
-            ca=str(certificates / "ca.crt"),
-            client_cert=str(certificates / "client.crt"),
-            client_key=str(certificates / "client.key"),
-        )
-        try:
-            tick(own, record())
-            wait_for(lambda: listener.objects(f"{ROOT}/state"))
-        finally:
-            own.close()
+        tick(own, record())
+        wait_for(lambda: listener.objects(f"{ROOT}/state"))
 
 
 @needs_mosquitto
-def test_a_broker_signed_by_a_stranger_gets_nothing(tmp_path, certificates):
+@pytest.mark.parametrize(("authority", "host"), [("stranger.crt", "127.0.0.1"), ("ca.crt", "localhost")])
+def test_a_certificate_by_a_stranger_or_for_another_host_is_refused(tmp_path, certificates, authority, host):
     with tls_broker(tmp_path, certificates) as broker:
-        own = start(broker.port, tls=True, ca=str(certificates / "stranger.crt"))
-        try:
+        with closing(start(broker.port, tls=True, ca=str(certificates / authority), host=host)) as own:
             tick(own, record())
             wait_for(lambda: "can't be reached" in fault(own))
-        finally:
-            own.close()
-        assert "greenhouse" not in broker.log
-
-
-@needs_mosquitto
-def test_a_certificate_for_another_host_is_refused(tmp_path, certificates):
-    with tls_broker(tmp_path, certificates) as broker:
-        own = start(broker.port, tls=True, ca=str(certificates / "ca.crt"), host="localhost")
-        try:
-            wait_for(lambda: "can't be reached" in fault(own))
-        finally:
-            own.close()
         assert "greenhouse" not in broker.log
 
 
@@ -111,22 +87,18 @@ def password_file(folder, password):
 
 @needs_mosquitto
 def test_the_right_password_opens_the_broker(tmp_path, password_broker):
-    own = start(password_broker.port, username="rig", password_file=password_file(tmp_path, PASSWORD))
-    try:
+    secret = password_file(tmp_path, PASSWORD)
+    with closing(start(password_broker.port, username="rig", password_file=secret)) as own:
         wait_for(lambda: not fault(own))
-    finally:
-        own.close()
 
 
 @needs_mosquitto
 def test_a_wrong_password_is_told_and_tried_again_and_never_shown(tmp_path, password_broker, caplog):
     caplog.set_level(logging.DEBUG)
-    own = start(password_broker.port, username="rig", password_file=password_file(tmp_path, "wrong-secret"))
-    try:
+    secret = password_file(tmp_path, "wrong-secret")
+    with closing(start(password_broker.port, username="rig", password_file=secret)) as own:
         wait_for(lambda: "Not authorized" in fault(own) or "Bad user" in fault(own))
         wait_for(lambda: password_broker.log.count("not authorised") >= 2)
-    finally:
-        own.close()
     assert "wrong-secret" not in caplog.text + repr(own) + repr(vars(own)) + password_broker.log
 
 
@@ -136,16 +108,15 @@ def test_the_access_list_lets_home_assistant_ask_only_what_it_may(password_broke
     configured = settings(
         password_broker.port, username="rig", password_file=password_file(tmp_path, PASSWORD)
     )
-    own = Telemetry(configured, loop.ask, loop.post, MemoryOutbox)
-    try:
-        with Listener(password_broker.port, user="home", password="home") as home:
-            wait_for(lambda: home.payloads(f"{ROOT}/availability")[-1:] == [b"online"])
-            home.send(f"{ROOT}/set/emergency_stop", "PRESS")
-            home.send(f"{ROOT}/set/mode", "off")
-            wait_for(lambda: home.objects(f"{ROOT}/reply"))
-            assert loop.requests == [{"do": "set_mode", "mode": "off"}]
-    finally:
-        own.close()
+    with (
+        closing(Telemetry(configured, loop.ask, loop.post, MemoryOutbox)),
+        Listener(password_broker.port, user="home", password="home") as home,
+    ):
+        wait_for(lambda: home.payloads(f"{ROOT}/availability")[-1:] == [b"online"])
+        home.send(f"{ROOT}/set/emergency_stop", "PRESS")
+        home.send(f"{ROOT}/set/mode", "off")
+        wait_for(lambda: home.objects(f"{ROOT}/reply"))
+        assert loop.requests == [{"do": "set_mode", "mode": "off"}]
 
 
 @pytest.mark.parametrize(
@@ -179,21 +150,8 @@ def test_a_key_others_can_read_is_refused(tmp_path, certificates):
 
 def test_a_key_that_needs_a_password_is_an_error_and_never_a_question(tmp_path, certificates):
     locked = tmp_path / "locked.key"
-    subprocess.run(
-        [
-            "openssl",
-            "ec",
-            "-in",
-            certificates / "client.key",
-            "-aes256",
-            "-passout",
-            "pass:x",
-            "-out",
-            locked,
-        ],
-        check=True,
-        capture_output=True,
-    )
+    words = ["-in", certificates / "client.key", "-aes256", "-passout", "pass:x", "-out", locked]
+    subprocess.run(["openssl", "ec", *words], check=True, capture_output=True)
     locked.chmod(0o600)
     with pytest.raises(ConfigError, match=r"mqtt\.client_cert"):
         make_client(

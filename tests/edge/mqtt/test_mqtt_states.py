@@ -133,13 +133,7 @@ def test_trips_of_the_daemon_and_of_the_board_are_both_told():
 
 def test_the_forecast_says_which_times_it_is_for():
     shown = states.forecast(ControlLoop().status())
-    assert shown == {
-        "seq": 1,
-        "utc": 1.7e9,
-        "step_s": 60.0,
-        "reference_c": 26.0,
-        "forecast_c": [24.9, 25.3],
-    }
+    assert shown == {"seq": 1, "utc": 1.7e9, "step_s": 60.0, "reference_c": 26.0, "forecast_c": [24.9, 25.3]}
 
 
 def test_the_decision_carries_its_why():

@@ -20,16 +20,10 @@ from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 from edge.sockets.control_socket import ControlSocket
 
-pytestmark = needs_mosquitto
+pytestmark = [pytest.mark.usefixtures("quick_reconnect"), needs_mosquitto]
+pytest_plugins = ["rig_places"]
 AVAILABILITY, STATE, REPLY, EVENT = (f"{ROOT}/{name}" for name in ("availability", "state", "reply", "event"))
 DISCOVERY, HISTORY = "homeassistant/device/rig-1/config", f"{ROOT}/history"
-
-
-@pytest.fixture(autouse=True)
-def quick_reconnect(monkeypatch):
-    monkeypatch.setattr(connection, "RECONNECT_MIN_S", 0.1)
-    monkeypatch.setattr(connection, "RECONNECT_MAX_S", 0.2)
-    monkeypatch.setattr(telemetry, "POLL_S", 0.05)
 
 
 @pytest.fixture
@@ -47,6 +41,14 @@ def running(port, loop=None, outbox=None, **mqtt):
         yield own
     finally:
         own.close()
+
+
+@contextmanager
+def online(*arguments):
+    """Telemetry that the broker has let in."""
+    with running(*arguments) as own:
+        wait_for(lambda: not own.faults())
+        yield own
 
 
 def test_a_tick_is_published_with_discovery_and_availability(broker):
@@ -86,8 +88,7 @@ def test_replies_events_and_proposals_are_not_retained(broker):
 
 
 def test_a_message_with_a_value_that_json_lacks_is_not_published(broker):
-    with Listener(broker.port) as listener, running(broker.port) as own:
-        wait_for(lambda: not own.faults())
+    with Listener(broker.port) as listener, online(broker.port) as own:
         own.show_proposal({"reference_c": math.nan})
         own.show_proposal({"reference_c": 24.0})
         wait_for(lambda: listener.payloads(f"{ROOT}/proposal"))
@@ -96,8 +97,8 @@ def test_a_message_with_a_value_that_json_lacks_is_not_published(broker):
 
 def test_closing_says_offline(broker):
     with Listener(broker.port) as listener:
-        with running(broker.port) as own:
-            wait_for(lambda: not own.faults())
+        with online(broker.port):
+            pass
         wait_for(lambda: listener.payloads(AVAILABILITY) == [b"online", b"offline"])
 
 
@@ -156,8 +157,7 @@ def test_home_assistant_is_told_everything_again_when_it_starts(broker):
 
 def test_a_command_reaches_the_loop_and_is_answered_and_shown_at_once(broker):
     loop = ControlLoop()
-    with Listener(broker.port) as listener, running(broker.port, loop) as own:
-        wait_for(lambda: not own.faults())
+    with Listener(broker.port) as listener, online(broker.port, loop):
         listener.send(f"{ROOT}/set/temperature", "28.5")
         wait_for(lambda: listener.objects(REPLY) == [{"command": "temperature", "ok": True}])
         assert loop.requests == [{"do": "set_reference", "reference_c": 28.5}]
@@ -182,16 +182,14 @@ def test_what_a_stop_that_is_not_on_disk_or_not_on_the_board_answers_reaches_the
     hints = {"ok": False, "error": "in force now, but it will not survive a restart", "warning": "no link"}
     ask = loop.ask
     loop.ask = lambda request: ask(request) | (hints if request["do"] == "emergency_stop" else {})
-    with Listener(broker.port) as listener, running(broker.port, loop) as own:
-        wait_for(lambda: not own.faults())
+    with Listener(broker.port) as listener, online(broker.port, loop):
         listener.send(f"{ROOT}/set/emergency_stop", "PRESS")
         wait_for(lambda: listener.objects(REPLY) == [{"command": "emergency_stop", **hints}])
 
 
 def test_a_malformed_command_is_answered_with_its_error_and_an_event(broker):
     loop = ControlLoop()
-    with Listener(broker.port) as listener, running(broker.port, loop) as own:
-        wait_for(lambda: not own.faults())
+    with Listener(broker.port) as listener, online(broker.port, loop):
         for payload in ("nan", b"\xff\x00", "x" * 5000):
             listener.send(f"{ROOT}/set/temperature", payload)
         wait_for(lambda: len(listener.objects(REPLY)) == 3)
@@ -204,8 +202,7 @@ def test_a_malformed_command_is_answered_with_its_error_and_an_event(broker):
 def test_what_the_loop_refuses_is_answered_with_its_reason(broker):
     loop = ControlLoop()
     loop.ask = lambda request: {"ok": False, "error": "still too hot"}
-    with Listener(broker.port) as listener, running(broker.port, loop) as own:
-        wait_for(lambda: not own.faults())
+    with Listener(broker.port) as listener, online(broker.port, loop):
         listener.send(f"{ROOT}/set/clear_trip", "PRESS")
         wait_for(
             lambda: (
@@ -218,8 +215,7 @@ def test_a_retained_command_never_acts(broker):
     loop = ControlLoop()
     with Listener(broker.port) as listener:
         listener.send(f"{ROOT}/set/mode", "off", retain=True)
-        with running(broker.port, loop) as own:
-            wait_for(lambda: not own.faults())
+        with online(broker.port, loop):
             # The broker hands the retained message over before this later one.
             listener.send(f"{ROOT}/set/mode", "heat")
             wait_for(lambda: listener.objects(REPLY))
@@ -229,11 +225,10 @@ def test_a_retained_command_never_acts(broker):
 def test_a_command_given_while_the_rig_was_away_never_acts(broker):
     loop = ControlLoop()
     with Listener(broker.port) as listener:
-        with running(broker.port, loop) as own:
-            wait_for(lambda: not own.faults())
+        with online(broker.port, loop):
+            pass
         listener.send(f"{ROOT}/set/mode", "off")
-        with running(broker.port, loop) as own:
-            wait_for(lambda: not own.faults())
+        with online(broker.port, loop):
             listener.send(f"{ROOT}/set/mode", "heat")
             wait_for(lambda: listener.objects(REPLY))
             assert loop.requests == [{"do": "set_mode", "mode": "heat"}]
@@ -248,8 +243,7 @@ def test_events_of_a_tick_are_published_one_by_one(broker):
 
 
 def test_ticks_that_were_late_or_skipped_are_counted(broker):
-    with Listener(broker.port) as listener, running(broker.port) as own:
-        wait_for(lambda: not own.faults())
+    with Listener(broker.port) as listener, online(broker.port) as own:
         tick(own, record(late_s=6.0))  # of a step of 60 s: on the limit
         tick(own, record(late_s=6.1, ticks_skipped=2))
         tick(own, record(ticks_skipped=1))

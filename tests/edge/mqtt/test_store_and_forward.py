@@ -9,22 +9,13 @@ from pathlib import Path
 import pytest
 
 from bench.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ROOT, ControlLoop, record, settings
-from edge.config.settings import HistorySettings
-from edge.core.clock import RealClock
-from edge.mqtt import connection, telemetry
+from bench.support.mqtt_rig import ROOT, ControlLoop, settings
 from edge.mqtt.telemetry import Telemetry
-from edge.storage import Outbox, Storage
+from edge.storage import Outbox
 
-pytestmark = [pytest.mark.slow, needs_mosquitto]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_reconnect"), needs_mosquitto]
+pytest_plugins = ["rig_places"]
 TICKS = f"{ROOT}/history/tick"
-
-
-@pytest.fixture(autouse=True)
-def quick_reconnect(monkeypatch):
-    monkeypatch.setattr(connection, "RECONNECT_MIN_S", 0.1)
-    monkeypatch.setattr(connection, "RECONNECT_MAX_S", 0.2)
-    monkeypatch.setattr(telemetry, "POLL_S", 0.05)
 
 
 def stored(database):
@@ -46,32 +37,6 @@ class Heard:
         return list(self._ticks)
 
 
-def test_ticks_of_an_outage_arrive_in_order_once_the_broker_is_back(tmp_path):
-    database = str(tmp_path / "history.db")
-    storage = Storage(HistorySettings(path=database), RealClock())
-    first = storage.open()
-    with Broker(tmp_path, KEEPS_SESSIONS) as broker, Listener(broker.port, TICKS) as listener:
-        heard = Heard(listener)
-        own = Telemetry(
-            settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: Outbox(database, ROOT)
-        )
-        try:
-            wait_for(lambda: not own.faults())
-            broker.stop()
-            for number in range(300):
-                storage.write(record(first + number, utc=1.7e9 + 60 * number))
-            assert storage.wait_written(first + 299, 20)
-            broker.start()
-            wait_for(lambda: len(heard()) == 300)
-            assert [seq for _, seq in heard()] == stored(database)
-            assert len({history for history, _ in heard()}) == 1
-            with closing(Outbox(database, ROOT)) as outbox:
-                wait_for(lambda: outbox.depth() == 0)
-        finally:
-            own.close()
-            storage.close()
-
-
 def test_killing_the_daemon_at_any_moment_loses_nothing_that_was_stored(tmp_path):
     database = str(tmp_path / "history.db")
     publisher = str(Path(__file__).parents[3] / "bench" / "support" / "publisher.py")
@@ -90,11 +55,7 @@ def test_killing_the_daemon_at_any_moment_loses_nothing_that_was_stored(tmp_path
             finally:
                 process.kill()
                 process.wait()
-        own = Telemetry(
-            settings(broker.port), ControlLoop().ask, ControlLoop().post, lambda: Outbox(database, ROOT)
-        )
-        try:
+        loop = ControlLoop()
+        with closing(Telemetry(settings(broker.port), loop.ask, loop.post, lambda: Outbox(database, ROOT))):
             expected = set(stored(database))
             wait_for(lambda: {seq for _, seq in heard()} >= expected)
-        finally:
-            own.close()

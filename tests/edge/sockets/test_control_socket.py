@@ -125,48 +125,38 @@ def test_silent_and_half_finished_clients_block_nobody(server, path):
 
 
 def test_a_bug_behind_one_request_does_not_take_the_others_away(path):
-    own = ControlSocket(path, lambda message: {"ok": 1 / message["divisor"]}, post)
-    try:
+    with contextlib.closing(ControlSocket(path, lambda message: {"ok": 1 / message["divisor"]}, post)):
         answer = request(path, {"divisor": 0})
         assert answer == {"ok": False, "error": "internal error: ZeroDivisionError('division by zero')"}
         assert request(path, {"divisor": 1}) == {"ok": 1.0}
-    finally:
-        own.close()
 
 
 def test_a_client_that_does_not_read_holds_up_itself_alone(path):
     asked = []
-    own = ControlSocket(
-        path, lambda message: asked.append(message) or {"ok": True, "text": "x" * 60000}, post
-    )
-    try:
-        with connect(path) as deaf:
-            deaf.settimeout(0.05)
-            with pytest.raises(TimeoutError):  # nobody takes what it sends any more
-                while True:
-                    deaf.sendall(b"{}\n" * 1000)
-            count = len(asked)
-            assert count < 100
-            for _ in range(3):
-                assert request(path, {"do": "status"})["ok"] is True
-            assert len(asked) == count + 3
-    finally:
-        own.close()
+    answer = {"ok": True, "text": "x" * 60000}
+    own = ControlSocket(path, lambda message: asked.append(message) or answer, post)
+    with contextlib.closing(own), connect(path) as deaf:
+        deaf.settimeout(0.05)
+        with pytest.raises(TimeoutError):  # nobody takes what it sends any more
+            while True:
+                deaf.sendall(b"{}\n" * 1000)
+        count = len(asked)
+        assert count < 100
+        for _ in range(3):
+            assert request(path, {"do": "status"})["ok"] is True
+        assert len(asked) == count + 3
 
 
 def test_clients_take_turns(path):
     order = []
     own = ControlSocket(path, lambda message: order.append(message["who"]) or {"ok": True}, post)
-    try:
-        with connect(path) as greedy:
-            greedy.sendall(b'{"who": "greedy"}\n' * 3000)
-            request(path, {"who": "modest"})
-            assert order.index("modest") < 3000
-            answered = b""
-            while answered.count(b"\n") < 3000:
-                answered += greedy.recv(65536)
-    finally:
-        own.close()
+    with contextlib.closing(own), connect(path) as greedy:
+        greedy.sendall(b'{"who": "greedy"}\n' * 3000)
+        request(path, {"who": "modest"})
+        assert order.index("modest") < 3000
+        answered = b""
+        while answered.count(b"\n") < 3000:
+            answered += greedy.recv(65536)
 
 
 def test_a_client_that_goes_away_before_its_answer_is_forgotten(server, path):
@@ -274,8 +264,7 @@ def test_clients_that_flood_with_stops_do_not_lock_out_others(server, path):
 def test_an_idle_client_is_told_and_closed(path, monkeypatch):
     monkeypatch.setattr("edge.sockets.control_socket.IDLE_MAX_S", 0.2)
     monkeypatch.setattr("edge.sockets.control_socket.SWEEP_S", 0.05)
-    own = ControlSocket(path, echo, post)
-    try:
+    with contextlib.closing(ControlSocket(path, echo, post)):
         guest = connect(path)
         ended = time.monotonic() + 20
         with contextlib.suppress(OSError):  # a byte now and then is no request
@@ -284,8 +273,6 @@ def test_an_idle_client_is_told_and_closed(path, monkeypatch):
                 time.sleep(0.02)
         assert time.monotonic() < ended
         assert answers(guest) == [{"ok": False, "error": "idle for 0.2 s"}]
-    finally:
-        own.close()
 
 
 def test_a_client_is_told_that_no_answer_came_and_the_request_is_not_asked_later(path, monkeypatch):
@@ -339,11 +326,8 @@ def test_a_stale_file_is_replaced(path):
     )
     subprocess.run([sys.executable, "-c", program, str(path)], check=True)
     assert path.exists()
-    own = ControlSocket(path, echo, post)
-    try:
+    with contextlib.closing(ControlSocket(path, echo, post)):
         assert request(path, {"do": "status"})["ok"] is True
-    finally:
-        own.close()
 
 
 def test_a_live_daemon_is_not_pushed_aside(server, path):

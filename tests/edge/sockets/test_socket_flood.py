@@ -5,17 +5,16 @@ import json
 import socket
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from bench.support.daemon_process import DaemonProcess
-from bench.support.virtual_board import VirtualBoard, virtual_board
+from bench.support.virtual_board import VirtualBoard
 
 pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
 
 # Behind a flood it would wait for minutes; how long it does wait: `python -m bench attack`.
 HELD_UP_S = 10.0
@@ -40,18 +39,6 @@ for _ in range(40):
     threading.Thread(target=pour, daemon=True).start()
 time.sleep(60)
 """
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="gh-") as name:  # socket paths must be short
-        yield Path(name)
-
-
-@pytest.fixture
-def board(folder: Path) -> Iterator[VirtualBoard]:
-    with virtual_board(folder, "--real-time") as running:
-        yield running
 
 
 @pytest.mark.parametrize(

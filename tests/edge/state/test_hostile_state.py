@@ -90,16 +90,15 @@ def test_a_sound_file_is_what_was_written(tmp_path: Path) -> None:
         pytest.param(DEEP, id="nested"),
         pytest.param("[" * 100_000, id="brackets"),
         pytest.param(json.dumps(SOUND) + " " * (2 << 20), id="large"),
+        pytest.param("", id="empty"),
+        pytest.param('{"operation": {}, "safety": {}}', id="no orders"),
         pytest.param(changed(maintenance_until_utc=math.nan), id="maintenance NaN"),
         pytest.param(changed(maintenance_until_utc=1e300), id="maintenance without end"),
         pytest.param(changed(maintenance_until_utc=10**400), id="an integer that is no float"),
-        pytest.param(changed(maintenance_until_utc="1"), id="text"),
         pytest.param(changed(reference_c=1e308), id="reference"),
         pytest.param(changed(emergency_stop=None), id="no stop and no release"),
         pytest.param(changed(manual={"heater_duty": 0.0, "valve_pulse_s": 10.0}), id="water at every tick"),
-        pytest.param(changed(manual={"fan_on": "no"}), id="a fan that is text"),
         pytest.param(changed(steering={**SOUND["operation"]["steering"], "until_utc": 1e15}), id="steering"),
-        pytest.param(changed(steering=[]), id="steering is a list"),
         pytest.param(changed(controller="\ud800"), id="surrogate"),
         pytest.param(
             json.dumps({**SOUND, "safety": {"trips": [], "doses": [[UTC, -1e9]]}}), id="negative water"
@@ -142,21 +141,16 @@ def test_each_value_exchanged_for_a_hostile_one_is_a_stop_or_an_order_that_can_b
     assert stopped > count * len(HOSTILE) / 2
 
 
+@pytest.mark.timeout(10)
 @pytest.mark.parametrize(
-    "text", [DEEP, "[" * 9, '{"day": 1e999}', '{"pairs": {"a": 1}, "widths": 5}', "\x00"]
+    "text", [DEEP, "[" * 9, '{"day": 1e999}', '{"pairs": {"a": 1}, "widths": 5}', "\x00", "a fifo"]
 )
 def test_other_states_begin_anew_from_a_file_that_nobody_wrote(tmp_path: Path, text: str) -> None:
     path = tmp_path / "other.json"
-    path.write_text(text)
-    for stored in (SKILL, DRIFT, LLM_BUDGET):
-        moved = replace(stored, place=lambda settings: path)
-        assert restore(moved, config.default()) == stored.otherwise(config.default(), "")
-
-
-@pytest.mark.timeout(10)
-def test_other_states_begin_anew_from_a_fifo(tmp_path: Path) -> None:
-    path = tmp_path / "other.json"
-    os.mkfifo(path)
+    if text == "a fifo":
+        os.mkfifo(path)
+    else:
+        path.write_text(text)
     for stored in (SKILL, DRIFT, LLM_BUDGET):
         moved = replace(stored, place=lambda settings: path)
         assert restore(moved, config.default()) == stored.otherwise(config.default(), "")

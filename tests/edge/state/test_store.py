@@ -28,6 +28,13 @@ def settings(folder: Path) -> Settings:
     )
 
 
+def test_without_a_state_file_the_configured_controller_runs(tmp_path: Path) -> None:
+    standing = restore(STANDING, settings(tmp_path))
+    assert standing.operation.controller == default().control.controller
+    assert not standing.operation.emergency_stop
+    assert standing.broken == ""
+
+
 def test_orders_and_latched_trips_of_an_installed_daemon_are_read_after_an_upgrade() -> None:
     standing = restore(STANDING, settings(WRITTEN))
     orders = standing.operation

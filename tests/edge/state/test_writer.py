@@ -1,20 +1,24 @@
-"""edge/state/writer.py and edge/formats/atomic_file.py: values survive, whole or not at all."""
+"""edge/state/writer.py and edge/formats/state_document.py: values survive, whole or not at all."""
 
 import queue
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from history_records import tick
 
 from edge.config.loading import default
+from edge.config.settings import Settings
 from edge.core.errors import DataError
+from edge.forecasts.skill import ErrorPair, SkillState
 from edge.formats.atomic_file import read_document as read
 from edge.formats.atomic_file import write_document as write
-from edge.state.store import StoredValue
-from edge.state.writer import ANSWERS_MAX, StateWriter
+from edge.state.store import SKILL, StoredValue, restore
+from edge.state.writer import ANSWERS_MAX, SAVE_S, HourlySink, StateWriter
 
 
 def writer_at(path: Path, pause_s: float = 0.0, encode: Callable[[Any], Any] = dict) -> StateWriter[Any]:
@@ -132,3 +136,37 @@ def test_a_bug_of_a_codec_is_answered_and_the_next_value_is_written(tmp_path: Pa
     assert answers.get(timeout=5.0) == ""
     writer.close()
     assert read(path) == {"number": 0.5}
+
+
+# the forecasts' scores outlive a kill, but for the last hour
+
+KEY = ("ham", 3, "persistence")
+
+
+def scored(count: int) -> SkillState:
+    return SkillState(pairs={KEY: ErrorPair(("1.0", "-"), count, 0.1, 0.4)})
+
+
+def settings(folder: Path) -> Settings:
+    return replace(default(), state_file=str(folder / "state.json"))
+
+
+def count_in(folder: Path) -> int:
+    return restore(SKILL, settings(folder)).pairs[KEY].scored
+
+
+def test_scores_are_saved_every_hour_and_at_the_end(tmp_path: Path) -> None:
+    now = [scored(0)]
+    keeping = HourlySink(SKILL, settings(tmp_path), lambda: now[0])
+    for count, time_s in enumerate((0.0, SAVE_S - 1.0, SAVE_S, SAVE_S + 60.0)):
+        now[0] = scored(count)
+        keeping.write(tick(count + 1, time_s=time_s))
+    keeping._writer.close()  # a kill: all that was handed over is on disk, what came later is not
+    assert count_in(tmp_path) == 2
+    again = HourlySink(SKILL, settings(tmp_path), lambda: scored(5))
+    again.close()
+    assert count_in(tmp_path) == 5
+
+
+def test_without_a_file_scores_begin_anew(tmp_path: Path) -> None:
+    assert restore(SKILL, settings(tmp_path)) == SkillState()

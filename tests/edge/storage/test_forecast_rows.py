@@ -6,11 +6,11 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from history_records import START_UTC, eventful_tick, tick
+from history_records import START_UTC, add, eventful_tick, tick
 
 from edge.core.messages import Forecast, ForecastSkill, TickRecord
 from edge.storage.file import connect
-from edge.storage.tick_rows import insert_ticks, read_ticks
+from edge.storage.tick_rows import read_ticks
 
 HOUR_S = 3600.0
 
@@ -21,15 +21,9 @@ def history(tmp_path: Path) -> Iterator[sqlite3.Connection]:
         yield connection
 
 
-def add(history: sqlite3.Connection, *records: TickRecord) -> None:
-    history.execute("BEGIN")
-    insert_ticks(history, records, session=1)
-    history.execute("COMMIT")
-
-
 def skill(mae_k: float, horizon_min: int = 5, **values: object) -> ForecastSkill:
     given = {"against_persistence": 0.9, "against_pbm": None, "half_width_k": 0.5, "covered": 0.91, **values}
-    return ForecastSkill("arx", "v1", horizon_min, 100, mae_k, **given)  # type: ignore[arg-type]
+    return ForecastSkill("arx", "v1", horizon_min, 100, mae_k, **given)
 
 
 def test_forecasts_read_back_to_a_hundredth(history: sqlite3.Connection) -> None:

@@ -31,11 +31,6 @@ def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "history.db"
-
-
-@pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -82,6 +77,13 @@ class NumberingDaemon:
         return [event.key for event in self.storage.events_pending()]
 
 
+def lived(path: Path, ticks: int = 1, boot_id: str = "") -> None:
+    """Leave a history of these ticks and a clean end."""
+    daemon = NumberingDaemon(path, boot_id)
+    daemon.tick(ticks)
+    daemon.end()
+
+
 def numbers(path: Path) -> tuple[set[int], set[int]]:
     """Stored, and in gaps."""
     with closing(sqlite3.connect(path)) as connection:
@@ -114,9 +116,7 @@ def fill(disk: Path) -> Path:
 @needs_mount
 def test_a_restart_on_a_full_disk_continues_the_numbers(small_disk: Path) -> None:
     path = small_disk / "history.db"
-    daemon = NumberingDaemon(path)
-    daemon.tick(15)
-    daemon.end()
+    lived(path, 15)
     ballast = fill(small_disk)
     daemon = NumberingDaemon(path)
     assert daemon.first == 16
@@ -131,9 +131,7 @@ def test_a_restart_on_a_full_disk_continues_the_numbers(small_disk: Path) -> Non
 @pytest.mark.parametrize("ticks", [3, 100])  # the latter more than wait for a disk
 def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Path, ticks: int) -> None:
     path = small_disk / "history.db"
-    daemon = NumberingDaemon(path)
-    daemon.tick(15)
-    daemon.end()
+    lived(path, 15)
     ballast = fill(small_disk)
     daemon = NumberingDaemon(path)
     for _ in range(ticks):
@@ -154,9 +152,7 @@ def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Pa
 
 def test_numbers_of_the_clock_are_followed_by_a_gap(path: Path) -> None:
     """A history of software without the numbers file, unreadable at the start."""
-    daemon = NumberingDaemon(path)
-    daemon.tick(3)
-    daemon.end()
+    lived(path, 3)
     Path(f"{path}-numbers").unlink()
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
@@ -172,14 +168,13 @@ def test_numbers_of_the_clock_are_followed_by_a_gap(path: Path) -> None:
 
 
 def test_a_history_that_is_locked_at_the_start_continues_its_numbers(path: Path) -> None:
-    daemon = NumberingDaemon(path)
-    daemon.tick(3)
-    daemon.end()
+    lived(path, 3)
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("BEGIN EXCLUSIVE")
         daemon = NumberingDaemon(path)
         assert daemon.first == 4
+        assert "locked" in daemon.storage.faults()["history.behind"]
         daemon.tick()
     assert daemon.is_written()
     assert daemon.events() == []
@@ -194,9 +189,7 @@ def test_a_history_that_is_locked_at_the_start_continues_its_numbers(path: Path)
 @pytest.mark.parametrize("sessions_before", [0, 1])
 def test_a_damaged_log_gives_no_number_twice(path: Path, sessions_before: int, place: int) -> None:
     for _ in range(sessions_before):
-        daemon = NumberingDaemon(path, "boot")
-        daemon.tick(15)
-        daemon.end()
+        lived(path, 15, "boot")
     daemon = NumberingDaemon(path, "boot")
     daemon.tick(8)
     assert daemon.is_written()
@@ -230,17 +223,16 @@ def test_a_last_tick_that_cannot_be_stored_is_reported(path: Path) -> None:
 
 
 def test_a_clean_end_leaves_no_gap(path: Path) -> None:
-    for _ in range(3):
+    for ended in (0, 2, 4):
         daemon = NumberingDaemon(path)
+        assert (daemon.storage.written_seq, daemon.events()) == (ended, [])
         daemon.tick(2)
         daemon.end()
     assert numbers(path) == (set(range(1, 7)), set())
 
 
 def test_a_deleted_history_is_followed_by_one_with_later_numbers(path: Path) -> None:
-    daemon = NumberingDaemon(path)
-    daemon.tick(5)
-    daemon.end()
+    lived(path, 5)
     path.unlink()
     daemon = NumberingDaemon(path)
     assert daemon.first == 6

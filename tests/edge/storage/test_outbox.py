@@ -7,30 +7,16 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from history_records import HandClock, History, eventful_tick, tick
+from history_records import HandClock, History, eventful_tick, store, tick
 
-from edge.core.messages import TickRecord
 from edge.formats.tick_json import event_json, tick_json
 from edge.storage import Outbox, OutboxMessage, Storage
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "history.db"
 
 
 @pytest.fixture
 def outbox(path: Path) -> Iterator[Outbox]:
     with closing(Outbox(path, "greenhouse/g1")) as outbox:
         yield outbox
-
-
-def store(path: Path, *records: TickRecord) -> None:
-    storage = Storage(History.at(path), HandClock())
-    storage.open()
-    for record in records:
-        storage.write(record)
-    assert storage.close(20.0)
 
 
 def contents(messages: list[OutboxMessage]) -> list[tuple[str, int, object, int]]:

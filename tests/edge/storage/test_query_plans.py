@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from history_records import START_UTC, HandClock, History, eventful_tick, tick
+from history_records import START_UTC, History, eventful_tick, store, tick
 
 from edge.assistant.llm.sql_tool import SqlTool
 from edge.assistant.why.ask_history import why
-from edge.storage import Outbox, Session, Storage
+from edge.storage import Outbox, Session
 from edge.storage.archive import Archive
 from edge.storage.runs import events_between, export_run, export_stretches, name_run
 from edge.storage.schema_version import VIEWS
@@ -27,11 +27,7 @@ NOON = START_UTC + 600.0
 @pytest.fixture
 def history(tmp_path: Path) -> Path:
     path = tmp_path / "history.db"
-    storage = Storage(History.at(path), HandClock())
-    storage.open()
-    for seq in range(1, 40):
-        storage.write(eventful_tick(seq) if seq % 10 == 0 else tick(seq))
-    assert storage.close(20.0)
+    store(path, *(eventful_tick(seq) if seq % 10 == 0 else tick(seq) for seq in range(1, 40)))
     name_run(path, "steps", "test", 3, 9, {})
     return path
 

@@ -6,21 +6,15 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from history_records import START_UTC, HandClock, History, tick
+from history_records import START_UTC, HandClock, History, add, tick
 
 from edge.core.messages import Event, ForecastSkill, Reading, ReadingQuality, Severity, TickRecord
 from edge.storage import Outbox, Storage, retention
 from edge.storage.file import connect
 from edge.storage.runs import name_run
-from edge.storage.tick_rows import insert_ticks
 
 DAY_S = 86400.0
 LIMITS = History("", downsample_after_days=1.0, retention_days=10.0)
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "history.db"
 
 
 @pytest.fixture
@@ -28,12 +22,6 @@ def history(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[sqlite3.Con
     monkeypatch.setattr(retention, "CLOCK_TICKS", 3)
     with closing(connect(path, 5.0)) as connection:
         yield connection
-
-
-def add(history: sqlite3.Connection, *records: TickRecord) -> None:
-    history.execute("BEGIN")
-    insert_ticks(history, records, session=1)
-    history.execute("COMMIT")
 
 
 def at(seq: int, utc_s: float, **values: object) -> TickRecord:

@@ -5,7 +5,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from history_records import HandClock, History, eventful_tick, tick
+from history_records import HandClock, History, eventful_tick, store, tick
 
 from edge.storage import Storage, file
 from edge.storage.file import FileFault, SliceCheck, fault_of
@@ -16,11 +16,7 @@ TICKS = 300
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "history.db"
-    storage = Storage(History.at(path, queue_ticks=1000), HandClock())
-    storage.open()
-    for seq in range(1, TICKS + 1):
-        storage.write(eventful_tick(seq) if seq % 2 else tick(seq))
-    assert storage.close(20.0)
+    store(path, *(eventful_tick(seq) if seq % 2 else tick(seq) for seq in range(1, TICKS + 1)))
     return path
 
 

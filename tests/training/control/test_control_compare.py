@@ -84,7 +84,7 @@ def test_a_controller_is_ranked_among_those_that_know_as_much():
         *("MPC-BFGS", "MPC-Twin/present", "MPC"),
     ]
     assert [knowledge(name) for name in ("clairvoyant", "MPC-Twin", "MPC", "RL-Off")] == [
-        *("everything", "coming reference", "present reference", "present reference"),
+        *("everything", "coming reference", "present reference", "present reference")
     ]
 
 

@@ -22,8 +22,7 @@ def ours(seed: int) -> list[RunResult]:
 
 
 @pytest.mark.parametrize(
-    ("limit", "expected"),
-    [(40.0, 3.0), (50.0, 2.5), (100.0, 0.2), (105.0, 0.2), (110.0, 0.2), (500.0, 0.2)],
+    ("limit", "expected"), [(40.0, 3.0), (50.0, 2.5), (100.0, 0.2), (105.0, 0.2), (110.0, 0.2), (500.0, 0.2)]
 )
 def test_the_curve_gives_the_best_with_no_more_energy(limit, expected):
     assert at_most(limit, *CURVE) == pytest.approx(expected)

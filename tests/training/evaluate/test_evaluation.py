@@ -191,6 +191,13 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> argparse.Namespace
     )
 
 
+def change_first_score(small: argparse.Namespace, by_k: float) -> None:
+    path = small.results / "evaluation.json"
+    document = json.loads(path.read_text())
+    document["scores"][0]["free_run"]["mae_k"] += by_k
+    path.write_text(json.dumps(document))
+
+
 def test_what_was_evaluated_passes_its_own_check(small: argparse.Namespace) -> None:
     assert command.run(small) == 0
     small.check = True
@@ -209,10 +216,7 @@ def test_the_same_machine_is_held_to_the_last_bit_and_another_to_a_thousandth_of
     code: int,
 ) -> None:
     command.run(small)
-    path = small.results / "evaluation.json"
-    document = json.loads(path.read_text())
-    document["scores"][0]["free_run"]["mae_k"] += difference_k
-    path.write_text(json.dumps(document))
+    change_first_score(small, difference_k)
     if elsewhere:
         (small.results / MACHINE_FILE).write_text(json.dumps({**command.machine(), "cpu": "another"}))
     small.check = True
@@ -232,10 +236,7 @@ def test_a_changed_figure_fails_the_check_unless_tolerated(
     small: argparse.Namespace, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command.run(small)
-    path = small.results / "evaluation.json"
-    document = json.loads(path.read_text())
-    document["scores"][0]["free_run"]["mae_k"] += 1e-4
-    path.write_text(json.dumps(document))
+    change_first_score(small, 1e-4)
     small.check = True
     assert command.run(small) == 1
     assert "evaluation.json.scores.0.free_run.mae_k: 1.0001 is kept, now 1.0" in capsys.readouterr().out

@@ -61,11 +61,7 @@ def test_the_runs_are_divided_by_date(folder: Path) -> None:
         [run.path.stem[8:10] for run in runs if run.path]
         for runs in (data.parts.train, data.parts.validate, data.test)
     ]
-    assert names == [
-        ["01", "02", "03", "04", "05"],
-        ["06", "07", "08"],
-        ["09", "10", "11", "12", "13", "14"],
-    ]
+    assert names == [["01", "02", "03", "04", "05"], ["06", "07", "08"], ["09", "10", "11", "12", "13", "14"]]
     assert len(data.test[0]) == 61  # 600 s at 10 s
 
 

@@ -1,14 +1,15 @@
-"""edge/tick/orders.py: what a person may ask, and what it does to a command."""
+"""edge/tick/orders.py: what a person may ask, what it does to a command, and its words."""
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.tick import steering as steerings
-from edge.tick.orders import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, operate
+from edge.tick.orders import ORDERS, Desk, FanMode, Mode, Operation, apply_orders, in_words, operate
 from edge.tick.orders_json import from_dict, to_dict
 from edge.tick.steering import DailyTarget, FanRest, Steering
 
@@ -93,23 +94,17 @@ def test_an_unknown_request_names_the_nearest() -> None:
             ask(do=junk)
 
 
-def test_maintenance_expires_by_itself() -> None:
-    operation = ask(do="maintenance", minutes=30)
+@pytest.mark.parametrize("minutes", [30, 24 * 60])
+def test_maintenance_expires_by_itself(minutes: int) -> None:
+    operation = ask(do="maintenance", minutes=minutes)
     assert operation.in_maintenance(1000.0)
-    assert operation.in_maintenance(1000.0 + 1799.0)
-    assert not operation.in_maintenance(1000.0 + 1800.0)
+    assert operation.in_maintenance(1000.0 + 60.0 * minutes - 1.0)
+    assert not operation.in_maintenance(1000.0 + 60.0 * minutes)
 
 
 def test_a_clock_that_lost_the_date_does_not_end_maintenance() -> None:
     operation = ask(do="maintenance", minutes=30)
     assert operation.in_maintenance(1000.0 - 10 * 86400.0)
-
-
-def test_maintenance_may_last_a_whole_day_and_ends_after_it() -> None:
-    operation = ask(do="maintenance", minutes=24 * 60)
-    assert operation.in_maintenance(1000.0)
-    assert operation.in_maintenance(1000.0 + 86399.0)
-    assert not operation.in_maintenance(1000.0 + 86400.0)
 
 
 @pytest.mark.parametrize("minutes", [-1, 1440.1, 1441, math.nan, "30", None])
@@ -120,6 +115,20 @@ def test_maintenance_of_no_sane_length_is_refused(minutes: object) -> None:
 
 def test_zero_minutes_end_maintenance() -> None:
     assert operate(ask(do="maintenance", minutes=5), {"do": "maintenance", "minutes": 0}, DESK) == AUTO
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"daily": [{"from_s": 0.0, "reference_c": 60.0}]}, "outside 15 to 38"),
+        ({"until_utc": 4e9}, "within the next 168 h"),
+        ({"fan_penalty": "5"}, "must be a number, not '5'"),
+        ({"heater_max_duty": 2.0}, "heater_max_duty"),
+    ],
+)
+def test_steering_past_the_desk_is_held_to_the_same_limits(changed: dict[str, object], said: str) -> None:
+    with pytest.raises(RequestError, match=said):
+        ask(do="steer", steering={**steerings.to_dict(NIGHT), **changed})
 
 
 def test_orders_survive_the_state_file() -> None:
@@ -173,3 +182,36 @@ def test_the_controller_none_is_the_configured_one():
     assert changed.controller == "MPC"
     with pytest.raises(RequestError):
         operate(changed, {"do": "set_controller"}, desk)
+
+
+# in words
+
+SAID = {
+    "the mode was set to heat": {"do": "set_mode", "mode": "heat"},
+    "the fan was set to on": {"do": "set_fan_mode", "fan_mode": "on"},
+    "the reference was set to 26 °C": {"do": "set_reference", "reference_c": 26.0},
+    "the reference follows the configuration again": {"do": "set_reference", "reference_c": None},
+    "the controller was set to PID": {"do": "set_controller", "name": "PID"},
+    "the controller follows the configuration again": {"do": "set_controller", "name": None},
+    "manual: heater 0.50, fan on, until the mode changes": {
+        "do": "set_manual",
+        "heater_duty": 0.5,
+        "fan_on": 1,
+    },
+    "emergency stop: everything is off until it is released": {"do": "emergency_stop"},
+    "the emergency stop was released": {"do": "release_emergency_stop"},
+    "maintenance: everything is off for 30 minutes": {"do": "maintenance", "minutes": 30.0},
+    "maintenance: everything is off for 1 minute": {"do": "maintenance", "minutes": 1.0},
+    "maintenance was ended": {"do": "maintenance", "minutes": 0.0},
+    "confirmed: 20 at night": {"do": "steer", "steering": {"words": "20 at night"}},
+    "what was confirmed last was undone": {"do": "undo"},
+}
+
+
+@pytest.mark.parametrize(("text", "request_"), SAID.items())
+def test_an_order_reads_as_a_sentence(text: str, request_: dict[str, Any]) -> None:
+    assert in_words(request_) == text
+
+
+def test_every_order_has_its_words() -> None:
+    assert {request["do"] for request in SAID.values()} == set(ORDERS)

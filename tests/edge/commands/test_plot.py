@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from history_records import START_UTC, HandClock, History, eventful_tick, tick
+from history_records import START_UTC, eventful_tick, store, tick
 
 from edge.commands import plot
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event, Severity
 from edge.formats.run_file import RecordedRun
-from edge.storage import Storage
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -36,11 +35,8 @@ def event(utc_s: float, severity: Severity = Severity.WARNING, text: str = "text
 
 
 def test_a_stretch_of_history_becomes_a_picture(tmp_path: Path) -> None:
-    storage = Storage(History.at(tmp_path / "history.db"), HandClock())
-    storage.open()
-    for seq in range(1, 20):
-        storage.write(eventful_tick(seq) if seq == 9 else tick(seq))
-    assert storage.close(20.0)
+    ticks = (eventful_tick(seq) if seq == 9 else tick(seq) for seq in range(1, 20))
+    store(tmp_path / "history.db", *ticks)
     plot.plot_history(tmp_path / "history.db", None, None, tmp_path / "out.png")
     assert (tmp_path / "out.png").read_bytes().startswith(PNG)
 

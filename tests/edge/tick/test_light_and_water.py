@@ -1,14 +1,34 @@
-"""edge/tick/light_and_water.py: when a pulse is given, and above all when not."""
+"""edge/tick/light_and_water.py: the photoperiod at its edges; when a pulse is given, and when not."""
 
 import math
+from datetime import time
 
 import pytest
 
-from edge.config.settings import WateringSettings
+from edge.config.settings import LightingSettings, WateringSettings
 from edge.core.messages import Reading, ReadingQuality
-from edge.tick.light_and_water import Watering
+from edge.tick.light_and_water import Watering, led_level
 
-SETTINGS = WateringSettings(enabled=True, threshold=0.3, pulse_s=2.0, soak_s=600.0, daily_max_s=5.0)
+DAY = LightingSettings(enabled=True, on=time(6), off=time(22), level=0.8)
+NIGHT = LightingSettings(enabled=True, on=time(22), off=time(6), level=0.8)
+
+
+@pytest.mark.parametrize(
+    ("hour", "day", "night"),
+    [(0, 0.0, 0.8), (5.999, 0.0, 0.8), (6, 0.8, 0.0), (21.999, 0.8, 0.0), (22, 0.0, 0.8), (23.9, 0.0, 0.8)],
+)
+def test_the_light_follows_the_clock(hour: float, day: float, night: float) -> None:
+    assert led_level(DAY, hour * 3600.0) == day
+    assert led_level(NIGHT, hour * 3600.0) == night
+
+
+def test_a_disabled_photoperiod_gives_no_light() -> None:
+    assert led_level(LightingSettings(enabled=False, on=time(0), off=time(23)), 3600.0) == 0.0
+
+
+# water
+
+WATER = WateringSettings(enabled=True, threshold=0.3, pulse_s=2.0, soak_s=600.0, daily_max_s=5.0)
 
 
 def soil(value: float | None, quality: ReadingQuality = ReadingQuality.GOOD) -> Reading:
@@ -19,29 +39,29 @@ def soil(value: float | None, quality: ReadingQuality = ReadingQuality.GOOD) -> 
     ("value", "pulse_s"), [(0.0, 2.0), (0.2999, 2.0), (0.3, 0.0), (0.9, 0.0), (None, 0.0), (math.nan, 0.0)]
 )
 def test_only_dry_soil_gets_water(value: float | None, pulse_s: float) -> None:
-    assert Watering(SETTINGS).pulse(soil(value), 0.0) == pulse_s
+    assert Watering(WATER).pulse(soil(value), 0.0) == pulse_s
 
 
 @pytest.mark.parametrize(
     "quality", [quality for quality in ReadingQuality if quality is not ReadingQuality.GOOD]
 )
 def test_a_soil_sensor_that_is_not_good_gives_no_water(quality: ReadingQuality) -> None:
-    assert Watering(SETTINGS).pulse(soil(0.1, quality), 0.0) == 0.0
+    assert Watering(WATER).pulse(soil(0.1, quality), 0.0) == 0.0
 
 
 def test_no_sensor_no_water() -> None:
-    assert Watering(SETTINGS).pulse(None, 0.0) == 0.0
+    assert Watering(WATER).pulse(None, 0.0) == 0.0
 
 
 def test_water_gets_time_to_arrive() -> None:
-    watering = Watering(SETTINGS)
+    watering = Watering(WATER)
     watering.count_pulse(2.0, 100.0)
     assert watering.pulse(soil(0.1), 699.9) == 0.0
     assert watering.pulse(soil(0.1), 700.0) == 2.0
 
 
 def test_the_daily_dose_ends_the_pulses_until_a_day_has_passed() -> None:
-    watering = Watering(SETTINGS)
+    watering = Watering(WATER)
     watering.count_pulse(2.0, 0.0)
     watering.count_pulse(2.0, 1000.0)  # a third pulse of 2 s would make 6 s, above 5 s
     assert watering.pulse(soil(0.1), 5000.0) == 0.0

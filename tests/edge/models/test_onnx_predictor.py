@@ -1,4 +1,4 @@
-"""The predictor behind an ONNX file, with a model whose forecasts can be added up by hand."""
+"""edge/models/onnx_predictor.py: models behind an ONNX file, whose forecasts can be added up by hand."""
 
 import hashlib
 import subprocess
@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from onnx_files import write_onnx
+from onnx_files import TWIN, WINDOWS, write_onnx
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats
-from edge.models.onnx_predictor import BATCH, OnnxPredictor, read_lstm
+from edge.models.onnx_predictor import BATCH, KINDS, OnnxPredictor, read_ham, read_lstm
 from edge.models.validity import outside_steps
 
 
@@ -91,13 +91,6 @@ def test_an_unknown_offset_gives_nan_from_its_step_on(model: OnnxPredictor) -> N
     np.testing.assert_allclose(temps, [[20.5, np.nan]])
 
 
-def test_a_rollout_out_of_the_box_is_flagged(model: OnnxPredictor) -> None:  # the box ends at 40 °C
-    past = history(38.0, 38.0, 38.0)
-    for controls, is_outside in ((duties([1.0, 1.0]), False), (duties([1.0, 1.0, 0.05]), True)):
-        temps = model.rollout(past, controls, {})
-        assert outside_steps(model.validity, past, controls, {}, temps)[0, -1] == is_outside
-
-
 def test_the_version_is_the_hash_of_the_file(tmp_path: Path) -> None:
     path = write_onnx(tmp_path / "lstm.onnx")
     assert read_lstm(path).version == hashlib.sha256(path.read_bytes()).hexdigest()[:12]
@@ -107,3 +100,72 @@ def test_onnxruntime_is_imported_only_to_read_a_file() -> None:
     program = "import sys, edge.models.onnx_predictor; print('onnxruntime' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+# the hybrid: the room temperature, and the one twin that it belongs to
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def hybrid(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> OnnxPredictor:
+    return read_ham(write_onnx(tmp_path_factory.mktemp("ham") / "ham.onnx", request.param), TWIN, 60.0)
+
+
+def hybrid_past(rows: int = 3) -> dict[str, Floats]:
+    past = {name: np.full(rows, 20.0) for name in ("temp_air", "temp_ambient")}
+    return past | {name: np.array([0.0] * (rows - 1) + [np.nan]) for name in ("heater_duty", "fan_on")}
+
+
+def test_every_kind_of_hybrid_has_one_name(hybrid: OnnxPredictor) -> None:
+    assert hybrid.name == "ham"
+    assert hybrid.rows_needed == WINDOWS[hybrid.kind]
+
+
+def test_the_room_drives_each_step(hybrid: OnnxPredictor) -> None:
+    ahead = {"temp_ambient": np.array([20.0, 10.0, 30.0])}  # longer than the rollout
+    temps = hybrid.rollout(hybrid_past(), np.zeros((2, 2, 2)), ahead)
+    np.testing.assert_allclose(temps, [[22.0, 23.0]] * 2, rtol=1e-6)  # a tenth of the room each
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_unknown_room_gives_nan_from_its_step_on(value: float, hybrid: OnnxPredictor) -> None:
+    ahead = {"temp_ambient": np.array([20.0, value, 20.0])}
+    temps = hybrid.rollout(hybrid_past(), np.zeros((1, 3, 2)), ahead)
+    np.testing.assert_allclose(temps, [[22.0, np.nan, np.nan]])
+
+
+def test_the_newest_room_temperature_of_the_past_is_not_read(hybrid: OnnxPredictor) -> None:
+    past = hybrid_past()
+    past["temp_ambient"][-1] = np.nan
+    temps = hybrid.rollout(past, np.zeros((1, 1, 2)), {"temp_ambient": np.array([20.0])})
+    assert temps[0, 0] == pytest.approx(22.0)
+
+
+def test_a_history_one_row_short_is_refused(hybrid: OnnxPredictor) -> None:
+    rows = hybrid.rows_needed - 1
+    with pytest.raises(DataError, match=f"history: {rows} rows, the ham model needs {rows + 1}"):
+        hybrid.rollout(hybrid_past(rows) if rows else {"temp_air": np.empty(0)}, np.zeros((1, 1, 2)), {})
+
+
+def test_a_room_out_of_the_box_is_flagged(hybrid: OnnxPredictor) -> None:  # the box ends at 40 °C
+    controls = np.zeros((1, 1, 2))
+    for room, is_outside in ((40.0, False), (40.1, True)):
+        ahead = {"temp_ambient": np.array([room])}
+        temps = hybrid.rollout(hybrid_past(), controls, ahead)
+        assert outside_steps(hybrid.validity, hybrid_past(), controls, ahead, temps)[0, 0] == is_outside
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("twin", ["", "cd" * 32])
+def test_a_hybrid_does_not_run_on_another_twin(kind: str, twin: str, tmp_path: Path) -> None:
+    path = write_onnx(tmp_path / "ham.onnx", kind)
+    with pytest.raises(
+        DataError, match=rf"ham\.onnx: twin_sha256: trained on the twin {TWIN}, not on {twin}"
+    ):
+        read_ham(path, twin)
+
+
+@pytest.mark.parametrize("value", ["", None])
+def test_a_hybrid_says_which_twin_it_belongs_to(value: object, tmp_path: Path) -> None:
+    path = write_onnx(tmp_path / "ham.onnx", "ham", changed={"twin_sha256": value})
+    with pytest.raises(DataError, match=r"ham\.onnx: twin_sha256: .* is no hash of a twin"):
+        read_ham(path, "")

@@ -1,4 +1,4 @@
-"""commands/check_config.py, `greenhouse check-config`: everything that would not work, each with its key."""
+"""edge/commands/check_config.py: everything that would not work, each with its key."""
 
 import os
 import socket

@@ -1,0 +1,11 @@
+"""What the tests of bundles share."""
+
+from pathlib import Path
+
+import pytest
+from bundles import Workshop
+
+
+@pytest.fixture
+def workshop(tmp_path: Path) -> Workshop:
+    return Workshop(tmp_path)
