@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.candidates import Names, ScoredSet
+from edge.diagnosis.evidence import HALF, NameEvidence, evidence_of
 from edge.diagnosis.formulas import FormulaShape
 from edge.diagnosis.free_fit import APART_SDS, another, apart, rms_k
 from edge.diagnosis.handover import (
@@ -24,7 +25,6 @@ from edge.diagnosis.progress import Telling
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.search import WORTH_A_LOOK, Search
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.standing import HALF, NameEvidence, standing
 from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import SDS_95, with_usual
 from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, intervals, read, unnamed_verdict
@@ -123,7 +123,7 @@ def judge(
         without = {name: search.sets.without(whole, name) for name in names}
         tries = len(search.candidates.names) + len(search.candidates.formulas)
         comparison.add(_files(known.file, search, effects))
-        now = standing(whole, without, comparison, tries)
+        now = evidence_of(whole, without, comparison, tries)
         every |= now
         against = {name: item.against for name, item in now.items() if item.against}
         if not against:

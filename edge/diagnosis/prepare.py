@@ -15,7 +15,7 @@ from edge.diagnosis.gap import forecast
 from edge.diagnosis.locate.events import DoorOpening, find_events
 from edge.diagnosis.noise_levels import find_levels, first_levels
 from edge.diagnosis.nuisances import answer_s, assumed_room, begins_at_rest, nuisances, rooms
-from edge.diagnosis.readings import expected_readings, spikes, stuck, wrong_starts
+from edge.diagnosis.readings import expected_readings, spikes, stuck_readings, wrong_starts
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
@@ -195,7 +195,7 @@ def _prepare(file: TwinFile, train: Sequence[NamedRun]) -> PreparedRuns:
     if guessed:
         assumed = np.array([[assumed_room(temps)] for temps in runs.temp])
         runs = replace(runs, ambient=np.repeat(assumed, runs.duty.shape[1], axis=1))
-    wrong = stuck(runs)
+    wrong = stuck_readings(runs)
     wrong |= spikes(replace(runs, temp=np.where(wrong, np.nan, runs.temp)))
     runs = replace(runs, temp=np.where(wrong, np.nan, runs.temp))
     terms = rooms(runs) if guessed else nuisances(file, runs, runs.temp)

@@ -144,7 +144,7 @@ def _worst(readings: Floats, runs: RunBatch) -> Mask:
     return found
 
 
-def stuck(runs: RunBatch) -> Mask:
+def stuck_readings(runs: RunBatch) -> Mask:
     """Return the readings that repeat for longer than chance allows,
     without the first of each stretch, [B, N + 1].
 

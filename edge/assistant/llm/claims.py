@@ -137,7 +137,7 @@ def _claims(sentence: str, known: KnownFacts) -> Iterator[Claim]:
     if _SIMULATED.search(sentence):
         yield from _numbers(sentence, "simulation", known, _simulated_values)
     elif _RECORDED.search(sentence):
-        yield from _numbers(sentence, "history", known, _recorded)
+        yield from _numbers(sentence, "history", known, _records)
     elif not _NOT_A_FACT.search(sentence):
         yield from _states(sentence, known.context.last_sent)
         yield from _clause_claims(sentence, known.context)
@@ -211,7 +211,7 @@ def _simulated_values(sentence: str, known: KnownFacts) -> tuple[list[float], st
     return values + (_of_context(known) if entries else []), against
 
 
-def _recorded(sentence: str, known: KnownFacts) -> tuple[list[float], str]:
+def _records(sentence: str, known: KnownFacts) -> tuple[list[float], str]:
     results = known.ledger.results("sql")
     values = [number for result in results for number in _flat(result["rows"])]
     against = "the history was not asked" if not results else f"{len(results)} answers of the history"

@@ -35,10 +35,10 @@ def unnamed_cut(network: Network, f_x: float, T_x: float, w_x: float) -> None:
     """Share of the heater's heat that a warm box does not get: Q = -f_x H / (1 + exp((T_x - T) / w_x))."""
     full_w = network.geometry.heater_max_w
 
-    def gone(now: HeatConditions) -> Floats:
+    def flow(now: HeatConditions) -> Floats:
         return np.asarray(-f_x * full_w * now.column["heater_duty"] * _warm(now.temp, T_x, w_x))
 
-    network.heat(gone, by_temp=True)
+    network.heat(flow, by_temp=True)
 
 
 def _warm(temp: Floats, middle_c: float, width_k: float) -> Floats:

@@ -55,11 +55,11 @@ def evapotranspiration(network: Network, k_e: float) -> None:
     L is the column `light`, RH the column `rel_humidity` in %.
     """
 
-    def taken(now: HeatConditions) -> Floats:
+    def flow(now: HeatConditions) -> Floats:
         open_share = 0.4 + 0.6 * now.column["light"]
         return -k_e * open_share * vapour_deficit_kpa(now.temp, now.column["rel_humidity"])
 
-    network.heat(taken, by_temp=True)
+    network.heat(flow, by_temp=True)
 
 
 def vapour_deficit_kpa(temp_c: Floats, rel_humidity: Floats) -> Floats:
@@ -74,11 +74,11 @@ def respiration_heat(network: Network, P_res: float) -> None:
     P_res is the heat at 20 °C; from 40 °C on the heat stays, as life does not stand more.
     """
 
-    def breathed(now: HeatConditions) -> Floats:
+    def flow(now: HeatConditions) -> Floats:
         warmth_k = np.minimum(now.temp, HOTTEST_LIFE_C) - 20.0
         return np.asarray(P_res * 2.0 ** (warmth_k / 10.0))
 
-    network.heat(breathed, by_temp=True)
+    network.heat(flow, by_temp=True)
 
 
 SIGNAL_EFFECTS: Mapping[str, Effect] = by_name(

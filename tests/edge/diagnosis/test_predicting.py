@@ -8,6 +8,7 @@ import pytest
 from bench.support.simulated_runs import BOX, as_diagnosis_runs, silent, simulate, twin_file
 from edge.diagnosis.baselines import arx_errors, arx_weights, simple_twins
 from edge.diagnosis.diagnose import Diagnosis, diagnose
+from edge.diagnosis.evidence import discover
 from edge.diagnosis.free_fit import (
     FIRST_ROWS,
     another,
@@ -22,7 +23,6 @@ from edge.diagnosis.free_fit import (
 )
 from edge.diagnosis.handover import JudgedTwin, against_adopting, impossible
 from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.standing import discover
 from edge.formats.run_file import RecordedRun
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile

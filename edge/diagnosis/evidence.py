@@ -49,7 +49,7 @@ class NameEvidence:
         return probability(evidence(self.tempered_nats, self.with_k, self.without_k))
 
 
-def standing(
+def evidence_of(
     whole: ScoredSet, without: Mapping[str, ScoredSet], compared: Comparison, candidates: int
 ) -> dict[str, NameEvidence]:
     """Each name of a set. without : the set less each name; candidates : how many were tried for one place"""
