@@ -29,7 +29,9 @@ class Proposal:
 class Proposals(Protocol):
     """Who is asked."""
 
-    def ask(self, question: Mapping[str, Any], deadline_s: float) -> dict[str, Any]: ...
+    def ask(self, question: Mapping[str, Any], deadline_s: float) -> dict[str, Any]:
+        """Return the client's JSON object. Errors: RequestError when none arrives within `deadline_s`."""
+        ...
 
 
 class External:
