@@ -50,7 +50,10 @@ class External:
         self._proposed = None
 
     def decide(self, context: Context) -> Decision:
-        """Return the client's command. Raises: DataError for an observation with holes; RequestError"""
+        """Return the client's command, its duty rounded to a level of the heater.
+
+        Errors : DataError for an observation with holes; RequestError without a valid proposal in time
+        """
         self._tick += 1
         question = self._question(context)
         self._proposed = None
