@@ -70,8 +70,8 @@ _STRUCT_CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h"}
 def python_source(spec: Spec) -> str:
     """Text of messages.py."""
     parts = [_PYTHON_HEAD.format(version=spec.version, max_body=spec.max_body)]
-    parts += [_python_enum(name, members) for name, members in spec.enums.items()]
-    parts.append(_python_flags(spec.capabilities))
+    parts += [_python_enum(name, members, spec.docs[name]) for name, members in spec.enums.items()]
+    parts.append(_python_flags(spec.capabilities, spec.docs["capabilities"]))
     parts += [_python_class(message) for message in spec.messages]
     parts.append("\n\nMessage = (\n    " + "\n    | ".join(m.class_name for m in spec.messages) + "\n)\n")
     parts.append("\nLAYOUTS: dict[type[Message], Layout] = {\n")
@@ -80,14 +80,14 @@ def python_source(spec: Spec) -> str:
     return "".join(parts)
 
 
-def _python_enum(name: str, members: dict[str, int]) -> str:
+def _python_enum(name: str, members: dict[str, int], doc: str) -> str:
     lines = [f"    {member.upper()} = {value}\n" for member, value in members.items()]
-    return f"\n\nclass {camel(name)}(IntEnum):\n" + "".join(lines)
+    return f'\n\nclass {camel(name)}(IntEnum):\n    """{doc}"""\n\n' + "".join(lines)
 
 
-def _python_flags(bits: dict[str, int]) -> str:
+def _python_flags(bits: dict[str, int], doc: str) -> str:
     lines = [f"    {name.upper()} = {1 << bit}\n" for name, bit in bits.items()]
-    return "\n\nclass Capability(IntFlag):\n" + "".join(lines)
+    return f'\n\nclass Capability(IntFlag):\n    """{doc}"""\n\n' + "".join(lines)
 
 
 def _python_class(message: MessageSpec) -> str:

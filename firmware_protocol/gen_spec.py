@@ -54,6 +54,7 @@ class Spec:
     max_body: int
     enums: dict[str, dict[str, int]]
     capabilities: dict[str, int]
+    docs: dict[str, str]  # of each enum by its name, and of `capabilities`
     messages: tuple[MessageSpec, ...]
 
 
@@ -63,13 +64,17 @@ def read_spec(path: Path = SOURCE) -> Spec:
     for name, members in raw["enums"].items():
         if list(members.values()) != list(range(len(members))):
             raise ValueError(f"{path.name}: enums.{name}: values must be 0, 1, 2 ...")
+    for name in (*raw["enums"], "capabilities"):
+        if not raw["docs"].get(name):
+            raise ValueError(f"{path.name}: docs: missing key '{name}'")
     messages = tuple(_message(name, body, raw["enums"]) for name, body in raw["messages"].items())
     for message in messages:
         if message.length > raw["max_body"]:
             raise ValueError(f"{path.name}: messages.{message.name}: longer than max_body")
     if len({message.kind for message in messages}) != len(messages):
         raise ValueError(f"{path.name}: messages: two have the same id")
-    return Spec(raw["protocol_version"], raw["max_body"], raw["enums"], raw["capabilities"], messages)
+    enums, capabilities, docs = raw["enums"], raw["capabilities"], raw["docs"]
+    return Spec(raw["protocol_version"], raw["max_body"], enums, capabilities, docs, messages)
 
 
 def _message(name: str, raw: dict[str, Any], enums: dict[str, dict[str, int]]) -> MessageSpec:

@@ -13,6 +13,8 @@ MAX_BODY = 48
 
 
 class Quality(IntEnum):
+    """State of a sample: only GOOD ones are acted on, and ABSENT is a signal never sampled."""
+
     GOOD = 0
     STALE = 1
     RANGE = 2
@@ -21,6 +23,8 @@ class Quality(IntEnum):
 
 
 class ResetCause(IntEnum):
+    """Reason of the board's last reset."""
+
     POWER_ON = 0
     EXTERNAL = 1
     WATCHDOG = 2
@@ -30,6 +34,8 @@ class ResetCause(IntEnum):
 
 
 class TripCause(IntEnum):
+    """Latch that keeps the heater off; of several, the first in the order of PROTOCOL.md."""
+
     NONE = 0
     OVER_TEMPERATURE = 1
     EMERGENCY_STOP = 2
@@ -38,6 +44,8 @@ class TripCause(IntEnum):
 
 
 class HeaterOffCause(IntEnum):
+    """Reason why the heater's duty is 0; NONE while heat is driven."""
+
     NONE = 0
     LEASE_EXPIRED = 1
     TRIPPED = 2
@@ -47,6 +55,8 @@ class HeaterOffCause(IntEnum):
 
 
 class ErrorCode(IntEnum):
+    """Reason why a whole frame was not obeyed; PROTOCOL.md gives the detail of each."""
+
     NONE = 0
     VERSION = 1
     UNKNOWN_KIND = 2
@@ -58,6 +68,8 @@ class ErrorCode(IntEnum):
 
 
 class Capability(IntFlag):
+    """Optional parts that the board has, as bits of hello."""
+
     LED = 1
     VALVE = 2
     HUMIDITY = 4

@@ -29,7 +29,9 @@ class Proposal:
 class Proposals(Protocol):
     """Who is asked."""
 
-    def ask(self, question: Mapping[str, Any], deadline_s: float) -> dict[str, Any]: ...
+    def ask(self, question: Mapping[str, Any], deadline_s: float) -> dict[str, Any]:
+        """Return the client's JSON object. Errors: RequestError when none arrives within `deadline_s`."""
+        ...
 
 
 class External:
@@ -48,7 +50,10 @@ class External:
         self._proposed = None
 
     def decide(self, context: Context) -> Decision:
-        """Return the client's command. Raises: DataError for an observation with holes; RequestError"""
+        """Return the client's command, its duty rounded to a level of the heater.
+
+        Errors : DataError for an observation with holes; RequestError without a valid proposal in time
+        """
         self._tick += 1
         question = self._question(context)
         self._proposed = None

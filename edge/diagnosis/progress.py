@@ -26,6 +26,7 @@ class Stage:
         self._told = 0
 
     def __call__(self, text: str) -> None:
+        """Report `text` and count a step; the first call reports `begin`, and no call reaches `end`."""
         done = 1.0 - math.exp(-self._told / self._steps)
         self._told += 1
         self._progress(text, self._begin + done * (self._end - self._begin))
@@ -45,6 +46,7 @@ class TerminalProgress:
         self._share = 0.0  # that was told: a stage may be gone back to, a share that is done is
 
     def __call__(self, text: str, share: float) -> None:
+        """Show `text` at `share` [0..1]; a share that falls is shown at its largest value so far."""
         share = self._share = max(share, self._share)
         line = "".join(character if character.isprintable() else " " for character in text)
         if self._rewrites:

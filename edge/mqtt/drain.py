@@ -18,19 +18,35 @@ class QueuedMessage(Protocol):
     """One message that waits."""
 
     @property
-    def id(self) -> int: ...
+    def id(self) -> int:
+        """Row id, handed to `acknowledge`."""
+        ...
+
     @property
-    def topic(self) -> str: ...
+    def topic(self) -> str:
+        """Full topic, with prefix and rig."""
+        ...
+
     @property
-    def payload(self) -> str | bytes: ...
+    def payload(self) -> str | bytes:
+        """JSON with history id and sequence number, which identify a duplicate."""
+        ...
 
 
 class MessageQueue(Protocol):
     """Rows in the order they were written; a row leaves by `acknowledge` alone."""
 
-    def pending(self, limit: int) -> Sequence[QueuedMessage]: ...
-    def acknowledge(self, ids: Sequence[int]) -> None: ...
-    def depth(self) -> int: ...
+    def pending(self, limit: int) -> Sequence[QueuedMessage]:
+        """Return at most `limit` messages, oldest first, those in flight included."""
+        ...
+
+    def acknowledge(self, ids: Sequence[int]) -> None:
+        """Delete messages that the broker has taken; unknown ids are ignored."""
+        ...
+
+    def depth(self) -> int:
+        """Return the number of rows, those in flight included."""
+        ...
 
 
 class Drain:

@@ -61,40 +61,49 @@ def known_value(view: SafetyView, signal: str, age_max_s: float) -> float | None
 
 
 def emergency_stop(s: RuleInput) -> str:
+    """Force an output while the operator's emergency stop stands; only a release ends the stop."""
     return "emergency stop" if s.view.emergency_stop else ""
 
 
 def maintenance(s: RuleInput) -> str:
+    """Force an output during maintenance, because a person may reach into the greenhouse."""
     return "maintenance: hands may be in the box" if s.view.maintenance else ""
 
 
 def link_down(s: RuleInput) -> str:
+    """Force an output without a link: no command arrives, and the board's leases run out."""
     return "" if s.view.link_up else "no link to the board"
 
 
 def trip(s: RuleInput) -> str:
+    """Force an output while any trip is latched; the reason names all of them, oldest first."""
     return f"latched: {', '.join(s.memory.trips)}" if s.memory.trips else ""
 
 
 def tripped_hot(s: RuleInput) -> str:
+    """Force an output while one of `HOT_TRIPS` is latched; the reason names all trips."""
     return f"latched: {', '.join(s.memory.trips)}" if HOT_TRIPS.intersection(s.memory.trips) else ""
 
 
 def board_trip(s: RuleInput) -> str:
+    """Force an output while the board reports a trip or a stop; a missing echo does not force."""
     echo = s.view.echo
     return f"the board has tripped: {echo.trip_cause}" if echo is not None and echo.tripped else ""
 
 
 def board_stop(s: RuleInput) -> str:
+    """Force an output while the board reports a stop, for which hands may be in the greenhouse."""
     echo = s.view.echo
     return f"stopped on the board: {echo.trip_cause}" if echo is not None and echo.stopped else ""
 
 
 def air_unknown(s: RuleInput) -> str:
+    """Force an output without a good, fresh and finite air temperature."""
     return "no fresh good air temperature" if s.temp_air is None else ""
 
 
 def too_hot(s: RuleInput) -> str:
+    """Force an output at or above `temp_air_max_c`, and for NaN; None is left to `air_unknown`."""
     limit = s.settings.temp_air_max_c
     if s.temp_air is None or s.temp_air < limit:
         return ""
@@ -102,10 +111,12 @@ def too_hot(s: RuleInput) -> str:
 
 
 def relay_proof(s: RuleInput) -> str:
+    """Force an output while heater and fan rest for the proof, so that stray heat shows in the air."""
     return "proof that the heater's relay opens" if s.memory.thermal.proof.running else ""
 
 
 def tank_low(s: RuleInput) -> str:
+    """Force an output below `tank_level_min` [0..1]; a missing, old or bad level forces too."""
     level = known_value(s.view, "tank_level", s.settings.reading_age_max_s)
     if level is not None and level >= s.settings.tank_level_min:
         return ""
@@ -113,6 +124,7 @@ def tank_low(s: RuleInput) -> str:
 
 
 def soil_wet(s: RuleInput) -> str:
+    """Force an output at or above `soil_moisture_max` [0..1]; a missing, old or bad reading forces too."""
     moisture = known_value(s.view, "soil_moisture", s.settings.reading_age_max_s)
     if moisture is not None and moisture < s.settings.soil_moisture_max:
         return ""
@@ -128,11 +140,13 @@ def relay_hold_s(memory: SafetyMemory, settings: SafetySettings, now_s: float) -
 
 
 def held_on(s: RuleInput) -> str:
+    """Force the fan on until its relay has been closed for `fan_min_on_s`."""
     held = s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
     return "relay minimum on time" if held else ""
 
 
 def held_off(s: RuleInput) -> str:
+    """Force the fan off until its relay has been open for `fan_min_off_s`; free until first switched."""
     held = not s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
     return "relay minimum off time" if held else ""
 

@@ -161,6 +161,7 @@ class DriftTurns:
         self._state = DriftState.UNKNOWN
 
     def __call__(self, record: TickRecord) -> bool:
+        """Return True for the record that enters or leaves DISAGREES; a record without drift is UNKNOWN."""
         state = record.drift.state if record.drift else DriftState.UNKNOWN
         turned = DriftState.DISAGREES in (state, self._state) and state is not self._state
         self._state = state

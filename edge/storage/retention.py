@@ -44,9 +44,14 @@ class RetentionSettings(Protocol):
     """The part of edge.config.settings.HistorySettings that retention needs."""
 
     @property
-    def retention_days(self) -> float: ...
+    def retention_days(self) -> float:
+        """Age at which ten-minute rows, skill, events and gaps are deleted [days]."""
+        ...
+
     @property
-    def downsample_after_days(self) -> float: ...
+    def downsample_after_days(self) -> float:
+        """Age at which ticks become ten-minute rows [days]; ticks of a named run never do."""
+        ...
 
 
 def thin(connection: sqlite3.Connection, settings: RetentionSettings) -> tuple[bool, int]:

@@ -26,13 +26,24 @@ class HistoryOptions(Protocol):
     """The part of edge.config.settings.HistorySettings that the storage needs."""
 
     @property
-    def path(self) -> str: ...
+    def path(self) -> str:
+        """Database file; the file of reserved numbers stands alongside."""
+        ...
+
     @property
-    def retention_days(self) -> float: ...
+    def retention_days(self) -> float:
+        """Age at which rows are deleted [days], see `RetentionSettings`."""
+        ...
+
     @property
-    def downsample_after_days(self) -> float: ...
+    def downsample_after_days(self) -> float:
+        """Age at which ticks become ten-minute rows [days], see `RetentionSettings`."""
+        ...
+
     @property
-    def queue_ticks(self) -> int: ...
+    def queue_ticks(self) -> int:
+        """Ticks that may wait for a slow disk; beyond that the oldest one is dropped and counted."""
+        ...
 
 
 class Storage:

@@ -35,7 +35,9 @@ def is_in_force(reply: Reply) -> bool:
 class AnswerPlace(Protocol):
     """The place an answer goes to; never waits."""
 
-    def put(self, reply: Reply, /) -> None: ...
+    def put(self, reply: Reply, /) -> None:
+        """Take the answer, once per request and from any thread."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

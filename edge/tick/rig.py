@@ -39,37 +39,87 @@ class BoardLine(Protocol):
     echo: Echo | None
 
     @property
-    def link_up(self) -> bool: ...
+    def link_up(self) -> bool:
+        """True while the board answers in our protocol version."""
+        ...
+
     @property
-    def in_maintenance(self) -> bool: ...
+    def in_maintenance(self) -> bool:
+        """True while the board is off for maintenance, or has been ordered to be."""
+        ...
+
     @property
-    def has_samples(self) -> bool: ...
+    def has_samples(self) -> bool:
+        """True while sensor reports wait for `take_samples`."""
+        ...
+
     @property
-    def statistics(self) -> Mapping[str, int]: ...  # counters of the line
-    def take_samples(self) -> list[Mapping[str, Reading]]: ...
-    def take_events(self) -> list[Event]: ...
-    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None: ...
+    def statistics(self) -> Mapping[str, int]:
+        """Counters of the line since the start; empty for a recording."""
+        ...
+
+    def take_samples(self) -> list[Mapping[str, Reading]]:
+        """Return the sensor reports since the last call, oldest first, each by signal."""
+        ...
+
+    def take_events(self) -> list[Event]:
+        """Return the events of port, link and board since the last call."""
+        ...
+
+    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
+        """Hold `command` for `valid_s` from now; `cutoff_open` breaks the heater's supply a second time."""
+        ...
+
     def serve(
         self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
-    ) -> None: ...
-    def serve_until_echo(self, timeout_s: float) -> Echo | None: ...
-    def serve_until_answered(self, timeout_s: float) -> bool: ...
-    def emergency_stop(self) -> None: ...
-    def release_stop(self) -> None: ...
-    def maintain(self) -> None: ...
-    def end_maintenance(self) -> None: ...
-    def clear_trip(self) -> None: ...
+    ) -> None:
+        """Keep the line alive until `until_s` [monotonic], a byte on descriptor `wake`, or `done()`."""
+        ...
+
+    def serve_until_echo(self, timeout_s: float) -> Echo | None:
+        """Wait for the answer to the last command; None when it is late or the link is down."""
+        ...
+
+    def serve_until_answered(self, timeout_s: float) -> bool:
+        """Wait for the answers to stops, releases and `clear_trip`; False when one is missing."""
+        ...
+
+    def emergency_stop(self) -> None:
+        """Turn every output off and latch that on the board; without a link, once the link is up."""
+        ...
+
+    def release_stop(self) -> None:
+        """End the emergency stop; the heater stays off until a command asks for heat."""
+        ...
+
+    def maintain(self) -> None:
+        """Turn every output off under a latch of its own, which `release_stop` does not clear."""
+        ...
+
+    def end_maintenance(self) -> None:
+        """End the latch of maintenance; an emergency stop stays."""
+        ...
+
+    def clear_trip(self) -> None:
+        """Ask the board to clear its trip; refused while the air is too warm or unknown."""
+        ...
 
 
 class Models(Protocol):
     """The models as a loop needs them, twice a tick."""
 
     @property
-    def twin(self) -> BoxTwin | None: ...
-    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str: ...
-    def forecast(
-        self, history: Columns, decision: Decision, driven: Command, confirmed: bool
-    ) -> Forecasts: ...
+    def twin(self) -> BoxTwin | None:
+        """Active physics model, which the drift watch follows; None without one."""
+        ...
+
+    def exchange(self, estimator: Estimator, controllers: dict[str, Controller]) -> str:
+        """Put newly served models into both arguments; return a description, "" without a change."""
+        ...
+
+    def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
+        """Return forecasts by model, and the skill so far; without `confirmed` no past forecast is scored."""
+        ...
 
 
 class NoForecasts:
@@ -89,10 +139,13 @@ class NoForecasts:
 class DriftWatch(Protocol):
     """Compare the running twin with the measurements, once a tick; never raises."""
 
-    def tick(
-        self, twin: BoxTwin | None, history: Columns, confirmed: bool, hands_in: bool = False
-    ) -> Drift: ...
-    def take_events(self) -> list[Event]: ...
+    def tick(self, twin: BoxTwin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift:
+        """Return the drift at the newest row; a row without `confirmed` or with `hands_in` is not judged."""
+        ...
+
+    def take_events(self) -> list[Event]:
+        """Return the starts and ends of alarms since the last call, and a failure of the watch itself."""
+        ...
 
 
 class SaveState(Protocol):
@@ -100,14 +153,21 @@ class SaveState(Protocol):
 
     def __call__(
         self, operation: Operation, memory: SafetyMemory, answered: Answered | None = None, /
-    ) -> None: ...
+    ) -> None:
+        """Hand over the newest values; older ones that wait for the disk are dropped."""
+        ...
 
 
 class Sink(Protocol):
     """A destination of records. Never waits, never raises; its own faults come back as conditions."""
 
-    def write(self, record: TickRecord) -> None: ...
-    def faults(self) -> Mapping[str, str]: ...  # key of the failure table -> detail, for each that holds now
+    def write(self, record: TickRecord) -> None:
+        """Take one tick; a destination that can't keep up queues or drops it."""
+        ...
+
+    def faults(self) -> Mapping[str, str]:
+        """Return key of the failure table -> detail, for each failure that holds now."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,8 @@ Number = Any  # a float, or an array with an element for each box
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EnclosureParameters:
+    """Section `box`: size of the greenhouse, and the heater zone's share of its air."""
+
     width_m: float
     depth_m: float
     height_m: float
@@ -23,10 +25,12 @@ class EnclosureParameters:
 
     @property
     def volume_m3(self) -> float:
+        """Volume of the air; pot and parts are not subtracted [m³]."""
         return self.width_m * self.depth_m * self.height_m
 
     @property
     def floor_m2(self) -> float:
+        """Area of the floor, which is also the area of the roof [m²]."""
         return self.width_m * self.depth_m
 
     @property
@@ -37,6 +41,8 @@ class EnclosureParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Air:
+    """Section `air`: heat capacity, flow between the two zones, and leaks."""
+
     density_kg_m3: float
     heat_capacity_j_kg_k: float
     contact_capacity_factor: float
@@ -48,6 +54,8 @@ class Air:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cover:
+    """Section `cover`: mass, gap and films of the twin-wall sheet; films hold at `film_reference_k`."""
+
     areal_mass_kg_m2: float
     heat_capacity_j_kg_k: float
     gap_w_m2_k: float
@@ -63,6 +71,8 @@ class Cover:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heater:
+    """Section `heater`: the ceramic element with its views, its supply and its thermal protector."""
+
     power_w: float
     capacity_j_k: float
     surface_m2: float
@@ -83,6 +93,8 @@ class Heater:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FanParameters:
+    """Section `fan`: rated flow, the shares of it that are lost, delays, and heat of the motor."""
+
     flow_m3_s: float
     effectiveness: float
     short_circuit: float
@@ -94,6 +106,8 @@ class FanParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Soil:
+    """Section `soil`: heat and water of the pot; `water_start` and `dry_below` are shares of its capacity."""
+
     capacity_j_k: float
     air_w_k: float
     floor_w_k: float
@@ -106,6 +120,8 @@ class Soil:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantParameters:
+    """Section `plant`: heat, transpiration and CO2 balance of one plant; respiration includes the soil's."""
+
     capacity_j_k: float
     leaf_m2: float
     dark_share: float
@@ -118,6 +134,8 @@ class PlantParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Led:
+    """Section `led`: electric power, its share that is light, and the shares of the light by absorber."""
+
     power_w: float
     light_share: float
     light_to_plant: float
@@ -127,6 +145,8 @@ class Led:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tank:
+    """Section `tank`: capacity, share of it at the start, and flow through the open valve."""
+
     volume_kg: float
     start_level: float
     valve_flow_kg_s: float
@@ -134,6 +154,8 @@ class Tank:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Room:
+    """Section `room`: the ambient air's mean, daily swing and noise, and the sun through a window."""
+
     temp_c: float
     diurnal_k: float
     warmest_hour: float
@@ -155,6 +177,8 @@ class Room:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mains:
+    """Section `mains`: relative standard deviations of the heater's power, between runs and within one."""
+
     run_sd: float
     wander_sd: float
     wander_tau_s: float
@@ -162,6 +186,8 @@ class Mains:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventParameters:
+    """Section `events`: door openings and heat that no input explains; the default effects use none."""
+
     door_w_k: float
     door_interval_s: float
     door_shortest_s: float
@@ -173,6 +199,8 @@ class EventParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorParameters:
+    """Section `sensors`: lag, bias, noise (standard deviation), resolution and drift by sensor."""
+
     air_lag_s: float
     air_bias_k: float
     air_noise_k: float
@@ -248,6 +276,7 @@ def load(path: Path | None = None) -> tuple[ChamberParameters, Effects]:
     A value is a number or `{value: number, source: text}`. Raises ValueError, which names file, section
     and key, for an unknown key, a value that is not a number or one outside its range.
     """
+
     sections = _read(DEFAULT_FILE) | {"effects": {}}
     if path is not None:
         changes = _read(path)

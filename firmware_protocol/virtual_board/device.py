@@ -80,13 +80,27 @@ SAMPLE_MS = 1000  # sensors are read this often
 
 
 class Core(Protocol):
-    """The firmware: `core.BoardCore`, or the C one."""
+    """The firmware: `core.BoardCore`, or the C one. All `now_ms` are the board's clock, which wraps."""
 
-    def receive(self, data: bytes, now_ms: int) -> None: ...
-    def sample(self, samples: Mapping[str, Sample], now_ms: int) -> None: ...
-    def step(self, now_ms: int) -> Pins: ...
-    def transmit(self) -> bytes: ...
-    def persistent(self) -> bytes: ...
+    def receive(self, data: bytes, now_ms: int) -> None:
+        """Take bytes of the line; the answer to a whole frame waits for `transmit`."""
+        ...
+
+    def sample(self, samples: Mapping[str, Sample], now_ms: int) -> None:
+        """Take new samples: signal -> (value in its unit or None, quality)."""
+        ...
+
+    def step(self, now_ms: int) -> Pins:
+        """Let leases, slots and reports pass to `now_ms` and return the pins; due every `STEP_MS`."""
+        ...
+
+    def transmit(self) -> bytes:
+        """Return the bytes for the line since the last call."""
+        ...
+
+    def persistent(self) -> bytes:
+        """Return the latches with their checksum, 4 bytes, for the next boot."""
+        ...
 
 
 Boot = Callable[[bytes, ResetCause, int], Core]  # persistent bytes, cause, boot count -> running firmware

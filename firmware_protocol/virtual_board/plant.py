@@ -40,6 +40,7 @@ class DeadTime:
         return self._coming[0][0] if self._coming else math.inf
 
     def copy(self) -> "DeadTime":
+        """Return an independent copy; values under way arrive in both."""
         twin = copy.copy(self)
         twin._coming = self._coming.copy()
         return twin
@@ -69,6 +70,7 @@ class SlidingMean:
         return total / self._length_s
 
     def copy(self) -> "SlidingMean":
+        """Return an independent copy with the same window so far."""
         twin = copy.copy(self)
         twin._pieces = self._pieces.copy()
         return twin
@@ -108,6 +110,7 @@ class HeaterSupply:
         return cut * max(1.0 - self._sag * duty, 0.0)
 
     def copy(self) -> "HeaterSupply":
+        """Return an independent copy with the same future wander and the same duty so far."""
         twin = copy.copy(self)
         twin._wander, twin._duty = copy.copy(self._wander), self._duty.copy()
         return twin
@@ -160,12 +163,23 @@ _SENSORS = {
 
 
 class ChamberModel(Protocol):
-    """The box: `chamber.ChamberModel`."""
+    """The greenhouse: `chamber.Chamber`, as the plant and the control socket need it."""
 
-    def step(self, dt_s: float, heater_power_fraction: float, fan: bool, led: float, valve: bool) -> None: ...
-    def sense(self) -> dict[str, float]: ...
-    def truth(self) -> dict[str, float]: ...
-    def energy(self) -> dict[str, float]: ...
+    def step(self, dt_s: float, heater_power_fraction: float, fan: bool, led: float, valve: bool) -> None:
+        """Let `dt_s` pass with these inputs [s, 0..1, relay, 0..1, valve open]."""
+        ...
+
+    def sense(self) -> dict[str, float]:
+        """Return the sensors' present values under the names of `sensor_report`."""
+        ...
+
+    def truth(self) -> dict[str, float]:
+        """Return the true state, `temp_air_c` in it; the board never sees this."""
+        ...
+
+    def energy(self) -> dict[str, float]:
+        """Return the heat since the start [J]: in, out and stored, where in = out + stored."""
+        ...
 
 
 class Plant:

@@ -28,6 +28,7 @@ class Weather:
         self.at(0.0)
 
     def at(self, time_s: float) -> None:
+        """Set every attribute to its value at `time_s`, which may not go back (see `Wander.at`)."""
         room, effects = self._room, self._effects
         hour = (room.start_hour + time_s / 3600.0) % 24.0
         swing = math.cos(2.0 * math.pi * (hour - room.warmest_hour) / 24.0)

@@ -108,6 +108,9 @@ def test_c_refuses_a_wrong_length(library: ctypes.CDLL, message: MessageSpec, ch
     [
         pytest.param("external: 1", "external: 7", "enums.reset_cause", id="a gap in an enum"),
         pytest.param("id: 7", "id: 6", "same id", id="two messages of one id"),
+        pytest.param(
+            '  trip_cause: "', '  trips: "', "docs: missing key 'trip_cause'", id="an enum without a text"
+        ),
         pytest.param("max_body: 48", "max_body: 34", "messages.hello", id="a body too long"),
     ],
 )

@@ -9,6 +9,7 @@ from training.llm_stand_in.server import StandIn
 
 
 def main() -> None:
+    """Serve until Ctrl-C; print the base URL first, which tells the caller the port that `--port 0` got."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--port", type=int, default=8000, help="0: a free one")
     parser.add_argument("--behave", choices=sorted(BEHAVIOURS), default="honest")

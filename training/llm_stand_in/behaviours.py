@@ -52,7 +52,7 @@ def refusal(status: int, message: str, **headers: str) -> Sending:
 Behaviour = Callable[[Body, int], Sending]
 
 
-def honest(body: Body, seed: int) -> Sending:
+def _honest(body: Body, seed: int) -> Sending:
     return sending(reply(body, seed), body)
 
 
@@ -61,7 +61,7 @@ def _turn(turn: Callable[[Body], Turn], finish: str = "") -> Behaviour:
 
 
 def _line(**how: Any) -> Behaviour:
-    return lambda body, seed: replace(honest(body, seed), **how)
+    return lambda body, seed: replace(_honest(body, seed), **how)
 
 
 def _always(what: Sending) -> Behaviour:
@@ -70,7 +70,7 @@ def _always(what: Sending) -> Behaviour:
 
 def _no_response_format(body: Body, seed: int) -> Sending:
     return (
-        refusal(400, "response_format is not supported") if "response_format" in body else honest(body, seed)
+        refusal(400, "response_format is not supported") if "response_format" in body else _honest(body, seed)
     )
 
 
@@ -114,7 +114,7 @@ def _offers(body: Body, name: str) -> bool:
 
 
 BEHAVIOURS: dict[str, Behaviour] = {
-    "honest": honest,
+    "honest": _honest,
     "slow": _line(after_s=SLOW_S),
     "hanging": _line(after_s=math.inf),
     "dripping": _line(drip_s=0.05),

@@ -45,15 +45,29 @@ class NetworkSettings(Protocol):
     """Settings of a model that the loop needs."""
 
     @property
-    def epochs(self) -> int: ...
+    def epochs(self) -> int:
+        """Most passes over the training pairs; early stopping may end the training sooner."""
+        ...
+
     @property
-    def learning_rate(self) -> float: ...
+    def learning_rate(self) -> float:
+        """Step size of Adam, the same in every epoch."""
+        ...
+
     @property
-    def batch_size(self) -> int: ...
+    def batch_size(self) -> int:
+        """Pairs in one gradient step; the last batch of an epoch may be smaller."""
+        ...
+
     @property
-    def min_delta(self) -> float: ...
+    def min_delta(self) -> float:
+        """Least fall of the validation loss that is progress, see `EarlyStopping`."""
+        ...
+
     @property
-    def tolerance(self) -> int: ...
+    def tolerance(self) -> int:
+        """Epochs without progress after which the training stops."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,8 +93,13 @@ class Episodes(Protocol):
     """A source of episodes, all of one length."""
 
     @property
-    def steps(self) -> int: ...
-    def draw(self, rng: np.random.Generator) -> Episode: ...
+    def steps(self) -> int:
+        """Length of every episode [steps of a minute]."""
+        ...
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """Return an episode of `steps`; all chance comes from `rng`."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,14 +67,17 @@ class Bar:
 
 
 def paragraph(text: str, kind: str = "") -> str:
+    """Return a `<p>` of class `kind`; a number and its unit stay on one line."""
     return f"<p{_class(kind)}>{_sentence(text)}</p>"
 
 
 def bullets(texts: Iterable[str]) -> str:
+    """Return a `<ul>` with one item per text; a number and its unit stay on one line."""
     return f"<ul>{''.join(f'<li>{_sentence(text)}</li>' for text in texts)}</ul>"
 
 
 def tile(value: str, label: str, kind: str = "") -> str:
+    """Return a tile of the summary: a large `value` of class `kind` above its `label`."""
     return f'<div class="tile"><b{_class(kind)}>{escape(value)}</b><span>{escape(label)}</span></div>'
 
 
@@ -106,6 +109,7 @@ def terms(pairs: Iterable[tuple[str, str]]) -> str:
 
 
 def command(text: str) -> str:
+    """Return shell lines in a `<pre>`, without no-break spaces, so that a copied line runs."""
     return f"<pre>{escape(text)}</pre>"
 
 

@@ -72,6 +72,7 @@ def style() -> Iterator[None]:
 
 
 def new_figure(height_in: float) -> "Figure":
+    """Return an empty figure, `WIDTH_IN` by `height_in` inches, that pyplot does not hold in memory."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")

@@ -1,0 +1,1 @@
+"""The 15 input sequences (profile_*.csv); `generate` draws them, `record` runs the chamber on them."""
