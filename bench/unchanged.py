@@ -90,13 +90,12 @@ def measured_diagnosis(place: Place) -> str:
 
 
 def golden_vectors(place: Place) -> str:
-    """Digest the protocol's vectors, the generated messages and the packaged models."""
+    """Digest the protocol's vectors, the generated C messages and the packaged models."""
     digest = hashlib.sha256()
     found = [
         *(
             "firmware_protocol/vectors.json",
-            "firmware_protocol/messages.yaml",
-            "firmware_protocol/messages.py",
+            "firmware_protocol/c/gh_messages.h",
         ),
         *sorted(
             str(path.relative_to(place.checkout))

@@ -7,6 +7,21 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PARTS = ("edge", "firmware_protocol", "training", "bench", "tests")
 BAD_OPENINGS = {"what", "of", "whether", "where"}  # the reader waits for the noun or the verb
+PARTICIPLES = {
+    "told",
+    "given",
+    "kept",
+    "made",
+    "said",
+    "gone",
+    "known",
+    "shown",
+    "taken",
+    "drawn",
+    "found",
+    "held",
+}
+NO_PARTICIPLES = {"embed", "feed", "need", "proceed", "seed", "speed"}
 NOTEBOOK = {"Run", "Twin"}  # `from edge import Run, Twin`: short on purpose, and not used inside
 
 
@@ -32,6 +47,24 @@ def test_the_notebooks_names_are_those_of_one_file() -> None:
     assert {name: found[name] for name in NOTEBOOK} == {
         name: ["edge/diagnosis/python.py"] for name in NOTEBOOK
     }
+
+
+def test_no_function_is_called_by_a_bare_participle() -> None:
+    bad = []
+    for part in PARTS[:-1]:
+        for path in sorted((ROOT / part).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                    continue
+                # A property may be an adjective: `if board.stopped`.
+                is_value = any("property" in ast.unparse(item) for item in node.decorator_list)
+                word = node.name.strip("_")
+                if not is_value and (
+                    word in PARTICIPLES
+                    or (word.endswith("ed") and "_" not in word and word not in NO_PARTICIPLES)
+                ):
+                    bad.append(f"{path.relative_to(ROOT)}: {node.name}")
+    assert bad == []
 
 
 def test_no_docstring_opens_without_a_verb_or_a_noun() -> None:

@@ -148,6 +148,7 @@ def topics() -> str:
         if topic is not None and name != "root"
     ]
     rows += [(f"`{usual.root}/history/{name}`", "", text) for name, text in words.HISTORY_TOPICS.items()]
+    # The parser itself makes the requests, so that the page cannot promise what the daemon refuses.
     examples = _same(words.PAYLOADS, mqtt_commands.COMMANDS, "MQTT command")
     received = []
     for what, payload in examples.items():

@@ -59,7 +59,7 @@ class StateWriter(Generic[Value]):
             oldest("the disk does not answer")
 
     def close(self) -> None:
-        """Write what waits, then end."""
+        """Write the newest value, tried once more where the last try failed, then end."""
         with self._condition:
             self._closing = True
             self._condition.notify()
@@ -70,14 +70,15 @@ class StateWriter(Generic[Value]):
             with self._condition:
                 timeout_s = None if self._unwritten is None else RETRY_S
                 self._condition.wait_for(lambda: self._next is not None or self._closing, timeout_s)
-                if self._next is None and self._closing:
-                    return
                 value = self._unwritten if self._next is None else self._next
                 self._next = None
                 answers, self._answers = self._answers, []
+                closing = self._closing
             if value is not None:
                 self._write(value, answers)
             with self._condition:
+                if closing and self._next is None:
+                    return
                 self._condition.wait_for(lambda: self._closing, self._stored.pause_s)
 
     def _write(self, value: Value, answers: list[Answered]) -> None:

@@ -47,6 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError(
             f"{absent[0]}: no weights; `greenhouse-train all` trains this and {len(absent) - 1} more"
         )
+    # Each guarded hybrid counts twice: without its guard it shows what the guard is worth.
     found = score_runs(
         [*trainings, *(remove_guard(kept) for kept in trainings if kept.model == "ham_guarded")]
     )

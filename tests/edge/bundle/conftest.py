@@ -1,4 +1,4 @@
-"""What the tests of bundles share."""
+"""Shared parts of the tests of bundles."""
 
 from pathlib import Path
 

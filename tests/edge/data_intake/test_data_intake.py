@@ -50,7 +50,7 @@ def converted(greenhouse, path: Path, **changed: str):
 
 
 def refusal(greenhouse, path: Path, *edit: str) -> str:
-    """What `convert` says when it refuses the mapping that `look` made, edited."""
+    """Return the refusal by `convert` of the edited mapping that `look` made."""
     place = path.parent / "map.yaml"
     assert greenhouse("data", "look", path, "--map", place)[0] == 0
     if edit:

@@ -101,6 +101,24 @@ def test_a_failed_write_is_answered_with_its_reason_and_tried_again(tmp_path, mo
     writer.close()
 
 
+def test_a_value_that_the_disk_refused_is_on_disk_after_the_end_once_the_disk_recovers(tmp_path):
+    path, answers = tmp_path / "missing" / "state.json", queue.SimpleQueue()
+    writer = writer_at(path)
+    writer.save({"stop": True}, answers.put)
+    assert "missing" in answers.get(timeout=5.0)
+    path.parent.mkdir()
+    writer.close()  # long before RETRY_S is over
+    assert read(path) == {"stop": True}
+
+
+def test_a_disk_that_refuses_to_the_last_does_not_hold_up_the_end(tmp_path):
+    writer = writer_at(tmp_path / "missing" / "state.json")
+    writer.save({"stop": True})
+    writer.close()
+    assert writer.failures >= 1
+    assert "state-file" not in {thread.name for thread in threading.enumerate()}
+
+
 def test_answers_that_wait_for_a_disk_that_hangs_are_bounded_and_each_is_given(tmp_path, monkeypatch):
     may_write = threading.Event()
     monkeypatch.setattr("edge.state.writer.write_document", lambda path, values: may_write.wait(5.0))

@@ -1,4 +1,4 @@
-"""What the tests of the history share."""
+"""Shared parts of the tests of the history."""
 
 from pathlib import Path
 
