@@ -35,6 +35,7 @@ def byte_tokenizer() -> PreTrainedTokenizerFast:
 
 
 def main() -> None:
+    """Write the model and its tokenizer into the folder that the command line names."""
     folder = sys.argv[1]
     tokenizer = byte_tokenizer()
     torch.manual_seed(0)

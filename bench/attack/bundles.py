@@ -167,11 +167,13 @@ def _keep(document: dict[str, Any]) -> None:
 
 
 def unpack(archive: bytes) -> Files:
+    """Return the files of a zip archive by name."""
     with zipfile.ZipFile(io.BytesIO(archive)) as opened:
         return {name: opened.read(name) for name in opened.namelist()}
 
 
 def pack(files: Mapping[str, bytes] | list[tuple[str, bytes]]) -> bytes:
+    """Return a zip archive; a list may name one file twice, as no honest archive does."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items() if isinstance(files, Mapping) else files:
@@ -207,6 +209,7 @@ def evil_json(content: bytes, chance: random.Random) -> bytes:
 
 
 def evil_yaml(chance: random.Random) -> bytes:
+    """Draw a YAML text that costs a careless reader memory, depth or time."""
     return chance.choice(
         [
             b"a: &a [1, 1]\nb: &b [*a, *a]\nsample_s: [*b, *b]\n",

@@ -190,6 +190,7 @@ class Hysteresis:
     on: bool = False
 
     def __call__(self, temp_c: float) -> float:
+        """Return 1.0 while heating: below `low_c`, then on until `high_c` (hysteresis)."""
         self.on = temp_c < self.low_c or (self.on and temp_c < self.high_c)
         return float(self.on)
 

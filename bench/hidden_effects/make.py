@@ -22,6 +22,7 @@ class MakeTask(NamedTuple):
 
     @property
     def id(self) -> str:
+        """Folder name of the case, which also gives its seed."""
         return case_id(seed_of(self.split, self.kind, self.number))
 
 

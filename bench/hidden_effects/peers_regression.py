@@ -51,6 +51,7 @@ class TermColumns:
 
     @property
     def excess(self) -> Floats:
+        """Air above ambient [K]."""
         return self.temp - self.ambient
 
 
@@ -125,6 +126,7 @@ class Columns:
 
     @property
     def conditions(self) -> dict[str, Floats]:
+        """Columns that effects of a twin read besides heater, fan and ambient."""
         return {"light": self.light, "rel_humidity": self.rel_humidity, "utc": self.utc}
 
     def rows(self, temp: Floats, before: Floats, slow_c: Floats, day0: float, k: slice | int) -> TermColumns:

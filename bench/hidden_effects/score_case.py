@@ -120,6 +120,7 @@ class NamedEffect:
 
     @property
     def hedges(self) -> bool:
+        """True for an answer with more alternatives than the contract allows."""
         return len(set(self.alternatives) - {self.name}) > MOST_ALTERNATIVES
 
 
@@ -198,6 +199,7 @@ class FreeRunErrors:
 
     @property
     def ratio(self) -> float:
+        """Error after the diagnosis over the noise floor, 1 at best."""
         return self.after_k / self.floor_k
 
 

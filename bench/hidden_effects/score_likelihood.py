@@ -151,6 +151,7 @@ class SoughtValue:
 
     @property
     def is_log(self) -> bool:
+        """True where the optimiser moves the logarithm: values that cannot be negative."""
         return self.low >= 0.0 and self.start > 0.0
 
     @property
@@ -163,11 +164,13 @@ class SoughtValue:
         return float(np.clip(self._to(value), low + _INSIDE, high - _INSIDE))
 
     def value(self, scaled: float) -> float:
+        """Return the value in its own unit, inside its range."""
         natural = float(np.exp(scaled)) if self.is_log else scaled * self._unit
         return float(np.clip(natural, self.low, self.high))
 
     @property
     def bounds(self) -> tuple[float, float]:
+        """Lowest and highest number of the optimiser."""
         return self._to(self.low), self._to(self.high)
 
     def _to(self, value: float) -> float:
@@ -194,6 +197,7 @@ class Structure:
 
     @property
     def start(self) -> Floats:
+        """Start of every unknown, scaled [n]."""
         return np.array([item.scale(item.start) for item in self.unknowns])
 
     @property
@@ -202,6 +206,7 @@ class Structure:
         return np.isfinite(self.data.temp[:, 1:])
 
     def values(self, scaled: Floats) -> dict[Place, float]:
+        """Return the unknowns by place, in their own units. scaled : [n]"""
         return {item.place: item.value(float(x)) for item, x in zip(self.unknowns, scaled, strict=True)}
 
     def twin(self, scaled: Floats, mains: float = 1.0) -> BoxTwin:

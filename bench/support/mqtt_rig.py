@@ -62,6 +62,7 @@ class ControlLoop:
         self.resend: Callable[[int, int], int] = lambda first, last: 0
 
     def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Answer as the control loop does; an order changes `operation`, all but status is noted."""
         if request["do"] != "status":
             self.requests.append(request)
         if request["do"] == "resend":
@@ -74,6 +75,7 @@ class ControlLoop:
         return {"ok": True, **self.status()}
 
     def post(self, request: Mapping[str, Any], answered: Callable[[dict[str, Any]], None]) -> None:
+        """Answer at once, in the thread of the asker."""
         answered(self.ask(request))
 
     def status(self) -> dict[str, Any]:
@@ -83,6 +85,7 @@ class ControlLoop:
         return values
 
     def values(self) -> LoopStatus:
+        """Return the status of the last record."""
         record = self.last_record
         echo = self.echo or record.echo
         return LoopStatus(self.operation, 0.0, self.trips, record, echo, record.link_up, {})
@@ -111,24 +114,30 @@ class MemoryOutbox:
         self.acknowledged: list[int] = []
 
     def pending(self, limit: int) -> Sequence[OutboxRow]:
+        """Return the oldest rows, at most `limit`."""
         return [self.rows[key] for key in sorted(self.rows)[:limit]]
 
     def acknowledge(self, ids: Sequence[int]) -> None:
+        """Remove rows. Errors: KeyError for a row that is not there"""
         for key in ids:
             del self.rows[key]
         self.acknowledged.extend(ids)
 
     def depth(self) -> int:
+        """Return how many rows wait."""
         return len(self.rows)
 
     def resend(self, first_seq: int, last_seq: int) -> int:
+        """Put the numbered rows back and return how many."""
         self.rows.update({number: row(number) for number in range(first_seq, last_seq + 1)})
         return last_seq - first_seq + 1
 
 
 def row(number: int) -> OutboxRow:
+    """Return a message of the history with this number."""
     return OutboxRow(number, f"{ROOT}/history", f'{{"history_id":"h1","seq":{number}}}')
 
 
 def desk() -> Desk:
+    """Return the rules by which orders are checked: fixed time, 15 to 38 degC."""
     return Desk(utc=1.7e9, controllers=CONTROLLERS, reference_min_c=15.0, reference_max_c=38.0)

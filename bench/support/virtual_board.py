@@ -35,9 +35,11 @@ class VirtualBoard:
             return dict(json.loads(connection.makefile().readline()))
 
     def truth(self) -> dict[str, Any]:
+        """Return the true state of the box, which no sensor shows."""
         return self.ask(truth=True)
 
     def inject(self, **fault: Any) -> dict[str, Any]:
+        """Start a fault now; its keys are those of a fault script."""
         return self.ask(fault=fault)
 
 
