@@ -240,7 +240,8 @@ def _train(arguments: argparse.Namespace) -> int:
         arguments.dask,
         lambda done, job, record: print(_line(record), flush=True),
     )
-    print("\n".join(table(records(arguments.out), [name for names in families.values() for name in names])))
+    names = [name for family in families.values() for name in family]
+    print("\n".join(table(records(arguments.out), names).text()))
     return 0
 
 

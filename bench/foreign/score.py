@@ -21,6 +21,7 @@ from bench.hidden_effects.run_cases import LIMIT_S, OURS, SolverTask, is_done, r
 from bench.hidden_effects.wilson import Share, share
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.wording import beaten
+from edge.formats.table import Table
 
 SURE = 0.95
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.01)
@@ -258,14 +259,17 @@ def read_scored(task: Any) -> ScoredAnswer | None:
 
 def text(cases: Sequence[ScoredAnswer]) -> str:
     """Return the table, the reliability of the probabilities, and a line for each case that went wrong."""
-    lines = [f"{len(cases)} cases"]
-    for name, value in figures(cases).items():
-        lines.append(f"{name:56} {_figure(value)}")
-    lines += ["", "said          held"]
+    found = tuple((name, _figure(value)) for name, value in figures(cases).items())
     statements = [own for case in cases for own in case.statements]
-    for (low, high), own in bins(statements).items():
-        lines.append(f"{low:.2f} to {min(high, 1.0):.2f}  {_figure(share(true for _, true in own))}")
-    return "\n".join(lines) + "\n"
+    held = tuple(
+        (f"{low:.2f} to {min(high, 1.0):.2f}", _figure(share(true for _, true in own)))
+        for (low, high), own in bins(statements).items()
+    )
+    tables = (
+        Table("", (f"{len(cases)} cases", ""), found, words=True),
+        Table("", ("said", "held"), held, words=True),
+    )
+    return "\n".join(line for one in tables for line in one.text())
 
 
 def _figure(value: Share | float) -> str:

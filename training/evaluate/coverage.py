@@ -25,6 +25,7 @@ from edge.core.predictor import Predictor
 from edge.forecasts.conformal import CLAIMED, Interval, Intervals, half_width, track, write_intervals
 from edge.forecasts.scorer import PERSISTENCE, Scorer
 from edge.formats.run_file import RecordedRun
+from edge.formats.table import Table
 from edge.models.arx_file import read_arx
 from edge.models.onnx_predictor import read_ham, read_lstm
 from edge.models.pbm import Pbm, read_twin
@@ -208,23 +209,32 @@ def measure(intervals: Intervals, interpolation: Errors, extrapolation: Errors) 
 
 def table(rows: Sequence[CoverageRow], predictors: Mapping[str, Predictor]) -> str:
     """Return the figures as text."""
+    heads = ("model", "min", "+- [K]", "MAE [K]", "seen", "following", "extrapolation: seen",
+             "above 36.9 degC", "following")  # fmt: skip
+    cells = tuple(
+        (
+            row.predictor,
+            str(row.horizon_min),
+            f"{row.half_width_k:.2f}",
+            f"{row.mae_k:.3f}",
+            f"{_mark(row)}{row.interpolation:.1%}",
+            f"{row.interpolation_adaptive:.1%}",
+            f"{row.extrapolation:.1%}",
+            f"{row.extrapolation_hot:.1%}",
+            f"{row.extrapolation_adaptive:.1%}",
+        )
+        for row in rows
+    )
+    low, high = SEEN
     lines = [
         f"Prediction intervals: {CLAIMED:.0%} claimed, seen on runs that neither trained nor calibrated",
         *(f"{name} {predictor.version}" for name, predictor in predictors.items()),
         "",
-        "                             interpolation               extrapolation",
-        "model  min  +- [K]  MAE [K]  seen   following            seen   above 36.9 degC  following",
+        *Table("", heads, cells, f"! not {low:.0%}..{high:.0%}").text(),
     ]
-    for row in rows:
-        lines.append(
-            f"{row.predictor:5}  {row.horizon_min:3}  {row.half_width_k:6.2f}  {row.mae_k:7.3f}"
-            f"  {row.interpolation:5.1%}  {row.interpolation_adaptive:5.1%}{_note(row):15}"
-            f"  {row.extrapolation:5.1%}  {row.extrapolation_hot:15.1%}  {row.extrapolation_adaptive:9.1%}"
-        )
     keys = ("interpolation", "interpolation_adaptive", "extrapolation", "extrapolation_adaptive")
     means = [np.mean([getattr(row, key) for row in rows]) for key in keys]
     lines += [
-        "",
         f"in all: interpolation {means[0]:.1%} ({means[1]:.1%} following), "
         f"extrapolation {means[2]:.1%} ({means[3]:.1%} following)",
         "following: the width follows the errors, as on the rig (edge/forecasts/conformal.py)",
@@ -232,9 +242,9 @@ def table(rows: Sequence[CoverageRow], predictors: Mapping[str, Predictor]) -> s
     return "\n".join(lines) + "\n"
 
 
-def _note(row: CoverageRow) -> str:
+def _mark(row: CoverageRow) -> str:
     low, high = SEEN
-    return "" if low <= row.interpolation <= high else f" not {low:.0%}..{high:.0%}"
+    return "" if low <= row.interpolation <= high else "! "
 
 
 def _held_share(errors: Floats, width: float) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.errors import DataError
+from edge.formats.table import Table
 from training.models.study import RESULT_FILE, SCENARIOS, Regime
 
 Record = Mapping[str, Any]
@@ -21,13 +22,13 @@ def records(out: Path) -> list[Record]:
     return found
 
 
-def table(found: Sequence[Record], names: Sequence[str]) -> Iterator[str]:
-    """Lines: free-run MAE per model and scenario, and the mean of each regime; mean ± sd of seeds [K]."""
+def table(found: Sequence[Record], names: Sequence[str]) -> Table:
+    """Return the free-run MAE per model and scenario, and the mean of each regime; mean ± sd of seeds [K]."""
     heads = [head for numbers in SCENARIOS.values() for head in (*(str(n) for n in numbers), "mean")]
-    yield f"{'free-run MAE [K]':16s}" + "".join(f"{head:>15s}" for head in heads)
-    for name in names:
-        cells = [cell for regime in SCENARIOS for cell in _cells(found, name, regime)]
-        yield f"{name:16s}" + "".join(f"{cell:>15s}" for cell in cells)
+    rows = tuple(
+        (name, *(cell for regime in SCENARIOS for cell in _cells(found, name, regime))) for name in names
+    )
+    return Table("", ("free-run MAE [K]", *heads), rows)
 
 
 def best_seed(found: Sequence[Record], name: str, regime: Regime) -> int:

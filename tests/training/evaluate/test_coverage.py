@@ -140,8 +140,8 @@ def test_a_width_that_follows_holds_what_a_fixed_one_does_not():
 
 def test_the_table_marks_what_is_not_within_88_and_92_percent():
     (row,) = coverage.measure(INTERVALS, errors(0.5), errors(0.5))
-    assert "not 88%..92%" in coverage.table([row], {"arx": RampPredictor()})
-    assert "not 88%..92%" not in coverage.table([replace(row, interpolation=0.92)], {"arx": RampPredictor()})
+    assert "! 100.0%" in coverage.table([row], {"arx": RampPredictor()})
+    assert "! 92.0%" not in coverage.table([replace(row, interpolation=0.92)], {"arx": RampPredictor()})
 
 
 def test_the_kept_figures_are_those_of_the_kept_table():
