@@ -37,7 +37,10 @@ def simulate(
 
     parameters : [B] each, by the names of NEUTRAL, which stands for those that are not given
     Returns : [N + 1, B] [°C] and [N + 1, len(STATES), B]; all begins at the room's temperature, all off
+    Errors : KeyError for a name that NEUTRAL lacks: an effect hidden nowhere would be sought in vain
     """
+    if unknown := set(parameters) - set(NEUTRAL):
+        raise KeyError(f"NEUTRAL has no {', '.join(sorted(unknown))}")
     columns = inputs.duty.shape[1]
     p = {name: np.broadcast_to(parameters.get(name, usual), columns) for name, usual in NEUTRAL.items()}
     p = {name: np.asarray(values, dtype=np.float64) for name, values in p.items()}

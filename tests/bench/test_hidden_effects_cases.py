@@ -25,7 +25,7 @@ from bench.hidden_effects.chamber_box import (
     quiet_c,
     read_off,
 )
-from bench.hidden_effects.equations import STATES, simulate
+from bench.hidden_effects.equations import NEUTRAL, STATES, simulate
 from bench.hidden_effects.equations_box import OUTSIDE as NAMELESS
 from bench.hidden_effects.equations_box import STRENGTHS, draw_effect
 from bench.hidden_effects.equations_cases import (
@@ -150,6 +150,7 @@ def test_every_usual_effect_can_be_hidden_and_every_value_is_one_that_the_librar
     for name in STRENGTHS:
         own = draw_effect(rng, name)
         assert list(own) == [item.name for item in EFFECTS[name].parameters]
+        assert set(own) <= set(NEUTRAL), f"bench/hidden_effects/equations.py does not know {name}"
         assert not any(item.problem(own[item.name]) for item in EFFECTS[name].parameters)
 
 
