@@ -52,7 +52,7 @@ class Output(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class BoardPins:
-    """Arduino numbers of the pins that may serve as what. led : with a hardware PWM that nothing else needs"""
+    """Arduino numbers of the pins by use. led : with a hardware PWM that nothing else needs"""
 
     digital: frozenset[int]
     listen: frozenset[int]  # with an interrupt on a change of level
@@ -86,8 +86,8 @@ TWO_PLACES = frozenset({Part.SHT3X, Part.SHT4X, Part.DHT22, Part.DS18B20})  # in
 class PartConfig:
     """One sensor part. pin : Arduino number, or address on the I2C bus; second : echo pin of an HC-SR04
 
-    first, last : counts of a dry and a wet soil probe; distances of an empty and a full tank [mm]; `first` is the
-        light that counts as full [10 lux], or 1 for a float switch that is closed while there is water
+    first, last : counts of a dry and a wet soil probe; distances of an empty and a full tank [mm]
+    first : full light [10 lux]; 1 for a float switch that is closed while there is water
     serial : the 48-bit serial number of a DS18B20, 0 for the only one on its wire
     """
 
@@ -229,22 +229,32 @@ def _part_problem(
     if problem:
         return problem
     if part.part in I2C_ADDRESSES:
-        if part.pin not in I2C_ADDRESSES[part.part]:
-            return f"{place}: 0x{part.pin:02x} is not an address of {part.part.name}"
-        if any(one.part in I2C_ADDRESSES and one.pin == part.pin for one in before):
-            return f"{place}: address 0x{part.pin:02x} is used twice"
-        return ""
+        return _address_problem(part, place, before)
     if part.part is Part.DS18B20:
-        others = [one for one in before if one.part is Part.DS18B20]
-        if any(one.pin != part.pin for one in others):
-            return f"{place}: all DS18B20 hang on one pin"
-        if others and (part.serial == 0 or any(one.serial in (0, part.serial) for one in others)):
-            return f"{place}: several DS18B20 on a wire need serial numbers of their own"
-        return "" if others else _take(used, part.pin, place, pins.digital)
+        return _wire_problem(part, place, pins, used, before)
     if part.part is Part.HCSR04:
         return _take(used, part.pin, place, pins.digital) or _take(used, part.second, place, pins.listen)
     allowed = {Part.SOIL: pins.analog, Part.DHT22: pins.listen}.get(part.part, pins.digital)
     return _take(used, part.pin, place, allowed)
+
+
+def _address_problem(part: PartConfig, place: str, before: tuple[PartConfig, ...]) -> str:
+    if part.pin not in I2C_ADDRESSES[part.part]:
+        return f"{place}: 0x{part.pin:02x} is not an address of {part.part.name}"
+    if any(one.part in I2C_ADDRESSES and one.pin == part.pin for one in before):
+        return f"{place}: address 0x{part.pin:02x} is used twice"
+    return ""
+
+
+def _wire_problem(
+    part: PartConfig, place: str, pins: BoardPins, used: dict[int, str], before: tuple[PartConfig, ...]
+) -> str:
+    others = [one for one in before if one.part is Part.DS18B20]
+    if any(one.pin != part.pin for one in others):
+        return f"{place}: all DS18B20 hang on one pin"
+    if others and (part.serial == 0 or any(one.serial in (0, part.serial) for one in others)):
+        return f"{place}: several DS18B20 on a wire need serial numbers of their own"
+    return "" if others else _take(used, part.pin, place, pins.digital)
 
 
 def _numbers_problem(part: PartConfig, place: str) -> str:
