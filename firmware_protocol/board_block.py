@@ -1,8 +1,8 @@
 """The configuration of a board: pins, parts and limits in one block of its EEPROM; `c/gh_config.c` reads it.
 
-The block is 144 bytes: CRC-16 (as of frames) over all that follows, layout, microcontroller, limits, outputs, up
-to eight sensor parts. Numbers are little-endian. Both sides hold a block to the same rules; a board whose block
-is blank, damaged or against a rule drives nothing and reads nothing.
+The block is 144 bytes: CRC-16 (as of frames) over all that follows, layout, microcontroller, limits, outputs,
+up to eight sensor parts. Numbers are little-endian. Both sides hold a block to the same rules. A board whose
+block is blank, damaged or against a rule drives nothing and reads nothing.
 """
 
 import struct
