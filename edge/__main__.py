@@ -26,6 +26,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "fit-arx": "fit an ARX model to recorded runs",
     "data": "look at logs of another box, convert them to run files",
     "twin": "the physics model: new, simulate, find what it lacks, adopt",
+    "board": "check a board.yaml, draw its wiring",
     "bundle": "install, activate or roll back signed bundles of models",
     "forget-discovery": "remove a rig from Home Assistant and the broker",
 }
@@ -44,7 +45,7 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
         "fit-arx",
         "twin",
     ),
-    "Look after a rig": ("bundle", "resend", "forget-discovery"),
+    "Look after a rig": ("board", "bundle", "resend", "forget-discovery"),
 }
 FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.
 With one: `greenhouse check-config /etc/greenhouse/edge.yaml`, then start it.
