@@ -40,6 +40,7 @@ class Scenario:
     orders_refused: int = 0
     told: tuple[str, ...] = ()  # keys of events in the history, among others
     alarms: tuple[str, ...] = ()  # keys of all alarms in the history
+    may_alarm: tuple[str, ...] = ()  # keys of alarms that chance decides
     conditions: tuple[str, ...] = ()  # keys of the failure table whose begin and end are in the history
 
     def given(self) -> list[TimedRequest]:

@@ -73,7 +73,12 @@ def test_what_is_cut_says_so() -> None:
 @given(ANY_JSON)
 def test_json_from_outside_holds_storable_texts_alone(value: Any) -> None:
     document = json.dumps({"value": value}).encode()
-    for text in texts(parse_object(document)):
+    try:
+        found = parse_object(document)
+    except ValueError as refused:  # two keys that are one once they are storable
+        assert "is given twice" in str(refused)
+        return
+    for text in texts(found):
         assert storable(text) == text
 
 

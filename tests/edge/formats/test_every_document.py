@@ -337,6 +337,7 @@ PAST_THE_READER = {  # file -> why it may parse by itself
     "edge/board/sim_clock.py": "answers of the virtual board that this process started",
     "edge/bundle/proof.py": "the task that this process gives its own child",
     "edge/formats/parsing.py": "JSON and YAML of the reader",
+    "edge/formats/reader.py": "the reader",
     "edge/storage/tick_rows.py": "rows of the database that this software wrote",
     "edge/storage/numbers.py": "128 bytes that the history overwrites in place",
     "edge/storage/runs.py": "rows of the database that this software wrote",
