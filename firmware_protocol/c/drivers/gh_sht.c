@@ -34,10 +34,10 @@ void gh_sht_init(gh_sht *sht, const gh_i2c *bus, gh_sht_kind kind, uint8_t addre
     sht->kind = (uint8_t)kind;
 }
 
-static bool report_fault(gh_sht *sht, gh_measurement *temp_air, gh_measurement *rel_humidity)
+static bool report_fault(gh_sht *sht, gh_measurement *temp, gh_measurement *rel_humidity)
 {
-    *temp_air = gh_sensirion_fault(&sht->sensirion);
-    *rel_humidity = *temp_air;
+    *temp = gh_sensirion_fault(&sht->sensirion);
+    *rel_humidity = *temp;
     return true;
 }
 
@@ -69,28 +69,28 @@ static int32_t humidity_from(uint8_t kind, uint16_t word)
     return humidity < HUMIDITY_FULL ? humidity : HUMIDITY_FULL;
 }
 
-static void report_words(const gh_sht *sht, const uint16_t *words, gh_measurement *temp_air,
+static void report_words(const gh_sht *sht, const uint16_t *words, gh_measurement *temp,
                          gh_measurement *rel_humidity)
 {
-    temp_air->raw = TEMP_LOW + scale(TEMP_SPAN, words[0]);
-    temp_air->quality = GH_QUALITY_GOOD;
+    temp->raw = TEMP_LOW + scale(TEMP_SPAN, words[0]);
+    temp->quality = GH_QUALITY_GOOD;
     rel_humidity->raw = humidity_from(sht->kind, words[1]);
     rel_humidity->quality = GH_QUALITY_GOOD;
-    if (temp_air->raw < TEMP_MIN || temp_air->raw > TEMP_MAX) {
-        temp_air->raw = GH_NO_VALUE;
-        temp_air->quality = GH_QUALITY_RANGE;
-        *rel_humidity = *temp_air;
+    if (temp->raw < TEMP_MIN || temp->raw > TEMP_MAX) {
+        temp->raw = GH_NO_VALUE;
+        temp->quality = GH_QUALITY_RANGE;
+        *rel_humidity = *temp;
     }
 }
 
-bool gh_sht_step(gh_sht *sht, uint32_t now_ms, gh_measurement *temp_air, gh_measurement *rel_humidity)
+bool gh_sht_step(gh_sht *sht, uint32_t now_ms, gh_measurement *temp, gh_measurement *rel_humidity)
 {
     gh_sensirion *sensirion = &sht->sensirion;
     if (!gh_i2c_part_due(&sensirion->part, now_ms)) {
         return false;
     }
     if (sensirion->part.task == MEASURE) {
-        return !start_measuring(sht) && report_fault(sht, temp_air, rel_humidity);
+        return !start_measuring(sht) && report_fault(sht, temp, rel_humidity);
     }
     uint16_t words[2];
     switch (gh_sensirion_read(sensirion, words, 2)) {
@@ -100,10 +100,10 @@ bool gh_sht_step(gh_sht *sht, uint32_t now_ms, gh_measurement *temp_air, gh_meas
         gh_i2c_part_next(&sensirion->part, MEASURE, IDLE_MS); /* the part gives its words once */
         return false;
     default:
-        return report_fault(sht, temp_air, rel_humidity);
+        return report_fault(sht, temp, rel_humidity);
     }
     sensirion->damaged = false;
     gh_i2c_part_next(&sensirion->part, MEASURE, REST_MS);
-    report_words(sht, words, temp_air, rel_humidity);
+    report_words(sht, words, temp, rel_humidity);
     return true;
 }

@@ -1,4 +1,4 @@
-/* Sensirion SHT3x and SHT4x: temperature and relative humidity of the air, one measurement a second.
+/* Sensirion SHT3x and SHT4x: temperature and relative humidity, one measurement a second.
  * sizeof(gh_sht) is 13 on an AVR. */
 #ifndef GH_SHT_H
 #define GH_SHT_H
@@ -19,6 +19,6 @@ void gh_sht_init(gh_sht *sht, const gh_i2c *bus, gh_sht_kind kind, uint8_t addre
 
 /* Call it every round of the loop. True: both measurements are new, in 0.01 degC and 0.01 %; else they are left alone.
  * RANGE is given to both: outside its temperatures the part is not specified to measure humidity. */
-bool gh_sht_step(gh_sht *sht, uint32_t now_ms, gh_measurement *temp_air, gh_measurement *rel_humidity);
+bool gh_sht_step(gh_sht *sht, uint32_t now_ms, gh_measurement *temp, gh_measurement *rel_humidity);
 
 #endif
