@@ -8,8 +8,12 @@ import pytest
 
 from firmware_protocol.virtual_board.c_core import SOURCES, CompilerMissing, compile_board
 
-C_FILES = sorted(SOURCES.glob("gh_*.c"))
-ALL_FILES = C_FILES + sorted(SOURCES.glob("gh_*.h"))
+DRIVERS = SOURCES / "drivers"
+CORE_FILES = sorted(SOURCES.glob("gh_*.c"))
+DRIVER_FILES = sorted(DRIVERS.glob("gh_*.c"))
+C_FILES = CORE_FILES + DRIVER_FILES
+ALL_FILES = C_FILES + sorted(SOURCES.glob("gh_*.h")) + sorted(DRIVERS.glob("gh_*.h"))
+INCLUDES = ["-I", str(SOURCES), "-I", str(DRIVERS)]
 STRICT = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic"]
 ALLOWED_HEADERS = {"stdint.h", "stddef.h", "string.h", "stdbool.h"}
 ALLOWED_CALLS = {"memcpy", "memmove", "memset", "memcmp"}
@@ -36,7 +40,19 @@ def code_of(path) -> str:
 @pytest.mark.parametrize("path", C_FILES, ids=name_of)
 @pytest.mark.parametrize("optimise", ["-O0", "-O2", "-Os"])
 def test_every_source_compiles_without_a_warning(path, optimise, tmp_path):
-    subprocess.run([tool("gcc"), *STRICT, optimise, "-c", str(path), "-o", str(tmp_path / "x.o")], check=True)
+    flags = [*STRICT, optimise, *INCLUDES]
+    subprocess.run([tool("gcc"), *flags, "-c", str(path), "-o", str(tmp_path / "x.o")], check=True)
+
+
+@pytest.mark.parametrize("path", DRIVER_FILES, ids=name_of)
+def test_every_driver_compiles_for_a_small_avr_and_is_as_small_as_its_header_tells(path, tmp_path):
+    header = path.with_suffix(".h")
+    sizes = re.findall(r"sizeof\((\w+)\) is (\d+) on an AVR", header.read_text(encoding="utf-8"))
+    source = tmp_path / "x.c"
+    asserts = [f'_Static_assert(sizeof({name}) == {size}, "{name}");' for name, size in sizes]
+    source.write_text("\n".join([f'#include "{path}"', *asserts, ""]), encoding="utf-8")
+    flags = ["-mmcu=atmega328p", *STRICT, "-Os", *INCLUDES]
+    subprocess.run([tool("avr-gcc"), *flags, "-c", str(source), "-o", str(tmp_path / "x.o")], check=True)
 
 
 def test_it_compiles_with_the_sanitizers(tmp_path):
@@ -51,7 +67,8 @@ def test_it_compiles_with_the_sanitizers(tmp_path):
 def test_nothing_but_the_freestanding_headers_and_string_h_is_included(path):
     text = path.read_text(encoding="utf-8")
     assert set(re.findall(r"#include <(.+?)>", text)) <= ALLOWED_HEADERS
-    assert all((SOURCES / name).exists() for name in re.findall(r'#include "(.+?)"', text))
+    ours = {header.name for folder in {SOURCES, path.parent} for header in folder.glob("*.h")}
+    assert set(re.findall(r'#include "(.+?)"', text)) <= ours  # the core knows no driver
 
 
 @pytest.mark.parametrize("path", ALL_FILES, ids=name_of)
@@ -62,7 +79,8 @@ def test_there_is_no_floating_point(path):
 @pytest.mark.parametrize("path", C_FILES, ids=name_of)
 def test_there_is_no_state_outside_the_board_and_no_call_outside_string_h(path, tmp_path):
     target = tmp_path / "x.o"
-    subprocess.run([tool("gcc"), "-std=c11", "-O1", "-c", str(path), "-o", str(target)], check=True)
+    flags = ["-std=c11", "-O1", *INCLUDES]
+    subprocess.run([tool("gcc"), *flags, "-c", str(path), "-o", str(target)], check=True)
     symbols = subprocess.run([tool("nm"), str(target)], check=True, capture_output=True, text=True).stdout
     kinds = [(line.split()[-2], line.split()[-1]) for line in symbols.splitlines()]
     assert [name for kind, name in kinds if kind in "bBdDcC"] == []
@@ -74,7 +92,7 @@ def test_there_is_no_state_outside_the_board_and_no_call_outside_string_h(path, 
 def avr_program(tmp_path_factory):
     """The example as it would be flashed."""
     target = tmp_path_factory.mktemp("avr") / "board.elf"
-    sources = [*map(str, C_FILES), str(SOURCES / "examples" / "avr_main.c")]
+    sources = [*map(str, CORE_FILES), str(SOURCES / "examples" / "avr_main.c")]
     flags = [f"-mmcu={MCU}", "-std=gnu11", "-Os", "-Wall", "-Wextra", "-Werror", "-I", str(SOURCES)]
     subprocess.run([tool("avr-gcc"), *flags, *sources, "-o", str(target)], check=True)
     return target

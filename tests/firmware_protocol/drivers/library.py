@@ -1,4 +1,4 @@
-"""The C drivers as a shared library, and buses whose other end is Python: tests write the simulated parts."""
+"""The C drivers as a shared library, and buses whose other end is Python: a test simulates the parts."""
 
 import ctypes
 import functools
@@ -77,15 +77,8 @@ def drivers() -> ctypes.CDLL:
         pytest.fail("gcc is missing: `make test` installs it")
     sources = sorted(map(str, DRIVERS.glob("*.c")))
     flags = ["-std=c11", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic", "-fPIC"]
-    flags += [
-        "-shared",
-        "-fsanitize=undefined",
-        "-fno-sanitize-recover=all",
-        "-I",
-        str(SOURCES),
-        "-I",
-        str(DRIVERS),
-    ]
+    flags += ["-shared", "-fsanitize=undefined", "-fno-sanitize-recover=all"]
+    flags += ["-I", str(SOURCES), "-I", str(DRIVERS)]
     with tempfile.TemporaryDirectory(prefix="greenhouse-drivers-") as folder:  # may go once it is mapped
         target = Path(folder) / "drivers.so"
         subprocess.run(["gcc", *flags, *sources, "-o", str(target)], check=True)
