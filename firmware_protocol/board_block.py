@@ -79,6 +79,17 @@ I2C_ADDRESSES = {
     Part.SCD4X: (0x62,),
     Part.BH1750: (0x23, 0x5C),
 }
+# Signals of a part inside; outside it measures the ambient temperature alone.
+SIGNALS = {
+    Part.SCD4X: "co2",
+    Part.BH1750: "light",
+    Part.SOIL: "soil_moisture",
+    Part.HCSR04: "tank_level",
+    Part.FLOAT: "tank_level",
+}
+MOST = {
+    "temp_air": 2
+}  # parts of one signal, else 1: two air sensors are compared, of more nobody knows what to do
 TWO_PLACES = frozenset({Part.SHT3X, Part.SHT4X, Part.DHT22, Part.DS18B20})  # inside or outside the greenhouse
 
 
@@ -225,7 +236,7 @@ def _part_problem(
         return f"{place}: {part.part.name} measures inside only"
     if (part.serial != 0) > (part.part is Part.DS18B20):
         return f"{place}: {part.part.name} has no serial number"
-    problem = _numbers_problem(part, place)
+    problem = _numbers_problem(part, place) or _signal_problem(part, place, before)
     if problem:
         return problem
     if part.part in I2C_ADDRESSES:
@@ -236,6 +247,18 @@ def _part_problem(
         return _take(used, part.pin, place, pins.digital) or _take(used, part.second, place, pins.listen)
     allowed = {Part.SOIL: pins.analog, Part.DHT22: pins.listen}.get(part.part, pins.digital)
     return _take(used, part.pin, place, allowed)
+
+
+def _signal_problem(part: PartConfig, place: str, before: tuple[PartConfig, ...]) -> str:
+    signal = signal_of(part)
+    if sum(signal_of(one) == signal for one in before) >= MOST.get(signal, 1):
+        return f"{place}: {signal} is measured by {MOST.get(signal, 1)} other part(s) already"
+    return ""
+
+
+def signal_of(part: PartConfig) -> str:
+    """Return the signal that a part is there for; the humidity of an air sensor comes in addition."""
+    return "temp_ambient" if part.outside else SIGNALS.get(part.part, "temp_air")
 
 
 def _address_problem(part: PartConfig, place: str, before: tuple[PartConfig, ...]) -> str:

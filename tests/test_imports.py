@@ -32,7 +32,11 @@ LAYERS = (
 )
 RANK = {room: rank for rank, line in enumerate(LAYERS) for room in line}
 TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "reports", "llm_stand_in"}
-WIRE = {"edge/board/board.py", "edge/board/board_file.py", "edge/board/wiring.py"}  # line and block of the board
+WIRE = {
+    "edge/board/board.py",
+    "edge/board/board_file.py",
+    "edge/board/wiring.py",
+}  # line and block of the board
 FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "firmware_protocol": ("edge", "training", "torch"),
     "edge": ("training", "torch", "stable_baselines3", "tests", "bench"),

@@ -175,10 +175,40 @@ static bool address_is_free(const gh_config *config, const gh_part *part)
     return true;
 }
 
+/* The signal that a part is there for; the humidity of an air sensor comes in addition. */
+static gh_signal signal_of(const gh_part *part)
+{
+    switch (part->kind) {
+    case GH_PART_SCD4X:
+        return GH_SIGNAL_CO2;
+    case GH_PART_BH1750:
+        return GH_SIGNAL_LIGHT;
+    case GH_PART_SOIL:
+        return GH_SIGNAL_SOIL_MOISTURE;
+    case GH_PART_HCSR04:
+    case GH_PART_FLOAT:
+        return GH_SIGNAL_TANK_LEVEL;
+    default:
+        return part->outside ? GH_SIGNAL_TEMP_AMBIENT : GH_SIGNAL_TEMP_AIR;
+    }
+}
+
+/* Two air sensors are compared; of more parts for one signal nobody knows what to do. */
+static bool signal_is_free(const gh_config *config, const gh_part *part)
+{
+    gh_signal signal = signal_of(part);
+    uint8_t others = 0;
+    for (uint8_t i = 0; i < config->part_count; i++) {
+        others = (uint8_t)(others + (signal_of(&config->parts[i]) == signal ? 1 : 0));
+    }
+    return others < (signal == GH_SIGNAL_TEMP_AIR ? 2 : 1);
+}
+
 static bool part_suits(const gh_config *config, gh_board_kind kind, const gh_part *part, pin_set *used)
 {
     bool has_place = part->kind <= GH_PART_DS18B20; /* inside or outside */
-    if ((part->outside && !has_place) || (has_serial(part) && part->kind != GH_PART_DS18B20) || !numbers_suit(part)) {
+    if ((part->outside && !has_place) || (has_serial(part) && part->kind != GH_PART_DS18B20) || !numbers_suit(part) ||
+        !signal_is_free(config, part)) {
         return false;
     }
     if (is_i2c(part->kind)) {

@@ -32,7 +32,6 @@ RIG = BoardBlock(
     inverted=frozenset({Output.FAN}),
     parts=(
         PartConfig(Part.SHT4X, 0x44),
-        PartConfig(Part.SHT3X, 0x45, outside=True),
         PartConfig(Part.DS18B20, 30, serial=0x0123456789AB),
         PartConfig(Part.DS18B20, 30, outside=True, serial=2),
         PartConfig(Part.SCD4X, 0x62),
@@ -107,11 +106,20 @@ WRONG = [
     (replace(RIG, pins=(20, 23, 24, 25, 6)), "heater: pin 20 cannot"),
     (replace(RIG, pins=(22, 23, 24, 25, 5)), "led: pin 5 cannot"),
     (replace(UNO, pins=(18, 5, 6, 7, 3)), "heater: pin 18 cannot"),
-    (replace(RIG, parts=(*RIG.parts, PartConfig(Part.FLOAT, 40))), "room for 8"),
+    (replace(RIG, parts=RIG.parts[:1] * 9), "room for 8"),
     (replace(RIG, parts=(PartConfig(Part.SHT4X, 0x23),)), "0x23 is not an address"),
     (replace(RIG, parts=(PartConfig(Part.SHT4X, 0x44), PartConfig(Part.SHT3X, 0x44))), "used twice"),
     (replace(RIG, parts=(PartConfig(Part.SCD4X, 0x62, outside=True),)), "inside only"),
     (replace(RIG, parts=(PartConfig(Part.DHT22, 30),)), "pin 30 cannot"),
+    (
+        replace(RIG, parts=(PartConfig(Part.HCSR04, 31, 50, first=90, last=30), PartConfig(Part.FLOAT, 40))),
+        "tank_level is",
+    ),
+    (replace(RIG, parts=(*RIG.parts[:2], PartConfig(Part.DHT22, 10))), "temp_air is measured by 2"),
+    (
+        replace(RIG, parts=(*RIG.parts[:3], PartConfig(Part.SHT3X, 0x45, outside=True))),
+        "temp_ambient is measured by 1",
+    ),
     (
         replace(RIG, parts=(PartConfig(Part.DS18B20, 30), PartConfig(Part.DS18B20, 30, serial=1))),
         "serial numbers",

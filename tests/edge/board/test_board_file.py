@@ -1,4 +1,4 @@
-"""edge/board/board_file.py, wiring.py, `greenhouse board`: from a person's file to the block of the EEPROM."""
+"""edge/board/board_file.py, wiring.py, `greenhouse board`: from a file of pins to the block of the EEPROM."""
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
