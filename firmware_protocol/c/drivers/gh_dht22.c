@@ -102,16 +102,25 @@ static bool judge(gh_dht22 *s, gh_measurement *temperature, gh_measurement *humi
     return true;
 }
 
-static void enter(gh_dht22 *s, gh_dht22_state state, uint32_t now_ms)
+static void enter(gh_dht22 *s, gh_dht22_state state)
 {
     s->state = (uint8_t)state;
-    s->change_ms = now_ms;
+    s->waiting = false;
+}
+
+/* From the first call on: `now_ms` may be as old as one round of the loop, so it is not when the state began. */
+static bool has_waited(gh_dht22 *s, uint32_t now_ms, uint32_t wait_ms)
+{
+    if (!s->waiting) {
+        s->waiting = true;
+        s->wait_ms = now_ms;
+    }
+    return now_ms - s->wait_ms >= wait_ms;
 }
 
 bool gh_dht22_step(gh_dht22 *s, uint32_t now_ms, gh_measurement *temperature, gh_measurement *humidity)
 {
     const gh_lines *lines = s->lines;
-    uint32_t elapsed = now_ms - s->change_ms;
     if (s->state == GH_DHT22_IDLE) {
         if (now_ms - s->start_ms < PERIOD_MS || *s->listening) {
             return false;
@@ -122,15 +131,15 @@ bool gh_dht22_step(gh_dht22 *s, uint32_t now_ms, gh_measurement *temperature, gh
         }
         *s->listening = true;
         lines->drive(lines->context, s->pin, GH_LEVEL_LOW);
-        enter(s, GH_DHT22_CALLING, now_ms);
-    } else if (s->state == GH_DHT22_CALLING && elapsed >= CALL_MS) {
+        enter(s, GH_DHT22_CALLING);
+    } else if (s->state == GH_DHT22_CALLING && has_waited(s, now_ms, CALL_MS)) {
         /* Listening before the release: an interrupt between the two cannot hide the first edges. */
         lines->listen(lines->context, s->pin);
         lines->drive(lines->context, s->pin, GH_LEVEL_RELEASED);
-        enter(s, GH_DHT22_LISTENING, now_ms);
-    } else if (s->state == GH_DHT22_LISTENING && elapsed >= ANSWER_MS) {
+        enter(s, GH_DHT22_LISTENING);
+    } else if (s->state == GH_DHT22_LISTENING && has_waited(s, now_ms, ANSWER_MS)) {
         *s->listening = false;
-        enter(s, GH_DHT22_IDLE, now_ms);
+        enter(s, GH_DHT22_IDLE);
         return judge(s, temperature, humidity);
     }
     return false;

@@ -10,9 +10,10 @@ typedef struct {
     const gh_lines *lines;
     bool *listening;
     uint32_t start_ms;  /* of the last reading */
-    uint32_t change_ms; /* when the state began */
+    uint32_t wait_ms;   /* when the wait of this state began */
     uint8_t pin;
     uint8_t state;
+    bool waiting;
     bool fresh;     /* the part answered the call before: what it tells now is from then */
     bool was_wrong; /* the last checksum was */
 } gh_dht22;

@@ -6,7 +6,7 @@
 #include "gh_one_wire.h"
 
 #define PERIOD_MS 1000u
-#define CONVERSION_MS 755u /* AC electrical characteristics, tCONV: 750 at 12 bit; the command itself takes 1.2 */
+#define CONVERSION_MS 751u /* AC electrical characteristics, tCONV: 750 at 12 bit; 751 ticks are at least that */
 #define WRITE_SCRATCHPAD 0x4Eu /* function commands */
 #define CONVERT_T 0x44u
 #define READ_SCRATCHPAD 0xBEu
@@ -59,7 +59,10 @@ static uint8_t byte_out(const gh_ds18b20 *s, uint8_t place)
     if (bytes_out(s) == 2) {
         return GH_ONE_WIRE_SKIP_ROM;
     }
-    return place == 0 ? GH_ONE_WIRE_MATCH_ROM : (uint8_t)((s->ids[s->part] >> (8 * (place - 1))) & 0xFFu);
+    if (place == 0) {
+        return GH_ONE_WIRE_MATCH_ROM;
+    }
+    return (uint8_t)((s->ids[s->part] >> (8 * (place - 1))) & 0xFFu);
 }
 
 typedef enum { TRANSFER_RUNS, TRANSFER_ENDED, TRANSFER_FAILED } transfer_result;
@@ -185,6 +188,10 @@ bool gh_ds18b20_step(gh_ds18b20 *s, uint32_t now_ms, uint8_t *part, gh_measureme
         start_cycle(s, now_ms);
         return false;
     case GH_DS18B20_WAIT:
+        if (s->position == 0) { /* `now_ms` may be as old as one round of the loop: not when the command ended */
+            s->position = 1;
+            s->start_ms = now_ms;
+        }
         if (now_ms - s->start_ms >= CONVERSION_MS) {
             enter(s, GH_DS18B20_READ);
         }

@@ -79,7 +79,11 @@ bool gh_hcsr04_step(gh_hcsr04 *s, uint32_t now_ms, int32_t temp_air, gh_measurem
 {
     const gh_lines *lines = s->lines;
     if (s->shooting) {
-        if (now_ms - s->shot_ms < WINDOW_MS) {
+        if (!s->waiting) { /* `now_ms` may be as old as one round of the loop: it was not when the shot was made */
+            s->waiting = true;
+            s->wait_ms = now_ms;
+        }
+        if (now_ms - s->wait_ms < WINDOW_MS) {
             return false;
         }
         s->shooting = false;
@@ -95,6 +99,7 @@ bool gh_hcsr04_step(gh_hcsr04 *s, uint32_t now_ms, int32_t temp_air, gh_measurem
         return judge(s, 0, temp_air, level);
     }
     s->shooting = true;
+    s->waiting = false;
     *s->listening = true;
     lines->listen(lines->context, s->echo);
     lines->pulse(lines->context, s->trigger, TRIGGER_US);

@@ -10,12 +10,14 @@ typedef struct {
     const gh_lines *lines;
     bool *listening;
     uint32_t shot_ms;
+    uint32_t wait_ms; /* when the wait for the echo began */
     uint16_t empty_mm, full_mm;
     uint16_t echoes_us[GH_HCSR04_SHOTS]; /* 0: no echo */
     uint8_t trigger, echo;
     uint8_t place; /* of the next one in echoes_us */
     bool started;
     bool shooting;
+    bool waiting;
     bool settled; /* a level has been told since the last fault */
 } gh_hcsr04;
 

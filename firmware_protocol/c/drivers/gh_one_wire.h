@@ -39,7 +39,8 @@ typedef struct {
 void gh_one_wire_search_init(gh_one_wire_search *s, const gh_one_wire *wire);
 
 /* For the setup command; no driver may use the bus meanwhile. At most a reset or 15 slots a call, 15 calls an id.
- * After ENDED or FAILED it repeats that. Ids come once each, with the right CRC, of any family. */
+ * After ENDED or FAILED it repeats that. Ids come once each, with the right CRC, of any family. A disturbance may end the
+ * search or hide a part, as in every 1-Wire search: two searches that find the same are to be trusted. */
 gh_one_wire_search_result gh_one_wire_search_step(gh_one_wire_search *s, uint64_t *id);
 
 #endif

@@ -5,8 +5,9 @@ import functools
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import pytest
 
@@ -116,3 +117,163 @@ def crc8(data: Sequence[int], polynomial: int = 0x31, start: int = 0xFF) -> int:
         for _ in range(8):
             crc = ((crc << 1) ^ polynomial if crc & 0x80 else crc << 1) & 0xFF
     return crc
+
+
+class OneWirePart(Protocol):
+    """A part on a simulated 1-Wire bus, slot by slot."""
+
+    def reset(self, now_us: float) -> bool:
+        """Take a reset pulse. Returns : whether the part answers with a presence pulse"""
+
+    def level(self, now_us: float) -> bool:
+        """False while the part pulls the line low in the coming slot."""
+
+    def see(self, level: bool, now_us: float) -> None:
+        """Take the line's level in the slot."""
+
+
+class SimulatedOneWire:
+    """A 1-Wire bus. now_ms : set by the test; spent_us : bus time since it was last set to 0"""
+
+    def __init__(self, *parts: OneWirePart) -> None:
+        self.parts = list(parts)
+        self.now_ms = 0.0
+        self.spent_us = 0.0
+        self.result: int | None = None  # what every reset ends with
+        self.disturb: Callable[[bool], bool] = bool  # what the board reads instead of the line's level
+        self.bus = OneWire(None, RESET(self._reset), SLOT(self._slot))
+
+    @property
+    def now_us(self) -> float:
+        """Time of the simulated parts."""
+        return self.now_ms * 1000.0 + self.spent_us
+
+    def _reset(self, _context) -> int:
+        self.spent_us += RESET_US
+        if self.result is not None:
+            return self.result
+        return OK if any([part.reset(self.now_us) for part in self.parts]) else SILENT
+
+    def _slot(self, _context, bit) -> bool:
+        self.spent_us += SLOT_US
+        level = bit and all([part.level(self.now_us) for part in self.parts])
+        for part in self.parts:
+            part.see(level, self.now_us)
+        return self.disturb(level)
+
+
+class LinePart(Protocol):
+    """A part on single pins."""
+
+    def driven(self, pin: int, level: int, now_us: float) -> None:
+        """Take what the board does to a pin."""
+
+    def pulsed(self, pin: int, high_us: int, now_us: float) -> None:
+        """Take a pulse of the board."""
+
+    def level(self, pin: int, now_us: float) -> bool | None:
+        """Level that the part gives to the pin, None when it leaves it alone."""
+
+    def highs(self, pin: int) -> list[tuple[float, float]]:
+        """Begin and end of each high level, past and planned."""
+
+
+class SimulatedLines:
+    """The pins of the board. now_ms : set by the test; spent_us : time in calls since it was last set to 0"""
+
+    def __init__(self, *parts: LinePart) -> None:
+        self.parts = list(parts)
+        self.now_ms = 0.0
+        self.spent_us = 0.0
+        self.counts: Callable[[int], int] = lambda _channel: 0
+        self.levels: dict[int, int] = {}  # as the board drives them
+        self.listened: tuple[int, float] | None = None
+        self.bus = Lines(
+            None,
+            DRIVE(self._drive),
+            IS_HIGH(self._is_high),
+            PULSE(self._pulse),
+            LISTEN(self._listen),
+            HEARD(self._heard),
+            ANALOG(self._analog),
+        )
+
+    @property
+    def now_us(self) -> float:
+        """Time of the simulated parts."""
+        return self.now_ms * 1000.0 + self.spent_us
+
+    def _drive(self, _context, pin, level) -> None:
+        self.spent_us += 2.0
+        self.levels[pin] = level
+        for part in self.parts:
+            part.driven(pin, level, self.now_us)
+
+    def _is_high(self, _context, pin) -> bool:
+        self.spent_us += 2.0
+        if self.levels.get(pin, RELEASED) != RELEASED:
+            return self.levels[pin] == HIGH
+        return all(part.level(pin, self.now_us) in (True, None) for part in self.parts)
+
+    def _pulse(self, _context, pin, high_us) -> None:
+        self.spent_us += high_us
+        for part in self.parts:
+            part.pulsed(pin, high_us, self.now_us)
+
+    def _listen(self, _context, pin) -> None:
+        self.spent_us += 5.0
+        self.listened = (pin, self.now_us)
+
+    def _heard(self, _context, high_us, size) -> int:
+        self.spent_us += 50.0
+        pin, since = self.listened or (0, 0.0)
+        highs = sorted(high for part in self.parts for high in part.highs(pin))
+        lengths = [min(end - start, 65535.0) for start, end in highs if start >= since and end <= self.now_us]
+        for i, length in enumerate(lengths[:size]):
+            high_us[i] = round(length)
+        return min(len(lengths), 255)
+
+    def _analog(self, _context, channel) -> int:
+        self.spent_us += 110.0
+        return self.counts(channel)
+
+
+class Driver:
+    """One driver's structure, called step by step.
+
+    name : `gh_x`; bus : simulated, its time is set here and each step's is held to STEP_MAX_US
+    start_ms : time at the first step; the driver gets it in 32 bits, which wrap
+    """
+
+    def __init__(self, name: str, bus: SimulatedOneWire | SimulatedLines | None, start_ms: int = 0) -> None:
+        self.name = name
+        self.bus = bus
+        self.now_ms = start_ms
+        self.late_ms = 0.0  # how old the time is that the driver gets
+        self.memory = (ctypes.c_uint64 * 32)()  # more than any driver has
+        self._end = 0x5AFE5AFE5AFE5AFE
+        self.memory[-1] = self._end
+        self._step = getattr(drivers(), f"{name}_step")
+        self._step.restype = ctypes.c_bool
+        self._moved()
+
+    def _moved(self) -> None:
+        if self.bus is not None:
+            self.bus.now_ms, self.bus.spent_us = self.now_ms + self.late_ms, 0.0
+
+    def init(self, *arguments) -> None:
+        """Call gh_x_init."""
+        getattr(drivers(), f"{self.name}_init")(self.memory, *arguments)
+
+    def clock(self) -> ctypes.c_uint32:
+        """Milliseconds of the board, as a driver gets them."""
+        return U32(self.now_ms & 0xFFFFFFFF)
+
+    def step(self, *arguments) -> bool:
+        """Call gh_x_step. Returns : whether it told something"""
+        self._moved()
+        said = self._step(self.memory, self.clock(), *arguments)
+        assert self.memory[-1] == self._end
+        if self.bus is not None:
+            assert self.bus.spent_us <= STEP_MAX_US
+        return said
