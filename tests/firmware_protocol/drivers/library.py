@@ -76,7 +76,7 @@ def drivers() -> ctypes.CDLL:
     """All drivers, compiled once a process, undefined behaviour ends it."""
     if shutil.which("gcc") is None:
         pytest.fail("gcc is missing: `make test` installs it")
-    sources = sorted(map(str, DRIVERS.glob("*.c")))
+    sources = sorted(map(str, [*SOURCES.glob("gh_*.c"), *DRIVERS.glob("*.c")]))
     flags = ["-std=c11", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic", "-fPIC"]
     flags += ["-shared", "-fsanitize=undefined", "-fno-sanitize-recover=all"]
     flags += ["-I", str(SOURCES), "-I", str(DRIVERS)]
