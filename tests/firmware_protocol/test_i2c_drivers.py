@@ -462,6 +462,7 @@ def test_the_humidity_of_an_sht4x_is_cropped():
     rig = Rig(SHT4X_KIND)
     for number, humidity in (
         (0, 0),
+        (3140, 0),  # -0.01 %
         (3145, 0),
         (3149, 1),
         (55_571, 9999),

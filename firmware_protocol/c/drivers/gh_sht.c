@@ -2,9 +2,9 @@
 
 /* SHT3x-DIS datasheet v6: "Measurement Commands for Single Shot Data Acquisition Mode", clock stretching disabled, high
  * repeatability. The part answers with NACK while it measures. */
-static const uint8_t SHT3X_MEASURE[] = {0x24, 0x00};
+#define SHT3X_MEASURE 0x2400u
 /* SHT4x datasheet v6: "Command Overview", measure T & RH with high precision. */
-static const uint8_t SHT4X_MEASURE[] = {0xFD};
+#define SHT4X_MEASURE 0xFDu
 
 /* Pauses [ms]: the longest time of the datasheet, rounded up, and one, see gh_i2c_part_next. */
 #define SHT3X_MEASURING_MS 17u /* SHT3x-DIS datasheet v6: "Timing Specification", measurement duration, high: 15.5 */
@@ -44,11 +44,13 @@ static bool report_fault(gh_sht *sht, gh_measurement *temp, gh_measurement *rel_
 static bool start_measuring(gh_sht *sht)
 {
     gh_i2c_part *part = &sht->sensirion.part;
-    bool is_sht4x = sht->kind == GH_SHT4X;
-    const uint8_t *command = is_sht4x ? SHT4X_MEASURE : SHT3X_MEASURE;
-    uint8_t size = is_sht4x ? sizeof SHT4X_MEASURE : sizeof SHT3X_MEASURE;
-    gh_i2c_part_next(part, READ, is_sht4x ? SHT4X_MEASURING_MS : SHT3X_MEASURING_MS);
-    return gh_i2c_part_transfer(part, command, size, NULL, 0) == GH_BUS_OK;
+    if (sht->kind == GH_SHT3X) {
+        gh_i2c_part_next(part, READ, SHT3X_MEASURING_MS);
+        return gh_sensirion_send(&sht->sensirion, SHT3X_MEASURE) == GH_BUS_OK;
+    }
+    const uint8_t command = SHT4X_MEASURE;
+    gh_i2c_part_next(part, READ, SHT4X_MEASURING_MS);
+    return gh_i2c_part_transfer(part, &command, 1, NULL, 0) == GH_BUS_OK;
 }
 
 /* The nearest integer to span * word / 65535. The divisor is odd: nothing lies halfway between two integers. */
