@@ -23,7 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 # An exception of a simulated part is raised within a callback of C.
-pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")]
 
 MATCH_ROM, SKIP_ROM, SEARCH_ROM = 0x55, 0xCC, 0xF0
 CONVERT_T, READ_SCRATCHPAD, WRITE_SCRATCHPAD = 0x44, 0xBE, 0x4E

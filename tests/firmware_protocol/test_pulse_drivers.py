@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 from firmware_protocol.virtual_board.c_core import SOURCES
 
 # An assertion of a simulated part fails within a callback of C.
-pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")]
 
 PIN, TRIGGER, ECHO, CHANNEL = 3, 4, 5, 6
 NEARLY_WRAPPED = 2**32 - 2500

@@ -1,4 +1,4 @@
-"""c/drivers/gh_sensors.c: each part of a configuration gets its turn, its signal reaches the board's report."""
+"""c/drivers/gh_sensors.c: each part of a configuration gets its turn, its signal reaches the report."""
 
 import ctypes
 from dataclasses import replace
@@ -13,6 +13,8 @@ from firmware_protocol.board_block import BoardBlock, BoardKind, Part, PartConfi
 from firmware_protocol.frame import FrameDecoder
 from firmware_protocol.messages import Quality, SensorReport, unpack
 from firmware_protocol.virtual_board.c_core import _Pins
+
+pytestmark = pytest.mark.slow
 
 SHT = PartConfig(Part.SHT4X, 0x44)
 INSIDE, OUTSIDE = (
