@@ -49,14 +49,14 @@ def nearest(number: Fraction) -> int:
     return (2 * number + 1).__floor__() // 2
 
 
-class Clock:
+class BusClock:
     """Time of the simulated world [us]. end_us : when the transfer that is under way ends"""
 
     def __init__(self, us: float = 0.0) -> None:
         self.us = self.end_us = us
 
 
-class Part:
+class I2cPart:
     """A part with a power supply that can be taken away.
 
     damages : what to do to the answers to come; early : how often a number was read that was not there yet
@@ -64,7 +64,7 @@ class Part:
 
     POWER_UP_US = 0
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: BusClock) -> None:
         self.clock = clock
         self.damages: list[Callable[[bytes], bytes]] = []
         self.early = 0
@@ -81,7 +81,7 @@ class Part:
         self.plugged = False
 
     def exchange(self, written: bytes, in_size: int) -> bytes | None:
-        """What is read; None : not acknowledged"""
+        """Return the bytes that are read, None where nobody acknowledges."""
         if not self.plugged or self.clock.us < self.busy_us or (written and in_size):
             return None
         if written:
@@ -93,12 +93,12 @@ class Part:
         return answer
 
 
-class Sht(Part):
+class Sht(I2cPart):
     """SHT3x or SHT4x in single shot mode."""
 
     POWER_UP_US = 1500
 
-    def __init__(self, clock: Clock, kind: int) -> None:
+    def __init__(self, clock: BusClock, kind: int) -> None:
         self.known, self.measuring_us = ((b"\x24\x00", 15_500), (b"\xfd", 8300))[kind]
         self.words = (0x6667, 0x5EB9)
         super().__init__(clock)
@@ -118,13 +118,13 @@ class Sht(Part):
         return b"".join(map(word, self.words)) if measured else None
 
 
-class Scd4x(Part):
+class Scd4x(I2cPart):
     """SCD40 or SCD41. refuses_idle_stop : idle, it does not acknowledge a stop"""
 
     POWER_UP_US = SECOND
     INTERVAL_US = 5 * SECOND
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: BusClock) -> None:
         self.words = (0x01F4, 0x6667, 0x5EB9)
         self.refuses_idle_stop = False
         self.idle_bits = 0x8000  # a part that is not ready may set the highest five bits
@@ -174,10 +174,10 @@ class Scd4x(Part):
         return answer
 
 
-class Bh1750(Part):
+class Bh1750(I2cPart):
     """BH1750: its register holds 0 until a measurement is complete, and acknowledges always."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: BusClock) -> None:
         self.counts = 0x8390
         super().__init__(clock)
 
@@ -208,7 +208,7 @@ class Bh1750(Part):
 class Bus(SimulatedI2c):
     """Counts the transfers, and tells the parts when each ends."""
 
-    def __init__(self, slaves: dict[int, object], clock: Clock) -> None:
+    def __init__(self, slaves: dict[int, object], clock: BusClock) -> None:
         super().__init__(slaves)
         self.clock = clock
         self.transfers = 0
@@ -220,12 +220,12 @@ class Bus(SimulatedI2c):
         return super()._transfer(context, address, out, out_size, into, in_size)
 
 
-class Rig:
+class I2cRig:
     """One driver, its part and a loop. lag_us : age of the loop's time when the driver gets it"""
 
-    def __init__(self, kind: "Kind", clock: Clock | None = None, part: object = None) -> None:
+    def __init__(self, kind: "Kind", clock: BusClock | None = None, part: object = None) -> None:
         self.kind = kind
-        self.clock = clock or Clock()
+        self.clock = clock or BusClock()
         self.part = part or kind.part(self.clock)
         self.bus = Bus({kind.address: self.part}, self.clock)
         self.measurements = [Measurement(-1, 77) for _ in range(kind.values)]
@@ -253,7 +253,7 @@ class Rig:
         return values if new else None
 
     def run(self, seconds: float, round_us: float = 3700.0) -> list[tuple[float, tuple]]:
-        """What is new, and when [s]"""
+        """Return the new measurements, each with its time [s]."""
         found = []
         end_us = self.clock.us + seconds * SECOND
         while self.clock.us < end_us:
@@ -293,7 +293,7 @@ class Kind:
 
     name: str
     address: int
-    part: Callable[[Clock], Part]
+    part: Callable[[BusClock], I2cPart]
     arguments: Callable[[], tuple]
     good: tuple
     ranges: tuple[tuple[int, int], ...]
@@ -345,7 +345,7 @@ def faults(found: list[tuple[float, tuple]]) -> list[float]:
     return [at_s for at_s, values in found if values[0] == NO_NUMBER]
 
 
-def settled(rig: Rig) -> None:
+def settled(rig: I2cRig) -> None:
     """Up to the first value, which is right."""
     assert rig.next_values() == rig.kind.good
 
@@ -360,7 +360,7 @@ def alone(kind: Kind) -> tuple:
 
 @every_driver
 def test_values_come_once_a_period(kind):
-    found = Rig(kind).run(20 * kind.period_s)
+    found = I2cRig(kind).run(20 * kind.period_s)
     assert {values for _, values in found} == {kind.good}
     steps = [later - before for (before, _), (later, _) in pairwise(found)]
     assert len(found) >= 18
@@ -371,7 +371,7 @@ def test_values_come_once_a_period(kind):
 @every_driver
 def test_the_clock_may_wrap_at_any_moment(kind):
     for before_s in (0.001, 0.1, 0.99, 1.3, 2.4, 4.0, 6.5, 6.6):
-        rig = Rig(kind, Clock((2**32 - before_s * 1000) * MS))
+        rig = I2cRig(kind, BusClock((2**32 - before_s * 1000) * MS))
         found = rig.run(20.0)
         assert {values for _, values in found} == {kind.good}
         assert len(found) >= 20 / kind.period_s - 2
@@ -380,7 +380,7 @@ def test_the_clock_may_wrap_at_any_moment(kind):
 @every_driver
 @pytest.mark.parametrize("round_us", [200.0, 3 * MS, 40 * MS])
 def test_a_loop_that_is_late_and_has_an_old_time_reads_no_part_too_early(kind, round_us):
-    rig = Rig(kind)
+    rig = I2cRig(kind)
     wait = random.Random(7)
     rig.lag_us = lambda: wait.choice((0, 0, 0, 999, 7000, 25_000)) * wait.random() if round_us > MS else 0.0
     found = rig.run(30.0, round_us)
@@ -392,7 +392,7 @@ def test_a_loop_that_is_late_and_has_an_old_time_reads_no_part_too_early(kind, r
 def test_no_pause_is_shorter_than_that_of_the_datasheet(kind):
     draw = random.Random(9)
     for _ in range(30):
-        rig = Rig(kind, Clock(draw.uniform(0, MS)))
+        rig = I2cRig(kind, BusClock(draw.uniform(0, MS)))
         rig.lag_us = lambda: draw.choice((0.0, 0.0, draw.uniform(0, 990)))
         rig.run_on_ticks(kind.recovery_s / 2)
         rig.start_board()
@@ -400,7 +400,7 @@ def test_no_pause_is_shorter_than_that_of_the_datasheet(kind):
 
 
 def test_an_scd4x_is_left_alone_while_it_powers_up():
-    rig = Rig(SCD4X_KIND)
+    rig = I2cRig(SCD4X_KIND)
     while rig.clock.us < SECOND:
         rig.step()
         assert rig.bus.transfers == 0
@@ -410,14 +410,14 @@ def test_an_scd4x_is_left_alone_while_it_powers_up():
 @every_driver
 def test_a_reset_of_the_board_finds_a_working_part(kind):
     for after_s in (*(i * 0.003 for i in range(20)), 1.01, 1.5, 1.6, 6.5, 6.9, 12.0):
-        rig = Rig(kind)
+        rig = I2cRig(kind)
         rig.run(after_s)
         rig.start_board()
         assert rig.values(kind.recovery_s + 1.0)[0] == kind.good
 
 
 def test_an_scd4x_that_is_idle_may_refuse_the_stop():
-    rig = Rig(SCD4X_KIND)
+    rig = I2cRig(SCD4X_KIND)
     rig.part.refuses_idle_stop = True
     assert set(rig.values(20.0)) == {SCD4X_KIND.good}
 
@@ -429,7 +429,7 @@ SAMPLED = sorted({*range(0, 65_536, 61), *range(40), *range(65_500, 65_536)})
 
 @pytest.mark.parametrize("kind", [SHT3X_KIND, SHT4X_KIND], ids=["sht3x", "sht4x"])
 def test_every_word_of_an_sht_is_converted_as_the_datasheet_tells(kind):
-    rig = Rig(kind)
+    rig = I2cRig(kind)
     for number in SAMPLED:
         rig.part.words = (number, 65_535 - number)
         temp, humidity = rig.next_values()
@@ -445,7 +445,7 @@ def test_every_word_of_an_sht_is_converted_as_the_datasheet_tells(kind):
 
 
 def test_the_range_of_an_sht_ends_with_that_of_its_datasheet():
-    rig = Rig(SHT3X_KIND)
+    rig = I2cRig(SHT3X_KIND)
     inside = [number for number in range(65_536) if -4000.5 < -4500 + 17_500 * number / 65_535 < 12_500.5]
     for number, found in ((inside[0], -4000), (inside[-1], 12_500)):
         rig.part.words = (number, 0)
@@ -457,11 +457,11 @@ def test_the_range_of_an_sht_ends_with_that_of_its_datasheet():
 
 def test_the_example_of_the_datasheet_is_25_degrees_and_37_percent():
     # SCD4x datasheet, "read_measurement": 0x6667 is 25 degC, 0x5EB9 is 37 %, by the formulas of the SHT3x
-    assert Rig(SHT3X_KIND).next_values() == ((2500, GOOD), (3700, GOOD))
+    assert I2cRig(SHT3X_KIND).next_values() == ((2500, GOOD), (3700, GOOD))
 
 
 def test_the_humidity_of_an_sht4x_is_cropped():
-    rig = Rig(SHT4X_KIND)
+    rig = I2cRig(SHT4X_KIND)
     for number, humidity in (
         (0, 0),
         (3140, 0),  # -0.01 %
@@ -476,7 +476,7 @@ def test_the_humidity_of_an_sht4x_is_cropped():
 
 
 def test_an_scd4x_gives_ppm_up_to_what_the_signal_carries():
-    rig = Rig(SCD4X_KIND)
+    rig = I2cRig(SCD4X_KIND)
     for ppm in (1, 399, 400, 2000, 5000, 9999, 10_000):
         rig.part.words = (ppm, 0x6667, 0x5EB9)
         assert rig.next_values() == ((ppm, GOOD),)
@@ -486,7 +486,7 @@ def test_an_scd4x_gives_ppm_up_to_what_the_signal_carries():
 
 
 def test_no_co2_at_all_is_a_fault():
-    rig = Rig(SCD4X_KIND)
+    rig = I2cRig(SCD4X_KIND)
     settled(rig)
     rig.part.words = (0, 0x6667, 0x5EB9)
     assert rig.next_values() == (NO_NUMBER,)
@@ -501,7 +501,7 @@ def test_no_co2_at_all_is_a_fault():
 
 @pytest.mark.parametrize("full_lux", [1, 3, 1000, 28_067, 40_000, 54_612, 65_535])
 def test_every_count_of_a_bh1750_is_a_part_of_full(full_lux):
-    rig = Rig(bh1750(full_lux))
+    rig = I2cRig(bh1750(full_lux))
     for counts in SAMPLED[::3]:
         rig.part.counts = counts
         light = nearest(Fraction(counts * 10, 12 * full_lux) * 10_000)
@@ -511,12 +511,12 @@ def test_every_count_of_a_bh1750_is_a_part_of_full(full_lux):
 
 def test_the_example_of_the_bh1750_is_28067_lux():
     # BH1750FVI datasheet, "Read Format": 0x8390 / 1.2 = 28067 lx
-    assert Rig(bh1750(28_067)).next_values() == ((10_000, GOOD),)
-    assert Rig(bh1750(56_134)).next_values() == ((5000, GOOD),)
+    assert I2cRig(bh1750(28_067)).next_values() == ((10_000, GOOD),)
+    assert I2cRig(bh1750(56_134)).next_values() == ((5000, GOOD),)
 
 
 def test_a_saturated_bh1750_is_out_of_range_whatever_full_is():
-    rig = Rig(bh1750(65_535))
+    rig = I2cRig(bh1750(65_535))
     rig.part.counts = 65_534
     assert rig.next_values()[0][1] == GOOD
     rig.part.counts = 65_535
@@ -524,7 +524,7 @@ def test_a_saturated_bh1750_is_out_of_range_whatever_full_is():
 
 
 def test_a_full_of_no_lux_is_taken_as_one():
-    rig = Rig(bh1750(0))
+    rig = I2cRig(bh1750(0))
     rig.part.counts = 1
     assert rig.next_values() == ((8333, GOOD),)
 
@@ -556,8 +556,8 @@ def same(answer: bytes) -> bytes:
     return answer
 
 
-def damage_measurements(rig: Rig, *damages: Callable[[bytes], bytes]) -> None:
-    """Of an SCD4x the statuses stay right: a measurement is the longer answer."""
+def damage_measurements(rig: I2cRig, *damages: Callable[[bytes], bytes]) -> None:
+    """Damage measurements alone: the statuses of an SCD4x, its shorter answers, stay right."""
     left = list(damages)
 
     def damage(answer: bytes) -> bytes:
@@ -571,7 +571,7 @@ def damage_measurements(rig: Rig, *damages: Callable[[bytes], bytes]) -> None:
 def test_one_wrong_crc_is_read_again_and_two_in_a_row_are_a_fault(kind, kind_of_damage):
     for at in range(3 * (len(kind.ranges) if kind.name == "sht" else 3)):
         damage = kind_of_damage(at)
-        rig = Rig(kind)
+        rig = I2cRig(kind)
         settled(rig)
         damage_measurements(rig, damage)
         assert set(rig.values(3 * kind.period_s)) == {kind.good}
@@ -588,7 +588,7 @@ def test_one_wrong_crc_is_read_again_and_two_in_a_row_are_a_fault(kind, kind_of_
 
 
 def test_an_sht_whose_crc_was_wrong_is_read_again_at_once():
-    rig = Rig(SHT3X_KIND)
+    rig = I2cRig(SHT3X_KIND)
     settled(rig)
     rig.part.damages = [flip(2)]
     start_s = rig.clock.us / SECOND
@@ -596,7 +596,7 @@ def test_an_sht_whose_crc_was_wrong_is_read_again_at_once():
 
 
 def test_a_status_whose_crc_is_wrong_is_asked_for_again():
-    rig = Rig(SCD4X_KIND)
+    rig = I2cRig(SCD4X_KIND)
     settled(rig)
     for at in range(3):
         rig.part.damages = [flip(at)]
@@ -609,7 +609,7 @@ def test_a_status_whose_crc_is_wrong_is_asked_for_again():
 
 @every_sensirion
 def test_a_line_that_changes_every_answer_is_a_fault_at_most_once_a_second(kind):
-    rig = Rig(kind)
+    rig = I2cRig(kind)
     rig.part.damages = [flip(1)] * 100_000
     found = rig.run(40.0)
     assert {values for _, values in found} == {alone(kind)}
@@ -630,7 +630,7 @@ def assert_faults_are_rare(moments: list[float]) -> None:
 @pytest.mark.parametrize("result", [SILENT, STUCK, SLOW], ids=["silent", "stuck", "slow"])
 @pytest.mark.parametrize("after_s", [0.0, 1.0, 6.4, 13.2])
 def test_a_bus_that_fails_is_a_fault_once_a_second_and_recovers(kind, result, after_s):
-    rig = Rig(kind)
+    rig = I2cRig(kind)
     rig.run(after_s)
     rig.bus.result = result
     found = rig.run(12.0)
@@ -645,7 +645,7 @@ def test_a_bus_that_fails_is_a_fault_once_a_second_and_recovers(kind, result, af
 
 @every_driver
 def test_a_part_that_was_never_there_is_a_fault(kind):
-    rig = Rig(kind)
+    rig = I2cRig(kind)
     rig.part.unplug()
     found = rig.run(10.0)
     assert {values for _, values in found} == {alone(kind)}
@@ -655,7 +655,7 @@ def test_a_part_that_was_never_there_is_a_fault(kind):
 @every_driver
 def test_a_part_may_be_unplugged_and_plugged_in_at_any_moment(kind):
     draw = random.Random(11)
-    rig = Rig(kind)
+    rig = I2cRig(kind)
     for _ in range(40):
         rig.run(draw.uniform(0, 3 * kind.period_s))
         rig.part.unplug()
@@ -673,7 +673,7 @@ def test_a_part_may_be_unplugged_and_plugged_in_at_any_moment(kind):
 def test_a_part_that_lost_its_power_for_a_moment_is_set_up_anew(kind):
     draw = random.Random(12)
     for _ in range(25):
-        rig = Rig(kind)
+        rig = I2cRig(kind)
         rig.run(kind.recovery_s + draw.uniform(0, kind.period_s))
         rig.part.plug()  # as after a drop of the supply between two transfers
         found = rig.run(25.0)
@@ -685,7 +685,7 @@ def test_a_part_that_lost_its_power_for_a_moment_is_set_up_anew(kind):
 
 def test_a_bh1750_that_lost_its_power_while_at_rest_never_calls_it_dark():
     for at_ms in range(5, 800, 45):
-        rig = Rig(BH1750_KIND)
+        rig = I2cRig(BH1750_KIND)
         settled(rig)
         rig.clock.us += at_ms * MS
         rig.part.plug()
@@ -693,13 +693,13 @@ def test_a_bh1750_that_lost_its_power_while_at_rest_never_calls_it_dark():
 
 
 def test_a_bh1750_in_the_dark_is_not_a_fault():
-    rig = Rig(BH1750_KIND)
+    rig = I2cRig(BH1750_KIND)
     rig.part.counts = 0
     assert set(rig.values(5.0)) == {((0, GOOD),)}
 
 
 def test_an_scd4x_that_is_never_ready_is_a_fault():
-    rig = Rig(SCD4X_KIND)
+    rig = I2cRig(SCD4X_KIND)
     settled(rig)
     rig.part.reset()  # idle: it acknowledges, and has nothing to say
     start_s = rig.clock.us / SECOND
@@ -739,7 +739,7 @@ ANSWERS = st.lists(st.one_of(st.none(), st.binary(max_size=9), ANY_WORDS, ANY_WO
     answers=ANSWERS, fills=st.binary(min_size=1, max_size=1), start_ms=st.integers(0, MASK), data=st.data()
 )
 def test_no_bytes_make_a_good_value_outside_its_range(kind, answers, fills, start_ms, data):
-    rig = Rig(kind, Clock(start_ms * MS), Scripted(answers, fills))
+    rig = I2cRig(kind, BusClock(start_ms * MS), Scripted(answers, fills))
     results = data.draw(st.lists(st.sampled_from([None, None, None, OK, SILENT, STUCK, SLOW]), max_size=5))
     moments = []
     for number in range(300):

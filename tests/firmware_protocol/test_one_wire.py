@@ -13,7 +13,7 @@ from drivers.library import (
     RANGE,
     STUCK,
     U8,
-    Driver,
+    CDriver,
     Measurement,
     SimulatedOneWire,
     crc8,
@@ -146,7 +146,7 @@ class Ds18b20:
                 yield False
 
 
-class Thermometers(Driver):
+class Thermometers(CDriver):
     """The driver with `count` ids."""
 
     def __init__(self, wire: SimulatedOneWire, *ids: int, start_ms: int = 0) -> None:
@@ -186,7 +186,7 @@ def test_the_crc_is_that_of_the_mirrored_way(data):
 
 def search(wire: SimulatedOneWire, calls: int = 2000) -> tuple[list[int], int]:
     """Returns : ids in the order found, and the result that ended it"""
-    driver = Driver("gh_one_wire_search", wire)
+    driver = CDriver("gh_one_wire_search", wire)
     driver._step.restype = ctypes.c_int
     driver.init(ctypes.byref(wire.bus))
     found = []

@@ -18,7 +18,7 @@ from drivers.library import (
     RELEASED,
     U8,
     U16,
-    Driver,
+    CDriver,
     Measurement,
     SimulatedLines,
     drivers,
@@ -45,7 +45,7 @@ RAM_BYTES = {  # of an ATmega328P's 2048, for each part
 Events = dict[int, Callable[[], None]]
 
 
-class LineDriver(Driver):
+class LineDriver(CDriver):
     """A driver whose step has `measurements` results. arguments : of the step, before them"""
 
     measurements = 1
@@ -364,7 +364,7 @@ class Hcsr04(Silence):
         return self.held or any(start <= now_us < end for start, end in self.planned)
 
 
-class Tank(LineDriver):
+class TankDriver(LineDriver):
     """The HC-SR04's driver: empty at 500 mm, full at 100."""
 
     def __init__(self, *parts, start_ms: int = 0, empty_mm: int = 500, full_mm: int = 100) -> None:
@@ -380,13 +380,13 @@ class Tank(LineDriver):
 
 
 def test_half_a_tank_is_half_full():
-    told = Tank(Hcsr04(300.0)).run(6000)
+    told = TankDriver(Hcsr04(300.0)).run(6000)
     assert len(told) == 4  # the first two shots only fill the median
     assert all(quality == GOOD and abs(level - 5000) <= 5 for level, quality in told)
 
 
 def test_without_a_temperature_it_is_that_of_20_degrees():
-    (level, quality) = Tank(Hcsr04(300.0)).run(3000, temp_air=NO_VALUE)[-1]
+    (level, quality) = TankDriver(Hcsr04(300.0)).run(3000, temp_air=NO_VALUE)[-1]
     assert quality == GOOD
     assert abs(level - 5000) <= 10
 
@@ -394,19 +394,21 @@ def test_without_a_temperature_it_is_that_of_20_degrees():
 @pytest.mark.parametrize("celsius", [-20, 0, 20, 40, 80])
 def test_the_speed_of_sound_follows_the_temperature(celsius):
     part = Hcsr04(300.0, celsius)
-    assert abs(Tank(part).run(3000, temp_air=celsius * 100)[-1][0] - 5000) <= 5
-    wrong = Tank(Hcsr04(300.0, celsius)).run(3000)[-1][0]
+    assert abs(TankDriver(part).run(3000, temp_air=celsius * 100)[-1][0] - 5000) <= 5
+    wrong = TankDriver(Hcsr04(300.0, celsius)).run(3000)[-1][0]
     assert (wrong > 5000) == (celsius > 20) or celsius == 20
 
 
 @pytest.mark.parametrize("temp_air", [-2001, 8001, 2**31 - 1, -(2**31) + 1])
 def test_a_temperature_beyond_the_air_sensors_is_not_used(temp_air):
-    assert Tank(Hcsr04()).run(3000, temp_air=temp_air) == Tank(Hcsr04()).run(3000, temp_air=NO_VALUE)
+    assert TankDriver(Hcsr04()).run(3000, temp_air=temp_air) == TankDriver(Hcsr04()).run(
+        3000, temp_air=NO_VALUE
+    )
 
 
 def test_every_echo_is_that_of_floating_point():
     part = Hcsr04()
-    driver = Tank(part, empty_mm=4400, full_mm=20)
+    driver = TankDriver(part, empty_mm=4400, full_mm=20)
     driver.run(3000, stride=20)
     for us in [*range(100, 30_000, 211), 30_000]:
         part.mm = us * part.speed / 2000.0
@@ -424,12 +426,12 @@ def test_every_echo_is_that_of_floating_point():
     [(519.5, (0, GOOD)), (520.5, (None, RANGE)), (80.5, (10_000, GOOD)), (79.5, (None, RANGE))],
 )
 def test_the_level_is_clipped_within_5_percent_beyond_both_ends(mm, value):
-    assert Tank(Hcsr04(mm)).run(3000)[-1] == value
+    assert TankDriver(Hcsr04(mm)).run(3000)[-1] == value
 
 
 def test_one_false_or_missing_echo_of_three_is_not_told():
     part = Hcsr04(300.0)
-    driver = Tank(part)
+    driver = TankDriver(part)
     driver.run(3000)
     for false in (30.0, 4000.0, None):
         part.mm = false
@@ -442,7 +444,7 @@ def test_one_false_or_missing_echo_of_three_is_not_told():
 
 def test_no_reflection_is_a_fault_from_the_second_shot_and_recovers_after_three():
     part = Hcsr04(300.0)
-    driver = Tank(part)
+    driver = TankDriver(part)
     driver.run(3000)
     part.mm = None
     assert [quality for _, quality in driver.run(4000)] == [GOOD, FAULT, FAULT, FAULT]
@@ -453,7 +455,7 @@ def test_no_reflection_is_a_fault_from_the_second_shot_and_recovers_after_three(
 def test_an_unplugged_hcsr04_is_a_fault_once_a_second_and_comes_back():
     part = Hcsr04()
     part.plugged = False
-    driver = Tank(part)
+    driver = TankDriver(part)
     assert driver.run(5000) == [(None, FAULT)] * 5
     part.plugged = True
     assert [quality for _, quality in driver.run(4000)] == [GOOD, GOOD]
@@ -462,19 +464,19 @@ def test_an_unplugged_hcsr04_is_a_fault_once_a_second_and_comes_back():
 def test_an_echo_pin_that_stays_low_is_a_fault():
     part = Silence()
     part.held = False
-    assert Tank(part).run(2000) == [(None, FAULT)] * 2
+    assert TankDriver(part).run(2000) == [(None, FAULT)] * 2
 
 
 def test_an_echo_pin_that_stays_high_is_not_shot_at():
     part = Hcsr04()
     part.held = True
-    assert Tank(part).run(3000) == [(None, FAULT)] * 3
+    assert TankDriver(part).run(3000) == [(None, FAULT)] * 3
     assert part.shots_us == []
 
 
 def test_two_pulses_for_one_shot_are_not_believed():
     part = Hcsr04()
-    driver = Tank(part)
+    driver = TankDriver(part)
     driver.lines.parts.append(other := Silence())
     other.planned = [(ms * 1000.0, ms * 1000.0 + 500.0) for ms in range(10, 9000, 40)]
     assert driver.run(3000) == [(None, FAULT)] * 3
@@ -484,16 +486,16 @@ def test_two_pulses_for_one_shot_are_not_believed():
     ("empty_mm", "full_mm"), [(100, 100), (100, 500), (4501, 100), (65535, 0), (0, 65535)]
 )
 def test_a_tank_that_cannot_be_is_a_fault(empty_mm, full_mm):
-    assert Tank(Hcsr04(), empty_mm=empty_mm, full_mm=full_mm).run(3000)[-1] == (None, FAULT)
+    assert TankDriver(Hcsr04(), empty_mm=empty_mm, full_mm=full_mm).run(3000)[-1] == (None, FAULT)
 
 
 def test_the_hcsr04s_clock_may_wrap():
-    assert len(Tank(Hcsr04(), start_ms=NEARLY_WRAPPED).run(6000)) == 4
+    assert len(TankDriver(Hcsr04(), start_ms=NEARLY_WRAPPED).run(6000)) == 4
 
 
 @pytest.mark.parametrize("stride", [1, 7, 50, 100])
 def test_the_hcsr04_works_with_slow_rounds(stride):
-    told = Tank(Hcsr04(300.0)).run(20_000, stride=stride)
+    told = TankDriver(Hcsr04(300.0)).run(20_000, stride=stride)
     assert len(told) > 10
     assert all(quality == GOOD for _, quality in told)
 
@@ -502,12 +504,12 @@ def test_a_jitter_of_the_edges_is_small_in_the_level():
     part = Hcsr04(300.0)
     chance = random.Random(2)
     part.extra = lambda: chance.uniform(-60.0, 60.0)  # 10 mm
-    assert all(abs(level - 5000) <= 260 for level, _ in Tank(part).run(30_000, stride=3))
+    assert all(abs(level - 5000) <= 260 for level, _ in TankDriver(part).run(30_000, stride=3))
 
 
 def test_two_drivers_that_listen_take_turns():
     lines = SimulatedLines(Dht22(), Hcsr04(300.0))
-    tank, air = Tank(), Thermometer()
+    tank, air = TankDriver(), Thermometer()
     air.init(ctypes.byref(lines.bus), ctypes.byref(tank.listening), U8(PIN), air.clock())
     arguments = U8(TRIGGER), U8(ECHO), U16(500), U16(100)
     tank.init(ctypes.byref(lines.bus), ctypes.byref(tank.listening), *arguments)
@@ -534,7 +536,7 @@ def test_arbitrary_echoes_give_a_good_level_only_within_the_range(
 ):
     part = Silence()
     part.held = False
-    driver = Tank(part, start_ms=start_ms, empty_mm=empty_mm, full_mm=full_mm)
+    driver = TankDriver(part, start_ms=start_ms, empty_mm=empty_mm, full_mm=full_mm)
     for lengths in shots:
         begin = driver.now_ms * 1000.0 + 5000.0
         part.planned = [(begin, begin + us) for us in lengths]
@@ -636,7 +638,7 @@ def test_a_float_switch_tells_only_levels_that_held_for_2_s(levels, start_ms):
 # --- soil probe ---
 
 
-class Soil(LineDriver):
+class SoilDriver(LineDriver):
     """The soil probe's driver. counts : what the converter gives"""
 
     def __init__(
@@ -653,7 +655,7 @@ class Soil(LineDriver):
 )
 def test_every_count_is_that_of_floating_point(dry, wet):
     counts = [0]
-    driver = Soil(lambda _channel: counts[0], dry, wet)
+    driver = SoilDriver(lambda _channel: counts[0], dry, wet)
     for counts[0] in range(1024):
         told = driver.run(1000, stride=200)
         assert len(told) == 1
@@ -669,11 +671,11 @@ def test_every_count_is_that_of_floating_point(dry, wet):
 
 def test_the_median_of_five_takes_two_disturbed_samples():
     samples = itertools.cycle([0, 600, 1023, 600, 600])
-    assert set(Soil(lambda _channel: next(samples)).run(5000)) == {(5000, GOOD)}
+    assert set(SoilDriver(lambda _channel: next(samples)).run(5000)) == {(5000, GOOD)}
 
 
 def test_one_sample_a_step_and_one_value_a_second():
-    driver = Soil(600)
+    driver = SoilDriver(600)
     assert driver.run(4) == []
     assert driver.run(1) == [(5000, GOOD)]
     assert driver.run(995) == []
@@ -681,12 +683,12 @@ def test_one_sample_a_step_and_one_value_a_second():
 
 
 def test_the_same_count_for_dry_and_wet_is_a_fault():
-    assert Soil(600, 600, 600).run(5) == [(None, FAULT)]
+    assert SoilDriver(600, 600, 600).run(5) == [(None, FAULT)]
 
 
 def test_an_unplugged_probe_is_a_fault_and_comes_back():
     counts = [0]
-    driver = Soil(lambda _channel: counts[0])
+    driver = SoilDriver(lambda _channel: counts[0])
     assert driver.run(3000) == [(None, FAULT)] * 3
     counts[0] = 400
     assert driver.run(1000) == [(10_000, GOOD)]
@@ -694,12 +696,12 @@ def test_an_unplugged_probe_is_a_fault_and_comes_back():
 
 def test_the_probes_channel_is_asked():
     asked = set()
-    Soil(lambda channel: asked.add(channel) or 500).run(100)
+    SoilDriver(lambda channel: asked.add(channel) or 500).run(100)
     assert asked == {CHANNEL}
 
 
 def test_the_probes_clock_may_wrap():
-    assert Soil(600, start_ms=NEARLY_WRAPPED).run(6000) == [(5000, GOOD)] * 6
+    assert SoilDriver(600, start_ms=NEARLY_WRAPPED).run(6000) == [(5000, GOOD)] * 6
 
 
 @given(
@@ -710,7 +712,7 @@ def test_the_probes_clock_may_wrap():
 )
 def test_arbitrary_counts_give_a_good_value_only_within_the_range(counts, dry, wet, start_ms):
     samples = itertools.cycle(counts)
-    for value, quality in Soil(lambda _channel: next(samples), dry, wet, start_ms).run(9000, stride=50):
+    for value, quality in SoilDriver(lambda _channel: next(samples), dry, wet, start_ms).run(9000, stride=50):
         assert (value is not None and 0 <= value <= 10_000) == (quality == GOOD)
 
 
@@ -719,7 +721,7 @@ def test_arbitrary_counts_give_a_good_value_only_within_the_range(counts, dry, w
 AGREE, ALONE, DISAGREE, NONE = range(4)
 
 
-class Vote(Driver):
+class Vote(CDriver):
     """The vote of two sensors that may differ by 1 K."""
 
     def __init__(self, start_ms: int = 0, limit: int = 100) -> None:

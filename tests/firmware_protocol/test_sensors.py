@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from drivers.library import STEP_MAX_US, I2c, Lines, OneWire, SimulatedLines, SimulatedOneWire, drivers
-from test_i2c_drivers import Bh1750, Bus, Clock, Scd4x, Sht
+from test_i2c_drivers import Bh1750, Bus, BusClock, Scd4x, Sht
 from test_one_wire import Ds18b20, rom_id
 from test_pulse_drivers import ECHO, PIN, TRIGGER, Dht22, Hcsr04
 
@@ -39,7 +39,7 @@ class BoardRig:
     """A board with its sensors, as the main loop runs them; all parts are there, configured or not."""
 
     def __init__(self, *parts: PartConfig) -> None:
-        self.clock = Clock()
+        self.clock = BusClock()
         self.sht, self.co2, self.light = Sht(self.clock, 1), Scd4x(self.clock), Bh1750(self.clock)
         self.i2c = Bus({0x44: self.sht, 0x62: self.co2, 0x23: self.light}, self.clock)
         self.inside, self.outside = Ds18b20(rom_id(1), 25 * 16), Ds18b20(rom_id(2), 18 * 16)

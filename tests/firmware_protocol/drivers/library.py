@@ -238,7 +238,7 @@ class SimulatedLines:
         return self.counts(channel)
 
 
-class Driver:
+class CDriver:
     """One driver's structure, called step by step.
 
     name : `gh_x`; bus : simulated, its time is set here and each step's is held to STEP_MAX_US
