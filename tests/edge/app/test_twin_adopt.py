@@ -35,7 +35,7 @@ from training.models.twin_step import TwinStep
 
 pytestmark = pytest.mark.slow
 
-SHA = "d" * 64
+SHA = "5" * 64  # of no bundle that a test makes
 ORIGIN = Origin(
     data_sha256=SHA,
     before={"train": {"rmse_k": np.float64(0.41), "mae_k": 0.3}, "test": None},

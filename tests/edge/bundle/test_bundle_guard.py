@@ -158,6 +158,9 @@ def test_a_bundle_put_into_the_store_by_hand_is_proved_before_it_is_loaded(works
     assert asked == []
     store.load("1.1")
     assert asked == ["1.1"]
+    (folder.parent / "admitted.json").write_text("{")  # nothing says any more who has proved its models
+    store.load("1.0")
+    assert asked == ["1.1", "1.0"]
 
 
 def test_a_sound_bundle_is_proved_and_a_wrong_one_refused_with_its_reason(workshop: Workshop) -> None:
