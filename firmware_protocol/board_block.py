@@ -178,6 +178,7 @@ def decode_block(data: bytes) -> BoardBlock:
         raise ValueError(f"layout {layout} with {count} parts: not of this version")
     start = 2 + _HEAD.size
     rows = list(_PART.iter_unpack(data[start : start + PARTS_MAX * _PART.size]))
+    # Bytes without a meaning are zero, so that two blocks that mean the same are the same.
     if any(data[start + count * _PART.size :]) or flags >= 64 or any(row[1] > 1 for row in rows):
         raise ValueError("bytes that mean nothing are not zero")
     parts = tuple(

@@ -225,6 +225,7 @@ def table(rows: Sequence[CoverageRow], predictors: Mapping[str, Predictor]) -> s
         )
         for row in rows
     )
+    # Of twenty rows of a hundred runs one or two lie outside by chance: they are marked, not refused.
     low, high = SEEN
     lines = [
         f"Prediction intervals: {CLAIMED:.0%} claimed, seen on runs that neither trained nor calibrated",
