@@ -11,8 +11,14 @@ from edge.commands.arguments import writing
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    check = actions.add_parser("check", help="read a board.yaml and print every wire that it means")
-    wiring = actions.add_parser("wiring", help="draw the wires of a board.yaml as an SVG picture")
+    helps = {
+        "check": "read a board.yaml and print every wire that it means",
+        "wiring": "draw the wires of a board.yaml as an SVG picture",
+    }
+    check, wiring = (
+        actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        for name, text in helps.items()
+    )
     for sub in (check, wiring):
         sub.add_argument("file", type=Path, metavar="FILE", help="the board.yaml")
     wiring.add_argument("--out", type=Path, required=True, metavar="PICTURE", help="where the SVG is written")

@@ -24,6 +24,7 @@ from edge.assistant.llm.sql_tool import SqlArguments
 from edge.assistant.llm.wire import ChoicesDocument
 from edge.assistant.requests.answer import WishAnswer, understood
 from edge.assistant.requests.desk import ProposalRequest, WishRequest
+from edge.board.board_file import BoardDocument, read_board_file
 from edge.bundle.keeper import BundleRequest
 from edge.bundle.manifest import MANIFEST, TWIN, Manifest, parse_manifest
 from edge.bundle.roles import Roles
@@ -190,6 +191,11 @@ KINDS: dict[type, DocumentKind] = {
     ),
     KnownValue: DocumentKind(of_yaml(read_value), lambda: {"value": 1.0, "rel_sd": 0.1}, ("value",)),
     ValueToFit: DocumentKind(of_yaml(read_value), lambda: {"fit": True, "start": 1.0}, ("start",)),
+    BoardDocument: DocumentKind(
+        in_file(read_board_file),
+        lambda: {"board": "uno", "id": 1, "limits": {"temp_trip_c": 45.0}},
+        ("limits", "temp_trip_c"),
+    ),
     MapDocument: DocumentKind(in_file(read_map), lambda: LOG_MAP, ("time", "gap_s")),
     Source: DocumentKind(in_file(read_map), lambda: LOG_MAP, ("columns", "heater_duty", "full")),
     **{kind: request(name, good, number) for name, (kind, good, number) in REQUESTS.items()},
