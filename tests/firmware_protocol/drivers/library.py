@@ -1,4 +1,4 @@
-"""The C drivers as a shared library, and buses on which a test puts simulated parts."""
+"""The C drivers as a shared library, and buses whose other end is Python: a test simulates the parts."""
 
 import ctypes
 import functools
