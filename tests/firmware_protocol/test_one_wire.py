@@ -366,6 +366,31 @@ def test_a_loss_of_power_at_any_time_never_gives_85_degrees():
         assert driver.run(1100)[-1][1:] == (3000, GOOD)
 
 
+def test_a_loss_of_power_that_the_new_mark_hides_never_gives_85_degrees():
+    """All are marked anew for the first part's sake; by then the second has lost its power, too."""
+    first, second = parts = [Ds18b20(rom_id(serial), 16 * 30) for serial in range(2)]
+    driver = Thermometers(SimulatedOneWire(*parts), *(part.rom for part in parts))
+    driver.run(1900)
+    first.plug()
+    while not (told := driver.run(1)) or told[0][0] != 1:
+        pass
+    assert told == [(1, 3000, GOOD)]
+    second.plug()
+    second.deaf_to_convert = True
+    assert [row for row in driver.run(2100) if row[0] == 1] == [(1, None, FAULT)] * 2
+
+
+def test_the_conversion_is_awaited_even_when_its_command_came_late_in_a_round():
+    part = Ds18b20(rom_id(1))
+    driver = Thermometers(SimulatedOneWire(part), 0)
+    driver.late_ms = 20.0
+    while part.ready_us is None:
+        assert driver.run(1) == []
+    driver.late_ms = 0.0
+    driver.now_ms += 20  # that round ends
+    assert driver.run(800) == [(0, 2000, GOOD)]
+
+
 def test_a_part_whose_alarms_cannot_be_written_is_only_doubted_at_85_degrees():
     class Clone(Ds18b20):
         def _receive(self):
@@ -393,6 +418,7 @@ def test_the_undefined_bits_of_9_bits_are_dropped():
     part.plug()
     part.sixteenths = 0x0197
     assert driver.run(1000)[-1] == (0, 2500, GOOD)
+    assert driver.run(1010)[-1] == (0, 2544, GOOD)  # set to 12 bits again
 
 
 def test_a_conversion_that_takes_the_whole_750_ms_is_awaited():

@@ -281,6 +281,27 @@ def test_the_call_lasts_a_millisecond_even_when_the_time_is_a_round_old():
     assert set(told) == {BOTH_GOOD}
 
 
+def run_in_short_rounds(driver: LineDriver, ms: int) -> list:
+    """Rounds of 0.3 ms, of which the driver's clock shows whole milliseconds."""
+    told = []
+    begin_ms = driver.now_ms
+    for tenths in range(0, ms * 10, 3):
+        driver.now_ms, driver.late_ms = begin_ms + tenths // 10, tenths % 10 / 10
+        told += driver.run(1)
+    return told
+
+
+def test_the_call_lasts_a_millisecond_in_short_rounds():
+    assert run_in_short_rounds(Thermometer(Dht22()), 8000) == [BOTH_GOOD] * 2
+
+
+def test_the_longest_answer_is_awaited():
+    """All bits 1, at the slow limits of the datasheet: 5.6 ms."""
+    part = Dht22(0xFFFF, -0x7FFF)
+    part.timing = (200.0, 85.0, 85.0, 55.0, 30.0, 75.0)
+    assert run_in_short_rounds(Thermometer(part), 8000) == [((None, RANGE), (None, RANGE))] * 2
+
+
 def test_a_dht22_waits_while_another_driver_listens():
     driver = Thermometer(Dht22())
     driver.listening.value = True
@@ -404,6 +425,17 @@ def test_a_temperature_beyond_the_air_sensors_is_not_used(temp_air):
     assert TankDriver(Hcsr04()).run(3000, temp_air=temp_air) == TankDriver(Hcsr04()).run(
         3000, temp_air=NO_VALUE
     )
+
+
+def test_the_echo_of_the_datasheets_4_m_is_awaited():
+    assert Tank(Hcsr04(4000.0, -20.0), empty_mm=4000).run(3000, temp_air=-2000)[-1] == (0, GOOD)
+
+
+def test_a_tank_sensor_waits_while_another_driver_listens():
+    driver = Tank(part := Hcsr04())
+    driver.listening.value = True
+    assert driver.run(5000) == []
+    assert part.shots_us == []
 
 
 def test_every_echo_is_that_of_floating_point():

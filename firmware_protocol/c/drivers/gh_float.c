@@ -25,7 +25,6 @@ bool gh_float_step(gh_float *s, uint32_t now_ms, gh_measurement *level)
         s->change_ms = now_ms;
     }
     if (now_ms - s->change_ms >= GH_FLOAT_STEADY_MS) {
-        s->change_ms = now_ms - GH_FLOAT_STEADY_MS; /* a still switch stays still across the clock's wrap */
         s->water = s->closed == s->closed_is_water;
         if (!s->known) {
             s->known = true;
