@@ -428,11 +428,11 @@ def test_a_temperature_beyond_the_air_sensors_is_not_used(temp_air):
 
 
 def test_the_echo_of_the_datasheets_4_m_is_awaited():
-    assert Tank(Hcsr04(4000.0, -20.0), empty_mm=4000).run(3000, temp_air=-2000)[-1] == (0, GOOD)
+    assert TankDriver(Hcsr04(4000.0, -20.0), empty_mm=4000).run(3000, temp_air=-2000)[-1] == (0, GOOD)
 
 
 def test_a_tank_sensor_waits_while_another_driver_listens():
-    driver = Tank(part := Hcsr04())
+    driver = TankDriver(part := Hcsr04())
     driver.listening.value = True
     assert driver.run(5000) == []
     assert part.shots_us == []
