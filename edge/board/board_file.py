@@ -13,6 +13,7 @@ from edge.formats.reader import DocumentError, read_yaml
 from firmware_protocol.board_block import (
     I2C_ADDRESSES,
     NO_PIN,
+    PINS,
     BoardBlock,
     BoardKind,
     Output,
@@ -22,7 +23,6 @@ from firmware_protocol.board_block import (
 )
 
 BOARDS = {"mega2560": BoardKind.MEGA2560, "uno": BoardKind.UNO}
-FIRST_ANALOG = {BoardKind.MEGA2560: 54, BoardKind.UNO: 14}  # Arduino number of A0
 LUX_STEP = 10.0  # of full light in the block
 KEYS = {  # keys that a part must have; those of a part's own and no others may stand beside part and place
     Part.SHT3X: ("address",),
@@ -137,7 +137,8 @@ def pin_name(pin: int, kind: BoardKind) -> str:
     """Return a pin's name as it is printed on the board, "-" for none."""
     if pin == NO_PIN:
         return "-"
-    return f"D{pin}" if pin < FIRST_ANALOG[kind] else f"A{pin - FIRST_ANALOG[kind]}"
+    first_analog = min(PINS[kind].analog)
+    return f"D{pin}" if pin < first_analog else f"A{pin - first_analog}"
 
 
 def _block(document: BoardDocument, kind: BoardKind) -> BoardBlock:
@@ -201,4 +202,4 @@ def _pin(name: str, kind: BoardKind) -> int:
     if found is None:
         raise ValueError(f"{quote(name)} is not a pin such as D22 or A0")
     number = int(found[2])
-    return number + FIRST_ANALOG[kind] if found[1] == "A" else number
+    return number + min(PINS[kind].analog) if found[1] == "A" else number

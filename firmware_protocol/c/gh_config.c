@@ -104,7 +104,7 @@ static bool has_address(const gh_part *part)
     }
 }
 
-static bool has_serial(const gh_part *part)
+bool gh_part_has_serial(const gh_part *part)
 {
     static const uint8_t none[sizeof part->serial] = {0};
     return memcmp(part->serial, none, sizeof none) != 0;
@@ -140,7 +140,7 @@ static bool joins_the_wire(const gh_config *config, const gh_part *part, bool *i
             continue;
         }
         *is_first = false;
-        if (other->pin != part->pin || !has_serial(other) || !has_serial(part) ||
+        if (other->pin != part->pin || !gh_part_has_serial(other) || !gh_part_has_serial(part) ||
             memcmp(other->serial, part->serial, sizeof part->serial) == 0) {
             return false;
         }
@@ -175,8 +175,7 @@ static bool address_is_free(const gh_config *config, const gh_part *part)
     return true;
 }
 
-/* The signal that a part is there for; the humidity of an air sensor comes in addition. */
-static gh_signal signal_of(const gh_part *part)
+gh_signal gh_part_signal(const gh_part *part)
 {
     switch (part->kind) {
     case GH_PART_SCD4X:
@@ -196,10 +195,10 @@ static gh_signal signal_of(const gh_part *part)
 /* Two air sensors are compared; of more parts for one signal nobody knows what to do. */
 static bool signal_is_free(const gh_config *config, const gh_part *part)
 {
-    gh_signal signal = signal_of(part);
+    gh_signal signal = gh_part_signal(part);
     uint8_t others = 0;
     for (uint8_t i = 0; i < config->part_count; i++) {
-        others = (uint8_t)(others + (signal_of(&config->parts[i]) == signal ? 1 : 0));
+        others = (uint8_t)(others + (gh_part_signal(&config->parts[i]) == signal ? 1 : 0));
     }
     return others < (signal == GH_SIGNAL_TEMP_AIR ? 2 : 1);
 }
@@ -207,7 +206,7 @@ static bool signal_is_free(const gh_config *config, const gh_part *part)
 static bool part_suits(const gh_config *config, gh_board_kind kind, const gh_part *part, pin_set *used)
 {
     bool has_place = part->kind <= GH_PART_DS18B20; /* inside or outside */
-    if ((part->outside && !has_place) || (has_serial(part) && part->kind != GH_PART_DS18B20) || !numbers_suit(part) ||
+    if ((part->outside && !has_place) || (gh_part_has_serial(part) && part->kind != GH_PART_DS18B20) || !numbers_suit(part) ||
         !signal_is_free(config, part)) {
         return false;
     }

@@ -47,6 +47,12 @@ typedef struct {
     gh_part parts[GH_PARTS_MAX];
 } gh_config;
 
+/* The signal that a part is there for; the humidity of an air sensor comes in addition. */
+gh_signal gh_part_signal(const gh_part *part);
+
+/* Whether a DS18B20 has a serial number; without one it is the only one on its wire. */
+bool gh_part_has_serial(const gh_part *part);
+
 /* Reads a block. False, and `config` is undefined, for one that is blank, damaged, of another layout or
  * microcontroller, or against a rule: then nothing may be driven. */
 bool gh_config_read(const uint8_t *block, gh_board_kind kind, gh_config *config);

@@ -12,12 +12,12 @@
 
 static bool measures_air(const gh_part *part)
 {
-    return part->kind <= GH_PART_DS18B20 && !part->outside;
+    return gh_part_signal(part) == GH_SIGNAL_TEMP_AIR;
 }
 
 static bool measures_humidity(const gh_part *part)
 {
-    return part->kind <= GH_PART_DHT22 && !part->outside;
+    return measures_air(part) && part->kind != GH_PART_DS18B20;
 }
 
 static uint64_t rom_code(const uint8_t *serial)
@@ -32,12 +32,6 @@ static uint64_t rom_code(const uint8_t *serial)
     return code;
 }
 
-static bool is_blank(const uint8_t *serial)
-{
-    static const uint8_t none[6] = {0};
-    return memcmp(serial, none, sizeof none) == 0;
-}
-
 static void start_driver(gh_sensors *s, gh_sensor *sensor, const gh_part *part, uint32_t now_ms)
 {
     const gh_buses *buses = s->buses;
@@ -50,7 +44,7 @@ static void start_driver(gh_sensors *s, gh_sensor *sensor, const gh_part *part, 
         gh_dht22_init(&sensor->driver.dht22, &buses->lines, &s->listening, part->pin, now_ms);
         break;
     case GH_PART_DS18B20:
-        s->ids[s->ds18b20_count] = is_blank(part->serial) ? 0 : rom_code(part->serial);
+        s->ids[s->ds18b20_count] = gh_part_has_serial(part) ? rom_code(part->serial) : 0;
         s->ds18b20_count++;
         break;
     case GH_PART_SCD4X:
@@ -225,19 +219,20 @@ void gh_sensors_step(gh_sensors *s, gh_board *board, uint32_t now_ms)
     step_wire(s, board, now_ms);
 }
 
-/* The capability of each kind of part that measures one thing alone; 0 where there is none. */
-static uint16_t capability_of(const gh_part *part)
+/* The capability of a signal; the air temperature needs none. */
+static uint16_t capability_of(gh_signal signal)
 {
-    switch (part->kind) {
-    case GH_PART_SCD4X:
+    switch (signal) {
+    case GH_SIGNAL_CO2:
         return GH_CAPABILITY_CO2;
-    case GH_PART_BH1750:
+    case GH_SIGNAL_LIGHT:
         return GH_CAPABILITY_LIGHT;
-    case GH_PART_SOIL:
+    case GH_SIGNAL_SOIL_MOISTURE:
         return GH_CAPABILITY_SOIL_MOISTURE;
-    case GH_PART_HCSR04:
-    case GH_PART_FLOAT:
+    case GH_SIGNAL_TANK_LEVEL:
         return GH_CAPABILITY_TANK_LEVEL;
+    case GH_SIGNAL_TEMP_AMBIENT:
+        return GH_CAPABILITY_TEMP_AMBIENT;
     default:
         return 0;
     }
@@ -251,9 +246,8 @@ uint16_t gh_config_capabilities(const gh_config *config)
     found |= config->pins[GH_OUTPUT_CUTOFF] != GH_NO_PIN ? GH_CAPABILITY_HEATER_CUTOFF : 0;
     for (uint8_t i = 0; i < config->part_count; i++) {
         const gh_part *part = &config->parts[i];
-        found |= capability_of(part);
+        found |= capability_of(gh_part_signal(part));
         found |= measures_humidity(part) ? GH_CAPABILITY_HUMIDITY : 0;
-        found |= part->outside ? GH_CAPABILITY_TEMP_AMBIENT : 0;
     }
     return found;
 }
