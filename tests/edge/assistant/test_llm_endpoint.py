@@ -83,6 +83,13 @@ def test_a_server_that_recovers_is_answered(tmp_path: Path) -> None:
         assert made.chat(HELLO).content == "hi"
 
 
+def test_a_server_that_cannot_be_reached_is_tried_again_after_the_shortest_pause(tmp_path: Path) -> None:
+    line = ScriptedLine(LlmFailure("unreachable", "x"), says("hi"))
+    with endpoint(tmp_path, line, backoff_s=0.25) as made:
+        made.chat(HELLO)
+    assert line.pauses == [0.25]
+
+
 @pytest.mark.parametrize(("after", "pauses"), [("7", [7.0]), ("0.2", [1.0]), ("60", [60.0])])
 def test_a_pause_is_as_long_as_the_server_asks(tmp_path: Path, after: str, pauses: list[float]) -> None:
     line = ScriptedLine(error(429, after=after), says("hi"))

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mixed_integer_problems import every_plan, problems, true_optimum
 
-from edge.controllers.mixed_integer.polish import descend, polish
+from edge.controllers.mixed_integer.polish import _fan_plans, descend, polish
 from edge.controllers.mixed_integer.problem import FanRules, Plan, PlanningProblem, lower_toeplitz
 from edge.controllers.mixed_integer.search import search, tangent, undominated_nodes
 from edge.controllers.mixed_integer.solver import relaxed_temperatures, solve
@@ -368,3 +368,15 @@ def test_a_search_that_gets_no_cpu_time_ends_by_the_wall_clock():
 def ticking(step_s):
     """A clock that goes on by `step_s` at each look."""
     return itertools.count(0.0, step_s).__next__
+
+
+@given(st.lists(st.integers(0, 1), min_size=1, max_size=6))
+def test_the_polish_tries_one_or_two_switches_and_a_rest_on_or_off(fan):
+    plans = {tuple(plan) for plan in _fan_plans(np.array(fan)).tolist()}
+    near = {plan for plan in itertools.product((0, 1), repeat=len(fan)) if _distance(plan, fan) <= 2}
+    rests = {(*fan[:k], *[state] * (len(fan) - k)) for k in range(len(fan)) for state in (0, 1)}
+    assert plans == near | rests
+
+
+def _distance(one, other):
+    return sum(a != b for a, b in zip(one, other, strict=True))

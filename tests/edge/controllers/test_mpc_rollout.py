@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from edge.controllers.mixed_integer.time_box import TimeBox
 from edge.controllers.mpc import Mpc, MpcSettings, planning_problem
 from edge.controllers.mpc_rollout import MpcRollout
-from edge.controllers.rollout_search import Meter, RolloutSearch, plan_rollouts
+from edge.controllers.rollout_search import Meter, RolloutSearch, _heater_plans, plan_rollouts
 from edge.core.controller import Context, ControlLimits
 from edge.core.errors import DataError
 from edge.core.messages import Command
@@ -318,3 +318,15 @@ def test_a_relay_that_must_hold_all_the_horizon_leaves_the_heater_alone_to_plan(
     decision = over(LazyBox()).decide(here)
     assert decision.command == Command(0.0, True)
     assert decision.why["runner_up"] is None
+
+
+def test_every_stretch_of_the_heater_is_raised_and_lowered():
+    levels = np.array([5, 7, 3])
+    plans = {tuple(plan) for plan in _heater_plans(levels, top=20).tolist()}
+    for first, last in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]:
+        for more in (1, -1, 2, -2):
+            moved = levels.copy()
+            moved[first : last + 1] += more
+            assert tuple(moved) in plans
+    assert (5, 7, 3) not in plans
+    assert (4, 8, 3) in plans  # heat is moved to the next step
