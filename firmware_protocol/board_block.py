@@ -12,6 +12,7 @@ from enum import IntEnum
 from firmware_protocol.frame import crc16
 
 BLOCK_SIZE = 144
+PART_BYTES = 16  # of the block in one message
 LAYOUT = 1
 PARTS_MAX = 8
 NO_PIN = 0xFF

@@ -15,6 +15,7 @@ from firmware_protocol.errors import DecodeError, LocalProtocolError
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.link_events import (
     BoardReset,
+    LinkBlock,
     LinkEcho,
     LinkEvent,
     LinkLost,
@@ -29,6 +30,7 @@ from firmware_protocol.messages import (
     HEADER_LENGTH,
     LAYOUTS,
     PROTOCOL_VERSION,
+    BlockPart,
     EmergencyStop,
     ErrorCode,
     ErrorMessage,
@@ -47,6 +49,7 @@ from firmware_protocol.messages import (
 __all__ = [
     "BoardReset",
     "Link",
+    "LinkBlock",
     "LinkEcho",
     "LinkEvent",
     "LinkLost",
@@ -203,7 +206,7 @@ class Link:
                 return self._take_hello(header, message, now)
             case StateEcho() if header.ack == 0:
                 return [LinkEcho(message, None)]
-            case StateEcho() | ErrorMessage():
+            case StateEcho() | ErrorMessage() | BlockPart():
                 return self._take_answer(header, message, now)
         return []
 
@@ -237,7 +240,9 @@ class Link:
         self._silence_s = max(SILENCE_S, 3 * hello.report_period_s)
         return [*reset, LinkUp(hello)]
 
-    def _take_answer(self, header: Header, answer: StateEcho | ErrorMessage, now: float) -> list[LinkEvent]:
+    def _take_answer(
+        self, header: Header, answer: StateEcho | ErrorMessage | BlockPart, now: float
+    ) -> list[LinkEvent]:
         if self._answers_greeting(header):
             if isinstance(answer, ErrorMessage) and answer.code is ErrorCode.VERSION:
                 return self._refuse(answer.detail, answer.detail, now)
@@ -253,6 +258,8 @@ class Link:
             self._send_waiting(now)
             return refused
         self._send_waiting(now)
+        if isinstance(answer, BlockPart):
+            return [LinkBlock(answer, request.message)]
         return [LinkEcho(answer, request.message)]
 
     def _stale(self) -> list[LinkEvent]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from firmware_protocol.messages import ErrorMessage, Hello, Message, SensorReport, StateEcho
+from firmware_protocol.messages import BlockPart, ErrorMessage, Hello, Message, SensorReport, StateEcho
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,14 @@ class LinkEcho:
 
 
 @dataclass(frozen=True, slots=True)
+class LinkBlock:
+    """Sixteen bytes of the board's configuration."""
+
+    part: BlockPart
+    request: Message
+
+
+@dataclass(frozen=True, slots=True)
 class RequestRefused:
     """The board did not obey a request."""
 
@@ -78,6 +86,7 @@ LinkEvent = (
     | VersionRefused
     | Report
     | LinkEcho
+    | LinkBlock
     | RequestRefused
     | RequestTimedOut
     | Nonsense

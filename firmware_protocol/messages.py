@@ -65,6 +65,8 @@ class ErrorCode(IntEnum):
     NOT_GREETED = 5
     TRIPPED = 6
     NO_ACTUATOR = 7
+    HEATING = 8
+    BAD_BLOCK = 9
 
 
 class Capability(IntFlag):
@@ -80,6 +82,7 @@ class Capability(IntFlag):
     TEMP_AMBIENT = 128
     HEATER_CUTOFF = 256
     FAN_TACHO = 512
+    CONFIGURABLE = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +202,36 @@ class EndMaintenance:
     """end_maintenance: host -> board, kind 12, 0 bytes."""
 
 
+@dataclass(frozen=True, slots=True)
+class BlockRead:
+    """block_read: host -> board, kind 13, 1 bytes."""
+
+    part: int  # bytes 16 * part and the next 15 of the block
+
+
+@dataclass(frozen=True, slots=True)
+class BlockWrite:
+    """block_write: host -> board, kind 14, 17 bytes."""
+
+    part: int
+    low: int  # the first 8 bytes
+    high: int  # the other 8
+
+
+@dataclass(frozen=True, slots=True)
+class BlockCommit:
+    """block_commit: host -> board, kind 15, 0 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockPart:
+    """block_part: board -> host, kind 16, 17 bytes."""
+
+    part: int
+    low: int
+    high: int
+
+
 Message = (
     HelloRequest
     | Hello
@@ -212,6 +245,10 @@ Message = (
     | Maintenance
     | ReleaseStop
     | EndMaintenance
+    | BlockRead
+    | BlockWrite
+    | BlockCommit
+    | BlockPart
 )
 
 LAYOUTS: dict[type[Message], Layout] = {
@@ -306,7 +343,7 @@ LAYOUTS: dict[type[Message], Layout] = {
         8,
         True,
         (
-            Field("code", "B", 0, 7, kind=ErrorCode),
+            Field("code", "B", 0, 9, kind=ErrorCode),
             Field("detail", "B", 0, 255),
         ),
     ),
@@ -329,6 +366,34 @@ LAYOUTS: dict[type[Message], Layout] = {
         12,
         False,
         (),
+    ),
+    BlockRead: Layout(
+        13,
+        False,
+        (Field("part", "B", 0, 8),),
+    ),
+    BlockWrite: Layout(
+        14,
+        False,
+        (
+            Field("part", "B", 0, 8),
+            Field("low", "Q", 0, 18446744073709551615),
+            Field("high", "Q", 0, 18446744073709551615),
+        ),
+    ),
+    BlockCommit: Layout(
+        15,
+        False,
+        (),
+    ),
+    BlockPart: Layout(
+        16,
+        True,
+        (
+            Field("part", "B", 0, 8),
+            Field("low", "Q", 0, 18446744073709551615),
+            Field("high", "Q", 0, 18446744073709551615),
+        ),
     ),
 }
 

@@ -32,6 +32,10 @@ enum {
     GH_KIND_MAINTENANCE = 10,
     GH_KIND_RELEASE_STOP = 11,
     GH_KIND_END_MAINTENANCE = 12,
+    GH_KIND_BLOCK_READ = 13,
+    GH_KIND_BLOCK_WRITE = 14,
+    GH_KIND_BLOCK_COMMIT = 15,
+    GH_KIND_BLOCK_PART = 16,
 };
 
 enum {
@@ -77,6 +81,8 @@ enum {
     GH_ERROR_CODE_NOT_GREETED = 5,
     GH_ERROR_CODE_TRIPPED = 6,
     GH_ERROR_CODE_NO_ACTUATOR = 7,
+    GH_ERROR_CODE_HEATING = 8,
+    GH_ERROR_CODE_BAD_BLOCK = 9,
 };
 
 #define GH_CAPABILITY_LED ((uint16_t)1u)
@@ -89,6 +95,7 @@ enum {
 #define GH_CAPABILITY_TEMP_AMBIENT ((uint16_t)128u)
 #define GH_CAPABILITY_HEATER_CUTOFF ((uint16_t)256u)
 #define GH_CAPABILITY_FAN_TACHO ((uint16_t)512u)
+#define GH_CAPABILITY_CONFIGURABLE ((uint16_t)1024u)
 
 static inline void gh_put_u8(uint8_t *p, uint8_t v) { p[0] = v; }
 static inline void gh_put_u16(uint8_t *p, uint16_t v)
@@ -582,7 +589,7 @@ static inline int gh_unpack_state_echo(const uint8_t *body, size_t n, gh_state_e
 #define GH_ERROR_LENGTH 2
 #define GH_ERROR_CODE_FIELD 0
 #define GH_ERROR_CODE_MIN (0)
-#define GH_ERROR_CODE_MAX (7)
+#define GH_ERROR_CODE_MAX (9)
 #define GH_ERROR_DETAIL_FIELD 1
 
 typedef struct {
@@ -619,5 +626,102 @@ static inline int gh_unpack_error(const uint8_t *body, size_t n, gh_error *messa
 
 /* end_maintenance, host -> board */
 #define GH_END_MAINTENANCE_LENGTH 0
+
+/* block_read, host -> board */
+#define GH_BLOCK_READ_LENGTH 1
+#define GH_BLOCK_READ_PART_FIELD 0
+#define GH_BLOCK_READ_PART_MIN (0)
+#define GH_BLOCK_READ_PART_MAX (8)
+
+typedef struct {
+    uint8_t part;
+} gh_block_read;
+
+static inline size_t gh_pack_block_read(const gh_block_read *message, uint8_t *out)
+{
+    gh_put_u8(out + 0, message->part);
+    return 1;
+}
+
+static inline int gh_unpack_block_read(const uint8_t *body, size_t n, gh_block_read *message)
+{
+    if (n != GH_BLOCK_READ_LENGTH)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, n > 255 ? 255 : n);
+    message->part = gh_get_u8(body + 0);
+    if (message->part > GH_BLOCK_READ_PART_MAX)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_BLOCK_READ_PART_FIELD);
+    return 0;
+}
+
+/* block_write, host -> board */
+#define GH_BLOCK_WRITE_LENGTH 17
+#define GH_BLOCK_WRITE_PART_FIELD 0
+#define GH_BLOCK_WRITE_PART_MIN (0)
+#define GH_BLOCK_WRITE_PART_MAX (8)
+#define GH_BLOCK_WRITE_LOW_FIELD 1
+#define GH_BLOCK_WRITE_HIGH_FIELD 2
+
+typedef struct {
+    uint8_t part;
+    uint64_t low;
+    uint64_t high;
+} gh_block_write;
+
+static inline size_t gh_pack_block_write(const gh_block_write *message, uint8_t *out)
+{
+    gh_put_u8(out + 0, message->part);
+    gh_put_u64(out + 1, message->low);
+    gh_put_u64(out + 9, message->high);
+    return 17;
+}
+
+static inline int gh_unpack_block_write(const uint8_t *body, size_t n, gh_block_write *message)
+{
+    if (n != GH_BLOCK_WRITE_LENGTH)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, n > 255 ? 255 : n);
+    message->part = gh_get_u8(body + 0);
+    message->low = gh_get_u64(body + 1);
+    message->high = gh_get_u64(body + 9);
+    if (message->part > GH_BLOCK_WRITE_PART_MAX)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_BLOCK_WRITE_PART_FIELD);
+    return 0;
+}
+
+/* block_commit, host -> board */
+#define GH_BLOCK_COMMIT_LENGTH 0
+
+/* block_part, board -> host */
+#define GH_BLOCK_PART_LENGTH 17
+#define GH_BLOCK_PART_PART_FIELD 0
+#define GH_BLOCK_PART_PART_MIN (0)
+#define GH_BLOCK_PART_PART_MAX (8)
+#define GH_BLOCK_PART_LOW_FIELD 1
+#define GH_BLOCK_PART_HIGH_FIELD 2
+
+typedef struct {
+    uint8_t part;
+    uint64_t low;
+    uint64_t high;
+} gh_block_part;
+
+static inline size_t gh_pack_block_part(const gh_block_part *message, uint8_t *out)
+{
+    gh_put_u8(out + 0, message->part);
+    gh_put_u64(out + 1, message->low);
+    gh_put_u64(out + 9, message->high);
+    return 17;
+}
+
+static inline int gh_unpack_block_part(const uint8_t *body, size_t n, gh_block_part *message)
+{
+    if (n != GH_BLOCK_PART_LENGTH)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, n > 255 ? 255 : n);
+    message->part = gh_get_u8(body + 0);
+    message->low = gh_get_u64(body + 1);
+    message->high = gh_get_u64(body + 9);
+    if (message->part > GH_BLOCK_PART_PART_MAX)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_BLOCK_PART_PART_FIELD);
+    return 0;
+}
 
 #endif

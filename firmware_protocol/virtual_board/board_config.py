@@ -6,8 +6,8 @@ from operator import or_
 
 from firmware_protocol.messages import PROTOCOL_VERSION, Capability, Hello, ResetCause, pack
 
-# The rig has no second cut-off and no tacho.
-_NOT_IN_THE_RIG = (Capability.HEATER_CUTOFF, Capability.FAN_TACHO)
+# The rig has no second cut-off and no tacho, and the simulated one is configured by its files.
+_NOT_IN_THE_RIG = (Capability.HEATER_CUTOFF, Capability.FAN_TACHO, Capability.CONFIGURABLE)
 RIG_PARTS = reduce(or_, (part for part in Capability if part not in _NOT_IN_THE_RIG))
 PWM_SLOTS = 20
 

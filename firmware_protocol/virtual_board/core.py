@@ -4,12 +4,18 @@ The reference of PROTOCOL.md; c/gh_board.c is the same in C, and one test suite 
 """
 
 from collections.abc import Mapping
+from typing import Protocol
 
 from firmware_protocol.errors import DecodeError
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.messages import (
+    CLASS_OF_KIND,
     LAYOUT_OF_KIND,
     PROTOCOL_VERSION,
+    BlockCommit,
+    BlockPart,
+    BlockRead,
+    BlockWrite,
     Capability,
     ClearTrip,
     CommandMessage,
@@ -42,10 +48,38 @@ _OPTIONAL = (("led_pct", Capability.LED), ("valve_pulse_s", Capability.VALVE),
 _COMMAND_FIELDS = tuple(CommandMessage.__dataclass_fields__)
 
 
-class BoardCore:
-    """One start of a board, from reset to reset. All times are the board's clock [ms], which may wrap."""
+_ABOUT_BLOCK = (BlockRead, BlockWrite, BlockCommit)
 
-    def __init__(self, config: BoardConfig, persistent: bytes, reset_cause: int, boot_count: int) -> None:
+
+class BlockStore(Protocol):
+    """Two copies of the block of `board_block`: the one in force, and a spare one."""
+
+    def read(self, part: int) -> bytes:
+        """Return 16 bytes of the one in force."""
+
+    def write(self, part: int, data: bytes) -> bytes:
+        """Write 16 bytes of the spare one, and return what it then holds there."""
+
+    def commit(self) -> bool:
+        """Take the spare one into force; False, and nothing changes, for a bad one."""
+
+
+class BoardCore:
+    """One start of a board, from reset to reset. All times are the board's clock [ms], which may wrap.
+
+    restart : a new configuration is in force; a reset is due as soon as what waits is sent
+    """
+
+    def __init__(
+        self,
+        config: BoardConfig,
+        persistent: bytes,
+        reset_cause: int,
+        boot_count: int,
+        store: BlockStore | None = None,
+    ) -> None:
+        self.restart = False
+        self._store = store if config.has(Capability.CONFIGURABLE) else None
         self.dropped = 0  # whole frames that no answer can be given to
         self.decoder = FrameDecoder()
         self._config = config
@@ -114,6 +148,8 @@ class BoardCore:
             message: Message | DecodeError = unpack(payload)[1]
         except DecodeError as error:
             message = error
+        if self._store is None and CLASS_OF_KIND.get(header.kind) in _ABOUT_BLOCK:
+            message = DecodeError(ErrorCode.UNKNOWN_KIND, header.kind)
         if isinstance(message, HelloRequest):
             self._safety.greeted = True
             self._answered = None
@@ -132,7 +168,25 @@ class BoardCore:
             return ErrorMessage(ErrorCode(message.code), message.detail)
         if not self._safety.greeted:
             return ErrorMessage(ErrorCode.NOT_GREETED, kind)
+        if self._store is not None and isinstance(message, _ABOUT_BLOCK):
+            return self._about_block(message, self._store) or self._state(now_ms)
         return self._refusal(message, now_ms) or self._state(now_ms)
+
+    def _about_block(
+        self, message: BlockRead | BlockWrite | BlockCommit, store: BlockStore
+    ) -> Message | None:
+        """Return the answer, None for the state."""
+        if isinstance(message, BlockRead):
+            return _part(message.part, store.read(message.part))
+        if self._safety.heater_steps > 0:
+            return ErrorMessage(ErrorCode.HEATING, self._safety.heater_steps)
+        if isinstance(message, BlockWrite):
+            data = message.low.to_bytes(8, "little") + message.high.to_bytes(8, "little")
+            return _part(message.part, store.write(message.part, data))
+        if not store.commit():
+            return ErrorMessage(ErrorCode.BAD_BLOCK, 0)
+        self.restart = True
+        return None
 
     def _refusal(self, message: Message, now_ms: int) -> ErrorMessage | None:
         obeyed = True
@@ -179,6 +233,10 @@ class BoardCore:
     def _send(self, message: Message, ack: int) -> None:
         self._seq = self._seq % 255 + 1
         self._transmit += encode(pack(message, self._seq, ack))
+
+
+def _part(part: int, data: bytes) -> BlockPart:
+    return BlockPart(part, int.from_bytes(data[:8], "little"), int.from_bytes(data[8:], "little"))
 
 
 def _sent_by_boards(kind: int) -> bool:

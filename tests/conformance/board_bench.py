@@ -20,6 +20,7 @@ from firmware_protocol.virtual_board.board_config import BoardConfig
 
 STEP_MS = 100
 CONFIG = BoardConfig(capabilities=Capability(0x03FF), valve_pulse_max_s=5.0, fan_safe_on=False)
+CONFIGURABLE = replace(CONFIG, capabilities=CONFIG.capabilities | Capability.CONFIGURABLE)
 HEAT = CommandMessage(
     heater_steps=20, fan_on=True, led_pct=60, valve_pulse_s=0.0, cutoff_open=False, lease_s=10.0
 )

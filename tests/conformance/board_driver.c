@@ -6,10 +6,14 @@
  *   2 sample: signal u8, quality u8, raw i32 -> nothing
  *   3 step                                   -> five bytes of pins, transmitted bytes
  *   4 persistent                             -> the four bytes
+ *   5 restart                                -> one byte: whether a reset is due
+ *
+ * The configuration's block starts blank; a good one is one for the ATmega328P.
  */
 #include <stdio.h>
+#include <string.h>
 
-#include "gh_board.h"
+#include "gh_config.h"
 
 #define LONGEST_REQUEST 1024u
 
@@ -22,6 +26,33 @@ static void drain(gh_board *board, answer *out)
 {
     out->length += gh_board_transmit(board, out->bytes + out->length, sizeof out->bytes - out->length);
 }
+
+static uint8_t block[GH_BLOCK_SIZE], spare[GH_BLOCK_SIZE];
+
+static void read_part(void *context, uint8_t part, uint8_t *bytes)
+{
+    (void)context;
+    memcpy(bytes, block + part * 16, 16);
+}
+
+static void write_part(void *context, uint8_t part, uint8_t *bytes)
+{
+    (void)context;
+    memcpy(spare + part * 16, bytes, 16);
+}
+
+static bool commit(void *context)
+{
+    gh_config config;
+    (void)context;
+    if (!gh_config_read(spare, GH_UNO, &config)) {
+        return false;
+    }
+    memcpy(block, spare, sizeof block);
+    return true;
+}
+
+static const gh_block_store STORE = {NULL, read_part, write_part, commit};
 
 static void init(gh_board *board, const uint8_t *p)
 {
@@ -38,7 +69,10 @@ static void init(gh_board *board, const uint8_t *p)
         .report_period_ms = gh_get_u16(p + 21),
         .fan_safe_on = p[23] != 0,
     };
+    memset(block, 0xFF, sizeof block);
+    memset(spare, 0xFF, sizeof spare);
     gh_board_init(board, &config, p + 24, p[28], gh_get_u32(p + 29));
+    gh_board_use_store(board, &STORE);
 }
 
 static void step(gh_board *board, uint32_t now_ms, answer *out)
@@ -68,6 +102,9 @@ static void obey(gh_board *board, uint8_t operation, uint32_t now_ms, const uint
     case 3:
         step(board, now_ms, out);
         break;
+    case 5:
+        out->bytes[out->length++] = board->restart;
+        return;
     default:
         gh_board_persistent(board, out->bytes);
         out->length = GH_PERSISTENT_SIZE;

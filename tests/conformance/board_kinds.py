@@ -4,6 +4,7 @@ import struct
 import subprocess
 from pathlib import Path
 
+from firmware_protocol.board_block import BoardKind
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.c_core import (
     SIGNALS,
@@ -13,12 +14,13 @@ from firmware_protocol.virtual_board.c_core import (
     raw_sample,
     store_of,
 )
-from firmware_protocol.virtual_board.core import Pins
+from firmware_protocol.virtual_board.core import BoardCore, Pins
+from firmware_protocol.virtual_board.store import BlockSlots
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic")
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 DRIVER_SOURCE = Path(__file__).parent / "board_driver.c"
-_INIT, _RECEIVE, _SAMPLE, _STEP, _PERSISTENT = range(5)
+_INIT, _RECEIVE, _SAMPLE, _STEP, _PERSISTENT, _RESTART = range(6)
 _LONGEST_REQUEST = 1024
 _CONFIG = struct.Struct("<QBBBHHhHHHB")
 
@@ -84,3 +86,12 @@ class SanitizedBoard:
 
     def persistent(self) -> bytes:
         return self._driver.call(_PERSISTENT, 0)
+
+    @property
+    def restart(self) -> bool:
+        return self._driver.call(_RESTART, 0) == b"\1"
+
+
+def python_board(config: BoardConfig, persistent: bytes, reset_cause: int, boot_count: int) -> BoardCore:
+    """The Python board with a blank block of an ATmega328P, as the driver's."""
+    return BoardCore(config, persistent, reset_cause, boot_count, BlockSlots(BoardKind.UNO))

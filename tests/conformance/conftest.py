@@ -6,9 +6,7 @@ The C board as the virtual board loads it is held against the Python board in te
 import functools
 
 import pytest
-from board_kinds import Driver, SanitizedBoard, compile_driver
-
-from firmware_protocol.virtual_board.core import BoardCore
+from board_kinds import Driver, SanitizedBoard, compile_driver, python_board
 
 
 @pytest.fixture(scope="session")
@@ -20,7 +18,7 @@ def driver_program(tmp_path_factory):
 def new_board(request):
     """Makes a board: (config, persistent, reset_cause, boot_count) -> board. One at a time is in use."""
     if request.param == "python":
-        yield BoardCore
+        yield python_board
     else:
         driver = Driver(request.getfixturevalue("driver_program"))
         yield functools.partial(SanitizedBoard, driver)

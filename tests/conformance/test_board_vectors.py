@@ -6,17 +6,19 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from board_bench import BoardBench, is_error
+from board_bench import CONFIGURABLE, BoardBench, is_error
 from board_kinds import SANITIZERS, STRICT
 
 import firmware_protocol
 from firmware_protocol.frame import encode
-from firmware_protocol.messages import PROTOCOL_VERSION, Hello, StateEcho
+from firmware_protocol.messages import PROTOCOL_VERSION, BlockPart, ErrorCode, Hello, StateEcho
 from firmware_protocol.virtual_board.c_core import compile_board, load_board
 
 VECTORS = json.loads((Path(firmware_protocol.__file__).parent / "vectors.json").read_text(encoding="utf-8"))
-FROM_BOARD = {2, 3, 5, 8}
-MESSAGE_NAME = {1: "hello_request", 2: "hello", 3: "sensor_report", 4: "command", 5: "state_echo", 8: "error"}
+FROM_BOARD = {2, 3, 5, 8, 16}
+MESSAGE_NAME = {1: "hello_request", 2: "hello", 3: "sensor_report", 4: "command", 5: "state_echo", 8: "error",
+                13: "block_read", 14: "block_write", 16: "block_part"}  # fmt: skip
+BLOCK_READ, BLOCK_WRITE, BLOCK_COMMIT = 13, 14, 15
 COUNTERS = ("too_long", "bad_cobs", "too_short", "bad_crc")
 
 
@@ -37,7 +39,7 @@ class Decoder(ctypes.Structure):
 
 @by_name(VECTORS)
 def test_the_board_answers_what_the_vector_says(new_board, vector):
-    said = BoardBench(new_board).greet().receive(bytes.fromhex(vector["hex"]))
+    said = BoardBench(new_board, CONFIGURABLE).greet().receive(bytes.fromhex(vector["hex"]))
     payloads = [bytes.fromhex(payload) for payload in vector["payloads"]]
     asked = [p for p in payloads if p[0] != PROTOCOL_VERSION or (p[1] not in FROM_BOARD and p[2] != 0)]
     assert [header.ack for header, _ in said] == [payload[2] for payload in asked]
@@ -45,6 +47,10 @@ def test_the_board_answers_what_the_vector_says(new_board, vector):
         return
     if "error" in vector:
         assert is_error(said[0][1], vector["error"]["code_number"], vector["error"]["detail"])
+    elif asked[0][1] in (BLOCK_READ, BLOCK_WRITE):
+        assert isinstance(said[0][1], BlockPart)
+    elif asked[0][1] == BLOCK_COMMIT:
+        assert is_error(said[0][1], ErrorCode.BAD_BLOCK, 0)
     elif asked[0][1] == 1:
         assert isinstance(said[0][1], Hello)
     elif "message" in vector and vector["name"] != "command of everything":
