@@ -1,30 +1,37 @@
-"""The board's own program on a simulated ATmega2560, and the host's link at the other end of its line."""
+"""The board's program on a simulated microcontroller, and the host's link at the other end of its line."""
 
 import struct
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from firmware_protocol.link import Link
 from firmware_protocol.messages import Message
 
 FREQUENCY = 16_000_000
-RAM_END = 0x21FF
+MEGA2560, UNO = "atmega2560", "atmega328p"
+RAM_END = {MEGA2560: 0x21FF, UNO: 0x08FF}
 PORTA, OCR4A, TCCR4A = 0x22, 0xA8, 0xA0
 COM4A1 = 0x80
 HEATER, FAN, VALVE, SUPPLY = 1, 2, 4, 8
 STEP_MS = 10
-_EVENT = struct.Struct("<QBB")
+_QUESTION = 1 << 31
+_EVENT = struct.Struct("<QBBB")
 _MEASURED = struct.Struct("<IIQ")
 _FUNCTION = struct.Struct("<IIQQQI4x")
 
 
 @dataclass(frozen=True)
 class AvrEvent:
-    """An event of the program: T(ransmitted byte), P(ORTA), D(DRA), E(EPROM byte begun), R(eset), C(rash)."""
+    """An event of the program: T(ransmitted byte), P(ORTx), D(DRx), E(EPROM byte begun), R(eset), C(rash).
+
+    port : letter of P and D
+    """
 
     cycle: int
     kind: str
+    port: str
     value: int
 
 
@@ -51,13 +58,35 @@ class Measured:
     functions: dict[str, Timing]
 
 
+class PartsOutside(Protocol):
+    """What hangs on the microcontroller's pins. Times are its cycles since the power came."""
+
+    def level_changed(self, cycle: int, port: str, bit: int, level: int) -> bytes:
+        """Take what it does to a watched pin: LOW, HIGH, RELEASED. Returns : levels to come"""
+
+    def i2c_called(self, cycle: int, address: int, reading: bool) -> bytes | None:
+        """Return what is read, None where nobody acknowledges."""
+
+    def i2c_written(self, cycle: int, address: int, data: bytes) -> None:
+        """Take the bytes of a transfer that has ended."""
+
+
 class SimulatedAvr:
     """One microcontroller with its power on. `eeprom` None is a new one."""
 
-    def __init__(self, host: Path, program: Path, eeprom: bytes | None = None) -> None:
-        command, pipe = [str(host), str(program)], subprocess.PIPE
+    def __init__(
+        self,
+        host: Path,
+        program: Path,
+        eeprom: bytes | None = None,
+        microcontroller: str = MEGA2560,
+        parts: PartsOutside | None = None,
+    ) -> None:
+        command, pipe = [str(host), microcontroller, str(program)], subprocess.PIPE
         self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
-        self._symbols = _symbols(program)
+        self._symbols = {} if program.suffix == ".hex" else _symbols(program)
+        self._ram_end = RAM_END[microcontroller]
+        self._parts = parts
         self._timed: list[str] = []
         self.cycle = 0
         if eeprom is not None:
@@ -80,7 +109,24 @@ class SimulatedAvr:
         """Run for that time while bytes come in, and return the events."""
         answer = self._call("a", round(milliseconds * FREQUENCY / 1000), data)
         [self.cycle] = struct.unpack_from("<Q", answer)
-        return [AvrEvent(cycle, chr(kind), value) for cycle, kind, value in _EVENT.iter_unpack(answer[8:])]
+        events = _EVENT.iter_unpack(answer[8:])
+        return [AvrEvent(cycle, chr(kind), chr(port), value) for cycle, kind, port, value in events]
+
+    def watch(self, pins: dict[str, int]) -> None:
+        """Tell the parts outside of these pins from now on. pins : masks by port letter"""
+        self._call("b", 0, b"".join(bytes((ord(port), mask)) for port, mask in pins.items()))
+
+    def connect_i2c(self) -> None:
+        """Tell the parts outside of the I2C bus from now on."""
+        self._call("t")
+
+    def set_level(self, port: str, bit: int, level: int) -> None:
+        """Set the level of a pin from outside."""
+        self._call("i", 0, bytes((ord(port), bit, level)))
+
+    def set_millivolts(self, channel: int, millivolts: int) -> None:
+        """Set the voltage of an analog channel; the supply is 5000 mV."""
+        self._call("v", channel, struct.pack("<H", millivolts))
 
     def read(self, address: int, length: int = 1) -> bytes:
         """Read data memory and input/output registers."""
@@ -107,16 +153,37 @@ class SimulatedAvr:
         stack, lost, off = _MEASURED.unpack_from(answer)
         rows = _FUNCTION.iter_unpack(answer[_MEASURED.size :])
         timings = [Timing(calls, total, longest) for _, calls, _, total, longest, _ in rows]
-        return Measured(RAM_END - stack, lost, off, dict(zip(self._timed, timings, strict=True)))
+        return Measured(self._ram_end - stack, lost, off, dict(zip(self._timed, timings, strict=True)))
 
     def _call(self, operation: str, argument: int = 0, data: bytes = b"") -> bytes:
         process = self._process
         assert process.stdin is not None and process.stdout is not None
         process.stdin.write(struct.pack("<BIH", ord(operation), argument, len(data)) + data)
         process.stdin.flush()
-        size = process.stdout.read(4)
-        assert len(size) == 4, "the simulator is dead"
-        return process.stdout.read(int.from_bytes(size, "little"))
+        while True:
+            head = process.stdout.read(4)
+            assert len(head) == 4, "the simulator is dead"
+            size = int.from_bytes(head, "little")
+            said = process.stdout.read(size & ~_QUESTION)
+            if not size & _QUESTION:
+                return said
+            reply = self._reply(said)
+            process.stdin.write(struct.pack("<H", len(reply)) + reply)
+            process.stdin.flush()
+
+    def _reply(self, question: bytes) -> bytes:
+        """Return what the parts outside say to a question of the program, see avr_host.c."""
+        assert self._parts is not None
+        cycle, told = int.from_bytes(question[1:9], "little"), question[9:]
+        match chr(question[0]):
+            case "L":
+                return self._parts.level_changed(cycle, chr(told[0]), told[1], told[2])
+            case "A":
+                read = self._parts.i2c_called(cycle, told[0], bool(told[1]))
+                return b"\0" if read is None else b"\1" + read
+            case _:
+                self._parts.i2c_written(cycle, told[0], told[1:])
+                return b""
 
 
 class AvrRig:
