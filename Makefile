@@ -5,13 +5,14 @@
 # make docs    the manual, out/manual/index.html; every link and the generated reference are checked
 # make bench   the tables of the manual (up to an hour)
 # make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
+# make firmware  the boards' programs anew, firmware_protocol/hex (avr-gcc)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint docs bench model train tools clean
+.PHONY: run test quick lint docs bench model train firmware tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -39,6 +40,9 @@ model: $(VENV)/edge.installed
 train: $(VENV)/dev.installed
 	$(BIN)/greenhouse-train all --out training/results/trained $(ARGS)
 	$(BIN)/greenhouse-train evaluate && $(BIN)/greenhouse-train bundle 1.2 --out training/results/trained --default
+
+firmware: tools
+	sh firmware_protocol/c/build.sh $(CURDIR)/firmware_protocol/hex
 
 $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)

@@ -72,16 +72,6 @@ def compile_for_avr(target: Path, *sources: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def host(tmp_path_factory):
-    """The simulator's program."""
-    target = tmp_path_factory.mktemp("host") / "avr_host"
-    flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror"]
-    command = ["gcc", *flags, str(HERE / "avr_host.c"), "-lsimavr", "-lelf", "-o", str(target)]
-    subprocess.run(command, check=True)
-    return target
-
-
-@pytest.fixture(scope="module")
 def program(tmp_path_factory):
     """The board's program with sensors that a test sets."""
     return compile_for_avr(tmp_path_factory.mktemp("avr") / "board.elf", HERE / "sensors.c")

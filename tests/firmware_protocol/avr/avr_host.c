@@ -46,6 +46,8 @@ DEFINE_FIFO(uint16_t, uart_fifo);
 #define UART_BITS 10u
 #define UART_PENDING_MAX 3u    /* two in the receiver's buffer, one in its shift register */
 #define EEPROM_WRITE_US 3400u
+#define TWCR 0xBC
+#define TWINT_BIT 0x80
 #define EECR 0x3F
 #define EEPE 0x02
 #define UBRR0L 0xC4
@@ -56,6 +58,7 @@ DEFINE_FIFO(uint16_t, uart_fifo);
 #define LEVELS_MAX 256u
 #define LEVEL_SIZE 7u
 #define I2C_BYTES_MAX 32u
+#define I2C_SLOWER 10u /* simavr counts a microsecond for a clock of 100 kHz */
 #define WATCHED_MAX 8u
 
 typedef struct {
@@ -74,6 +77,7 @@ static size_t line_length, line_sent, events_length, events_room;
 typedef struct {
     uint8_t direction, output; /* as last told */
     uint8_t watched;           /* bits that the parts outside want to know */
+    uint8_t outside, outside_levels; /* bits whose level a part outside gives */
 } port_state;
 
 typedef struct {
@@ -85,6 +89,7 @@ static port_state ports[PORTS];
 static planned_level levels[LEVELS_MAX];
 static size_t level_count;
 static struct {
+    avr_twi_t *unit;
     avr_irq_t *irq;
     uint8_t address; /* of the transfer under way, 0: none; the lowest bit is set for reading */
     uint8_t bytes[I2C_BYTES_MAX];
@@ -147,9 +152,17 @@ static void on_transmit(avr_irq_t *irq, uint32_t value, void *param)
     tell('T', (uint8_t)value);
 }
 
+/* A part outside is stronger than the pull-up of a pin, which simavr would else put through at each write to the port. */
 static void set_level(uint8_t port, uint8_t bit, uint8_t level)
 {
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit), level);
+    port_state *state = &ports[port - 'A'];
+    state->outside |= (uint8_t)(1 << bit);
+    state->outside_levels = (uint8_t)((state->outside_levels & ~(1 << bit)) | level << bit);
+    avr_ioport_external_t external = {.name = port, .mask = state->outside, .value = state->outside_levels};
+    avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &external);
+    if ((state->direction >> bit & 1) == 0) {
+        avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit), level);
+    }
 }
 
 static avr_cycle_count_t pass_levels(avr_t *mcu, avr_cycle_count_t when, void *param)
@@ -168,9 +181,7 @@ static avr_cycle_count_t pass_levels(avr_t *mcu, avr_cycle_count_t when, void *p
             return due.cycle;
         }
         levels[next] = levels[--level_count];
-        if ((ports[due.port - 'A'].direction >> due.bit & 1) == 0) {
-            set_level(due.port, due.bit, due.level);
-        }
+        set_level(due.port, due.bit, due.level);
     }
 }
 
@@ -226,11 +237,21 @@ static void on_direction(avr_irq_t *irq, uint32_t value, void *port)
     on_port((uint8_t)(uintptr_t)port, false, (uint8_t)value);
 }
 
+/* simavr leaves the flag set that a program clears by writing it. */
+static void on_i2c_control(avr_t *mcu, avr_io_addr_t address, uint8_t value, void *param)
+{
+    (void)address, (void)param;
+    if (value & TWINT_BIT) {
+        mcu->data[TWCR] &= (uint8_t)~TWINT_BIT;
+    }
+}
+
 static void on_i2c(avr_irq_t *irq, uint32_t value, void *param)
 {
     avr_twi_msg_irq_t message = {.u.v = value};
     uint8_t what = message.u.twi.msg, said[1 + I2C_BYTES_MAX];
     (void)irq, (void)param;
+    avr->frequency = FREQUENCY * I2C_SLOWER; /* until the end of this instruction */
     if ((what & (TWI_COND_STOP | TWI_COND_START)) != 0 && i2c.address != 0 && (i2c.address & 1) == 0) {
         uint8_t question[1 + I2C_BYTES_MAX] = {i2c.address >> 1};
         memcpy(question + 1, i2c.bytes, i2c.length);
@@ -242,6 +263,7 @@ static void on_i2c(avr_irq_t *irq, uint32_t value, void *param)
     if (what & TWI_COND_START) {
         const uint8_t question[] = {message.u.twi.addr >> 1, message.u.twi.addr & 1};
         uint16_t length = ask('A', question, sizeof question, said, sizeof said);
+        i2c.unit->state &= (uint8_t)~TWI_COND_WRITE; /* or simavr tells the status of a data byte */
         if (said[0] == 0) {
             return;
         }
@@ -369,6 +391,7 @@ static void run(uint32_t cycles)
     uint64_t end = avr->cycle + cycles;
     while (avr->cycle < end) {
         int state = avr_run(avr);
+        avr->frequency = FREQUENCY;
         measure();
         if (state == cpu_Crashed || state == cpu_Done) {
             tell('C', (uint8_t)state);
@@ -377,6 +400,17 @@ static void run(uint32_t cycles)
     }
     memcpy(events, &avr->cycle, 8);
     answer(events, (uint32_t)events_length);
+}
+
+/* The first unit of a kind: an avr_io_t with more behind it. */
+static void *unit_of(const char *kind)
+{
+    for (avr_io_t *io = avr->io_port; io != NULL; io = io->next) {
+        if (strcmp(io->kind, kind) == 0 && (strcmp(kind, "uart") != 0 || ((avr_uart_t *)io)->name == '0')) {
+            return io;
+        }
+    }
+    exit(3);
 }
 
 static void external_reset(void)
@@ -414,7 +448,7 @@ static void serve(uint8_t operation, uint32_t argument, uint8_t *bytes, uint16_t
         break;
     case 'v':
         memcpy(&wanted, bytes, sizeof wanted);
-        avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, (int)argument), wanted);
+        ((avr_adc_t *)unit_of("adc"))->adc_values[argument] = wanted; /* simavr has no input for 8 to 15 */
         break;
     case 'i':
         set_level(bytes[0], bytes[1], bytes[2]);
@@ -425,6 +459,7 @@ static void serve(uint8_t operation, uint32_t argument, uint8_t *bytes, uint16_t
         }
         break;
     case 't':
+        i2c.unit = unit_of("twi");
         i2c.irq = avr_io_getirq(avr, AVR_IOCTL_TWI_GETIRQ(0), 0);
         avr_irq_register_notify(i2c.irq + TWI_IRQ_OUTPUT, on_i2c, NULL);
         break;
@@ -440,16 +475,6 @@ static void serve(uint8_t operation, uint32_t argument, uint8_t *bytes, uint16_t
     }
     }
     answer("", 0);
-}
-
-static avr_uart_t *first_uart(void)
-{
-    for (avr_io_t *io = avr->io_port; io != NULL; io = io->next) {
-        if (strcmp(io->kind, "uart") == 0 && ((avr_uart_t *)io)->name == '0') {
-            return (avr_uart_t *)io;
-        }
-    }
-    exit(3);
 }
 
 static bool load(const char *path)
@@ -487,7 +512,7 @@ static void start(const char *microcontroller, const char *path)
     avr->vcc = avr->avcc = avr->aref = SUPPLY_MV;
     core_reset = avr->reset;
     avr->reset = on_reset;
-    uart = first_uart();
+    uart = unit_of("uart");
     uart->flags &= ~(uint32_t)(AVR_UART_FLAG_STDIO | AVR_UART_FLAG_POLL_SLEEP);
     avr_irq_register_notify(uart->io.irq + UART_IRQ_OUTPUT, on_transmit, NULL);
     for (uintptr_t port = 'A'; port < 'A' + PORTS; port++) {
@@ -498,6 +523,7 @@ static void start(const char *microcontroller, const char *path)
         }
     }
     avr_register_io_write(avr, EECR, on_eeprom, NULL);
+    avr_register_io_write(avr, TWCR, on_i2c_control, NULL);
     measured.lowest_stack = avr->ramend;
 }
 
