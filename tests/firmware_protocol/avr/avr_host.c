@@ -448,7 +448,7 @@ static void serve(uint8_t operation, uint32_t argument, uint8_t *bytes, uint16_t
         break;
     case 'v':
         memcpy(&wanted, bytes, sizeof wanted);
-        ((avr_adc_t *)unit_of("adc"))->adc_values[argument] = wanted; /* simavr has no input for 8 to 15 */
+        avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, (int)argument), wanted); /* 0 to 7: all that simavr has */
         break;
     case 'i':
         set_level(bytes[0], bytes[1], bytes[2]);
