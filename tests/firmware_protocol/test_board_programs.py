@@ -2,15 +2,27 @@
 
 import os
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from avr.sensor_parts import DRY, NOW, WET, WIRINGS, SensorParts, all_parts, configured, wire_up
+from avr.sensor_parts import BLOCK_AT, DRY, NOW, WET, WIRINGS, SensorParts, all_parts, configured, wire_up
 from avr.simulated_avr import FREQUENCY, AvrRig, SimulatedAvr
 
 import firmware_protocol
-from firmware_protocol.link import Report
-from firmware_protocol.messages import CommandMessage, Quality
+from firmware_protocol.board_block import Output, Part, PartConfig
+from firmware_protocol.frame import encode
+from firmware_protocol.link import LinkEcho, LinkUp, Report
+from firmware_protocol.messages import (
+    BlockCommit,
+    BlockWrite,
+    CommandMessage,
+    HelloRequest,
+    Ping,
+    Quality,
+    TripCause,
+    pack,
+)
 from firmware_protocol.virtual_board.c_core import SOURCES
 
 pytestmark = pytest.mark.slow
@@ -87,3 +99,193 @@ def test_every_signal_of_a_full_rig_is_reported_and_stays_good(board):
     reports = [event.report for event in board.seen(Report)[first:]]
     assert {getattr(one, name) for one in reports for name in QUALITIES} == {Quality.GOOD}
     assert board.parts.wire.wrong == [] and len(reports) == 12
+
+
+@pytest.fixture
+def dht22_board(host, wiring):
+    """A board whose only air sensor is a DHT22, beside a DS18B20 outside."""
+    outside = replace(all_parts(wiring)[2], serial=0)
+    yield from powered(host, wiring, (PartConfig(Part.DHT22, wiring.dht22[0]), outside))
+
+
+def test_a_dht22_and_a_lone_ds18b20_are_read(dht22_board):
+    dht22_board.parts.wire.parts.remove(dht22_board.parts.inside)
+    dht22_board.run(8.0)
+    report = dht22_board.report(4.0)
+    assert (report.temp_air_c, report.rel_humidity_pct, report.temp_ambient_c) == (25.1, 50.0, 18.0)
+    reports = [event.report for event in dht22_board.seen(Report)[-6:]]
+    assert {one.temp_air_quality for one in reports} == {Quality.GOOD}
+
+
+def test_a_dht22_that_falls_silent_turns_the_heater_off(dht22_board):
+    dht22_board.run(8.0)
+    dht22_board.ask(HEAT)
+    assert state(dht22_board).heater_steps == 20
+    dht22_board.parts.dht22.plugged = False
+    dht22_board.run(8.0)
+    assert state(dht22_board).heater_steps == 0
+    assert dht22_board.seen(Report)[-1].report.temp_air_quality is Quality.FAULT
+
+
+def state(board):
+    board.ask(Ping())
+    return board.seen(LinkEcho)[-1].state
+
+
+def levels_of(board, wiring) -> tuple[int, ...]:
+    """Level of each output that is driven, None for one that is not."""
+    return tuple(driven(board.avr, *place) for place in wiring.output_places)
+
+
+def driven(avr, port: str, bit: int) -> int | None:
+    first = 0x20 + 3 * (ord(port) - ord("A"))
+    direction, output = avr.read(first + 1, 2)
+    return output >> bit & 1 if direction >> bit & 1 else None
+
+
+@pytest.mark.parametrize("inverted", [frozenset(), frozenset(Output)], ids=["on high", "on low"])
+def test_every_output_is_driven_on_its_pin(host, wiring, inverted):
+    for board in powered(host, wiring, all_parts(wiring), inverted=inverted):
+        on = 0 if inverted else 1
+        board.run(3.0)
+        assert levels_of(board, wiring) == (1 - on, on, 1 - on, 1 - on)  # the fan, on its own
+        board.ask(replace(HEAT, valve_pulse_s=2.0))
+        board.run(1.2)  # a slot of the heater's relay
+        assert levels_of(board, wiring) == (on, on, on, on)
+        board.ask(replace(HEAT, heater_steps=0, fan_on=False, led_pct=0))
+        board.run(2.0)
+        assert levels_of(board, wiring) == (1 - on, 1 - on, 1 - on, on)
+
+
+FAULTS = {
+    "no sht": (lambda parts: parts.sht.unplug(), lambda parts: parts.sht.plug(), "rel_humidity_quality"),
+    "no scd4x": (lambda parts: parts.co2.unplug(), lambda parts: parts.co2.plug(), "co2_quality"),
+    "no bh1750": (lambda parts: parts.light.unplug(), lambda parts: parts.light.plug(), "light_quality"),
+    "sht with wrong CRCs": (
+        lambda parts: parts.sht.damages.extend([lambda data: data[:2] + b"\x5a" + data[3:]] * 60),
+        lambda parts: parts.sht.damages.clear(),
+        "rel_humidity_quality",
+    ),
+    "no ds18b20 outside": (
+        lambda parts: setattr(parts.outside, "plugged", False),
+        lambda parts: parts.outside.plug(),
+        "temp_ambient_quality",
+    ),
+    "no echo": (
+        lambda parts: setattr(parts.tank, "plugged", False),
+        lambda parts: setattr(parts.tank, "plugged", True),
+        "tank_level_quality",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_part_at_fault_is_told_the_others_stay_and_it_comes_back(board, fault):
+    begin, end, name = FAULTS[fault]
+    board.run(12.0)
+    begin(board.parts)
+    during = board.report(14.0)
+    assert getattr(during, name) is Quality.FAULT
+    others = set(QUALITIES) - {name}
+    assert {getattr(during, other) for other in others} == {Quality.GOOD}
+    end(board.parts)
+    assert getattr(board.report(16.0), name) is Quality.GOOD
+
+
+def test_a_probe_that_is_cut_off_is_a_fault(board):
+    board.run(4.0)
+    for millivolts in (0, 5000):
+        board.avr.set_millivolts(board.parts.wiring.channel, millivolts)
+        assert board.report(5.0).soil_moisture_quality is Quality.FAULT
+
+
+def test_a_wire_that_is_stuck_low_is_a_fault_and_recovers(board):
+    place = board.parts.wiring.wire[1:]
+    board.run(4.0)
+    board.parts.wire.is_stuck = True
+    board.avr.set_level(*place, 0)
+    during = board.report(6.0)
+    assert during.temp_ambient_quality is Quality.FAULT
+    assert during.temp_air_c == 25.0 and during.temp_air_quality is Quality.GOOD  # the SHT's alone
+    board.parts.wire.is_stuck = False
+    board.avr.set_level(*place, 1)
+    assert board.report(6.0).temp_ambient_quality is Quality.GOOD
+
+
+@pytest.mark.parametrize("clocks", [1, 9])
+def test_a_part_that_holds_the_i2c_bus_is_clocked_out(board, clocks):
+    board.run(12.0)
+    board.parts.clocks_until_free = clocks
+    board.avr.set_level(*board.parts.wiring.sda[1:], 0)
+    board.run(3.0)
+    assert board.parts.clocks_until_free is None
+    reports = [event.report for event in board.seen(Report)[-3:]]
+    assert {getattr(one, name) for one in reports for name in QUALITIES} == {Quality.GOOD}
+
+
+def test_an_i2c_bus_that_stays_stuck_is_a_fault_of_its_parts_alone(board):
+    board.run(12.0)
+    board.avr.set_level(*board.parts.wiring.sda[1:], 0)
+    report = board.report(14.0)
+    dead = {"rel_humidity_quality", "co2_quality", "light_quality"}
+    assert {getattr(report, name) for name in dead} == {Quality.FAULT}
+    assert {getattr(report, name) for name in set(QUALITIES) - dead} == {Quality.GOOD}
+    assert report.temp_air_c == 25.0  # of the DS18B20
+
+
+def test_of_two_air_sensors_the_warmer_counts_where_they_disagree_and_trips_the_board(board):
+    board.run(5.0)
+    board.parts.inside.sixteenths = 46 * 16
+    board.run(8.0)
+    assert board.seen(Report)[-1].report.temp_air_c == 46.0
+    assert state(board).trip_cause is TripCause.OVER_TEMPERATURE
+
+
+def test_the_line_loses_no_byte_while_every_sensor_is_read(board):
+    board.run(4.0)
+    frames = b"".join(encode(pack(HEAT, seq)) for seq in range(1, 256))
+    sent = 0
+    while sent < 115_200 / 10 * 8.0:  # 8 s of a full line
+        board.avr.run(len(frames) / 11.52, frames)
+        sent += len(frames)
+    assert board.avr.measured().lost_bytes == 0
+    board.run(6.0)
+    assert {getattr(board.seen(Report)[-1].report, name) for name in QUALITIES} == {Quality.GOOD}
+
+
+def test_flash_memory_and_times_are_within_their_limits(host, wiring, built, capsys):
+    name = "mega2560" if wiring is WIRINGS["mega2560"] else "uno"
+    program = next(built.glob(f"{name}-*.elf"))
+    rows = subprocess.run(["avr-size", str(program)], check=True, capture_output=True, text=True)
+    text, data, bss = map(int, rows.stdout.splitlines()[1].split()[:3])
+    # The worst that the program does: all parts, a full line, a configuration that is written and committed.
+    for board in powered(host, wiring, all_parts(wiring), program):
+        for function in ("gh_sensors_step", "gh_board_step", "gh_board_receive"):
+            board.avr.time_function(function)
+        board.run(12.0)
+        for _ in range(20):
+            board.avr.run(
+                10, bytes(range(1, 56)) + b"\0" + encode(pack(HEAT, 3)) + encode(pack(HelloRequest(3), 4))
+            )
+        board.run(3.0)
+        board.ask(replace(HEAT, heater_steps=0))
+        write_block(board, configured(wiring, all_parts(wiring), report_period_ms=2000)[BLOCK_AT:])
+        board.ask(BlockCommit())
+        board.run(2.0)
+        measured = board.avr.measured()
+        assert board.seen(LinkUp)[-1].hello.report_period_s == 2.0
+    with capsys.disabled():
+        print(f"\n{name}: flash {text + data}, static RAM {data + bss}, stack {measured.stack_bytes} bytes")
+        print(f"interrupts off at most {measured.longest_without_interrupts} cycles")
+        for function, timing in measured.functions.items():
+            print(f"{function:18} mean {timing.mean:6.0f}, longest {timing.longest:6} cycles")
+    assert text + data <= FLASH_MAX
+    assert data + bss + measured.stack_bytes <= RAM_MAX
+    assert measured.longest_without_interrupts <= INTERRUPTS_OFF_MAX
+    assert measured.functions["gh_sensors_step"].longest <= STEP_MAX
+
+
+def write_block(board, block: bytes) -> None:
+    for part in range(len(block) // 16):
+        low, high = (int.from_bytes(block[part * 16 + at :][:8], "little") for at in (0, 8))
+        board.ask(BlockWrite(part, low, high))

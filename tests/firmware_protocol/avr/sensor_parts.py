@@ -147,7 +147,8 @@ class SensorParts:
         if level != LOW or not self.trigger_us:
             return b""
         shots = len(self.tank.shots_us)
-        self.tank.pulsed(TRIGGER, int(now_us - self.trigger_us), now_us)
+        length_us, self.trigger_us = int(now_us - self.trigger_us), 0.0
+        self.tank.pulsed(TRIGGER, length_us, now_us)
         if len(self.tank.shots_us) == shots:
             return b""
         [(start, end)] = self.tank.planned
