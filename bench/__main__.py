@@ -45,6 +45,7 @@ BENCHES = {
     "rollout": Bench(("--seconds", "0.3")),
     "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
     "real_truth": Bench(("--only", "energy balance")),
+    "board_fuzz": Bench(("--bytes", "3e6")),
     "house": Bench(()),
     "unchanged": Bench(("--only", "golden vectors"), keeps_its_table=True),
 }  # fmt: skip
