@@ -6,13 +6,14 @@
 # make bench   the tables of the manual (up to an hour)
 # make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
 # make firmware  the boards' programs anew, firmware_protocol/hex (avr-gcc)
+# make board-programs  every scenario, and two hours, on the boards' programs in simavr (an hour)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint docs bench model train firmware tools clean
+.PHONY: run test quick lint docs bench model train firmware board-programs tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -43,6 +44,9 @@ train: $(VENV)/dev.installed
 
 firmware: tools
 	sh firmware_protocol/c/build.sh $(CURDIR)/firmware_protocol/hex
+
+board-programs: $(VENV)/dev.installed tools
+	BOARD_PROGRAMS=all $(BIN)/python -m pytest -n 2 tests/hardware_in_the_loop/test_scenarios.py $(ARGS)
 
 $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)

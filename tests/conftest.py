@@ -4,6 +4,7 @@ The files that take longest begin first, so that no worker ends with one while t
 """
 
 import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -23,3 +24,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Stable: within a file, and among the others, the order stays."""
     place = {name: number for number, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: place.get(Path(item.path).stem, len(place)))
+
+
+@pytest.fixture(scope="session")
+def avr_host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program that runs a board's program in simavr."""
+    target = tmp_path_factory.mktemp("avr") / "avr_host"
+    flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror"]
+    source = Path(__file__).parent / "firmware_protocol" / "avr" / "avr_host.c"
+    subprocess.run(["gcc", *flags, str(source), "-lsimavr", "-lelf", "-o", str(target)], check=True)
+    return target

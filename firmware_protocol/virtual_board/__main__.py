@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import importlib
 import signal
 import socket
 import sys
@@ -69,7 +70,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m firmware_protocol.virtual_board", description=__doc__)
     parser.add_argument("--link", type=Path, required=True, help="symlink to make to the serial port")
     parser.add_argument("--control", type=Path, required=True, help="Unix socket to listen on")
-    parser.add_argument("--core", choices=("python", "c"), default="python", help="c needs a compiler")
+    parser.add_argument(
+        "--core",
+        default="python",
+        help="python; c, which needs a compiler; or MODULE:FUNCTION of another one",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the chamber and of the faults")
     parser.add_argument("--real-time", action="store_true", help="else time moves only when told")
     parser.add_argument("--faults", type=Path, help="YAML list of faults")
@@ -98,10 +103,16 @@ def _parts(options: argparse.Namespace, option: str) -> Capability:
 
 
 def _boot(core: str, config: BoardConfig) -> Boot:
+    module, _, function = core.partition(":")
+    if function:
+        made: Boot = getattr(importlib.import_module(module), function)(config)
+        return made
     if core == "c":
         from firmware_protocol.virtual_board.c_core import CBoardCore as BoardCore
-    else:
+    elif core == "python":
         from firmware_protocol.virtual_board.core import BoardCore  # type: ignore[assignment]
+    else:
+        raise ValueError(f"--core {core}: neither python nor c nor MODULE:FUNCTION")
 
     def boot(persistent: bytes, cause: ResetCause, boot_count: int) -> Core:
         return BoardCore(config, persistent, cause, boot_count)

@@ -78,8 +78,8 @@ def program(tmp_path_factory):
 
 
 @pytest.fixture
-def avr(host, program):
-    with SimulatedAvr(host, program, CONFIGURED) as simulated:
+def avr(avr_host, program):
+    with SimulatedAvr(avr_host, program, CONFIGURED) as simulated:
         yield simulated
 
 
@@ -141,8 +141,8 @@ def test_the_pins_are_safe_before_they_are_outputs_and_before_the_first_byte(avr
     [b"\xff" * 4096, CONFIGURED[:40] + b"\0" + CONFIGURED[41:], CONFIGURED[:16] + bytes(144)],
     ids=["blank", "damaged", "all zero"],
 )
-def test_without_a_configuration_no_pin_is_driven(host, program, eeprom):
-    with SimulatedAvr(host, program, eeprom) as plain:
+def test_without_a_configuration_no_pin_is_driven(avr_host, program, eeprom):
+    with SimulatedAvr(avr_host, program, eeprom) as plain:
         rig = AvrRig(plain)
         rig.run(2.2)
         rig.ask(replace(HEAT, led_pct=0, cutoff_open=False))
@@ -197,7 +197,9 @@ def test_a_sensor_that_is_never_read_again_turns_the_heater_off_in_three_seconds
     assert pins[-1][1] == FAN
 
 
-def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_cleared(host, program, avr):
+def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_cleared(
+    avr_host, program, avr
+):
     rig = heating(avr)
     rig.sense(46.0)
     rig.run(2.1)
@@ -207,7 +209,7 @@ def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_
     rig.run(0.5)
     assert rig.seen(BoardReset)[-1].hello.reset_cause is ResetCause.EXTERNAL
     assert state(rig).trip_cause is TripCause.OVER_TEMPERATURE
-    with SimulatedAvr(host, program, avr.eeprom()) as again:
+    with SimulatedAvr(avr_host, program, avr.eeprom()) as again:
         rig = sampled(again)
         assert rig.seen(BoardReset)[0].hello.boot_count == 2
         rig.sense(46.0)
@@ -221,7 +223,7 @@ def test_over_temperature_latches_through_resets_and_power_failures_until_it_is_
         assert not rig.seen(LinkEcho)[-1].state.tripped and rig.port() == FAN
         rig.run(0.1)
         cleared = again.eeprom()
-    with SimulatedAvr(host, program, cleared) as cold:
+    with SimulatedAvr(avr_host, program, cleared) as cold:
         assert not state(greeted(cold)).tripped
 
 
@@ -250,7 +252,7 @@ def test_a_stop_opens_everything_at_once_the_fan_too(avr, stop, release, cause):
 
 
 @pytest.mark.parametrize(("stop", "cause"), [(stop, cause) for stop, _, cause in STOPS])
-def test_no_pin_moves_in_a_reset_or_a_power_failure_while_stopped(host, program, avr, stop, cause):
+def test_no_pin_moves_in_a_reset_or_a_power_failure_while_stopped(avr_host, program, avr, stop, cause):
     rig = heating(avr)
     rig.ask(stop)
     rig.run(0.1)  # the store is written
@@ -260,7 +262,7 @@ def test_no_pin_moves_in_a_reset_or_a_power_failure_while_stopped(host, program,
     assert rig.seen(BoardReset)
     assert not any(kind == "P" and value for kind, value in on_outputs(rig.trace))
     assert state(rig).trip_cause is cause
-    with SimulatedAvr(host, program, avr.eeprom()) as again:
+    with SimulatedAvr(avr_host, program, avr.eeprom()) as again:
         trace = again.run(500)
         assert any(event.kind == "D" for event in trace)
         assert not any(kind == "P" and value for kind, value in on_outputs(trace))
@@ -268,7 +270,7 @@ def test_no_pin_moves_in_a_reset_or_a_power_failure_while_stopped(host, program,
 
 @pytest.mark.parametrize("bytes_written", [1, 2, 3])
 def test_power_that_fails_while_a_trip_is_stored_never_leaves_a_board_that_heats(
-    host, program, avr, bytes_written
+    avr_host, program, avr, bytes_written
 ):
     rig = greeted(avr)
     rig.run(0.1)
@@ -276,7 +278,7 @@ def test_power_that_fails_while_a_trip_is_stored_never_leaves_a_board_that_heats
     trace = avr.run(1, rig.link.outgoing())
     while sum(event.kind == "E" for event in trace) < bytes_written:
         trace += avr.run(0.5)
-    with SimulatedAvr(host, program, avr.eeprom()) as again:
+    with SimulatedAvr(avr_host, program, avr.eeprom()) as again:
         whole = bytes_written == 3  # cause and CRC
         expected = TripCause.EMERGENCY_STOP if whole else TripCause.STORAGE_DAMAGED
         assert state(greeted(again)).trip_cause is expected
@@ -428,7 +430,7 @@ def test_a_new_configuration_is_in_force_after_its_commit_and_the_old_one_until_
     assert rig.seen(BoardReset)[-1].hello.board_id == 1
 
 
-def test_power_that_fails_during_the_commit_leaves_the_old_or_the_new_configuration(host, program, avr):
+def test_power_that_fails_during_the_commit_leaves_the_old_or_the_new_configuration(avr_host, program, avr):
     rig = greeted(avr)
     written(rig, MOVED)
     rig.link.request(BlockCommit(), avr.now)
@@ -436,7 +438,7 @@ def test_power_that_fails_during_the_commit_leaves_the_old_or_the_new_configurat
     trace = avr.run(0.2, rig.link.outgoing())
     for _ in range(100):
         trace += avr.run(0.2)
-        with SimulatedAvr(host, program, avr.eeprom()) as again:
+        with SimulatedAvr(avr_host, program, avr.eeprom()) as again:
             found.add(greeted(again).seen(LinkUp)[0].hello.board_id)
         if len(found) == 2:
             return

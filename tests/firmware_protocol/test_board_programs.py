@@ -66,17 +66,17 @@ def wiring(request):
 
 
 @pytest.fixture
-def board(host, wiring):
+def board(avr_host, wiring):
     """A board with all parts but the DHT22."""
-    yield from powered(host, wiring, all_parts(wiring))
+    yield from powered(avr_host, wiring, all_parts(wiring))
 
 
-def powered(host, wiring, config_parts, program: Path | None = None, **values):
+def powered(avr_host, wiring, config_parts, program: Path | None = None, **values):
     name = "mega2560" if wiring is WIRINGS["mega2560"] else "uno"
     program = program or next(HEX.glob(f"{name}-*.hex"))
     parts = SensorParts(wiring)
     eeprom = configured(wiring, config_parts, **values)
-    with SimulatedAvr(host, program, eeprom, wiring.microcontroller, parts) as avr:
+    with SimulatedAvr(avr_host, program, eeprom, wiring.microcontroller, parts) as avr:
         yield BoardWithSensors(avr, parts)
 
 
@@ -102,10 +102,10 @@ def test_every_signal_of_a_full_rig_is_reported_and_stays_good(board):
 
 
 @pytest.fixture
-def dht22_board(host, wiring):
+def dht22_board(avr_host, wiring):
     """A board whose only air sensor is a DHT22, beside a DS18B20 outside."""
     outside = replace(all_parts(wiring)[2], serial=0)
-    yield from powered(host, wiring, (PartConfig(Part.DHT22, wiring.dht22[0]), outside))
+    yield from powered(avr_host, wiring, (PartConfig(Part.DHT22, wiring.dht22[0]), outside))
 
 
 def test_a_dht22_and_a_lone_ds18b20_are_read(dht22_board):
@@ -144,8 +144,8 @@ def driven(avr, port: str, bit: int) -> int | None:
 
 
 @pytest.mark.parametrize("inverted", [frozenset(), frozenset(Output)], ids=["on high", "on low"])
-def test_every_output_is_driven_on_its_pin(host, wiring, inverted):
-    for board in powered(host, wiring, all_parts(wiring), inverted=inverted):
+def test_every_output_is_driven_on_its_pin(avr_host, wiring, inverted):
+    for board in powered(avr_host, wiring, all_parts(wiring), inverted=inverted):
         on = 0 if inverted else 1
         board.run(3.0)
         assert levels_of(board, wiring) == (1 - on, on, 1 - on, 1 - on)  # the fan, on its own
@@ -253,13 +253,13 @@ def test_the_line_loses_no_byte_while_every_sensor_is_read(board):
     assert {getattr(board.seen(Report)[-1].report, name) for name in QUALITIES} == {Quality.GOOD}
 
 
-def test_flash_memory_and_times_are_within_their_limits(host, wiring, built, capsys):
+def test_flash_memory_and_times_are_within_their_limits(avr_host, wiring, built, capsys):
     name = "mega2560" if wiring is WIRINGS["mega2560"] else "uno"
     program = next(built.glob(f"{name}-*.elf"))
     rows = subprocess.run(["avr-size", str(program)], check=True, capture_output=True, text=True)
     text, data, bss = map(int, rows.stdout.splitlines()[1].split()[:3])
     # The worst that the program does: all parts, a full line, a configuration that is written and committed.
-    for board in powered(host, wiring, all_parts(wiring), program):
+    for board in powered(avr_host, wiring, all_parts(wiring), program):
         for function in ("gh_sensors_step", "gh_board_step", "gh_board_receive"):
             board.avr.time_function(function)
         board.run(12.0)

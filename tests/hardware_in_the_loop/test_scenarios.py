@@ -1,4 +1,11 @@
-"""Every fault of the line, the board and the sensors: heater off in time, told, and control recovers."""
+"""Every fault of the line, the board and the sensors: heater off in time, told, and control recovers.
+
+On the board's core in Python and in C, and for some on the program that is flashed, in simavr with simulated
+sensors. `make board-programs` runs every scenario, and two hours, on both boards' programs.
+"""
+
+import os
+from pathlib import Path
 
 import pytest
 from run import ScenarioRun, run
@@ -8,18 +15,38 @@ PULSE_STEP_S = 0.1  # the board looks at its valve this often
 HEAT_BEGINS_S = 5.0  # ticks begin 1 s after the start
 
 
-@pytest.mark.parametrize("core", ["python", "c"])
-@pytest.mark.parametrize("name", names())
-def test_scenario(tmp_path, name, core):
+FIRMWARE_TESTS = Path(__file__).parents[1] / "firmware_protocol"
+PROGRAMS = {"uno": "avr.avr_core:uno", "mega2560": "avr.avr_core:mega2560"}
+ON_PROGRAMS = {"sensor_without_a_number": ("uno",), "reset": ("mega2560",)}
+# The simulated microcontroller's own clock cannot be made to drift or wrap, and it speaks one version.
+NOT_ON_PROGRAMS = {"clock_drifts", "clock_wraps", "other_protocol"}
+LONG = "two_hours"
+
+
+def cases() -> list[tuple[str, str]]:
+    """Pairs of a scenario and a core."""
+    if os.environ.get("BOARD_PROGRAMS") == "all":
+        return [(name, board) for name in names() if name not in NOT_ON_PROGRAMS for board in PROGRAMS]
+    short = [name for name in names() if name != LONG]
+    return [(name, core) for name in short for core in ("python", "c", *ON_PROGRAMS.get(name, ()))]
+
+
+@pytest.mark.parametrize(("name", "core"), cases())
+def test_scenario(tmp_path, name, core, request, monkeypatch):
+    if core in PROGRAMS:
+        monkeypatch.setenv("AVR_HOST", str(request.getfixturevalue("avr_host")))
+        monkeypatch.setenv(
+            "PYTHONPATH", os.pathsep.join((str(FIRMWARE_TESTS), os.environ.get("PYTHONPATH", "")))
+        )
     scenario = read(FOLDER / f"{name}.yaml")
     result = run(
         tmp_path,
         scenario.end_s,
-        core=core,
+        core=PROGRAMS.get(core, core),
         faults=scenario.faults,
         orders=scenario.given(),
         settings=scenario.settings,
-        board=scenario.board,
+        board=(*scenario.board, *(("--with", "heater_cutoff") if core in PROGRAMS else ())),
         chamber=scenario.chamber,
     )
     check_heat(result, scenario)
