@@ -26,7 +26,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "fit-arx": "fit an ARX model to recorded runs",
     "data": "look at logs of another box, convert them to run files",
     "twin": "the physics model: new, simulate, find what it lacks, adopt",
-    "board": "check a board.yaml, draw its wiring",
+    "board": "flash and configure a board, look at it, draw its wiring",
     "bundle": "install, activate or roll back signed bundles of models",
     "forget-discovery": "remove a rig from Home Assistant and the broker",
 }

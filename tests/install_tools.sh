@@ -8,11 +8,13 @@ need() { command -v "$1" >/dev/null 2>&1 || missing="$missing $2"; }
 need mosquitto mosquitto
 need gcc gcc
 need avr-gcc gcc-avr
+need avrdude avrdude
 need openssl openssl
 need strace strace
 need systemd-analyze systemd
 need shellcheck shellcheck
 [ -e /usr/lib/avr/include/avr/io.h ] || missing="$missing avr-libc"
+[ -e /usr/share/arduino/hardware/arduino/avr/bootloaders ] || missing="$missing arduino-core-avr"
 [ -e /usr/include/simavr/sim_avr.h ] || missing="$missing libsimavr-dev"
 [ -e /usr/include/libelf.h ] || missing="$missing libelf-dev"
 [ -n "$missing" ] || exit 0

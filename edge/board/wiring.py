@@ -94,13 +94,16 @@ def _wires(part: PartConfig, kind: BoardKind) -> Iterator[Connection]:
     yield Connection(own, terminal, name, "signal", note)
 
 
-def wiring_table(block: BoardBlock) -> Table:
+def wiring_table(block: BoardBlock, with_notes: bool = True) -> Table:
     """Return a row for each wire."""
     rows = tuple((one.pin, one.terminal, one.part, one.note) for one in connections(block))
-    return Table(
-        f"{NAMES[block.kind]}, id {block.board_id}", ("pin", "to", "part", "mind"), rows,
-        "Every part also needs supply (5V, or as its own sheet says) and GND.", words=True,
-    )  # fmt: skip
+    heads, note = (
+        ("pin", "to", "part", "mind"),
+        "Every part also needs supply (5V, or as its own sheet says) and GND.",
+    )
+    if not with_notes:
+        rows, heads, note = tuple(row[:3] for row in rows), heads[:3], ""
+    return Table(f"{NAMES[block.kind]}, id {block.board_id}", heads, rows, note, words=True)
 
 
 def wiring_svg(block: BoardBlock) -> str:

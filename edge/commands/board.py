@@ -1,36 +1,70 @@
-"""`greenhouse board check FILE`, `greenhouse board wiring FILE --out PICTURE`: a board.yaml and its wires."""
+"""`greenhouse board`: check and draw a board.yaml; look at a board, configure it, flash it."""
 
 import argparse
 from pathlib import Path
 
-from edge.board.board_file import read_board_file
+from edge.board.board_file import BOARDS, read_board_file
+from edge.board.board_session import BAUDRATE, BoardSession
+from edge.board.board_tool import configuration, configure, flash, show
 from edge.board.wiring import wiring_svg, wiring_table
 from edge.commands.arguments import writing
+from edge.config.settings import BoardSettings
+
+HELPS = {
+    "check": "read a board.yaml and print every wire that it means",
+    "wiring": "draw the wires of a board.yaml as an SVG picture",
+    "show": "print a board's program, configuration, wires and present values",
+    "configure": "write a board.yaml into a board over its line; refused while the heater is driven",
+    "flash": "write this version's program into an Arduino by avrdude",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    helps = {
-        "check": "read a board.yaml and print every wire that it means",
-        "wiring": "draw the wires of a board.yaml as an SVG picture",
+    subs = {
+        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        for name, text in HELPS.items()
     }
-    check, wiring = (
-        actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        for name, text in helps.items()
+    for name in ("check", "wiring", "configure"):
+        subs[name].add_argument("file", type=Path, metavar="FILE", help="the board.yaml")
+    subs["wiring"].add_argument(
+        "--out", type=Path, required=True, metavar="PICTURE", help="where the SVG is written"
     )
-    for sub in (check, wiring):
-        sub.add_argument("file", type=Path, metavar="FILE", help="the board.yaml")
-    wiring.add_argument("--out", type=Path, required=True, metavar="PICTURE", help="where the SVG is written")
+    subs["show"].add_argument("--wiring", type=Path, metavar="PICTURE", help="draw its wires as an SVG too")
+    for name in ("show", "configure", "flash"):
+        subs[name].add_argument(
+            "--port", default=BoardSettings().port, help="serial port (default: %(default)s)"
+        )
+    subs["flash"].add_argument("--board", required=True, choices=BOARDS, help="the microcontroller's board")
+    subs["flash"].add_argument(
+        "--baudrate", type=int, default=BAUDRATE, help="of the bootloader; 57600 for an old Nano"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return its exit code. Errors: DataError for a wrong file, RequestError"""
-    block = read_board_file(arguments.file)
-    if arguments.action == "check":
-        print("\n".join(wiring_table(block).text()), end="")
-        return 0
-    with writing(arguments.out):
-        arguments.out.write_text(wiring_svg(block), encoding="utf-8")
-    print(f"{arguments.out}: the wires of {arguments.file}")
+    match arguments.action:
+        case "check":
+            print("\n".join(wiring_table(read_board_file(arguments.file)).text()), end="")
+        case "wiring":
+            _draw(wiring_svg(read_board_file(arguments.file)), arguments.out)
+        case "show":
+            with BoardSession(arguments.port) as session:
+                print("\n".join(show(session)))
+                if arguments.wiring is not None:
+                    _draw(wiring_svg(configuration(session)), arguments.wiring)
+        case "configure":
+            block = read_board_file(arguments.file)
+            with BoardSession(arguments.port) as session:
+                print("\n".join(configure(session, block)))
+        case _:
+            for line in flash(arguments.board, arguments.port, arguments.baudrate):
+                print(line, flush=True)
     return 0
+
+
+def _draw(picture: str, out: Path) -> None:
+    with writing(out):
+        out.write_text(picture, encoding="utf-8")
+    print(f"{out}: the wires")

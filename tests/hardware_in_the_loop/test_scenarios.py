@@ -31,6 +31,7 @@ def cases() -> list[tuple[str, str]]:
     return [(name, core) for name in short for core in ("python", "c", *ON_PROGRAMS.get(name, ()))]
 
 
+@pytest.mark.timeout(7200 if os.environ.get("BOARD_PROGRAMS") else 600)
 @pytest.mark.parametrize(("name", "core"), cases())
 def test_scenario(tmp_path, name, core, request, monkeypatch):
     if core in PROGRAMS:

@@ -1,6 +1,8 @@
 /* Runs the board's program in simavr; a test holds the other end of its line, and its clock.
  *
- *   avr_host MICROCONTROLLER board.elf|board.hex
+ *   avr_host MICROCONTROLLER board.elf|flash.bin [RESET_ADDRESS]
+ *
+ * An address is that of a bootloader, where the fuses of an Arduino let every reset begin.
  *
  * Request on stdin: operation u8, argument u32, length u16, that many bytes. Answer on stdout: length u32, bytes.
  *   a  run `argument` cycles; the bytes go onto the line from now on
@@ -37,7 +39,6 @@
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
-#include <simavr/sim_hex.h>
 
 DEFINE_FIFO(uint16_t, uart_fifo);
 
@@ -480,25 +481,22 @@ static void serve(uint8_t operation, uint32_t argument, uint8_t *bytes, uint16_t
 static bool load(const char *path)
 {
     elf_firmware_t firmware = {0};
-    ihex_chunk_t *chunks = NULL;
-    if (strcmp(path + strlen(path) - 4, ".hex") != 0) {
-        if (elf_read_firmware(path, &firmware) != 0) {
-            return false;
-        }
-        firmware.eeprom = NULL; /* flashing a program leaves the EEPROM alone */
-        firmware.eesize = 0;
-        avr_load_firmware(avr, &firmware);
-        return true;
+    if (strcmp(path + strlen(path) - 4, ".bin") == 0) {
+        FILE *image = fopen(path, "rb");
+        size_t size = image == NULL ? 0 : fread(avr->flash, 1, avr->flashend + 1u, image);
+        avr->codeend = avr->flashend;
+        return size > 0 && fclose(image) == 0;
     }
-    int count = read_ihex_chunks(path, &chunks);
-    for (int i = 0; i < count; i++) {
-        avr_loadcode(avr, chunks[i].data, chunks[i].size, chunks[i].baseaddr);
-        avr->codeend = chunks[i].baseaddr + chunks[i].size;
+    if (elf_read_firmware(path, &firmware) != 0) {
+        return false;
     }
-    return count > 0;
+    firmware.eeprom = NULL; /* flashing a program leaves the EEPROM alone */
+    firmware.eesize = 0;
+    avr_load_firmware(avr, &firmware);
+    return true;
 }
 
-static void start(const char *microcontroller, const char *path)
+static void start(const char *microcontroller, const char *path, uint32_t reset_address)
 {
     avr = avr_make_mcu_by_name(microcontroller);
     if (avr == NULL) {
@@ -508,6 +506,7 @@ static void start(const char *microcontroller, const char *path)
     if (!load(path)) {
         exit(2);
     }
+    avr->reset_pc = avr->pc = reset_address;
     avr->frequency = FREQUENCY;
     avr->vcc = avr->avcc = avr->aref = SUPPLY_MV;
     core_reset = avr->reset;
@@ -525,18 +524,20 @@ static void start(const char *microcontroller, const char *path)
     avr_register_io_write(avr, EECR, on_eeprom, NULL);
     avr_register_io_write(avr, TWCR, on_i2c_control, NULL);
     measured.lowest_stack = avr->ramend;
+    events_room = 1024;
+    events = malloc(events_room);
 }
 
 int main(int argc, char **argv)
 {
     static uint8_t bytes[UINT16_MAX];
     uint8_t head[7];
-    if (argc != 3) {
+    if (argc != 3 && argc != 4) {
         return 2;
     }
     answers = fdopen(dup(STDOUT_FILENO), "wb");
     dup2(STDERR_FILENO, STDOUT_FILENO); /* simavr talks */
-    start(argv[1], argv[2]);
+    start(argv[1], argv[2], argc == 4 ? (uint32_t)strtoul(argv[3], NULL, 0) : 0);
     while (fread(head, sizeof head, 1, stdin) == 1) {
         uint32_t argument;
         uint16_t length;

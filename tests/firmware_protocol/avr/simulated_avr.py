@@ -2,6 +2,8 @@
 
 import struct
 import subprocess
+import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -12,6 +14,7 @@ from firmware_protocol.messages import Message
 FREQUENCY = 16_000_000
 MEGA2560, UNO = "atmega2560", "atmega328p"
 RAM_END = {MEGA2560: 0x21FF, UNO: 0x08FF}
+FLASH = {MEGA2560: 262_144, UNO: 32_768}
 PORTA, OCR4A, TCCR4A = 0x22, 0xA8, 0xA0
 COM4A1 = 0x80
 HEATER, FAN, VALVE, SUPPLY = 1, 2, 4, 8
@@ -59,7 +62,7 @@ class Measured:
 
 
 class PartsOutside(Protocol):
-    """What hangs on the microcontroller's pins. Times are its cycles since the power came."""
+    """Parts on the pins of the microcontroller. Times are its cycles since the power came."""
 
     def level_changed(self, cycle: int, port: str, bit: int, level: int) -> bytes:
         """Take what it does to a watched pin: LOW, HIGH, RELEASED. Returns : levels to come"""
@@ -81,10 +84,18 @@ class SimulatedAvr:
         eeprom: bytes | None = None,
         microcontroller: str = MEGA2560,
         parts: PartsOutside | None = None,
+        bootloader: Path | None = None,
     ) -> None:
-        command, pipe = [str(host), microcontroller, str(program)], subprocess.PIPE
+        is_hex = program.suffix == ".hex"
+        self._folder = tempfile.TemporaryDirectory(prefix="avr-")
+        reset_address = 0
+        if is_hex:
+            image = Path(self._folder.name) / "flash.bin"
+            reset_address = write_image(image, FLASH[microcontroller], program, bootloader)
+            program = image
+        command, pipe = [str(host), microcontroller, str(program), str(reset_address)], subprocess.PIPE
         self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
-        self._symbols = {} if program.suffix == ".hex" else _symbols(program)
+        self._symbols = {} if is_hex else _symbols(program)
         self._ram_end = RAM_END[microcontroller]
         self._parts = parts
         self._timed: list[str] = []
@@ -99,6 +110,7 @@ class SimulatedAvr:
         """The power fails."""
         self._process.kill()
         self._process.communicate()
+        self._folder.cleanup()
 
     @property
     def now(self) -> float:
@@ -249,3 +261,28 @@ def _symbols(program: Path) -> dict[str, int]:
     listed = subprocess.run(["avr-nm", str(program)], check=True, capture_output=True, text=True).stdout
     rows = (line.split() for line in listed.splitlines())
     return {row[2]: int(row[0], 16) for row in rows if len(row) == 3}
+
+
+def write_image(image: Path, size: int, program: Path, bootloader: Path | None) -> int:
+    """Write the flash with these files in Intel hex; return where a reset begins."""
+    flash = bytearray(b"\xff" * size)
+    first = 0
+    for path in filter(None, (program, bootloader)):
+        pieces = list(hex_pieces(path.read_text()))
+        for address, data in pieces:
+            flash[address : address + len(data)] = data
+        first = pieces[0][0] if path is bootloader else 0
+    image.write_bytes(flash)
+    return first
+
+
+def hex_pieces(text: str) -> Iterator[tuple[int, bytes]]:
+    """Address and bytes of each record of data."""
+    segment = 0
+    for line in text.split():
+        length, address_high, address_low, kind, *rest = bytes.fromhex(line[1:])
+        data = bytes(rest[:length])
+        if kind == 0:
+            yield segment + (address_high << 8 | address_low), data
+        elif kind in (2, 4):
+            segment = int.from_bytes(data, "big") << (4 if kind == 2 else 16)
