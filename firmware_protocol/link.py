@@ -61,7 +61,10 @@ __all__ = [
     "VersionRefused",
 ]  # fmt: skip
 
-GREET_S = 1.0  # between two greetings
+GREET_S = 1.0  # between two greetings of a board that is heard
+# Of one that is not: an Arduino resets when its port is opened, and a Mega's bootloader starts the program only
+# after 6 s without a byte.
+GREET_SILENT_S = 12.0
 GREET_REFUSED_S = 10.0  # the same after a board said that it speaks other versions
 RETRY_S = 0.25
 SENDS = 5  # of one request, the first included
@@ -92,6 +95,7 @@ class Link:
         self._seq = 0
         self._greeting_seq = 0  # 0: none sent in this session
         self._greet_at = now
+        self._greeted_at = now
         self._heard_at = now
         self._silence_s = SILENCE_S
         self._under_way: _UnderWay | None = None
@@ -138,6 +142,8 @@ class Link:
         nonsense_before = self._decoder.nonsense
         for payload in self._decoder.feed(data):
             self._counts["frames"] += 1
+            if self.state == "down":
+                self._greet_at = min(self._greet_at, self._greeted_at + GREET_S)
             if payload == self._last_payload:
                 self._counts["duplicates"] += 1
                 continue
@@ -306,7 +312,8 @@ class Link:
             self._greeting_seq = self._next_seq()
         frame = encode(pack(HelloRequest(self._session), self._greeting_seq))
         self._outgoing = b"\0" + frame  # ends whatever noise left in the board's decoder
-        self._greet_at = now + (GREET_REFUSED_S if self.state == "refused" else GREET_S)
+        self._greeted_at = now
+        self._greet_at = now + (GREET_REFUSED_S if self.state == "refused" else GREET_SILENT_S)
 
     def _send(self, message: Message, now: float) -> None:
         seq = self._next_seq()

@@ -39,9 +39,9 @@ from firmware_protocol.messages import (
 )
 
 BAUDRATE = 115_200
-GREETED_S = 8.0  # an Arduino resets when its port is opened, and its bootloader listens for a second or two
+GREETED_S = 14.0  # an Arduino resets when its port is opened; a Mega's bootloader then listens for 6 s
 ANSWERED_S = 2.0  # five sends of a request take 1.25 s
-RESET_S = 6.0
+RESET_S = 12.0  # through a bootloader
 WAIT_S = 0.05
 REFUSALS = {
     ErrorCode.HEATING: "the heater is driven; stop it first (`greenhouse board show` tells when it is off)",

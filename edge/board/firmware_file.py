@@ -18,7 +18,7 @@ from edge.core.errors import DataError, RequestError
 from firmware_protocol.board_block import BoardKind
 
 FOLDER = Path(firmware_protocol.__file__).parent / "hex"
-FLASH_S = 180.0  # at most; 20 kB take 5 s
+FLASH_S = 60.0  # at most for a stage; 20 kB take 5 s to write and to read again
 _NAME = re.compile(r"(mega2560|uno)-(\d+)\.(\d+)\.(\d+)\.hex")
 _JUMP_TO_ITSELF = b"\xff\xcf"
 _ROW = 16  # bytes of a record

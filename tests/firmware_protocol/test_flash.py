@@ -9,6 +9,7 @@ from avr.sensor_parts import WIRINGS, all_parts, configured
 from avr.simulated_avr import hex_pieces
 
 from edge.board import board_tool
+from edge.board import firmware_file as firmware_file_module
 from edge.board.board_session import BoardSession
 from edge.board.firmware_file import FOLDER, firmware_file, write_stages
 from edge.core.errors import DataError, RequestError
@@ -62,7 +63,8 @@ def test_a_renewed_program_keeps_its_configuration(avr_host, tmp_path):
         assert "the configuration is the same" in said
 
 
-def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tmp_path):
+def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tmp_path, monkeypatch):
+    monkeypatch.setattr(firmware_file_module, "FLASH_S", 25.0)  # avrdude waits for ever at a dead terminal
     wiring, port = WIRINGS["uno"], tmp_path / "port"
     eeprom = configured(wiring, all_parts(wiring))
     with Arduino(avr_host, "uno", wiring, port, program_of("uno"), eeprom) as arduino:

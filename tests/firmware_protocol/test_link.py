@@ -98,13 +98,34 @@ def up(link: Link, board: FarEnd) -> FarEnd:
     return board
 
 
-def test_it_greets_at_once_and_then_every_second_with_one_session_and_seq(link: Link, board: FarEnd) -> None:
-    heard = []
-    for tick in range(31):
-        link.poll(tick / 10)
-        heard += [(tick, header.seq, message) for header, message in board.heard()]
-    assert heard == [(tick, 1, HelloRequest(SESSION)) for tick in (0, 10, 20, 30)]
-    assert link.next_deadline() == 4.0
+def greetings(link: Link, board: FarEnd, end_s: float, reports_at: tuple[float, ...] = ()) -> list[float]:
+    """Times of the greetings, polled every tenth of a second, while the board reports at these times."""
+    found = []
+    for tick in range(round(end_s * 10) + 1):
+        now = tick / 10
+        if now in reports_at:
+            board.says(Samples().report(tick), now)
+        link.poll(now)
+        heard = board.heard()
+        assert all((header.seq, message) == (1, HelloRequest(SESSION)) for header, message in heard)
+        found += [now] * len(heard)
+    return found
+
+
+def test_a_board_that_is_heard_is_greeted_every_second_with_one_session_and_seq(
+    link: Link, board: FarEnd
+) -> None:
+    assert greetings(link, board, 4.4, (0.4, 1.4, 2.4, 3.4)) == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_a_silent_board_is_left_in_peace_for_its_bootloader_and_greeted_when_it_speaks(
+    link: Link, board: FarEnd
+) -> None:
+    assert greetings(link, board, 24.5) == [0.0, 12.0, 24.0]
+    assert link.next_deadline() == 36.0
+    board.says(Samples().report(1), 30.0)
+    link.poll(30.0)
+    assert [message for _, message in board.heard()] == [HelloRequest(SESSION)]
 
 
 def test_a_hello_that_answers_the_greeting_brings_the_link_up(link: Link, board: FarEnd) -> None:
