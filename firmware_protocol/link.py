@@ -62,8 +62,8 @@ __all__ = [
 ]  # fmt: skip
 
 GREET_S = 1.0  # between two greetings of a board that is heard
-# Of one that is not: an Arduino resets when its port is opened, and a Mega's bootloader starts the program only
-# after 6 s without a byte.
+# Of one that is not: an Arduino resets when its port is opened, and a Mega's bootloader starts the program
+# only after 6 s without a byte.
 GREET_SILENT_S = 12.0
 GREET_REFUSED_S = 10.0  # the same after a board said that it speaks other versions
 RETRY_S = 0.25

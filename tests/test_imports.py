@@ -35,6 +35,9 @@ TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "reports", 
 WIRE = {
     "edge/board/board.py",
     "edge/board/board_file.py",
+    "edge/board/board_session.py",
+    "edge/board/board_tool.py",
+    "edge/board/firmware_file.py",
     "edge/board/wiring.py",
 }  # line and block of the board
 FORBIDDEN = {  # part of the tree -> what nothing in it may import

@@ -26,7 +26,7 @@ _ROW = 16  # bytes of a record
 
 @dataclass(frozen=True, slots=True)
 class BoardChip:
-    """What avrdude is told. programmer : the bootloader's protocol"""
+    """Microcontroller for avrdude. programmer : the bootloader's protocol"""
 
     part: str
     programmer: str

@@ -96,14 +96,15 @@ def _wires(part: PartConfig, kind: BoardKind) -> Iterator[Connection]:
 
 def wiring_table(block: BoardBlock, with_notes: bool = True) -> Table:
     """Return a row for each wire."""
-    rows = tuple((one.pin, one.terminal, one.part, one.note) for one in connections(block))
-    heads, note = (
-        ("pin", "to", "part", "mind"),
-        "Every part also needs supply (5V, or as its own sheet says) and GND.",
+    columns = 4 if with_notes else 3
+    rows = ((one.pin, one.terminal, one.part, one.note)[:columns] for one in connections(block))
+    return Table(
+        f"{NAMES[block.kind]}, id {block.board_id}",
+        ("pin", "to", "part", "mind")[:columns],
+        tuple(rows),
+        "Every part also needs supply (5V, or as its own sheet says) and GND." if with_notes else "",
+        words=True,
     )
-    if not with_notes:
-        rows, heads, note = tuple(row[:3] for row in rows), heads[:3], ""
-    return Table(f"{NAMES[block.kind]}, id {block.board_id}", heads, rows, note, words=True)
 
 
 def wiring_svg(block: BoardBlock) -> str:

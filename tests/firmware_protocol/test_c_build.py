@@ -17,8 +17,6 @@ INCLUDES = ["-I", str(SOURCES), "-I", str(DRIVERS)]
 STRICT = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic"]
 ALLOWED_HEADERS = {"stdint.h", "stddef.h", "string.h", "stdbool.h"}
 ALLOWED_CALLS = {"memcpy", "memmove", "memset", "memcmp"}
-MCU = "atmega2560"
-FLASH_BYTES, RAM_BYTES = 32_768, 2048  # those of an ATmega328P, so that the ATmega2560 has room for sensors
 
 
 def tool(name: str) -> str:
@@ -86,28 +84,6 @@ def test_there_is_no_state_outside_the_board_and_no_call_outside_string_h(path, 
     assert [name for kind, name in kinds if kind in "bBdDcC"] == []
     outside = {name for kind, name in kinds if kind == "U" and not name.startswith("gh_")}
     assert outside <= ALLOWED_CALLS
-
-
-@pytest.fixture(scope="module")
-def avr_program(tmp_path_factory):
-    """The example as it would be flashed."""
-    target = tmp_path_factory.mktemp("avr") / "board.elf"
-    sources = [*map(str, CORE_FILES), str(SOURCES / "examples" / "avr_main.c")]
-    flags = [f"-mmcu={MCU}", "-std=gnu11", "-Os", "-Wall", "-Wextra", "-Werror", "-I", str(SOURCES)]
-    subprocess.run([tool("avr-gcc"), *flags, *sources, "-o", str(target)], check=True)
-    return target
-
-
-def test_the_example_fits_a_small_avr(avr_program):
-    rows = subprocess.run([tool("avr-size"), str(avr_program)], check=True, capture_output=True, text=True)
-    text, data, bss = map(int, rows.stdout.splitlines()[1].split()[:3])
-    assert 0 < text + data < FLASH_BYTES
-    assert 0 < data + bss < RAM_BYTES * 3 // 4  # the rest is for the stack
-
-
-def test_the_sensors_of_a_rig_are_a_hook_that_may_be_replaced(avr_program):
-    symbols = subprocess.run([tool("avr-nm"), str(avr_program)], check=True, capture_output=True, text=True)
-    assert re.search(r" W gh_read_sensors$", symbols.stdout, flags=re.MULTILINE)
 
 
 def test_a_missing_compiler_is_named(monkeypatch, tmp_path):

@@ -144,6 +144,12 @@ def test_the_echo_decides_what_is_on() -> None:
     assert verdicts("The heater is on.", running) == [("state", False)]
 
 
+def test_a_heater_at_a_small_duty_is_one_that_was_turned_on() -> None:
+    warming = known(driven=Command(0.05, False))
+    assert verdicts("I have turned the heater on.", warming) == [("action", True)]
+    assert verdicts("I have turned the heater off.", warming) == [("action", False)]
+
+
 def test_several_sentences_are_judged_one_by_one() -> None:
     text = "The fan is off. I have turned the fan on! The simulation shows 26.00 degC; the target is 26 degC."
     assert verdicts(text) == [("state", True), ("action", False), ("simulation", True), ("told", True)]

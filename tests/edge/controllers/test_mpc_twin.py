@@ -12,8 +12,8 @@ from contexts import context
 from edge.app.active_models import ActiveModels
 from edge.app.controllers import ControllerParts, make
 from edge.config.settings import BundleSettings, ControlSettings, Settings
-from edge.controllers.mpc_twin import HORIZON, MpcTwin
-from edge.core.controller import ControlLimits
+from edge.controllers.mpc_twin import HORIZON, LEAST_WEIGHT, MpcTwin, _goal
+from edge.core.controller import ControlLimits, Penalty
 from edge.core.errors import ConfigError, DataError, RequestError
 from edge.forecasts.skill import SkillState
 from edge.models.arx_file import read_arx
@@ -122,3 +122,10 @@ def test_without_preview_only_the_present_reference_counts(model):
 
     assert forecast(coming, False) == forecast(now, False) == forecast(now, True)
     assert forecast(coming, True) != forecast(now, True)
+
+
+def test_a_weight_of_nothing_is_the_least_one():
+    goal = _goal(replace(here(), penalty=Penalty(heater=0.0, fan=0.0)), weight=1.0, preview=True)
+    assert goal.heater_weight == goal.fan_weight == LEAST_WEIGHT
+    goal = _goal(replace(here(), penalty=Penalty(heater=2.0)), weight=1.0, preview=True)
+    assert (goal.heater_weight, goal.fan_weight) == (2.0, 1.0)

@@ -12,7 +12,7 @@ from bench.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquit
 from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, settings
 from edge.mqtt import drain
 from edge.mqtt.drain import BATCH_ROWS, REFUSED_PAUSE_S, Drain
-from edge.mqtt.telemetry import Telemetry
+from edge.mqtt.telemetry import WINDOW_RESERVE, Telemetry
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]
@@ -181,6 +181,17 @@ def test_what_gathered_while_the_broker_was_away_arrives_in_order(tmp_path, quic
             # The first rows may have passed before the listener was there.
             numbers = heard(listener)
             assert numbers == list(range(numbers[0], 2001))
+
+
+@needs_mosquitto
+def test_no_more_messages_are_under_way_than_the_broker_takes(tmp_path, quick_reconnect):
+    outbox = MemoryOutbox(300)
+    with (
+        Broker(tmp_path, "allow_anonymous true\nmax_inflight_messages 20") as broker,
+        draining(broker, outbox) as own,
+    ):
+        wait_for(lambda: outbox.depth() == 0)
+        assert own._drain.window == 20 - WINDOW_RESERVE
 
 
 @needs_mosquitto

@@ -197,13 +197,14 @@ def test_ticks_that_were_missed_are_predicted_with_everything_off():
     estimator = make()
     estimator.update(readings(30.0, 0.0), 0.0, 0.0)
     estimator.record_sent(Command())
-    estimate = estimator.update(readings(None, 180.0, ReadingQuality.STALE), 180.0, 180.0)
+    estimate = estimator.update(readings(None, 180.0, ReadingQuality.STALE), 180.0, 1180.0)
     expected = 30.0
     for _ in range(3):
         expected = 0.9 * expected + 0.1 * ROOM_C
     assert estimate.temp_air == pytest.approx(expected)
     history = estimator.history()
     assert history["time_s"].tolist() == [0.0, 60.0, 120.0, 180.0]
+    assert history["utc"][1:].tolist() == [1060.0, 1120.0, 1180.0]
     assert history["heater_duty"][:3].tolist() == [0.0, 0.0, 0.0]
 
 

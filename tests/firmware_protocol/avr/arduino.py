@@ -25,7 +25,7 @@ BLANK = ":10000000" + "FF" * 16 + "00\n"
 
 
 class Arduino:
-    """A board with its power on, in real time. cut_after : bytes of the host after which the cable is pulled"""
+    """A board with its power on. cut_after : bytes of the host after which the cable is pulled"""
 
     def __init__(
         self,
