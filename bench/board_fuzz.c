@@ -148,7 +148,15 @@ static bool commit(void *context)
     return true;
 }
 
-static const gh_block_store STORE = {NULL, read_part, write_part, commit};
+static uint64_t find_part(void *context, bool first)
+{
+    static uint64_t rom;
+    (void)context;
+    rom = first ? 0x28 : rom + 0x100;
+    return rom > 0x228 ? 0 : rom;
+}
+
+static const gh_setup SETUP = {NULL, read_part, write_part, commit, find_part};
 
 static void start_board(void)
 {
@@ -163,7 +171,7 @@ static void start_board(void)
         fill(persistent, sizeof persistent);
     }
     gh_board_init(&board, &config.board, persistent, (uint8_t)chance(8), chance(UINT32_MAX));
-    gh_board_use_store(&board, &STORE);
+    gh_board_use_setup(&board, &SETUP);
     now_ms = chance(2) > 0 ? 0 : UINT32_MAX - chance(100000);
     gh_sensors_init(&sensors, &config, &BUSES, now_ms);
 }
@@ -198,7 +206,7 @@ static void send_payload(uint8_t kind, const uint8_t *body, size_t size)
 static void send_request(void)
 {
     static const uint8_t lengths[KINDS] = {0, 4, GH_HELLO_LENGTH, GH_SENSOR_REPORT_LENGTH, GH_COMMAND_LENGTH,
-                                           GH_STATE_ECHO_LENGTH, 0, 0, 2, 0, 0, 0, 0, 1, 17, 0, 17};
+                                           GH_STATE_ECHO_LENGTH, 0, 0, 2, 0, 0, 0, 0, 1, 17, 0, 17, 1, 8};
     uint8_t body[GH_MAX_BODY], kind = (uint8_t)chance(KINDS);
     fill(body, sizeof body);
     kind = chance(8) == 0 ? GH_KIND_HELLO_REQUEST : chance(8) == 0 ? GH_KIND_COMMAND : kind;

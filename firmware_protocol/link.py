@@ -15,10 +15,10 @@ from firmware_protocol.errors import DecodeError, LocalProtocolError
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.link_events import (
     BoardReset,
-    LinkBlock,
     LinkEcho,
     LinkEvent,
     LinkLost,
+    LinkSetup,
     LinkUp,
     Nonsense,
     Report,
@@ -41,6 +41,7 @@ from firmware_protocol.messages import (
     Message,
     SensorReport,
     StateEcho,
+    WirePart,
     pack,
     read_header,
     unpack,
@@ -49,10 +50,10 @@ from firmware_protocol.messages import (
 __all__ = [
     "BoardReset",
     "Link",
-    "LinkBlock",
     "LinkEcho",
     "LinkEvent",
     "LinkLost",
+    "LinkSetup",
     "LinkUp",
     "Nonsense",
     "Report",
@@ -212,7 +213,7 @@ class Link:
                 return self._take_hello(header, message, now)
             case StateEcho() if header.ack == 0:
                 return [LinkEcho(message, None)]
-            case StateEcho() | ErrorMessage() | BlockPart():
+            case StateEcho() | ErrorMessage() | BlockPart() | WirePart():
                 return self._take_answer(header, message, now)
         return []
 
@@ -247,7 +248,7 @@ class Link:
         return [*reset, LinkUp(hello)]
 
     def _take_answer(
-        self, header: Header, answer: StateEcho | ErrorMessage | BlockPart, now: float
+        self, header: Header, answer: StateEcho | ErrorMessage | BlockPart | WirePart, now: float
     ) -> list[LinkEvent]:
         if self._answers_greeting(header):
             if isinstance(answer, ErrorMessage) and answer.code is ErrorCode.VERSION:
@@ -264,8 +265,8 @@ class Link:
             self._send_waiting(now)
             return refused
         self._send_waiting(now)
-        if isinstance(answer, BlockPart):
-            return [LinkBlock(answer, request.message)]
+        if isinstance(answer, BlockPart | WirePart):
+            return [LinkSetup(answer, request.message)]
         return [LinkEcho(answer, request.message)]
 
     def _stale(self) -> list[LinkEvent]:

@@ -2,7 +2,15 @@
 
 from dataclasses import dataclass
 
-from firmware_protocol.messages import BlockPart, ErrorMessage, Hello, Message, SensorReport, StateEcho
+from firmware_protocol.messages import (
+    BlockPart,
+    ErrorMessage,
+    Hello,
+    Message,
+    SensorReport,
+    StateEcho,
+    WirePart,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +58,10 @@ class LinkEcho:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkBlock:
-    """Sixteen bytes of the board's configuration."""
+class LinkSetup:
+    """Sixteen bytes of the board's configuration, or a part on its 1-Wire."""
 
-    part: BlockPart
+    answer: BlockPart | WirePart
     request: Message
 
 
@@ -86,7 +94,7 @@ LinkEvent = (
     | VersionRefused
     | Report
     | LinkEcho
-    | LinkBlock
+    | LinkSetup
     | RequestRefused
     | RequestTimedOut
     | Nonsense

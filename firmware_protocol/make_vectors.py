@@ -36,6 +36,8 @@ from firmware_protocol.messages import (
     SensorReport,
     StateEcho,
     TripCause,
+    WirePart,
+    WireSearch,
     pack,
 )
 
@@ -103,6 +105,8 @@ _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
     ("block_write", _WRITE, 9, 0),
     ("block_commit", BlockCommit(), 10, 0),
     ("block_part", BlockPart(_WRITE.part, _WRITE.low, _WRITE.high), 8, 9),
+    ("wire_search", WireSearch(True), 11, 0),
+    ("wire_part", WirePart(0x5D00000000000128), 9, 11),
     ("hello unasked after a reset", replace(_HELLO, session=0, boot_count=8), 1, 0),
     ("command of nothing", CommandMessage(0, False, 0, 0.0, False, 0.0), 1, 0),
     ("command of everything", CommandMessage(20, True, 100, 25.5, True, 60.0), 255, 0),
@@ -112,7 +116,7 @@ _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
     ("state_echo in maintenance", _MAINTAINED, 7, 0),
     ("error none", ErrorMessage(ErrorCode.NONE, 255), 7, 1),
 )
-_EXAMPLES = 16  # the first of them stand in PROTOCOL.md
+_EXAMPLES = 18  # the first of them stand in PROTOCOL.md
 
 
 def _header(kind: type[Message]) -> bytes:
@@ -130,7 +134,7 @@ _REFUSED: tuple[tuple[str, bytes, ErrorCode, int], ...] = (
     ("version 1", b"\1\4\x09\0" + bytes(7), ErrorCode.VERSION, PROTOCOL_VERSION),
     ("version 3, a kind of its own", b"\3\xc8\x09\0xyz", ErrorCode.VERSION, PROTOCOL_VERSION),
     ("kind 0", b"\2\0\x09\0", ErrorCode.UNKNOWN_KIND, 0),
-    ("kind 17, the longest body", b"\2\x11\x09\0" + b"\xff" * 48, ErrorCode.UNKNOWN_KIND, 17),
+    ("kind 200, the longest body", b"\2\xc8\x09\0" + b"\xff" * 48, ErrorCode.UNKNOWN_KIND, 200),
     ("kind 255", b"\2\xff\x09\0", ErrorCode.UNKNOWN_KIND, 255),
     ("command without a body", _header(CommandMessage), ErrorCode.LENGTH, 0),
     ("command one byte short", pack(_COMMAND, 9)[:-1], ErrorCode.LENGTH, 6),
@@ -152,7 +156,7 @@ _REFUSED: tuple[tuple[str, bytes, ErrorCode, int], ...] = (
 )  # fmt: skip
 
 _PING = encode(pack(Ping(), 4))
-_LONG = encode(b"\2\x11\x09\0" + b"\xff" * 48)
+_LONG = encode(b"\2\xc8\x09\0" + b"\xff" * 48)
 # name, bytes on the line, counter that rises, or "" where nothing is dropped
 _BROKEN: tuple[tuple[str, bytes, str], ...] = (
     ("idle line", b"\0\0\0", ""),
@@ -165,7 +169,7 @@ _BROKEN: tuple[tuple[str, bytes, str], ...] = (
     ("only a code byte", b"\1\0", "too_short"),
     ("a CRC without a header", cobs_encode(b"\xff\xff") + b"\0", "too_short"),
     ("header one byte short, good CRC", _frame(b"\2\7\4"), "too_short"),
-    ("body one byte too long, good CRC", _frame(b"\2\x11\x09\0" + b"\xff" * 49), "too_long"),
+    ("body one byte too long, good CRC", _frame(b"\2\xc8\x09\0" + b"\xff" * 49), "too_long"),
     ("longest run and one more", b"\2" * (MAX_ENCODED + 1) + b"\0", "too_long"),
     ("a very long run", b"\x55" * 1000 + b"\0", "too_long"),
     ("CRC in the wrong order", cobs_encode(pack(Ping(), 4) + _crc(pack(Ping(), 4))[::-1]) + b"\0", "bad_crc"),
@@ -176,7 +180,7 @@ _STREAMS: tuple[tuple[str, bytes, tuple[bytes, ...]], ...] = (
     ("noise, 0x00, a frame", b"\x17\xfe\0" + _PING, (pack(Ping(), 4),)),
     ("noise swallows the frame it touches, not the next", b"\x17\xfe" + _PING * 2, (pack(Ping(), 4),)),
     ("a run too long, then a frame", b"\x55" * 300 + b"\0" + _PING, (pack(Ping(), 4),)),
-    ("the longest payload", _LONG, (b"\2\x11\x09\0" + b"\xff" * 48,)),
+    ("the longest payload", _LONG, (b"\2\xc8\x09\0" + b"\xff" * 48,)),
 )
 
 

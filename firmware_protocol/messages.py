@@ -232,6 +232,20 @@ class BlockPart:
     high: int
 
 
+@dataclass(frozen=True, slots=True)
+class WireSearch:
+    """wire_search: host -> board, kind 17, 1 bytes."""
+
+    first: bool  # begin anew
+
+
+@dataclass(frozen=True, slots=True)
+class WirePart:
+    """wire_part: board -> host, kind 18, 8 bytes."""
+
+    rom: int  # its ROM code, family in the lowest byte; 0: there is no further one
+
+
 Message = (
     HelloRequest
     | Hello
@@ -249,6 +263,8 @@ Message = (
     | BlockWrite
     | BlockCommit
     | BlockPart
+    | WireSearch
+    | WirePart
 )
 
 LAYOUTS: dict[type[Message], Layout] = {
@@ -394,6 +410,16 @@ LAYOUTS: dict[type[Message], Layout] = {
             Field("low", "Q", 0, 18446744073709551615),
             Field("high", "Q", 0, 18446744073709551615),
         ),
+    ),
+    WireSearch: Layout(
+        17,
+        False,
+        (Field("first", "B", 0, 1, kind=bool),),
+    ),
+    WirePart: Layout(
+        18,
+        True,
+        (Field("rom", "Q", 0, 18446744073709551615),),
     ),
 }
 

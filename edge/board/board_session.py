@@ -14,10 +14,10 @@ from firmware_protocol.board_block import BLOCK_SIZE, PART_BYTES
 from firmware_protocol.link import (
     BoardReset,
     Link,
-    LinkBlock,
     LinkEcho,
     LinkEvent,
     LinkLost,
+    LinkSetup,
     LinkUp,
     Report,
     RequestRefused,
@@ -36,6 +36,8 @@ from firmware_protocol.messages import (
     Ping,
     SensorReport,
     StateEcho,
+    WirePart,
+    WireSearch,
 )
 
 BAUDRATE = 115_200
@@ -43,6 +45,7 @@ GREETED_S = 14.0  # an Arduino resets when its port is opened; a Mega's bootload
 ANSWERED_S = 2.0  # five sends of a request take 1.25 s
 RESET_S = 12.0  # through a bootloader
 WAIT_S = 0.05
+WIRE_PARTS_MAX = 32  # a search that a disturbance leads in circles ends
 REFUSALS = {
     ErrorCode.HEATING: "the heater is driven; stop it first (`greenhouse board show` tells when it is off)",
     ErrorCode.BAD_BLOCK: "the board refuses this configuration: is it for another microcontroller?",
@@ -98,6 +101,16 @@ class BoardSession:
         parts = [self._ask(BlockRead(part)) for part in range(BLOCK_SIZE // PART_BYTES)]
         return b"".join(_bytes_of(part) for part in parts if isinstance(part, BlockPart))
 
+    def wire_parts(self) -> list[int]:
+        """Return the ROM codes of the parts on the 1-Wire."""
+        found: list[int] = []
+        while len(found) < WIRE_PARTS_MAX:
+            answer = self._ask(WireSearch(first=not found))
+            if not isinstance(answer, WirePart) or answer.rom == 0:
+                break
+            found.append(answer.rom)
+        return sorted(found)
+
     def write_block(self, block: bytes) -> None:
         """Put a configuration into force, and check that it is."""
         for part in range(BLOCK_SIZE // PART_BYTES):
@@ -121,8 +134,8 @@ class BoardSession:
     def _ask(self, request: Message) -> Message:
         """Return the answer to a request."""
         self._link.request(request, time.monotonic())
-        found = self._wait((LinkEcho, LinkBlock), ANSWERED_S, "no answer", request)
-        answer: Message = found.part if isinstance(found, LinkBlock) else found.state
+        found = self._wait((LinkEcho, LinkSetup), ANSWERED_S, "no answer", request)
+        answer: Message = found.answer if isinstance(found, LinkSetup) else found.state
         return answer
 
     def _wait(

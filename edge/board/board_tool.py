@@ -1,6 +1,7 @@
 """Work on a board beside the daemon: look at it, configure it, flash it. Each returns lines for a person."""
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from firmware_protocol.board_block import BoardBlock, decode_block, encode_block
 from firmware_protocol.messages import Hello, SensorReport, StateEcho
 
 LEFT_BEHIND = "The old program runs, or the board is stopped and drives nothing."
+SETTLED_S = 0.5  # a port that was closed a moment ago may still hang up on the next who opens it
 Write = Callable[..., None]  # avrdude, or a test's own
 STAGES = ("the program, with a first page that stops the board", "its own first page")
 
@@ -26,8 +28,16 @@ def show(session: BoardSession) -> Iterator[str]:
     block = session.block()
     yield ""
     yield from _about_block(block)
+    parts = [] if block is None else session.wire_parts()
+    if parts:
+        yield f"on the 1-Wire: {', '.join(map(_rom_name, parts))}"
     yield ""
     yield from _values(session.report()).text()
+
+
+def _rom_name(rom: int) -> str:
+    """Return a ROM code as Linux and board.yaml write it: family, then the serial number."""
+    return f"{rom & 0xFF:02x}-{rom >> 8 & (1 << 48) - 1:012x}"
 
 
 def _version(hello: Hello) -> str:
@@ -119,6 +129,7 @@ def flash(
             yield f"writing {number} of {len(STAGES)}: {stage}"
             try:
                 write(kind, port, path, baudrate)
+                time.sleep(SETTLED_S)
             except RequestError as error:
                 said = f"{error}. {LEFT_BEHIND} Run the same command again."
                 raise RequestError(said) from None

@@ -200,24 +200,28 @@ static void serve_clear_trip(gh_board *board, uint8_t seq, uint32_t now_ms)
     }
 }
 
-static bool is_about_block(uint8_t kind)
+static bool is_setup(uint8_t kind)
 {
-    return kind == GH_KIND_BLOCK_READ || kind == GH_KIND_BLOCK_WRITE || kind == GH_KIND_BLOCK_COMMIT;
+    return kind == GH_KIND_BLOCK_READ || kind == GH_KIND_BLOCK_WRITE || kind == GH_KIND_BLOCK_COMMIT ||
+           kind == GH_KIND_WIRE_SEARCH;
 }
 
 /* Neither is a new configuration taken while the heater is driven: its pin may be another one there. */
-static void serve_block(gh_board *board, const request *request, uint32_t now_ms)
+static void serve_setup(gh_board *board, const request *request, uint32_t now_ms)
 {
-    const gh_block_store *store = board->store;
+    const gh_setup *setup = board->setup;
     uint8_t heating = gh_safety_heater_steps(&board->safety);
     uint8_t body[GH_BLOCK_PART_LENGTH];
     memcpy(body, request->body, request->length);
     if (request->kind != GH_KIND_BLOCK_READ && heating > 0) {
         answer_error(board, request->seq, GH_ERROR_CODE_HEATING, heating);
+    } else if (request->kind == GH_KIND_WIRE_SEARCH) {
+        gh_put_u64(body, setup->find(setup->context, body[0] != 0));
+        answer(board, request->seq, GH_KIND_WIRE_PART, body, GH_WIRE_PART_LENGTH);
     } else if (request->kind != GH_KIND_BLOCK_COMMIT) {
-        (request->kind == GH_KIND_BLOCK_READ ? store->read : store->write)(store->context, body[0], body + 1);
+        (request->kind == GH_KIND_BLOCK_READ ? setup->read : setup->write)(setup->context, body[0], body + 1);
         answer(board, request->seq, GH_KIND_BLOCK_PART, body, sizeof body);
-    } else if (!store->commit(store->context)) {
+    } else if (!setup->commit(setup->context)) {
         answer_error(board, request->seq, GH_ERROR_CODE_BAD_BLOCK, 0);
     } else {
         board->restart = true;
@@ -226,15 +230,18 @@ static void serve_block(gh_board *board, const request *request, uint32_t now_ms
 }
 
 /* 0, or the error that answers the request: GH_DECODE_ERROR. */
-static int decode_block(const request *request)
+static int decode_setup(const request *request)
 {
     gh_block_read read;
     gh_block_write write;
+    gh_wire_search search;
     switch (request->kind) {
     case GH_KIND_BLOCK_READ:
         return gh_unpack_block_read(request->body, request->length, &read);
     case GH_KIND_BLOCK_WRITE:
         return gh_unpack_block_write(request->body, request->length, &write);
+    case GH_KIND_WIRE_SEARCH:
+        return gh_unpack_wire_search(request->body, request->length, &search);
     default:
         return request->length == 0 ? 0 : GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, request->length);
     }
@@ -242,9 +249,9 @@ static int decode_block(const request *request)
 
 static int decode(const gh_board *board, const request *request, gh_command *command)
 {
-    bool configurable = board->store != NULL && (board->config.capabilities & GH_CAPABILITY_CONFIGURABLE) != 0;
-    if (is_about_block(request->kind) && configurable) {
-        return decode_block(request);
+    bool configurable = board->setup != NULL && (board->config.capabilities & GH_CAPABILITY_CONFIGURABLE) != 0;
+    if (is_setup(request->kind) && configurable) {
+        return decode_setup(request);
     }
     switch (request->kind) {
     case GH_KIND_COMMAND:
@@ -275,8 +282,8 @@ static void serve(gh_board *board, const request *request, uint32_t now_ms)
         answer_error(board, request->seq, GH_ERROR_CODE_NOT_GREETED, request->kind);
         return;
     }
-    if (is_about_block(request->kind)) {
-        serve_block(board, request, now_ms);
+    if (is_setup(request->kind)) {
+        serve_setup(board, request, now_ms);
         return;
     }
     switch (request->kind) {
@@ -314,7 +321,7 @@ static void greet(gh_board *board, const request *request)
 static bool sent_by_boards(uint8_t kind)
 {
     return kind == GH_KIND_HELLO || kind == GH_KIND_SENSOR_REPORT || kind == GH_KIND_STATE_ECHO ||
-           kind == GH_KIND_ERROR || kind == GH_KIND_BLOCK_PART;
+           kind == GH_KIND_ERROR || kind == GH_KIND_BLOCK_PART || kind == GH_KIND_WIRE_PART;
 }
 
 static void take_payload(gh_board *board, const uint8_t *payload, size_t length, uint32_t now_ms)
@@ -395,9 +402,9 @@ void gh_board_init(gh_board *board, const gh_board_config *wanted, const uint8_t
     send_hello(board, 0, 0);
 }
 
-void gh_board_use_store(gh_board *board, const gh_block_store *store)
+void gh_board_use_setup(gh_board *board, const gh_setup *setup)
 {
-    board->store = store;
+    board->setup = setup;
 }
 
 void gh_board_receive(gh_board *board, uint8_t byte, uint32_t now_ms)

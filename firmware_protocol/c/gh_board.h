@@ -47,13 +47,14 @@ typedef struct {
 } gh_sample;
 
 /* Two copies of the configuration's block (gh_config.h) behind block_read, block_write and block_commit: the one in
- * force, and a spare one. Calls may take 60 ms: the heater is off. */
+ * force, and a spare one; and the search for parts. Calls may take 60 ms: the heater is off. */
 typedef struct {
     void *context;
     void (*read)(void *context, uint8_t part, uint8_t *bytes);  /* 16 bytes of the one in force */
     void (*write)(void *context, uint8_t part, uint8_t *bytes); /* into the spare one; then `bytes` is what it holds */
     bool (*commit)(void *context); /* takes the spare one into force; false, and nothing changes, for a bad one */
-} gh_block_store;
+    uint64_t (*find)(void *context, bool first); /* ROM code of the next part on the 1-Wire, 0 for none; takes 15 ms */
+} gh_setup;
 
 /* An answer kept for a request that comes twice. */
 typedef struct {
@@ -69,7 +70,7 @@ typedef struct {
     gh_frame_decoder decoder;
     gh_sample samples[GH_SIGNAL_COUNT];
     gh_answer answer;
-    const gh_block_store *store; /* NULL: the board cannot be configured */
+    const gh_setup *setup; /* NULL: the board cannot be configured */
     uint32_t report_ms; /* multiple of the report period that was passed last */
     uint32_t boot_count;
     uint16_t not_for_us; /* whole frames dropped: looped back or without seq */
@@ -91,8 +92,8 @@ size_t gh_board_size(void);
 void gh_board_init(gh_board *board, const gh_board_config *wanted, const uint8_t *persistent, uint8_t reset_cause,
                    uint32_t boot_count);
 
-/* From now on the board can be configured, if its capabilities say so. `store` is kept by the caller. */
-void gh_board_use_store(gh_board *board, const gh_block_store *store);
+/* From now on the board can be configured, if its capabilities say so. `setup` is kept by the caller. */
+void gh_board_use_setup(gh_board *board, const gh_setup *setup);
 
 /* One byte from the line. */
 void gh_board_receive(gh_board *board, uint8_t byte, uint32_t now_ms);

@@ -36,6 +36,8 @@ enum {
     GH_KIND_BLOCK_WRITE = 14,
     GH_KIND_BLOCK_COMMIT = 15,
     GH_KIND_BLOCK_PART = 16,
+    GH_KIND_WIRE_SEARCH = 17,
+    GH_KIND_WIRE_PART = 18,
 };
 
 enum {
@@ -721,6 +723,54 @@ static inline int gh_unpack_block_part(const uint8_t *body, size_t n, gh_block_p
     message->high = gh_get_u64(body + 9);
     if (message->part > GH_BLOCK_PART_PART_MAX)
         return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_BLOCK_PART_PART_FIELD);
+    return 0;
+}
+
+/* wire_search, host -> board */
+#define GH_WIRE_SEARCH_LENGTH 1
+#define GH_WIRE_SEARCH_FIRST_FIELD 0
+#define GH_WIRE_SEARCH_FIRST_MIN (0)
+#define GH_WIRE_SEARCH_FIRST_MAX (1)
+
+typedef struct {
+    uint8_t first;
+} gh_wire_search;
+
+static inline size_t gh_pack_wire_search(const gh_wire_search *message, uint8_t *out)
+{
+    gh_put_u8(out + 0, message->first);
+    return 1;
+}
+
+static inline int gh_unpack_wire_search(const uint8_t *body, size_t n, gh_wire_search *message)
+{
+    if (n != GH_WIRE_SEARCH_LENGTH)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, n > 255 ? 255 : n);
+    message->first = gh_get_u8(body + 0);
+    if (message->first > GH_WIRE_SEARCH_FIRST_MAX)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_WIRE_SEARCH_FIRST_FIELD);
+    return 0;
+}
+
+/* wire_part, board -> host */
+#define GH_WIRE_PART_LENGTH 8
+#define GH_WIRE_PART_ROM_FIELD 0
+
+typedef struct {
+    uint64_t rom;
+} gh_wire_part;
+
+static inline size_t gh_pack_wire_part(const gh_wire_part *message, uint8_t *out)
+{
+    gh_put_u64(out + 0, message->rom);
+    return 8;
+}
+
+static inline int gh_unpack_wire_part(const uint8_t *body, size_t n, gh_wire_part *message)
+{
+    if (n != GH_WIRE_PART_LENGTH)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, n > 255 ? 255 : n);
+    message->rom = gh_get_u64(body + 0);
     return 0;
 }
 

@@ -32,6 +32,8 @@ from firmware_protocol.messages import (
     ResetCause,
     StateEcho,
     TripCause,
+    WirePart,
+    WireSearch,
     pack,
     read_header,
     unpack,
@@ -48,11 +50,11 @@ _OPTIONAL = (("led_pct", Capability.LED), ("valve_pulse_s", Capability.VALVE),
 _COMMAND_FIELDS = tuple(CommandMessage.__dataclass_fields__)
 
 
-_ABOUT_BLOCK = (BlockRead, BlockWrite, BlockCommit)
+_SETUP = (BlockRead, BlockWrite, BlockCommit, WireSearch)
 
 
-class BlockStore(Protocol):
-    """Two copies of the block of `board_block`: the one in force, and a spare one."""
+class BoardSetup(Protocol):
+    """Two copies of the block of `board_block`, one in force and a spare one; the search for parts."""
 
     def read(self, part: int) -> bytes:
         """Return 16 bytes of the one in force."""
@@ -62,6 +64,9 @@ class BlockStore(Protocol):
 
     def commit(self) -> bool:
         """Take the spare one into force; False, and nothing changes, for a bad one."""
+
+    def find(self, first: bool) -> int:
+        """Return the ROM code of the next part on the 1-Wire, 0 for none."""
 
 
 class BoardCore:
@@ -76,10 +81,10 @@ class BoardCore:
         persistent: bytes,
         reset_cause: int,
         boot_count: int,
-        store: BlockStore | None = None,
+        setup: BoardSetup | None = None,
     ) -> None:
         self.restart = False
-        self._store = store if config.has(Capability.CONFIGURABLE) else None
+        self._setup = setup if config.has(Capability.CONFIGURABLE) else None
         self.dropped = 0  # whole frames that no answer can be given to
         self.decoder = FrameDecoder()
         self._config = config
@@ -148,7 +153,7 @@ class BoardCore:
             message: Message | DecodeError = unpack(payload)[1]
         except DecodeError as error:
             message = error
-        if self._store is None and CLASS_OF_KIND.get(header.kind) in _ABOUT_BLOCK:
+        if self._setup is None and CLASS_OF_KIND.get(header.kind) in _SETUP:
             message = DecodeError(ErrorCode.UNKNOWN_KIND, header.kind)
         if isinstance(message, HelloRequest):
             self._safety.greeted = True
@@ -168,22 +173,24 @@ class BoardCore:
             return ErrorMessage(ErrorCode(message.code), message.detail)
         if not self._safety.greeted:
             return ErrorMessage(ErrorCode.NOT_GREETED, kind)
-        if self._store is not None and isinstance(message, _ABOUT_BLOCK):
-            return self._about_block(message, self._store) or self._state(now_ms)
+        if self._setup is not None and isinstance(message, _SETUP):
+            return self._set_up(message, self._setup) or self._state(now_ms)
         return self._refusal(message, now_ms) or self._state(now_ms)
 
-    def _about_block(
-        self, message: BlockRead | BlockWrite | BlockCommit, store: BlockStore
+    def _set_up(
+        self, message: BlockRead | BlockWrite | BlockCommit | WireSearch, setup: BoardSetup
     ) -> Message | None:
         """Return the answer, None for the state."""
         if isinstance(message, BlockRead):
-            return _part(message.part, store.read(message.part))
+            return _part(message.part, setup.read(message.part))
         if self._safety.heater_steps > 0:
             return ErrorMessage(ErrorCode.HEATING, self._safety.heater_steps)
+        if isinstance(message, WireSearch):
+            return WirePart(setup.find(message.first))
         if isinstance(message, BlockWrite):
             data = message.low.to_bytes(8, "little") + message.high.to_bytes(8, "little")
-            return _part(message.part, store.write(message.part, data))
-        if not store.commit():
+            return _part(message.part, setup.write(message.part, data))
+        if not setup.commit():
             return ErrorMessage(ErrorCode.BAD_BLOCK, 0)
         self.restart = True
         return None

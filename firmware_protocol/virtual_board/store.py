@@ -49,9 +49,13 @@ class Eeprom:
 
 
 class BlockSlots:
-    """The block of the configuration in force and a spare one."""
+    """The block of the configuration in force and a spare one. roms : ROM codes of the parts on the 1-Wire"""
 
-    def __init__(self, kind: BoardKind, block: bytes = b"\xff" * BLOCK_SIZE) -> None:
+    def __init__(
+        self, kind: BoardKind, block: bytes = b"\xff" * BLOCK_SIZE, roms: tuple[int, ...] = ()
+    ) -> None:
+        self.roms = roms
+        self._unfound: list[int] = []
         self.kind = kind
         self.block = block
         self.spare = bytearray(b"\xff" * BLOCK_SIZE)
@@ -74,3 +78,9 @@ class BlockSlots:
         if good:
             self.block, self.spare = bytes(self.spare), bytearray(self.block)
         return good
+
+    def find(self, first: bool) -> int:
+        """Return the ROM code of the next part on the 1-Wire, 0 for none."""
+        if first:
+            self._unfound = list(self.roms)
+        return self._unfound.pop(0) if self._unfound else 0

@@ -52,7 +52,15 @@ static bool commit(void *context)
     return true;
 }
 
-static const gh_block_store STORE = {NULL, read_part, write_part, commit};
+static uint64_t find_part(void *context, bool first)
+{
+    static uint64_t rom;
+    (void)context;
+    rom = first ? 0x28 : rom + 0x100;
+    return rom > 0x228 ? 0 : rom;
+}
+
+static const gh_setup SETUP = {NULL, read_part, write_part, commit, find_part};
 
 static void init(gh_board *board, const uint8_t *p)
 {
@@ -72,7 +80,7 @@ static void init(gh_board *board, const uint8_t *p)
     memset(block, 0xFF, sizeof block);
     memset(spare, 0xFF, sizeof spare);
     gh_board_init(board, &config, p + 24, p[28], gh_get_u32(p + 29));
-    gh_board_use_store(board, &STORE);
+    gh_board_use_setup(board, &SETUP);
 }
 
 static void step(gh_board *board, uint32_t now_ms, answer *out)

@@ -93,5 +93,7 @@ class SanitizedBoard:
 
 
 def python_board(config: BoardConfig, persistent: bytes, reset_cause: int, boot_count: int) -> BoardCore:
-    """The Python board with a blank block of an ATmega328P, as the driver's."""
-    return BoardCore(config, persistent, reset_cause, boot_count, BlockSlots(BoardKind.UNO))
+    """The Python board with a blank block and three parts on its wire, as the driver's."""
+    return BoardCore(
+        config, persistent, reset_cause, boot_count, BlockSlots(BoardKind.UNO, roms=(0x28, 0x128, 0x228))
+    )

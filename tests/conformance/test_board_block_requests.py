@@ -14,6 +14,7 @@ from firmware_protocol.messages import (
     BlockWrite,
     ErrorCode,
     StateEcho,
+    WireSearch,
     pack,
 )
 
@@ -75,6 +76,7 @@ def test_nothing_is_changed_while_the_heater_is_driven(new_board):
     bench = heating(new_board, config=CONFIGURABLE)
     assert is_error(bench.ask(written(0)), ErrorCode.HEATING, HEAT.heater_steps)
     assert is_error(bench.ask(BlockCommit()), ErrorCode.HEATING, HEAT.heater_steps)
+    assert is_error(bench.ask(WireSearch(True)), ErrorCode.HEATING, HEAT.heater_steps)
     assert block_of(bench) == BLANK
     bench.ask(IDLE)
     write_all(bench)
@@ -92,13 +94,21 @@ def test_a_commit_that_comes_twice_is_answered_twice_and_done_once(bench):
     assert block_of(bench) == BLOCK
 
 
-@pytest.mark.parametrize("request_", [BlockRead(0), written(0), BlockCommit()])
+def test_the_parts_on_the_wire_are_found_one_after_the_other(bench):
+    found = [bench.ask(WireSearch(first)).rom for first in (True, False, False, False, False, True)]
+    assert found == [0x28, 0x128, 0x228, 0, 0, 0x28]
+
+
+REQUESTS = [BlockRead(0), written(0), BlockCommit(), WireSearch(True)]
+
+
+@pytest.mark.parametrize("request_", REQUESTS)
 def test_nothing_is_obeyed_before_the_greeting(new_board, request_):
     bench = BoardBench(new_board, CONFIGURABLE).air(25.0)
     assert is_error(bench.ask(request_), ErrorCode.NOT_GREETED, pack(request_, 1)[1])
 
 
-@pytest.mark.parametrize("request_", [BlockRead(0), written(0), BlockCommit()])
+@pytest.mark.parametrize("request_", REQUESTS)
 def test_a_board_that_cannot_be_configured_does_not_know_the_request(new_board, request_):
     kind = pack(request_, 1)[1]
     bench = BoardBench(new_board).greet()

@@ -11,14 +11,25 @@ from board_kinds import SANITIZERS, STRICT
 
 import firmware_protocol
 from firmware_protocol.frame import encode
-from firmware_protocol.messages import PROTOCOL_VERSION, BlockPart, ErrorCode, Hello, StateEcho
+from firmware_protocol.messages import PROTOCOL_VERSION, BlockPart, ErrorCode, Hello, StateEcho, WirePart
 from firmware_protocol.virtual_board.c_core import compile_board, load_board
 
 VECTORS = json.loads((Path(firmware_protocol.__file__).parent / "vectors.json").read_text(encoding="utf-8"))
-FROM_BOARD = {2, 3, 5, 8, 16}
-MESSAGE_NAME = {1: "hello_request", 2: "hello", 3: "sensor_report", 4: "command", 5: "state_echo", 8: "error",
-                13: "block_read", 14: "block_write", 16: "block_part"}  # fmt: skip
-BLOCK_READ, BLOCK_WRITE, BLOCK_COMMIT = 13, 14, 15
+FROM_BOARD = {2, 3, 5, 8, 16, 18}
+MESSAGE_NAME = {
+    1: "hello_request",
+    2: "hello",
+    3: "sensor_report",
+    4: "command",
+    5: "state_echo",
+    8: "error",
+    13: "block_read",
+    14: "block_write",
+    16: "block_part",
+    17: "wire_search",
+    18: "wire_part",
+}
+BLOCK_READ, BLOCK_WRITE, BLOCK_COMMIT, WIRE_SEARCH = 13, 14, 15, 17
 COUNTERS = ("too_long", "bad_cobs", "too_short", "bad_crc")
 
 
@@ -49,6 +60,8 @@ def test_the_board_answers_what_the_vector_says(new_board, vector):
         assert is_error(said[0][1], vector["error"]["code_number"], vector["error"]["detail"])
     elif asked[0][1] in (BLOCK_READ, BLOCK_WRITE):
         assert isinstance(said[0][1], BlockPart)
+    elif asked[0][1] == WIRE_SEARCH:
+        assert said[0][1] == WirePart(0x28)
     elif asked[0][1] == BLOCK_COMMIT:
         assert is_error(said[0][1], ErrorCode.BAD_BLOCK, 0)
     elif asked[0][1] == 1:

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 
 HEX = Path(firmware_protocol.__file__).parent / "hex"
 FLASH_MAX = 24 * 1024  # of the 32 kB of an ATmega328P, where the bootloader stands too
-RAM_MAX = int(1.85 * 1024)
+RAM_MAX = int(1.85 * 1024)  # of the 2 kB of an ATmega328P
 INTERRUPTS_OFF_MAX = 80 * FREQUENCY // 1_000_000
 STEP_MAX = 2 * FREQUENCY // 1000
 HEAT = CommandMessage(20, True, 60, 0.0, False, 60.0)
@@ -280,7 +280,7 @@ def test_flash_memory_and_times_are_within_their_limits(avr_host, wiring, built,
         for function, timing in measured.functions.items():
             print(f"{function:18} mean {timing.mean:6.0f}, longest {timing.longest:6} cycles")
     assert text + data <= FLASH_MAX
-    assert data + bss + measured.stack_bytes <= RAM_MAX
+    assert name != "uno" or data + bss + measured.stack_bytes <= RAM_MAX
     assert measured.longest_without_interrupts <= INTERRUPTS_OFF_MAX
     assert measured.functions["gh_sensors_step"].longest <= STEP_MAX
 

@@ -8,17 +8,27 @@ from avr.arduino import BLANK, BOOTLOADERS, Arduino
 from avr.sensor_parts import WIRINGS, all_parts, configured
 from avr.simulated_avr import hex_pieces
 
-from edge.board import board_tool
+from edge.board import board_session, board_tool
 from edge.board import firmware_file as firmware_file_module
 from edge.board.board_session import BoardSession
 from edge.board.firmware_file import FOLDER, firmware_file, write_stages
 from edge.core.errors import DataError, RequestError
+from firmware_protocol import link
 from firmware_protocol.board_block import decode_block
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 BAUDRATE = 115_200
 HALF_OF_THE_PROGRAM = 12_000  # bytes on the line
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """Waits of the host's side that a simulator on a busy machine keeps."""
+    for name, seconds in (("SILENCE_S", 20.0), ("RETRY_S", 2.0)):
+        monkeypatch.setattr(link, name, seconds)
+    for name, seconds in (("GREETED_S", 40.0), ("ANSWERED_S", 12.0), ("RESET_S", 40.0)):
+        monkeypatch.setattr(board_session, name, seconds)
 
 
 @pytest.fixture(autouse=True)
@@ -51,6 +61,7 @@ def test_a_new_arduino_is_flashed_configured_and_shown(avr_host, tmp_path, board
             assert "already" in "\n".join(board_tool.configure(session, block))
             session.report()
             shown = "\n".join(board_tool.show(session))
+        assert "on the 1-Wire: 28-000000000001, 28-000000000002" in shown
         assert "heater relay" in shown and re.search(r"Air temperature +25 ", shown)
 
 

@@ -56,13 +56,13 @@ bool gh_eeprom_config(gh_config *config)
     return false;
 }
 
-static void read_part(void *context, uint8_t part, uint8_t *bytes)
+void gh_eeprom_read_part(void *context, uint8_t part, uint8_t *bytes)
 {
     (void)context;
     eeprom_read_block(bytes, block_at(second_in_force()) + part * PART_SIZE, PART_SIZE);
 }
 
-static void write_part(void *context, uint8_t part, uint8_t *bytes)
+void gh_eeprom_write_part(void *context, uint8_t part, uint8_t *bytes)
 {
     (void)context;
     uint8_t *at = block_at(!second_in_force()) + part * PART_SIZE;
@@ -70,7 +70,7 @@ static void write_part(void *context, uint8_t part, uint8_t *bytes)
     eeprom_read_block(bytes, at, PART_SIZE);
 }
 
-static bool commit(void *context)
+bool gh_eeprom_commit(void *context)
 {
     gh_config config;
     bool spare = !second_in_force();
@@ -81,5 +81,3 @@ static bool commit(void *context)
     eeprom_update_byte(CHOICE_AT, spare ? 1 : 0); /* the only moment: a failure of the power before it changes nothing */
     return true;
 }
-
-const gh_block_store GH_EEPROM_STORE = {NULL, read_part, write_part, commit};

@@ -12,6 +12,9 @@ uint32_t gh_eeprom_count_start(void);
 /* The configuration in force; false, and `config` has no pin and no part, where there is none. */
 bool gh_eeprom_config(gh_config *config);
 
-extern const gh_block_store GH_EEPROM_STORE;
+/* For gh_setup. */
+void gh_eeprom_read_part(void *context, uint8_t part, uint8_t *bytes);
+void gh_eeprom_write_part(void *context, uint8_t part, uint8_t *bytes);
+bool gh_eeprom_commit(void *context);
 
 #endif

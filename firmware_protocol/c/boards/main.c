@@ -11,6 +11,7 @@
 
 #include "gh_buses.h"
 #include "gh_eeprom.h"
+#include "gh_one_wire.h"
 #include "gh_pins.h"
 #include "gh_sensors.h"
 
@@ -37,6 +38,7 @@ static gh_buses buses;
 static gh_sensors sensors;
 static uint8_t output_pins[GH_OUTPUTS];
 static uint8_t inverted_outputs;
+static bool has_wire;
 
 /* Both survive the clearing of .bss. MCUSR has to be read, and the watchdog stopped, before main; a bootloader may have
  * cleared MCUSR, then the cause is unknown. The watchdog also ends a program that wants to start anew. */
@@ -112,6 +114,25 @@ static void drive(const gh_pins *pins)
     gh_led_drive(output_pins[GH_OUTPUT_LED], pins->led_pct, (inverted_outputs >> GH_OUTPUT_LED & 1u) != 0);
 }
 
+/* One whole pass: in turn with the driver's steps, which reads again what that may spoil. */
+static uint64_t find_part(void *context, bool first)
+{
+    static gh_one_wire_search search;
+    uint64_t rom = 0;
+    (void)context;
+    if (!has_wire) {
+        return 0;
+    }
+    if (first) {
+        gh_one_wire_search_init(&search, &buses.wire);
+    }
+    while (search.wire != NULL && gh_one_wire_search_step(&search, &rom) == GH_ONE_WIRE_SEARCH_RUNS) {
+    }
+    return rom;
+}
+
+static const gh_setup SETUP = {NULL, gh_eeprom_read_part, gh_eeprom_write_part, gh_eeprom_commit, find_part};
+
 /* Every output off, the fan too: until the latches are read nobody knows whether it was stopped. */
 static void start_outputs(const gh_config *config)
 {
@@ -148,9 +169,10 @@ static __attribute__((noinline)) void configure(void)
     start_outputs(&config);
     gh_eeprom_read_latches(latches);
     gh_board_init(&board, &config.board, latches, reset_cause(), gh_eeprom_count_start());
-    gh_board_use_store(&board, &GH_EEPROM_STORE);
+    gh_board_use_setup(&board, &SETUP);
     if (configured) {
         gh_buses_start(&buses, wire_pin(&config));
+        has_wire = wire_pin(&config) != GH_NO_PIN;
     }
     gh_sensors_init(&sensors, &config, &buses, 0);
 }
