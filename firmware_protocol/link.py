@@ -66,6 +66,7 @@ GREET_S = 1.0  # between two greetings of a board that is heard
 # Of one that is not: an Arduino resets when its port is opened, and a Mega's bootloader starts the program
 # only after 6 s without a byte.
 GREET_SILENT_S = 12.0
+HEARD_S = 6.0  # so long after its last whole frame a board is heard, while the port stays open
 GREET_REFUSED_S = 10.0  # the same after a board said that it speaks other versions
 RETRY_S = 0.25
 SENDS = 5  # of one request, the first included
@@ -97,6 +98,7 @@ class Link:
         self._greeting_seq = 0  # 0: none sent in this session
         self._greet_at = now
         self._greeted_at = now
+        self._runs_until = now  # its program, as far as one can know
         self._heard_at = now
         self._silence_s = SILENCE_S
         self._under_way: _UnderWay | None = None
@@ -143,6 +145,7 @@ class Link:
         nonsense_before = self._decoder.nonsense
         for payload in self._decoder.feed(data):
             self._counts["frames"] += 1
+            self._runs_until = now + HEARD_S
             if self.state == "down":
                 self._greet_at = min(self._greet_at, self._greeted_at + GREET_S)
             if payload == self._last_payload:
@@ -172,6 +175,7 @@ class Link:
         """Handle a closed port: forget half a frame, end the session, greet again."""
         events, self._untold = self._untold, []
         self._decoder.reset()
+        self._runs_until = now
         return events + self._end_session(now)
 
     def outgoing(self) -> bytes:
@@ -314,7 +318,8 @@ class Link:
         frame = encode(pack(HelloRequest(self._session), self._greeting_seq))
         self._outgoing = b"\0" + frame  # ends whatever noise left in the board's decoder
         self._greeted_at = now
-        self._greet_at = now + (GREET_REFUSED_S if self.state == "refused" else GREET_SILENT_S)
+        pause_s = GREET_S if now < self._runs_until else GREET_SILENT_S
+        self._greet_at = now + (GREET_REFUSED_S if self.state == "refused" else pause_s)
 
     def _send(self, message: Message, now: float) -> None:
         seq = self._next_seq()

@@ -85,7 +85,8 @@ def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tm
                 if line.startswith("writing 1"):
                     arduino.cut_after = HALF_OF_THE_PROGRAM
         arduino.events.clear()
-        with pytest.raises(RequestError, match="no board answers"):
+        with monkeypatch.context() as patch, pytest.raises(RequestError, match="no board answers"):
+            patch.setattr(board_session, "GREETED_S", 8.0)
             BoardSession(str(port))
         outputs = {port for port, _ in wiring.output_places}
         led = 1 << 5  # of the bootloader

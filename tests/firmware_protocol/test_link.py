@@ -118,6 +118,23 @@ def test_a_board_that_is_heard_is_greeted_every_second_with_one_session_and_seq(
     assert greetings(link, board, 4.4, (0.4, 1.4, 2.4, 3.4)) == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
+def test_a_board_that_was_lost_is_greeted_every_second_for_a_while(link: Link, up: FarEnd) -> None:
+    sent = []
+    for tick in range(1, 301):
+        link.poll(tick / 10)
+        sent += [tick / 10 for _ in up.heard()]
+    assert sent == [3.0, 4.0, 5.0, 6.0, 18.0, 30.0]  # heard at 0 s, lost 3 s later
+
+
+def test_a_board_whose_port_was_closed_may_be_in_its_bootloader(link: Link, up: FarEnd) -> None:
+    link.disconnect(1.0)
+    sent = []
+    for tick in range(10, 141):
+        link.poll(tick / 10)
+        sent += [tick / 10 for _ in up.heard()]
+    assert sent == [1.0, 13.0]
+
+
 def test_a_silent_board_is_left_in_peace_for_its_bootloader_and_greeted_when_it_speaks(
     link: Link, board: FarEnd
 ) -> None:
