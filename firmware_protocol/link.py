@@ -21,6 +21,7 @@ from firmware_protocol.link_events import (
     LinkSetup,
     LinkUp,
     Nonsense,
+    PairTold,
     Report,
     RequestRefused,
     RequestTimedOut,
@@ -30,6 +31,7 @@ from firmware_protocol.messages import (
     HEADER_LENGTH,
     LAYOUTS,
     PROTOCOL_VERSION,
+    AirPair,
     BlockPart,
     EmergencyStop,
     ErrorCode,
@@ -56,6 +58,7 @@ __all__ = [
     "LinkSetup",
     "LinkUp",
     "Nonsense",
+    "PairTold",
     "Report",
     "RequestRefused",
     "RequestTimedOut",
@@ -213,6 +216,8 @@ class Link:
         match message:
             case SensorReport():
                 return [Report(message)]
+            case AirPair():
+                return [PairTold(message)]
             case Hello():
                 return self._take_hello(header, message, now)
             case StateEcho() if header.ack == 0:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from firmware_protocol.messages import (
+    AirPair,
     BlockPart,
     ErrorMessage,
     Hello,
@@ -50,6 +51,13 @@ class Report:
 
 
 @dataclass(frozen=True, slots=True)
+class PairTold:
+    """The board's two air sensors, one by one."""
+
+    pair: AirPair
+
+
+@dataclass(frozen=True, slots=True)
 class LinkEcho:
     """The board's outputs; `request` is the one it answers, None when it was sent unasked."""
 
@@ -93,6 +101,7 @@ LinkEvent = (
     | BoardReset
     | VersionRefused
     | Report
+    | PairTold
     | LinkEcho
     | LinkSetup
     | RequestRefused

@@ -13,6 +13,8 @@ from firmware_protocol.frame import MAX_ENCODED, cobs_encode, crc16, encode
 from firmware_protocol.messages import (
     LAYOUTS,
     PROTOCOL_VERSION,
+    AirPair,
+    AirVerdict,
     BlockCommit,
     BlockPart,
     BlockRead,
@@ -107,6 +109,7 @@ _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
     ("block_part", BlockPart(_WRITE.part, _WRITE.low, _WRITE.high), 8, 9),
     ("wire_search", WireSearch(True), 11, 0),
     ("wire_part", WirePart(0x5D00000000000128), 9, 11),
+    ("air_pair", AirPair(24.9, 28.1, AirVerdict.APART), 8, 0),
     ("hello unasked after a reset", replace(_HELLO, session=0, boot_count=8), 1, 0),
     ("command of nothing", CommandMessage(0, False, 0, 0.0, False, 0.0), 1, 0),
     ("command of everything", CommandMessage(20, True, 100, 25.5, True, 60.0), 255, 0),
@@ -116,7 +119,7 @@ _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
     ("state_echo in maintenance", _MAINTAINED, 7, 0),
     ("error none", ErrorMessage(ErrorCode.NONE, 255), 7, 1),
 )
-_EXAMPLES = 18  # the first of them stand in PROTOCOL.md
+_EXAMPLES = 19  # the first of them stand in PROTOCOL.md
 
 
 def _header(kind: type[Message]) -> bytes:

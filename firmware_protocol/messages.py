@@ -54,6 +54,15 @@ class HeaterOffCause(IntEnum):
     COMMANDED = 5
 
 
+class AirVerdict(IntEnum):
+    """Air temperature told of two sensors: mean, the one left, the warmer of two apart, none."""
+
+    AGREE = 0
+    ALONE = 1
+    APART = 2
+    NONE = 3
+
+
 class ErrorCode(IntEnum):
     """Reason why a whole frame was not obeyed; PROTOCOL.md gives the detail of each."""
 
@@ -246,6 +255,15 @@ class WirePart:
     rom: int  # its ROM code, family in the lowest byte; 0: there is no further one
 
 
+@dataclass(frozen=True, slots=True)
+class AirPair:
+    """air_pair: board -> host, kind 19, 5 bytes."""
+
+    first_c: float | None  # [degC]
+    second_c: float | None  # [degC]
+    verdict: AirVerdict
+
+
 Message = (
     HelloRequest
     | Hello
@@ -265,6 +283,7 @@ Message = (
     | BlockPart
     | WireSearch
     | WirePart
+    | AirPair
 )
 
 LAYOUTS: dict[type[Message], Layout] = {
@@ -420,6 +439,15 @@ LAYOUTS: dict[type[Message], Layout] = {
         18,
         True,
         (Field("rom", "Q", 0, 18446744073709551615),),
+    ),
+    AirPair: Layout(
+        19,
+        True,
+        (
+            Field("first_c", "h", -5000, 15000, per_unit=100, none=-32768),
+            Field("second_c", "h", -5000, 15000, per_unit=100, none=-32768),
+            Field("verdict", "B", 0, 3, kind=AirVerdict),
+        ),
     ),
 }
 

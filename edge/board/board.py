@@ -12,7 +12,7 @@ from edge.board.serial_port import OpenPort, PortGone, SerialPort, WirePort
 from edge.core.clock import Clock
 from edge.core.event_log import EventLog
 from edge.core.hard_limits import LEASE_S
-from edge.core.messages import Command, Echo, Event, Reading, ReadingQuality, Severity
+from edge.core.messages import AirSensorPair, Command, Echo, Event, Reading, ReadingQuality, Severity
 from edge.core.names import HEATER_LEVELS, SIGNALS
 from firmware_protocol import link as wire
 from firmware_protocol import messages as wire_messages
@@ -76,6 +76,7 @@ class Board:
         self._samples: list[Sample] = []
         self._events = EventLog()
         self.echo: Echo | None = None
+        self.air_pair: AirSensorPair | None = None  # None for a board with one air sensor
         self.hello: wire_messages.Hello | None = None
 
     @property
@@ -258,6 +259,9 @@ class Board:
                 case wire.Report(report):
                     self._samples.append(_readings(report, now))
                     del self._samples[:-SAMPLES_KEPT]
+                case wire.PairTold(pair):
+                    apart = pair.verdict is wire_messages.AirVerdict.APART
+                    self.air_pair = AirSensorPair(pair.first_c, pair.second_c, apart)
                 case wire.LinkEcho(state, request):
                     self._take_echo(state, request, now)
                 case _:
@@ -291,7 +295,7 @@ class Board:
                     "board.link_up", Severity.INFO, f"board {hello.board_id:016x}, firmware {firmware}"
                 )
             case wire.LinkLost(silent_s):
-                self.echo = None
+                self.echo = self.air_pair = None
                 self._tell(
                     "board.link_lost", Severity.ALARM, f"the board has been silent for {silent_s:.1f} s"
                 )

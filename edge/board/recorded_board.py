@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from edge.core.messages import Command, Echo, Event, Reading, ReadingQuality
+from edge.core.messages import AirSensorPair, Command, Echo, Event, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.formats.run_file import RecordedRun
 
@@ -47,6 +47,7 @@ class RecordedBoard:
         self._next = 0
         self._waiting: list[Mapping[str, Reading]] = []
         self.echo: Echo | None = None
+        self.air_pair: AirSensorPair | None = None
         self._deliver()
 
     @property

@@ -33,6 +33,20 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
+class AirSensorPair:
+    """Two air sensors of one board as they last showed [°C], None for one that is not good."""
+
+    first: float | None
+    second: float | None
+    are_apart: bool  # by more than the board's limit
+
+    @property
+    def is_alone(self) -> bool:
+        """Only one of the two is good."""
+        return (self.first is None) != (self.second is None)
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """A command to the actuators. The default is the safe one: everything off."""
 

@@ -26,6 +26,18 @@ _ROWS = (
         "heater off, the estimate goes on by model alone",
     ),
     Failure(
+        "air_sensors.apart",
+        Severity.WARNING,
+        "the two air sensors disagree",
+        "the warmer counts; the one nearer to the model's forecast is named",
+    ),
+    Failure(
+        "air_sensors.alone",
+        Severity.WARNING,
+        "one of the two air sensors is not good",
+        "the other one counts alone",
+    ),
+    Failure(
         "estimate.old",
         Severity.ALARM,
         "the estimate is too old to plan from",

@@ -15,6 +15,7 @@ from edge.core.errors import RequestError
 from edge.core.event_log import Allowance, EventLog
 from edge.core.hard_limits import LEASE_S
 from edge.core.messages import (
+    AirSensorPair,
     Change,
     Command,
     Echo,
@@ -273,6 +274,10 @@ class Loop:
         link_up = self._rig.board.link_up
         note = self._conditions.set
         note("reading.not_good", quality is not ReadingQuality.GOOD, now, utc, quality.value)
+        pair = self._rig.board.air_pair
+        apart = pair is not None and pair.are_apart
+        note("air_sensors.apart", apart, now, utc, _witness(pair, air, estimate) if pair and apart else "")
+        note("air_sensors.alone", pair is not None and pair.is_alone, now, utc)
         note("board.link_down", not link_up, now, utc)
         note("board.no_echo", link_up and echo is None, now, utc)
         note("tick.late", late_s > LATE_SHARE * self._step_s, now, utc, f"{late_s:.2f} s")
@@ -486,3 +491,16 @@ def _as_saved(reply: Reply, error: str) -> Reply:
 
 def _driven_command(echo: Echo) -> Command:
     return Command(heater_duty=echo.heater_duty, fan_on=echo.fan_on, led=echo.led)
+
+
+def _witness(pair: AirSensorPair, air: Reading | None, estimate: Estimate) -> str:
+    """Return what each of two air sensors shows, and which one the model's forecast for now speaks for."""
+    assert pair.first is not None and pair.second is not None
+    expected = estimate.temp_air  # without a measurement that is the model's forecast
+    if estimate.innovation is not None and air is not None and air.value is not None:
+        expected = air.value - estimate.innovation
+    said = f"{pair.first:.1f} and {pair.second:.1f} °C"
+    if not math.isfinite(expected):
+        return said
+    nearer = "first" if abs(pair.first - expected) < abs(pair.second - expected) else "second"
+    return f"{said}; the model expected {expected:.1f} °C, so the {nearer} one is likely right"

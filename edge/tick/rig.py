@@ -10,6 +10,7 @@ from edge.config.settings import Settings
 from edge.core.clock import Clock
 from edge.core.controller import Columns, Controller
 from edge.core.messages import (
+    AirSensorPair,
     Command,
     Decision,
     Drift,
@@ -37,6 +38,7 @@ class BoardLine(Protocol):
     """The board as a tick needs it, real or recorded."""
 
     echo: Echo | None
+    air_pair: AirSensorPair | None
 
     @property
     def link_up(self) -> bool:

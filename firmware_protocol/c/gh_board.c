@@ -99,6 +99,12 @@ static void send_report(gh_board *board, uint32_t now_ms)
     send(board, GH_KIND_SENSOR_REPORT, 0, body, gh_pack_sensor_report(&report, body));
 }
 
+static void send_air_pair(gh_board *board)
+{
+    uint8_t body[GH_AIR_PAIR_LENGTH];
+    send(board, GH_KIND_AIR_PAIR, 0, body, gh_pack_air_pair(&board->air_pair, body));
+}
+
 /* Writes the body of a state echo and remembers what it told. */
 static void echo_state(gh_board *board, uint32_t now_ms, uint8_t *body)
 {
@@ -321,7 +327,8 @@ static void greet(gh_board *board, const request *request)
 static bool sent_by_boards(uint8_t kind)
 {
     return kind == GH_KIND_HELLO || kind == GH_KIND_SENSOR_REPORT || kind == GH_KIND_STATE_ECHO ||
-           kind == GH_KIND_ERROR || kind == GH_KIND_BLOCK_PART || kind == GH_KIND_WIRE_PART;
+           kind == GH_KIND_ERROR || kind == GH_KIND_BLOCK_PART || kind == GH_KIND_WIRE_PART ||
+           kind == GH_KIND_AIR_PAIR;
 }
 
 static void take_payload(gh_board *board, const uint8_t *payload, size_t length, uint32_t now_ms)
@@ -461,6 +468,17 @@ static bool report_is_due(gh_board *board, uint32_t now_ms)
     return true;
 }
 
+static int16_t pair_value(int32_t raw)
+{
+    return raw < GH_AIR_PAIR_FIRST_C_MIN || raw > GH_AIR_PAIR_FIRST_C_MAX ? (int16_t)INT16_MIN : (int16_t)raw;
+}
+
+void gh_board_sample_pair(gh_board *board, int32_t first, int32_t second, uint8_t verdict)
+{
+    board->has_air_pair = true;
+    board->air_pair = (gh_air_pair){pair_value(first), pair_value(second), verdict};
+}
+
 gh_pins gh_board_step(gh_board *board, uint32_t now_ms)
 {
     advance(board, now_ms);
@@ -471,6 +489,9 @@ gh_pins gh_board_step(gh_board *board, uint32_t now_ms)
     }
     if (report_is_due(board, now_ms)) {
         send_report(board, now_ms);
+        if (board->has_air_pair) {
+            send_air_pair(board);
+        }
     }
     return gh_safety_pins(&board->safety);
 }

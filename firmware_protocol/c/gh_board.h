@@ -79,6 +79,8 @@ typedef struct {
     uint8_t seq;
     uint8_t echoed_off_cause, echoed_trip_cause;
     bool echo_due;
+    bool has_air_pair;
+    gh_air_pair air_pair;
     bool restart; /* a new configuration is in force: send what waits, then reset */
     uint8_t transmit[GH_TRANSMIT_SIZE];
 } gh_board;
@@ -100,6 +102,9 @@ void gh_board_receive(gh_board *board, uint8_t byte, uint32_t now_ms);
 
 /* A new sample: raw integer in the unit of its signal or GH_NO_VALUE, and GH_QUALITY_... */
 void gh_board_sample(gh_board *board, gh_signal signal, int32_t raw, uint8_t quality, uint32_t now_ms);
+
+/* What two air sensors show, GH_NO_VALUE for one that does not, and GH_AIR_VERDICT_...; told after each report. */
+void gh_board_sample_pair(gh_board *board, int32_t first, int32_t second, uint8_t verdict);
 
 /* What the pins must show from now on. Call it at least every 100 ms. */
 gh_pins gh_board_step(gh_board *board, uint32_t now_ms);

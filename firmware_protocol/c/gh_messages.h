@@ -38,6 +38,7 @@ enum {
     GH_KIND_BLOCK_PART = 16,
     GH_KIND_WIRE_SEARCH = 17,
     GH_KIND_WIRE_PART = 18,
+    GH_KIND_AIR_PAIR = 19,
 };
 
 enum {
@@ -72,6 +73,13 @@ enum {
     GH_HEATER_OFF_CAUSE_SENSOR_FAULT = 3,
     GH_HEATER_OFF_CAUSE_NOT_GREETED = 4,
     GH_HEATER_OFF_CAUSE_COMMANDED = 5,
+};
+
+enum {
+    GH_AIR_VERDICT_AGREE = 0,
+    GH_AIR_VERDICT_ALONE = 1,
+    GH_AIR_VERDICT_APART = 2,
+    GH_AIR_VERDICT_NONE = 3,
 };
 
 enum {
@@ -771,6 +779,52 @@ static inline int gh_unpack_wire_part(const uint8_t *body, size_t n, gh_wire_par
     if (n != GH_WIRE_PART_LENGTH)
         return GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, n > 255 ? 255 : n);
     message->rom = gh_get_u64(body + 0);
+    return 0;
+}
+
+/* air_pair, board -> host */
+#define GH_AIR_PAIR_LENGTH 5
+#define GH_AIR_PAIR_FIRST_C_FIELD 0
+#define GH_AIR_PAIR_FIRST_C_MIN (-5000)
+#define GH_AIR_PAIR_FIRST_C_MAX (15000)
+#define GH_AIR_PAIR_FIRST_C_PER_UNIT 100
+#define GH_AIR_PAIR_FIRST_C_NONE (-32767 - 1)
+#define GH_AIR_PAIR_SECOND_C_FIELD 1
+#define GH_AIR_PAIR_SECOND_C_MIN (-5000)
+#define GH_AIR_PAIR_SECOND_C_MAX (15000)
+#define GH_AIR_PAIR_SECOND_C_PER_UNIT 100
+#define GH_AIR_PAIR_SECOND_C_NONE (-32767 - 1)
+#define GH_AIR_PAIR_VERDICT_FIELD 2
+#define GH_AIR_PAIR_VERDICT_MIN (0)
+#define GH_AIR_PAIR_VERDICT_MAX (3)
+
+typedef struct {
+    int16_t first_c;
+    int16_t second_c;
+    uint8_t verdict;
+} gh_air_pair;
+
+static inline size_t gh_pack_air_pair(const gh_air_pair *message, uint8_t *out)
+{
+    gh_put_i16(out + 0, message->first_c);
+    gh_put_i16(out + 2, message->second_c);
+    gh_put_u8(out + 4, message->verdict);
+    return 5;
+}
+
+static inline int gh_unpack_air_pair(const uint8_t *body, size_t n, gh_air_pair *message)
+{
+    if (n != GH_AIR_PAIR_LENGTH)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_LENGTH, n > 255 ? 255 : n);
+    message->first_c = gh_get_i16(body + 0);
+    message->second_c = gh_get_i16(body + 2);
+    message->verdict = gh_get_u8(body + 4);
+    if (message->first_c != GH_AIR_PAIR_FIRST_C_NONE && (message->first_c < GH_AIR_PAIR_FIRST_C_MIN || message->first_c > GH_AIR_PAIR_FIRST_C_MAX))
+        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_AIR_PAIR_FIRST_C_FIELD);
+    if (message->second_c != GH_AIR_PAIR_SECOND_C_NONE && (message->second_c < GH_AIR_PAIR_SECOND_C_MIN || message->second_c > GH_AIR_PAIR_SECOND_C_MAX))
+        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_AIR_PAIR_SECOND_C_FIELD);
+    if (message->verdict > GH_AIR_PAIR_VERDICT_MAX)
+        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_AIR_PAIR_VERDICT_FIELD);
     return 0;
 }
 

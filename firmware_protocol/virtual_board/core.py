@@ -12,6 +12,8 @@ from firmware_protocol.messages import (
     CLASS_OF_KIND,
     LAYOUT_OF_KIND,
     PROTOCOL_VERSION,
+    AirPair,
+    AirVerdict,
     BlockCommit,
     BlockPart,
     BlockRead,
@@ -92,6 +94,7 @@ class BoardCore:
         self._boot_count = boot_count
         self._safety = Safety(config, persistent)
         self._samples = Samples()
+        self._air_pair: AirPair | None = None
         self._seq = 0
         self._answered: tuple[int, Message] | None = None  # newest request's seq and what was said to it
         self._told: tuple[HeaterOffCause, TripCause] | None = None  # by the last state_echo since a hello
@@ -114,6 +117,10 @@ class BoardCore:
             if signal == AIR:
                 self._safety.sample_air(sample)
 
+    def sample_pair(self, first_c: float | None, second_c: float | None, verdict: AirVerdict) -> None:
+        """Take what two air sensors show; told after each report."""
+        self._air_pair = AirPair(first_c, second_c, verdict)
+
     def step(self, now_ms: int) -> Pins:
         """Advance and return the new outputs; to be called at least every 100 ms."""
         self._advance(now_ms)
@@ -123,6 +130,8 @@ class BoardCore:
         if passed > 0:
             self._report_ms += passed * self._config.report_period_ms
             self._send(self._samples.report(wrap(now_ms)), 0)
+            if self._air_pair is not None:
+                self._send(self._air_pair, 0)
         return self._safety.pins()
 
     def transmit(self) -> bytes:

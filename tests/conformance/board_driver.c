@@ -6,6 +6,7 @@
  *   2 sample: signal u8, quality u8, raw i32 -> nothing
  *   3 step                                   -> five bytes of pins, transmitted bytes
  *   4 persistent                             -> the four bytes
+ *   6 two air sensors: first i32, second i32, verdict u8 -> nothing
  *   5 restart                                -> one byte: whether a reset is due
  *
  * The configuration's block starts blank; a good one is one for the ATmega328P.
@@ -109,6 +110,9 @@ static void obey(gh_board *board, uint8_t operation, uint32_t now_ms, const uint
         break;
     case 3:
         step(board, now_ms, out);
+        break;
+    case 6:
+        gh_board_sample_pair(board, (int32_t)gh_get_u32(body), (int32_t)gh_get_u32(body + 4), body[8]);
         break;
     case 5:
         out->bytes[out->length++] = board->restart;

@@ -20,7 +20,7 @@ from firmware_protocol.virtual_board.store import BlockSlots
 STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic")
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 DRIVER_SOURCE = Path(__file__).parent / "board_driver.c"
-_INIT, _RECEIVE, _SAMPLE, _STEP, _PERSISTENT, _RESTART = range(6)
+_INIT, _RECEIVE, _SAMPLE, _STEP, _PERSISTENT, _RESTART, _PAIR = range(7)
 _LONGEST_REQUEST = 1024
 _CONFIG = struct.Struct("<QBBBHHhHHHB")
 
@@ -86,6 +86,10 @@ class SanitizedBoard:
 
     def persistent(self) -> bytes:
         return self._driver.call(_PERSISTENT, 0)
+
+    def sample_pair(self, first_c: float | None, second_c: float | None, verdict: int) -> None:
+        raws = [raw_sample("temp_air_c", value) for value in (first_c, second_c)]
+        self._driver.call(_PAIR, 0, struct.pack("<iiB", *raws, verdict))
 
     @property
     def restart(self) -> bool:

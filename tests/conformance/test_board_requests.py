@@ -27,7 +27,7 @@ from firmware_protocol.messages import (
 COMMAND, CLEAR_TRIP, PING, EMERGENCY_STOP, HELLO_REQUEST = 4, 6, 7, 9, 1
 BODY_LENGTH = {COMMAND: 7, CLEAR_TRIP: 0, PING: 0, EMERGENCY_STOP: 0, 10: 0, 11: 0, 12: 0, HELLO_REQUEST: 4}
 REQUESTS = [HEAT, ClearTrip(), Ping(), EmergencyStop(), Maintenance(), ReleaseStop(), EndMaintenance()]
-FROM_BOARD = [2, 3, 5, 8, 16, 18]
+FROM_BOARD = [2, 3, 5, 8, 16, 18, 19]
 
 
 def payload(kind: int, body: bytes = b"", seq: int = 1, version: int = PROTOCOL_VERSION) -> bytes:

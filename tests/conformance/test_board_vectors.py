@@ -15,7 +15,7 @@ from firmware_protocol.messages import PROTOCOL_VERSION, BlockPart, ErrorCode, H
 from firmware_protocol.virtual_board.c_core import compile_board, load_board
 
 VECTORS = json.loads((Path(firmware_protocol.__file__).parent / "vectors.json").read_text(encoding="utf-8"))
-FROM_BOARD = {2, 3, 5, 8, 16, 18}
+FROM_BOARD = {2, 3, 5, 8, 16, 18, 19}
 MESSAGE_NAME = {
     1: "hello_request",
     2: "hello",
@@ -28,6 +28,7 @@ MESSAGE_NAME = {
     16: "block_part",
     17: "wire_search",
     18: "wire_part",
+    19: "air_pair",
 }
 BLOCK_READ, BLOCK_WRITE, BLOCK_COMMIT, WIRE_SEARCH = 13, 14, 15, 17
 COUNTERS = ("too_long", "bad_cobs", "too_short", "bad_crc")

@@ -12,8 +12,10 @@ from avr.simulated_avr import FREQUENCY, AvrRig, SimulatedAvr
 import firmware_protocol
 from firmware_protocol.board_block import Output, Part, PartConfig
 from firmware_protocol.frame import encode
-from firmware_protocol.link import LinkEcho, LinkUp, Report
+from firmware_protocol.link import LinkEcho, LinkUp, PairTold, Report
 from firmware_protocol.messages import (
+    AirPair,
+    AirVerdict,
     BlockCommit,
     BlockWrite,
     CommandMessage,
@@ -238,6 +240,7 @@ def test_of_two_air_sensors_the_warmer_counts_where_they_disagree_and_trips_the_
     board.parts.inside.sixteenths = 46 * 16
     board.run(8.0)
     assert board.seen(Report)[-1].report.temp_air_c == 46.0
+    assert board.seen(PairTold)[-1].pair == AirPair(25.0, 46.0, AirVerdict.APART)
     assert state(board).trip_cause is TripCause.OVER_TEMPERATURE
 
 

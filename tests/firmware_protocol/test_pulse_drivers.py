@@ -768,7 +768,7 @@ class Vote(CDriver):
         """Returns : [(raw or None, quality, verdict)]"""
         told = []
         for _ in range(0, ms, stride):
-            found, verdict = Measurement(), ctypes.c_int(-1)
+            found, verdict = Measurement(), U8(255)
             if self.step(ctypes.byref(found), ctypes.byref(verdict)):
                 told.append((*found.value, verdict.value))
             self.now_ms += stride

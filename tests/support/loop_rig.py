@@ -10,7 +10,16 @@ from typing import Any
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.controller import Context
-from edge.core.messages import Command, Decision, Echo, Event, Reading, ReadingQuality, TickRecord
+from edge.core.messages import (
+    AirSensorPair,
+    Command,
+    Decision,
+    Echo,
+    Event,
+    Reading,
+    ReadingQuality,
+    TickRecord,
+)
 from edge.models.arx_file import read_arx
 from edge.safety.supervisor import SafetyMemory
 from edge.tick.estimator import Estimator
@@ -51,6 +60,7 @@ class FakeBoard:
     confirms: bool = True
     tripped: bool = False
     echo: Echo | None = None
+    air_pair: AirSensorPair | None = None
     driven: list[tuple[Command, bool, float]] = field(default_factory=list)
     commanded: Command = field(default_factory=Command)
     stopped: bool = False

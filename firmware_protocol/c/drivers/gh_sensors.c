@@ -72,7 +72,6 @@ void gh_sensors_init(gh_sensors *s, const gh_config *config, const gh_buses *bus
     s->buses = buses;
     s->air = GH_NO_VALUE;
     s->humidity_part = NO_PART;
-    s->verdict = GH_VOTE_NONE;
     s->count = config->part_count;
     for (uint8_t i = 0; i < s->count; i++) {
         const gh_part *part = &config->parts[i];
@@ -107,12 +106,23 @@ static void tell_temperature(gh_sensors *s, const gh_sensor *sensor, gh_board *b
     }
 }
 
+static int32_t shown_by(const gh_vote_sensor *sensor)
+{
+    return sensor->good ? sensor->raw : GH_NO_VALUE;
+}
+
+static void tell_pair(const gh_sensors *s, gh_board *board, uint8_t verdict)
+{
+    const gh_vote_sensor *both = s->vote.sensors;
+    gh_board_sample_pair(board, shown_by(&both[0]), shown_by(&both[1]), verdict);
+}
+
 static void step_vote(gh_sensors *s, gh_board *board, uint32_t now_ms)
 {
     gh_measurement found;
-    gh_vote_verdict verdict;
+    uint8_t verdict;
     if (s->air_count > 1 && gh_vote_step(&s->vote, now_ms, &found, &verdict)) {
-        s->verdict = (uint8_t)verdict;
+        tell_pair(s, board, verdict);
         s->air = found.raw;
         tell(board, GH_SIGNAL_TEMP_AIR, &found, now_ms);
     }

@@ -48,7 +48,6 @@ typedef struct {
     uint8_t count, ds18b20_count, air_count;
     uint8_t turn;
     uint8_t humidity_part; /* whose humidity is told */
-    uint8_t verdict;       /* gh_vote_verdict */
     bool co2_known;
     bool listening; /* a driver times edges on the lines: nothing may keep interrupts off */
 } gh_sensors;

@@ -38,17 +38,17 @@ static void forget_old(gh_vote *s, uint32_t now_ms)
 }
 
 /* The difference cannot overflow: a sensor's raw value has less than 30 bits. */
-static gh_vote_verdict verdict_of(const gh_vote *s)
+static uint8_t verdict_of(const gh_vote *s)
 {
     const gh_vote_sensor *sensors = s->sensors;
     if (!sensors[0].good || !sensors[1].good) {
-        return sensors[0].good || sensors[1].good ? GH_VOTE_ALONE : GH_VOTE_NONE;
+        return sensors[0].good || sensors[1].good ? GH_AIR_VERDICT_ALONE : GH_AIR_VERDICT_NONE;
     }
     int32_t apart = sensors[0].raw - sensors[1].raw;
-    return apart <= s->limit && -apart <= s->limit ? GH_VOTE_AGREE : GH_VOTE_DISAGREE;
+    return apart <= s->limit && -apart <= s->limit ? GH_AIR_VERDICT_AGREE : GH_AIR_VERDICT_APART;
 }
 
-bool gh_vote_step(gh_vote *s, uint32_t now_ms, gh_measurement *temperature, gh_vote_verdict *verdict)
+bool gh_vote_step(gh_vote *s, uint32_t now_ms, gh_measurement *temperature, uint8_t *verdict)
 {
     gh_vote_sensor *first = &s->sensors[0];
     gh_vote_sensor *second = &s->sensors[1];
@@ -58,18 +58,18 @@ bool gh_vote_step(gh_vote *s, uint32_t now_ms, gh_measurement *temperature, gh_v
     }
     /* Of two that disagree the warmer is told: a dead sensor that shows cold would have the heater run on and hide an
      * over-temperature from the trip; one that shows warm only leaves the plants cold, which the flag reports. */
-    gh_vote_verdict found = verdict_of(s);
+    uint8_t found = verdict_of(s);
     gh_vote_sensor *told = first->good && (!second->good || first->raw > second->raw) ? first : second;
     /* An old value told twice would count as two hot samples, and a single false one would trip the board. */
-    bool rests_on_new = found == GH_VOTE_NONE    ? s->bad_is_new
-                        : found == GH_VOTE_AGREE ? first->is_new || second->is_new
+    bool rests_on_new = found == GH_AIR_VERDICT_NONE    ? s->bad_is_new
+                        : found == GH_AIR_VERDICT_AGREE ? first->is_new || second->is_new
                                                  : told->is_new;
     if (!rests_on_new) {
         return false;
     }
     *verdict = found;
-    *temperature = found == GH_VOTE_NONE    ? gh_bad(GH_QUALITY_FAULT)
-                   : found == GH_VOTE_AGREE ? gh_good(second->raw + (first->raw - second->raw) / 2)
+    *temperature = found == GH_AIR_VERDICT_NONE    ? gh_bad(GH_QUALITY_FAULT)
+                   : found == GH_AIR_VERDICT_AGREE ? gh_good(second->raw + (first->raw - second->raw) / 2)
                                             : gh_good(told->raw);
     first->is_new = false;
     second->is_new = false;

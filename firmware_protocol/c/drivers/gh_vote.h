@@ -6,13 +6,6 @@
 
 #define GH_VOTE_SENSORS 2u
 
-typedef enum {
-    GH_VOTE_AGREE,    /* the mean of both */
-    GH_VOTE_ALONE,    /* one is good, and it is that one */
-    GH_VOTE_DISAGREE, /* both are good and too far apart: the warmer */
-    GH_VOTE_NONE      /* neither is good: a fault */
-} gh_vote_verdict;
-
 typedef struct {
     int32_t raw; /* 0.01 degC */
     uint32_t time_ms;
@@ -34,7 +27,7 @@ void gh_vote_init(gh_vote *s, uint16_t limit);
 /* What the driver of sensor 0 or 1 found. */
 void gh_vote_hear(gh_vote *s, uint8_t sensor, const gh_measurement *measurement, uint32_t now_ms);
 
-/* True at most once a second, when what it tells rests on a measurement that is new. */
-bool gh_vote_step(gh_vote *s, uint32_t now_ms, gh_measurement *temperature, gh_vote_verdict *verdict);
+/* True at most once a second, when what it tells rests on a measurement that is new. `verdict`: GH_AIR_VERDICT_... */
+bool gh_vote_step(gh_vote *s, uint32_t now_ms, gh_measurement *temperature, uint8_t *verdict);
 
 #endif

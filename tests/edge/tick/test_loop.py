@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from loop_rig import UTC_0, LoopRig, is_safe
 
-from edge.core.messages import Command, ReadingQuality, TickRecord
+from edge.core.messages import AirSensorPair, Command, ReadingQuality, TickRecord
 from edge.safety.supervisor import SafetyMemory
 from edge.state.store import STANDING, restore
 from edge.tick.faults import FAILURES
@@ -66,6 +66,21 @@ def test_the_first_controller_is_reset_once_and_again_when_it_comes_back(rig: Lo
 
 
 # the failure table, row by row
+
+
+def test_of_two_air_sensors_that_disagree_the_model_names_the_likely_one(rig: LoopRig) -> None:
+    for _ in range(3):
+        rig.board.air_pair = AirSensorPair(22.0, 22.2, are_apart=False)
+        assert not begins(rig.tick(), "air_sensors.apart")
+    rig.board.temp_air, rig.board.air_pair = 26.0, AirSensorPair(22.1, 26.0, are_apart=True)
+    record = rig.tick()
+    assert begins(record, "air_sensors.apart")
+    [event] = [event for event in record.events if event.key == "air_sensors.apart"]
+    assert "22.1 and 26.0 °C; the model expected 2" in event.text
+    assert "the first one is likely right" in event.text
+    rig.board.air_pair = AirSensorPair(22.1, None, are_apart=False)
+    record = rig.tick()
+    assert ends(record, "air_sensors.apart") and begins(record, "air_sensors.alone")
 
 
 @pytest.mark.parametrize(
