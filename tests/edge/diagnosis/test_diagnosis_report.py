@@ -17,7 +17,7 @@ from diagnosis_examples import STORIES, named_story, nothing_story, unknown_stor
 
 from edge.core.errors import DataError
 from edge.diagnosis.progress import Stage, TerminalProgress
-from edge.diagnosis.report.heat_picture import explained_share, variables
+from edge.diagnosis.report.heat_picture import BINS, Variable, explained_share, variables
 from edge.diagnosis.report.markup import paragraph
 from edge.diagnosis.report.number_text import duration, kelvin, nats, number, odds, percent, plus_minus
 from edge.diagnosis.report.page import write_report
@@ -450,3 +450,14 @@ def test_a_stage_of_unknown_length_goes_on_and_never_ends_early() -> None:
     assert told[0] == 0.2
     assert told == sorted(set(told))
     assert 0.59 < told[-1] < 0.6
+
+
+def test_the_explained_share_is_that_of_the_bins_less_what_chance_would_explain():
+    rows, random = 40 * BINS, np.random.default_rng(1)
+    x = np.linspace(0.0, 1.0, rows)
+    variable = Variable("temp", "temperature", x, np.zeros(rows, dtype=np.intp), ("", ""))
+    noise = random.normal(size=rows)
+    assert explained_share(variable, noise) == pytest.approx(0.0, abs=0.03)
+    assert explained_share(variable, 10.0 * np.floor(x * BINS) + 0.1 * noise) > 0.97
+    steps = np.where(x < 0.5, -1.0, 1.0)  # as much variance as the noise
+    assert explained_share(variable, steps + noise) == pytest.approx(0.5, abs=0.06)

@@ -6,7 +6,7 @@ from locate_runs import BASE, located, made
 
 from edge.diagnosis.locate.regimes import DisagreementRegime, conditions, regimes
 from edge.diagnosis.locate.rows import rows_of
-from edge.diagnosis.locate.stretches import stretches
+from edge.diagnosis.locate.stretches import _richest, stretches
 from edge.diagnosis.location import findings, percent, regime_sentence, with_error
 
 
@@ -146,3 +146,10 @@ SHARES = {0.0: "0 %", 0.003: "less than 1 %", 0.714: "71 %", 0.998: "more than 9
 @pytest.mark.parametrize(("share", "text"), SHARES.items())
 def test_percent(share, text):
     assert percent(share) == text
+
+
+def test_the_richest_ranges_are_those_of_the_largest_sums():
+    values = np.array([-5.0, 2.0, -1.0, 3.0, -9.0, 1.0, -2.0, 4.0])
+    assert _richest(values)[0] == (1, 4)  # 2 - 1 + 3
+    assert sorted(_richest(values)) == [(1, 4), (5, 6), (7, 8)]
+    assert _richest(-np.ones(3)) == []

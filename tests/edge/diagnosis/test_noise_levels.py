@@ -134,3 +134,13 @@ def test_more_heat_than_the_file_or_a_usual_box_has_is_told(file: TwinFile) -> N
         runs = runs_with(replace(NOISE, heat_w=heat_w))
         [found] = fit([Trial(file, replace(NOISE, heat_w=max(heat_w, HEAT_RANGE[0] * HEATER_W)))], runs, 1)
         assert unexplained_heat(found, file, runs) is told
+
+
+@pytest.mark.parametrize("factor", [2.0, 10.0])
+def test_more_and_less_heat_than_usual_are_equally_unlikely(factor):
+    usual = USUAL_HEAT * HEATER_W
+    heats_w = usual, usual * factor, usual / factor
+    prior = [level_prior(replace(LOUD, heat_w=heat_w), undeclared()) for heat_w in heats_w]
+    assert prior[0] == 0.0
+    expected = -0.5 * (math.log(factor) / USUAL_HEAT_LOG_SD) ** 2
+    assert prior[1:] == [pytest.approx(expected)] * 2
