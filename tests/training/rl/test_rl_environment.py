@@ -23,6 +23,7 @@ from training.rl.episodes import (
     EpisodeStart,
     RepeatedEpisode,
     Sensor,
+    draw_ambient,
     draw_reference,
 )
 from training.rl.models import Window
@@ -218,3 +219,9 @@ def test_a_box_whose_time_is_over_begins_anew_and_tells_its_last(runs):
         assert info["TimeLimit.truncated"]
         assert not np.array_equal(info["terminal_observation"], row)
     assert not env.step(np.zeros(3, dtype=int))[2].any()
+
+
+def test_the_room_wanders_about_the_mean_that_was_drawn():
+    settings = EpisodeSettings(steps=1, ambient_c=(21.0, 21.0))
+    begins = [draw_ambient(np.random.default_rng(seed), settings)[0] for seed in range(400)]
+    assert np.mean(begins) == pytest.approx(21.0, abs=3.0 * settings.ambient_wander_k / 20.0)

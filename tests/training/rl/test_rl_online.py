@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,8 @@ from training.rl.online import (
     OnlineJob,
     RigGone,
     SocketEnv,
+    TrainingCourse,
+    _Keeper,
     make_online_agent,
 )
 from training.rl.reward import WEIGHTS
@@ -227,3 +229,17 @@ def deciders(database: Path) -> set[str]:
     """Who decided the ticks."""
     with contextlib.closing(sqlite3.connect(database)) as history:
         return {row[0] for row in history.execute("select controller from ticks")}
+
+
+def test_a_course_begins_with_nothing(tmp_path):
+    assert set(asdict(TrainingCourse()).values()) == {0}
+
+
+def test_a_checkpoint_is_written_at_the_multiples_of_its_period_and_at_the_end(tmp_path, monkeypatch):
+    saved = []
+    monkeypatch.setattr(_Keeper, "_keep", lambda self: saved.append(self.num_timesteps))
+    keeper = _Keeper(TrainingCourse(), tmp_path / "checkpoint", OnlineSettings(checkpoint_every=3))
+    for keeper.num_timesteps in range(8):
+        keeper._on_rollout_start()
+    keeper._on_training_end()
+    assert saved == [3, 6, 7]
