@@ -26,6 +26,8 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "fit-arx": "fit an ARX model to recorded runs",
     "data": "look at logs of another box, convert them to run files",
     "twin": "the physics model: new, simulate, find what it lacks, adopt",
+    "backup": "write a rig's settings, state, history and bundles into one file",
+    "restore": "put everything of a backup in its place",
     "board": "flash and configure a board, look at it, draw its wiring",
     "bundle": "install, activate or roll back signed bundles of models",
     "forget-discovery": "remove a rig from Home Assistant and the broker",
@@ -45,7 +47,7 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
         "fit-arx",
         "twin",
     ),
-    "Look after a rig": ("board", "bundle", "resend", "forget-discovery"),
+    "Look after a rig": ("board", "bundle", "backup", "restore", "resend", "forget-discovery"),
 }
 FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.
 With one: `greenhouse check-config /etc/greenhouse/edge.yaml`, then start it.
