@@ -26,7 +26,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "fit-arx": "fit an ARX model to recorded runs",
     "data": "look at logs of another box, convert them to run files",
     "twin": "the physics model: new, simulate, find what it lacks, adopt",
-    "backup": "write a rig's settings, state, history and bundles into one file",
+    "backup": "write a rig's settings, state and history into one file",
     "restore": "put everything of a backup in its place",
     "board": "flash and configure a board, look at it, draw its wiring",
     "bundle": "install, activate or roll back signed bundles of models",
