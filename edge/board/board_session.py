@@ -3,7 +3,6 @@
 import random
 import select
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -197,6 +196,3 @@ def _why_not_open(path: str, said: str) -> str:
     if "exclusively lock" in said or "busy" in said.lower():
         return "another process has the port; the daemon? `systemctl stop greenhouse` gives it back"
     return said
-
-
-OpenSession = Callable[[str], BoardSession]

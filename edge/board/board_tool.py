@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from edge.board.board_file import BOARDS
-from edge.board.board_session import BoardSession, NobodyAnswers, OpenSession
-from edge.board.firmware_file import CHIPS, FOLDER, avrdude, firmware_file, write_stages
+from edge.board.board_session import BoardSession, NobodyAnswers
+from edge.board.firmware_file import CHIPS, avrdude, firmware_file, write_stages
 from edge.board.wiring import wiring_table
 from edge.core.errors import RequestError
-from edge.core.names import SIGNALS
+from edge.core.names import HEATER_LEVELS, SIGNALS
 from edge.formats.table import Table
 from firmware_protocol.board_block import BoardBlock, decode_block, encode_block
 from firmware_protocol.messages import Hello, SensorReport, StateEcho
@@ -24,11 +24,13 @@ STAGES = ("the program, with a first page that stops the board", "its own first 
 def show(session: BoardSession) -> Iterator[str]:
     """Yield version, state, wires and present values. Errors: RequestError"""
     yield _about(session.hello)
-    yield _about_state(session.state())
+    state = session.state()
+    yield _about_state(state)
     block = session.block()
     yield ""
     yield from _about_block(block)
-    parts = [] if block is None else session.wire_parts()
+    # While the heater is driven the board refuses the search.
+    parts = [] if block is None or state.heater_steps > 0 else session.wire_parts()
     if parts:
         yield f"on the 1-Wire: {', '.join(map(_rom_name, parts))}"
     yield ""
@@ -50,7 +52,7 @@ def _about(hello: Hello) -> str:
 
 
 def _about_state(state: StateEcho) -> str:
-    outputs = [f"heater {state.heater_steps / 20:.2f}"]
+    outputs = [f"heater {state.heater_steps / HEATER_LEVELS:.2f}"]
     if state.heater_steps == 0:
         outputs[0] += f" ({state.heater_off_cause.name.lower().replace('_', ' ')})"
     outputs += [f"fan {'on' if state.fan_on else 'off'}", f"LED {state.led_pct} %"]
@@ -105,18 +107,15 @@ def configure(session: BoardSession, block: BoardBlock) -> Iterator[str]:
     yield from wiring_table(block, with_notes=False).text()
 
 
-def flash(
-    board: str, port: str, baudrate: int, open_session: OpenSession = BoardSession, write: Write = avrdude,
-    folder: Path = FOLDER,
-) -> Iterator[str]:  # fmt: skip
+def flash(board: str, port: str, baudrate: int, write: Write = avrdude) -> Iterator[str]:
     """Flash the package's program; yield what is before, what is done, what is after.
 
     Errors: RequestError. Where a stage failed it says in what state the board is.
     """
-    kind, file = BOARDS[board], firmware_file(board, folder)
+    kind, file = BOARDS[board], firmware_file(board)
     before = None
     try:
-        with open_session(port) as session:
+        with BoardSession(port) as session:
             if session.state().heater_steps > 0:
                 raise RequestError(f"{port}: the heater is driven; its lease ends within a minute")
             before = session.block()
@@ -133,13 +132,11 @@ def flash(
             except RequestError as error:
                 said = f"{error}. {LEFT_BEHIND} Run the same command again."
                 raise RequestError(said) from None
-    yield from _after(port, file.version, before, open_session)
+    yield from _after(port, file.version, before)
 
 
-def _after(
-    port: str, version: tuple[int, int, int], before: bytes | None, open_session: OpenSession
-) -> Iterator[str]:
-    with open_session(port) as session:
+def _after(port: str, version: tuple[int, int, int], before: bytes | None) -> Iterator[str]:
+    with BoardSession(port) as session:
         hello = session.hello
         yield f"after: {_about(hello)}"
         if (hello.firmware_major, hello.firmware_minor, hello.firmware_patch) != version:
