@@ -24,7 +24,7 @@ from edge.config import loading
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.core.version import __version__
-from edge.formats.atomic_file import make_folder, sync_folder
+from edge.formats.atomic_file import make_folder, move, sync_folder
 from edge.formats.cross_check import Rule
 from edge.formats.reader import parse_json, read
 
@@ -44,6 +44,11 @@ class BackupManifest:
     version: str
     created_utc: str
     files: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_manifest(content: bytes | str, place: str = MANIFEST) -> BackupManifest:
+    """Return the manifest of a backup. Errors: DataError"""
+    return read(BackupManifest, parse_json(content, place, most=_CHUNK), place)
 
 
 def places(config: Path, settings: Settings) -> dict[str, Path]:
@@ -176,9 +181,7 @@ def _unpack(backup: Path, folder: Path) -> None:
             stream = archive.extractfile(first) if first is not None and first.name == MANIFEST else None
             if stream is None:
                 raise DataError(f"{backup}: not a backup: its first member is not {MANIFEST}")
-            manifest = read(
-                BackupManifest, parse_json(stream.read(_CHUNK), f"{backup}: {MANIFEST}"), MANIFEST
-            )
+            manifest = read_manifest(stream.read(_CHUNK), f"{backup}: {MANIFEST}")
             while (member := archive.next()) is not None:
                 _unpack_file(archive, member, manifest, folder, backup)
     except (tarfile.TarError, EOFError, OSError) as error:
@@ -228,11 +231,10 @@ def _put(source: Path, path: Path, stamp: str) -> Path | None:
             os.chown(item, owner.st_uid, owner.st_gid)
     kept = path.with_name(f"{path.name}.before-{stamp}") if path.exists() else None
     if kept is not None:
-        path.rename(kept)
+        move(path, kept)
     for ending in BESIDE_A_DATABASE if source.name == HISTORY else ():
         beside = path.with_name(path.name + ending)
         if beside.exists():
-            beside.rename(path.with_name(f"{path.name}.before-{stamp}{ending}"))
-    draft.rename(path)
-    sync_folder(path.parent)
+            move(beside, path.with_name(f"{path.name}.before-{stamp}{ending}"))
+    move(draft, path)
     return kept

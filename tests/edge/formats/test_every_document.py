@@ -13,6 +13,7 @@ import policy_files
 import pytest
 import yaml
 
+from edge.app.backup import BackupManifest, read_manifest
 from edge.app.nightly_diagnosis import Findings, UnitAnswer, UnitRequest
 from edge.app.request_routes import WhyRequest
 from edge.assistant.llm import wire
@@ -170,6 +171,11 @@ def in_memory_by(
 
 
 KINDS: dict[type, DocumentKind] = {
+    BackupManifest: DocumentKind(
+        of_text(read_manifest),
+        lambda: {"layout": 1, "version": "0.1.0", "created_utc": "2026-11-25T00:00:00+00:00", "files": {}},
+        ("layout",),
+    ),
     Settings: DocumentKind(
         loading.parse, lambda: {"control": {"step_s": 60.0}}, ("control", "step_s"), ConfigError
     ),
