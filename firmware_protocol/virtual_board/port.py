@@ -6,6 +6,7 @@ A host that closes its end gets a new pseudo-terminal at its next opening, so by
 import errno
 import fcntl
 import os
+import select
 import struct
 import termios
 import tty
@@ -125,14 +126,28 @@ class PseudoTerminal:
         """Make a new pseudo-terminal, point the symlink at it, count from 0."""
         old = self._master
         self._master, self.device = _open_pseudo_terminal()
+        self._begin()
+        if old is not None:
+            os.close(old)
+
+    def _plug_after_close(self) -> None:
+        """Make a new pseudo-terminal, unless the next host has opened the old one before it was there."""
+        old, old_device = self._master, self.device
+        assert old is not None
+        self._master, self.device = _open_pseudo_terminal()
+        self._begin()
+        if _opened(old):
+            old, self._master, self.device = self._master, old, old_device
+            self._begin()
+        os.close(old)
+
+    def _begin(self) -> None:
         self.bytes_in = self.bytes_out = 0
         self.user = None
         beside = self._link.with_name(self._link.name + ".new")
         beside.unlink(missing_ok=True)
         beside.symlink_to(self.device)
         beside.replace(self._link)  # in one go: a host that opens now finds the old one or the new one
-        if old is not None:
-            os.close(old)
 
     def unplug(self) -> None:
         """Take symlink and device away; the host's reads and writes fail from now on."""
@@ -153,7 +168,7 @@ class PseudoTerminal:
             except OSError as error:
                 if error.errno != errno.EIO:
                     raise
-                self.plug()
+                self._plug_after_close()
                 return bytes(data)
         self.bytes_in += len(data)
         return bytes(data)
@@ -168,6 +183,13 @@ class PseudoTerminal:
             written = 0
         self.bytes_out += written
         self.bytes_lost += len(data) - written
+
+
+def _opened(master: int) -> bool:
+    """Return whether a host has the other end open."""
+    poll = select.poll()
+    poll.register(master, 0)
+    return not poll.poll(0)  # POLLHUP comes unasked
 
 
 def _open_pseudo_terminal() -> tuple[int, str]:

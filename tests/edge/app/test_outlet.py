@@ -63,7 +63,7 @@ def test_a_reader_that_stalls_costs_lines_and_no_time_and_is_told_how_many() -> 
     reader.join()
     os.close(reading)
     lines = heard.decode().splitlines()
-    lost = next(int(line[1:].split()[0]) for line in lines if " lines were lost here: " in line)
+    lost = sum(int(line[1:].split()[0]) for line in lines if " lines were lost here: " in line)
     assert lost + sum(line.startswith("x") for line in lines) == 10 * WAITING_MAX
     assert lines[-1] == "the last"
 

@@ -75,9 +75,9 @@ class Arduino:
                 self._port.write(out)
 
     def _take_bytes(self) -> bytes:
-        device = self._port.device
+        user = self._port.user
         data = self._port.read()
-        if self._port.device != device:  # the host has closed it
+        if user is not None and self._port.user is None:  # the host has closed it
             return b""
         if data and self._port.user is None:
             self._port.user = self
