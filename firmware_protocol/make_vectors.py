@@ -80,7 +80,7 @@ def report(board_ms: int, *values: float | None, air: Quality = Quality.GOOD) ->
 _REPORT = report(60000, 21.3, 55.5, 612, 0.25, 0.4321, 1.0, 20.9)
 _BLIND = report(0, air=Quality.FAULT)
 _COLD = report(2**32 - 1, -50.0, 0, 0, 0, 0, 0, -0.01, air=Quality.RANGE)
-_COMMAND = CommandMessage(10, True, 50, 2.5, False, 10.0)
+_COMMAND = CommandMessage(10, 1, 50, 2.5, False, 10.0)
 _ECHO = StateEcho(61000, 10, HeaterOffCause.NONE, True, 50, True, False, False, TripCause.NONE, 10.0, None)
 _TRIPPED = StateEcho(
     61000, 0, HeaterOffCause.TRIPPED, True, 0, False, True, True, TripCause.OVER_TEMPERATURE, 0.0, 1500
@@ -111,8 +111,9 @@ _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
     ("wire_part", WirePart(0x5D00000000000128), 9, 11),
     ("air_pair", AirPair(24.9, 28.1, AirVerdict.APART), 8, 0),
     ("hello unasked after a reset", replace(_HELLO, session=0, boot_count=8), 1, 0),
-    ("command of nothing", CommandMessage(0, False, 0, 0.0, False, 0.0), 1, 0),
-    ("command of everything", CommandMessage(20, True, 100, 25.5, True, 60.0), 255, 0),
+    ("command of nothing", CommandMessage(0, 0, 0, 0.0, False, 0.0), 1, 0),
+    ("command of everything", CommandMessage(20, 255, 100, 25.5, True, 60.0), 255, 0),
+    ("command with the fan for 15 s", replace(_COMMAND, fan_on=60), 2, 0),
     ("sensor_report without a number", _BLIND, 1, 0),
     ("sensor_report of the lowest numbers", _COLD, 255, 0),
     ("state_echo while tripped", _TRIPPED, 6, 0),
@@ -145,7 +146,6 @@ _REFUSED: tuple[tuple[str, bytes, ErrorCode, int], ...] = (
     ("ping with a body", _header(Ping) + b"\0", ErrorCode.LENGTH, 1),
     ("hello_request one byte short", _header(HelloRequest) + bytes(3), ErrorCode.LENGTH, 3),
     ("command with 21 heater steps", _command_with(0, 21), ErrorCode.RANGE, 0),
-    ("command with fan 2", _command_with(1, 2), ErrorCode.RANGE, 1),
     ("command with LED 101", _command_with(2, 101), ErrorCode.RANGE, 2),
     ("command with cut-off 255", _command_with(4, 255), ErrorCode.RANGE, 4),
     ("command with a lease of 60.001 s", pack(_COMMAND, 9)[:-2] + b"\x61\xea", ErrorCode.RANGE, 5),

@@ -92,6 +92,7 @@ class Capability(IntFlag):
     HEATER_CUTOFF = 256
     FAN_TACHO = 512
     CONFIGURABLE = 1024
+    FAN_TIME = 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +150,7 @@ class CommandMessage:
     """command: host -> board, kind 4, 7 bytes."""
 
     heater_steps: int  # heater duty in 1/20
-    fan_on: bool
+    fan_on: int  # 0 off, 1 on while the lease runs, more: on for so many quarters of a second
     led_pct: int  # [%]
     valve_pulse_s: float  # one pulse; longer than valve_pulse_max_s is cut [s]
     cutoff_open: bool  # 1 opens the second cut-off in the heater's supply
@@ -340,7 +341,7 @@ LAYOUTS: dict[type[Message], Layout] = {
         False,
         (
             Field("heater_steps", "B", 0, 20),
-            Field("fan_on", "B", 0, 1, kind=bool),
+            Field("fan_on", "B", 0, 255),
             Field("led_pct", "B", 0, 100),
             Field("valve_pulse_s", "B", 0, 255, per_unit=10),
             Field("cutoff_open", "B", 0, 1, kind=bool),

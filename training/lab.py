@@ -246,7 +246,7 @@ def _row(record: TickRecord, truth: Mapping[str, float]) -> dict[str, float]:
         "temp_ambient_c": record.estimate.temp_ambient,
         "reference_c": record.reference_c,
         "heater_duty": echo.heater_duty if echo is not None else 0.0,
-        "fan_on": float(echo.fan_on) if echo is not None else 0.0,
+        "fan_on": echo.fan if echo is not None else 0.0,
         "solve_ms": float(record.decision.why.get("solve_ms", record.decide_ms)),
     }
 

@@ -11,6 +11,7 @@ from typing import IO, TYPE_CHECKING, Any, cast
 
 from edge.app.outlet import Outlet
 from edge.core.messages import Event, TickRecord
+from edge.core.plain_text import fan_in_words
 from edge.formats.tick_json import tick_json
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def _facts(record: TickRecord, columns: int) -> list[Line]:
         f"air        {measured}",
         f"reference  {record.reference_c:.1f} °C",
         f"heater     {duty:4.2f} [{'#' * round(10 * duty):<10s}]",
-        f"fan        {'on' if record.sent.fan_on else 'off'}",
+        f"fan        {fan_in_words(record.sent.fan)}",
         f"control    {record.decision.controller}, {record.decide_ms:.0f} ms",
         f"room       {record.estimate.temp_ambient:.1f} °C",
     ]
@@ -189,7 +190,7 @@ def tick_line(tick: Mapping[str, Any], columns: int | None = None) -> str:
     forecast = " ".join(f"{value:.1f}" for value in tick["forecast_c"][:3]) or "-"
     facts = (
         f"{_clock(tick['utc'])}  tick {tick['seq']:<5d} air {shown} degC  ref {tick['reference_c']:4.1f}"
-        f"  heater {tick['sent']['heater_duty']:4.2f}  fan {'on ' if tick['sent']['fan_on'] else 'off'}"
+        f"  heater {tick['sent']['heater_duty']:4.2f}  fan {fan_in_words(tick['sent']['fan_share']):<4s}"
         f"  {tick['controller']:<7s}"
     )
     expected = f" forecast {forecast}{_models(tick['forecasts'])}"

@@ -239,7 +239,7 @@ def _good(record: TickRecord, name: str) -> float:
 
 def _driven_inputs(record: TickRecord) -> tuple[float, float]:
     echo = record.echo
-    return (echo.heater_duty, float(echo.fan_on)) if echo is not None else (0.0, 0.0)
+    return (echo.heater_duty, echo.fan) if echo is not None else (0.0, 0.0)
 
 
 def _forget(operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:

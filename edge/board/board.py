@@ -3,6 +3,7 @@
 Everything here is a value or an event: an unplugged port, a lost link or a refused command never raises.
 """
 
+import math
 import select
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -19,6 +20,8 @@ from firmware_protocol import messages as wire_messages
 from firmware_protocol.messages import PROTOCOL_VERSION, Capability
 
 RENEW_S = 3.0  # so two renewals may be lost before a lease ends
+FAN_TIME_PER_S = 4  # of the wire's fan_on
+FAN_TIME_MIN, FAN_TIME_MAX = 2, 255
 REOPEN_S = 1.0  # between two tries to open a missing port
 SAMPLES_KEPT = 600  # reports between two ticks; more are dropped, oldest first
 
@@ -52,6 +55,7 @@ class DriveOrder:
     command: Command
     cutoff_open: bool
     until_s: float
+    fan_until_s: float
 
 
 class Board:
@@ -109,10 +113,11 @@ class Board:
         """Return the line's events since the last call, bounded however often the link comes and goes."""
         return self._events.take()
 
-    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
-        """Send a decision; its lease is renewed for `valid_s` from now, and never longer."""
+    def drive(self, command: Command, cutoff_open: bool, step_s: float) -> None:
+        """Send a decision; its lease is renewed for a step and, without a new one, one lease more."""
         now = self._clock.now()
-        self._driven = DriveOrder(command, cutoff_open, now + valid_s)
+        fan_s = math.inf if command.fan_at_end else command.fan * step_s
+        self._driven = DriveOrder(command, cutoff_open, now + step_s + LEASE_S, now + fan_s)
         self._asked = None
         if self.link_up:
             self._send_command(now)
@@ -225,9 +230,11 @@ class Board:
 
     def _send_command(self, now: float) -> None:
         assert self._driven is not None and self.hello is not None
-        self._renew_at_s = now + RENEW_S
         parts = Capability(self.hello.capabilities)
-        self._asked = _message(self._driven, parts, min(LEASE_S, self._driven.until_s - now))
+        fan_left_s = self._driven.fan_until_s - now
+        self._renew_at_s = now + (min(RENEW_S, fan_left_s) if fan_left_s > 0.0 else RENEW_S)
+        lease_s = min(LEASE_S, self._driven.until_s - now)
+        self._asked = _message(self._driven, parts, lease_s, fan_left_s)
         self._link.request(self._asked, now)
 
     def _order(self, latch: str, order: LatchOrder) -> None:
@@ -271,7 +278,8 @@ class Board:
         self, state: wire_messages.StateEcho, request: wire_messages.Message | None, now: float
     ) -> None:
         cause_before = "" if self.echo is None else self.echo.trip_cause
-        self.echo = _echo(state, now)
+        share = 1.0 if self._driven is None else self._driven.command.fan_share
+        self.echo = _echo(state, now, share)
         if request is self._asked:  # an older command's echo says nothing of the newest one
             self._asked = None
         self._settle(request)
@@ -327,17 +335,31 @@ def _readable(descriptor: int) -> bool:
     return bool(select.select([descriptor], [], [], 0)[0])
 
 
-def _message(driven: DriveOrder, parts: Capability, lease_s: float) -> wire_messages.CommandMessage:
+def _message(
+    driven: DriveOrder, parts: Capability, lease_s: float, fan_left_s: float
+) -> wire_messages.CommandMessage:
     """Return the command without parts that this board lacks: it refuses a command that drives one."""
     command = driven.command
     return wire_messages.CommandMessage(
         heater_steps=round(command.heater_duty * HEATER_LEVELS),
-        fan_on=command.fan_on,
+        fan_on=_fan_time(fan_left_s, Capability.FAN_TIME in parts) if command.fan_on else 0,
         led_pct=round(command.led * 100) if Capability.LED in parts else 0,
         valve_pulse_s=command.valve_pulse_s if Capability.VALVE in parts else 0.0,
         cutoff_open=driven.cutoff_open and Capability.HEATER_CUTOFF in parts,
         lease_s=lease_s,
     )
+
+
+def _fan_time(left_s: float, timed: bool) -> int:
+    """Return the wire's number for a fan that is on for `left_s` more.
+
+    timed : the board ends that time by itself; for one that does not, the host commands it when it is over
+    """
+    if left_s <= 0.0:
+        return 0
+    if not timed or math.isinf(left_s):
+        return 1
+    return min(max(round(left_s * FAN_TIME_PER_S), FAN_TIME_MIN), FAN_TIME_MAX)
 
 
 def _readings(report: wire_messages.SensorReport, now: float) -> Sample:
@@ -348,7 +370,7 @@ def _readings(report: wire_messages.SensorReport, now: float) -> Sample:
     }
 
 
-def _echo(state: wire_messages.StateEcho, now: float) -> Echo:
+def _echo(state: wire_messages.StateEcho, now: float, fan_share: float) -> Echo:
     cause = wire_messages.TripCause(state.trip_cause)
     return Echo(
         heater_duty=state.heater_steps / HEATER_LEVELS,
@@ -358,4 +380,5 @@ def _echo(state: wire_messages.StateEcho, now: float) -> Echo:
         tripped=bool(state.tripped),
         trip_cause="" if cause is wire_messages.TripCause.NONE else cause.name.lower(),
         time_s=now,
+        fan_share=fan_share,
     )

@@ -79,7 +79,7 @@ class RecordedBoard:
         """Return no event: a recording has none."""
         return []
 
-    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
+    def drive(self, command: Command, cutoff_open: bool, step_s: float) -> None:
         """Ignore the command; the recorded one applies."""
         now = self._clock.now()
         rows = (self._times >= now - 1e-9) & (self._times < now + self._step_s - 1e-9)

@@ -379,8 +379,9 @@ class SafetySettings(Section):
         hard.HEATER_RISE_MAX_PER_S,
         hard=True,
     )
-    fan_min_on_s: float = number(60.0, "the fan's relay stays on at least so long", "s", 0.0, 3600.0)
-    fan_min_off_s: float = number(60.0, "and off so long, unless safety needs the fan", "s", 0.0, 3600.0)
+    fan_min_on_s: float = number(5.0, "the fan's relay stays on at least so long", "s", 0.0, 3600.0)
+    fan_min_off_s: float = number(5.0, "and off so long, unless safety needs the fan", "s", 0.0, 3600.0)
+    fan_switches_hour_max: int = number(60, "switches of the fan's relay in an hour", "1", 2, 720, hard=True)
     energy_hour_max_wh: float = number(100.0, "heat in the last hour", "Wh", 1.0, 100.0, hard=True)
     energy_day_max_wh: float = number(2000.0, "heat in the last 24 hours", "Wh", 1.0, 2400.0, hard=True)
     led_max: float = number(1.0, "largest LED level", "1", 0.0, 1.0, hard=True)

@@ -51,14 +51,15 @@ def runner_up(plan: Plan, other: Plan | None) -> dict[str, float | bool] | None:
     command = first_command(other)
     return {
         "heater_duty": command.heater_duty,
-        "fan_on": command.fan_on,
+        "fan_on": command.fan,
         "cost_more": other.cost - plan.cost,
     }
 
 
 def first_command(plan: Plan) -> Command:
     """Return the plan's command for the step that begins now."""
-    return Command(heater_duty=int(plan.levels[0]) / HEATER_LEVELS, fan_on=bool(plan.fan[0]))
+    fan = float(plan.fan[0])
+    return Command(int(plan.levels[0]) / HEATER_LEVELS, fan > 0.0, fan_share=fan or 1.0)
 
 
 def planned_inputs(plan: Plan) -> tuple[tuple[float, float], ...]:
@@ -187,7 +188,7 @@ def planning_problem(
         fan_weight=weight if context.penalty.fan is None else context.penalty.fan,
         heater_levels=levels_allowed(limits.heater_max_duty),
         fan_rules=FanRules(
-            on=context.last_sent.fan_on,
+            on=context.last_sent.fan_at_end,
             hold=min(max(limits.fan_hold_steps, 0), horizon),
             min_on=max(limits.fan_min_on_steps, 1),
             min_off=max(limits.fan_min_off_steps, 1),

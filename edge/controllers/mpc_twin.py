@@ -14,7 +14,7 @@ from edge.controllers.mixed_integer.problem import PlanningProblem
 from edge.controllers.mpc import LIMIT_WEIGHT, binding, cost_split, first_command, planned_inputs, runner_up
 from edge.controllers.twin_plan.beam import BeamResult, PlanStart, relay, search
 from edge.controllers.twin_plan.linear_step import LinearStep, linear_step
-from edge.core.controller import Context, Floats, goal_ahead
+from edge.core.controller import Context, ControlLimits, Floats, goal_ahead
 from edge.core.errors import DataError
 from edge.core.messages import Decision
 from edge.core.names import HEATER_LEVELS, levels_allowed
@@ -49,12 +49,12 @@ class Belief:
 
 @dataclass(frozen=True, slots=True)
 class StepInputs:
-    """Inputs of a step and of the one before. duty : 0..1; fan : 0 or 1; ambient [°C]"""
+    """Inputs of a step and of the one before. duty : 0..1; fan : share of the step; ambient [°C]"""
 
     duty: float
-    fan: int
+    fan: float
     duty_before: float
-    fan_before: int
+    fan_before: float
     ambient: float
 
 
@@ -66,7 +66,7 @@ def begin(twin: BoxTwin, time_s: float, temp: float, ambient: float) -> Belief:
 
 def move_belief(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInputs, time_s: float) -> Belief:
     """One step on."""
-    mode = 2 * inputs.fan_before + inputs.fan
+    mode = step.mode(np.array(int(inputs.fan_before >= 1.0)), np.array(step.place_of(inputs.fan)))
     matrix, heat = step.matrix[mode], step.heat[mode]
     state = matrix @ belief.state + step.constant[mode] + step.room[mode] * inputs.ambient
     state += step.now[mode] * step.share_of(inputs.duty)
@@ -100,6 +100,15 @@ WIDTH = 800  # of the beam: so many kinds of nodes there are, dear ones too, tha
 LEAST_WEIGHT = 0.03
 
 
+FAN_PARTS_S = (5.0, 10.0, 15.0, 20.0, 30.0, 45.0)  # for which the fan may be on in a step
+
+
+def fan_shares(step_s: float, limits: ControlLimits) -> tuple[float, ...]:
+    """Return the shares of a step for which a plan may let the fan run, from 0 to 1."""
+    parts = (part for part in FAN_PARTS_S if limits.fan_part_s <= part < step_s)
+    return (0.0, *(part / step_s for part in parts), 1.0)
+
+
 class MpcTwin:
     """`MPC-Twin` and `MPC-Twin-P`. The controller follows the twin's state from tick to tick.
 
@@ -127,8 +136,9 @@ class MpcTwin:
         last = context.last_sent
         level = round(last.heater_duty * HEATER_LEVELS)
         start = PlanStart(
-            belief.state, belief.disturbance, context.estimate.temp_ambient, level, int(last.fan_on)
-        )
+            belief.state, belief.disturbance, context.estimate.temp_ambient, level, int(last.fan_at_end),
+            context.limits.fan_starts,
+        )  # fmt: skip
         found = search(step, goal, start, WIDTH)
         plan = found.plan
         why = {
@@ -172,7 +182,8 @@ class MpcTwin:
         """Linearise the twin's step at the present state; a linear twin always has the same."""
         if self._step is None or self._twin.signals.bends or self._twin.needs:
             now: Conditions = {name: hold(context.history[name])[-1:] for name in self._twin.needs}
-            self._step = linear_step(self._twin, belief.state, context.estimate.temp_ambient, now)
+            room, fans = context.estimate.temp_ambient, fan_shares(context.step_s, context.limits)
+            self._step = linear_step(self._twin, belief.state, room, now, fans)
         return self._step
 
 
@@ -181,7 +192,7 @@ def _inputs(context: Context, row: int) -> StepInputs:
     history, before = context.history, max(row - 1, 0)
     duty, fan = np.nan_to_num(history["heater_duty"]), np.nan_to_num(history["fan_on"])
     ambient = float(history["temp_ambient"][row])
-    return StepInputs(float(duty[row]), int(fan[row]), float(duty[before]), int(fan[before]), ambient)
+    return StepInputs(float(duty[row]), float(fan[row]), float(duty[before]), float(fan[before]), ambient)
 
 
 def _goal(context: Context, weight: float, preview: bool) -> PlanningProblem:
@@ -198,7 +209,7 @@ def _goal(context: Context, weight: float, preview: bool) -> PlanningProblem:
         fan_weight=weight if asked.fan is None else max(asked.fan, LEAST_WEIGHT),
         heater_levels=levels_allowed(limits.heater_max_duty),
         fan_rules=relay(
-            context.last_sent.fan_on,
+            context.last_sent.fan_at_end,
             limits.fan_hold_steps,
             limits.fan_min_on_steps,
             limits.fan_min_off_steps,

@@ -67,6 +67,8 @@ class ControlLimits:
     fan_min_on_steps: int = 1  # a switch on lasts at least this long [steps]
     fan_min_off_steps: int = 1
     temp_air_max_c: float = 60.0
+    fan_part_s: float = 5.0  # shortest part of a step for which the fan may be on [s]
+    fan_starts: int = 30  # so often the relay may still be closed within the hour
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,6 +54,17 @@ class Command:
     fan_on: bool = False
     led: float = 0.0  # 0..1
     valve_pulse_s: float = 0.0  # one pulse, given once [s]
+    fan_share: float = 1.0  # part of the step, from its beginning, in which the fan is on, if it is on at all
+
+    @property
+    def fan(self) -> float:
+        """Share of the step in which the fan is on, 0..1."""
+        return self.fan_share if self.fan_on else 0.0
+
+    @property
+    def fan_at_end(self) -> bool:
+        """True where the fan is still on when the step ends."""
+        return self.fan >= 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +191,12 @@ class Echo:
     tripped: bool
     trip_cause: str  # "" when not tripped
     time_s: float  # when it was received
+    fan_share: float = 1.0  # of the step, as ordered, where the fan is on
+
+    @property
+    def fan(self) -> float:
+        """Share of the step in which the fan is on, 0..1."""
+        return self.fan_share if self.fan_on else 0.0
 
     @property
     def stopped(self) -> bool:

@@ -27,6 +27,11 @@ def plain(text: str, longest: int = 200) -> str:
     return line if is_whole else f"{line[: longest - 3]}..."
 
 
+def fan_in_words(share: float) -> str:
+    """Return `off`, `on`, or for how much of the step the fan is on."""
+    return "off" if share <= 0.0 else "on" if share >= 1.0 else f"{100 * share:.0f} %"
+
+
 def quote(value: Any, longest: int = 60) -> str:
     """Return a value as errors quote it."""
     return plain(repr(value), longest)

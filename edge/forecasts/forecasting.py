@@ -58,7 +58,7 @@ def planned_inputs(driven: Command, plan: Sequence[tuple[float, float]]) -> Floa
 
     plan : heater_duty and fan_on of each step as the controller wanted them, () where it has no plan
     """
-    now = (driven.heater_duty, float(driven.fan_on))
+    now = (driven.heater_duty, driven.fan)
     follows = bool(plan) and np.allclose(plan[0], now, atol=1e-6)
     return np.array(plan if follows else [now], dtype=np.float64)
 

@@ -38,6 +38,7 @@ def command_json(command: Command) -> dict[str, Any]:
     return {
         "heater_duty": number(command.heater_duty),
         "fan_on": int(command.fan_on),
+        "fan_share": number(command.fan),
         "led": number(command.led),
         "valve_pulse_s": number(command.valve_pulse_s),
     }
@@ -60,6 +61,7 @@ def echo_json(echo: Echo | None) -> dict[str, Any] | None:
     return {
         "heater_duty": number(echo.heater_duty),
         "fan_on": int(echo.fan_on),
+        "fan_share": number(echo.fan),
         "led": number(echo.led),
         "valve_open": int(echo.valve_open),
         "tripped": int(echo.tripped),

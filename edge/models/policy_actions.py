@@ -31,5 +31,5 @@ def allowed_actions(limits: ControlLimits, last_sent: Command) -> NDArray[np.boo
     actions = np.arange(ACTIONS)
     free = actions % LEVELS <= levels_allowed(limits.heater_max_duty)
     if limits.fan_hold_steps > 0:
-        free &= (actions >= LEVELS) == last_sent.fan_on
+        free &= (actions >= LEVELS) == last_sent.fan_at_end
     return free

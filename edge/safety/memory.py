@@ -51,6 +51,7 @@ class SafetyMemory:
     heater_ramp: float = 0.0  # heater duty allowed by the slew limit, before it is cut to a level
     time_s: float | None = None  # of the last decision
     fan_since_s: float | None = None  # when the fan was last switched; None: not since the start
+    fan_switches: tuple[float, ...] = ()  # times of the last hour's [s]
     heat: tuple[tuple[float, float], ...] = ()  # begin of a piece [s], heat in it [Wh]; the last 24 hours
     doses: tuple[Dose, ...] = ()
     thermal: ThermalMemory = field(default_factory=ThermalMemory)
@@ -100,15 +101,22 @@ def remember(memory: SafetyMemory, sent: Command, ramp: float, view: SafetyView)
     doses = tuple(dose for dose in memory.doses if dose.is_recent(view.now_s, view.utc))
     if sent.valve_pulse_s > 0.0:
         doses = (*doses, Dose(view.now_s, view.utc, sent.valve_pulse_s))
-    switched = sent.fan_on != memory.sent.fan_on
+    switched = _fan_switches(memory.sent, sent, view)
     return replace(
         memory,
         sent=sent,
         heater_ramp=ramp,
         time_s=view.now_s,
-        fan_since_s=view.now_s if switched else memory.fan_since_s,
+        fan_since_s=switched[-1] if switched else memory.fan_since_s,
+        fan_switches=(*(at for at in memory.fan_switches if view.now_s - at < HOUR_S), *switched),
         doses=doses,
     )
+
+
+def _fan_switches(before: Command, sent: Command, view: SafetyView) -> tuple[float, ...]:
+    """Return when the relay switches in the step that begins now [s]."""
+    at = (view.now_s,) if sent.fan_on != before.fan_at_end else ()
+    return (*at, view.now_s + sent.fan * view.dt_s) if sent.fan_on and not sent.fan_at_end else at
 
 
 def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:

@@ -135,20 +135,33 @@ def relay_hold_s(memory: SafetyMemory, settings: SafetySettings, now_s: float) -
     """How long the fan's relay must still keep its state, 0 when it is free [s]."""
     if memory.fan_since_s is None:
         return 0.0
-    hold_s = settings.fan_min_on_s if memory.sent.fan_on else settings.fan_min_off_s
+    hold_s = settings.fan_min_on_s if memory.sent.fan_at_end else settings.fan_min_off_s
     return max(0.0, hold_s - CLOCK_SLACK_S - (now_s - memory.fan_since_s))
 
 
 def held_on(s: RuleInput) -> str:
     """Force the fan on until its relay has been closed for `fan_min_on_s`."""
-    held = s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
+    held = s.memory.sent.fan_at_end and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
     return "relay minimum on time" if held else ""
 
 
 def held_off(s: RuleInput) -> str:
     """Force the fan off until its relay has been open for `fan_min_off_s`; free until first switched."""
-    held = not s.memory.sent.fan_on and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
+    held = not s.memory.sent.fan_at_end and relay_hold_s(s.memory, s.settings, s.view.now_s) > 0.0
     return "relay minimum off time" if held else ""
+
+
+def fan_starts_left(memory: SafetyMemory, settings: SafetySettings, now_s: float) -> int:
+    """How often the fan may still be started within the hour. A start counts two switches: an end is free."""
+    switches = sum(now_s - at < HOUR_S for at in memory.fan_switches) + memory.sent.fan_at_end
+    return max(0, (settings.fan_switches_hour_max - switches) // 2)
+
+
+def often_switched(s: RuleInput) -> str:
+    """Force the fan off after too many switches of its relay within an hour; one that is on may stay on."""
+    if s.memory.sent.fan_at_end or fan_starts_left(s.memory, s.settings, s.view.now_s) > 0:
+        return ""
+    return f"{s.settings.fan_switches_hour_max} switches of the relay in an hour"
 
 
 def energy_duty(
@@ -204,9 +217,10 @@ FAN_FORCED = (
     ForcedOutput("fan.over_temperature", too_hot, 1.0),
     ForcedOutput("fan.min_on", held_on, 1.0),
     ForcedOutput("fan.min_off", held_off),
+    ForcedOutput("fan.switches", often_switched),
     ForcedOutput("fan.relay_proof", relay_proof),
 )
-FAN_LIMITS = (Limit("fan.range", lambda s: 1.0, "neither on nor off"),)
+FAN_LIMITS = (Limit("fan.range", lambda s: 1.0, "more than the whole step"),)
 LED_OFF = (
     ForcedOutput("led.emergency_stop", emergency_stop),
     ForcedOutput("led.maintenance", maintenance),
@@ -232,4 +246,4 @@ VALVE_LIMITS = (
         "dose of the day",
     ),
 )
-STEPS = {"heater_duty": HEATER_LEVELS, "led": LED_LEVELS, "valve_pulse": VALVE_STEPS_PER_S, "fan_on": 1}
+STEPS = {"heater_duty": HEATER_LEVELS, "led": LED_LEVELS, "valve_pulse": VALVE_STEPS_PER_S}

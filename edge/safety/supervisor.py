@@ -11,6 +11,7 @@ from dataclasses import replace
 from edge.config.settings import SafetySettings
 from edge.core.controller import ControlLimits
 from edge.core.errors import RequestError
+from edge.core.hard_limits import FAN_PART_S
 from edge.core.messages import Change, Command, Event, Severity
 from edge.safety.memory import (
     DAY_S,
@@ -39,6 +40,7 @@ from edge.safety.rules import (
     Limit,
     RuleInput,
     energy_duty,
+    fan_starts_left,
     known_value,
     relay_hold_s,
 )
@@ -76,12 +78,14 @@ def supervise(
     situation = RuleInput(view, memory, settings, temp_air)
     changes: list[Change] = []
     ramp = _limit("heater_duty", wanted.heater_duty, HEATER_OFF, HEATER_LIMITS, situation, changes)
-    fan = _limit("fan_on", wanted.fan_on, FAN_FORCED, FAN_LIMITS, situation, changes)
+    fan = _limit("fan_on", wanted.fan, FAN_FORCED, FAN_LIMITS, situation, changes)
     led = _limit("led", wanted.led, LED_OFF, LED_LIMITS, situation, changes)
     pulse = _limit("valve_pulse", wanted.valve_pulse_s, VALVE_SHUT, VALVE_LIMITS, situation, changes)
+    share = _fan_part(fan, view.dt_s, settings, changes)
     sent = Command(
         heater_duty=_step("heater_duty", ramp, changes),
-        fan_on=_step("fan_on", fan, changes) == 1.0,
+        fan_on=share > 0.0,
+        fan_share=share or 1.0,
         led=_step("led", led, changes),
         valve_pulse_s=_step("valve_pulse", pulse, changes),
     )
@@ -107,6 +111,8 @@ def planning_limits(
         fan_min_on_steps=max(1, math.ceil(settings.fan_min_on_s / step_s)),
         fan_min_off_steps=max(1, math.ceil(settings.fan_min_off_s / step_s)),
         temp_air_max_c=settings.temp_air_max_c,
+        fan_part_s=max(FAN_PART_S, settings.fan_min_on_s),
+        fan_starts=fan_starts_left(memory, settings, now_s),
     )
 
 
@@ -155,7 +161,8 @@ def _look(
         temp_air=temp_air,
         temp_ambient=known_value(view, "temp_ambient", GAP_MAX_S),
         heater_duty=echo.heater_duty,
-        fan_on=echo.fan_on,
+        fan_on=echo.fan_on or memory.sent.fan_on,
+        fan_whole=not memory.sent.fan_on or memory.sent.fan_at_end,
         led=echo.led,
         fan_trusted=FAN_NO_EFFECT not in memory.trips,
     )
@@ -205,6 +212,16 @@ def _step(actuator: str, value: float, changes: list[Change]) -> float:
     stepped = math.floor(value * steps + ROUNDING) / steps
     _note(f"{actuator.partition('_')[0]}.step", actuator, value, stepped, f"steps of 1/{steps}", changes)
     return stepped
+
+
+def _fan_part(share: float, dt_s: float, settings: SafetySettings, changes: list[Change]) -> float:
+    """`share` of the step cut down to whole `FAN_PART_S`; 0 where that is too short for the relay."""
+    if share >= 1.0:
+        return 1.0
+    part_s = math.floor(share * dt_s / FAN_PART_S + ROUNDING) * FAN_PART_S
+    part = part_s / dt_s if part_s >= settings.fan_min_on_s else 0.0
+    _note("fan.step", "fan_on", share, part, f"steps of {FAN_PART_S:g} s, the relay's shortest", changes)
+    return part
 
 
 def _note(key: str, actuator: str, wanted: float, sent: float, reason: str, changes: list[Change]) -> None:

@@ -65,6 +65,7 @@ class Observation:
     heater_duty: float  # as the board drives it, 0..1
     fan_on: bool
     led: float  # 0..1
+    fan_whole: bool = True  # False where the fan was on for a part of the time only
     fan_trusted: bool = True  # False once the fan is known not to work
 
 
@@ -128,7 +129,7 @@ def look(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, tup
 
 def _follow_inputs(memory: ThermalMemory, moment: Observation) -> ThermalMemory:
     share = moment.dt_s / (ELEMENT_LAG_S + moment.dt_s)
-    switched = moment.fan_on != memory.fan_on
+    switched = moment.fan_on != memory.fan_on or not moment.fan_whole
     excess = 0.0 if moment.temp_ambient is None else moment.temp_air - moment.temp_ambient
     return replace(
         memory,
@@ -192,13 +193,15 @@ def _continue(balance: Balance | None, moment: Observation) -> Balance:
     lowest = min(balance.lowest_c, moment.temp_air)
     room = lowest if moment.temp_ambient is None else moment.temp_ambient
     excess = (moment.temp_air - room) * moment.dt_s
+    # In a part of a step it may have taken next to no heat.
+    fanned = moment.fan_on and moment.fan_whole and moment.fan_trusted
     ordered_w = POWER_MAX_W * moment.heater_duty + LED_W * moment.led
     return Balance(
         balance.begin_c,
         lowest,
         balance.seconds + moment.dt_s,
         balance.excess_k_s + excess,
-        balance.fan_excess_k_s + (excess if moment.fan_on and moment.fan_trusted else 0.0),
+        balance.fan_excess_k_s + (excess if fanned else 0.0),
         balance.ordered_j + ordered_w * moment.dt_s,
     )
 

@@ -229,7 +229,7 @@ def _tick_row(record: TickRecord, session: int) -> tuple[Any, ...]:
 def _command_row(command: Command) -> tuple[float | None, ...]:
     return (
         _finite(command.heater_duty),
-        int(command.fan_on),
+        command.fan,
         _finite(command.led),
         _finite(command.valve_pulse_s),
     )
@@ -238,7 +238,7 @@ def _command_row(command: Command) -> tuple[float | None, ...]:
 def _echo_row(echo: Echo) -> tuple[Any, ...]:
     return (
         _finite(echo.heater_duty),
-        int(echo.fan_on),
+        echo.fan,
         _finite(echo.led),
         int(echo.valve_open),
         int(echo.tripped),
@@ -289,12 +289,13 @@ def _record(
 
 
 def _command(row: tuple[Any, ...]) -> Command:
-    return Command(_or_nan(row[0]), bool(row[1]), _or_nan(row[2]), _or_nan(row[3]))
+    return Command(_or_nan(row[0]), bool(row[1]), _or_nan(row[2]), _or_nan(row[3]), fan_share=row[1] or 1.0)
 
 
 def _echo(row: tuple[Any, ...]) -> Echo:
-    duty, fan_on, led, valve_open, tripped, cause = row
-    return Echo(_or_nan(duty), bool(fan_on), _or_nan(led), bool(valve_open), bool(tripped), cause, time_s=NAN)
+    duty, fan, led, valve_open, tripped, cause = row
+    on = bool(fan)
+    return Echo(_or_nan(duty), on, _or_nan(led), bool(valve_open), bool(tripped), cause, NAN, fan or 1.0)
 
 
 def _json(value: Any) -> str:

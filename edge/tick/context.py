@@ -37,7 +37,7 @@ def context_of(
     reference = in_force(operation.reference_c, steering, configured)
     # A request may narrow what the supervisor allows, never widen it.
     if steering is not None:
-        limits = limit(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_on)
+        limits = limit(limits, steering, moment.since_midnight_s, moment.step_s, last_sent.fan_at_end)
         penalty = penalty_of(steering)
     return Context(
         now_s=moment.now_s,

@@ -76,7 +76,7 @@ class Estimator:
         """Record the inputs that hold from the last row's time on: the board's outputs, as far as known."""
         if self._rows["heater_duty"]:
             self._rows["heater_duty"][-1] = command.heater_duty
-            self._rows["fan_on"][-1] = float(command.fan_on)
+            self._rows["fan_on"][-1] = command.fan
 
     def history(self) -> Columns:
         """Columns as `Context.history` of the controllers; the last row's inputs are NaN until recorded."""

@@ -13,7 +13,6 @@ from dataclasses import replace
 from edge.core.controller import Context
 from edge.core.errors import RequestError
 from edge.core.event_log import Allowance, EventLog
-from edge.core.hard_limits import LEASE_S
 from edge.core.messages import (
     AirSensorPair,
     Change,
@@ -26,6 +25,7 @@ from edge.core.messages import (
     Severity,
     TickRecord,
 )
+from edge.core.plain_text import fan_in_words
 from edge.safety.supervisor import (
     SafetyMemory,
     SafetyVerdict,
@@ -252,7 +252,7 @@ class Loop:
     def _drive(self, verdict: SafetyVerdict) -> Echo | None:
         """Send what safety allows; what the board confirms is what counts from here on."""
         board = self._rig.board
-        board.drive(verdict.sent, verdict.open_cutoff, self._step_s + LEASE_S)
+        board.drive(verdict.sent, verdict.open_cutoff, self._step_s)
         echo = board.serve_until_echo(min(ECHO_TIMEOUT_S, self._step_s / 2)) if board.link_up else None
         self._watering.count_pulse(
             verdict.sent.valve_pulse_s if board.link_up else 0.0, self._rig.clock.now()
@@ -461,7 +461,7 @@ class Loop:
         self._events.add(*verdict.events)
         rules = ", ".join(dict.fromkeys(change.rule for change in verdict.changes)) or "unchanged by safety"
         driven = verdict.sent if echo is None else echo
-        outputs = f"heater {driven.heater_duty:.2f}, fan {'on' if driven.fan_on else 'off'}"
+        outputs = f"heater {driven.heater_duty:.2f}, fan {fan_in_words(driven.fan)}"
         who = "sent at once, not confirmed" if echo is None else "at once, confirmed by the board"
         self._tell("operator.sent", Severity.INFO, f"{who}: {outputs}; {rules}", now)
 
@@ -470,7 +470,7 @@ class Loop:
         return reading.value if reading is not None and reading.quality is ReadingQuality.GOOD else None
 
     def _shut_down(self) -> None:
-        self._rig.board.drive(Command(), False, LEASE_S)
+        self._rig.board.drive(Command(), False, 0.0)
         if self._rig.board.link_up:
             self._rig.board.serve_until_echo(ECHO_TIMEOUT_S)
 
@@ -490,7 +490,7 @@ def _as_saved(reply: Reply, error: str) -> Reply:
 
 
 def _driven_command(echo: Echo) -> Command:
-    return Command(heater_duty=echo.heater_duty, fan_on=echo.fan_on, led=echo.led)
+    return Command(echo.heater_duty, echo.fan_on, echo.led, fan_share=echo.fan_share)
 
 
 def _witness(pair: AirSensorPair, air: Reading | None, estimate: Estimate) -> str:

@@ -174,7 +174,7 @@ def apply_orders(
         Change("operator.orders", actuator, wanted, sent, reason)
         for actuator, wanted, sent in (
             ("heater_duty", command.heater_duty, ordered.heater_duty),
-            ("fan_on", float(command.fan_on), float(ordered.fan_on)),
+            ("fan_on", command.fan, ordered.fan),
             ("led", command.led, ordered.led),
             ("valve_pulse", command.valve_pulse_s, ordered.valve_pulse_s),
         )
@@ -193,7 +193,7 @@ def _command_of(operation: Operation, command: Command) -> Command:
     if operation.mode is Mode.HEAT:
         command = replace(command, fan_on=False)
     if operation.fan_mode is not FanMode.AUTO:
-        command = replace(command, fan_on=operation.fan_mode is FanMode.ON)
+        command = replace(command, fan_on=operation.fan_mode is FanMode.ON, fan_share=1.0)
     return command
 
 

@@ -68,8 +68,8 @@ class BoardLine(Protocol):
         """Return the events of port, link and board since the last call."""
         ...
 
-    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
-        """Hold `command` for `valid_s` from now; `cutoff_open` breaks the heater's supply a second time."""
+    def drive(self, command: Command, cutoff_open: bool, step_s: float) -> None:
+        """Hold `command` for `step_s` from now; `cutoff_open` breaks the heater's supply a second time."""
         ...
 
     def serve(

@@ -183,6 +183,7 @@ static void serve_command(gh_board *board, uint8_t seq, const gh_command *comman
         .heater_steps = command->heater_steps,
         .led_pct = command->led_pct,
         .fan_on = command->fan_on != 0,
+        .fan_on_ms = (uint16_t)(command->fan_on < 2u ? 0u : command->fan_on * 250u),
         .cutoff_open = command->cutoff_open != 0,
         .valve_pulse_ms = (uint16_t)(command->valve_pulse_s * 100u),
         .lease_ms = command->lease_s,

@@ -106,6 +106,7 @@ enum {
 #define GH_CAPABILITY_HEATER_CUTOFF ((uint16_t)256u)
 #define GH_CAPABILITY_FAN_TACHO ((uint16_t)512u)
 #define GH_CAPABILITY_CONFIGURABLE ((uint16_t)1024u)
+#define GH_CAPABILITY_FAN_TIME ((uint16_t)2048u)
 
 static inline void gh_put_u8(uint8_t *p, uint8_t v) { p[0] = v; }
 static inline void gh_put_u16(uint8_t *p, uint16_t v)
@@ -431,8 +432,6 @@ static inline int gh_unpack_sensor_report(const uint8_t *body, size_t n, gh_sens
 #define GH_COMMAND_HEATER_STEPS_MIN (0)
 #define GH_COMMAND_HEATER_STEPS_MAX (20)
 #define GH_COMMAND_FAN_ON_FIELD 1
-#define GH_COMMAND_FAN_ON_MIN (0)
-#define GH_COMMAND_FAN_ON_MAX (1)
 #define GH_COMMAND_LED_PCT_FIELD 2
 #define GH_COMMAND_LED_PCT_MIN (0)
 #define GH_COMMAND_LED_PCT_MAX (100)
@@ -478,8 +477,6 @@ static inline int gh_unpack_command(const uint8_t *body, size_t n, gh_command *m
     message->lease_s = gh_get_u16(body + 5);
     if (message->heater_steps > GH_COMMAND_HEATER_STEPS_MAX)
         return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_COMMAND_HEATER_STEPS_FIELD);
-    if (message->fan_on > GH_COMMAND_FAN_ON_MAX)
-        return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_COMMAND_FAN_ON_FIELD);
     if (message->led_pct > GH_COMMAND_LED_PCT_MAX)
         return GH_DECODE_ERROR(GH_ERROR_CODE_RANGE, GH_COMMAND_LED_PCT_FIELD);
     if (message->cutoff_open > GH_COMMAND_CUTOFF_OPEN_MAX)

@@ -115,6 +115,7 @@ void gh_safety_advance(gh_safety *safety, uint32_t now_ms)
 {
     lease_advance(&safety->heater, now_ms);
     lease_advance(&safety->fan, now_ms);
+    lease_advance(&safety->fan_time, now_ms);
     lease_advance(&safety->led, now_ms);
     lease_advance(&safety->valve, now_ms);
     lease_advance(&safety->valve_pulse, now_ms);
@@ -172,6 +173,7 @@ bool gh_safety_obey(gh_safety *safety, const gh_demand *demand, uint32_t now_ms)
     if (safety->air_good && safety->greeted) {
         safety->heater = lease;
         safety->fan = lease;
+        safety->fan_time = demand->fan_on_ms == 0 ? lease : lease_from(now_ms, demand->fan_on_ms, lease.length_ms);
     }
     if (demand->valve_pulse_ms > 0) {
         safety->valve_pulse = lease_from(now_ms, demand->valve_pulse_ms, config->valve_pulse_max_ms);
@@ -243,7 +245,8 @@ gh_pins gh_safety_pins(const gh_safety *safety)
 {
     const gh_demand *demand = &safety->demand;
     bool tripped = is_tripped(safety);
-    bool fan = tripped || (lease_runs(&safety->fan) ? demand->fan_on : safety->config.fan_safe_on);
+    bool fan_asked = demand->fan_on && lease_runs(&safety->fan_time);
+    bool fan = tripped || (lease_runs(&safety->fan) ? fan_asked : safety->config.fan_safe_on);
     gh_pins pins = {
         .heater_relay = safety->slot < safety->slot_steps,
         .fan = fan && !is_stopped(safety),

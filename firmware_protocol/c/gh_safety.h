@@ -34,6 +34,7 @@ typedef struct {
     uint8_t heater_steps; /* duty in 1/20 */
     uint8_t led_pct;
     bool fan_on;
+    uint16_t fan_on_ms; /* 0: until the lease ends */
     bool cutoff_open;
     uint16_t valve_pulse_ms; /* 0: no new pulse */
     uint16_t lease_ms;
@@ -50,7 +51,7 @@ typedef struct {
 typedef struct {
     gh_safety_config config;
     gh_demand demand; /* the last one obeyed; each part holds while its lease runs */
-    gh_lease heater, fan, led, valve, valve_pulse;
+    gh_lease heater, fan, fan_time, led, valve, valve_pulse; /* fan_time: the part of `fan` in which it turns */
     uint32_t slot_start_ms;
     uint8_t slot;         /* 0..19 in the PWM window */
     uint8_t slot_steps;   /* duty taken for this slot */

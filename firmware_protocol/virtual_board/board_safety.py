@@ -10,9 +10,10 @@ from firmware_protocol.virtual_board.board_samples import Sample
 
 TRIP_HYSTERESIS = 300  # 0.01 K
 TRIP_SAMPLES = 2
+FAN_TIME_MS = 250  # a unit of a command's fan_on
 _PERSISTENT_LAYOUT = 1
 _BLANK = b"\xff" * 4
-_NOTHING = CommandMessage(0, False, 0, 0.0, True, 0.0)
+_NOTHING = CommandMessage(0, 0, 0, 0.0, True, 0.0)
 _ALL_LATCHES = 15  # one bit for each cause
 # The first of these that is latched is reported as the trip cause.
 _REPORTED = (
@@ -42,12 +43,13 @@ def _latch(cause: TripCause) -> int:
 class _Leases:
     heater: Lease = field(default_factory=Lease)
     fan: Lease = field(default_factory=Lease)
+    fan_time: Lease = field(default_factory=Lease)  # the part of `fan` in which it turns
     led: Lease = field(default_factory=Lease)
     valve: Lease = field(default_factory=Lease)
     valve_pulse: Lease = field(default_factory=Lease)
 
     def all(self) -> tuple[Lease, ...]:
-        return self.heater, self.fan, self.led, self.valve, self.valve_pulse
+        return self.heater, self.fan, self.fan_time, self.led, self.valve, self.valve_pulse
 
 
 class Safety:
@@ -111,7 +113,7 @@ class Safety:
 
         Return False, and take nothing, for heat while tripped and for anything while stopped.
         """
-        driven = command.fan_on or command.led_pct > 0 or command.valve_pulse_s > 0
+        driven = command.fan_on > 0 or command.led_pct > 0 or command.valve_pulse_s > 0
         if (self.tripped and command.heater_steps > 0) or (self.stopped and driven):
             return False
         self._command = command
@@ -121,6 +123,9 @@ class Safety:
             granted += [leases.heater, leases.fan]
         for lease in granted:
             lease.grant(now_ms, round(command.lease_s * 1000), self._config.lease_max_ms)
+        if self._air.good:
+            on_ms = FAN_TIME_MS * command.fan_on if command.fan_on > 1 else leases.fan.length_ms
+            leases.fan_time.grant(now_ms, on_ms, leases.fan.length_ms)
         if command.valve_pulse_s > 0:
             pulse_ms = round(command.valve_pulse_s * 1000)
             leases.valve_pulse.grant(now_ms, pulse_ms, self._config.valve_pulse_max_ms)
@@ -187,7 +192,8 @@ class Safety:
         """Return the outputs as they must be now."""
         leases, config = self._leases, self._config
         heater_may_run = leases.heater.runs and not self._command.cutoff_open
-        fan = self.tripped or (self._command.fan_on if leases.fan.runs else config.fan_safe_on)
+        asked = self._command.fan_on > 0 and leases.fan_time.runs
+        fan = self.tripped or (asked if leases.fan.runs else config.fan_safe_on)
         return Pins(
             heater_relay=self._pwm.relay,
             fan=fan and not self.stopped,

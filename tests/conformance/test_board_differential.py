@@ -42,7 +42,7 @@ stores = st.one_of(st.sampled_from(KNOWN_STORES), st.binary(max_size=4))
 commands = st.builds(
     CommandMessage,
     heater_steps=st.sampled_from([0, 1, 10, 19, 20]),
-    fan_on=st.booleans(),
+    fan_on=st.one_of(st.integers(0, 1), st.sampled_from([2, 4, 40, 255])),
     led_pct=st.integers(0, 100),
     valve_pulse_s=st.sampled_from([0.0, 0.1, 1.0, 25.5]),
     cutoff_open=st.booleans(),
@@ -131,7 +131,7 @@ def hour(random):
 def random_command(random) -> CommandMessage:
     return CommandMessage(
         heater_steps=random.randrange(21),
-        fan_on=random.random() < 0.5,
+        fan_on=random.choice([0, 0, 1, 1, 2, 20, 60]),
         led_pct=random.randrange(101),
         valve_pulse_s=random.choice([0.0, 0.0, 0.3, 2.0]),
         cutoff_open=random.random() < 0.1,

@@ -116,6 +116,42 @@ def test_the_cut_off_obeys_and_is_open_without_a_lease(new_board):
     assert bench.step(100).cutoff_open
 
 
+# ---- the fan for a part of its lease
+
+
+@pytest.mark.parametrize("start_ms", STARTS)
+@pytest.mark.parametrize("fan_on", [2, 3, 20, 39])
+@pytest.mark.parametrize("fan_safe_on", [False, True])
+def test_the_fan_turns_for_its_time_and_no_ms_longer(new_board, start_ms, fan_on, fan_safe_on):
+    config = replace(CONFIG, fan_safe_on=fan_safe_on)
+    bench = heating(new_board, replace(HEAT, fan_on=fan_on), start_ms=start_ms, config=config)
+    bench.run(250 * fan_on - 100)
+    bench.air(25.0)
+    assert bench.step(50 * (fan_on % 2) + 99).fan
+    assert not bench.step(1).fan
+    bench.run(9_900 - 250 * fan_on)
+    assert not bench.step().fan
+    assert bench.run(200)[-1].fan is fan_safe_on
+
+
+@pytest.mark.parametrize("fan_on", [40, 41, 255])
+def test_the_fan_s_time_ends_with_its_lease(new_board, fan_on):
+    bench = heating(new_board, replace(HEAT, fan_on=fan_on))
+    assert bench.run(9_900)[-1].fan
+    assert bench.step(99).fan
+    assert not bench.step(1).fan
+
+
+def test_a_renewal_tells_what_is_left_of_the_fan_s_time(new_board):
+    bench = heating(new_board, replace(HEAT, fan_on=20))
+    assert bench.run(3000)[-1].fan
+    bench.ask(replace(HEAT, fan_on=8))
+    assert bench.run(1900)[-1].fan
+    assert not bench.run(100)[-1].fan
+    bench.ask(replace(HEAT, fan_on=0))
+    assert not bench.run(100)[-1].fan
+
+
 # ---- the valve's pulse, bounded by itself as well
 
 

@@ -115,7 +115,6 @@ def test_every_wrong_length_is_named_and_not_obeyed(new_board, kind):
     [
         (0, "heater", 20, 21),
         (0, "heater", 0, 255),
-        (1, "fan", 1, 2),
         (2, "led", 100, 101),
         (4, "cutoff", 1, 2),
         (5, "lease", 60_000, 60_001),

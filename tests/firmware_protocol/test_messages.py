@@ -76,7 +76,7 @@ def test_any_body_of_the_right_length_is_judged_field_by_field(message: Message,
 
 EDGES: list[tuple[Message, str, list[Any], list[Any]]] = [
     (COMMAND, "heater_steps", [0, 20], [-1, 21, 256, None, NAN, INF, 10.5]),
-    (COMMAND, "fan_on", [False, True, 0, 1], [-1, 2, None, NAN]),
+    (COMMAND, "fan_on", [0, 1, 255], [-1, 256, None, NAN, 0.5]),
     (COMMAND, "led_pct", [0, 100], [-1, 101, None, NAN, 0.5]),
     (COMMAND, "valve_pulse_s", [0.0, 0.1, 25.5], [-0.1, 25.6, None, NAN, INF, -INF]),
     (COMMAND, "lease_s", [0.0, 0.001, 60.0], [-0.001, 60.001, None, NAN, INF, -INF]),

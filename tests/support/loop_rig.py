@@ -92,8 +92,8 @@ class FakeBoard:
     def take_events(self) -> list[Event]:
         return []
 
-    def drive(self, command: Command, cutoff_open: bool, valid_s: float) -> None:
-        self.driven.append((command, cutoff_open, valid_s))
+    def drive(self, command: Command, cutoff_open: bool, step_s: float) -> None:
+        self.driven.append((command, cutoff_open, step_s))
         if self.link_up and self.confirms:
             self.commanded = command
             self._say()

@@ -96,7 +96,7 @@ def figures(log: ClosedLoopLog) -> Figures:
         overshoot_k=overshoot_k(columns["reference_c"], columns["true_air_c"]),
         energy_wh=float(duty[:-1].sum()) * HEATER_MAX_W * step_h,
         fan_min=float(fan[:-1].sum()) * step_h * 60.0,
-        switches=float(np.abs(np.diff(fan)).sum()),
+        switches=fan_switches(fan),
         travel=float(np.abs(np.diff(duty)).sum()),
         interventions=float(sum(log.changes.values())),
         fallbacks=float(sum(log.instead.values())),
@@ -106,6 +106,12 @@ def figures(log: ClosedLoopLog) -> Figures:
         sensor_cost_0=tracking_cost(sensor),
         sensor_cost_1=tracking_cost(sensor) + effort,
     )
+
+
+def fan_switches(fan: Floats) -> float:
+    """Return how often the relay switches. fan : share of each step, from its beginning, in which it is on"""
+    before = np.append(0.0, fan[:-1])
+    return float(((fan > 0.0) != (before >= 1.0)).sum() + ((fan > 0.0) & (fan < 1.0)).sum())
 
 
 def error(columns: Mapping[str, Floats], air: str) -> Floats:

@@ -1,6 +1,7 @@
 """The planning problem in condensed form, and what a plan costs."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,7 @@ class Plan:
     """Inputs over the horizon; `cost` is all they cost."""
 
     levels: Ints  # heater duty in steps of 1/20, [N]
-    fan: Ints  # [N]
+    fan: NDArray[Any]  # share of each step for which it is on, [N]; 0 and 1 where a planner knows no parts
     cost: float
 
 
@@ -103,7 +104,7 @@ class PlanningProblem:
             slope = slope + 2.0 * self.limit_weight * np.maximum(temps - self.temp_max, 0.0)
         return slope
 
-    def effort(self, levels: Ints, fan: Ints) -> Floats:
+    def effort(self, levels: Ints, fan: NDArray[Any]) -> Floats:
         """Cost of inputs, one by one."""
         effort: Floats = self.heater_weight * (levels / HEATER_LEVELS) ** 2 + self.fan_weight * fan
         return effort

@@ -1,4 +1,4 @@
-"""A beam over a twin's future: all 42 commands from every kept node, then the cheapest of each kind of node.
+"""A beam over a twin's future: all commands from every kept node, then the cheapest of each kind of node.
 
 Two nodes are of one kind when the fan stands alike and the air would come to nearly the same temperature by
 itself: what a node has stored is what its future depends on. So a node that heats early for a step that is
@@ -21,13 +21,17 @@ KIND_K = 0.02  # nodes whose air would then be closer than this are of one kind
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanStart:
-    """The start of a plan. state [n]; disturbance [K/step]; ambient [°C]; level and fan sent before"""
+    """The start of a plan. state [n]; disturbance [K/step]; ambient [°C]; level before; fan 0 or 1 until now
+
+    fan_starts : how often the fan may still be started
+    """
 
     state: Floats
     disturbance: float
     ambient: float
     level: int
     fan: int
+    fan_starts: int = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,25 +47,31 @@ class BeamResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """M nodes after the same number of steps. state [M, n]; the others [M]."""
+    """M nodes after the same number of steps. state [M, n]; the others [M].
+
+    fan : 0 or 1 at the end; place : in the step's `fans`; starts : of the fan that are left
+    """
 
     state: Floats
     cost: Floats
     fan: Ints
+    place: Ints
     level: Ints
     hold: Ints
+    starts: Ints
     parent: Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Children:
-    """Children of M nodes by fan and level: cost, later air temperature [M, 2, 21], state at level 0."""
+    """Children of M nodes by fan and level: cost, later air temperature [M, F, 21], state at level 0."""
 
     cost: Floats
     stored: Floats
     base: Floats
     mode: Ints
     hold: Ints
+    starts: Ints
 
 
 def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int) -> BeamResult:
@@ -75,8 +85,10 @@ def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int
         start.state[None],
         np.zeros(1),
         one + start.fan,
+        one,
         one + start.level,
         one + goal.fan_rules.hold,
+        one + start.fan_starts,
         one,
     )
     trace, nodes, weights = [level], 0, _stored_weights(step)
@@ -102,18 +114,28 @@ def _stored_weights(step: LinearStep) -> Floats:
 def _children(
     step: LinearStep, goal: PlanningProblem, drift: Floats, level: _Level, weights: Floats, k: int
 ) -> _Children:
-    fans = np.array([[0, 1]])
-    mode = step.mode(level.fan[:, None], fans)
+    mode = step.mode(level.fan[:, None], np.arange(len(step.fans))[None])
     base = np.einsum("mfij,mj->mfi", step.matrix[mode], level.state) + drift[mode]
     base += step.late[mode] * step.share[level.level][:, None, None]
     air = base[..., step.air, None] + step.now[mode, step.air][..., None] * step.share
     levels = np.arange(HEATER_LEVELS + 1)
-    cost = level.cost[:, None, None] + goal.tracking(air, k) + goal.effort(levels, fans[0][:, None])
-    hold, allowed = goal.fan_rules.next_hold(level.fan[:, None], level.hold[:, None], fans)
+    cost = level.cost[:, None, None] + goal.tracking(air, k) + goal.effort(levels, step.fans[:, None])
+    hold, starts, allowed = _relay(step.fans, goal, level)
     cost[~allowed] = np.inf
     cost[:, :, goal.heater_levels + 1 :] = np.inf
     stored = (base @ weights)[..., None] + (step.now[mode] @ weights)[..., None] * step.share
-    return _Children(cost, stored, base, mode, hold)
+    return _Children(cost, stored, base, mode, hold, starts)
+
+
+def _relay(fans: Floats, goal: PlanningProblem, level: _Level) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+    """Return for each child [M, F] the steps to hold, the starts left, and whether the relay allows it."""
+    before, held, rules = level.fan[:, None], level.hold[:, None], goal.fan_rules
+    runs, at_end = (fans > 0.0)[None], (fans == 1.0)[None]
+    starts = level.starts[:, None] - (runs & (before == 0))
+    switched = (runs != (before == 1)) | (runs & ~at_end)
+    begun = np.where(at_end, rules.min_on, rules.min_off) - 1
+    hold = np.where(switched, begun, np.maximum(held - 1, 0))
+    return hold, starts, ~(switched & (held > 0)) & (starts >= 0)
 
 
 def _cheapest(children: _Children, width: int) -> Ints:
@@ -122,7 +144,7 @@ def _cheapest(children: _Children, width: int) -> Ints:
     kinds = np.rint(children.stored / KIND_K).astype(np.int64)
     kinds -= kinds.min()
     kinds *= 2
-    kinds[:, 1] += 1  # the fan's two states are of different kinds
+    kinds[:, -1] += 1  # a fan that is on at the end makes another kind
     places = kinds.ravel()
     least = np.full(int(places.max()) + 2, np.inf)
     np.minimum.at(least, places, cost)
@@ -136,10 +158,18 @@ def _cheapest(children: _Children, width: int) -> Ints:
 
 
 def _next(step: LinearStep, children: _Children, kept: Ints) -> _Level:
-    parent, fan, level = np.unravel_index(kept, children.cost.shape)
-    mode = children.mode[parent, fan]
-    state = children.base[parent, fan] + step.now[mode] * step.share[level][:, None]
-    return _Level(state, children.cost.ravel()[kept], fan, level, children.hold[parent, fan], parent)
+    parent, place, level = np.unravel_index(kept, children.cost.shape)
+    mode = children.mode[parent, place]
+    return _Level(
+        state=children.base[parent, place] + step.now[mode] * step.share[level][:, None],
+        cost=children.cost.ravel()[kept],
+        fan=(step.fans[place] == 1.0).astype(np.int64),
+        place=place,
+        level=level,
+        hold=children.hold[parent, place],
+        starts=children.starts[parent, place],
+        parent=parent,
+    )
 
 
 def _tail_cost(step: LinearStep, goal: PlanningProblem, drift: Floats, level: _Level) -> Floats:
@@ -170,19 +200,21 @@ def _result(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) ->
     for level in trace[2:]:
         first = first[level.parent]
     best = int(np.argmin(total))
-    begins = 2 * trace[1].level + trace[1].fan
+    begins = len(step.fans) * trace[1].level + trace[1].place
     other = np.where(begins[first] == begins[first[best]], np.inf, total)
     second = int(np.argmin(other))
-    plan, states = _trace_back(trace, best, float(total[best]))
-    runner_up = _trace_back(trace, second, float(total[second]))[0] if np.isfinite(other[second]) else None
+    plan, states = _trace_back(step, trace, best, float(total[best]))
+    runner_up = (
+        _trace_back(step, trace, second, float(total[second]))[0] if np.isfinite(other[second]) else None
+    )
     return BeamResult(plan, states[:, step.air], states[:, step.shown], runner_up, nodes)
 
 
-def _trace_back(trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:
+def _trace_back(step: LinearStep, trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:
     levels, fans, states = [], [], []
     for level in reversed(trace[1:]):
         levels.append(level.level[node])
-        fans.append(level.fan[node])
+        fans.append(step.fans[level.place[node]])
         states.append(level.state[node])
         node = int(level.parent[node])
     return Plan(np.array(levels[::-1]), np.array(fans[::-1]), cost), np.array(states[::-1])

@@ -1,11 +1,14 @@
 """One step of a twin as matrices, one set for each way the fan can go on.
 
 Late commands and a fan that spins up make a step depend on the command before it; so the fan's state before
-and the duty before are inputs too. Exact for a twin whose heat is linear in its temperatures; else it is the
-tangent at the state given.
+and the duty before are inputs too. A fan that is on for a share of the step is on at its beginning. Exact for
+a twin whose heat is linear in its temperatures; else it is the tangent at the state given.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from math import lcm
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +21,20 @@ from edge.twin.signals import Conditions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-MODES = ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))  # fan before, fan now
+WHOLE_STEPS = (0.0, 1.0)  # the fan is off, or on for all of a step
+PARTS_MAX = 600  # of a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearStep:
-    """x+ = matrix x + constant + room T_amb + now s + late s_before + heat d, for each of `MODES`.
+    """x+ = matrix x + constant + room T_amb + now s + late s_before + heat d, for each of M modes.
 
-    matrix : [4, n, n]; the others [4, n]
+    A mode is the fan's state before (off, on) and, of each, what it does in the step: one of `fans`.
+    matrix : [M, n, n]; the others [M, n]
     room : by 1 K of the room; heat : by heat into the air that alone would warm it by 1 K in the step
     now, late : by the share of the heater's power that the duty of this step, and of the one before, asks for
     share : of each heater level, [21]
+    fans : shares of a step for which the fan can be on, rising from 0 to 1, [M / 2]
     air, shown : which state is the air's temperature, and which the sensor shows
     """
 
@@ -39,41 +45,57 @@ class LinearStep:
     late: Floats
     heat: Floats
     share: Floats
+    fans: Floats
     air: int
     shown: int = 0
 
     def mode(self, fan_before: Ints, fan: Ints) -> Ints:
-        """Places in `MODES`."""
-        return 2 * fan_before + fan
+        """Return places among the modes. fan_before : 0 off, 1 on; fan : places in `fans`"""
+        return len(self.fans) * fan_before + fan
+
+    def place_of(self, fan: float) -> int:
+        """Return the place in `fans` of the share nearest to this one."""
+        return int(np.argmin(np.abs(self.fans - fan)))
 
     def share_of(self, duty: float) -> float:
         """Share of the heater's power at a duty, between two levels too."""
         return float(np.interp(duty, np.arange(HEATER_LEVELS + 1) / HEATER_LEVELS, self.share))
 
 
-def linear_step(twin: BoxTwin, state: Floats, ambient: float, conditions: Conditions) -> LinearStep:
+def linear_step(
+    twin: BoxTwin,
+    state: Floats,
+    ambient: float,
+    conditions: Conditions,
+    fans: Sequence[float] = WHOLE_STEPS,
+) -> LinearStep:
     """Linearise the step of `twin` at a state [n], with columns of one row each as they are now.
 
+    fans : as `LinearStep.fans`
     Errors : DataError naming a column that is missing
     """
     # By unit differences of one batch of steps: exact for linear effects, late and slow ones too.
-    size = len(state)
+    size, parts = len(state), _parts(fans)
     rows = size + 5  # as it is, each state, room, duty now, duty before, heat: one more each
-    states = np.tile(state, (len(MODES) * rows, 1))
+    modes = [(before, fan) for before in WHOLE_STEPS for fan in fans]
+    states = np.tile(state, (len(modes) * rows, 1))
     room, source, duty, before = (np.zeros(len(states)) for _ in range(4))
-    fan = np.repeat(np.array(MODES), rows, axis=0)
+    fan_before, fan = np.repeat(np.array(modes), rows, axis=0).T
     for first in range(0, len(states), rows):
         states[first + 1 + np.arange(size), np.arange(size)] += 1.0
         room[first + size + 1] = duty[first + size + 2] = before[first + size + 3] = 1.0
         source[first + size + 4] = 1.0 / twin.step_s
-    march = twin.march(
-        Commands(duty[:, None], fan[:, 1:]),
-        (ambient + room)[:, None],
-        source[:, None],
+    begun = (np.arange(parts) + 0.5) / parts < fan[:, None]
+    march = (twin if parts == 1 else replace(twin, step_s=twin.step_s / parts)).march(
+        Commands(_in_parts(duty, parts), begun.astype(np.float64)),
+        _in_parts(ambient + room, parts),
+        _in_parts(source, parts),
         conditions,
-        Commands(before[:, None], fan[:, :1]),
+        Commands(_in_parts(before, parts), _in_parts(fan_before, parts)),
     )
-    after = march.step(0, states).reshape(len(MODES), rows, size)
+    for part in range(parts):
+        states = march.step(part, states)
+    after = states.reshape(len(modes), rows, size)
     by_one = after[:, 1:] - after[:, :1]
     matrix = np.swapaxes(by_one[:, :size], 1, 2)
     share = np.asarray(twin.signals.duty(np.arange(HEATER_LEVELS + 1) / HEATER_LEVELS), dtype=np.float64)
@@ -86,5 +108,16 @@ def linear_step(twin: BoxTwin, state: Floats, ambient: float, conditions: Condit
         late=by_one[:, size + 2] / full,
         heat=by_one[:, size + 3],
         share=share,
+        fans=np.array(fans),
         air=twin.states.index(AIR),
     )
+
+
+def _parts(fans: Sequence[float]) -> int:
+    """Return the least number of equal parts of a step of which each share takes whole ones."""
+    return lcm(*(Fraction(fan).limit_denominator(PARTS_MAX).denominator for fan in fans))
+
+
+def _in_parts(values: Floats, parts: int) -> Floats:
+    """[B] as [B, parts]."""
+    return np.repeat(values[:, None], parts, axis=1)

@@ -16,7 +16,7 @@
 #include "gh_sensors.h"
 
 #define FIRMWARE_MAJOR 1u
-#define FIRMWARE_MINOR 1u
+#define FIRMWARE_MINOR 2u
 #define FIRMWARE_PATCH 0u
 #define UART_DIVISOR 16u /* 16 MHz / (8 * 17) = 117647 baud, 2.1 % fast */
 #define TICKS_PER_MS 250u /* 16 MHz / 64 */
@@ -165,7 +165,8 @@ static __attribute__((noinline)) void configure(void)
     config.board.firmware_major = FIRMWARE_MAJOR;
     config.board.firmware_minor = FIRMWARE_MINOR;
     config.board.firmware_patch = FIRMWARE_PATCH;
-    config.board.capabilities = gh_config_capabilities(&config) | GH_CAPABILITY_CONFIGURABLE;
+    config.board.capabilities = gh_config_capabilities(&config) | GH_CAPABILITY_CONFIGURABLE |
+                                GH_CAPABILITY_FAN_TIME;
     start_outputs(&config);
     gh_eeprom_read_latches(latches);
     gh_board_init(&board, &config.board, latches, reset_cause(), gh_eeprom_count_start());

@@ -40,7 +40,7 @@ def test_the_matrices_make_the_twins_own_step(diagnosed):
             np.array([[ambient]]),
             before=Commands(np.array([[before]]), np.array([[float(fan_before)]])),
         )
-        mode = 2 * fan_before + fan
+        mode = step.mode(fan_before, fan)
         mine = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ambient
         mine += step.now[mode] * step.share_of(now) + step.late[mode] * step.share_of(before)
         np.testing.assert_allclose(mine, march.step(0, state[None])[0], atol=1e-9)
@@ -61,7 +61,7 @@ def follow(twin: BoxTwin, minutes: int, extra_k: float, holes: bool = False):
         state = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ROOM_C
         state = state + step.now[mode] * 0.3 + step.heat[mode] * extra_k
         state = state + step.late[mode] * (0.3 if k else 0.0)
-        inputs = StepInputs(0.3, 0, 0.3 if k else 0.0, 0, ROOM_C)
+        inputs = StepInputs(0.3, 0.0, 0.3 if k else 0.0, 0.0, ROOM_C)
         belief = move_belief(belief, twin, step, inputs, 60.0 * (k + 1))
         belief = correct_belief(belief, float("nan") if holes and k % 2 else float(state[0]), step.shown)
     return belief, state
@@ -150,7 +150,7 @@ def test_the_beam_keeps_the_cheapest_of_each_kind_as_a_sort_of_all_would(width):
     cost[rng.random(shape) < 0.3] = np.inf
     stored = KIND_K * rng.integers(-30, 30, shape)
     nothing = np.zeros((0,), dtype=np.int64)
-    kept = _cheapest(_Children(cost, stored, np.zeros(0), nothing, nothing), width)
+    kept = _cheapest(_Children(cost, stored, np.zeros(0), nothing, nothing, nothing), width)
 
     kinds = {}
     for place in np.argsort(-cost, axis=None, kind="stable"):

@@ -46,7 +46,7 @@ def test_a_good_tick_sends_what_the_controller_wants(rig: LoopRig) -> None:
     assert record.sent == record.wanted == Command(heater_duty=0.5)
     assert record.echo is not None
     assert record.echo.heater_duty == 0.5
-    assert rig.board.driven[-1][2] == 70.0  # one step of 60 s and 10 s: never longer without a new decision
+    assert rig.board.driven[-1][2] == 60.0  # one step
     assert rig.sink.records == [record]
 
 
