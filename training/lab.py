@@ -50,8 +50,8 @@ class InProcessBoard:
     A run over a pseudo-terminal gives the same columns (tests/training/test_lab.py) and takes longer.
     """
 
-    def __init__(self, seed: int, chamber: Path | None = None) -> None:
-        plant = Plant(Chamber(*load(chamber), seed), RIG_PARTS)
+    def __init__(self, seed: int, chamber: Path | None = None, plant: Plant | None = None) -> None:
+        plant = plant or Plant(Chamber(*load(chamber), seed), RIG_PARTS)
         self.device = Device(_boot, plant, Eeprom(None), [])
         self.bytes_in = self.bytes_out = 0
         self._arrived = bytearray()
@@ -117,7 +117,7 @@ class Lab:
         faults or options; or the control socket of a board that runs already
     seed : of the board
     folder : place of all files, where `settings` point already; without it a temporary folder is made
-    chamber : what differs in the simulated box; faults : the board's script; options : of its command line
+    chamber : what differs in the simulated box; plant : another box, "here" alone; faults : the board's script; options : of its command line
     speed : simulated seconds per real second; None: as fast as the machine goes
     clock : makes the daemon's clock from the board's, e.g. one that watches the pins
     recorded : each tick is in the history before the next begins, for controllers that read it
@@ -134,6 +134,7 @@ class Lab:
         seed: int = 1,
         folder: Path | None = None,
         chamber: Document | None = None,
+        plant: Plant | None = None,
         faults: Sequence[Document] = (),
         options: Sequence[str] = (),
         speed: float | None = None,
@@ -150,6 +151,7 @@ class Lab:
         self._board, self._seed, self._folder, self._speed = board, seed, folder, speed
         self.folder = Path() if folder is None else folder
         self._chamber, self._faults, self._options = chamber, faults, options
+        self._plant = plant
         self._make_clock, self._recorded, self._with_truth = clock, recorded, with_truth
         self._on_start, self._on_tick, self._more = on_start, on_tick, daemon
         # So many ticks the history holds then.
@@ -208,7 +210,7 @@ class Lab:
     def _open_board(self, stack: ExitStack) -> "SimClock | InProcessBoard":
         chamber = self._write("chamber.yaml", self._chamber)
         if self._board == "here":
-            return InProcessBoard(self._seed, chamber)
+            return InProcessBoard(self._seed, chamber, self._plant)
         if isinstance(self._board, Path):
             return stack.enter_context(closing(SimClock(self._board, self._speed)))
         script = self._write("faults.yaml", [dict(fault) for fault in self._faults])

@@ -13,6 +13,7 @@ from types import FrameType
 from typing import Self
 
 from edge.app.active_models import ActiveModels
+from edge.app.box import bounds_of
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.app.request_routes import Routes, outbox_of
 from edge.assistant.llm.language_model import LanguageModel, open_language_model
@@ -171,6 +172,7 @@ class Daemon:
             show=show,
             stop_at_s=self.stop_at_s,
             drift=drift,
+            box=bounds_of(settings.box.twin),
         )
         loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
         stack.callback(loop.close)

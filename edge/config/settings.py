@@ -382,8 +382,12 @@ class SafetySettings(Section):
     fan_min_on_s: float = number(5.0, "the fan's relay stays on at least so long", "s", 0.0, 3600.0)
     fan_min_off_s: float = number(5.0, "and off so long, unless safety needs the fan", "s", 0.0, 3600.0)
     fan_switches_hour_max: int = number(60, "switches of the fan's relay in an hour", "1", 2, 720, hard=True)
-    energy_hour_max_wh: float = number(100.0, "heat in the last hour", "Wh", 1.0, 100.0, hard=True)
-    energy_day_max_wh: float = number(2000.0, "heat in the last 24 hours", "Wh", 1.0, 2400.0, hard=True)
+    energy_hour_max_wh: float = number(
+        100.0, "heat in the last hour", "Wh", 1.0, hard.HEAT_HOUR_MAX_WH, hard=True
+    )
+    energy_day_max_wh: float = number(
+        2000.0, "heat in the last 24 hours", "Wh", 1.0, hard.HEAT_DAY_MAX_WH, hard=True
+    )
     led_max: float = number(1.0, "largest LED level", "1", 0.0, 1.0, hard=True)
     valve_pulse_max_s: float = number(
         5.0, "longest single pulse", "s", 0.0, hard.VALVE_PULSE_MAX_S, hard=True
@@ -398,6 +402,15 @@ class SafetySettings(Section):
         """Check that the latch lies above the plain limit."""
         if not self.temp_air_max_c < self.temp_trip_c:
             self.refuse("temp_trip_c", f"must be above temp_air_max_c, {self.temp_air_max_c:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class BoxSettings(Section):
+    """The greenhouse itself."""
+
+    twin: str = text(
+        "", "twin file of this box, from which safety takes its bounds; empty: the paper's 0.15 m3 and 100 W"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -448,6 +461,7 @@ class Settings(Section):
     sensor_health: SensorHealthSettings = field(default_factory=SensorHealthSettings)
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     safety: SafetySettings = field(default_factory=SafetySettings)
+    box: BoxSettings = field(default_factory=BoxSettings)
     lighting: LightingSettings = field(default_factory=LightingSettings)
     watering: WateringSettings = field(default_factory=WateringSettings)
 

@@ -151,9 +151,7 @@ class MpcTwin:
             "model": f"{self._model.name} {self._model.version}",
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
-        return Decision(
-            first_command(plan), self.name, tuple(found.shown.tolist()), why, planned_inputs(plan)
-        )
+        return Decision(first_command(plan), self.name, tuple(found.air.tolist()), why, planned_inputs(plan))
 
     def _follow(self, context: Context) -> tuple[Belief, LinearStep]:
         """Estimate the present state, from the last tick's or from the whole history."""

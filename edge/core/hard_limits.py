@@ -4,6 +4,7 @@ TEMP_AIR_MAX_C = 60.0  # no plant and no glued seam of the box is made for more
 TEMP_TRIP_MAX_C = 65.0  # the latch must come before the box's plastic parts soften
 READING_AGE_MAX_S = 60.0  # heating on an older air temperature is heating blind
 HEATER_RISE_MAX_PER_S = 1.0  # the full duty within a second is no limit at all
+HEAT_HOUR_MAX_WH, HEAT_DAY_MAX_WH = 400.0, 9600.0  # of the largest heater that a board of this kind switches
 FAN_PART_S = 5.0  # the fan is on for whole multiples of it, so that its relay does not chatter
 VALVE_PULSE_MAX_S = 10.0  # one pulse; the board bounds it by itself as well
 VALVE_DAY_MAX_S = 600.0  # what can be spilled in a day if soil and tank sensors lie

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from edge.core.hard_limits import LEASE_S
 from edge.core.messages import Change, Command, Echo, Estimate, Event, Reading
-from edge.core.names import HEATER_MAX_W
+from edge.safety.box_bounds import PAPER_BOX, BoxBounds
 from edge.safety.thermal_supervision import ThermalMemory
 
 HOUR_S = 3600.0
@@ -26,6 +26,7 @@ class SafetyView:
     now_s: float
     utc: float
     dt_s: float  # how long the command will hold [s]
+    box: BoxBounds = PAPER_BOX
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +76,9 @@ def elapsed_s(memory: SafetyMemory, now_s: float, dt_s: float) -> float:
     return max(0.0, min(now_s - memory.time_s, dt_s + LEASE_S))
 
 
-def book_heat(memory: SafetyMemory, now_s: float, dt_s: float) -> SafetyMemory:
+def book_heat(memory: SafetyMemory, now_s: float, dt_s: float, heater_w: float) -> SafetyMemory:
     """Add the heat of the command that has held until now, as if the heater gave its full rated power."""
-    added = memory.sent.heater_duty * HEATER_MAX_W * elapsed_s(memory, now_s, dt_s) / HOUR_S
+    added = memory.sent.heater_duty * heater_w * elapsed_s(memory, now_s, dt_s) / HOUR_S
     heat = tuple(piece for piece in memory.heat if now_s - piece[0] < DAY_S)
     if heat and now_s - heat[-1][0] < HEAT_BUCKET_S:
         heat = (*heat[:-1], (heat[-1][0], heat[-1][1] + added))

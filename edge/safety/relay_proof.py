@@ -34,15 +34,15 @@ class RelayProof:
 
 
 def follow(
-    proof: RelayProof, dt_s: float, temp_air: float, heated: bool, fan_on: bool, quiet: bool
+    proof: RelayProof, dt_s: float, temp_air: float, heated: bool, fan: float, quiet: bool
 ) -> RelayProof:
     """Return the proof after one more step.
 
     dt_s : since the last one [s]; temp_air : [°C]
-    heated, fan_on : what the board was told in it
+    heated, fan : what the board was told in it; fan : share of the time
     quiet : heater off and fan still for so long that the energy balance has judged
     """
-    highest_c = -math.inf if heated or fan_on else max(proof.highest_c, temp_air)
+    highest_c = -math.inf if heated or fan > 0.0 else max(proof.highest_c, temp_air)
     if quiet or temp_air <= highest_c - PASSED_K:
         return RelayProof()
     proof = replace(proof, highest_c=highest_c)
@@ -53,7 +53,7 @@ def follow(
         proof,
         since_s=proof.since_s + dt_s,
         heated_s=proof.heated_s + dt_s * heated,
-        fanned_s=proof.fanned_s + dt_s * fan_on,
+        fanned_s=proof.fanned_s + dt_s * fan,
     )
     if proof.since_s < EVERY_S:
         return proof

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from edge.config.settings import SafetySettings
 from edge.core.messages import ReadingQuality
-from edge.core.names import HEATER_LEVELS, HEATER_MAX_W
+from edge.core.names import HEATER_LEVELS
 from edge.safety.memory import DAY_S, HOUR_S, SafetyMemory, SafetyView, heat_wh, water_s
 from edge.safety.thermal_supervision import HEATER_STUCK_ON
 
@@ -165,14 +165,19 @@ def often_switched(s: RuleInput) -> str:
 
 
 def energy_duty(
-    memory: SafetyMemory, settings: SafetySettings, now_s: float, dt_s: float, window_s: float
+    memory: SafetyMemory,
+    settings: SafetySettings,
+    now_s: float,
+    dt_s: float,
+    window_s: float,
+    heater_w: float,
 ) -> float:
     """Heater duty that keeps the heat of one window below its cap through the next `dt_s`, 0..1."""
     cap_wh = settings.energy_hour_max_wh if window_s == HOUR_S else settings.energy_day_max_wh
-    if cap_wh >= HEATER_MAX_W * window_s / HOUR_S:
+    if cap_wh >= heater_w * window_s / HOUR_S:
         return 1.0  # no more than the heater can give
     left_wh = cap_wh - heat_wh(memory, now_s, window_s)
-    full_wh = HEATER_MAX_W * dt_s / HOUR_S
+    full_wh = heater_w * dt_s / HOUR_S
     return min(1.0, max(0.0, left_wh / full_wh)) if full_wh > 0.0 else 0.0
 
 
@@ -198,12 +203,12 @@ HEATER_LIMITS = (
     Limit("heater.max_duty", lambda s: s.settings.heater_max_duty, "largest duty"),
     Limit(
         "heater.energy_hour",
-        lambda s: energy_duty(s.memory, s.settings, s.view.now_s, s.view.dt_s, HOUR_S),
+        lambda s: energy_duty(s.memory, s.settings, s.view.now_s, s.view.dt_s, HOUR_S, s.view.box.heater_w),
         "energy cap of the hour",
     ),
     Limit(
         "heater.energy_day",
-        lambda s: energy_duty(s.memory, s.settings, s.view.now_s, s.view.dt_s, DAY_S),
+        lambda s: energy_duty(s.memory, s.settings, s.view.now_s, s.view.dt_s, DAY_S, s.view.box.heater_w),
         "energy cap of the day",
     ),
     Limit("heater.slew", ramp_duty, "rises too fast"),

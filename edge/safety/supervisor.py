@@ -13,6 +13,7 @@ from edge.core.controller import ControlLimits
 from edge.core.errors import RequestError
 from edge.core.hard_limits import FAN_PART_S
 from edge.core.messages import Change, Command, Event, Severity
+from edge.safety.box_bounds import PAPER_BOX, BoxBounds
 from edge.safety.memory import (
     DAY_S,
     HOUR_S,
@@ -72,7 +73,7 @@ def supervise(
 ) -> SafetyVerdict:
     """Return the part of `wanted` that may be sent now, why it differs, and the new memory."""
     temp_air = known_value(view, "temp_air", settings.reading_age_max_s)
-    memory = book_heat(memory, view.now_s, view.dt_s)
+    memory = book_heat(memory, view.now_s, view.dt_s, view.box.heater_w)
     # Trips first: the limits below act on a trip of this very tick.
     memory, events = _latch(view, memory, settings, temp_air)
     situation = RuleInput(view, memory, settings, temp_air)
@@ -99,12 +100,16 @@ def supervise(
 
 
 def planning_limits(
-    memory: SafetyMemory, settings: SafetySettings, now_s: float, step_s: float
+    memory: SafetyMemory,
+    settings: SafetySettings,
+    now_s: float,
+    step_s: float,
+    box: BoxBounds = PAPER_BOX,
 ) -> ControlLimits:
     """Return the safety limits of the step that begins now, for a controller that plans."""
     duty = 0.0 if memory.trips or memory.thermal.proof.running else settings.heater_max_duty
     for window_s in (HOUR_S, DAY_S):
-        duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s))
+        duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s, box.heater_w))
     return ControlLimits(
         heater_max_duty=duty,
         fan_hold_steps=math.ceil(relay_hold_s(memory, settings, now_s) / step_s),
@@ -162,11 +167,11 @@ def _look(
         temp_ambient=known_value(view, "temp_ambient", GAP_MAX_S),
         heater_duty=echo.heater_duty,
         fan_on=echo.fan_on or memory.sent.fan_on,
-        fan_whole=not memory.sent.fan_on or memory.sent.fan_at_end,
+        fan_share=memory.sent.fan_share if memory.sent.fan_on else 1.0,
         led=echo.led,
         fan_trusted=FAN_NO_EFFECT not in memory.trips,
     )
-    thermal, findings = look(memory.thermal, moment)
+    thermal, findings = look(memory.thermal, moment, view.box)
     return replace(memory, thermal=thermal), findings
 
 

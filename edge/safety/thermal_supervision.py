@@ -1,7 +1,7 @@
 """Does the box answer heater and fan as physics says it must? Names the part at fault when it does not.
 
-No model is used that fitting could spoil: only bounds that every box of this kind keeps (constants below) in
-an energy balance that knows the fan's state. Four questions, each with its own small memory:
+Only bounds with wide margins are used (box_bounds.py), in an energy balance that knows the fan's state. Four
+questions, each with its own small memory:
 
 - heater on, fan off, and no rise: dead heater, or a fan that runs untold, or a sensor that does not feel it.
   Alarm once EXPECTED_RISE_K would have come at the least: 14 min at full duty from room temperature, 35 min
@@ -20,6 +20,7 @@ A door left open for longer than the time of the first question looks like a dea
 
 from dataclasses import dataclass, field, replace
 
+from edge.safety.box_bounds import PAPER_BOX, BoxBounds
 from edge.safety.relay_proof import RelayProof, follow
 
 HEATER_NO_EFFECT = "heater_no_effect"
@@ -27,19 +28,7 @@ HEATER_STUCK_ON = "heater_stuck_on"
 FAN_NO_EFFECT = "fan_no_effect"
 SENSOR_OFFSET = "sensor_offset"
 
-POWER_MIN_W = 75.0  # of 100 W: 10 % low mains is 19 % less heat, and some of it is lost in the supply
-POWER_MAX_W = 110.0
-ELEMENT_LAG_S = 300.0  # slowest ceramic emitter, on and off
-CAPACITY_MAX_J_K = 10000.0  # air, cover, pot of wet soil: 0.2 + 3 + 4.2 kJ/K, and a third more
-CAPACITY_MIN_J_K = 3000.0  # what takes part within minutes: air, inner sheet, part of the rest
-LOSS_MAX_W_K = 10.0  # 1.7 m² of twin-wall sheet at 3.3 W/m²K, and leaks
-LOSS_MIN_W_K = 4.0
-FAN_MIN_W_K = 11.0  # half of the rated 68 m³/h; 1207 J/m³K
-FAN_WEAK_W_K = 8.0  # a fan is called blocked only below a third of its rated flow
 LED_W = 20.0
-OTHER_HEAT_W = 50.0  # sun through a window, a pump, a wall that is still warm: heat that is nobody's fault
-OTHER_HEAT_LONG_W = 30.0  # the same over LONG_S: the walls' part averages out
-OTHER_HEAT_K = 4.0  # what it makes at most with the fan on
 
 EXPECTED_RISE_K = 4.0  # of a working heater at the least; an open door of 4 min hides less than that
 SEEN_RISE_K = 1.0  # a sensor in a working box shows at least this much of it
@@ -65,7 +54,7 @@ class Observation:
     heater_duty: float  # as the board drives it, 0..1
     fan_on: bool
     led: float  # 0..1
-    fan_whole: bool = True  # False where the fan was on for a part of the time only
+    fan_share: float = 1.0  # of the time in which the fan was on, where it was
     fan_trusted: bool = True  # False once the fan is known not to work
 
 
@@ -114,22 +103,25 @@ class PartFault:
     text: str
 
 
-def look(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, tuple[PartFault, ...]]:
+def look(
+    memory: ThermalMemory, moment: Observation, box: BoxBounds = PAPER_BOX
+) -> tuple[ThermalMemory, tuple[PartFault, ...]]:
     """Return the memory after one more step, and the faults found in it."""
-    memory = _follow_inputs(memory, moment)
+    memory = _follow_inputs(memory, moment, box)
     findings = []
     for question in (_heater_works, _heat_is_ordered, _fan_works, _sensors_agree):
-        memory, finding = question(memory, moment)
+        memory, finding = question(memory, moment, box)
         if finding is not None:
             findings.append(finding)
     quiet = not moment.fan_on and min(memory.off_s, memory.fan_same_s) > QUIET_S
-    proof = follow(memory.proof, moment.dt_s, moment.temp_air, moment.heater_duty > 0.0, moment.fan_on, quiet)
+    fan = moment.fan_share if moment.fan_on else 0.0
+    proof = follow(memory.proof, moment.dt_s, moment.temp_air, moment.heater_duty > 0.0, fan, quiet)
     return replace(memory, proof=proof), tuple(findings)
 
 
-def _follow_inputs(memory: ThermalMemory, moment: Observation) -> ThermalMemory:
-    share = moment.dt_s / (ELEMENT_LAG_S + moment.dt_s)
-    switched = moment.fan_on != memory.fan_on or not moment.fan_whole
+def _follow_inputs(memory: ThermalMemory, moment: Observation, box: BoxBounds) -> ThermalMemory:
+    share = moment.dt_s / (box.element_lag_s + moment.dt_s)
+    switched = moment.fan_on != memory.fan_on or moment.fan_share < 1.0
     excess = 0.0 if moment.temp_ambient is None else moment.temp_air - moment.temp_ambient
     return replace(
         memory,
@@ -141,16 +133,18 @@ def _follow_inputs(memory: ThermalMemory, moment: Observation) -> ThermalMemory:
     )
 
 
-def _heater_works(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
+def _heater_works(
+    memory: ThermalMemory, moment: Observation, box: BoxBounds
+) -> tuple[ThermalMemory, PartFault | None]:
     """Heater on and no rise."""
     if moment.temp_ambient is None or moment.fan_on or moment.heater_duty == 0.0:
         return replace(memory, heating=Heating()), None
     excess = max(0.0, moment.temp_air - moment.temp_ambient)
-    heat_w = POWER_MIN_W * min(memory.heat, moment.heater_duty) - LOSS_MAX_W_K * excess
+    heat_w = box.power_min_w * min(memory.heat, moment.heater_duty) - box.loss_max_w_k * excess
     if heat_w <= 0.0:
         return replace(memory, heating=Heating()), None
     heating = Heating(
-        memory.heating.expected_k + heat_w * moment.dt_s / CAPACITY_MAX_J_K,
+        memory.heating.expected_k + heat_w * moment.dt_s / box.capacity_max_j_k,
         min(memory.heating.lowest_c, moment.temp_air),
     )
     if heating.expected_k < EXPECTED_RISE_K:
@@ -165,20 +159,22 @@ def _heater_works(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMe
     return replace(memory, heating=Heating()), PartFault(HEATER_NO_EFFECT, text)
 
 
-def _heat_is_ordered(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
+def _heat_is_ordered(
+    memory: ThermalMemory, moment: Observation, box: BoxBounds
+) -> tuple[ThermalMemory, PartFault | None]:
     """More heat than was ordered."""
     settled = memory.off_s >= SETTLE_S and memory.fan_same_s >= SETTLE_S
-    short = _continue(memory.short, moment) if settled else None
+    short = _continue(memory.short, moment, box) if settled else None
     later = None
     if short is not None and short.seconds >= SHORT_S / 2.0:
-        later = _continue(memory.later, moment)
-    long: Balance | None = _continue(memory.long, moment)
+        later = _continue(memory.later, moment, box)
+    long: Balance | None = _continue(memory.long, moment, box)
     heat_w = 0.0
     if short is not None and short.seconds >= SHORT_S:
-        heat_w = max(heat_w, unordered_w(short, moment.temp_air) - OTHER_HEAT_W)
+        heat_w = max(heat_w, unordered_w(short, moment.temp_air, box) - box.other_heat_w)
         short, later = later, None
     if long is not None and long.seconds >= LONG_S:
-        heat_w = max(heat_w, unordered_w(long, moment.temp_air) - OTHER_HEAT_LONG_W)
+        heat_w = max(heat_w, unordered_w(long, moment.temp_air, box) - box.other_heat_long_w)
         long = None
     memory = replace(memory, short=short, later=later, long=long)
     if heat_w <= 0.0:
@@ -187,15 +183,15 @@ def _heat_is_ordered(memory: ThermalMemory, moment: Observation) -> tuple[Therma
     return memory, PartFault(HEATER_STUCK_ON, text)
 
 
-def _continue(balance: Balance | None, moment: Observation) -> Balance:
+def _continue(balance: Balance | None, moment: Observation, box: BoxBounds) -> Balance:
     if balance is None:
         return Balance(moment.temp_air, moment.temp_air)
     lowest = min(balance.lowest_c, moment.temp_air)
     room = lowest if moment.temp_ambient is None else moment.temp_ambient
     excess = (moment.temp_air - room) * moment.dt_s
     # In a part of a step it may have taken next to no heat.
-    fanned = moment.fan_on and moment.fan_whole and moment.fan_trusted
-    ordered_w = POWER_MAX_W * moment.heater_duty + LED_W * moment.led
+    fanned = moment.fan_on and moment.fan_share == 1.0 and moment.fan_trusted
+    ordered_w = box.power_max_w * moment.heater_duty + LED_W * moment.led
     return Balance(
         balance.begin_c,
         lowest,
@@ -206,21 +202,23 @@ def _continue(balance: Balance | None, moment: Observation) -> Balance:
     )
 
 
-def unordered_w(balance: Balance, temp_air: float) -> float:
+def unordered_w(balance: Balance, temp_air: float, box: BoxBounds = PAPER_BOX) -> float:
     """Heat that came in beside what was ordered, at the least: stored, lost through cover and fan [W]."""
     change = temp_air - balance.begin_c
-    stored_j = (CAPACITY_MIN_J_K if change > 0.0 else CAPACITY_MAX_J_K) * change
-    lost_j = LOSS_MIN_W_K * balance.excess_k_s + FAN_MIN_W_K * balance.fan_excess_k_s
+    stored_j = (box.capacity_min_j_k if change > 0.0 else box.capacity_max_j_k) * change
+    lost_j = box.loss_min_w_k * balance.excess_k_s + box.fan_min_w_k * balance.fan_excess_k_s
     return (stored_j + lost_j - balance.ordered_j) / balance.seconds
 
 
-def _fan_works(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
+def _fan_works(
+    memory: ThermalMemory, moment: Observation, box: BoxBounds
+) -> tuple[ThermalMemory, PartFault | None]:
     """Fan on and no cooling while warm."""
-    if moment.temp_ambient is None or not moment.fan_on or memory.fan_same_s < COOLING_S:
+    if not box.fan_cools or moment.temp_ambient is None or not moment.fan_on or memory.fan_same_s < COOLING_S:
         return memory, None
     excess = moment.temp_air - moment.temp_ambient
-    heated = POWER_MAX_W * max(memory.heat, moment.heater_duty) / (FAN_WEAK_W_K + LOSS_MIN_W_K)
-    if excess <= max((1.0 - COOLED_SHARE) * memory.fan_begin_excess_k, heated + OTHER_HEAT_K):
+    heated = box.power_max_w * max(memory.heat, moment.heater_duty) / (box.fan_weak_w_k + box.loss_min_w_k)
+    if excess <= max((1.0 - COOLED_SHARE) * memory.fan_begin_excess_k, heated + box.other_heat_k):
         return memory, None
     text = (
         f"fan on for {memory.fan_same_s:.0f} s, air still {excess:.1f} K above the room: fan stuck or blocked"
@@ -228,7 +226,9 @@ def _fan_works(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemor
     return memory, PartFault(FAN_NO_EFFECT, text)
 
 
-def _sensors_agree(memory: ThermalMemory, moment: Observation) -> tuple[ThermalMemory, PartFault | None]:
+def _sensors_agree(
+    memory: ThermalMemory, moment: Observation, box: BoxBounds
+) -> tuple[ThermalMemory, PartFault | None]:
     """Air colder than the room: nothing in the box cools."""
     cold = moment.temp_ambient is not None and moment.temp_air < moment.temp_ambient - COLD_K
     memory = replace(memory, cold_s=memory.cold_s + moment.dt_s if cold else 0.0)

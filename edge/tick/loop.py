@@ -178,7 +178,7 @@ class Loop:
 
     def _context(self, estimate: Estimate, now: float, utc: float) -> Context:
         rig = self._rig
-        limits = planning_limits(self._memory, rig.settings.safety, now, self._step_s)
+        limits = planning_limits(self._memory, rig.settings.safety, now, self._step_s, rig.box)
         moment = TickTime(now, utc, now - self._start_s, seconds_of_day(utc, rig.zone), self._step_s)
         history = rig.estimator.history()
         return context_of(moment, self._operation, rig.reference, history, estimate, self._sent, limits)
@@ -242,6 +242,7 @@ class Loop:
             now_s=now,
             utc=utc,
             dt_s=self._step_s,
+            box=rig.box,
         )
         verdict = supervise(wanted, view, self._memory, rig.settings.safety)
         if not survives_as(verdict.memory, self._memory):

@@ -21,6 +21,7 @@ from edge.core.messages import (
     Reading,
     TickRecord,
 )
+from edge.safety.box_bounds import PAPER_BOX, BoxBounds
 from edge.safety.supervisor import SafetyMemory
 from edge.tick.estimator import Estimator
 from edge.tick.inbox import Inbox
@@ -193,3 +194,4 @@ class Rig:
     show: Callable[[LoopStatus], None] = lambda status: None  # publish a tick, or what changed between two
     stop_at_s: float = math.inf  # end of an experiment
     drift: DriftWatch | None = None  # watches the running twin
+    box: BoxBounds = PAPER_BOX

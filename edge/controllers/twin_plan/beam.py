@@ -40,7 +40,6 @@ class BeamResult:
 
     plan: Plan
     air: Floats
-    shown: Floats
     runner_up: Plan | None
     nodes: int
 
@@ -105,7 +104,7 @@ def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int
 def _stored_weights(step: LinearStep) -> Floats:
     """[n], by which a state says what its air will be with everything off."""
     weights = np.zeros(step.matrix.shape[-1])
-    weights[step.air] = 1.0
+    weights[step.shown] = 1.0
     for _ in range(STORED_STEPS):
         weights = weights @ step.matrix[0]
     return weights
@@ -117,7 +116,7 @@ def _children(
     mode = step.mode(level.fan[:, None], np.arange(len(step.fans))[None])
     base = np.einsum("mfij,mj->mfi", step.matrix[mode], level.state) + drift[mode]
     base += step.late[mode] * step.share[level.level][:, None, None]
-    air = base[..., step.air, None] + step.now[mode, step.air][..., None] * step.share
+    air = base[..., step.shown, None] + step.now[mode, step.shown][..., None] * step.share
     levels = np.arange(HEATER_LEVELS + 1)
     cost = level.cost[:, None, None] + goal.tracking(air, k) + goal.effort(levels, step.fans[:, None])
     hold, starts, allowed = _relay(step.fans, goal, level)
@@ -185,8 +184,8 @@ def _tail_cost(step: LinearStep, goal: PlanningProblem, drift: Floats, level: _L
         off = np.einsum("mij,mj->mi", matrix, off) + drift[mode] + (late if k == 0 else 0.0)
         by_heat = np.einsum("mij,mj->mi", matrix, by_heat) + step.now[mode] + (step.late[mode] if k else 0.0)
         mode = np.zeros_like(mode)
-        free.append(off[:, step.air])
-        response.append(by_heat[:, step.air])
+        free.append(off[:, step.shown])
+        response.append(by_heat[:, step.shown])
     without, gain = np.stack(free, axis=1), np.stack(response, axis=1)
     missing = goal.reference[goal.horizon :] - without
     share = (missing * gain).sum(axis=1) / np.maximum((gain**2).sum(axis=1), 1e-12)
@@ -207,7 +206,7 @@ def _result(step: LinearStep, trace: list[_Level], total: Floats, nodes: int) ->
     runner_up = (
         _trace_back(step, trace, second, float(total[second]))[0] if np.isfinite(other[second]) else None
     )
-    return BeamResult(plan, states[:, step.air], states[:, step.shown], runner_up, nodes)
+    return BeamResult(plan, states[:, step.shown], runner_up, nodes)
 
 
 def _trace_back(step: LinearStep, trace: list[_Level], node: int, cost: float) -> tuple[Plan, Floats]:

@@ -20,7 +20,7 @@ def step(proof: RelayProof, temp_air: float = 26.0, heated: bool = False, fan_on
 def test_a_box_that_heats_and_cools_in_turns_is_proven_after_its_time():
     proof, steps = RelayProof(), 0
     while not proof.running:
-        proof = step(proof, heated=steps % 2 == 0, fan_on=steps % 2 == 1)
+        proof = step(proof, heated=steps % 2 == 0, fan=steps % 2 == 1)
         steps += 1
     assert steps * STEP_S == THREE_HOURS_S
 
@@ -29,7 +29,7 @@ def test_a_box_that_heats_and_cools_in_turns_is_proven_after_its_time():
 def test_a_box_that_does_only_one_of_both_is_left_alone(heated, fan_on):
     proof = RelayProof()
     for _ in range(int(3 * EVERY_S / STEP_S)):
-        proof = step(proof, heated=heated, fan_on=fan_on)
+        proof = step(proof, heated=heated, fan=fan_on)
         assert not proof.running
 
 
@@ -80,7 +80,7 @@ def test_it_never_lasts_longer_than_its_bound():
 
 @pytest.mark.parametrize(("seconds", "runs"), [(THREE_HOURS_S - 0.5, False), (THREE_HOURS_S, True)])
 def test_time_counts_from_zero(seconds, runs):
-    assert follow(RelayProof(), seconds, 26.0, heated=True, fan_on=True, quiet=False).running is runs
+    assert follow(RelayProof(), seconds, 26.0, heated=True, fan=1.0, quiet=False).running is runs
 
 
 @pytest.mark.parametrize(("busy_s", "runs"), [(1079.0, False), (1080.0, True)])

@@ -383,7 +383,7 @@ def test_time_that_runs_backwards_allows_no_rise():
 
 def test_heat_is_booked_as_it_was_sent():
     memory = SafetyMemory(sent=Command(heater_duty=0.5), time_s=NOW - 60.0)
-    assert heat_wh(book_heat(memory, NOW, 60.0), NOW, 3600.0) == pytest.approx(100.0 * 0.5 / 60.0)
+    assert heat_wh(book_heat(memory, NOW, 60.0, 100.0), NOW, 3600.0) == pytest.approx(100.0 * 0.5 / 60.0)
 
 
 @pytest.mark.parametrize(
@@ -392,12 +392,12 @@ def test_heat_is_booked_as_it_was_sent():
 )
 def test_heat_is_booked_no_longer_than_its_lease(last_s, counted_s):
     memory = SafetyMemory(sent=HEAT, time_s=last_s)
-    assert heat_wh(book_heat(memory, NOW, 60.0), NOW, 3600.0) == pytest.approx(counted_s / 36.0)
+    assert heat_wh(book_heat(memory, NOW, 60.0, 100.0), NOW, 3600.0) == pytest.approx(counted_s / 36.0)
 
 
 def test_time_that_runs_backwards_takes_no_heat_off():
     memory = SafetyMemory(sent=HEAT, time_s=NOW + 5.0, heat=((NOW - 10.0, 3.0),))
-    assert book_heat(memory, NOW, 60.0).heat == memory.heat
+    assert book_heat(memory, NOW, 60.0, 100.0).heat == memory.heat
 
 
 def heated(hours: float, **limits: float) -> tuple[list[float], SafetyMemory]:
@@ -451,13 +451,13 @@ def test_heat_of_an_hour_ago_counts_no_more(age_s, duty):
 
 def test_heat_is_kept_in_pieces_of_ten_minutes_for_a_day():
     memory = SafetyMemory(sent=HEAT, time_s=NOW - 36.0, heat=((NOW - DAY_S, 7.0), (NOW - 599.9, 2.0)))
-    assert book_heat(memory, NOW, 60.0).heat == ((NOW - 599.9, 3.0),)
+    assert book_heat(memory, NOW, 60.0, 100.0).heat == ((NOW - 599.9, 3.0),)
     memory = replace(memory, heat=((NOW - DAY_S + 0.1, 7.0), (NOW - 600.0, 2.0)))
-    assert book_heat(memory, NOW, 60.0).heat == (*memory.heat, (NOW, 1.0))
+    assert book_heat(memory, NOW, 60.0, 100.0).heat == (*memory.heat, (NOW, 1.0))
 
 
 def test_a_heater_that_is_off_books_nothing():
-    assert book_heat(SafetyMemory(time_s=NOW - 60.0), NOW, 60.0).heat == ()
+    assert book_heat(SafetyMemory(time_s=NOW - 60.0), NOW, 60.0, 100.0).heat == ()
 
 
 @pytest.mark.parametrize(
@@ -468,7 +468,7 @@ def test_a_heater_that_is_off_books_nothing():
 def test_the_duty_left_is_what_the_cap_leaves(cap_wh, dt_s, duty):
     memory = SafetyMemory(heat=((NOW - 100.0, 30.0),))
     limits = SafetySettings(energy_hour_max_wh=cap_wh)
-    assert energy_duty(memory, limits, NOW, dt_s, 3600.0) == pytest.approx(duty)
+    assert energy_duty(memory, limits, NOW, dt_s, 3600.0, 100.0) == pytest.approx(duty)
 
 
 # Fan relay

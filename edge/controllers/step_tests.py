@@ -1,0 +1,165 @@
+"""Step tests that find their own size: the next leg comes from what the box did in the last ones.
+
+First a rest, a little heat and a coast tell how fast the box answers and how far it runs on by itself. After
+these come legs of random heat and fan inside the band, some as long as the box needs to show its slow parts.
+Heat ends before the band's upper edge by what the box was seen to run on. The same seed gives the same tests.
+"""
+
+import math
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.core.controller import Context
+from edge.core.messages import Command, Decision
+from edge.core.names import HEATER_LEVELS
+
+REST_S = 180.0  # the sensor's noise, and the room
+PROBE_DUTY, PROBE_RISE_K = 0.4, 1.0  # first heat, little enough for the smallest box
+PROBE_MAX_S, COAST_MAX_S, FULL_MAX_S = 600.0, 900.0, 1500.0
+PEAK_K = 0.15  # below its peak the air has stopped running on
+DWELL_MIN_S, DWELL_MAX_S = 120.0, 720.0  # of a random leg
+SLOW_LEG = 4  # every so many legs is SLOW_TIMES as long
+SLOW_TIMES = 2.5
+LOW_K = 1.5  # above the room: a colder box has nothing to tell about its losses
+DUTIES = (0.0, 0.0, 0.25, 0.5, 0.75, 1.0)
+PULSES_S = (10.0, 20.0, 40.0)  # of the fan, as plans use them
+PULSE_EVERY_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class TestLeg:
+    """A stretch of constant heat. fan : "off", "on" or "pulses"; ends at most `max_s` after its begin"""
+
+    name: str
+    duty: float
+    max_s: float
+    fan: str = "off"
+    above_c: float = math.inf  # ends where the air is warmer
+    until_peak: bool = False  # ends when the air has stopped rising
+    below_c: float = -math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class BoxResponse:
+    """What the first legs told. rise_k_s : at full duty, steepest; runs_on_k, runs_on_s : after heat ended"""
+
+    rise_k_s: float
+    runs_on_k: float
+    runs_on_s: float
+
+
+class StepTests:
+    """A controller that drives the tests.
+
+    high_c : upper edge of the band [°C]; has_fan : the box has one that acts on the air
+    """
+
+    name = "step-tests"
+
+    def __init__(self, high_c: float, has_fan: bool, seed: int = 1) -> None:
+        self._high_c, self._has_fan, self._seed = high_c, has_fan, seed
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self.response: BoxResponse | None = None
+        self._random = random.Random(self._seed)
+        self._legs = self._plan()
+        self._leg = next(self._legs)
+        self._begun_s: float | None = None
+        self._begun_c = self._highest_c = self._lowest_c = math.nan
+        self._steepest = 0.0
+        self._ended: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def decide(self, context: Context) -> Decision:
+        """Return the command of the present leg, or of the next where this one is over."""
+        air = context.estimate.temp_air
+        if self._begun_s is None or self._is_over(context, air):
+            if self._begun_s is not None:
+                self._note(context, air)
+                self._leg = next(self._legs)
+            self._begun_s, self._begun_c = context.now_s, air
+            self._highest_c = self._lowest_c = air
+            self._highest_s = context.now_s
+        self._watch(context, air)
+        leg = self._leg
+        duty = leg.duty if air < self._high_c - self._margin_k(leg.duty) else 0.0
+        duty = math.floor(min(duty, context.limits.heater_max_duty) * HEATER_LEVELS + 1e-9) / HEATER_LEVELS
+        command = Command(duty, self._fan_on(context))
+        return Decision(command, self.name, why={"leg": leg.name, "band_c": self._high_c})
+
+    def _plan(self) -> Iterator[TestLeg]:
+        yield TestLeg("rest", 0.0, REST_S)
+        yield TestLeg("first heat", PROBE_DUTY, PROBE_MAX_S, above_c=self._begun_c + PROBE_RISE_K)
+        yield TestLeg("coast", 0.0, COAST_MAX_S, until_peak=True)
+        yield TestLeg("full heat", 1.0, FULL_MAX_S, above_c=self._high_c)
+        yield TestLeg("coast", 0.0, COAST_MAX_S / 2.0, until_peak=True)
+        if self._has_fan:
+            yield TestLeg("fan", 0.0, 60.0, "on")
+        count = 0
+        while True:
+            count += 1
+            duty, dwell_s = self._random.choice(DUTIES), self._dwell_s()
+            fan = "off"
+            if self._has_fan:
+                fan = self._random.choice(
+                    ("off", "off", "off", "pulses", "pulses", "on" if duty < 1.0 else "off")
+                )
+            if fan == "on":
+                dwell_s = min(dwell_s, 180.0)
+            if count % SLOW_LEG == 0:
+                fan, dwell_s = "off", SLOW_TIMES * dwell_s
+            yield TestLeg(f"heat {duty:g}, fan {fan}", duty, dwell_s, fan)
+
+    def _dwell_s(self) -> float:
+        """Return a random length for a box of this speed [s]."""
+        usual = 240.0 if self.response is None else max(2.0 * self.response.runs_on_s, 120.0)
+        return min(max(usual * self._random.uniform(0.5, 2.0), DWELL_MIN_S), DWELL_MAX_S)
+
+    def _is_over(self, context: Context, air: float) -> bool:
+        assert self._begun_s is not None
+        leg, passed_s = self._leg, context.now_s - self._begun_s
+        if passed_s >= leg.max_s - 0.5 * context.step_s:
+            return True
+        if leg.name == "first heat" and air >= self._begun_c + PROBE_RISE_K:
+            return True
+        if leg.duty > 0.0 and air >= self._high_c - self._margin_k(leg.duty):
+            return True
+        if leg.until_peak:
+            return air < self._highest_c - PEAK_K and passed_s > 30.0
+        # A box that is nearly as cold as the room has nothing to tell without heat.
+        return leg.duty == 0.0 and leg.name.startswith("heat") and air < context.estimate.temp_ambient + LOW_K
+
+    def _watch(self, context: Context, air: float) -> None:
+        if air > self._highest_c:
+            self._highest_c, self._highest_s = air, context.now_s
+        past = context.history["temp_air"]
+        if self._leg.duty > 0.0 and len(past) > 6 and np.isfinite(past[-7]):
+            rise = (air - float(past[-7])) / (6.0 * context.step_s) / self._leg.duty
+            self._steepest = max(self._steepest, rise)
+
+    def _note(self, context: Context, air: float) -> None:
+        """Learn from a coast how far the box runs on."""
+        if self._leg.name != "coast":
+            return
+        assert self._begun_s is not None
+        runs_on = max(self._highest_c - self._begun_c, 0.0)
+        duty = PROBE_DUTY if self.response is None else 1.0
+        self.response = BoxResponse(self._steepest, runs_on / duty, self._highest_s - self._begun_s)
+
+    def _margin_k(self, duty: float) -> float:
+        """Return how far below the edge heat must end."""
+        if self.response is None:
+            return 3.0 * duty
+        return 1.3 * self.response.runs_on_k * duty + 0.3
+
+    def _fan_on(self, context: Context) -> bool:
+        if self._leg.fan != "pulses" or context.limits.fan_starts < 4:
+            return self._leg.fan == "on" and (context.limits.fan_starts > 0 or context.last_sent.fan_at_end)
+        assert self._begun_s is not None
+        passed_s = context.now_s - self._begun_s
+        pulse, since = divmod(passed_s + 1e-6, PULSE_EVERY_S)
+        return since < PULSES_S[int(pulse) % len(PULSES_S)] - 1e-3
