@@ -1,0 +1,319 @@
+"""python -m bench.boxes.draw: draw heated boxes from seeds, and print the thirty that are used.
+
+Fifteen successive seeds are a lot: every quality comes in it as often as in any other lot, in another order.
+So the development boxes and the scored ones show the same variety, and no box is in both.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from bench.boxes.facts import (
+    MATERIALS,
+    AirSensor,
+    BoxFacts,
+    FanKind,
+    HeaterKind,
+    Layer,
+    OtherSensor,
+    RoomFacts,
+)
+from bench.boxes.rates import ZERO_C, saturated_g_m3
+from bench.boxes.reach import reach, rise_k
+
+__all__ = ["DEVELOPMENT", "SCORED", "BoxFacts", "draw_box"]
+
+DEVELOPMENT = tuple(range(1, 16))
+SCORED = tuple(range(101, 116))
+LOT = 15
+POWERS_W = (20.0, 400.0)
+RISES_K = (9.0, 42.0)  # of the air over the room at full power without fan
+VOLUMES_M3 = (0.02, 1.0)
+FLOWS_M3_H = (5.0, 200.0)
+CHANGES_1_MIN = (0.8, 5.0)  # of the air by the fan
+WATER_KG_M2 = ((0.2, 2.0), (2.0, 10.0), (5.0, 40.0))  # in pots, plants and jars on the floor, by weight
+WATER_J_KG_K = 4186.0
+FILMS_M2_K_W = 0.2  # of both sides of a wall, roughly
+SWING_K = 8.0
+SUN_W_M2 = 700.0  # behind a window, about noon
+LEAST_LAG_S = 3.0  # of a sensor; a shorter one is none
+SIZINGS = 6  # rounds, until the heater suits within 1 %
+MAT_W_M2 = 250.0  # of soil, with room for the roots
+ELEMENT_W_M2 = {"ptc": 3000.0, "ceramic": 4500.0, "tube": 900.0}  # heat flux of the hot surface
+ELEMENT_OVER_K = {"ptc": 70.0, "ceramic": 190.0, "tube": 60.0}  # over the air at full power, roughly
+ELEMENT_LAGS_S = {"ptc": (20.0, 90.0), "ceramic": (120.0, 480.0), "tube": (240.0, 600.0)}
+CONSTRUCTIONS = (  # kind, layers of the wall, has soil; five light ones, five in between, five heavy ones
+    ("film tent", (("polyethylene film", 0.0002),), False),
+    ("twin-wall 4 mm", (("twin-wall", 0.004),), False),
+    ("acrylic 3 mm", (("acrylic", 0.003),), False),
+    ("EPS box 25 mm", (("EPS", 0.025),), False),
+    ("film tent, soil", (("polyethylene film", 0.0002),), True),
+    ("twin-wall 8 mm", (("twin-wall", 0.008),), True),
+    ("polycarb. 4 mm", (("polycarbonate", 0.004),), True),
+    ("twin-wall 10 mm", (("twin-wall", 0.010),), True),
+    ("glass 3 mm", (("glass", 0.003),), False),
+    ("plywood 9 mm", (("plywood", 0.009),), True),
+    ("glass 5 mm", (("glass", 0.005),), True),
+    ("plywood 18 mm", (("plywood", 0.018),), True),
+    ("XPS 30 mm", (("XPS", 0.030),), True),
+    ("plywood, EPS 30", (("plywood", 0.006), ("EPS", 0.030), ("plywood", 0.006)), True),
+    ("plywood, XPS 50", (("plywood", 0.009), ("XPS", 0.050), ("plywood", 0.009)), True),
+)
+CLEAR = ("polyethylene film", "polycarbonate", "acrylic", "twin-wall", "glass")
+HEATERS: tuple[HeaterKind, ...] = (
+    "wire", "wire", "wire", "ptc", "ptc", "ptc", "ptc", "ceramic", "ceramic", "ceramic", "ceramic",
+    "tube", "tube", "mat", "mat",
+)  # fmt: skip
+FANS: tuple[FanKind, ...] = ("exchange",) * 8 + ("stir",) * 4 + ("none",) * 3
+ROOM_SENSORS = (True,) * 12 + (False,) * 3
+HUMIDITY_SENSORS = (True,) * 10 + (False,) * 5
+SUNS = (True,) * 9 + (False,) * 6
+HVACS = (True,) * 8 + (False,) * 7
+STEPS_K = (0.01, 0.01, 0.0625, 0.0625, 0.0625, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.25, 0.25, 0.5, 0.5)
+LIGHT, MIDDLE = 5, 10  # constructions before these are light, or in between
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """Qualities of fifteen boxes, one of each list a box."""
+
+    constructions: tuple[int, ...]  # of CONSTRUCTIONS
+    volumes_m3: tuple[float, ...]
+    heaters: tuple[HeaterKind, ...]
+
+
+@lru_cache
+def _lot(number: int) -> Lot:
+    """Deal constructions, sizes and heaters until each box could be built."""
+    rng = np.random.default_rng([number, 1])
+    low, high = np.log(VOLUMES_M3)
+    while True:
+        builds = rng.permutation(LOT)
+        volumes = np.exp(low + (high - low) * (rng.permutation(LOT) + rng.uniform(size=LOT)) / LOT)
+        heaters = [HEATERS[k] for k in rng.permutation(LOT)]
+        if all(map(_is_buildable, builds, volumes, heaters)):
+            return Lot(tuple(builds.tolist()), tuple(volumes.tolist()), tuple(heaters))
+
+
+def _is_buildable(build: int, volume_m3: float, heater: HeaterKind) -> bool:
+    """Say whether a heater of POWERS_W suits the box, roughly; a mat lies under soil."""
+    _, layers, has_soil = CONSTRUCTIONS[build]
+    resistance = FILMS_M2_K_W + sum(
+        thickness_m / MATERIALS[name].conductivity_w_m_k for name, thickness_m in layers
+    )
+    loss_w_k = 6.0 * volume_m3 ** (2.0 / 3.0) / resistance
+    power_w = loss_w_k * RISES_K[0], loss_w_k * RISES_K[1]
+    if heater == "mat" and not (has_soil and power_w[0] < MAT_W_M2 * volume_m3 ** (2.0 / 3.0)):
+        return False
+    return bool(power_w[0] < POWERS_W[1] and power_w[1] > POWERS_W[0])
+
+
+class Hand:
+    """Draws for one box: its place in its lot first, then its own random numbers."""
+
+    def __init__(self, seed: int) -> None:
+        half, number = divmod(seed - 1, 100)
+        self.lot, self.place = 1000 * half + number // LOT, number % LOT
+        self.rng = np.random.default_rng([seed, 2])
+
+    def rank(self, quality: str) -> int:
+        """Return the rank 0..14 of this box in a quality; a lot has each rank once."""
+        salt = int.from_bytes(quality.encode()[:6], "big")
+        return int(np.random.default_rng([self.lot, salt]).permutation(LOT)[self.place])
+
+    def fifteenth(self, quality: str, low: float, high: float) -> float:
+        """Draw evenly in this box's fifteenth of a range."""
+        return low + (high - low) * (self.rank(quality) + self.rng.uniform()) / LOT
+
+    def even(self, low: float = 0.0, high: float = 1.0) -> float:
+        """Draw evenly."""
+        return float(self.rng.uniform(low, high))
+
+    def log(self, low: float, high: float) -> float:
+        """Draw evenly in the logarithm."""
+        return math.exp(self.even(math.log(low), math.log(high)))
+
+
+@lru_cache(maxsize=64)
+def draw_box(seed: int) -> BoxFacts:
+    """Draw the box of a seed, 1 or more."""
+    if seed < 1:
+        raise ValueError(f"bench.boxes: seed {seed} is below 1")
+    hand = Hand(seed)
+    while True:
+        wished_k = RISES_K[0] + (RISES_K[1] - RISES_K[0]) * hand.fifteenth("rise", 0.0, 1.0) ** 1.4
+        if (facts := _size_heater(_draw(seed, hand), wished_k, hand)) is not None:
+            return facts
+
+
+def _draw(seed: int, hand: Hand) -> BoxFacts:
+    """Draw everything but the size of the heater."""
+    lot = _lot(hand.lot)
+    build, heater = lot.constructions[hand.place], lot.heaters[hand.place]
+    volume_m3 = lot.volumes_m3[hand.place]
+    kind, layers, has_soil = CONSTRUCTIONS[build]
+    edge_m = volume_m3 ** (1.0 / 3.0)
+    length_m, width_m = edge_m * hand.log(0.8, 1.4), edge_m * hand.log(0.75, 1.1)
+    height_m = volume_m3 / (length_m * width_m)
+    base_m2 = length_m * width_m
+    area_m2 = base_m2 + 2.0 * (length_m + width_m) * height_m
+    is_clear = layers[0][0] in CLEAR
+    window_m2 = 0.0 if is_clear else hand.even(0.08, 0.25) * area_m2
+    weight = 0 if build < LIGHT else 1 if build < MIDDLE else 2
+    water_kg = hand.log(*WATER_KG_M2[weight]) * base_m2
+    fan = FANS[hand.rank("fan")]
+    flow_m3_h = (
+        float(np.clip(60.0 * volume_m3 * hand.log(*CHANGES_1_MIN), *FLOWS_M3_H)) if fan != "none" else 0.0
+    )
+    return BoxFacts(
+        seed=seed,
+        kind=kind,
+        length_m=length_m,
+        width_m=width_m,
+        height_m=height_m,
+        wall=tuple(Layer(*layer) for layer in layers),
+        floor=_floor(hand, layers, has_soil, weight, height_m),
+        wall_emissivity_in=0.2 if kind.startswith(("EPS", "XPS")) and hand.even() < 0.5 else 0.9,
+        wall_emissivity_out=0.6 if "film" in kind else 0.9,  # thin film lets some of the radiation through
+        window_m2=window_m2,
+        window=Layer("glass" if hand.even() < 0.5 else "acrylic", 0.003),
+        sunlit_m2=window_m2 or 0.25 * area_m2,
+        sun_share=hand.even(0.55, 0.8),
+        sun_on_wall_share=hand.even(0.05, 0.2) if is_clear else 0.0,
+        heater=heater,
+        heater_w=0.0,
+        element_j_k=0.0,
+        element_m2=0.0,
+        element_blown_w_k=0.0,
+        element_emissivity=0.95 if heater == "ceramic" else 0.85,
+        plume_share=hand.even(0.2, 0.8),
+        droop_per_k=hand.even(0.002, 0.008) if heater == "ptc" else 0.0,
+        fan=fan,
+        fan_m3_s=flow_m3_h / 3600.0,
+        fan_exchange_share=hand.even(0.5, 0.95),
+        fan_w=0.0 if fan == "none" else 0.5 + 0.03 * flow_m3_h,
+        fan_film_w_m2_k={"exchange": hand.even(1.0, 4.0), "stir": hand.even(4.0, 12.0), "none": 0.0}[fan],
+        fan_leak_m3_s=(hand.even(0.02, 0.08) if fan == "stir" else 0.0) * flow_m3_h / 3600.0,
+        leak_m2=area_m2 * hand.log(0.3e-4, 5e-4),
+        contents_j_k=water_kg * WATER_J_KG_K,
+        contents_m2=0.1 * water_kg ** (2.0 / 3.0),
+        wet_share=hand.even(0.1, 0.7) if has_soil else 0.0,
+        draught_w_m2_k=hand.even(0.3, 2.5),
+        mixing_m_s=hand.log(0.003, 0.02),
+        air=_air_sensor(hand, heater),
+        room_sensor=_other_sensor(hand, 0.5) if ROOM_SENSORS[hand.rank("room sensor")] else None,
+        humidity_sensor=_other_sensor(hand, 4.0) if HUMIDITY_SENSORS[hand.rank("humidity")] else None,
+        room=_room(hand),
+    )
+
+
+def _floor(
+    hand: Hand, layers: tuple[tuple[str, float], ...], has_soil: bool, weight: int, height_m: float
+) -> tuple[Layer, ...]:
+    """Soil, as deep as fits, on a base as good as the wall."""
+    depth_m = min(hand.even(0.03, 0.06) if weight < 2 else hand.even(0.05, 0.12), 0.25 * height_m)
+    soil = (Layer("soil", depth_m),) if has_soil else ()
+    bases = (("plywood", 0.009), ("EPS", 0.02), ("twin-wall", 0.010))
+    base = ("XPS", 0.03) if len(layers) > 1 or layers[0][0] in ("EPS", "XPS") else bases[hand.rng.integers(3)]
+    return (*soil, Layer(*base))
+
+
+def _air_sensor(hand: Hand, heater: HeaterKind) -> AirSensor:
+    step_k = STEPS_K[hand.rank("steps")]
+    lag_s = max(hand.fifteenth("lag", -20.0, 120.0), 0.0)  # two boxes in fifteen have none
+    view = hand.even(0.0, 0.006) if heater in ("ceramic", "tube") else 0.0
+    return AirSensor(
+        bias_k=hand.even(-0.5, 0.5),
+        lag_s=lag_s if lag_s > LEAST_LAG_S else 0.0,
+        step_k=step_k,
+        noise_sd_k=hand.log(0.01, 0.1),
+        high_share=hand.even(),
+        wall_share=hand.even(0.0, 0.25),
+        element_view=view,
+    )
+
+
+def _other_sensor(hand: Hand, bias: float) -> OtherSensor:
+    """Draw a sensor of the room or of the humidity, with errors in proportion to its bias."""
+    return OtherSensor(hand.even(-bias, bias), bias * float(hand.rng.choice([0.02, 0.125, 0.2])), 0.1 * bias)
+
+
+def _room(hand: Hand) -> RoomFacts:
+    """Swings of the room, of several kinds, that together reach up to SWING_K."""
+    swing_k = hand.fifteenth("swing", 0.6, SWING_K)
+    shares = hand.rng.dirichlet([2.0, 1.0, 1.0, 1.0])
+    if not HVACS[hand.rank("hvac")]:
+        shares[1] = 0.0
+    daily_k, hvac_k, setback_k, drift_k = swing_k * shares
+    mean_c = hand.even(13.0, 24.0)
+    sunrise_s = 3600.0 * hand.even(7.0, 12.0)
+    return RoomFacts(
+        mean_c=mean_c,
+        daily_k=0.5 * daily_k,
+        hvac_k=min(hvac_k, 3.0),
+        hvac_period_s=60.0 * hand.log(12.0, 90.0),
+        setback_k=setback_k,
+        drift_k=0.5 * drift_k,
+        vapour_kg_m3=1e-3 * hand.even(0.35, 0.6) * float(saturated_g_m3(np.array([mean_c + ZERO_C]))[0]),
+        start_s=hand.even(0.0, 86_400.0),
+        sunrise_s=sunrise_s,
+        sunset_s=sunrise_s + 3600.0 * hand.even(2.5, 6.0),
+        sun_peak_w_m2=hand.even(0.1, 0.5) if SUNS[hand.rank("sun")] else 0.0,  # a share of the heater so far
+        mains_share=hand.even(0.0, 0.03),
+    )
+
+
+def _size_heater(facts: BoxFacts, wished_k: float, hand: Hand) -> BoxFacts | None:
+    """Return the box with a heater that warms it as wished; None where no heater of POWERS_W comes near."""
+    lag_s = hand.even(*ELEMENT_LAGS_S.get(facts.heater, (0.0, 0.0)))
+    power_w = 60.0
+    most_w = min(POWERS_W[1], MAT_W_M2 * facts.floor_m2 if facts.heater == "mat" else math.inf)
+    for _ in range(SIZINGS):
+        sized = _with_heater(facts, power_w, lag_s)
+        rise = rise_k(sized)
+        power_w = float(np.clip(power_w * (wished_k / rise) ** 1.1, POWERS_W[0], most_w))
+    if not RISES_K[0] <= rise <= RISES_K[1] + 1.0:
+        return None
+    gain_w = facts.room.sun_peak_w_m2 * sized.heater_w
+    peak = min(gain_w / (facts.sunlit_m2 * facts.sun_share), SUN_W_M2)
+    return replace(sized, room=replace(facts.room, sun_peak_w_m2=peak))
+
+
+def _with_heater(facts: BoxFacts, power_w: float, lag_s: float) -> BoxFacts:
+    """Return the box with an element in proportion to its power."""
+    if facts.heater in ("wire", "mat"):
+        return replace(facts, heater_w=power_w)
+    over_k = ELEMENT_OVER_K[facts.heater]
+    return replace(
+        facts,
+        heater_w=power_w,
+        element_m2=power_w / ELEMENT_W_M2[facts.heater],
+        element_j_k=lag_s * power_w / over_k,
+        element_blown_w_k=0.8 * power_w / over_k if facts.heater == "ptc" else 0.0,
+    )
+
+
+def table() -> list[str]:
+    """Return the lines of a table of the thirty boxes, 80 columns wide."""
+    lines = [
+        "box construction      litres heater      fan m3/h    rise  fan  63 %   95 % room",
+        "                                 W                      K    K   min      h    K",
+    ]
+    for seed in (*DEVELOPMENT, *SCORED):
+        facts = draw_box(seed)
+        far = reach(facts)
+        fan = f"{facts.fan} {3600.0 * facts.fan_m3_s:3.0f}" if facts.fan != "none" else "none"
+        less = ("" if facts.room_sensor else "r") + ("" if facts.humidity_sensor else "h")
+        lines.append(
+            f"{seed:3d} {facts.kind:17s} {1000 * facts.volume_m3:6.0f} {facts.heater:7s} "
+            f"{facts.heater_w:3.0f} "
+            f"{fan:12s} {far.rise_k:5.1f} {far.fan_c - far.zero_c:4.1f} {far.quick_s / 60.0:5.0f} "
+            f"{far.slow_s / 3600.0:6.1f} {facts.room.mean_c:4.0f} {less}"
+        )
+    return lines
+
+
+if __name__ == "__main__":
+    print("\n".join(table()))
