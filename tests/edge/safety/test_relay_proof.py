@@ -20,7 +20,7 @@ def step(proof: RelayProof, temp_air: float = 26.0, heated: bool = False, fan_on
 def test_a_box_that_heats_and_cools_in_turns_is_proven_after_its_time():
     proof, steps = RelayProof(), 0
     while not proof.running:
-        proof = step(proof, heated=steps % 2 == 0, fan=steps % 2 == 1)
+        proof = step(proof, heated=steps % 2 == 0, fan_on=steps % 2 == 1)
         steps += 1
     assert steps * STEP_S == THREE_HOURS_S
 
@@ -29,7 +29,7 @@ def test_a_box_that_heats_and_cools_in_turns_is_proven_after_its_time():
 def test_a_box_that_does_only_one_of_both_is_left_alone(heated, fan_on):
     proof = RelayProof()
     for _ in range(int(3 * EVERY_S / STEP_S)):
-        proof = step(proof, heated=heated, fan=fan_on)
+        proof = step(proof, heated=heated, fan_on=fan_on)
         assert not proof.running
 
 

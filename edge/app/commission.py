@@ -1,0 +1,217 @@
+"""Commissioning: from a box of which only a description is known to a twin that controls it.
+
+Step tests through the daemon's own loop and safety; the diagnosis fits the twin and names what it lacks; rows
+that no fit saw say whether it is good enough, and an ARX model is fitted beside it as fallback. What is not
+good enough is refused, with the reason.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.app.daemon import Daemon
+from edge.board.serial_port import OpenPort, SerialPort
+from edge.config.settings import BundleSettings, DriftSettings, Settings
+from edge.controllers.step_tests import StepTests
+from edge.core.clock import Clock
+from edge.core.controller import RULES
+from edge.core.errors import DataError, GreenhouseError
+from edge.core.messages import ReadingQuality, TickRecord
+from edge.diagnosis.diagnose import Diagnosis, diagnose
+from edge.diagnosis.progress import Progress
+from edge.diagnosis.runs import diagnosis_runs
+from edge.formats.run_file import RecordedRun, cut
+from edge.models.fit_arx import ArxFit, fit_arx
+from edge.storage.runs import export_run, name_run
+from edge.twin.model import BoxTwin
+from edge.twin.rollout import Commands
+from edge.twin.twin_file import TwinFile
+from edge.twin.warm_start import at_rest
+
+Floats = NDArray[np.float64]
+STEP_S = 10.0  # of the step tests: fine enough for a fan that runs for a part of a minute
+MINUTES = 120.0
+TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
+BAND_BELOW_LIMIT_K = 3.0
+ERROR_MAX_K, ERROR_MAX_SHARE = 1.0, 0.15  # of free runs on those rows, and by the band that was seen
+SEEN_MIN_K = 2.0  # that the air must have risen
+RUN_NAME = "commissioning"
+SETTLED_S = 200_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """The control that a twin promises, at the room of the tests.
+
+    room_c : in the mean; reach_c : air at full heat, lasting; fanned_c : air that the fan can hold
+        without heat, NaN without one that cools
+    error_k : of free runs over rows that no fit saw; hold_w : heat per 1 K over the room
+    """
+
+    room_c: float
+    reach_c: float
+    fanned_c: float
+    error_k: float
+    hold_w_k: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commissioned:
+    """A twin for the rig's control step and how good it is.
+
+    names : effects that the diagnosis added; refusals : why it must not control, empty where it may
+    arx : the fallback, None where none could be fitted
+    """
+
+    twin: TwinFile
+    names: tuple[str, ...]
+    diagnosis: Diagnosis
+    arx: ArxFit | None
+    expectation: Expectation
+    refusals: tuple[str, ...]
+
+
+def test_settings(settings: Settings) -> Settings:
+    """Return a rig's settings for its step tests: a finer step, and no model that could be in the way."""
+    return replace(
+        settings,
+        control=replace(settings.control, step_s=STEP_S, controller=RULES, model=""),
+        bundle=BundleSettings(path=""),
+        drift=DriftSettings(enabled=False),
+    )
+
+
+def highest_c(settings: Settings) -> float:
+    """Return the upper edge of the tests' band [°C]."""
+    return settings.safety.temp_air_max_c - BAND_BELOW_LIMIT_K
+
+
+def record(
+    settings: Settings,
+    clock: Clock,
+    has_fan: bool,
+    minutes: float = MINUTES,
+    show: Callable[[TickRecord], None] = lambda record: None,
+    open_port: OpenPort = SerialPort,
+) -> RecordedRun:
+    """Run the step tests and return what the history holds of them.
+
+    settings : of `test_settings`
+    Errors : GreenhouseError without a good air temperature, or before there are rows to learn from
+    """
+    tests = StepTests(highest_c(settings), has_fan)
+    records: list[TickRecord] = []
+    daemon: Daemon
+
+    def after_tick(tick: TickRecord) -> None:
+        records.append(tick)
+        show(tick)
+        if len(records) * STEP_S >= 60.0 * minutes or not _is_good(records[0]):
+            daemon.stop()
+
+    daemon = Daemon(
+        settings,
+        clock,
+        after_tick=after_tick,
+        experiment=tests.name,
+        more_controllers=(tests,),
+        open_port=open_port,
+    )
+    with daemon:
+        daemon.run()
+    if not records or not _is_good(records[0]):
+        raise GreenhouseError(f"no good air temperature from the board at {settings.board.port}")
+    first, last = records[0].seq, records[-1].seq
+    name = f"{RUN_NAME}@{first}"
+    name_run(settings.history.path, name, "", first, last, {"profile": RUN_NAME})
+    run = export_run(settings.history.path, name=name)
+    return replace(run, columns={key: values for key, values in run.columns.items() if key != "reference_c"})
+
+
+def learn(
+    run: RecordedRun, start: TwinFile, step_s: float, progress: Progress, jobs: int = 1
+) -> Commissioned:
+    """Fit the twin to the tests and judge it.
+
+    start : the box's description, values to be fitted in it; step_s : of the rig's control
+    Errors : DataError for a run that nothing can be fitted to
+    """
+    begin_test = round((1.0 - TEST_SHARE) * len(run))
+    train, test = cut(run, 0, begin_test), cut(run, begin_test, len(run))
+    file = replace(start, sample_s=STEP_S)
+    found = diagnose(
+        file,
+        diagnosis_runs([("tests", train)], [("held out", test)], file),
+        progress,
+        "greenhouse commission",
+        jobs,
+    )
+    twin = replace(found.adopted, sample_s=step_s)
+    expectation = _expect(twin.twin(), run, found.test_k.get("after", math.nan))
+    return Commissioned(
+        twin,
+        tuple(sorted(found.judgement.handover.added)),
+        found,
+        _fallback(train, test, step_s, start),
+        expectation,
+        tuple(_refusals(run, found, expectation)),
+    )
+
+
+def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> Iterator[str]:
+    air = run.columns["temp_air_c"]
+    risen_k = float(np.nanmax(air) - np.nanmin(air))
+    if risen_k < SEEN_MIN_K:
+        yield (
+            f"the air moved by {risen_k:.1f} K in all of the tests: the heater is too small for this box, "
+            "not connected, or the sensor hangs where its heat does not come"
+        )
+        return
+    limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * risen_k)
+    if not expectation.error_k <= limit_k:
+        yield (
+            f"over {TEST_SHARE:.0%} of the tests that no fit saw the twin is off by {expectation.error_k:.2f} K, "
+            f"more than {limit_k:.2f} K"
+        )
+    simple = {name: error for name, error in found.test_k.items() if name not in ("before", "after")}
+    if simple and (best := min(simple, key=simple.__getitem__)) and simple[best] < expectation.error_k:
+        yield f"{best} predicts these rows better, {simple[best]:.2f} K"
+
+
+def _expect(twin: BoxTwin, run: RecordedRun, error_k: float) -> Expectation:
+    room = run.columns.get("temp_ambient_c", np.array([np.nan]))
+    room_c = (
+        float(np.nanmean(room)) if np.isfinite(room).any() else float(np.nanmin(run.columns["temp_air_c"]))
+    )
+    reach_c, fanned_c = _settled_c(twin, room_c, 1.0, 0.0), _settled_c(twin, room_c, 0.0, 1.0)
+    still_c = _settled_c(twin, room_c, 0.0, 0.0)
+    heater_w = twin.geometry.heater_max_w
+    return Expectation(room_c, reach_c, fanned_c, error_k, heater_w / max(reach_c - still_c, 1e-9))
+
+
+def _settled_c(twin: BoxTwin, room_c: float, duty: float, fan: float) -> float:
+    """Return the air when all of the box has settled [°C]."""
+    slow = replace(twin, step_s=3600.0)
+    steps = round(SETTLED_S / slow.step_s)
+    inputs = Commands(np.full((1, steps), duty), np.full((1, steps), fan))
+    conditions = {name: np.zeros(steps) for name in twin.needs}
+    rest = at_rest(slow, room_c, room_c)
+    return float(slow.rollout(rest, *inputs, room_c, conditions=conditions, before=inputs)[0, -1])
+
+
+def _fallback(train: RecordedRun, test: RecordedRun, step_s: float, start: TwinFile) -> ArxFit | None:
+    """Return an ARX model of the control step; None where the tests are too short for one."""
+    has_fan = start.fan_role != "none" and bool(np.nanmax(train.columns["fan_on"]) > 0.0)
+    has_room = np.isfinite(train.columns.get("temp_ambient_c", np.array([np.nan]))).all()
+    try:
+        return fit_arx([train], [test], step_s, fan_input="on" if has_fan else None, with_ambient=bool(has_room))
+    except DataError:
+        return None
+
+
+def _is_good(record: TickRecord) -> bool:
+    reading = record.readings.get("temp_air")
+    return reading is not None and reading.quality is ReadingQuality.GOOD
