@@ -8,6 +8,7 @@ import os
 import stat
 import zipfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, BinaryIO
 
@@ -22,18 +23,31 @@ TOTAL_BYTES_MAX = 32 << 20
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same files make the same archive
 
 
-def pack(folder: Path) -> bytes:
+@dataclass(frozen=True, slots=True)
+class ArchiveLimits:
+    """The most that an archive may hold. kind : its name in messages; file_bytes, total_bytes : unpacked"""
+
+    kind: str
+    files: int
+    file_bytes: int
+    total_bytes: int
+
+
+BUNDLE = ArchiveLimits("bundle", FILES_MAX, FILE_BYTES_MAX, TOTAL_BYTES_MAX)
+
+
+def pack(folder: Path, limits: ArchiveLimits = BUNDLE) -> bytes:
     """All files of `folder` as an archive, the same bytes for the same files. Errors: DataError, OSError"""
     out = io.BytesIO()
     paths = sorted(folder.iterdir())
-    _check_sizes([(path.name, _regular_size(path)) for path in paths])
+    _check_sizes([(path.name, _regular_size(path)) for path in paths], limits)
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in paths:
             info = zipfile.ZipInfo(path.name, _EPOCH)
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = (stat.S_IFREG | 0o644) << 16
             with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW), "rb") as file:
-                archive.writestr(info, file.read(FILE_BYTES_MAX))
+                archive.writestr(info, file.read(limits.file_bytes))
     return out.getvalue()
 
 
@@ -49,17 +63,17 @@ def open_archive(source: Path) -> BinaryIO:
         raise DataError(f"{source}: {error}") from error
 
 
-def unpack(source: BinaryIO, into: Path) -> None:
+def unpack(source: BinaryIO, into: Path, limits: ArchiveLimits = BUNDLE) -> None:
     """Files of an archive into the empty folder `into`, written through.
 
     Errors : DataError for what is no archive, is damaged, or tries to be more than files in one folder
     """
-    if source.seek(0, os.SEEK_END) > TOTAL_BYTES_MAX:
-        raise DataError(f"more bytes than a bundle may have, {TOTAL_BYTES_MAX}")
+    if source.seek(0, os.SEEK_END) > limits.total_bytes:
+        raise DataError(f"more bytes than a {limits.kind} may have, {limits.total_bytes}")
     try:
         with zipfile.ZipFile(source) as archive:
             entries = archive.infolist()
-            _check_sizes([(entry.filename, entry.file_size) for entry in entries])
+            _check_sizes([(entry.filename, entry.file_size) for entry in entries], limits)
             for entry in entries:
                 with archive.open(entry) as file:
                     write_atomically(
@@ -67,7 +81,7 @@ def unpack(source: BinaryIO, into: Path) -> None:
                     )
     # RuntimeError: encrypted; NotImplementedError: a compression that zipfile does not know
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
-        raise DataError(f"no bundle archive, or damaged: {error}") from error
+        raise DataError(f"no {limits.kind} archive, or damaged: {error}") from error
 
 
 def _regular_size(path: Path) -> int:
@@ -77,19 +91,19 @@ def _regular_size(path: Path) -> int:
     return status.st_size
 
 
-def _check_sizes(entries: list[tuple[str, int]]) -> None:
-    if len(entries) > FILES_MAX:
-        raise DataError(f"{len(entries)} files are more than a bundle may hold, {FILES_MAX}")
+def _check_sizes(entries: list[tuple[str, int]], limits: ArchiveLimits) -> None:
+    if len(entries) > limits.files:
+        raise DataError(f"{len(entries)} files are more than a {limits.kind} may hold, {limits.files}")
     if len({name for name, _ in entries}) < len(entries):
         raise DataError("a file name stands there twice")
     for name, size in entries:
         if not FILE_NAME.fullmatch(name):
-            raise DataError(f"{name!r} is no name for a file of a bundle")
-        if size > FILE_BYTES_MAX:
-            raise DataError(f"{name}: {size} bytes are more than a file may have, {FILE_BYTES_MAX}")
+            raise DataError(f"{name!r} is no name for a file of a {limits.kind}")
+        if size > limits.file_bytes:
+            raise DataError(f"{name}: {size} bytes are more than a file may have, {limits.file_bytes}")
     total = sum(size for _, size in entries)
-    if total > TOTAL_BYTES_MAX:
-        raise DataError(f"{total} bytes are more than a bundle may have, {TOTAL_BYTES_MAX}")
+    if total > limits.total_bytes:
+        raise DataError(f"{total} bytes are more than a {limits.kind} may have, {limits.total_bytes}")
 
 
 def _read_bounded(file: IO[bytes], name: str, size: int) -> bytes:

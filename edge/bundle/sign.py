@@ -89,7 +89,7 @@ def sign_folder(folder: Path, facts: ManifestFacts, key: Path) -> Manifest:
     Errors : DataError for a missing twin, a wrong fact or a file that is no private key
     """
     # The key first: a wrong one should cost nothing that was written.
-    signer = _read_private(key)
+    signer = read_private_key(key)
     names = sorted(path.name for path in folder.iterdir() if path.name not in (MANIFEST, SIGNATURE))
     manifest = Manifest(
         name=facts.name,
@@ -144,7 +144,8 @@ def _write_new(path: Path, content: bytes, mode: int) -> None:
         file.write(content)
 
 
-def _read_private(path: Path) -> "Ed25519PrivateKey":
+def read_private_key(path: Path) -> "Ed25519PrivateKey":
+    """Return the key in a PEM file. Errors: DataError, which names the file"""
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 

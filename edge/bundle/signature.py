@@ -2,11 +2,12 @@
 process of its own: the library that checks them takes 7 MB, which the daemon does without.
 """
 
+import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.core.errors import DataError
-from edge.formats.input_file import read_file
+from edge.formats.input_file import Source, read_file
 
 if TYPE_CHECKING:  # the package is imported when a signature is checked, not with the daemon
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -32,7 +33,7 @@ def trusted_keys(folder: Path) -> dict[str, "Ed25519PublicKey"]:
     except OSError as error:
         raise DataError(f"{folder}: {error.strerror}") from error
     packaged = [PACKAGED_KEY] if PACKAGED_KEY.exists() else []
-    return {str(path): _read_key(path) for path in (*files, *packaged)}
+    return {str(path): read_public_key(path) for path in (*files, *packaged)}
 
 
 def check_signature(content: bytes, signature: bytes, keys: dict[str, "Ed25519PublicKey"]) -> str:
@@ -50,7 +51,8 @@ def check_signature(content: bytes, signature: bytes, keys: dict[str, "Ed25519Pu
     raise DataError(f"the signature is by none of the {len(keys)} trusted keys ({', '.join(keys) or 'none'})")
 
 
-def _read_key(path: Path) -> "Ed25519PublicKey":
+def read_public_key(path: Source) -> "Ed25519PublicKey":
+    """Return the key in a PEM file. Errors: DataError, which names the file"""
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
     from cryptography.hazmat.primitives.serialization import load_pem_public_key
@@ -64,6 +66,13 @@ def _read_key(path: Path) -> "Ed25519PublicKey":
     if not isinstance(key, Ed25519PublicKey):
         raise DataError(f"{path}: is no Ed25519 public key (PEM)")
     return key
+
+
+def fingerprint(key: "Ed25519PublicKey") -> str:
+    """Return the SHA-256 of a public key in DER; `openssl pkey -pubin -outform DER | sha256sum` agrees."""
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+    return hashlib.sha256(key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)).hexdigest()
 
 
 REFUSED = 3  # exit code: the reason is on stdout

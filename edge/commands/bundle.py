@@ -118,7 +118,7 @@ def install(store: BundleStore, settings: Settings, archive: BinaryIO, allow_old
 
     allow_older : the operator's word for a version below the newest that was installed
     """
-    with _as_owner(store.folder):
+    with as_owner(store.folder):
         version = store.install(archive, allow_older).version
     print(f"bundle {version} is installed{' (older versions were allowed)' if allow_older else ''}")
     reply = _ask(settings, "refresh-older" if allow_older else "refresh", version if allow_older else None)
@@ -134,7 +134,7 @@ def change(store: BundleStore, settings: Settings, action: str, version: str | N
     if reply is not None:
         print_serving(reply)
         return
-    with _as_owner(store.folder):
+    with as_owner(store.folder):
         roles = carry_out(store, action, version)
     print_roles(roles)
 
@@ -219,7 +219,7 @@ def _told_of(source: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _as_owner(folder: Path) -> Iterator[None]:
+def as_owner(folder: Path) -> Iterator[None]:
     """Root writes as the owner of the store, so that the daemon can change what root installed."""
     if os.geteuid() != 0:
         yield

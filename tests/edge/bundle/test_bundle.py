@@ -89,7 +89,7 @@ def test_a_damaged_bundle_is_refused(workshop: Workshop, damage: str) -> None:
 
 def signed_anew(workshop: Workshop, key: str, value: object) -> Path:
     """A bundle whose signer wrote `value` at `key`, "a.b" for b in a; None: left out."""
-    from edge.bundle.sign import _read_private
+    from edge.bundle.sign import read_private_key
 
     folder = workshop.signed_folder("bad")
     document = json.loads((folder / MANIFEST).read_bytes())
@@ -103,7 +103,7 @@ def signed_anew(workshop: Workshop, key: str, value: object) -> Path:
         place[last] = value
     content = json.dumps(document).encode()
     (folder / MANIFEST).write_bytes(content)
-    (folder / SIGNATURE).write_bytes(_read_private(workshop.key).sign(content))
+    (folder / SIGNATURE).write_bytes(read_private_key(workshop.key).sign(content))
     return folder
 
 
