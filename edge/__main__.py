@@ -30,6 +30,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "restore": "put everything of a backup in its place",
     "board": "flash and configure a board, look at it, draw its wiring",
     "bundle": "install, activate or roll back signed bundles of models",
+    "evidence": "seal the record day by day, prove it, report it",
     "forget-discovery": "remove a rig from Home Assistant and the broker",
 }
 MESSAGE_MAX = 1500  # characters of an error
@@ -47,7 +48,7 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
         "fit-arx",
         "twin",
     ),
-    "Look after a rig": ("board", "bundle", "backup", "restore", "resend", "forget-discovery"),
+    "Look after a rig": ("board", "bundle", "backup", "restore", "evidence", "resend", "forget-discovery"),
 }
 FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.
 With one: `greenhouse check-config /etc/greenhouse/edge.yaml`, then start it.

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 # Rooms on one line do not import each other.
 LAYERS = (
     ("commands",),
-    ("app",),
+    ("app", "evidence"),
     ("mqtt", "sockets"),
     ("state",),
     ("assistant",),

@@ -39,6 +39,9 @@ from edge.core.errors import ConfigError, DataError, GreenhouseError, RequestErr
 from edge.data_intake.mapping import MapDocument, Source, read_map
 from edge.drift.evidence import Evidence
 from edge.drift.monitor import DriftMemory
+from edge.evidence.chain_files import ChainDay, ChainSeal, ChainStart
+from edge.evidence.day_rows import SealedRow
+from edge.evidence.marks import EvidenceMark
 from edge.forecasts.conformal import IntervalsDocument, read_intervals
 from edge.forecasts.skill import ErrorPair, SkillState
 from edge.formats.input_file import MemoryFile
@@ -133,6 +136,31 @@ WISH = {
     "hours": 24.0,
     "understood": "25 degC from 6 on",
     "question": "",
+}
+START_OF_RECORD = {
+    "layout": 1,
+    "date": "2026-07-01",
+    "started_utc": 1.0,
+    "history_id": "a",
+    "after_seq": 7,
+    "protocol_sha256": "0" * 64,
+    "key_sha256": "0" * 64,
+    "software": "0.1.0",
+}
+DAY_OF_RECORD = {
+    "layout": 1,
+    "number": 1,
+    "date": "2026-07-01",
+    "previous_sha256": "0" * 64,
+    "rows_sha256": "0" * 64,
+    "rows_bytes": 5,
+    "history_id": "a",
+    "after_seq": 7,
+    "last_seq": 9,
+    "ticks": 1,
+    "gaps": [{"first_seq": 8, "last_seq": 8, "reason": "full"}],
+    "marks": 0,
+    "sealed_utc": 1.0,
 }
 REPLY = {"choices": [{"message": {"content": "hello"}, "finish_reason": "stop"}]}
 
@@ -251,6 +279,15 @@ KINDS: dict[type, DocumentKind] = {
         UnitRequest, {"words": ["twin"], "log": "log", "patience_s": 1.0}, ("patience_s",)
     ),
     UnitAnswer: in_memory(UnitAnswer, {"code": 0}),
+    ChainStart: in_memory(ChainStart, START_OF_RECORD, ("after_seq",)),
+    ChainDay: in_memory(ChainDay, DAY_OF_RECORD, ("gaps", 0, "last_seq")),
+    ChainSeal: in_memory(
+        ChainSeal, {"layout": 1, "days": 3, "head_sha256": "0" * 64, "sealed_utc": 1.0}, ("sealed_utc",)
+    ),
+    EvidenceMark: in_memory(EvidenceMark, {"utc": 1.0, "what": "hands", "edge": "begin"}, ("utc",)),
+    SealedRow: in_memory(
+        SealedRow, {"mark": {"utc": 1.0, "what": "hands", "edge": "begin", "text": ""}}, ("mark", "utc")
+    ),
     OperationDocument: in_memory_by(orders_json.from_dict, OPERATION, ("reference_c",)),
     StandingDocument: in_memory_by(codecs.decode_standing, {"operation": OPERATION, "safety": SAFETY}),
     SafetyDocument: in_memory_by(codecs.decode_safety, SAFETY, ("doses", 0, 1)),
@@ -359,7 +396,7 @@ PAST_THE_READER = {  # file -> why it may parse by itself
     "firmware_protocol/virtual_board/faults.py": "imports nothing of edge",
     "firmware_protocol/virtual_board/store.py": "imports nothing of edge",
 }
-READERS = ("read", "read_json", "read_yaml", "read_request", "_values")
+READERS = ("read", "read_entry", "read_json", "read_yaml", "read_request", "_values")
 
 
 def calls(path: Path) -> list[tuple[str, ast.Call]]:

@@ -1,0 +1,115 @@
+"""`greenhouse evidence` and its report: from a history to a page, by the words that a person types."""
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+from sealed_records import DAY_S, NOON_UTC, RecordRig, sealed_tick
+
+from edge.__main__ import main
+from edge.evidence import chain, report
+from edge.evidence.proof import open_record
+from edge.evidence.record_table import RecordCollector
+
+
+@pytest.fixture
+def config(rig: RecordRig) -> Path:
+    path = rig.folder / "edge.yaml"
+    path.write_text(
+        f"history: {{path: {rig.history}}}\n"
+        f"bundle: {{path: {rig.folder / 'bundles'}, signing_key: {rig.key}}}\n"
+    )
+    return path
+
+
+@pytest.fixture
+def wall(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The clock that the command reads."""
+    now = [NOON_UTC]
+    monkeypatch.setattr(time, "time", lambda: now[0])
+    return now
+
+
+def test_a_record_from_start_to_report(
+    rig: RecordRig, config: Path, wall: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    from history_records import store
+
+    store(rig.history, sealed_tick(1, NOON_UTC - 60.0))
+    words = ["--config", str(config)]
+    assert main(["evidence", "start", *words]) == 0
+    wall[0] += 60.0
+    assert main(["evidence", "mark", "hands", "begin", "--text", "watering", *words]) == 0
+    wall[0] += 60.0
+    assert main(["evidence", "mark", "hands", "end", *words]) == 0
+    store(rig.history, *(sealed_tick(2 + k, NOON_UTC + 1800.0 * k) for k in range(80)))
+    assert main(["evidence", "extend", *words]) == 0
+    assert "no day is over" in capsys.readouterr().out
+    wall[0] = NOON_UTC + 2 * DAY_S
+    assert main(["evidence", "extend", *words]) == 0
+    said = capsys.readouterr().out
+    head = re.search(r"^head ([0-9a-f]{64})$", said, re.MULTILINE)
+    assert head is not None and "2026-01-01  24 ticks, 0 missing" in said
+    out, page = rig.folder / "record.zip", rig.folder / "report.html"
+    assert main(["evidence", "seal", "--out", str(out), *words]) == 0
+    key = str(rig.key.with_suffix(".pub"))
+    assert main(["evidence", "verify", str(out), "--key", key, "--head", head[1]]) == 0
+    assert "changed       nothing" in capsys.readouterr().out
+    assert main(["evidence", "report", str(out), "--out", str(page)]) == 0
+    text = page.read_text()
+    assert "Not finished" in text and "1 of 30 days" in text and "<svg" in text
+    assert "watering" not in text and "signing_key" in text  # the settings of the last day, folded
+
+
+def test_a_record_that_does_not_hold_is_refused_in_one_line(
+    rig: RecordRig, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = rig.live(1.0).seal(1.0)
+    out.write_bytes(out.read_bytes()[:-30])
+    for words in (["verify", str(out)], ["report", str(out), "--out", str(rig.folder / "r.html")]):
+        assert main(["evidence", *words]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"greenhouse evidence: {out}: no record archive, or damaged")
+    assert not (rig.folder / "r.html").exists()
+
+
+def test_without_a_key_the_way_to_one_is_said(
+    rig: RecordRig, config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config.write_text(f"history: {{path: {rig.history}}}\n")
+    assert main(["evidence", "start", "--config", str(config)]) == 2
+    assert "greenhouse bundle key FILE" in capsys.readouterr().err
+
+
+def test_a_phase_that_the_protocol_does_not_know_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["evidence", "mark", "lunch", "begin"])
+    assert "reference_1" in capsys.readouterr().err
+
+
+def test_a_record_of_other_thresholds_is_not_reported(
+    rig: RecordRig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(chain, "protocol_sha256", lambda: "0" * 64)
+    out = rig.live(1.0).seal(1.0)
+    assert main(["evidence", "report", str(out), "--out", str(rig.folder / "r.html")]) == 2
+    assert "start.json: the record began with other thresholds" in capsys.readouterr().err
+
+
+def test_text_from_a_rig_is_escaped_in_the_page(rig: RecordRig) -> None:
+    rig.live(2.5)
+    rig.forget(30, 31, "<script>alert(1)</script>")
+    collector = RecordCollector()
+    record = open_record(rig.seal(3.0), see=collector.see)
+    page, lines = report.report(record, collector.table(record))
+    assert "<script>" not in page and "&lt;script&gt;" in page
+    assert all(len(line) <= 80 for line in lines)
+
+
+def test_the_page_needs_no_matplotlib(rig: RecordRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    collector = RecordCollector()
+    record = open_record(rig.live(2.5).seal(3.0), see=collector.see)
+    page, _ = report.report(record, collector.table(record))
+    assert "<svg" not in page and "Thresholds" in page
