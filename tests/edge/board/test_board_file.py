@@ -19,7 +19,9 @@ from firmware_protocol.board_block import (
     encode_block,
 )
 
-EXAMPLE = Path(__file__).parents[3] / "deploy" / "board.example.yaml"
+ROOT = Path(__file__).parents[3]
+EXAMPLE = ROOT / "deploy" / "board.example.yaml"
+PICTURES = {"board.example.yaml": "wiring.svg", "board.uno.example.yaml": "wiring_uno.svg"}
 
 
 def board_file(folder: Path, text: str) -> Path:
@@ -97,6 +99,12 @@ def test_every_wire_is_printed_and_drawn(tmp_path, capsys):
         [one.pin for one in wires].count(w.pin) for w in wires
     ]
     assert {wire.part for wire in wires} <= set(texts)
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_manuals_pictures_are_those_of_the_examples(name):
+    drawn = wiring_svg(read_board_file(ROOT / "deploy" / name))
+    assert (ROOT / "docs" / "images" / PICTURES[name]).read_text() == drawn
 
 
 def test_nothing_is_drawn_below_or_beside_the_picture():
