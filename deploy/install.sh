@@ -88,6 +88,7 @@ done
 
 source=$(cd "$(dirname "$0")/.." && pwd)
 units="greenhouse.service greenhouse-diagnosis.path greenhouse-diagnosis.service"
+units="$units greenhouse-evidence.service greenhouse-evidence.timer"
 opt="$root/opt/greenhouse" etc="$root/etc/greenhouse"
 
 [ -n "$dry_run$root" ] || [ "$(id -u)" = 0 ] || die "must be run as root: sudo deploy/install.sh (or --dry-run)"

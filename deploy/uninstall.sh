@@ -10,10 +10,12 @@ if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
 fi
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then
     # Stopping turns the heater off.
-    systemctl disable --now greenhouse-diagnosis.path greenhouse.service || true
+    systemctl disable --now greenhouse-evidence.timer greenhouse-diagnosis.path greenhouse.service || true
 fi
 rm -f "$root/etc/systemd/system/greenhouse.service" "$root/etc/systemd/system/greenhouse-diagnosis.path" \
-    "$root/etc/systemd/system/greenhouse-diagnosis.service" "$root/etc/udev/rules.d/70-greenhouse.rules" \
+    "$root/etc/systemd/system/greenhouse-diagnosis.service" \
+    "$root/etc/systemd/system/greenhouse-evidence.service" "$root/etc/systemd/system/greenhouse-evidence.timer" \
+    "$root/etc/udev/rules.d/70-greenhouse.rules" \
     "$root/usr/local/bin/greenhouse"
 rm -rf "$root/opt/greenhouse"
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then

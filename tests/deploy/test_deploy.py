@@ -18,6 +18,7 @@ import pytest
 from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import virtual_board
+from edge.__main__ import parser_for
 from edge.app.daemon import REQUESTS_VARIABLE
 from edge.app.nightly_diagnosis import REQUEST
 from edge.config import loading as config
@@ -27,7 +28,9 @@ DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "greenhouse.service"
 DIAGNOSIS = DEPLOY / "greenhouse-diagnosis.service"
 PATH_UNIT = DEPLOY / "greenhouse-diagnosis.path"
-EXPOSURE_MAX = {UNIT: 2.0, DIAGNOSIS: 1.0}
+EVIDENCE = DEPLOY / "greenhouse-evidence.service"
+TIMER = DEPLOY / "greenhouse-evidence.timer"
+EXPOSURE_MAX = {UNIT: 2.0, DIAGNOSIS: 1.0, EVIDENCE: 1.0}
 NOBODY = 65534
 # Asked for and done without: sqlite gives files that root makes to their owner, OpenBLAS places memory.
 DISPENSABLE_CALLS = {"fchown", "mbind"}
@@ -57,10 +60,10 @@ def test_the_unit_is_hardened(unit: Path) -> None:
 
 @needs("systemd-analyze")
 def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
-    for unit in (UNIT, DIAGNOSIS, PATH_UNIT):
+    for unit in (UNIT, DIAGNOSIS, PATH_UNIT, EVIDENCE, TIMER):
         text = re.sub(r"/opt/greenhouse/venv/bin/\w+", shutil.which("true") or "", unit.read_text())
         (tmp_path / unit.name).write_text(text)
-    for unit in (UNIT, DIAGNOSIS, PATH_UNIT):
+    for unit in (UNIT, DIAGNOSIS, PATH_UNIT, EVIDENCE, TIMER):
         done = subprocess.run(
             ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit.name)],
             capture_output=True,
@@ -81,6 +84,15 @@ def test_the_diagnosis_has_a_memory_limit_of_its_own_and_ends_with_the_daemon() 
     assert values("OOMScoreAdjust", DIAGNOSIS) == ["1000"]
     assert values("BindsTo", DIAGNOSIS) == [UNIT.name]
     assert PATH_UNIT.stem == DIAGNOSIS.stem
+
+
+def test_the_evidence_unit_seals_with_the_rigs_configuration() -> None:
+    program, *words = values("ExecStart", EVIDENCE)[0].split()
+    assert program == "/opt/greenhouse/venv/bin/greenhouse"
+    arguments = parser_for("evidence").parse_args(words)
+    assert (arguments.action, arguments.config) == ("extend", Path("/etc/greenhouse/edge.yaml"))
+    assert TIMER.stem == EVIDENCE.stem
+    assert values("OnCalendar", TIMER) == ["*-*-* 00:20:00 UTC"]
 
 
 def test_daemon_path_unit_and_diagnosis_mean_one_folder() -> None:
@@ -282,7 +294,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def test_install_puts_everything_in_its_place(installed: Path) -> None:
-    for unit in (UNIT, DIAGNOSIS, PATH_UNIT):
+    for unit in (UNIT, DIAGNOSIS, PATH_UNIT, EVIDENCE, TIMER):
         assert (installed / "etc/systemd/system" / unit.name).read_bytes() == unit.read_bytes()
     assert (installed / "etc/udev/rules.d/70-greenhouse.rules").exists()
     assert stat.S_IMODE((installed / "opt/greenhouse/venv/bin/greenhouse").stat().st_mode) == 0o755
