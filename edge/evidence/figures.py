@@ -177,7 +177,10 @@ def _forecast(table: RecordTable, normal: NDArray[np.bool_]) -> Mapping[str, flo
     is_pair &= ~np.isnan(table.forecast_c + table.air_c + table.air_c[later])
     mae = _mean(np.abs(table.forecast_c - table.air_c[later])[is_pair])
     persistence = _mean(np.abs(table.air_c - table.air_c[later])[is_pair])
-    return {"forecast": mae, "against_persistence": mae / persistence if mae is not None and persistence else None}
+    return {
+        "forecast": mae,
+        "against_persistence": mae / persistence if mae is not None and persistence else None,
+    }
 
 
 def _heat_after(table: RecordTable) -> int:

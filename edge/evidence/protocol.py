@@ -34,7 +34,7 @@ class ProvokedFault:
 FAULTS = (
     ProvokedFault(
         "sensor_unplugged",
-        "unplug the air sensor for 10 min, heater on",
+        "unplug all air sensors for 10 minutes, heater on",
         ("reading.not_good",),
         3.0,
     ),
@@ -50,7 +50,12 @@ FAULTS = (
         ("history.unclean_stop", "history.numbers_left_out"),
         15.0,
     ),
-    ProvokedFault("heater_supply_cut", "switch the heater's supply off", ("safety.heater_no_effect",), 45.0),
+    ProvokedFault(
+        "heater_supply_cut",
+        "switch the heater's supply off while heat is needed",
+        ("safety.heater_no_effect",),
+        45.0,
+    ),
     ProvokedFault(
         "fan_blocked", "cover the fan's opening while cooling is asked for", ("safety.fan_no_effect",), 30.0
     ),
