@@ -114,6 +114,7 @@ def _values(record: ProvenRecord, table: RecordTable) -> Iterator[tuple[str, flo
     yield "hottest", None if np.isnan(table.air_c).all() else float(np.nanmax(table.air_c))
     yield "blind_heat", float(np.sum((table.duty > 0.0) & np.isnan(table.air_c) & normal))
     yield "false_trips", float(sum(_is_false_trip(event, table) for event in table.events))
+    yield "normal", 100.0 * float(np.mean(normal)) if len(normal) else None
     yield "controlled", 100.0 * float(np.mean(automatic[normal])) if normal.any() else None
     yield "mae_reference_1", _mean(error[table.within(REFERENCE_1)])
     yield "mae_reference_2", _mean(error[table.within(REFERENCE_2)])

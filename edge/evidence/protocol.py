@@ -91,6 +91,7 @@ THRESHOLDS = (
     Threshold("hottest", "hottest good reading of the air", 45.0, "degC"),
     Threshold("blind_heat", "ticks with the heater on and no good air reading", 0.0, "ticks"),
     Threshold("false_trips", "trips of safety or board outside provoked faults", 0.0, "trips"),
+    Threshold("normal", "ticks of normal use, without a mark, of all", 60.0, "%", True),
     Threshold("controlled", "ticks of normal use under automatic control", 90.0, "%", True),
     Threshold("mae_reference_1", "MAE to the reference along reference 1", 0.6, "K"),
     Threshold("mae_reference_2", "MAE to the reference along reference 2", 0.5, "K"),

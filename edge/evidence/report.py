@@ -125,7 +125,7 @@ def _thresholds(found: list[MeasuredFigure]) -> Iterator[str]:
 def _missing_days(record: ProvenRecord, columns: RecordTable) -> Iterator[str]:
     missing = days_without_data(record, columns)
     if not missing:
-        yield paragraph("None of the sealed days.")
+        yield paragraph(f"None of the {len(full_days(record))} whole days that are sealed.")
         return
     rows = [(day.date, str(day.ticks), percent(share)) for day, share in missing]
     yield from table((TableColumn("day", words=True), TableColumn("ticks"), TableColumn("of the day")), rows)
@@ -184,7 +184,10 @@ def _proof(record: ProvenRecord) -> Iterator[str]:
 def _value(one: MeasuredFigure) -> str:
     if one.value is None:
         return DASH
-    return "not named" if math.isinf(one.value) else f"{number(one.value)} {one.threshold.unit}".strip()
+    if math.isinf(one.value):
+        return "not named"
+    text = f"{one.value:.0f}" if one.value.is_integer() else number(one.value)
+    return f"{text} {one.threshold.unit}".strip()
 
 
 def _word(one: MeasuredFigure) -> str:

@@ -47,7 +47,7 @@ def hour_of(record: TickRecord) -> float:
 
 def whole_protocol() -> tuple[list[EvidenceMark], dict[float, str]]:
     """Marks of every phase, and the event that names each fault by the hour of its tick."""
-    marks = [*marked("reference_1", 13.0, 17.0), *marked("reference_2", 20.0, 34.0)]
+    marks = [*marked("reference_1", 13.0, 17.0), *marked("reference_2", 20.0, 26.0)]
     named: dict[float, str] = {}
     begin_h = 36.0
     for _ in range(REPEATS):
@@ -205,6 +205,12 @@ def test_turning_the_controller_off_does_not_spare_the_rig(rig: RecordRig) -> No
     assert found["mae_normal"].value == 0.0
     assert found["controlled"].value == pytest.approx(75.0, abs=1.0)
     assert found["controlled"].passes is False
+
+
+def test_marking_bad_hours_does_not_spare_the_rig(rig: RecordRig) -> None:
+    found, _ = measured(rig.live(3.5, marks=marked("hands", 10.0, 60.0)))
+    assert found["normal"].value == pytest.approx(100.0 * (1.0 - 50.0 / 84.0), abs=1.0)
+    assert found["normal"].passes is False
 
 
 def test_a_forecast_is_scored_against_the_air_thirty_minutes_later(rig: RecordRig) -> None:
