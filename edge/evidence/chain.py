@@ -21,6 +21,7 @@ from edge.bundle.signature import fingerprint
 from edge.core.errors import DataError, RequestError
 from edge.core.version import __version__
 from edge.evidence.chain_files import (
+    DAY_S,
     LAYOUT,
     RECORD,
     SEAL,
@@ -50,7 +51,6 @@ from edge.storage.runs import reading
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-DAY_S = 86400.0
 GRACE_S = 600.0  # after midnight, so that the history's writer is done with the day
 CATCH_UP_DAYS = 40  # a clock that claims more is wrong rather than late
 

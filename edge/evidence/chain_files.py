@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 LAYOUT = 1
 START, SEAL, SIGNER = "start.json", "seal.json", "signer.pub"
+DAY_S = 86400.0
 DAYS_MAX = 1000
 RECORD = ArchiveLimits("record", 3 * DAYS_MAX + 5, 32 << 20, 512 << 20)
 ENTRY_BYTES = 1 << 20

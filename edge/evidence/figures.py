@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.messages import Severity
-from edge.evidence.chain_files import ChainDay, begin_of
+from edge.evidence.chain_files import DAY_S, ChainDay, begin_of
 from edge.evidence.day_rows import SealedEvent
-from edge.evidence.proof import DAY_S, ProvenRecord
+from edge.evidence.proof import ProvenRecord
 from edge.evidence.protocol import (
     DAY_SHARE,
     DAYS,

@@ -5,9 +5,9 @@ import importlib.util
 import numpy as np
 
 from edge.diagnosis.report.picture import AFTER, BEFORE, PLAIN, Picture, legend_above, new_figure, style, svg
-from edge.evidence.chain_files import begin_of
+from edge.evidence.chain_files import DAY_S, begin_of
 from edge.evidence.figures import days_without_data
-from edge.evidence.proof import DAY_S, ProvenRecord
+from edge.evidence.proof import ProvenRecord
 from edge.evidence.record_table import Floats, RecordTable
 
 HEIGHT_IN = 2.8

@@ -10,6 +10,7 @@ from edge.bundle.archive import unpack
 from edge.bundle.signature import fingerprint, read_public_key
 from edge.core.errors import DataError
 from edge.evidence.chain_files import (
+    DAY_S,
     RECORD,
     SEAL,
     SIGNER,
@@ -34,7 +35,6 @@ from edge.formats.input_file import MemoryFile, open_file
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-DAY_S = 86400.0
 
 SeeRow = Callable[[ChainDay, SealedRow], None]
 

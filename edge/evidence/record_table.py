@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from edge.core.messages import ReadingQuality
 from edge.core.names import SIGNALS
-from edge.evidence.chain_files import ChainDay, begin_of
+from edge.evidence.chain_files import DAY_S, ChainDay, begin_of
 from edge.evidence.day_rows import SealedEvent, SealedRow, SealedTick
 from edge.evidence.marks import EvidenceMark, MarkedSpan, spans
-from edge.evidence.proof import DAY_S, ProvenRecord
+from edge.evidence.proof import ProvenRecord
 from edge.evidence.protocol import FORECASTER, HORIZON_MIN
 
 AIR = SIGNALS["temp_air"].key

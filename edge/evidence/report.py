@@ -75,9 +75,10 @@ def proof_lines(record: ProvenRecord) -> Iterator[str]:
         if after != before:
             yield f"    {day.date}  the history is another one from here on"
     yield "changed       nothing since each day was signed"
-    yield f"signed by     {record.signer} (SHA-256 of the Ed25519 key)"
-    sealed = _time(record.seal.sealed_utc)
-    yield f"when          started {_time(start.started_utc)}, sealed {sealed}, by the rig's clock"
+    yield "signed by     the Ed25519 key with the SHA-256"
+    yield f"              {record.signer}"
+    times = f"{_time(start.started_utc)} to {_time(record.seal.sealed_utc)}"
+    yield f"when          {times} by the rig's clock"
     yield f"head          {record.heads[-1]}"
 
 

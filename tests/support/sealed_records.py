@@ -11,7 +11,8 @@ from history_records import START_UTC, store, tick
 
 from edge.bundle.sign import generate_key
 from edge.core.messages import Command, Echo, Event, Forecast, Reading, ReadingQuality, Severity, TickRecord
-from edge.evidence.chain import DAY_S, GRACE_S, extend_chain, seal_chain, start_chain
+from edge.evidence.chain import GRACE_S, extend_chain, seal_chain, start_chain
+from edge.evidence.chain_files import DAY_S
 from edge.evidence.marks import EvidenceMark, add_mark
 
 STEP_S = 1800.0

@@ -9,8 +9,8 @@ from sealed_records import NOON_UTC, STEP_S, TICKS_A_DAY, RecordRig, sealed_tick
 
 from edge.bundle.sign import generate_key
 from edge.core.errors import DataError, RequestError
-from edge.evidence.chain import DAY_S, seal_chain, start_chain
-from edge.evidence.chain_files import day_name, rows_name
+from edge.evidence.chain import seal_chain, start_chain
+from edge.evidence.chain_files import DAY_S, day_name, rows_name
 from edge.evidence.day_rows import SeqGap, missing_numbers, read_rows
 from edge.evidence.marks import BEGIN, END, EvidenceMark, add_mark, read_marks, spans
 from edge.evidence.proof import open_record

@@ -5,10 +5,11 @@ import time
 from pathlib import Path
 
 import pytest
-from sealed_records import DAY_S, NOON_UTC, RecordRig, sealed_tick
+from sealed_records import NOON_UTC, RecordRig, sealed_tick
 
 from edge.__main__ import main
 from edge.evidence import chain, report
+from edge.evidence.chain_files import DAY_S
 from edge.evidence.proof import open_record
 from edge.evidence.record_table import RecordCollector
 
@@ -104,7 +105,9 @@ def test_text_from_a_rig_is_escaped_in_the_page(rig: RecordRig) -> None:
     record = open_record(rig.seal(3.0), see=collector.see)
     page, lines = report.report(record, collector.table(record))
     assert "<script>" not in page and "&lt;script&gt;" in page
-    assert all(len(line) <= 80 for line in lines)
+    proof = list(report.proof_lines(record))
+    assert "NO REASON" not in "".join(proof)
+    assert all(len(line) <= 80 for line in (*lines, *proof))
 
 
 def test_the_page_needs_no_matplotlib(rig: RecordRig, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,8 @@ from sealed_records import NOON_UTC, RecordRig
 from edge.bundle.sign import generate_key, read_private_key
 from edge.core.errors import DataError
 from edge.evidence import day_rows
-from edge.evidence.chain import DAY_S, seal_chain
-from edge.evidence.chain_files import RECORD, sha256
+from edge.evidence.chain import seal_chain
+from edge.evidence.chain_files import DAY_S, RECORD, sha256
 from edge.evidence.proof import open_record
 
 Files = dict[str, bytes]
@@ -45,6 +45,10 @@ def packed(files: Files, out: Path) -> Path:
         for name, content in files.items():
             target.writestr(name, content)
     return out
+
+
+def packed_lines(lines: bytes) -> bytes:
+    return gzip.compress(lines, mtime=0)
 
 
 def swap(files: Files, one: str, other: str) -> None:
@@ -283,13 +287,14 @@ def test_a_name_that_stands_twice_is_refused(archive: Path, tmp_path: Path) -> N
     ("rows", "why"),
     [
         (b"not gzip", "not a packed day, or damaged"),
-        (gzip.compress(b"{}\n")[:-6], "not a packed day, or damaged"),
-        (gzip.compress(b"[" * 100_000 + b"\n"), "line 1: not JSON: nested too deep"),
-        (gzip.compress(b'{"tick": {"seq": 1}}\n'), r"line 1: tick\.utc: missing"),
-        (gzip.compress(b'{"tock": 1}\n'), "line 1: unknown key 'tock'; did you mean 'tick'"),
-        (gzip.compress(b"{}\n{"), "line 2: longer than a line, or a day"),
-        (gzip.compress(b" " * (2 << 20)), "line 1: longer than a line, or a day"),
+        (packed_lines(b"{}\n")[:-6], "not a packed day, or damaged"),
+        (packed_lines(b"[" * 100_000 + b"\n"), "line 1: not JSON: nested too deep"),
+        (packed_lines(b'{"tick": {"seq": 1}}\n'), r"line 1: tick\.utc: missing"),
+        (packed_lines(b'{"tock": 1}\n'), "line 1: unknown key 'tock'; did you mean 'tick'"),
+        (packed_lines(b"{}\n{"), "line 2: longer than a line, or a day"),
+        (packed_lines(b" " * (2 << 20)), "line 1: longer than a line, or a day"),
     ],
+    ids=["text", "cut off", "too deep", "no time", "unknown key", "half a line", "long line"],
 )
 def test_rows_that_are_not_rows_are_refused_by_their_line(rows: bytes, why: str) -> None:
     with pytest.raises(DataError, match=why):
