@@ -1,7 +1,7 @@
 """Figures of a record against the protocol's thresholds, and the verdict."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 
@@ -121,7 +121,9 @@ def _values(record: ProvenRecord, table: RecordTable) -> Iterator[tuple[str, flo
     yield "mae_normal", _mean(error[automatic])
     near = error[automatic & ~np.isnan(error)]
     yield "near", 100.0 * float(np.mean(near <= NEAR_K)) if len(near) else None
-    yield from _forecast(table, normal).items()
+    yield "forecast", _forecast_errors(table, normal)[0]
+    moving, persistence = _forecast_errors(table, table.within(REFERENCE_1, REFERENCE_2))
+    yield "against_persistence", moving / persistence if moving is not None and persistence else None
     yield "heat_after", float(_heat_after(table)) if _has(table, "sensor_unplugged", "usb_pulled") else None
     for fault in FAULTS:
         cases = [case.after_min for case in provoked_cases(table) if case.fault is fault]
@@ -167,21 +169,18 @@ def _is_false_trip(event: SealedEvent, table: RecordTable) -> bool:
     return not any(span.begin_utc <= utc <= span.end_utc for span in table.marked if span.what in FAULT_NAMES)
 
 
-def _forecast(table: RecordTable, normal: NDArray[np.bool_]) -> Mapping[str, float | None]:
-    """Return the MAE of the twin's forecast, and its ratio to persistence over the same pairs of ticks."""
-    ahead = table.utc + 60.0 * HORIZON_MIN
+def _forecast_errors(table: RecordTable, chosen: NDArray[np.bool_]) -> tuple[float | None, float | None]:
+    """Return the MAE of the twin's forecast and of persistence over the same pairs of chosen ticks [K]."""
     if not len(table.utc):
-        return {"forecast": None, "against_persistence": None}
+        return None, None
+    ahead = table.utc + 60.0 * HORIZON_MIN
     order = np.argsort(table.utc, kind="stable")
-    later = order[np.clip(np.searchsorted(table.utc[order], ahead - 0.5 * table.step_s), 0, len(order) - 1)]
-    is_pair = normal & normal[later] & (np.abs(table.utc[later] - ahead) <= 0.5 * table.step_s)
+    place = np.searchsorted(table.utc[order], ahead - 0.5 * table.step_s)
+    later = order[np.clip(place, 0, len(order) - 1)]
+    is_pair = chosen & chosen[later] & (np.abs(table.utc[later] - ahead) <= 0.5 * table.step_s)
     is_pair &= ~np.isnan(table.forecast_c + table.air_c + table.air_c[later])
     mae = _mean(np.abs(table.forecast_c - table.air_c[later])[is_pair])
-    persistence = _mean(np.abs(table.air_c - table.air_c[later])[is_pair])
-    return {
-        "forecast": mae,
-        "against_persistence": mae / persistence if mae is not None and persistence else None,
-    }
+    return mae, _mean(np.abs(table.air_c - table.air_c[later])[is_pair])
 
 
 def _heat_after(table: RecordTable) -> int:

@@ -98,7 +98,7 @@ THRESHOLDS = (
     Threshold("mae_normal", "MAE to the reference in normal use", 0.5, "K"),
     Threshold("near", f"ticks of normal use within {NEAR_K:g} K of the reference", 90.0, "%", True),
     Threshold("forecast", f"MAE of {FORECASTER}'s forecast {HORIZON_MIN} min ahead, normal use", 0.5, "K"),
-    Threshold("against_persistence", "that MAE by the MAE of persistence", 0.8, ""),
+    Threshold("against_persistence", "the same by that of persistence, along both references", 0.8, ""),
     Threshold(
         "heat_after", "ticks with the heater on 2 ticks after the sensor or USB is pulled", 0.0, "ticks"
     ),

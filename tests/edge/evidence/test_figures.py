@@ -221,7 +221,7 @@ def test_a_forecast_is_scored_against_the_air_thirty_minutes_later(rig: RecordRi
         return sealed_tick(record.seq, record.utc, air, forecasts={"pbm": Forecast({30: air + 0.15})})
 
     assert STEP_S == 1800.0
-    found, _ = measured(rig.live(3.5, change))
+    found, _ = measured(rig.live(3.5, change, marked("reference_2", 20.0, 40.0)))
     assert found["forecast"].value == pytest.approx(0.05)
     assert found["against_persistence"].value == pytest.approx(0.25)
 
