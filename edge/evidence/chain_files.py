@@ -117,9 +117,12 @@ def begin_of(day: str) -> float:
         raise DataError(f"{day} is not a day") from error
 
 
-def next_day(day: str, days: int = 1) -> str:
-    """Return the date so many days later."""
-    return str(date.fromisoformat(day) + timedelta(days))
+def next_day(day: str) -> str:
+    """Return the date of the day after. Errors: DataError"""
+    try:
+        return str(date.fromisoformat(day) + timedelta(1))
+    except (ValueError, OverflowError) as error:
+        raise DataError(f"{day} is not a day that another one follows") from error
 
 
 def read_part(folder: Path, name: str, most: int = ENTRY_BYTES) -> bytes:

@@ -19,7 +19,7 @@ def air_picture(record: ProvenRecord, table: RecordTable) -> Picture | None:
     if importlib.util.find_spec("matplotlib") is None or np.isnan(table.air_c).all():
         return None
     zero_utc = begin_of(record.days[0].date)
-    hours, low, high, reference = _hourly(table, zero_utc)
+    hours, low, high, reference = _hourly(table, zero_utc, len(record.days))
     with style():
         figure = new_figure(HEIGHT_IN)
         axes = figure.subplots()
@@ -43,12 +43,11 @@ def air_picture(record: ProvenRecord, table: RecordTable) -> Picture | None:
         )
 
 
-def _hourly(table: RecordTable, zero_utc: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _hourly(table: RecordTable, zero_utc: float, days: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Return hours since `zero_utc`, lowest and highest air, and mean reference, NaN where unknown."""
     hour = np.floor((table.utc - zero_utc) / HOUR_S)
     is_known = ~np.isnan(table.air_c)
-    first, last = int(hour[is_known].min()), int(hour[is_known].max())
-    hours = np.arange(first, last + 1, dtype=np.float64)
+    hours = np.arange(24 * days, dtype=np.float64)  # ticks of a wrong clock lie outside
     found = np.full((3, len(hours)), np.nan)
     for place, one in enumerate(hours):
         rows = is_known & (hour == one)

@@ -10,7 +10,7 @@ from sealed_records import NOON_UTC, STEP_S, TICKS_A_DAY, RecordRig, sealed_tick
 from edge.bundle.sign import generate_key
 from edge.core.errors import DataError, RequestError
 from edge.evidence.chain import seal_chain, start_chain
-from edge.evidence.chain_files import DAY_S, day_name, rows_name
+from edge.evidence.chain_files import DAY_S, day_name, next_day, rows_name
 from edge.evidence.day_rows import SeqGap, missing_numbers, read_rows
 from edge.evidence.marks import BEGIN, END, EvidenceMark, add_mark, read_marks, spans
 from edge.evidence.proof import open_record
@@ -87,6 +87,12 @@ def test_a_reason_for_a_part_of_a_gap_is_none_for_the_whole(rig: RecordRig) -> N
 )
 def test_missing_numbers(seqs: list[int], after: int, last: int, missing: list[tuple[int, int]]) -> None:
     assert missing_numbers(seqs, after, last) == missing
+
+
+@pytest.mark.parametrize("day", ["9999-12-31", "2026-02-30", "2026-13-01"])
+def test_a_day_that_no_other_follows_is_refused(day: str) -> None:
+    with pytest.raises(DataError, match=f"{day} is not a day"):
+        next_day(day)
 
 
 def test_a_kill_between_rows_and_entry_makes_the_day_anew(rig: RecordRig) -> None:

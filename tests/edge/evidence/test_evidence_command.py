@@ -110,6 +110,15 @@ def test_text_from_a_rig_is_escaped_in_the_page(rig: RecordRig) -> None:
     assert all(len(line) <= 80 for line in (*lines, *proof))
 
 
+def test_a_tick_of_a_clock_gone_wild_does_not_end_the_report(rig: RecordRig) -> None:
+    wild = {30: 1e18, 40: 0.0}
+    rig.live(2.5, lambda one: sealed_tick(one.seq, wild.get(one.seq, one.utc)))
+    collector = RecordCollector()
+    record = open_record(rig.seal(3.0), see=collector.see)
+    page, _ = report.report(record, collector.table(record))
+    assert "<svg" in page
+
+
 def test_the_page_needs_no_matplotlib(rig: RecordRig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     collector = RecordCollector()
