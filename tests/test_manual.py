@@ -153,7 +153,7 @@ def test_code_that_is_not_run_names_what_there_is(block: CodeBlock) -> None:
 def check(words: list[str]) -> None:
     """Fail where a command, an option, a module, a target or a file does not exist."""
     while words[0] == "sudo" or re.fullmatch(r"[A-Z_]+=\S*", words[0]):
-        words = words[1:]
+        words = words[3:] if words[:2] == ["sudo", "-u"] else words[1:]
     for operator in ("&&", "|", ">"):
         if operator in words:
             at = words.index(operator)
