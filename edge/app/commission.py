@@ -207,7 +207,9 @@ def _fallback(train: RecordedRun, test: RecordedRun, step_s: float, start: TwinF
     has_fan = start.fan_role != "none" and bool(np.nanmax(train.columns["fan_on"]) > 0.0)
     has_room = np.isfinite(train.columns.get("temp_ambient_c", np.array([np.nan]))).all()
     try:
-        return fit_arx([train], [test], step_s, fan_input="on" if has_fan else None, with_ambient=bool(has_room))
+        return fit_arx(
+            [train], [test], step_s, fan_input="on" if has_fan else None, with_ambient=bool(has_room)
+        )
     except DataError:
         return None
 

@@ -79,7 +79,7 @@ def supervise(
     situation = RuleInput(view, memory, settings, temp_air)
     changes: list[Change] = []
     ramp = _limit("heater_duty", wanted.heater_duty, HEATER_OFF, HEATER_LIMITS, situation, changes)
-    fan = _limit("fan_on", wanted.fan, FAN_FORCED, FAN_LIMITS, situation, changes)
+    fan = _limit("fan_on", _fan_asked(wanted), FAN_FORCED, FAN_LIMITS, situation, changes)
     led = _limit("led", wanted.led, LED_OFF, LED_LIMITS, situation, changes)
     pulse = _limit("valve_pulse", wanted.valve_pulse_s, VALVE_SHUT, VALVE_LIMITS, situation, changes)
     share = _fan_part(fan, view.dt_s, settings, changes)
@@ -217,6 +217,12 @@ def _step(actuator: str, value: float, changes: list[Change]) -> float:
     stepped = math.floor(value * steps + ROUNDING) / steps
     _note(f"{actuator.partition('_')[0]}.step", actuator, value, stepped, f"steps of 1/{steps}", changes)
     return stepped
+
+
+def _fan_asked(wanted: Command) -> float:
+    """Return the share asked for; what is neither on nor off as it is, for the rules to judge."""
+    on: float = wanted.fan_on
+    return wanted.fan if on == 1.0 else on
 
 
 def _fan_part(share: float, dt_s: float, settings: SafetySettings, changes: list[Change]) -> float:

@@ -136,7 +136,7 @@ class PseudoTerminal:
         assert old is not None
         self._master, self.device = _open_pseudo_terminal()
         self._begin()
-        if _opened(old):
+        if _has_host(old):
             old, self._master, self.device = self._master, old, old_device
             self._begin()
         os.close(old)
@@ -185,7 +185,7 @@ class PseudoTerminal:
         self.bytes_lost += len(data) - written
 
 
-def _opened(master: int) -> bool:
+def _has_host(master: int) -> bool:
     """Return whether a host has the other end open."""
     poll = select.poll()
     poll.register(master, 0)

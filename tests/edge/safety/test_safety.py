@@ -108,7 +108,7 @@ def test_led_moves_in_hundredths(wanted, sent):
 
 
 @pytest.mark.parametrize(
-    ("wanted", "on"), [(True, True), (False, False), (1, True), (0, False), (0.5, False), (2.0, True)]
+    ("wanted", "on"), [(True, True), (False, False), (1, True), (0, False), (0.5, True), (2.0, True)]
 )
 def test_a_fan_is_on_or_off(wanted, on):
     assert judge(Command(fan_on=wanted)).sent.fan_on is on
@@ -479,7 +479,7 @@ def test_the_duty_left_is_what_the_cap_leaves(cap_wh, dt_s, duty):
 )
 def test_the_relay_stays_on_its_minimum_time(held_s, fan):
     memory = SafetyMemory(sent=FAN, fan_since_s=NOW - held_s, time_s=NOW - 1.0)
-    verdict = judge(Command(), memory=memory)
+    verdict = judge(Command(), memory=memory, fan_min_on_s=60.0)
     assert verdict.sent.fan_on is fan
     assert rules(verdict, "fan_on") == (["fan.min_on"] if fan else [])
 
@@ -487,7 +487,7 @@ def test_the_relay_stays_on_its_minimum_time(held_s, fan):
 @pytest.mark.parametrize(("held_s", "fan"), [(0.0, False), (59.4, False), (59.5, True), (1e9, True)])
 def test_the_relay_stays_off_its_minimum_time(held_s, fan):
     memory = SafetyMemory(fan_since_s=NOW - held_s, time_s=NOW - 1.0)
-    verdict = judge(FAN, memory=memory)
+    verdict = judge(FAN, memory=memory, fan_min_off_s=60.0)
     assert verdict.sent.fan_on is fan
     assert rules(verdict, "fan_on") == ([] if fan else ["fan.min_off"])
 
@@ -681,7 +681,8 @@ def test_with_nothing_in_the_way_a_controller_may_plan_all():
 )
 def test_a_controller_knows_how_long_the_relay_is_held(step_s, held_s, hold, minimum):
     memory = SafetyMemory(sent=FAN, fan_since_s=NOW - held_s)
-    limits = planning_limits(memory, LIMITS, NOW, step_s)
+    held = SafetySettings(fan_min_on_s=60.0, fan_min_off_s=60.0)
+    limits = planning_limits(memory, held, NOW, step_s)
     assert (limits.fan_hold_steps, limits.fan_min_on_steps, limits.fan_min_off_steps) == (
         hold,
         minimum,
@@ -829,7 +830,7 @@ def test_what_differs_says_why_and_the_answer_is_always_the_same(wanted, seen, m
     changed = {change.actuator for change in verdict.changes}
     for actuator, before, after in (
         ("heater_duty", wanted.heater_duty, verdict.sent.heater_duty),
-        ("fan_on", wanted.fan_on, verdict.sent.fan_on),
+        ("fan_on", wanted.fan_on, verdict.sent.fan),
         ("led", wanted.led, verdict.sent.led),
         ("valve_pulse", wanted.valve_pulse_s, verdict.sent.valve_pulse_s),
     ):

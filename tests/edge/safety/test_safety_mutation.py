@@ -2,6 +2,7 @@
 
 import mutation
 import pytest
+import test_fan_parts
 import test_safety
 
 from edge.safety import memory as safety_state
@@ -27,7 +28,7 @@ EQUIVALENT = {
 
 
 def test_every_change_of_the_supervisor_makes_a_test_fail():
-    tests = mutation.cases(test_safety)
+    tests = [*mutation.cases(test_safety), *mutation.cases(test_fan_parts)]
     mutants = [
         *(mutant for module in MODULES for mutant in mutation.function_mutants(module)),
         *mutation.row_mutants(MODULES, TABLES),
