@@ -1,15 +1,17 @@
 """The twin's step as matrices, the state that is followed, and the beam against every plan there is."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
-from edge.controllers.mpc_twin import StepInputs, begin, correct_belief, move_belief
+from edge.controllers.mpc_twin import StepInputs, begin, correct_belief, fan_shares, move_belief
 from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _cheapest, _Children, search
 from edge.controllers.twin_plan.linear_step import linear_step
+from edge.core.controller import ControlLimits
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import read_twin
 from edge.twin.model import BoxTwin
@@ -162,3 +164,85 @@ def test_the_beam_keeps_the_cheapest_of_each_kind_as_a_sort_of_all_would(width):
     cheapest = all_kinds[np.argsort(cost.ravel()[all_kinds], kind="stable")[:width]]
     expected = all_kinds if len(all_kinds) <= width else cheapest
     assert kept.tolist() == expected.tolist()
+
+
+PARTS = (0.0, 1.0 / 12.0, 0.25, 0.5, 1.0)
+
+
+@pytest.mark.parametrize("share", PARTS)
+@pytest.mark.parametrize("fan_before", [0, 1])
+def test_a_part_of_a_step_is_the_twins_own_5_s_steps(diagnosed, share, fan_before):
+    step = linear_step(diagnosed, at_rest(diagnosed, 25.0, ROOM_C), ROOM_C, {}, PARTS)
+    rng = np.random.default_rng(2)
+    state = at_rest(diagnosed, 27.0, ROOM_C) + rng.normal(size=len(diagnosed.states))
+    fine = replace(diagnosed, step_s=5.0)
+    fan = (np.arange(12) < round(12 * share)).astype(float)[None]
+    march = fine.march(
+        Commands(np.full((1, 12), 0.6), fan),
+        np.full((1, 12), 22.0),
+        before=Commands(np.full((1, 12), 0.2), np.full((1, 12), float(fan_before))),
+    )
+    expected = state[None]
+    for part in range(12):
+        expected = march.step(part, expected)
+    mode = step.mode(fan_before, step.place_of(share))
+    mine = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * 22.0
+    mine += step.now[mode] * step.share_of(0.6) + step.late[mode] * step.share_of(0.2)
+    np.testing.assert_allclose(mine, expected[0], atol=1e-8)
+
+
+def parts_of(twin: BoxTwin):
+    return linear_step(twin, at_rest(twin, 25.0, ROOM_C), ROOM_C, {}, PARTS)
+
+
+def test_parts_follow_a_step_down_better_than_whole_steps(diagnosed):
+    goal = problem([30.0] * 2 + [27.0] * 8, weight=0.03)
+    costs = [search(step, goal, start(diagnosed, 30.0), 300).plan.cost for step in map_steps(diagnosed)]
+    assert costs[1] < 0.8 * costs[0]
+
+
+def map_steps(twin: BoxTwin):
+    return step_of(twin), parts_of(twin)
+
+
+def test_a_beam_with_parts_finds_the_best_of_all_plans():
+    twin = BoxTwin(effects=WALL)
+    step, goal = parts_of(twin), problem([23.0, 23.5], levels=2)
+    found = search(step, goal, start(twin), width=10_000)
+    best = np.inf
+    for options in itertools.product(itertools.product(range(3), range(len(PARTS))), repeat=2):
+        state, fan, cost = start(twin).state, 0, 0.0
+        for k, (level, place) in enumerate(options):
+            mode = step.mode(fan, place)
+            state = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ROOM_C
+            state = state + step.now[mode] * level / HEATER_LEVELS
+            cost += 10.0 * (state[0] - goal.reference[k]) ** 2 + (level / HEATER_LEVELS) ** 2 + PARTS[place]
+            fan = int(PARTS[place] == 1.0)
+        best = min(best, cost)
+    assert found.plan.cost == pytest.approx(best, rel=1e-9)
+
+
+@pytest.mark.parametrize("left", [0, 1, 2])
+def test_a_plan_starts_the_fan_no_more_often_than_it_may(diagnosed, left):
+    goal = problem([24.0] * 10, weight=0.03)
+    begin_ = replace(start(diagnosed, 32.0), fan_starts=left)
+    plan = search(parts_of(diagnosed), goal, begin_, 200).plan
+    before = np.append(0.0, plan.fan[:-1])
+    assert ((plan.fan > 0.0) & (before < 1.0)).sum() <= left
+    assert (plan.fan > 0.0).any() == (left > 0)
+
+
+def test_a_held_relay_allows_no_part(diagnosed):
+    goal = problem([24.0] * 6, rules=FanRules(on=True, hold=2), weight=0.03)
+    plan = search(parts_of(diagnosed), goal, start(diagnosed, 32.0, fan=1), 100).plan
+    assert plan.fan[:2].tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("step_s", "part_s", "parts_s"),
+    [(60.0, 5.0, [5, 10, 15, 20, 30, 45]), (60.0, 15.0, [15, 20, 30, 45]), (10.0, 5.0, [5]), (5.0, 5.0, [])],
+)
+def test_the_parts_that_a_plan_may_use(step_s, part_s, parts_s):
+    shares = fan_shares(step_s, ControlLimits(fan_part_s=part_s))
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert [share * step_s for share in shares[1:-1]] == pytest.approx(parts_s)
