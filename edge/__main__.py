@@ -19,6 +19,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "why": "explain a command from the recorded decisions",
     "plot": "draw a stretch of the history, or a run file",
     "ask": "say it in words: a language model proposes, you confirm",
+    "commission": "learn a new box by step tests, and control it",
     "experiment": "apply a profile and record a run",
     "export": "write a stretch of the history to a run file",
     "import": "read run files into the history",
@@ -40,6 +41,7 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "Tell it what to do": ("reference", "mode", "fan", "controller", "manual", "ask", "confirm", "undo"),
     "Stop it": ("emergency-stop", "release", "maintenance", "clear-trip"),
     "Record and model your own greenhouse": (
+        "commission",
         "data",
         "experiment",
         "export",

@@ -117,7 +117,8 @@ class Lab:
         faults or options; or the control socket of a board that runs already
     seed : of the board
     folder : place of all files, where `settings` point already; without it a temporary folder is made
-    chamber : what differs in the simulated box; plant : another box, "here" alone; faults : the board's script; options : of its command line
+    chamber : what differs in the simulated box; plant : another box, "here" alone
+    faults : the board's script; options : of its command line
     speed : simulated seconds per real second; None: as fast as the machine goes
     clock : makes the daemon's clock from the board's, e.g. one that watches the pins
     recorded : each tick is in the history before the next begins, for controllers that read it

@@ -136,11 +136,11 @@ def _check(experiment: Experiment, settings: Settings) -> Settings:
         raise DataError(f"{profile.path}: time_s: rows must stand on control steps of {step_s:g} s")
     if "light" in profile.columns:  # the profile's word, not the clock's
         settings = replace(settings, lighting=replace(settings.lighting, enabled=False))
-    _refuse_stopped(settings)
+    refuse_stopped(settings)
     return settings
 
 
-def _refuse_stopped(settings: Settings) -> None:
+def refuse_stopped(settings: Settings) -> None:
     """Refuse an experiment on a rig that is held off: it would record hours of nothing."""
     standing = restore(STANDING, settings)
     if standing.broken:

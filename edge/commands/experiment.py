@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     """0 when the profile was applied to its end, 1 when stopped early; the run is written in both cases."""
     profile = read_profile(arguments.profile)
     _check_out(arguments.out)
-    with _rig(arguments) as (settings, clock):
+    with rig_of(arguments) as (settings, clock):
         facts = {"role": arguments.role, "notes": arguments.notes, **_virtual_facts(arguments)}
         experiment = Experiment(
             profile,
@@ -111,7 +111,7 @@ def _controller(arguments: argparse.Namespace, profile: Profile) -> str:
 
 
 @contextmanager
-def _rig(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
+def rig_of(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
     """Yield the rig of the configuration, or a virtual one with files of its own."""
     if not arguments.virtual:
         yield config.load(arguments.config or RIG_CONFIG), RealClock()

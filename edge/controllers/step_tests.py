@@ -44,7 +44,10 @@ class TestLeg:
 
 @dataclass(frozen=True, slots=True)
 class BoxResponse:
-    """The box by its first legs. rise_k_s : at full duty, steepest; runs_on_k, runs_on_s : after heat ended"""
+    """The box by its first legs.
+
+    rise_k_s : at full duty, steepest; runs_on_k, runs_on_s : after heat ended
+    """
 
     rise_k_s: float
     runs_on_k: float

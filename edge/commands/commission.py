@@ -1,0 +1,189 @@
+"""`greenhouse commission`: step tests, a twin of this box, and a bundle that controls it.
+
+The tests take the board, so the daemon must not run meanwhile. Ctrl-C or SIGTERM ends them early, and what is
+recorded by then is used; --from-run uses a recording again.
+"""
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edge.commands.arguments import number, writing
+from edge.commands.bundle import change, install, settings_of, store_of
+from edge.commands.experiment import rig_of
+from edge.config.settings import Settings
+from edge.core.controller import MPC_TWIN
+from edge.core.errors import RequestError
+from edge.core.messages import TickRecord
+from edge.diagnosis.progress import TerminalProgress
+from edge.formats.atomic_file import write_document
+from edge.formats.run_file import RecordedRun, read_run, write_run
+from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
+
+if TYPE_CHECKING:
+    from edge.app.commission import Commissioned
+
+CONTROLLER = MPC_TWIN[-1]
+SHORTEST_MIN = 20.0
+LEARN_MIN = 15.0  # that a fit needs, where the tests were ended early
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--twin", type=Path, help="twin file that describes the box; default: box.twin")
+    parser.add_argument(
+        "--minutes",
+        type=number(SHORTEST_MIN),
+        default=120.0,
+        help="length of the step tests; default: %(default)g, a heavy box needs more",
+    )
+    parser.add_argument(
+        "--from-run", type=Path, metavar="RUN", help="learn from this recording, make no tests"
+    )
+    parser.add_argument("--out", type=Path, help="folder for run and twin; default: commissioning-DATE")
+    parser.add_argument("--key", type=Path, help="private key that signs; default: bundle.signing_key")
+    parser.add_argument(
+        "--only-learn", action="store_true", help="write the twin, but sign and activate no bundle"
+    )
+    parser.add_argument("--config", type=Path, help="configuration file; default: the rig's")
+    parser.add_argument("--virtual", action="store_true", help="try it on a virtual board")
+    parser.add_argument("--seed", type=int, default=1, help="of the virtual board's noise; default: 1")
+    parser.set_defaults(chamber=None, history=None)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 when the box is commissioned, 1 when it is refused; the reasons are printed."""
+    from edge.app.commission import learn  # late: scipy
+
+    settings = settings_of(arguments.config)
+    start = _start(arguments, settings)
+    key = None if arguments.only_learn or arguments.virtual else _key(arguments.key, settings)
+    folder = arguments.out or Path(f"commissioning-{datetime.now(UTC):%Y-%m-%d_%H%M}")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    recorded = read_run(arguments.from_run) if arguments.from_run else _record(arguments, start, folder)
+    minutes = float(recorded.columns["time_s"][-1]) / 60.0
+    if minutes < LEARN_MIN:
+        raise RequestError(f"{minutes:.0f} min are recorded, {LEARN_MIN:g} is the least to learn from")
+    with TerminalProgress() as progress:
+        found = learn(recorded, start, settings.control.step_s, progress)
+    with writing(folder):
+        write_twin_file(found.twin, folder / "twin.yaml")
+    print("\n".join(describe(found)))
+    if found.refusals:
+        return 1
+    print(f"{folder / 'twin.yaml'}: the twin of this box")
+    if key is not None:
+        _activate(found, folder, key, settings)
+    return 0
+
+
+def describe(found: "Commissioned") -> Iterator[str]:
+    """Yield what was learned and what to expect of it, or why it is refused."""
+    expected = found.expectation
+    yield f"missing in a plain box, and added: {', '.join(found.names) or 'nothing'}"
+    yield f"over rows that no fit saw, free runs are off by {expected.error_k:.2f} K"
+    yield (
+        f"in a room of {expected.room_c:.1f} °C full heat reaches {expected.reach_c:.0f} °C; "
+        f"to hold takes {expected.hold_w_k:.1f} W for each K over the room"
+    )
+    if expected.fanned_c == expected.fanned_c:
+        yield f"the fan alone brings the air to {expected.fanned_c:.1f} °C"
+    for reason in found.refusals:
+        yield f"refused: {reason}"
+    if found.refusals:
+        yield "the box is not commissioned: another controller than rules would be a guess"
+
+
+def _start(arguments: argparse.Namespace, settings: Settings) -> TwinFile:
+    """Return the description of the box. Errors: RequestError where there is none"""
+    path = arguments.twin or (Path(settings.box.twin) if settings.box.twin else None)
+    if path is None:
+        raise RequestError("no description of the box: `greenhouse setup` or `greenhouse twin new` makes one")
+    return read_twin_file(path)
+
+
+def _key(given: Path | None, settings: Settings) -> Path:
+    """Known before hours are spent, not after. Errors: RequestError"""
+    if given is None and not settings.bundle.signing_key:
+        raise RequestError(
+            "no key to sign with: --key FILE or bundle.signing_key. `greenhouse bundle key FILE` makes one; "
+            f"its public half goes into {settings.bundle.trusted_keys}"
+        )
+    return given or Path(settings.bundle.signing_key)
+
+
+def _record(arguments: argparse.Namespace, start: TwinFile, folder: Path) -> RecordedRun:
+    from edge.app.commission import record, test_settings
+
+    path = folder / "run.csv"
+    if path.exists():
+        raise RequestError(f"{path}: exists already; --from-run {path} learns from it")
+    with tempfile.TemporaryDirectory(prefix="greenhouse-commission-") as temporary:
+        # The description, not a twin of an earlier box: safety asks of it what it knows.
+        box = Path(temporary) / "twin.yaml"
+        write_twin_file(start, box)
+        with rig_of(arguments) as (settings, clock):
+            settings = test_settings(replace(settings, box=replace(settings.box, twin=str(box))))
+            has_fan = start.fan_role != "none"
+            recorded = record(settings, clock, has_fan, arguments.minutes, _Show(arguments.minutes))
+    with writing(path):
+        write_run(recorded, path)
+    print(f"{path}: {len(recorded)} rows; should learning fail, --from-run {path} tries again")
+    return recorded
+
+
+class _Show:
+    """Print a line where a leg begins."""
+
+    def __init__(self, minutes: float) -> None:
+        self._minutes, self._leg = minutes, ""
+        self._begun_s: float | None = None
+
+    def __call__(self, record: TickRecord) -> None:
+        self._begun_s = record.time_s if self._begun_s is None else self._begun_s
+        leg = str(record.decision.why.get("leg", record.decision.controller))
+        if leg != self._leg:
+            self._leg = leg
+            air = record.readings["temp_air"].value
+            shown = "  ?  " if air is None else f"{air:5.1f}"
+            left = self._minutes - (record.time_s - self._begun_s) / 60.0
+            print(f"{left:4.0f} min left  air {shown} °C  {leg}", flush=True)
+
+
+def _activate(found: "Commissioned", folder: Path, key: Path, settings: Settings) -> None:
+    """Sign a bundle of the twin and its fallback, make it the active one and its planner the controller."""
+    from edge.bundle.archive import open_archive
+    from edge.bundle.sign import ManifestFacts, build_bundle
+    from edge.models.arx_file import write_arx
+    from edge.state.store import STANDING, restore
+
+    now = time.time()
+    models, archive = folder / "models", folder / "bundle.zip"
+    with writing(folder):
+        models.mkdir(exist_ok=True)
+        write_twin_file(found.twin, models / "twin.yaml")
+        if found.arx is not None:
+            write_arx(found.arx.model, models / "arx.json", {"command": "greenhouse commission"})
+    facts = ManifestFacts(
+        version=f"{datetime.fromtimestamp(now, UTC):%Y.%m%d.%H%M}-commissioned",
+        created_utc=f"{datetime.fromtimestamp(now, UTC):%Y-%m-%dT%H:%M:%SZ}",
+        data_sha256=str(found.twin.provenance["data_sha256"]),
+        sample_s=settings.control.step_s,
+    )
+    manifest = build_bundle(models, archive, facts, key)
+    store = store_of(settings)
+    with open_archive(archive) as file:
+        install(store, settings, file)
+    change(store, settings, "activate", manifest.version)
+    standing = restore(STANDING, settings)
+    if standing.broken:  # a stop may be in it: nothing is written over it
+        raise RequestError(f"{standing.broken}: choose `greenhouse controller {CONTROLLER}` yourself")
+    chosen = replace(standing, operation=replace(standing.operation, controller=CONTROLLER))
+    write_document(STANDING.place(settings), STANDING.encode(chosen))
+    print(f"{CONTROLLER} controls from the daemon's next start on: `sudo systemctl start greenhouse`")
