@@ -1,0 +1,150 @@
+"""`greenhouse commission`: what it needs before hours are spent, what it makes, what it refuses."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+import yaml
+
+from edge.__main__ import main
+from edge.app import commission
+from edge.app.commission import Expectation
+from edge.bundle.sign import generate_key
+from edge.config.loading import load
+from edge.models.arx_file import read_arx
+from edge.state.store import STANDING, restore
+from edge.twin.new_file import BoxDescription, text
+from edge.twin.twin_file import read_twin_file
+
+pytestmark = pytest.mark.slow
+
+TWIN = Path("training/results/paper_case/interpolation/twin.yaml").resolve()
+GOOD = Expectation(21.0, 40.0, 22.0, 0.2, 5.0)
+
+
+@dataclass(frozen=True)
+class FoundModel:
+    model: object = field(default_factory=read_arx)
+
+
+@dataclass(frozen=True)
+class FoundBox:
+    """A result as `learn` gives it, without the minutes that a diagnosis takes."""
+
+    refusals: tuple[str, ...] = ()
+    names: tuple[str, ...] = ("heater_lag",)
+    expectation: Expectation = GOOD
+    twin: object = field(default_factory=lambda: read_twin_file(TWIN))
+    arx: object = field(default_factory=FoundModel)
+
+
+@pytest.fixture
+def rig(tmp_path, monkeypatch):
+    """A configuration with a key of its own, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "keys").mkdir()
+    public = generate_key(tmp_path / "rig.pem")
+    public.rename(tmp_path / "keys" / public.name)
+    (tmp_path / "box.yaml").write_text(text(BoxDescription(0.15, 100.0, "exhaust", 68.0)))
+    (tmp_path / "edge.yaml").write_text(
+        yaml.safe_dump(
+            {
+                "state_file": str(tmp_path / "state.json"),
+                "control_socket": {"path": str(tmp_path / "control.sock")},
+                "history": {"path": str(tmp_path / "history.db")},
+                "box": {"twin": str(tmp_path / "box.yaml")},
+                "bundle": {
+                    "path": str(tmp_path / "bundles"),
+                    "trusted_keys": str(tmp_path / "keys"),
+                    "signing_key": str(tmp_path / "rig.pem"),
+                },
+            }
+        )
+    )
+    return tmp_path
+
+
+def commissioned(*words: str) -> int:
+    return main(["commission", "--config", "edge.yaml", *words])
+
+
+def run_file(folder: Path, minutes: int = 30) -> Path:
+    rows = [f"{10 * k},{22 + 0.01 * k:.2f},21.0,{(k // 30) % 2},0" for k in range(6 * minutes)]
+    path = folder / "old.csv"
+    path.write_text("\n".join(["time_s,temp_air_c,temp_ambient_c,heater_duty,fan_on", *rows]) + "\n")
+    return path
+
+
+def test_a_box_that_is_good_enough_gets_its_bundle_and_its_controller(rig, monkeypatch, capsys):
+    monkeypatch.setattr(commission, "learn", lambda *given: FoundBox())
+    assert commissioned("--from-run", str(run_file(rig)), "--out", "found") == 0
+    said = capsys.readouterr().out
+    assert "full heat reaches 40 °C" in said and "free runs are off by 0.20 K" in said
+    settings = load(rig / "edge.yaml")
+    roles = yaml.safe_load(next((rig / "bundles").glob("roles*.json")).read_text())
+    assert str(roles["active"]).endswith("-commissioned")
+    assert restore(STANDING, settings).operation.controller == "MPC-Twin-P"
+    assert read_twin_file(rig / "found" / "twin.yaml").to_fit() == []
+
+
+def test_what_is_refused_says_why_and_changes_nothing(rig, monkeypatch, capsys):
+    monkeypatch.setattr(commission, "learn", lambda *given: FoundBox(refusals=("the air moved by 0.3 K",)))
+    assert commissioned("--from-run", str(run_file(rig)), "--out", "found") == 1
+    said = capsys.readouterr().out
+    assert "refused: the air moved by 0.3 K" in said and "not commissioned" in said
+    assert not (rig / "bundles").exists() and not (rig / "state.json").exists()
+
+
+def test_only_learn_needs_no_key_and_activates_nothing(rig, monkeypatch):
+    (rig / "edge.yaml").write_text((rig / "edge.yaml").read_text().replace("signing_key", "#"))
+    monkeypatch.setattr(commission, "learn", lambda *given: FoundBox())
+    assert commissioned("--only-learn", "--from-run", str(run_file(rig)), "--out", "found") == 0
+    assert not (rig / "bundles").exists()
+
+
+def refused(capsys, *words: str) -> str:
+    assert commissioned(*words) != 0
+    return capsys.readouterr().err
+
+
+def test_a_missing_key_is_told_before_the_tests(rig, capsys):
+    config = yaml.safe_load((rig / "edge.yaml").read_text())
+    del config["bundle"]["signing_key"]
+    (rig / "edge.yaml").write_text(yaml.safe_dump(config))
+    assert "no key to sign with" in refused(capsys)
+
+
+def test_a_box_that_nobody_described_is_told(rig, capsys):
+    config = yaml.safe_load((rig / "edge.yaml").read_text())
+    del config["box"]
+    (rig / "edge.yaml").write_text(yaml.safe_dump(config))
+    assert "greenhouse setup" in refused(capsys)
+
+
+def test_a_few_minutes_are_too_little(rig, capsys):
+    said = refused(capsys, "--from-run", str(run_file(rig, minutes=5)), "--out", "found")
+    assert "5 min are recorded" in said
+
+
+def test_a_recording_is_never_written_over(rig, capsys):
+    (rig / "found").mkdir()
+    (rig / "found" / "run.csv").write_text("precious")
+    assert "--from-run found/run.csv learns from it" in refused(capsys, "--out", "found")
+    assert (rig / "found" / "run.csv").read_text() == "precious"
+
+
+def test_the_tests_run_on_a_virtual_board(rig, monkeypatch, capsys):
+    monkeypatch.setattr(commission, "learn", lambda *given: FoundBox())
+    assert commissioned("--virtual", "--minutes", "20", "--twin", "box.yaml", "--out", "found") == 0
+    said = capsys.readouterr().out
+    assert "20 min left" in said and "first heat" in said and "coast" in said
+    rows = (rig / "found" / "run.csv").read_text().count("\n")
+    assert rows > 100
+
+
+def test_a_broken_state_is_not_written_over(rig, monkeypatch, capsys):
+    (rig / "state.json").write_text("{broken")
+    monkeypatch.setattr(commission, "learn", lambda *given: FoundBox())
+    said = refused(capsys, "--from-run", str(run_file(rig)), "--out", "found")
+    assert "greenhouse controller MPC-Twin-P" in said
+    assert (rig / "state.json").read_text() == "{broken"
