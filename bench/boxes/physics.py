@@ -1,20 +1,22 @@
 """Steps of a box through time, for many states at once."""
 
 import math
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.boxes.facts import BoxFacts
+from bench.boxes.modes import Modes, product
 from bench.boxes.rates import ZERO_C, BoxRates, HeldInputs, saturated_g_m3
 
 Floats = NDArray[np.float64]
 Inputs = float | Floats  # one number for all states, or [M]
-GAMMA = 1.0 - math.sqrt(0.5)  # lets ROS2 damp fast parts completely
-STEP_SHARE = 0.35  # of the quicker air layer's time constant, that an inner step may last
-STEPS_S = (0.25, 5.0)  # shortest and longest inner step
-BLOCK = 200  # states at once: numpy's library would divide larger products among threads, and wait
+LONGEST_S = 5.0  # inner step
+ERROR_K = 0.012  # of the air or its sensor, after jumps of heater and fan
+TRIAL = ((1.0, 0.0), (1.0, 1.0), (0.0, 0.0), (0.0, 1.0))  # heater and fan, one after the other
+TRIAL_S, TRIAL_PARTS = 60.0, 10
 LENGTHS_MAX = 300  # of steps whose inverses are in memory
 LATE_S = 4e6  # then a box is at rest
 WAY, LEAP = 1.05, 3.0  # growth of the steps towards rest, to see the way and to see its end
@@ -36,40 +38,30 @@ class BoxPhysics:
         self._rates = BoxRates(facts)
         self.size = self._rates.size
         self._jacobians = self._linearise()
-        fastest = -np.diag(self._jacobians[0])[:2].min()
-        self._inner_s = float(np.clip(STEP_SHARE / fastest, *STEPS_S))
-        self._inverses: dict[float, tuple[Floats, Floats]] = {}
+        self._modes = tuple(Modes(slopes) for slopes in self._jacobians)
+        self._steps: dict[float, tuple[Floats, Floats, Floats]] = {}
 
     def start(self, count: int, time_s: float = 0.0) -> Floats:
         """Return `count` states at rest in the room, [count, n]."""
-        states = np.full((count, self.size), ZERO_C + self.around.at(time_s)[0])
-        states[:, self._rates.vapour] = 1e3 * self.facts.room.vapour_kg_m3
-        states[:, [self._rates.heat_in, self._rates.heat_out]] = 0.0
-        return states
+        return np.repeat(self._cold(self.around.at(time_s)[0]).T, count, axis=0)
 
     def step(self, states: Floats, time_s: float, dt_s: float, heater_on: Inputs, fan_on: Inputs) -> Floats:
         """Return the states [M, n] dt_s after time_s.
 
         heater_on : share of the power; fan_on : share of the step that the fan blows; both 0..1
         """
-        heater, fan = np.asarray(heater_on, dtype=np.float64), np.asarray(fan_on, dtype=np.float64)
-        if len(states) > BLOCK:
-            parts = range(0, len(states), BLOCK)
-            wide = np.broadcast_to(heater, len(states)), np.broadcast_to(fan, len(states))
-            return np.concatenate(
-                [
-                    self.step(states[k : k + BLOCK], time_s, dt_s, *(row[k : k + BLOCK] for row in wide))
-                    for k in parts
-                ]
-            )
+        heater, fan = _shares("heater_on", heater_on), _shares("fan_on", fan_on)
         x = np.ascontiguousarray(states.T)
-        count = max(1, math.ceil(dt_s / self._inner_s - 1e-9))
-        h = dt_s / count
-        inverses = self._inverse(h)[: 2 if fan.any() else 1]
-        for k in range(count):
-            held = self._rates.hold(len(states), self.around.at(time_s + (k + 0.5) * h), heater, fan)
-            x = self._ros2(x, h, held, fan, inverses)
-        return x.T
+        if fan.ndim == 0:
+            return self._move(x, time_s, dt_s, heater, fan).T
+        # One group a way of the fan: off, on, a part of the step.
+        heater, after = np.broadcast_to(heater, fan.shape), np.empty_like(x)
+        for group in (fan == 0.0, fan == 1.0, (fan > 0.0) & (fan < 1.0)):
+            if group.all():
+                return self._move(x, time_s, dt_s, heater, fan).T
+            if group.any():
+                after[:, group] = self._move(x[:, group], time_s, dt_s, heater[group], fan[group])
+        return after.T
 
     def air_c(self, states: Floats) -> Floats:
         """Return the mean of the air [M]."""
@@ -106,9 +98,7 @@ class BoxPhysics:
         """
         rates, around = self._rates, (room_c, 0.0, 1.0)
         held = rates.hold(1, around, np.asarray(heater), np.asarray(fan))
-        x = np.full((self.size, 1), ZERO_C + room_c)
-        x[rates.vapour] = 1e3 * self.facts.room.vapour_kg_m3
-        x[[rates.heat_in, rates.heat_out]] = 0.0
+        x = self._cold(room_c)
         times, found, h = [0.0], [x[:, 0]], 1.0
         one = np.eye(self.size)
         while times[-1] < LATE_S:
@@ -118,6 +108,13 @@ class BoxPhysics:
             found.append(x[:, 0])
             h *= growth
         return np.array(times), np.array(found)
+
+    def _cold(self, room_c: float) -> Floats:
+        """State at rest in the room [n, 1]."""
+        x = np.full((self.size, 1), ZERO_C + room_c)
+        x[self._rates.vapour] = 1e3 * self.facts.room.vapour_kg_m3
+        x[[self._rates.heat_in, self._rates.heat_out]] = 0.0
+        return x
 
     def _jacobian(self, x: Floats, around: tuple[float, float, float], heater: float, fan: float) -> Floats:
         """Return the slopes of the rates [n, n] at a state [n, 1], by differences."""
@@ -134,36 +131,73 @@ class BoxPhysics:
         still, blown = (self._jacobian(warm, (room_c, 0.0, 1.0), 0.7, fan) for fan in (0.0, 1.0))
         return still, blown
 
-    def _inverse(self, h: float) -> tuple[Floats, Floats]:
-        """Inverses of 1 - gamma h J: without the fan, and what the fan adds to it."""
-        if h not in self._inverses:
-            if len(self._inverses) >= LENGTHS_MAX:
-                self._inverses.clear()
-            one = np.eye(self.size)
-            still, blown = (np.asarray(np.linalg.inv(one - GAMMA * h * it)) for it in self._jacobians)
-            self._inverses[h] = still, blown - still
-        return self._inverses[h]
+    def _move(self, x: Floats, time_s: float, dt_s: float, heater: Floats, fan: Floats) -> Floats:
+        """Step states [n, M] whose fans are all off, all on, or all on for a part."""
+        count = max(1, math.ceil(dt_s / self._inner_s - 1e-9))
+        h = dt_s / count
+        for k in range(count):
+            held = self._rates.hold(x.shape[1], self.around.at(time_s + (k + 0.5) * h), heater, fan)
+            x = self._advance(x, h, held, fan)
+        return x
 
-    def _ros2(
-        self, x: Floats, h: float, held: HeldInputs, fan: Floats, inverses: tuple[Floats, ...]
-    ) -> Floats:
-        """One step of ROS2, Verwer et al., SIAM J. Sci. Comput. 20 (1999) 1456.
+    @cached_property
+    def _inner_s(self) -> float:
+        """Longest inner step: of LONGEST_S the part that keeps the error of a trial at ERROR_K.
 
-        The order is 2 with any matrix in place of the Jacobian. So one matrix is inverted once, without and
-        with the fan, and a fan that blows part of the step takes a blend of both inverses.
+        The order is 2, so the error falls with the square of the step. In the trial heater and fan jump.
         """
+        room_c = self.facts.room.mean_c
+        begin = np.concatenate((self._cold(room_c), self.rest(room_c, 1.0).T), axis=1)
+        rough, fine = (self._trial(begin, LONGEST_S / parts) for parts in (1, TRIAL_PARTS))
+        error_k = float(np.abs(rough - fine[TRIAL_PARTS - 1 :: TRIAL_PARTS]).max())
+        return LONGEST_S / max(1, math.ceil(math.sqrt(error_k / ERROR_K)))
 
-        def solve(slope: Floats) -> Floats:
-            solved = inverses[0] @ slope
-            for added in inverses[1:]:
-                solved += fan * (added @ slope)
-            return np.asarray(solved)
+    def _trial(self, x: Floats, h: float) -> Floats:
+        """Return both layers of air and the sensor after each inner step of a trial [N, 3, M]."""
+        way = []
+        for heater, fan in TRIAL:
+            inputs = np.asarray(heater), np.asarray(fan)
+            held = self._rates.hold(x.shape[1], (self.facts.room.mean_c, 0.0, 1.0), *inputs)
+            for _ in range(round(TRIAL_S / h)):
+                x = self._advance(x, h, held, inputs[1])
+                way.append(np.stack((x[0], x[1], self._rates.felt_k(x))))
+        return np.array(way)
 
-        first = solve(self._rates.rates(x, held))
-        slope = self._rates.rates(x + h * first, held)
-        slope -= 2.0 * first
-        first *= 1.5
-        first += 0.5 * solve(slope)
-        first *= h
-        first += x
-        return first
+    def _ways(self, h: float, fan: Floats) -> tuple[Floats, ...]:
+        """Matrices [3 n, n] of a step by the fan: off, on, or what off has and what on adds."""
+        if h not in self._steps:
+            if len(self._steps) >= LENGTHS_MAX:
+                self._steps.clear()
+            still, blown = (modes.matrices(h) for modes in self._modes)
+            self._steps[h] = still, blown, blown - still
+        still, blown, added = self._steps[h]
+        first = float(fan.flat[0])
+        return (still,) if first == 0.0 else (blown,) if first == 1.0 else (still, added)
+
+    def _advance(self, x: Floats, h: float, held: HeldInputs, fan: Floats) -> Floats:
+        """One step of ETD2RK, Cox and Matthews, J. Comput. Phys. 176 (2002) 430.
+
+        The slopes of a warm box are solved exactly, however stiff, and the rest with order 2. A fan that
+        blows part of the step takes a blend of the matrices, which keeps the order.
+        """
+        n, ways = self.size, self._ways(h, fan)
+
+        def spread(rows: slice, slope: Floats) -> Floats:
+            moved = product(ways[0][rows], slope)
+            for added in ways[1:]:
+                moved += fan * product(added[rows], slope)
+            return moved
+
+        first = spread(slice(0, 2 * n), self._rates.rates(x, held))
+        first[:n] += x
+        first[n:] += x
+        ahead = self._rates.rates(first[:n], held)
+        first[n:] += spread(slice(2 * n, 3 * n), ahead)
+        return first[n:]
+
+
+def _shares(name: str, value: Inputs) -> Floats:
+    shares = np.asarray(value, dtype=np.float64)
+    if not (0.0 <= shares.min() and shares.max() <= 1.0):  # NaN too
+        raise ValueError(f"bench.boxes: {name} is {value}; shares are 0..1")
+    return shares

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.boxes.facts import BoxFacts
+from bench.boxes.modes import product
 from bench.boxes.nodes import (
     AIR_J_M3_K,
     DISCHARGE,
@@ -98,7 +99,7 @@ class BoxRates:
         fourth = y[self._radiating]
         fourth *= fourth
         np.multiply(fourth, fourth, out=z[self._fourth])
-        self._flows(z, self._between @ y, held.coefficients)
+        self._flows(z, product(self._between, y), held.coefficients)
         latent = saturated_g_m3(y[self._wets])
         latent -= y[self.vapour]
         dew = latent[self._dew_from :]
@@ -108,7 +109,7 @@ class BoxRates:
             above = np.maximum(y[self._element] - DROOP_FROM_K, 0.0)
             share = np.maximum(1.0 - self.facts.droop_per_k * above, LEAST_PTC_SHARE)
             z[self._inputs.start] = held.heater_w * share
-        return np.asarray(self._spread @ z)
+        return product(self._spread, z)
 
     def felt_k(self, x: Floats) -> Floats:
         """Return the temperature that the sensor of the air shows without bias, noise and steps [M]."""
