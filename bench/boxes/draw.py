@@ -1,24 +1,28 @@
-"""python -m bench.boxes.draw: draw heated boxes from seeds, and print the thirty that are used.
-
-Fifteen successive seeds are a lot: every quality comes in it as often as in any other lot, in another order.
-So the development boxes and the scored ones show the same variety, and no box is in both.
-"""
+"""python -m bench.boxes.draw: draw heated boxes from seeds, and print the thirty that are used."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from bench.boxes.facts import (
-    MATERIALS,
-    AirSensor,
-    BoxFacts,
-    FanKind,
-    HeaterKind,
-    Layer,
-    OtherSensor,
-    RoomFacts,
+from bench.boxes.facts import AirSensor, BoxFacts, HeaterKind, Layer, OtherSensor, RoomFacts
+from bench.boxes.lots import (
+    CLEAR,
+    CONSTRUCTIONS,
+    FANS,
+    HUMIDITY_SENSORS,
+    HVACS,
+    LIGHT,
+    MAT_W_M2,
+    MIDDLE,
+    POWERS_W,
+    RISES_K,
+    ROOM_SENSORS,
+    STEPS_K,
+    SUNS,
+    Hand,
+    deal_lot,
 )
 from bench.boxes.rates import ZERO_C, saturated_g_m3
 from bench.boxes.reach import reach, rise_k
@@ -27,113 +31,18 @@ __all__ = ["DEVELOPMENT", "SCORED", "BoxFacts", "draw_box"]
 
 DEVELOPMENT = tuple(range(1, 16))
 SCORED = tuple(range(101, 116))
-LOT = 15
-POWERS_W = (20.0, 400.0)
-RISES_K = (9.0, 42.0)  # of the air over the room at full power without fan
-VOLUMES_M3 = (0.02, 1.0)
 FLOWS_M3_H = (5.0, 200.0)
 CHANGES_1_MIN = (0.8, 5.0)  # of the air by the fan
 WATER_KG_M2 = ((0.2, 2.0), (2.0, 10.0), (5.0, 40.0))  # in pots, plants and jars on the floor, by weight
 WATER_J_KG_K = 4186.0
-FILMS_M2_K_W = 0.2  # of both sides of a wall, roughly
 SWING_K = 8.0
 SUN_W_M2 = 700.0  # behind a window, about noon
 LEAST_LAG_S = 3.0  # of a sensor; a shorter one is none
+ATTEMPTS = 50  # at a box that no heater suits
 SIZINGS = 6  # rounds, until the heater suits within 1 %
-MAT_W_M2 = 250.0  # of soil, with room for the roots
 ELEMENT_W_M2 = {"ptc": 3000.0, "ceramic": 4500.0, "tube": 900.0}  # heat flux of the hot surface
 ELEMENT_OVER_K = {"ptc": 70.0, "ceramic": 190.0, "tube": 60.0}  # over the air at full power, roughly
 ELEMENT_LAGS_S = {"ptc": (20.0, 90.0), "ceramic": (120.0, 480.0), "tube": (240.0, 600.0)}
-CONSTRUCTIONS = (  # kind, layers of the wall, has soil; five light ones, five in between, five heavy ones
-    ("film tent", (("polyethylene film", 0.0002),), False),
-    ("twin-wall 4 mm", (("twin-wall", 0.004),), False),
-    ("acrylic 3 mm", (("acrylic", 0.003),), False),
-    ("EPS box 25 mm", (("EPS", 0.025),), False),
-    ("film tent, soil", (("polyethylene film", 0.0002),), True),
-    ("twin-wall 8 mm", (("twin-wall", 0.008),), True),
-    ("polycarb. 4 mm", (("polycarbonate", 0.004),), True),
-    ("twin-wall 10 mm", (("twin-wall", 0.010),), True),
-    ("glass 3 mm", (("glass", 0.003),), False),
-    ("plywood 9 mm", (("plywood", 0.009),), True),
-    ("glass 5 mm", (("glass", 0.005),), True),
-    ("plywood 18 mm", (("plywood", 0.018),), True),
-    ("XPS 30 mm", (("XPS", 0.030),), True),
-    ("plywood, EPS 30", (("plywood", 0.006), ("EPS", 0.030), ("plywood", 0.006)), True),
-    ("plywood, XPS 50", (("plywood", 0.009), ("XPS", 0.050), ("plywood", 0.009)), True),
-)
-CLEAR = ("polyethylene film", "polycarbonate", "acrylic", "twin-wall", "glass")
-HEATERS: tuple[HeaterKind, ...] = (
-    "wire", "wire", "wire", "ptc", "ptc", "ptc", "ptc", "ceramic", "ceramic", "ceramic", "ceramic",
-    "tube", "tube", "mat", "mat",
-)  # fmt: skip
-FANS: tuple[FanKind, ...] = ("exchange",) * 8 + ("stir",) * 4 + ("none",) * 3
-ROOM_SENSORS = (True,) * 12 + (False,) * 3
-HUMIDITY_SENSORS = (True,) * 10 + (False,) * 5
-SUNS = (True,) * 9 + (False,) * 6
-HVACS = (True,) * 8 + (False,) * 7
-STEPS_K = (0.01, 0.01, 0.0625, 0.0625, 0.0625, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.25, 0.25, 0.5, 0.5)
-LIGHT, MIDDLE = 5, 10  # constructions before these are light, or in between
-
-
-@dataclass(frozen=True, slots=True)
-class Lot:
-    """Qualities of fifteen boxes, one of each list a box."""
-
-    constructions: tuple[int, ...]  # of CONSTRUCTIONS
-    volumes_m3: tuple[float, ...]
-    heaters: tuple[HeaterKind, ...]
-
-
-@lru_cache
-def _lot(number: int) -> Lot:
-    """Deal constructions, sizes and heaters until each box could be built."""
-    rng = np.random.default_rng([number, 1])
-    low, high = np.log(VOLUMES_M3)
-    while True:
-        builds = rng.permutation(LOT)
-        volumes = np.exp(low + (high - low) * (rng.permutation(LOT) + rng.uniform(size=LOT)) / LOT)
-        heaters = [HEATERS[k] for k in rng.permutation(LOT)]
-        if all(map(_is_buildable, builds, volumes, heaters)):
-            return Lot(tuple(builds.tolist()), tuple(volumes.tolist()), tuple(heaters))
-
-
-def _is_buildable(build: int, volume_m3: float, heater: HeaterKind) -> bool:
-    """Say whether a heater of POWERS_W suits the box, roughly; a mat lies under soil."""
-    _, layers, has_soil = CONSTRUCTIONS[build]
-    resistance = FILMS_M2_K_W + sum(
-        thickness_m / MATERIALS[name].conductivity_w_m_k for name, thickness_m in layers
-    )
-    loss_w_k = 6.0 * volume_m3 ** (2.0 / 3.0) / resistance
-    power_w = loss_w_k * RISES_K[0], loss_w_k * RISES_K[1]
-    if heater == "mat" and not (has_soil and power_w[0] < MAT_W_M2 * volume_m3 ** (2.0 / 3.0)):
-        return False
-    return bool(power_w[0] < POWERS_W[1] and power_w[1] > POWERS_W[0])
-
-
-class Hand:
-    """Draws for one box: its place in its lot first, then its own random numbers."""
-
-    def __init__(self, seed: int) -> None:
-        half, number = divmod(seed - 1, 100)
-        self.lot, self.place = 1000 * half + number // LOT, number % LOT
-        self.rng = np.random.default_rng([seed, 2])
-
-    def rank(self, quality: str) -> int:
-        """Return the rank 0..14 of this box in a quality; a lot has each rank once."""
-        salt = int.from_bytes(quality.encode()[:6], "big")
-        return int(np.random.default_rng([self.lot, salt]).permutation(LOT)[self.place])
-
-    def fifteenth(self, quality: str, low: float, high: float) -> float:
-        """Draw evenly in this box's fifteenth of a range."""
-        return low + (high - low) * (self.rank(quality) + self.rng.uniform()) / LOT
-
-    def even(self, low: float = 0.0, high: float = 1.0) -> float:
-        """Draw evenly."""
-        return float(self.rng.uniform(low, high))
-
-    def log(self, low: float, high: float) -> float:
-        """Draw evenly in the logarithm."""
-        return math.exp(self.even(math.log(low), math.log(high)))
 
 
 @lru_cache(maxsize=64)
@@ -142,15 +51,17 @@ def draw_box(seed: int) -> BoxFacts:
     if seed < 1:
         raise ValueError(f"bench.boxes: seed {seed} is below 1")
     hand = Hand(seed)
-    while True:
+    for _ in range(ATTEMPTS):
         wished_k = RISES_K[0] + (RISES_K[1] - RISES_K[0]) * hand.fifteenth("rise", 0.0, 1.0) ** 1.4
         if (facts := _size_heater(_draw(seed, hand), wished_k, hand)) is not None:
             return facts
+    raise RuntimeError(f"bench.boxes: no heater of {POWERS_W} W suits the box of seed {seed}")
 
 
 def _draw(seed: int, hand: Hand) -> BoxFacts:
     """Draw everything but the size of the heater."""
-    lot = _lot(hand.lot)
+    # Numbers are drawn in the order of the lines, so a new line belongs at the end, or all boxes change.
+    lot = deal_lot(hand.lot)
     build, heater = lot.constructions[hand.place], lot.heaters[hand.place]
     volume_m3 = lot.volumes_m3[hand.place]
     kind, layers, has_soil = CONSTRUCTIONS[build]
@@ -297,22 +208,22 @@ def _with_heater(facts: BoxFacts, power_w: float, lag_s: float) -> BoxFacts:
 
 def table() -> list[str]:
     """Return the lines of a table of the thirty boxes, 80 columns wide."""
-    lines = [
-        "box construction      litres heater      fan m3/h    rise  fan  63 %   95 % room",
-        "                                 W                      K    K   min      h    K",
-    ]
-    for seed in (*DEVELOPMENT, *SCORED):
-        facts = draw_box(seed)
-        far = reach(facts)
-        fan = f"{facts.fan} {3600.0 * facts.fan_m3_s:3.0f}" if facts.fan != "none" else "none"
-        less = ("" if facts.room_sensor else "r") + ("" if facts.humidity_sensor else "h")
-        lines.append(
-            f"{seed:3d} {facts.kind:17s} {1000 * facts.volume_m3:6.0f} {facts.heater:7s} "
-            f"{facts.heater_w:3.0f} "
-            f"{fan:12s} {far.rise_k:5.1f} {far.fan_c - far.zero_c:4.1f} {far.quick_s / 60.0:5.0f} "
-            f"{far.slow_s / 3600.0:6.1f} {facts.room.mean_c:4.0f} {less}"
-        )
-    return lines
+    head = "                litres heater    W fan m3/h rise  fan 63 %  95 % room none"
+    units = "                                              K    K  min     h   C"
+    return [head, units, *(_row(draw_box(seed)) for seed in (*DEVELOPMENT, *SCORED))]
+
+
+def _row(facts: BoxFacts) -> str:
+    far = reach(facts)
+    fan = f"{facts.fan[:4]} {3600.0 * facts.fan_m3_s:3.0f}" if facts.fan != "none" else ""
+    sensors = {"room": facts.room_sensor, "damp": facts.humidity_sensor}
+    absent = [name for name, sensor in sensors.items() if sensor is None]
+    return (
+        f"{facts.seed:3d} {facts.kind:15s} {1000 * facts.volume_m3:3.0f} {facts.heater:7s} "
+        f"{facts.heater_w:3.0f} {fan:8s} {far.rise_k:4.1f} {far.fan_c - far.zero_c:4.1f} "
+        f"{far.quick_s / 60.0:4.0f} {far.slow_s / 3600.0:5.1f} {facts.room.mean_c:4.0f} "
+        f"{'both' if len(absent) == 2 else ''.join(absent)}".rstrip()
+    )
 
 
 if __name__ == "__main__":

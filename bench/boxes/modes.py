@@ -26,9 +26,7 @@ class Modes:
         safe = np.where(near, 1.0, z)
         first = np.where(near, 1.0 + z / 2.0 + z * z / 6.0, np.expm1(safe) / safe)
         second = np.where(near, 0.5 + z / 6.0 + z * z / 24.0, (first - 1.0) / safe)
-        ahead, late = (
-            dt_s * ((self._shapes * factor) @ self._back).real for factor in (first, second)
-        )
+        ahead, late = (dt_s * ((self._shapes * factor) @ self._back).real for factor in (first, second))
         return np.concatenate((ahead, ahead - late - late @ self._slopes @ ahead, late))
 
 

@@ -198,6 +198,6 @@ class BoxPhysics:
 
 def _shares(name: str, value: Inputs) -> Floats:
     shares = np.asarray(value, dtype=np.float64)
-    if not (0.0 <= shares.min() and shares.max() <= 1.0):  # NaN too
+    if not (shares.min() >= 0.0 and shares.max() <= 1.0):  # NaN too
         raise ValueError(f"bench.boxes: {name} is {value}; shares are 0..1")
     return shares

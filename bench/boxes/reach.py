@@ -14,6 +14,7 @@ REFERENCE_SHARES = (
     0.15,
     0.80,
 )  # of the rise, so that power is left to follow it
+HOTTEST_C = 38.0  # 2 K below temp_air_max_c, at which the daemon ends all heating
 QUICK, NEARLY = 1.0 - np.exp(-1.0), 0.95  # shares of the rise
 
 
@@ -69,8 +70,9 @@ def rise_k(facts: BoxFacts) -> float:
 def scaled_reference(reference_k01: Floats, facts: BoxFacts) -> Floats:
     """Return a course 0..1 [N] as a reference that this box can follow [°C].
 
-    0 becomes 15 % of the box's rise over its mean room, and 1 becomes 80 %.
+    0 becomes 15 % of the box's rise over its mean room, and 1 becomes 80 %, but at most HOTTEST_C.
     """
     low, high = REFERENCE_SHARES
+    high = min(high, (HOTTEST_C - facts.room.mean_c) / reach(facts).rise_k)
     share = low + (high - low) * np.asarray(reference_k01, dtype=np.float64)
     return np.asarray(facts.room.mean_c + share * reach(facts).rise_k)
