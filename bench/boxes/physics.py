@@ -17,7 +17,7 @@ LONGEST_S = 5.0  # inner step
 ERROR_K = 0.012  # of the air or its sensor, after jumps of heater and fan
 TRIAL = ((1.0, 0.0), (1.0, 1.0), (0.0, 0.0), (0.0, 1.0))  # heater and fan, one after the other
 TRIAL_S, TRIAL_PARTS = 60.0, 10
-LENGTHS_MAX = 300  # of steps whose inverses are in memory
+LENGTHS_MAX = 300  # of steps whose matrices are in memory
 LATE_S = 4e6  # then a box is at rest
 WAY, LEAP = 1.05, 3.0  # growth of the steps towards rest, to see the way and to see its end
 
@@ -37,8 +37,6 @@ class BoxPhysics:
         self.facts, self.around = facts, around
         self._rates = BoxRates(facts)
         self.size = self._rates.size
-        self._jacobians = self._linearise()
-        self._modes = tuple(Modes(slopes) for slopes in self._jacobians)
         self._steps: dict[float, tuple[Floats, Floats, Floats]] = {}
 
     def start(self, count: int, time_s: float = 0.0) -> Floats:
@@ -124,11 +122,12 @@ class BoxPhysics:
         rates = self._rates.rates(columns, held)
         return np.asarray((rates[:, 1:] - rates[:, :1]) / by)
 
-    def _linearise(self) -> tuple[Floats, Floats]:
-        """Slopes without and with the fan, in a warm box."""
+    @cached_property
+    def _modes(self) -> tuple[Modes, Modes]:
+        """Modes of a warm box without and with the fan; who only asks for rest needs none."""
         room_c = self.facts.room.mean_c
         warm = self.rest(room_c, 0.7).T
-        still, blown = (self._jacobian(warm, (room_c, 0.0, 1.0), 0.7, fan) for fan in (0.0, 1.0))
+        still, blown = (Modes(self._jacobian(warm, (room_c, 0.0, 1.0), 0.7, fan)) for fan in (0.0, 1.0))
         return still, blown
 
     def _move(self, x: Floats, time_s: float, dt_s: float, heater: Floats, fan: Floats) -> Floats:

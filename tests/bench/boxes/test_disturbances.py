@@ -14,13 +14,15 @@ def test_the_future_is_the_same_whenever_it_is_asked_for() -> None:
     once, again = BoxDisturbances(facts, 5), BoxDisturbances(facts, 5)
     later = [once.at(t) for t in DAYS[::-1]][::-1]
     assert later == [again.at(t) for t in DAYS]
-    assert later != [BoxDisturbances(facts, 6).at(t) for t in DAYS]
+    other = BoxDisturbances(facts, 6)
+    assert later != [other.at(t) for t in DAYS]
 
 
 @pytest.mark.parametrize("seed", [*DEVELOPMENT, *SCORED])
 def test_a_room_swings_but_not_beyond_8_k(seed: int) -> None:
     facts = draw_box(seed)
-    room, sun, mains = np.array([BoxDisturbances(facts, seed).at(t) for t in DAYS]).T
+    around = BoxDisturbances(facts, seed)
+    room, sun, mains = np.array([around.at(t) for t in DAYS]).T
     assert 0.2 < np.ptp(room) <= 8.0
     assert room.min() > 8.0 and room.max() < 28.0
     assert (sun.max() > 0.0) == (facts.room.sun_peak_w_m2 > 0.0)

@@ -86,11 +86,11 @@ def test_the_time_constants_span_two_decades() -> None:
 
 
 def test_halves_have_the_same_share_of_each_kind() -> None:
-    kinds = [sorted((box.kind, box.heater == "mat") for box in boxes(half)) for half in HALVES]
-    assert [kind for kind, _ in kinds[0]] == [kind for kind, _ in kinds[1]]
-    assert [sorted(box.heater for box in boxes(half)) for half in HALVES][0] == sorted(
-        box.heater for box in boxes(SCORED)
+    kinds, heaters, fans = (
+        [sorted(str(getattr(box, name)) for box in boxes(half)) for half in HALVES]
+        for name in ("kind", "heater", "fan")
     )
+    assert kinds[0] == kinds[1] and heaters[0] == heaters[1] and fans[0] == fans[1]
 
 
 @pytest.mark.parametrize("seed", ALL)
