@@ -68,7 +68,8 @@ def _mpc_twin(name: str, parts: ControllerParts) -> Controller:
     model = parts.predictors.get("pbm")
     if not isinstance(model, Pbm):
         raise RequestError(f"{name}: plans with the twin of the active bundle, there is none")
-    return MpcTwin(name, model, parts.control.effort_weight(name), parts.control.twin_preview)
+    control = parts.control
+    return MpcTwin(name, model, control.effort_weight(name), control.twin_preview, control.twin_early_k)
 
 
 def _mpc(name: str, parts: ControllerParts) -> Controller:

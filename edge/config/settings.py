@@ -106,6 +106,9 @@ class ControlSettings(Section):
     )
     preview: bool = flag(False, "MPC, MPC-P, MPC-BFGS, MPC-BFGS-P and LLM-* know the coming reference")
     twin_preview: bool = flag(True, "MPC-Twin and MPC-Twin-P know the coming reference")
+    twin_early_k: float = number(
+        0.3, "they let the air leave the reference by no more before a step of it is due", "K", 0.0, 20.0
+    )
     decision_deadline_s: float = number(
         4.0, "a later decision is replaced by the fallback's; never more than half a step", "s", 0.05, 4.0
     )

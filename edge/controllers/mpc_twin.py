@@ -109,18 +109,44 @@ def fan_shares(step_s: float, limits: ControlLimits) -> tuple[float, ...]:
     return (0.0, *(part / step_s for part in parts), 1.0)
 
 
+EARLY_K = 0.3  # what a plant or a person would not notice
+EARLY_WEIGHT = 1e4  # 0.1 K more costs as much as 3 K off the reference for a step
+
+
+def band_before_steps(reference: Floats, early_k: float) -> tuple[Floats, Floats]:
+    """Return the lowest and the highest air [N] by which it is not early for a step still to come [°C].
+
+    A step is a change by more than twice `early_k` at once; no bound where none comes, and against its
+    direction.
+    """
+    low, high = np.full(len(reference), -np.inf), np.full(len(reference), np.inf)
+    direction = 0.0
+    for k in range(len(reference) - 2, -1, -1):
+        change = reference[k + 1] - reference[k]
+        direction = np.sign(change) if abs(change) > 2.0 * early_k else direction
+        if direction > 0.0:
+            high[k] = reference[k] + early_k
+        elif direction < 0.0:
+            low[k] = reference[k] - early_k
+    return low, high
+
+
 class MpcTwin:
     """`MPC-Twin` and `MPC-Twin-P`. The controller follows the twin's state from tick to tick.
 
     preview : plan for the coming reference, else for the present one
+    early_k : the air leaves the reference by no more before a step of it is due [K]
     """
 
-    def __init__(self, name: str, model: Pbm, weight: float, preview: bool = True) -> None:
+    def __init__(
+        self, name: str, model: Pbm, weight: float, preview: bool = True, early_k: float = EARLY_K
+    ) -> None:
         self.name = name
         self._model = model
         self._twin = model.twin
         self._weight = max(weight, LEAST_WEIGHT)
         self._preview = preview
+        self._early_k = early_k
         self._belief: Belief | None = None
         self._step: LinearStep | None = None
 
@@ -132,7 +158,7 @@ class MpcTwin:
         """Return the first step of the cheapest plan found. Errors: DataError of twin or problem"""
         begun = time.perf_counter()
         belief, step = self._follow(context)
-        goal = _goal(context, self._weight, self._preview)
+        goal = _goal(context, self._weight, self._preview, self._early_k)
         last = context.last_sent
         level = round(last.heater_duty * HEATER_LEVELS)
         start = PlanStart(
@@ -193,15 +219,17 @@ def _inputs(context: Context, row: int) -> StepInputs:
     return StepInputs(float(duty[row]), float(fan[row]), float(duty[before]), float(fan[before]), ambient)
 
 
-def _goal(context: Context, weight: float, preview: bool) -> PlanningProblem:
+def _goal(context: Context, weight: float, preview: bool, early_k: float) -> PlanningProblem:
     """Return a plan's goal and limits, without the response, which the twin gives."""
     limits, asked, steps = context.limits, context.penalty, HORIZON + TAIL
     nothing: Floats = np.zeros(steps)
+    reference = goal_ahead(context, steps, preview)
+    low, high = band_before_steps(reference, early_k)
     return PlanningProblem(
         free=nothing,
         heater=nothing,
         fan=nothing,
-        reference=goal_ahead(context, steps, preview),
+        reference=reference,
         tail=TAIL,
         heater_weight=weight if asked.heater is None else max(asked.heater, LEAST_WEIGHT),
         fan_weight=weight if asked.fan is None else max(asked.fan, LEAST_WEIGHT),
@@ -215,6 +243,9 @@ def _goal(context: Context, weight: float, preview: bool) -> PlanningProblem:
         ),
         temp_max=limits.temp_air_max_c,
         limit_weight=LIMIT_WEIGHT,
+        low=low,
+        high=high,
+        band_weight=EARLY_WEIGHT,
     )
 
 

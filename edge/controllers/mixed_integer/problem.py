@@ -59,6 +59,8 @@ class PlanningProblem:
     heater_weight, fan_weight : w_h, w_f; the tracking weight is 10
     heater_levels : highest heater duty allowed, in steps of 1/20
     temp_max, limit_weight : air temperatures above temp_max cost limit_weight (T - temp_max)^2 more
+    low, high, band_weight : air temperatures outside low..high [N + M] cost band_weight times the square
+        more; None: nowhere. Only `twin_plan` plans with them
     """
 
     free: Floats
@@ -72,6 +74,9 @@ class PlanningProblem:
     fan_rules: FanRules = field(default=FanRules())
     temp_max: float = np.inf
     limit_weight: float = 0.0
+    low: Floats | None = None
+    high: Floats | None = None
+    band_weight: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse NaN, with which no comparison in the search would hold. Raises : DataError"""
@@ -95,6 +100,9 @@ class PlanningProblem:
         cost: Floats = TRACKING_WEIGHT * (temps - self.reference[steps]) ** 2
         if self.limit_weight:
             cost = cost + self.limit_weight * np.maximum(temps - self.temp_max, 0.0) ** 2
+        if self.low is not None and self.high is not None:
+            outside = np.maximum(np.maximum(temps - self.high[steps], self.low[steps] - temps), 0.0)
+            cost = cost + self.band_weight * outside**2
         return cost
 
     def tracking_slope(self, temps: Floats) -> Floats:

@@ -92,7 +92,7 @@ def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int
     )
     trace, nodes, weights = [level], 0, _stored_weights(step)
     for k in range(goal.horizon):
-        children = _children(step, goal, drift, level, weights, k)
+        children = _children(step, goal, start, drift, level, weights, k)
         kept = _cheapest(children, width)
         nodes += children.cost.size
         level = _next(step, children, kept)
@@ -111,19 +111,41 @@ def _stored_weights(step: LinearStep) -> Floats:
 
 
 def _children(
-    step: LinearStep, goal: PlanningProblem, drift: Floats, level: _Level, weights: Floats, k: int
+    step: LinearStep,
+    goal: PlanningProblem,
+    start: PlanStart,
+    drift: Floats,
+    level: _Level,
+    weights: Floats,
+    k: int,
 ) -> _Children:
     mode = step.mode(level.fan[:, None], np.arange(len(step.fans))[None])
     base = np.einsum("mfij,mj->mfi", step.matrix[mode], level.state) + drift[mode]
     base += step.late[mode] * step.share[level.level][:, None, None]
     air = base[..., step.shown, None] + step.now[mode, step.shown][..., None] * step.share
     levels = np.arange(HEATER_LEVELS + 1)
-    cost = level.cost[:, None, None] + goal.tracking(air, k) + goal.effort(levels, step.fans[:, None])
+    tracking = _tracking(step, goal, start, level, mode, air, k)
+    cost = level.cost[:, None, None] + tracking + goal.effort(levels, step.fans[:, None])
     hold, starts, allowed = _relay(step.fans, goal, level)
     cost[~allowed] = np.inf
     cost[:, :, goal.heater_levels + 1 :] = np.inf
     stored = (base @ weights)[..., None] + (step.now[mode] @ weights)[..., None] * step.share
     return _Children(cost, stored, base, mode, hold, starts)
+
+
+def _tracking(
+    step: LinearStep, goal: PlanningProblem, start: PlanStart, level: _Level, mode: Ints, air: Floats, k: int
+) -> Floats:
+    """Return the cost of following the reference in step k [M, F, 21], the course within the step with it."""
+    cost, size = goal.tracking(air, k), level.state.shape[1]
+    looks = step.within.shape[1]
+    for look in range(looks):
+        row = step.within[:, look]
+        drift = row[:, size] + row[:, size + 1] * start.ambient + row[:, size + 4] * start.disturbance
+        within = (level.state @ row[:, :size].T)[np.arange(len(mode))[:, None], mode] + drift[mode]
+        within += row[mode, size + 3] * step.share[level.level][:, None]
+        cost = cost + goal.tracking(within[..., None] + row[mode, size + 2][..., None] * step.share, k)
+    return np.asarray(cost / (looks + 1))
 
 
 def _relay(fans: Floats, goal: PlanningProblem, level: _Level) -> tuple[Ints, Ints, NDArray[np.bool_]]:

@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 WHOLE_STEPS = (0.0, 1.0)  # the fan is off, or on for all of a step
 PARTS_MAX = 600  # of a step
+LOOKS = 4  # times at which a step with parts is judged, its end with them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +36,8 @@ class LinearStep:
     now, late : by the share of the heater's power that the duty of this step, and of the one before, asks for
     share : of each heater level, [21]
     fans : shares of a step for which the fan can be on, rising from 0 to 1, [M / 2]
+    within : what the sensor shows at P times within the step, [M, P, n + 5], by state, constant, room, now,
+        late and heat as above; P is 0 where the fan is off or on for all of a step
     air, shown : which state is the air's temperature, and which the sensor shows
     """
 
@@ -46,6 +49,7 @@ class LinearStep:
     heat: Floats
     share: Floats
     fans: Floats
+    within: Floats
     air: int
     shown: int = 0
 
@@ -93,8 +97,11 @@ def linear_step(
         conditions,
         Commands(_in_parts(before, parts), _in_parts(fan_before, parts)),
     )
+    marks, seen = _marks(parts), []
     for part in range(parts):
         states = march.step(part, states)
+        if part + 1 in marks:
+            seen.append(states[:, 0])
     after = states.reshape(len(modes), rows, size)
     by_one = after[:, 1:] - after[:, :1]
     matrix = np.swapaxes(by_one[:, :size], 1, 2)
@@ -109,8 +116,24 @@ def linear_step(
         heat=by_one[:, size + 3],
         share=share,
         fans=np.array(fans),
+        within=_within(np.array(seen).reshape(len(marks), len(modes), rows), state, ambient, full),
         air=twin.states.index(AIR),
     )
+
+
+def _marks(parts: int) -> tuple[int, ...]:
+    """Return after how many parts of a step its course is looked at before its end: never in one part."""
+    return tuple(sorted({round(parts * look / LOOKS) for look in range(1, LOOKS)} - {0, parts}))
+
+
+def _within(seen: Floats, state: Floats, ambient: float, full: float) -> Floats:
+    """seen : [P, M, rows], as it is and by unit differences. Returns : [M, P, n + 5], see `LinearStep`"""
+    size = len(state)
+    by_one = np.moveaxis(seen[:, :, 1:] - seen[:, :, :1], 0, 1)
+    room, now, late, heat = (by_one[..., size + k] for k in range(4))
+    constant = seen[:, :, 0].T - by_one[..., :size] @ state - room * ambient
+    columns = [constant, room, now / full, late / full, heat]
+    return np.concatenate([by_one[..., :size], np.stack(columns, axis=-1)], axis=-1)
 
 
 def _parts(fans: Sequence[float]) -> int:

@@ -125,7 +125,7 @@ def test_without_preview_only_the_present_reference_counts(model):
 
 
 def test_a_weight_of_nothing_is_the_least_one():
-    goal = _goal(replace(here(), penalty=Penalty(heater=0.0, fan=0.0)), weight=1.0, preview=True)
+    goal = _goal(replace(here(), penalty=Penalty(heater=0.0, fan=0.0)), weight=1.0, preview=True, early_k=0.3)
     assert goal.heater_weight == goal.fan_weight == LEAST_WEIGHT
-    goal = _goal(replace(here(), penalty=Penalty(heater=2.0)), weight=1.0, preview=True)
+    goal = _goal(replace(here(), penalty=Penalty(heater=2.0)), weight=1.0, preview=True, early_k=0.3)
     assert (goal.heater_weight, goal.fan_weight) == (2.0, 1.0)

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
-from edge.controllers.mpc_twin import StepInputs, begin, correct_belief, fan_shares, move_belief
+from edge.controllers.mpc_twin import (
+    StepInputs,
+    band_before_steps,
+    begin,
+    correct_belief,
+    fan_shares,
+    move_belief,
+)
 from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _cheapest, _Children, search
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.core.controller import ControlLimits
@@ -205,6 +212,20 @@ def map_steps(twin: BoxTwin):
     return step_of(twin), parts_of(twin)
 
 
+def course(twin: BoxTwin, state, duty: float, fan_before: float, share: float):
+    """The air after each 5 s of a step."""
+    begun = (np.arange(12) < round(12 * share)).astype(float)[None]
+    before = Commands(np.full((1, 12), duty), np.full((1, 12), float(fan_before)))
+    march = replace(twin, step_s=5.0).march(
+        Commands(np.full((1, 12), duty), begun), np.full((1, 12), ROOM_C), before=before
+    )
+    airs, states = [], state[None]
+    for part in range(12):
+        states = march.step(part, states)
+        airs.append(states[0, 0])
+    return np.array(airs)
+
+
 def test_a_beam_with_parts_finds_the_best_of_all_plans():
     twin = BoxTwin(effects=WALL)
     step, goal = parts_of(twin), problem([23.0, 23.5], levels=2)
@@ -213,10 +234,13 @@ def test_a_beam_with_parts_finds_the_best_of_all_plans():
     for options in itertools.product(itertools.product(range(3), range(len(PARTS))), repeat=2):
         state, fan, cost = start(twin).state, 0, 0.0
         for k, (level, place) in enumerate(options):
+            airs = course(twin, state, level / HEATER_LEVELS, fan, PARTS[place])
             mode = step.mode(fan, place)
             state = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * ROOM_C
             state = state + step.now[mode] * level / HEATER_LEVELS
-            cost += 10.0 * (state[0] - goal.reference[k]) ** 2 + (level / HEATER_LEVELS) ** 2 + PARTS[place]
+            assert airs[-1] == pytest.approx(state[0])
+            cost += 10.0 * np.mean((airs[2::3] - goal.reference[k]) ** 2)
+            cost += (level / HEATER_LEVELS) ** 2 + PARTS[place]
             fan = int(PARTS[place] == 1.0)
         best = min(best, cost)
     assert found.plan.cost == pytest.approx(best, rel=1e-9)
@@ -246,3 +270,31 @@ def test_the_parts_that_a_plan_may_use(step_s, part_s, parts_s):
     shares = fan_shares(step_s, ControlLimits(fan_part_s=part_s))
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert [share * step_s for share in shares[1:-1]] == pytest.approx(parts_s)
+
+
+def test_before_a_step_the_air_has_a_bound_in_its_direction_alone():
+    reference = np.array([24.0, 24.0, 28.0, 28.2, 28.2, 25.0, 25.0])
+    low, high = band_before_steps(reference, 0.3)
+    assert high.tolist() == [24.3, 24.3, np.inf, np.inf, np.inf, np.inf, np.inf]
+    assert low.tolist() == pytest.approx([-np.inf, -np.inf, 27.7, 27.9, 27.9, -np.inf, -np.inf])
+
+
+def test_a_ramp_and_a_constant_reference_have_no_bound():
+    for reference in (np.linspace(24.0, 28.0, 20), np.full(20, 25.0)):
+        low, high = band_before_steps(reference, 0.3)
+        assert np.isinf(low).all() and np.isinf(high).all()
+
+
+@pytest.mark.parametrize("goes", [4.0, -4.0])
+def test_no_plan_is_early_for_a_step_by_more_than_it_may(diagnosed, goes):
+    reference = np.array([27.0] * 6 + [27.0 + goes] * 6)
+    free = problem(reference.tolist(), weight=0.03)
+    low, high = band_before_steps(reference, 0.3)
+    held = replace(free, low=low, high=high, band_weight=1e4)
+    begun = PlanStart(at_rest(diagnosed, 27.0, ROOM_C), 0.0, ROOM_C, 5, 0)
+    early = [
+        float((np.sign(goes) * (search(parts_of(diagnosed), goal, begun, 300).air[:6] - 27.0)).max())
+        for goal in (free, held)
+    ]
+    assert early[1] < 0.35
+    assert goes < 0.0 or early[0] > 0.35
