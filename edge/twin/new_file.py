@@ -40,28 +40,45 @@ class BoxDescription:
 
 
 def check(box: BoxDescription) -> None:
-    """Refuse numbers that look like another unit. Errors: RequestError"""
-    low, high = VOLUME_M3
-    if box.volume_m3 > high:
-        raise RequestError(f"--volume: {box.volume_m3:g} m3 is a house: litres? ({box.volume_m3:g}l)")
-    if box.volume_m3 < low:
-        raise RequestError(
-            f"--volume: {box.volume_m3:g} m3 is less than {1000.0 * low:g} litres: m3 or litres?"
-        )
-    if not HEATER_W[0] <= box.heater_w <= HEATER_W[1]:
-        raise RequestError(
-            f"--heater-w: {box.heater_w:g} W is not within {HEATER_W[0]:g}..{HEATER_W[1]:g} W: kW?"
-        )
+    """Refuse numbers that look like another unit. Errors: RequestError, which names the option"""
+    problems = {
+        "--volume": volume_problem(box.volume_m3),
+        "--heater-w": heater_problem(box.heater_w),
+        "--fan-flow": "",
+    }
     if box.fan_role == "exhaust":
         if box.fan_m3_h is None or not box.fan_m3_h > 0.0:
             raise RequestError("--fan exhaust: needs --fan-flow, what it moves when it runs free [m3/h]")
-        changes = box.fan_m3_h / box.volume_m3
-        if changes > CHANGES_PER_H:
-            raise RequestError(
-                f"--fan-flow: {box.fan_m3_h:g} m3/h changes the air {changes:.0f} times an hour: l/min?"
-            )
+        problems["--fan-flow"] = flow_problem(box.fan_m3_h, box.volume_m3)
+    for option, problem in problems.items():
+        if problem:
+            raise RequestError(f"{option}: {problem}")
     if (box.wall is None) != (box.wall_area_m2 is None):
         raise RequestError("--wall and --wall-area go together")
+
+
+def volume_problem(volume_m3: float) -> str:
+    """Why a volume [m3] looks like another unit, "" where it does not."""
+    low, high = VOLUME_M3
+    if volume_m3 > high:
+        return f"{volume_m3:g} m3 is a house: litres? ({volume_m3:g}l)"
+    if volume_m3 < low:
+        return f"{volume_m3:g} m3 is less than {1000.0 * low:g} litres: m3 or litres?"
+    return ""
+
+
+def heater_problem(heater_w: float) -> str:
+    """Why a power [W] looks like another unit, "" where it does not."""
+    low, high = HEATER_W
+    return "" if low <= heater_w <= high else f"{heater_w:g} W is not within {low:g}..{high:g} W: kW?"
+
+
+def flow_problem(fan_m3_h: float, volume_m3: float) -> str:
+    """Why a flow [m3/h] looks like another unit for this volume [m3], "" where it does not."""
+    changes = fan_m3_h / volume_m3
+    if changes <= CHANGES_PER_H:
+        return ""
+    return f"{fan_m3_h:g} m3/h changes the air {changes:.0f} times an hour: l/min?"
 
 
 def loss_w_k(box: BoxDescription) -> float | None:

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 
 from edge.__main__ import main
+from edge.core.errors import RequestError
+from edge.twin.box_words import quantity, volume, wall
 from edge.twin.twin_file import read_twin_file
 
 KNOWN = ("--heater-w", "42", "--fan", "none")
@@ -60,3 +62,28 @@ def test_a_file_that_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["twin", "new", str(place), "--volume", "27l", *KNOWN]) == 2
     assert "is there already" in capsys.readouterr().err
     assert place.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "volume_m3"),
+    [("27l", 0.027), ("150 L", 0.15), ("0.15 m³", 0.15), ("150 litres", 0.15), ("50x50 x 60 cm", 0.15)],
+)
+def test_a_volume_is_read_as_people_write_it(words: str, volume_m3: float) -> None:
+    assert volume(words) == pytest.approx(volume_m3)
+
+
+@pytest.mark.parametrize("words", ["", "l", "0.15", "-5 l", "1e3 l", "nanl", "1,5l", "5 gal", "5x5 cm", "x"])
+def test_a_volume_without_sense_or_unit_is_refused(words: str) -> None:
+    with pytest.raises(RequestError):
+        volume(words)
+
+
+@pytest.mark.parametrize("words", ["plywood", "plywood:", "plywood:12", "air:1mm", ":"])
+def test_a_wall_needs_a_known_material_and_a_thickness(words: str) -> None:
+    with pytest.raises(RequestError):
+        wall(words)
+
+
+def test_a_number_may_stand_without_the_unit_that_was_asked_for() -> None:
+    assert quantity("100", {"W": 1.0, "kW": 1000.0}, "W") == 100.0
+    assert quantity("0.1 kw", {"W": 1.0, "kW": 1000.0}, "W") == pytest.approx(100.0)
