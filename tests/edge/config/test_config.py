@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config import loading as config
-from edge.config.example import document
+from edge.config.example import changed_keys, changes, document
 from edge.config.settings import SafetySettings, Settings
 from edge.core import hard_limits
 from edge.core.errors import ConfigError
@@ -226,3 +226,26 @@ def test_any_text_is_settings_or_a_refusal(source):
         assert isinstance(config.parse(source), Settings)
     except ConfigError as error:
         assert str(error).startswith("edge.yaml: ")
+
+
+def test_the_changes_of_settings_are_read_back_as_these_settings():
+    settings = config.parse(
+        'board: {port: "/dev/serial/by-id/a \\"b\\""}\n'
+        "estimator: {offset_sd_k: 0.000002}\n"
+        'reference: {kind: daily, daily: [{at: "06:00", reference_c: 26}, {at: "22:00", reference_c: 20}]}\n'
+        'lighting: {enabled: true, on: "07:30"}\n'
+        "calibration: {temp_air: {offset: -0.3}}\n"
+    )
+    text = changes(settings)
+    assert config.parse(text) == settings
+    assert text.count("\n") == 13  # sections and keys, nothing that is as usual
+    assert changes(Settings()) == ""
+
+
+def test_each_changed_key_is_named_with_both_values():
+    settings = config.parse('control: {step_s: 30, controller: rules}\nlighting: {on: "07:30"}\n')
+    assert list(changed_keys(settings, Settings())) == [
+        ("control.step_s", "60.0", "30.0"),
+        ("control.controller", '"MPC-P"', '"rules"'),
+        ("lighting.on", '"06:00"', '"07:30"'),
+    ]
