@@ -1,8 +1,10 @@
-"""A dialogue with a board beside the daemon, in real time, for `greenhouse board`."""
+"""A dialogue with a board beside the daemon, in real time, for `greenhouse board` and `setup`."""
 
 import random
 import select
 import time
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -29,6 +31,7 @@ from firmware_protocol.messages import (
     BlockRead,
     BlockWrite,
     Capability,
+    CommandMessage,
     ErrorCode,
     Hello,
     Message,
@@ -45,9 +48,11 @@ ANSWERED_S = 2.0  # five sends of a request take 1.25 s
 RESET_S = 12.0  # through a bootloader
 WAIT_S = 0.05
 WIRE_PARTS_MAX = 32  # a search that a disturbance leads in circles ends
+OFF = CommandMessage(0, fan_on=False, led_pct=0, valve_pulse_s=0.0, cutoff_open=True, lease_s=0.0)
 REFUSALS = {
     ErrorCode.HEATING: "the heater is driven; stop it first (`greenhouse board show` tells when it is off)",
     ErrorCode.BAD_BLOCK: "the board refuses this configuration: is it for another microcontroller?",
+    ErrorCode.TRIPPED: "the board is tripped or stopped: `greenhouse board show` tells by what",
     ErrorCode.UNKNOWN_KIND: "its program takes no configuration; flash it with `greenhouse board flash`",
 }
 
@@ -60,7 +65,8 @@ class BoardSession:
     """An open port with a board that has answered. Every method: Errors: RequestError"""
 
     def __init__(self, path: str, open_port: OpenPort = SerialPort) -> None:
-        self._path = path
+        self.path = path
+        self._drives = False  # an output has a lease of this session
         try:
             self._port = open_port(path, BAUDRATE)
         except PortGone as error:
@@ -78,8 +84,12 @@ class BoardSession:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give the port back."""
-        self._port.close()
+        """Turn off what this session drives, and give the port back."""
+        try:
+            with suppress(RequestError):
+                self.turn_off()
+        finally:
+            self._port.close()
 
     def state(self) -> StateEcho:
         """Return the board's outputs."""
@@ -92,6 +102,20 @@ class BoardSession:
         patience_s = 3.0 * self.hello.report_period_s
         report: SensorReport = self._wait((Report,), patience_s, "no report of its sensors").report
         return report
+
+    def drive(self, command: CommandMessage) -> StateEcho:
+        """Drive outputs until the command's lease ends, and return what the board does."""
+        self._drives = True
+        answer = self._ask(command)
+        assert isinstance(answer, StateEcho)
+        return answer
+
+    def turn_off(self) -> None:
+        """End every lease. A board that cannot be reached does so itself when the last lease ends."""
+        if self._drives:
+            parts = self.hello.capabilities
+            self._ask(replace(OFF, cutoff_open=bool(parts & Capability.HEATER_CUTOFF)))
+            self._drives = False
 
     def block(self) -> bytes | None:
         """Return the configuration in force, None for a board that has none in its EEPROM."""
@@ -116,18 +140,18 @@ class BoardSession:
             data = block[part * PART_BYTES :][:PART_BYTES]
             low, high = int.from_bytes(data[:8], "little"), int.from_bytes(data[8:], "little")
             if self._ask(BlockWrite(part, low, high)) != BlockPart(part, low, high):
-                raise RequestError(f"{self._path}: the EEPROM does not hold what was written to it")
+                raise RequestError(f"{self.path}: the EEPROM does not hold what was written to it")
         self._ask(BlockCommit())
         self._wait((BoardReset,), RESET_S, "it does not start anew", may_be_silent=True)
         self.hello = self._greet()
         if self.block() != block:
-            raise RequestError(f"{self._path}: another configuration is in force than the one written")
+            raise RequestError(f"{self.path}: another configuration is in force than the one written")
 
     def _greet(self) -> Hello:
         try:
             hello: Hello = self._wait((LinkUp,), GREETED_S, "", may_be_silent=True).hello
         except TimeoutError:
-            raise NobodyAnswers(f"{self._path}: no board answers in this protocol; is it flashed?") from None
+            raise NobodyAnswers(f"{self.path}: no board answers in this protocol; is it flashed?") from None
         return hello
 
     def _ask(self, request: Message) -> Message:
@@ -159,18 +183,18 @@ class BoardSession:
                     return event
         if not problem:
             raise TimeoutError
-        raise RequestError(f"{self._path}: {problem}")
+        raise RequestError(f"{self.path}: {problem}")
 
     def _check(self, event: LinkEvent, may_be_silent: bool) -> None:
         match event:
             case VersionRefused():
                 versions = f"{event.protocol_min} to {event.protocol_max}"
-                raise NobodyAnswers(f"{self._path}: the board speaks protocol {versions} only; flash it anew")
+                raise NobodyAnswers(f"{self.path}: the board speaks protocol {versions} only; flash it anew")
             case RequestRefused():
                 code = event.error.code
-                raise RequestError(f"{self._path}: {REFUSALS.get(code, code.name.lower())}")
+                raise RequestError(f"{self.path}: {REFUSALS.get(code, code.name.lower())}")
             case RequestTimedOut() | LinkLost() if not may_be_silent:
-                raise RequestError(f"{self._path}: the board fell silent")
+                raise RequestError(f"{self.path}: the board fell silent")
 
     def _take_events(self) -> list[LinkEvent]:
         """Serve the line for a moment and return what happened."""
@@ -182,7 +206,7 @@ class BoardSession:
             if outgoing:
                 self._port.write(outgoing)
         except PortGone as error:
-            raise RequestError(f"{self._path}: the port is gone: {error}") from None
+            raise RequestError(f"{self.path}: the port is gone: {error}") from None
         return events
 
 
