@@ -18,17 +18,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help="twin file to write")
     size = parser.add_mutually_exclusive_group(required=True)
     size.add_argument(
-        "--volume", type=_typed(_volume), dest="volume_m3", help="of the air, such as 27l or 0.15m3"
+        "--volume", type=_option_type(_volume), dest="volume_m3", help="of the air, such as 27l or 0.15m3"
     )
     size.add_argument(
-        "--edges", type=_typed(edges), dest="volume_m3", help="of the box inside, such as 50x50x60cm"
+        "--edges", type=_option_type(edges), dest="volume_m3", help="of the box inside, such as 50x50x60cm"
     )
     parser.add_argument("--heater-w", type=float, required=True, help="power of the heater at full duty [W]")
     parser.add_argument(
         "--fan", choices=FAN_ROLES, required=True, help="what it does: change the air, mix it"
     )
     parser.add_argument("--fan-flow", type=float, help="of an exhaust fan that runs free [m3/h]")
-    parser.add_argument("--wall", type=_typed(wall), help="material and thickness, such as plywood:12mm")
+    parser.add_argument(
+        "--wall", type=_option_type(wall), help="material and thickness, such as plywood:12mm"
+    )
     parser.add_argument("--wall-area", type=float, help="of all walls, floor and lid [m2]")
     parser.add_argument("--sample-s", type=float, default=60.0, help="step of the twin; default: %(default)s")
     parser.add_argument("--force", action="store_true", help="replace a file that is there")
@@ -56,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
+def _option_type(read: Callable[[str], Any]) -> Callable[[str], Any]:
     """Return the type of an option whose refusal argparse shows."""
 
     def convert(word: str) -> Any:

@@ -47,7 +47,7 @@ def check(box: BoxDescription) -> None:
         "--fan-flow": "",
     }
     if box.fan_role == "exhaust":
-        if box.fan_m3_h is None or not box.fan_m3_h > 0.0:
+        if box.fan_m3_h is None:
             raise RequestError("--fan exhaust: needs --fan-flow, what it moves when it runs free [m3/h]")
         problems["--fan-flow"] = flow_problem(box.fan_m3_h, box.volume_m3)
     for option, problem in problems.items():
@@ -76,6 +76,8 @@ def heater_problem(heater_w: float) -> str:
 def flow_problem(fan_m3_h: float, volume_m3: float) -> str:
     """Why a flow [m3/h] looks like another unit for this volume [m3], "" where it does not."""
     changes = fan_m3_h / volume_m3
+    if not fan_m3_h > 0.0:
+        return f"{fan_m3_h:g} m3/h is not above 0; a fan that moves nothing has the role none"
     if changes <= CHANGES_PER_H:
         return ""
     return f"{fan_m3_h:g} m3/h changes the air {changes:.0f} times an hour: l/min?"
