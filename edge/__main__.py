@@ -14,6 +14,7 @@ from edge.core.version import __version__
 COMMANDS = {  # command -> help; the module is edge.commands.<name with underscores>
     "demo": "run a simulated greenhouse: no board, broker or root needed",
     "run": "run the daemon on a rig, as the systemd service does",
+    "setup": "make a box of your own known: board, outputs, size, files",
     "check-config": "check a configuration file before the daemon starts with it",
     "watch": "print each tick of the running daemon",
     "why": "explain a command from the recorded decisions",
@@ -36,7 +37,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
 }
 MESSAGE_MAX = 1500  # characters of an error
 GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
-    "Start here": ("demo", "check-config", "run"),
+    "Start here": ("demo", "setup", "check-config", "run"),
     "See what it does": ("status", "watch", "why", "plot"),
     "Tell it what to do": ("reference", "mode", "fan", "controller", "manual", "ask", "confirm", "undo"),
     "Stop it": ("emergency-stop", "release", "maintenance", "clear-trip"),
@@ -53,7 +54,8 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "Look after a rig": ("board", "bundle", "backup", "restore", "evidence", "resend", "forget-discovery"),
 }
 FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.
-With one: `greenhouse check-config /etc/greenhouse/edge.yaml`, then start it.
+With one: `greenhouse setup`. It writes edge.yaml; after a change by hand:
+`greenhouse check-config /etc/greenhouse/edge.yaml`.
 `greenhouse COMMAND --help` explains a command."""
 
 

@@ -21,6 +21,7 @@ from firmware_protocol.messages import (
     HeaterOffCause,
     Hello,
     Quality,
+    ResetCause,
     SensorReport,
     StateEcho,
     TripCause,
@@ -50,7 +51,7 @@ class ObedientBoard:
     """A session whose board does what it is asked, and whose sensors read what a test says."""
 
     def __init__(self, airs_c: Iterator[float | None], **echo: Any) -> None:
-        self.hello: Hello = BoardConfig().hello(0, 0, 1)
+        self.hello: Hello = BoardConfig().hello(0, ResetCause.POWER_ON, 1)
         self.commands: list[CommandMessage] = []
         self.on = False
         self._airs_c = airs_c
@@ -132,7 +133,7 @@ class ConfiguredBoard:
     """A session that has a block."""
 
     def __init__(self, block: bytes | None) -> None:
-        self.hello = BoardConfig(capabilities=Capability.VALVE).hello(0, 0, 1)
+        self.hello = BoardConfig(capabilities=Capability.VALVE).hello(0, ResetCause.POWER_ON, 1)
         self._block = block
 
     def block(self) -> bytes | None:

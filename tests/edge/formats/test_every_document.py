@@ -16,6 +16,7 @@ import yaml
 from edge.app.backup import BackupManifest, read_manifest
 from edge.app.nightly_diagnosis import Findings, UnitAnswer, UnitRequest
 from edge.app.request_routes import WhyRequest
+from edge.app.setup import SetupAnswers, read_answers
 from edge.assistant.llm import wire
 from edge.assistant.llm.answer import SaidControls, SimulatedControls, read_answer
 from edge.assistant.llm.budget import Spending
@@ -203,6 +204,11 @@ KINDS: dict[type, DocumentKind] = {
         of_text(read_manifest),
         lambda: {"layout": 1, "version": "0.1.0", "created_utc": "2026-11-25T00:00:00+00:00", "files": {}},
         ("layout",),
+    ),
+    SetupAnswers: DocumentKind(
+        in_file(lambda file: read_answers(file, SETTINGS)),
+        lambda: {"port": "/dev/ttyACM0", "outputs": {"fan": "works"}, "volume_m3": 0.15},
+        ("volume_m3",),
     ),
     Settings: DocumentKind(
         loading.parse, lambda: {"control": {"step_s": 60.0}}, ("control", "step_s"), ConfigError
