@@ -57,6 +57,7 @@ def places(config: Path, settings: Settings) -> dict[str, Path]:
     found = {
         CONFIG: config,
         "board.yaml": config.parent / "board.yaml",
+        "twin.yaml": config.parent / "twin.yaml",
         "credentials": config.parent / "credentials",
         "keys": Path(bundle.trusted_keys),
         "signing.key": Path(bundle.signing_key) if bundle.signing_key else None,

@@ -48,7 +48,7 @@ ANSWERED_S = 2.0  # five sends of a request take 1.25 s
 RESET_S = 12.0  # through a bootloader
 WAIT_S = 0.05
 WIRE_PARTS_MAX = 32  # a search that a disturbance leads in circles ends
-OFF = CommandMessage(0, fan_on=False, led_pct=0, valve_pulse_s=0.0, cutoff_open=True, lease_s=0.0)
+OFF = CommandMessage(0, fan_on=0, led_pct=0, valve_pulse_s=0.0, cutoff_open=True, lease_s=0.0)
 REFUSALS = {
     ErrorCode.HEATING: "the heater is driven; stop it first (`greenhouse board show` tells when it is off)",
     ErrorCode.BAD_BLOCK: "the board refuses this configuration: is it for another microcontroller?",

@@ -61,7 +61,7 @@ TESTS = {
         0.5,  # five steps of a DHT22; the air of a closed box drifts less within three minutes
         after_s=60.0,
     ),
-    "fan": OutputTest("Fan", "on", "Did the fan turn?", replace(_ON, fan_on=True), 5.0),
+    "fan": OutputTest("Fan", "on", "Did the fan turn?", replace(_ON, fan_on=1), 5.0),
     "led": OutputTest(
         "Light", "full light", "Did the light come on?", replace(_ON, led_pct=100), 5.0, "light", 0.02
     ),

@@ -63,7 +63,7 @@ class ObedientBoard:
     def drive(self, command: CommandMessage) -> StateEcho:
         self.commands.append(command)
         self.on = True
-        return replace(self._echo, heater_steps=command.heater_steps, fan_on=command.fan_on)
+        return replace(self._echo, heater_steps=command.heater_steps, fan_on=bool(command.fan_on))
 
     def turn_off(self) -> None:
         self.on = False
