@@ -109,6 +109,7 @@ run "$opt/venv/bin/greenhouse" check-config "$etc/edge.yaml"
 start_service
 [ -n "$dry_run" ] || cat <<EOF
 Installed. On a first installation now
+  greenhouse setup (the board, its outputs, the box), or
   edit $etc/edge.yaml, then: greenhouse check-config $etc/edge.yaml
   systemctl start greenhouse; journalctl -fu greenhouse
 EOF

@@ -38,7 +38,7 @@ WIRE = {
     "edge/board/board_session.py",
     "edge/board/board_tool.py",
     "edge/board/firmware_file.py",
-    "edge/board/output_test.py",
+    "edge/board/output_check.py",
     "edge/board/wiring.py",
 }  # line and block of the board
 FORBIDDEN = {  # part of the tree -> what nothing in it may import

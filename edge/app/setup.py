@@ -47,7 +47,7 @@ OutputResult = Literal["works", "no effect", "skipped"]
 class SetupAnswers:
     """Answers so far, a JSON document; None for a question that is open.
 
-    outputs : result of each test of an output
+    outputs : result of the check of each output
     wall : material and thickness such as `plywood:12mm`; "" where not known
     """
 

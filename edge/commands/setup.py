@@ -1,4 +1,4 @@
-"""`greenhouse setup`: find the board, test its outputs, ask for the box, write edge.yaml and a twin file.
+"""`greenhouse setup`: find the board, check its outputs, ask for the box, write edge.yaml and a twin file.
 
 Each answer is saved at once, so that an interrupted setup goes on where it was.
 """
@@ -17,7 +17,7 @@ from edge.app import setup
 from edge.app.setup import QUESTIONS, BoxQuestion, OutputResult, SetupAnswers, answer, next_question
 from edge.board.board_session import BoardSession
 from edge.board.board_tool import show
-from edge.board.output_test import LEASE_S, TESTS, TestRefused, outputs, run_test
+from edge.board.output_check import CHECKS, LEASE_S, OutputRefused, outputs, run_check, suited_check
 from edge.board.ports import find_ports, lasting_name
 from edge.commands.arguments import writing
 from edge.commands.backup import add_config
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from-answers",
         type=Path,
         metavar="FILE",
-        help="ask nothing: take the answers from a JSON file such as setup.json; tests no output",
+        help="ask nothing: take the answers from a JSON file such as setup.json; checks no output",
     )
     parser.add_argument(
         "--replace",
@@ -108,7 +108,7 @@ class SetupDialogue:
             _look_at(session)
             names = outputs(session)
             self._save(replace(self._answers, port=lasting_name(session.path)))
-            self._test_outputs(session, names)
+            self._check_outputs(session, names)
             report_period_s = session.hello.report_period_s
         self._ask_box()
         for path, text, difference in _files(self._config, self._before, self._answers, report_period_s):
@@ -133,10 +133,10 @@ class SetupDialogue:
                 say(str(error))
             path = ask("Enter: try again; or type another port.") or path
 
-    def _test_outputs(self, session: BoardSession, names: Sequence[str]) -> None:
+    def _check_outputs(self, session: BoardSession, names: Sequence[str]) -> None:
         for name in names:
             if name not in self._answers.outputs:
-                result = _test_output(session, name)
+                result = _check_output(session, name)
                 self._save(replace(self._answers, outputs={**self._answers.outputs, name: result}))
 
     def _ask_box(self) -> None:
@@ -194,22 +194,22 @@ def _choose_port() -> str:
     return ports[int(ask("Which one is the board of this box?", numbers)) - 1].path
 
 
-def _test_output(session: BoardSession, name: str) -> OutputResult:
+def _check_output(session: BoardSession, name: str) -> OutputResult:
     """Test one output as often as the person wants. Errors: RequestError for a lost line"""
-    test = TESTS[name]
-    words = ask(f"{test.label}: {test.action}, for at most {test.seconds:g} s. Test it?", ("yes", "skip"))
+    check = suited_check(session, name)
+    words = ask(f"{check.label}: {check.action}, for at most {check.seconds:g} s. Check it?", ("yes", "skip"))
     while words in ("yes", "again"):
         try:
-            if run_test(session, name, say):
+            if run_check(session, check, say):
                 say("Its effect is seen.")
                 return "works"
-            if test.signal:
+            if check.signal:
                 say("No effect is seen by the sensor. A heavy box may take longer.")
-            words = ask(test.question, ("yes", "no", "again"))
+            words = ask(check.question, ("yes", "no", "again"))
             if words != "again":
                 return "works" if words == "yes" else "no effect"
-        except TestRefused as error:
-            say(f"Not tested: {error}.")
+        except OutputRefused as error:
+            say(f"Not checked: {error}.")
             words = ask("Try it again?", ("again", "skip"))
         except RequestError as error:
             raise RequestError(f"{error}; the board turns all off by itself within {LEASE_S:g} s") from None
@@ -273,10 +273,10 @@ def _run_unattended(arguments: argparse.Namespace, before: Settings) -> None:
         raise RequestError(f"{source}: missing: {', '.join(missing or ['port'])}")
     with BoardSession(port) as session:
         _look_at(session)
-        untested = [name for name in outputs(session) if name not in answers.outputs]
+        unchecked = [name for name in outputs(session) if name not in answers.outputs]
         report_period_s = session.hello.report_period_s
-    if untested:
-        say(f"Not tested: {', '.join(untested)}; without a person nothing is driven.")
+    if unchecked:
+        say(f"Not checked: {', '.join(unchecked)}; without a person nothing is driven.")
     answers = replace(answers, port=port)
     for path, text, difference in _files(arguments.config, before, answers, report_period_s):
         _put(path, text, difference, lambda: arguments.replace)
@@ -286,7 +286,7 @@ def _run_unattended(arguments: argparse.Namespace, before: Settings) -> None:
 
 
 def _say_no_effect(answers: SetupAnswers) -> None:
-    bad = [TESTS[name].label for name, result in answers.outputs.items() if result == "no effect"]
+    bad = [CHECKS[name].label for name, result in answers.outputs.items() if result == "no effect"]
     if bad:
         say(f"Mind: no effect was seen of: {', '.join(bad)}. Check relay, supply and wires.")
 

@@ -19,7 +19,7 @@ from edge.__main__ import main
 from edge.app import setup as steps
 from edge.app.setup import QUESTIONS, SetupAnswers
 from edge.board import board_session, ports
-from edge.board.output_test import TESTS, TestRefused
+from edge.board.output_check import CHECKS, OutputRefused
 from edge.board.ports import FoundPort
 from edge.board.serial_port import SerialPort
 from edge.commands import setup as command
@@ -86,7 +86,7 @@ Person = Callable[..., tuple[int, str]]
 def silent(monkeypatch: pytest.MonkeyPatch) -> None:
     """A board without a line whose light alone shows its effect at a sensor."""
     monkeypatch.setattr(command, "BoardSession", SilentSession)
-    monkeypatch.setattr(command, "run_test", lambda session, name, say: True if name == "led" else None)
+    monkeypatch.setattr(command, "run_check", lambda session, check, say: check.signal == "light" or None)
     monkeypatch.setattr(steps, "SYSTEMD", Path("/none"))
 
 
@@ -287,18 +287,18 @@ def test_a_board_without_a_configuration_ends_the_setup(
 def test_a_refused_test_is_tried_again_or_left_out(
     silent: None, person: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(session: object, name: str, say: object) -> None:
-        raise TestRefused("the air temperature is not good")
+    def refuse(session: object, test: object, say: object) -> None:
+        raise OutputRefused("the air temperature is not good")
 
-    monkeypatch.setattr(command, "run_test", refuse)
+    monkeypatch.setattr(command, "run_check", refuse)
     code, out = person(["yes", "again", "skip", "skip", "skip", "skip", *BOX])
-    assert code == 0 and out.count("Not tested: the air temperature is not good.") == 2
+    assert code == 0 and out.count("Not checked: the air temperature is not good.") == 2
 
 
 def test_an_output_without_effect_is_named_at_the_end(
     silent: None, person: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command, "run_test", lambda session, name, say: False)
+    monkeypatch.setattr(command, "run_check", lambda session, test, say: False)
     code, out = person(["yes", "again", "no", "skip", "skip", "skip", *BOX])
     assert code == 0 and "no effect was seen of: Heater" in out
     assert out.count("No effect is seen by the sensor") == 2
@@ -307,10 +307,10 @@ def test_an_output_without_effect_is_named_at_the_end(
 def test_a_line_that_is_lost_in_a_test_ends_the_setup(
     silent: None, person: Person, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def lose(session: object, name: str, say: object) -> None:
+    def lose(session: object, test: object, say: object) -> None:
         raise RequestError("PORT: the port is gone")
 
-    monkeypatch.setattr(command, "run_test", lose)
+    monkeypatch.setattr(command, "run_check", lose)
     code, out = person(["yes"])
     assert code == 2 and "the board turns all off by itself within 3 s" in out
     assert json.loads(files(folder)["setup.json"]) == {"port": "PORT", "outputs": {}}
@@ -390,9 +390,9 @@ def unattended(person: Person, folder: Path, *words: str, **changes: Any) -> tup
 def test_answers_from_a_file_ask_nothing_and_drive_nothing(
     silent: None, person: Person, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(command, "run_test")
+    monkeypatch.delattr(command, "run_check")
     code, out = unattended(person, folder)
-    assert code == 0 and "Not tested: heater, fan, led, valve" in out
+    assert code == 0 and "Not checked: heater, fan, led, valve" in out
     settings = loading.load(folder / "edge.yaml")
     assert settings.control.step_s == 30.0 and settings.control.controller == "rules"
     assert read_twin_file(folder / "twin.yaml").sample_s == 30.0
@@ -454,7 +454,7 @@ def test_the_dialogue_with_a_board_at_its_line(
     board: VirtualBoard, person: Person, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("fan", "led"):
-        monkeypatch.setitem(TESTS, name, replace(TESTS[name], seconds=5.0))
+        monkeypatch.setitem(CHECKS, name, replace(CHECKS[name], seconds=5.0))
     code, out = person(SCRIPT, port=str(board.port))
     assert code == 0 and "Its effect is seen." in out and "Air temperature" in out
     settings = loading.load(folder / "edge.yaml")

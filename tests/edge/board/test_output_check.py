@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from bench.support.virtual_board import VirtualBoard, virtual_board
-from edge.board import output_test
+from edge.board import output_check
 from edge.board.board_session import BoardSession
-from edge.board.output_test import TESTS, TestRefused, outputs, run_test
+from edge.board.output_check import CHECKS, OutputRefused, outputs, run_check, suited_check
 from edge.core.errors import RequestError
 from firmware_protocol.board_block import NO_PIN, BoardBlock, BoardKind, encode_block
 from firmware_protocol.messages import (
@@ -50,8 +50,8 @@ ECHO = StateEcho(
 class ObedientBoard:
     """A session whose board does what it is asked, and whose sensors read what a test says."""
 
-    def __init__(self, airs_c: Iterator[float | None], **echo: Any) -> None:
-        self.hello: Hello = BoardConfig().hello(0, ResetCause.POWER_ON, 1)
+    def __init__(self, airs_c: Iterator[float | None], fan_safe_on: bool = False, **echo: Any) -> None:
+        self.hello: Hello = BoardConfig(fan_safe_on=fan_safe_on).hello(0, ResetCause.POWER_ON, 1)
         self.commands: list[CommandMessage] = []
         self.on = False
         self._airs_c = airs_c
@@ -75,26 +75,26 @@ class ObedientBoard:
 
 
 def effect_of(board: ObedientBoard, name: str) -> bool | None:
-    return run_test(board, name, lambda text: None)  # type: ignore[arg-type]
+    return run_check(board, suited_check(board, name), lambda text: None)  # type: ignore[arg-type]
 
 
 def test_warmer_air_shows_that_the_heater_works() -> None:
     board = ObedientBoard(itertools.count(20.0, 0.1))
     assert effect_of(board, "heater") is True
     assert not board.on
-    assert all(0.0 < command.lease_s <= output_test.LEASE_S for command in board.commands)
+    assert all(0.0 < command.lease_s <= output_check.LEASE_S for command in board.commands)
 
 
 def test_the_air_must_stay_warm_for_as_many_samples_as_before() -> None:
     spike = itertools.chain([20.0] * 5, [20.0, 20.0, 23.0, 20.0], itertools.repeat(None))
-    with pytest.raises(TestRefused, match="not good"):
+    with pytest.raises(OutputRefused, match="not good"):
         effect_of(ObedientBoard(spike), "heater")
 
 
 @pytest.mark.parametrize("air_c", [None, float("nan"), 35.0, 80.0])
 def test_hot_or_unknown_air_is_not_heated(air_c: float | None) -> None:
     board = ObedientBoard(itertools.repeat(air_c))
-    with pytest.raises(TestRefused):
+    with pytest.raises(OutputRefused):
         effect_of(board, "heater")
     assert board.commands == []
 
@@ -102,20 +102,47 @@ def test_hot_or_unknown_air_is_not_heated(air_c: float | None) -> None:
 @pytest.mark.parametrize("air_c", [None, 35.0])
 def test_air_that_becomes_hot_or_unknown_ends_the_heat(air_c: float | None) -> None:
     board = ObedientBoard(itertools.chain([34.0] * 7, [air_c]))
-    with pytest.raises(TestRefused):
+    with pytest.raises(OutputRefused):
         effect_of(board, "heater")
     assert len(board.commands) == 3 and not board.on
 
 
 def test_a_board_that_is_held_is_not_driven() -> None:
     board = ObedientBoard(itertools.repeat(20.0), tripped=True, trip_cause=TripCause.EMERGENCY_STOP)
-    with pytest.raises(TestRefused, match="emergency stop"):
+    with pytest.raises(OutputRefused, match="emergency stop"):
         effect_of(board, "fan")
     assert board.commands == []
 
 
+def test_a_board_that_obeys_no_fan_is_not_asked_what_turned() -> None:
+    class Deaf(ObedientBoard):
+        def drive(self, command: CommandMessage) -> StateEcho:
+            return replace(super().drive(command), fan_on=not command.fan_on)
+
+    for fan_safe_on in (False, True):
+        with pytest.raises(OutputRefused, match="obeys no heater and no fan"):
+            effect_of(Deaf(itertools.repeat(20.0), fan_safe_on), "fan")
+
+
 def test_a_tacho_shows_that_the_fan_turns() -> None:
     assert effect_of(ObedientBoard(itertools.repeat(20.0), fan_rpm=900), "fan") is True
+
+
+def test_a_fan_that_runs_by_itself_is_turned_off_instead() -> None:
+    still = ObedientBoard(itertools.repeat(20.0), fan_safe_on=True, fan_rpm=0)
+    assert effect_of(still, "fan") is True
+    assert [command.fan_on for command in still.commands] == [0]
+    assert "Did the fan stop" in suited_check(still, "fan").question  # type: ignore[arg-type]
+
+
+def test_the_fan_stands_while_the_heat_arrives() -> None:
+    late = itertools.chain([20.0] * 30, itertools.repeat(21.0))
+    board = ObedientBoard(late, fan_safe_on=True)
+    heater = replace(CHECKS["heater"], seconds=0.2)
+    board.report = lambda: (time.sleep(0.01), ObedientBoard.report(board))[1]  # type: ignore[method-assign]
+    assert run_check(board, heater, print) is True  # type: ignore[arg-type]
+    assert board.commands[0].heater_steps == 20 and board.commands[-1].heater_steps == 0
+    assert not any(command.fan_on for command in board.commands)
 
 
 def test_ctrl_c_turns_off() -> None:
@@ -165,12 +192,11 @@ def wait_until_off(board: VirtualBoard) -> None:
 
 @pytest.mark.slow
 def test_the_light_shows_at_its_sensor_and_the_fan_and_the_valve_at_none(
-    board: VirtualBoard, monkeypatch: pytest.MonkeyPatch
+    board: VirtualBoard,
 ) -> None:
-    monkeypatch.setitem(TESTS, "fan", replace(TESTS["fan"], seconds=1.0))
     with BoardSession(str(board.port)) as session:
         assert outputs(session) == ("heater", "fan", "led", "valve")
-        results = {name: run_test(session, name, print) for name in ("led", "fan", "valve")}
+        results = {name: run_check(session, CHECKS[name], print) for name in ("led", "fan", "valve")}
         truth = board.truth()
     assert results == {"led": True, "fan": None, "valve": None}
     assert all(truth["last_on_s"][name] is not None for name in results)
@@ -193,16 +219,16 @@ def inject(board: VirtualBoard, name: str, in_s: float = 0.0, **parameters: floa
 @pytest.mark.slow
 def test_a_heater_warms_a_small_box(small_box: VirtualBoard) -> None:
     with BoardSession(str(small_box.port)) as session:
-        assert run_test(session, "heater", print, seconds=20.0) is True
+        assert run_check(session, CHECKS["heater"], print) is True
         assert not heats(small_box)
 
 
 @pytest.mark.slow
-def test_a_dead_heater_has_no_effect(small_box: VirtualBoard, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(TESTS, "heater", replace(TESTS["heater"], after_s=2.0))
+def test_a_dead_heater_has_no_effect(small_box: VirtualBoard) -> None:
+    test = replace(CHECKS["heater"], seconds=20.0, after_s=2.0)
     inject(small_box, "heater_dead")
     with BoardSession(str(small_box.port)) as session:
-        assert run_test(session, "heater", print, seconds=20.0) is False
+        assert run_check(session, test, print) is False
         assert not heats(small_box)
 
 
@@ -213,7 +239,7 @@ def test_an_unplugged_port_leaves_nothing_driven(board: VirtualBoard) -> None:
         inject(board, "unplug")
 
     with BoardSession(str(board.port)) as session, pytest.raises(RequestError, match=r"is gone|fell silent"):
-        run_test(session, "heater", unplug)
+        run_check(session, CHECKS["heater"], unplug)
     wait_until_off(board)
 
 
@@ -223,8 +249,8 @@ def test_air_that_grows_hot_while_the_person_thinks_is_noticed(board: VirtualBoa
         session.report()
         inject(board, "sensor_offset", in_s=6.0, offset=14.0)  # to 36 °C
         time.sleep(7.0)  # enough reports of cool air wait in the buffer
-        with pytest.raises(TestRefused, match="tested below 35"):
-            run_test(session, "heater", print)
+        with pytest.raises(OutputRefused, match="checked below 35"):
+            run_check(session, CHECKS["heater"], print)
     assert board.truth()["last_on_s"]["heater_relay"] is None
 
 
@@ -233,6 +259,6 @@ def test_without_air_temperature_neither_heater_nor_fan_is_tested(board: Virtual
     inject(board, "sensor_none")
     with BoardSession(str(board.port)) as session:
         for name in ("heater", "fan"):
-            with pytest.raises(TestRefused, match="not good"):
-                run_test(session, name, print)
+            with pytest.raises(OutputRefused, match="not good"):
+                run_check(session, CHECKS[name], print)
     assert board.truth()["last_on_s"]["heater_relay"] is None
