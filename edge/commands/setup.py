@@ -107,7 +107,7 @@ class SetupDialogue:
         with self._greet() as session:
             _look_at(session)
             names = outputs(session)
-            self._save(replace(self._answers, port=lasting_name(session.path)))
+            self._take_port(lasting_name(session.path))
             self._check_outputs(session, names)
             report_period_s = session.hello.report_period_s
         self._ask_box()
@@ -116,6 +116,11 @@ class SetupDialogue:
         self._start()
         self._saved.unlink(missing_ok=True)
         _say_next()
+
+    def _take_port(self, port: str) -> None:
+        """Save the port; results of another board's outputs are dropped."""
+        outputs = self._answers.outputs if port == self._answers.port else {}
+        self._save(replace(self._answers, port=port, outputs=outputs))
 
     def _save(self, answers: SetupAnswers) -> None:
         with writing(self._saved):
@@ -199,6 +204,7 @@ def _check_output(session: BoardSession, name: str) -> OutputResult:
     check = suited_check(session, name)
     words = ask(f"{check.label}: {check.action}, for at most {check.seconds:g} s. Check it?", ("yes", "skip"))
     while words in ("yes", "again"):
+        say("It runs; Ctrl-C turns it off at once.")
         try:
             if run_check(session, check, say):
                 say("Its effect is seen.")

@@ -152,6 +152,12 @@ def test_a_setup_that_is_interrupted_goes_on_there(
     assert set(files(folder)) == {"edge.yaml", "twin.yaml"}
 
 
+def test_outputs_of_another_board_are_checked_anew(silent: None, person: Person, folder: Path) -> None:
+    person(SCRIPT[:9])
+    code, _ = person(SCRIPT[:5] + SCRIPT[9:], port="ANOTHER")
+    assert code == 0 and loading.load(folder / "edge.yaml").board.port == "ANOTHER"
+
+
 def test_answers_of_an_interrupted_setup_can_be_forgotten(silent: None, person: Person) -> None:
     person(SCRIPT[:9])
     assert person(SCRIPT, "--anew")[0] == 0
