@@ -45,8 +45,10 @@ from training.lab import InProcessBoard, Lab
 
 Floats = NDArray[np.float64]
 ROLES = {"none": "none", "stir": "stirring", "exchange": "exhaust"}
-ROWS = ("rules", "PID", "MPC-P", "MPC-BFGS-P", "MPC-Twin-P")
+EARLY = "MPC-Twin-P/early"  # the same, allowed to leave the reference before a step of it as the MPCs do
+ROWS = ("rules", "PID", "MPC-P", "MPC-BFGS-P", "MPC-Twin-P", EARLY)
 PREVIEWING = ("MPC-P", "MPC-BFGS-P", "MPC-Twin-P")
+ANY_K = 20.0
 SAMPLE_S, STEP_S = 5.0, 60.0
 EXCURSION_MIN = 20  # before a step of the reference
 WARM_UP_S = 600.0  # that no controller can help
@@ -139,7 +141,8 @@ def drive(
         settings = rig_settings(folder, found.twin)
         control = replace(
             settings.control,
-            controller=name if name in PREVIEWING else "rules",
+            controller="MPC-Twin-P" if name == EARLY else name if name in PREVIEWING else "rules",
+            twin_early_k=ANY_K if name == EARLY else settings.control.twin_early_k,
             preview=name in PREVIEWING and not present,
             twin_preview=not present,
             time_box_ms=60_000.0,
@@ -232,7 +235,7 @@ def table_of(box: int, minutes: float, reference: str, present: bool) -> list[st
             continue
         row = drive(facts, box, name, found, reference, present)
         figures = f"{row.cost:9.1f}{row.mae_k:8.3f}{row.before_k:8.2f}{row.fan_starts:6d}{row.heat_wh:8.0f}"
-        lines.append(f"    {name:<12}{figures}")
+        lines.append(f"    {name:<17}{figures}")
     return lines
 
 

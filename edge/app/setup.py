@@ -16,7 +16,14 @@ from edge.config.loading import parse
 from edge.config.settings import Settings
 from edge.core.controller import NEED_NO_MODEL, RULES
 from edge.core.errors import DataError, RequestError
-from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C, STEP_MAX_S, STEP_MIN_S
+from edge.core.hard_limits import (
+    HEAT_DAY_MAX_WH,
+    HEAT_HOUR_MAX_WH,
+    REFERENCE_MAX_C,
+    REFERENCE_MIN_C,
+    STEP_MAX_S,
+    STEP_MIN_S,
+)
 from edge.core.plain_text import quote
 from edge.formats.atomic_file import write_atomically
 from edge.formats.cross_check import Rule
@@ -33,6 +40,7 @@ SECONDS = {"s": 1.0, "min": 60.0}
 AREAS = {"m2": 1.0, "cm2": 1e-4}
 DEGREES = {"°C": 1.0, "C": 1.0}
 WALL_AREA_M2 = (0.005, 60.0)  # of a box of 0.1 litre, of a small room
+DAY_HOURS = 20.0  # of full heat that the energy cap of a day allows, as for the paper's heater
 STEP_S = 60.0  # that the packaged models are made for
 UNIT_FILE = Path("/etc/systemd/system/greenhouse.service")
 SYSTEMD = Path("/run/systemd/system")  # where it runs, sd_booted(3)
@@ -229,8 +237,8 @@ def write_answers(path: Path, answers: SetupAnswers) -> None:
     write_atomically(path, json.dumps(given, indent=1) + "\n")
 
 
-def settings_of(before: Settings, answers: SetupAnswers, report_period_s: float) -> Settings:
-    """Return the settings of this rig; what is not asked stays as it was.
+def settings_of(before: Settings, answers: SetupAnswers, report_period_s: float, twin: Path) -> Settings:
+    """Return the settings of this rig with its twin file; what is not asked stays as it was.
 
     The packaged models are those of the paper's box. So a rig without a model of its own begins with the
     controller `rules`, which needs none.
@@ -238,6 +246,12 @@ def settings_of(before: Settings, answers: SetupAnswers, report_period_s: float)
     """
     a, control, reference = answers, before.control, before.reference
     assert a.port and a.step_s and a.min_c is not None and a.max_c is not None and a.reference_c is not None
+    assert a.heater_w
+    safety = replace(
+        before.safety,
+        energy_hour_max_wh=min(max(before.safety.energy_hour_max_wh, a.heater_w), HEAT_HOUR_MAX_WH),
+        energy_day_max_wh=min(max(before.safety.energy_day_max_wh, DAY_HOURS * a.heater_w), HEAT_DAY_MAX_WH),
+    )
     has_own = bool(control.model) or control.controller in NEED_NO_MODEL
     return replace(
         before,
@@ -245,6 +259,8 @@ def settings_of(before: Settings, answers: SetupAnswers, report_period_s: float)
         control=replace(control, step_s=a.step_s, controller=control.controller if has_own else RULES),
         reference=replace(reference, min_c=a.min_c, max_c=a.max_c, reference_c=a.reference_c),
         sensor_health=replace(before.sensor_health, sample_period_s=report_period_s),
+        safety=safety,
+        box=replace(before.box, twin=str(twin)),
     )
 
 

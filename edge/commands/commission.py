@@ -21,7 +21,7 @@ from edge.core.controller import MPC_TWIN
 from edge.core.errors import RequestError
 from edge.core.messages import TickRecord
 from edge.diagnosis.progress import TerminalProgress
-from edge.formats.atomic_file import write_document
+from edge.formats.atomic_file import write_atomically, write_document
 from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 CONTROLLER = MPC_TWIN[-1]
 SHORTEST_MIN = 20.0
+BEFORE = ".before"  # ending of the description that a learned twin has replaced
 LEARN_MIN = 15.0  # that a fit needs, where the tests were ended early
 
 
@@ -105,7 +106,10 @@ def _start(arguments: argparse.Namespace, settings: Settings) -> TwinFile:
     path = arguments.twin or (Path(settings.box.twin) if settings.box.twin else None)
     if path is None:
         raise RequestError("no description of the box: `greenhouse setup` or `greenhouse twin new` makes one")
-    return read_twin_file(path)
+    file = read_twin_file(path)
+    before = path.with_name(path.name + BEFORE)
+    # The learned twin has taken the place of the description, which is what a box is learned from anew.
+    return read_twin_file(before) if not file.to_fit() and before.exists() else file
 
 
 def _key(given: Path | None, settings: Settings) -> Path:
@@ -136,6 +140,16 @@ def _record(arguments: argparse.Namespace, start: TwinFile, folder: Path) -> Rec
         write_run(recorded, path)
     print(f"{path}: {len(recorded)} rows; should learning fail, --from-run {path} tries again")
     return recorded
+
+
+def keep(twin: TwinFile, place: Path) -> None:
+    """Put the learned twin where safety looks for the box's bounds; the description stays beside it."""
+    before = place.with_name(place.name + BEFORE)
+    with writing(place):
+        if place.exists() and not before.exists():
+            write_atomically(before, place.read_bytes())
+        write_twin_file(twin, place)
+    print(f"{place}: the learned twin, from which safety takes its bounds; the description is {before}")
 
 
 class _Show:
@@ -181,6 +195,8 @@ def _activate(found: "Commissioned", folder: Path, key: Path, settings: Settings
     with open_archive(archive) as file:
         install(store, settings, file)
     change(store, settings, "activate", manifest.version)
+    if settings.box.twin:
+        keep(found.twin, Path(settings.box.twin))
     standing = restore(STANDING, settings)
     if standing.broken:  # a stop may be in it: nothing is written over it
         raise RequestError(f"{standing.broken}: choose `greenhouse controller {CONTROLLER}` yourself")

@@ -229,7 +229,7 @@ def _files(
 
     Errors : ConfigError, RequestError, DataError
     """
-    settings = setup.settings_of(before, answers, report_period_s)
+    settings = setup.settings_of(before, answers, report_period_s, config.with_name("twin.yaml"))
     _check(config, settings)
     if settings.control.controller != before.control.controller:
         say("The packaged models are those of the paper's box: at first the controller `rules` decides.")

@@ -85,6 +85,19 @@ def test_a_box_that_is_good_enough_gets_its_bundle_and_its_controller(rig, monke
     assert str(roles["active"]).endswith("-commissioned")
     assert restore(STANDING, settings).operation.controller == "MPC-Twin-P"
     assert read_twin_file(rig / "found" / "twin.yaml").to_fit() == []
+    assert read_twin_file(rig / "box.yaml").to_fit() == []  # safety knows the box now
+    assert read_twin_file(rig / "box.yaml.before").to_fit() != []
+
+
+def test_a_box_that_was_learned_is_learned_anew_from_its_description(rig, monkeypatch):
+    starts = []
+    monkeypatch.setattr(commission, "learn", lambda run, start, *more: starts.append(start) or FoundBox())
+    for out in ("first", "second"):
+        assert commissioned("--from-run", str(run_file(rig)), "--out", out, "--only-learn") == 0
+    (rig / "box.yaml.before").write_bytes((rig / "box.yaml").read_bytes())
+    (rig / "box.yaml").write_bytes(TWIN.read_bytes())
+    assert commissioned("--from-run", str(run_file(rig)), "--out", "third", "--only-learn") == 0
+    assert [bool(start.to_fit()) for start in starts] == [True, True, True]
 
 
 def test_what_is_refused_says_why_and_changes_nothing(rig, monkeypatch, capsys):
