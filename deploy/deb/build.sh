@@ -40,6 +40,7 @@ install_packages() { # into $site, for $machine
     "$python" -m pip list --path "$site" --format freeze | grep -v ^greenhouse-twin= | LC_ALL=C sort -f >"$work/versions"
     diff "$here/versions.txt" "$work/versions" || die "versions.txt is not what was installed: correct it, try again"
     find "$site" -type d -name tests -prune -exec rm -rf {} + # 40 MB of other people's tests
+    find "$site" -type f -exec chmod 0644 {} + # wheels mark data as programs
     # Compiled here: the daemon cannot write below /opt, and would compile at every start.
     "$python" -m compileall -q -j 0 --invalidation-mode unchecked-hash -s "$package" -p /opt/greenhouse/venv "$site"
 }
