@@ -7,13 +7,15 @@
 # make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
 # make firmware  the boards' programs anew, firmware_protocol/hex (avr-gcc)
 # make board-programs  every scenario, and two hours, on the boards' programs in simavr (an hour)
+# make deb     Debian packages for amd64 and arm64, out/deb
+# make deb-test  installs, upgrades, breaks and removes them in a Debian of their own (root, half an hour and more)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint docs bench model train firmware board-programs tools clean
+.PHONY: run test quick lint docs bench model train firmware board-programs deb deb-test tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -47,6 +49,12 @@ firmware: tools
 
 board-programs: $(VENV)/dev.installed tools
 	BOARD_PROGRAMS=all $(BIN)/python -m pytest -n 2 tests/hardware_in_the_loop/test_scenarios.py $(ARGS)
+
+deb: $(VENV)/edge.installed
+	sh deploy/deb/build.sh $(BIN)/python $(ARGS)
+
+deb-test: $(VENV)/dev.installed
+	sh tests/deploy/deb_all.sh $(BIN)/python
 
 $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)

@@ -23,15 +23,9 @@ run() { # a step: told, and done unless --dry-run
     [ -n "$dry_run" ] || "$@"
 }
 
-install_user() {
-    getent group greenhouse >/dev/null || run groupadd --system greenhouse
-    getent passwd greenhouse >/dev/null || run useradd --system --gid greenhouse --groups dialout \
-        --home-dir /var/lib/greenhouse --no-create-home --shell /usr/sbin/nologin greenhouse
-}
-
 install_program() {
     run install -d "$opt"
-    # The source as it was installed: the service's documentation, and a build that leaves this folder alone.
+    # The source as it was installed: a build leaves files beside its sources, and shall leave this folder alone.
     run rm -rf "$opt/src"
     run install -d "$opt/src"
     for part in pyproject.toml README.md CHANGELOG.md edge firmware_protocol deploy; do
@@ -45,13 +39,17 @@ install_program() {
 }
 
 install_config() {
-    run install -d -m 0750 -g "$group" "$etc"
-    run install -d -m 0700 "$etc/credentials"
-    run install -d -m 0750 -g "$group" "$etc/keys"
     if [ -e "$etc/edge.yaml" ]; then
         echo "  $etc/edge.yaml is kept"
     else
-        run install -m 0640 -g "$group" "$source/deploy/edge.example.yaml" "$etc/edge.yaml"
+        run install -D -m 0640 "$source/deploy/edge.example.yaml" "$etc/edge.yaml"
+    fi
+    # Where the user does not exist, because this system is only being prepared, root has the folders.
+    if [ -n "$dry_run" ]; then
+        echo "  systemd-tmpfiles --create $source/deploy/greenhouse.tmpfiles"
+    else
+        sed "s/ greenhouse\>/ $owner/g" "$source/deploy/greenhouse.tmpfiles" |
+            systemd-tmpfiles ${root:+--root="$root"} --create -
     fi
 }
 
@@ -60,6 +58,7 @@ install_system_files() {
         run install -D -m 0644 "$source/deploy/$unit" "$root/etc/systemd/system/$unit"
     done
     run install -D -m 0644 "$source/deploy/70-greenhouse.rules" "$root/etc/udev/rules.d/70-greenhouse.rules"
+    run install -D -m 0644 "$source/deploy/README.md" "$root/usr/share/doc/greenhouse/README.md"
 }
 
 start_service() {
@@ -97,10 +96,12 @@ command -v "$python" >/dev/null || die "$python is missing: apt install python3 
     die "$python is $("$python" -V 2>&1), Python 3.11 or newer is needed"
 "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python3-venv"
 
-group=$(id -g) # of what the daemon may read and others may not
+[ ! -L "$opt/venv" ] || die "the Debian package is installed: upgrade that, or first apt remove greenhouse"
+
+owner=$(id -u) # of what the daemon may read and others may not; here also the group
 if [ -z "$root" ]; then
-    group=greenhouse
-    install_user
+    owner=greenhouse
+    run systemd-sysusers "$source/deploy/greenhouse.sysusers"
 fi
 install_program
 install_config

@@ -8,6 +8,10 @@ if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
     echo "uninstall.sh: must be run as root" >&2
     exit 1
 fi
+if [ -L "$root/opt/greenhouse/venv" ]; then
+    echo "uninstall.sh: this is the Debian package's: apt remove greenhouse" >&2
+    exit 1
+fi
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then
     # Stopping turns the heater off.
     systemctl disable --now greenhouse-evidence.timer greenhouse-diagnosis.path greenhouse.service || true
@@ -17,7 +21,7 @@ rm -f "$root/etc/systemd/system/greenhouse.service" "$root/etc/systemd/system/gr
     "$root/etc/systemd/system/greenhouse-evidence.service" "$root/etc/systemd/system/greenhouse-evidence.timer" \
     "$root/etc/udev/rules.d/70-greenhouse.rules" \
     "$root/usr/local/bin/greenhouse"
-rm -rf "$root/opt/greenhouse"
+rm -rf "$root/opt/greenhouse" "$root/usr/share/doc/greenhouse"
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then
     systemctl daemon-reload
     udevadm control --reload

@@ -373,7 +373,7 @@ def test_uninstall_keeps_configuration_and_history(installed: Path, tmp_path: Pa
     root = tmp_path / "root"
     shutil.copytree(installed, root, symlinks=True)
     history = root / "var/lib/greenhouse/history.db"
-    history.parent.mkdir(parents=True)
+    history.parent.mkdir(parents=True, exist_ok=True)
     history.write_text("rows")
     for _ in range(2):
         done = subprocess.run(
