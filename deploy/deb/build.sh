@@ -94,6 +94,6 @@ for arch in "$@"; do
     fill_system
     fill_control "$arch"
     deb="$source/out/deb/greenhouse_${version}_$arch.deb"
-    dpkg-deb --root-owner-group -Zxz --build "$root" "$deb" >/dev/null
+    dpkg-deb --root-owner-group -Zxz -z2 --build "$root" "$deb" >/dev/null
     echo "$deb: $(($(stat -c %s "$deb") / 1000000)) MB, $((size * 1024 / 1000000)) MB installed"
 done

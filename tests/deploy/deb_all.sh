@@ -14,7 +14,7 @@ done
 emulate_arm64() { # the kernel starts arm64 programs in qemu, in a chroot too
     [ -e /proc/sys/fs/binfmt_misc/register ] || mount -t binfmt_misc none /proc/sys/fs/binfmt_misc
     [ -e /proc/sys/fs/binfmt_misc/qemu-aarch64 ] ||
-        sed 's/$/F/' /usr/lib/binfmt.d/qemu-aarch64.conf | tr -d '\n' >/proc/sys/fs/binfmt_misc/register
+        tr -d '\n' </usr/lib/binfmt.d/qemu-aarch64.conf >/proc/sys/fs/binfmt_misc/register
 }
 
 build() { # prints the packages' names and sizes, and compares a second build of each
