@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,12 +24,12 @@ import yaml
 
 from bench.support.daemon_process import ROOT, run_command
 from bench.support.virtual_board import virtual_board
-from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import end_process, settings_in, virtual_rig
+from edge.board.virtual_rig import end_process, settings_in
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.errors import RequestError
+from edge.core.messages import TickRecord
+from training.lab import Lab
 
 CARD_MB = 256
 SECTOR_BYTES = 512  # of /sys/block/*/stat, whatever the device's own are
@@ -87,22 +87,20 @@ def default_settings(place: Card, board: Path) -> Settings:
 
 def accelerated_mb(ticks: int, speed: float) -> float:
     """Return what `ticks` steps write, at `speed` simulated seconds a second [MB]."""
-    with card() as place, tempfile.TemporaryDirectory(prefix="gh-") as name:
-        with virtual_rig(Path(name), seed=1) as rig, closing(SimClock(rig.control, speed=speed)) as clock:
-            settings = default_settings(place, rig.port)
-            step_s, begin = settings.control.step_s, 0.0
-            first = round(SETTLE_S / step_s)
+    with card() as place:
+        settings = settings_in(place.folder, config.default())
+        first, begin = round(SETTLE_S / settings.control.step_s), 0.0
 
-            def look(seq: int) -> None:
-                nonlocal begin
-                if seq == first:
-                    begin = place.written_mb()
+        def look(record: TickRecord) -> None:
+            nonlocal begin
+            if record.seq == first:
+                begin = place.written_mb()
 
-            stop_at_s = step_s * (first + ticks + 1) - step_s / 2
-            with Daemon(
-                settings, clock, after_tick=lambda record: look(record.seq), stop_at_s=stop_at_s
-            ) as daemon:
-                daemon.run()
+        with tempfile.TemporaryDirectory(prefix="gh-") as name, virtual_board(Path(name)) as board:
+            settings = replace(settings, board=replace(settings.board, port=str(board.port)))
+            lab = Lab(settings, board=board.control, folder=place.folder, speed=speed, on_tick=look)
+            with lab:
+                lab.run(ticks=first + ticks)
         return place.written_mb() - begin
 
 

@@ -7,6 +7,7 @@ where a controller has a use for it.
 """
 
 import argparse
+import shutil
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -210,7 +211,7 @@ def _install(found: Commissioned, settings: Settings, folder: Path) -> None:
         write_arx(found.arx.model, models / "arx.json", {"command": "bench.boxes"})
     private = folder / "signing.pem"
     public = generate_key(private)
-    public.rename(keys / public.name)
+    shutil.move(public, keys)
     archive = folder / "twin.zip"
     build_bundle(models, archive, ManifestFacts("1.0", "2026-01-01T00:00:00Z", "0" * 64, STEP_S), private)
     store = BundleStore(Path(settings.bundle.path), keys, loader(STEP_S))

@@ -1,4 +1,4 @@
-"""Run by the program of an installed package: print what it computes, to be compared with another processor's.
+"""Run by the program of an installed package: print what it computes, for comparison with another processor.
 
 Forecasts of the four packaged predictors and the bundle's twin [degC], an hour of ticks of a whole daemon in
 lock-step with the virtual board, and the most memory that one of its processes took [MB].
