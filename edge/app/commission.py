@@ -19,7 +19,7 @@ from edge.config.settings import BundleSettings, DriftSettings, Settings
 from edge.controllers.step_tests import StepTests
 from edge.core.clock import Clock
 from edge.core.controller import RULES
-from edge.core.errors import DataError, GreenhouseError
+from edge.core.errors import DataError, GreenhouseError, RequestError
 from edge.core.messages import ReadingQuality, TickRecord
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.progress import Progress
@@ -140,8 +140,13 @@ def learn(
     """Fit the twin to the tests and judge it.
 
     start : the box's description, values to be fitted in it; step_s : of the rig's control
-    Errors : DataError for a run that nothing can be fitted to
+    Errors : RequestError for a box that did not answer, DataError for a run that nothing can be fitted to
     """
+    if (moved_k := _moved_k(run)) < SEEN_MIN_K:
+        raise RequestError(
+            f"refused: the air moved by {moved_k:.1f} K in all of the tests: the heater is too small for "
+            "this box or this time, not connected, or the sensor hangs where its heat does not come"
+        )
     begin_test = round((1.0 - TEST_SHARE) * len(run))
     train, test = cut(run, 0, begin_test), cut(run, begin_test, len(run))
     file = replace(start, sample_s=STEP_S)
@@ -165,14 +170,7 @@ def learn(
 
 
 def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> Iterator[str]:
-    air = run.columns["temp_air_c"]
-    risen_k = float(np.nanmax(air) - np.nanmin(air))
-    if risen_k < SEEN_MIN_K:
-        yield (
-            f"the air moved by {risen_k:.1f} K in all of the tests: the heater is too small for this box, "
-            "not connected, or the sensor hangs where its heat does not come"
-        )
-        return
+    risen_k = _moved_k(run)
     limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * risen_k)
     if not expectation.error_k <= limit_k:
         yield (
@@ -186,6 +184,11 @@ def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> I
         and simple[best] < WORSE_AT_MOST * expectation.error_k
     ):
         yield f"{best} predicts these rows better, {simple[best]:.2f} K"
+
+
+def _moved_k(run: RecordedRun) -> float:
+    air = run.columns["temp_air_c"]
+    return float(np.nanmax(air) - np.nanmin(air))
 
 
 def _expect(twin: BoxTwin, run: RecordedRun, error_k: float) -> Expectation:

@@ -161,3 +161,12 @@ def test_a_broken_state_is_not_written_over(rig, monkeypatch, capsys):
     said = refused(capsys, "--from-run", str(run_file(rig)), "--out", "found")
     assert "greenhouse controller MPC-Twin-P" in said
     assert (rig / "state.json").read_text() == "{broken"
+
+
+def test_a_heater_that_warms_nothing_is_refused_before_any_fit(rig, capsys):
+    path = run_file(rig)
+    rows = path.read_text().splitlines()
+    flat = [rows[0], *(",".join([row.split(",")[0], "21.5", *row.split(",")[2:]]) for row in rows[1:])]
+    path.write_text("\n".join(flat) + "\n")
+    said = refused(capsys, "--from-run", str(path), "--out", "found")
+    assert "the air moved by 0.0 K" in said and "not connected" in said
