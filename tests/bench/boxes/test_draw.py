@@ -19,7 +19,8 @@ def boxes(seeds: tuple[int, ...]) -> list[BoxFacts]:
 
 
 def test_the_boxes_use_nothing_of_the_projects_models() -> None:
-    files = sorted(Path(draw.__file__).parent.glob("*.py"))
+    # The runner drives the boxes by the daemon; what a box is knows nothing of it.
+    files = sorted(path for path in Path(draw.__file__).parent.glob("*.py") if path.name != "__main__.py")
     assert {"draw.py", "physics.py", "box.py", "reach.py"} <= {path.name for path in files}
     allowed = {"numpy", "math", "dataclasses", "typing", "functools", "bench", "firmware_protocol"}
     for path in files:
