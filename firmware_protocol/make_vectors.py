@@ -113,7 +113,7 @@ _WHOLE: tuple[tuple[str, Message, int, int], ...] = (
     ("hello unasked after a reset", replace(_HELLO, session=0, boot_count=8), 1, 0),
     ("command of nothing", CommandMessage(0, 0, 0, 0.0, False, 0.0), 1, 0),
     ("command of everything", CommandMessage(20, 255, 100, 25.5, True, 60.0), 255, 0),
-    ("command with the fan for 15 s", replace(_COMMAND, fan_on=60), 2, 0),
+    ("command with the fan for 15 s", replace(_COMMAND, fan_on=60, valve_pulse_s=0.0), 2, 0),
     ("sensor_report without a number", _BLIND, 1, 0),
     ("sensor_report of the lowest numbers", _COLD, 255, 0),
     ("state_echo while tripped", _TRIPPED, 6, 0),

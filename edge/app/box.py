@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError, DataError
 from edge.safety.box_bounds import PAPER_BOX, BoxBounds, unknown_box
 from edge.twin.model import BoxTwin
+from edge.twin.network import HEATER
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile, read_twin_file
 from edge.twin.warm_start import at_rest
@@ -24,7 +25,7 @@ ROOM_C = 20.0
 # The paper's box by the same measure has 3000 to 10 000 J/K and 4 to 10 W/K: margins are those of its bounds.
 CAPACITY, LOSS, FAN, WEAK, POWER = (0.6, 1.5), (0.6, 1.6), 0.5, 0.35, (0.75, 1.1)
 OTHER_SHARE, OTHER_LONG_SHARE = 0.5, 0.3  # of the heater's power, that nobody ordered
-LAG_S, LAG_TIMES = 300.0, 1.5
+LAG_S, LAG_TIMES = 300.0, 1.6
 
 
 def bounds_of(path: str) -> BoxBounds:
@@ -47,12 +48,11 @@ def box_bounds(file: TwinFile) -> BoxBounds:
     still, fanned = heater_w / float(warming[-1]), heater_w / float(_rise(twin, 1.0)[-1])
     early, late = (_capacity_j_k(warming, heater_w, still, until_s) for until_s in (EARLY_S, LATE_S))
     fan_w_k = min(max(fanned - still, 0.0), _rated_fan_w_k(file))
-    lag_s = file.effects.get("heater_lag", {}).get("tau_h")
     return BoxBounds(
         heater_w=heater_w,
         power_min_w=POWER[0] * heater_w,
         power_max_w=POWER[1] * heater_w,
-        element_lag_s=max(LAG_S, LAG_TIMES * (lag_s.high or lag_s.value) if lag_s else 0.0),
+        element_lag_s=max(LAG_S, LAG_TIMES * _element_lag_s(twin)),
         capacity_max_j_k=CAPACITY[1] * max(early, late),
         capacity_min_j_k=CAPACITY[0] * min(early, late),
         loss_max_w_k=LOSS[1] * still,
@@ -81,6 +81,14 @@ def _rise(twin: BoxTwin, fan: float) -> Floats:
 
     slow = replace(twin, step_s=3600.0)
     return np.append(run(steps, twin), run(round(SETTLED_S / slow.step_s), slow)[-1])
+
+
+def _element_lag_s(twin: BoxTwin) -> float:
+    """Return the time constant of the heater's element, 0 for one whose heat is there at once [s]."""
+    if HEATER not in twin.states:
+        return 0.0
+    place = twin.states.index(HEATER)
+    return -1.0 / float(twin.system.rates[place, place])
 
 
 def _rated_fan_w_k(file: TwinFile) -> float:

@@ -23,10 +23,15 @@ def to_dict(operation: Operation) -> dict[str, Any]:
         **asdict(operation),
         "mode": operation.mode.value,
         "fan_mode": operation.fan_mode.value,
-        "manual": asdict(operation.manual),
+        "manual": _manual_dict(operation.manual),
         "steering": _steering_dict(operation.steering),
         "before": None if operation.before is None else _before_dict(operation.before),
     }
+
+
+def _manual_dict(manual: Command) -> dict[str, Any]:
+    """Return it without a share: a person's fan is on or off, and earlier software knows no share."""
+    return {key: value for key, value in asdict(manual).items() if key != "fan_share"}
 
 
 def _before_dict(before: Before) -> dict[str, Any]:
