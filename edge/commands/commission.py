@@ -146,7 +146,8 @@ def keep(twin: TwinFile, place: Path) -> None:
     """Put the learned twin where safety looks for the box's bounds; the description stays beside it."""
     before = place.with_name(place.name + BEFORE)
     with writing(place):
-        if place.exists() and not before.exists():
+        # A description in its place is newer than the one beside it: setup has asked for the box again.
+        if place.exists() and (not before.exists() or read_twin_file(place).to_fit()):
             write_atomically(before, place.read_bytes())
         write_twin_file(twin, place)
     print(f"{place}: the learned twin, from which safety takes its bounds; the description is {before}")

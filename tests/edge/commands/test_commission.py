@@ -10,6 +10,7 @@ from edge.__main__ import main
 from edge.app import commission
 from edge.app.commission import Expectation
 from edge.bundle.sign import generate_key
+from edge.commands.commission import keep
 from edge.config.loading import load
 from edge.models.arx_file import read_arx
 from edge.state.store import STANDING, restore
@@ -98,6 +99,15 @@ def test_a_box_that_was_learned_is_learned_anew_from_its_description(rig, monkey
     (rig / "box.yaml").write_bytes(TWIN.read_bytes())
     assert commissioned("--from-run", str(run_file(rig)), "--out", "third", "--only-learn") == 0
     assert [bool(start.to_fit()) for start in starts] == [True, True, True]
+
+
+def test_a_description_that_setup_wrote_anew_replaces_the_one_beside_it(tmp_path):
+    place, before = tmp_path / "twin.yaml", tmp_path / "twin.yaml.before"
+    before.write_text(text(BoxDescription(0.15, 100.0, "none")))
+    place.write_text(text(BoxDescription(0.03, 40.0, "none")))
+    for _ in range(2):  # the second time a learned twin is in its place, which describes no box
+        keep(read_twin_file(TWIN), place)
+        assert read_twin_file(before).geometry["heater_max_w"].value == 40.0
 
 
 def test_what_is_refused_says_why_and_changes_nothing(rig, monkeypatch, capsys):
