@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.app.active_models import configured_model
+from edge.app.box import bounds_of
 from edge.config import loading as config
 from edge.config.secrets import read_secret
 from edge.config.settings import BundleSettings, ControlSocketSettings, MqttSettings, Settings
@@ -41,6 +42,7 @@ def problems(settings: Settings) -> Iterator[ConfigProblem]:
     """Everything that is wrong with what `settings` name on this machine."""
     yield from _problems_of(lambda: configured_model(settings.control))
     yield from _problems_of(lambda: make_reference(settings.reference))
+    yield from _problems_of(lambda: bounds_of(settings.box.twin))
     yield from _port(settings.board.port)
     yield from _data_file("state_file", Path(settings.state_file), _state_problem)
     yield from _data_file("history.path", Path(settings.history.path), _history_problem)

@@ -24,7 +24,7 @@ from edge.commands.backup import add_config
 from edge.commands.check_config import problems
 from edge.config import loading
 from edge.config.example import changed_keys
-from edge.config.settings import Settings
+from edge.config.settings import BoxSettings, Settings
 from edge.core.errors import ConfigError, RequestError
 
 WIDTH = 79  # columns of text, so that no line wraps in a terminal of 80
@@ -227,18 +227,21 @@ def _files(
 ) -> list[tuple[Path, str, list[str]]]:
     """Return path, text and difference to what is there, for each file; all are checked.
 
+    The twin file is first, so that edge.yaml never names one that is missing.
+
     Errors : ConfigError, RequestError, DataError
     """
-    settings = setup.settings_of(before, answers, report_period_s, config.with_name("twin.yaml"))
-    _check(config, settings)
+    twin = config.absolute().with_name("twin.yaml")
+    settings = setup.settings_of(before, answers, report_period_s, twin)
+    _check(config, replace(settings, box=BoxSettings()))  # its twin file is not there yet
     if settings.control.controller != before.control.controller:
         say("The packaged models are those of the paper's box: at first the controller `rules` decides.")
     changed = [f"{key}: {old} -> {new}" for key, old, new in changed_keys(settings, before)]
-    twin, text = config.with_name("twin.yaml"), setup.twin_of(answers)
+    text = setup.twin_of(answers)
     lines = difflib.unified_diff(
         (setup.text_before(twin) or "").splitlines(), text.splitlines(), "before", "now", lineterm="", n=0
     )
-    return [(config, setup.edge_text(settings), changed), (twin, text, list(lines))]
+    return [(twin, text, list(lines)), (config, setup.edge_text(settings), changed)]
 
 
 def _check(config: Path, settings: Settings) -> None:

@@ -35,6 +35,8 @@ ERRORS = {
     "bundle.trusted_keys: {folder}/text: is not a folder": "bundle: {{trusted_keys: {folder}/text}}",
     "bundle.signing_key: /none/key: No such file": "bundle: {{signing_key: /none/key}}",
     "drift.reports: {folder}/text: is not a folder": "drift: {{diagnose: always, reports: {folder}/text}}",
+    "box.twin: /none/twin.yaml: cannot be read": "box: {{twin: /none/twin.yaml}}",
+    "box.twin: {folder}/text: ": "box: {{twin: {folder}/text}}",
     "external.socket: {folder}/text: exists and is not a socket": "external: {{socket: {folder}/text}}",
 }
 

@@ -224,9 +224,25 @@ def test_a_file_that_is_not_to_be_replaced_stays(silent: None, person: Person, f
     code, out = person([*SCRIPT, "no"])
     assert code == 2 and "stays as it is" in out
     assert files(folder)["edge.yaml"] == "# mine\n"
-    assert set(files(folder)) == {"edge.yaml", "setup.json"}
+    assert set(files(folder)) == {"edge.yaml", "twin.yaml", "setup.json"}
     code, _ = person(["yes"])  # later
-    assert code == 0 and "edge.yaml" in files(folder)
+    assert code == 0 and loading.load(folder / "edge.yaml").box.twin == str(folder / "twin.yaml")
+
+
+def test_settings_name_a_twin_file_that_the_service_finds_from_any_folder(
+    silent: None, person: Person, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    code, _ = person(SCRIPT, "--config", "edge.yaml")
+    assert code == 0 and loading.load(folder / "edge.yaml").box.twin == str(folder / "twin.yaml")
+
+
+def test_settings_never_name_a_twin_file_that_was_not_written(
+    silent: None, person: Person, folder: Path
+) -> None:
+    (folder / "twin.yaml").write_text("sample_s: 30\n")
+    code, _ = person([*SCRIPT, "no"])
+    assert code == 2 and set(files(folder)) == {"twin.yaml", "setup.json"}
 
 
 def test_settings_that_would_not_work_are_not_written(silent: None, person: Person, folder: Path) -> None:
