@@ -1,9 +1,10 @@
 """python -m bench.boxes: boxes commissioned from nothing, then held to a reference by rules, PID, MPC, twin.
 
 The cost is the paper's, 10 e² a step and the effort, but with the error at every 5 s, so that what happens
-between two ticks counts. PID is tuned by SIMC (Skogestad, J. Process Control 13, 2003) on the same tests. The
-paper's MPC has its bounds. Every row knows the same of the future: --present none, else the coming reference
-where a controller has a use for it.
+between two ticks counts. PID is tuned on the twin of the same tests (tuned_pid.py). The paper's MPC has its
+bounds. Rows without /early keep to the reference until it changes: the MPCs plan for the present one, and
+MPC-Twin-P and the clairvoyant leave it by at most `control.twin_early_k` before a step. Rows with /early know
+the coming reference and may leave the present one as they like.
 """
 
 import argparse
@@ -19,9 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.boxes.box import Box
+from bench.boxes.clairvoyant import Clairvoyant
 from bench.boxes.draw import draw_box
 from bench.boxes.facts import BoxFacts
 from bench.boxes.reach import scaled_reference
+from bench.boxes.tuned_pid import tuned
 from bench.header import header
 from edge.app.commission import Commissioned, learn, record, test_settings
 from edge.board.virtual_rig import settings_in
@@ -31,27 +34,29 @@ from edge.bundle.roles import activate
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
 from edge.bundle.store import BundleStore
 from edge.config.settings import DriftSettings, ReferenceSettings, Settings
-from edge.controllers.pid import Pid
 from edge.core.controller import Controller
 from edge.core.errors import GreenhouseError
 from edge.formats.profile_file import read_profile
 from edge.models.arx_file import write_arx
+from edge.models.pbm import Pbm
 from edge.twin.new_file import BoxDescription, text
-from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
-from edge.twin.warm_start import at_rest
 from firmware_protocol.virtual_board.plant import Plant
 from training.control.draw_references import FOLDER
 from training.lab import InProcessBoard, Lab
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 ROLES = {"none": "none", "stir": "stirring", "exchange": "exhaust"}
-EARLY = "MPC-Twin-P/early"  # the same, allowed to leave the reference before a step of it as the MPCs do
-ROWS = ("rules", "PID", "MPC-P", "MPC-BFGS-P", "MPC-Twin-P", EARLY)
-PREVIEWING = ("MPC-P", "MPC-BFGS-P", "MPC-Twin-P")
+EARLY = "/early"  # after a name: may leave the reference before a step of it
+CLAIRVOYANT = "clairvoyant"
+PLANNING = ("MPC-P", "MPC-BFGS-P", "MPC-Twin-P", CLAIRVOYANT)
+ROWS = ("rules", "PID", *PLANNING, *(f"{name}{EARLY}" for name in PLANNING))
+OVER_ARX = ("MPC-P", "MPC-BFGS-P")
+TUNING = ("tuning_1", "tuning_2", "tuning_3")
 ANY_K = 20.0
 SAMPLE_S, STEP_S = 5.0, 60.0
-EXCURSION_MIN = 20  # before a step of the reference
+EXCURSION_MIN = 15  # before a step of the reference
 WARM_UP_S = 600.0  # that no controller can help
 
 
@@ -71,7 +76,7 @@ class WatchedBox(Box):
 
 @dataclass(frozen=True, slots=True)
 class BoxRow:
-    """A run. before_k : largest error in the minutes before a step of the reference"""
+    """A run. before_k : largest error towards a step of the reference in the minutes before it"""
 
     controller: str
     cost: float
@@ -114,49 +119,34 @@ def commission(facts: BoxFacts, seed: int, minutes: float) -> Commissioned:
     return learn(run, start, STEP_S, lambda text, share: None)
 
 
-def simc(twin: TwinFile, room_c: float) -> tuple[float, float, float]:
-    """Return a PI's gains [1/K, 1/(K s), 0] by SIMC from the twin's step response: delay, slope, gain."""
-    model = twin.twin()
-    steps = round(6 * 3600.0 / STEP_S)
-    ones, zeros = np.ones((1, steps)), np.zeros((1, steps))
-    rest = at_rest(model, room_c, room_c)
-    given = {name: np.zeros(steps) for name in model.needs}
-    heated = model.rollout(rest, ones, zeros, room_c, conditions=given, before=Commands(zeros, zeros))
-    idle = model.rollout(rest, zeros, zeros, room_c, conditions=given, before=Commands(zeros, zeros))
-    rise = (heated - idle)[0]
-    gain_k = float(rise[-1])
-    t1, t2 = (STEP_S * (1 + float(np.argmax(rise >= share * gain_k))) for share in (0.283, 0.632))
-    tau_s = 1.5 * (t2 - t1)  # two-point fit of a first order with delay (Sundaresan, Krishnaswamy 1978)
-    delay_s = max(t2 - tau_s, 0.0) + STEP_S  # and half a step of hold, half of the mean's
-    kp = max(tau_s, STEP_S) / (gain_k * 2.0 * delay_s)
-    return kp, kp / min(max(tau_s, STEP_S), 8.0 * delay_s), 0.0
-
-
-def drive(
-    facts: BoxFacts, seed: int, name: str, found: Commissioned, reference: str, present: bool
-) -> BoxRow:
-    """Hold a box to a scaled reference."""
+def drive(facts: BoxFacts, seed: int, name: str, found: Commissioned, reference: str) -> BoxRow:
+    """Hold a box to a scaled reference. name : of ROWS"""
+    base, is_early = name.removesuffix(EARLY), name.endswith(EARLY)
     with tempfile.TemporaryDirectory(prefix="boxes-") as temporary:
         folder = Path(temporary)
         path = _reference(facts, reference, folder)
         settings = rig_settings(folder, found.twin)
+        early_k = ANY_K if is_early else settings.control.twin_early_k
         control = replace(
             settings.control,
-            controller="MPC-Twin-P" if name == EARLY else name if name in PREVIEWING else "rules",
-            twin_early_k=ANY_K if name == EARLY else settings.control.twin_early_k,
-            preview=name in PREVIEWING and not present,
-            twin_preview=not present,
+            controller=base if base in PLANNING and base != CLAIRVOYANT else "rules",
+            twin_early_k=early_k,
+            preview=is_early,
             time_box_ms=60_000.0,
         )
         settings = replace(
             settings, control=control, reference=ReferenceSettings(kind="csv", csv=str(path), min_c=5.0)
         )
         _install(found, settings, folder)
-        more: dict[str, Any] = {}
-        if name == "PID":
-            instead: Controller = Pid(*simc(found.twin, found.expectation.room_c))
-            more = {"more_controllers": (instead,), "experiment": "PID"}
         box = WatchedBox(facts, seed + 1000)
+        instead: list[Controller] = []
+        if base == "PID":
+            cools = facts.fan == "exchange"
+            courses = [_course(_reference(facts, tuning, folder)) for tuning in TUNING]
+            instead = [tuned(found.twin.twin(), found.expectation.room_c, courses, cools)]
+        if base == CLAIRVOYANT:
+            instead = [Clairvoyant(box, Pbm(found.twin.twin()), control.penalty_weight, True, early_k)]
+        more: dict[str, Any] = {"more_controllers": instead, "experiment": instead[0].name} if instead else {}
         lab = Lab(settings, board="here", plant=Plant(box, box.parts()), seed=seed, folder=folder, **more)
         with lab:
             lab.run(minutes=read_profile(path).end_s / 60.0)
@@ -174,7 +164,9 @@ def _row(name: str, lab: Lab, seen: Floats, heater_w: float) -> BoxRow:
     error = np.where(known, seen[:, 1] - reference[np.maximum(place, 0)], 0.0)[known]
     steps = np.flatnonzero(np.abs(np.diff(reference)) > 1.0) + 1
     before = [
-        float(np.abs(error[(place[known] >= k - EXCURSION_MIN // 2) & (place[known] < k)]).max(initial=0.0))
+        float(
+            (np.sign(reference[k] - reference[k - 1]) * error[_just_before(place[known], k)]).max(initial=0.0)
+        )
         for k in steps
         if ticks[k] > ticks[0] + WARM_UP_S + 60.0 * EXCURSION_MIN
     ]
@@ -202,6 +194,17 @@ def _reference(facts: BoxFacts, name: str, folder: Path) -> Path:
     return path
 
 
+def _just_before(place: Ints, k: np.signedinteger[Any]) -> NDArray[np.bool_]:
+    return np.asarray((place >= k - EXCURSION_MIN) & (place < k))
+
+
+def _course(path: Path) -> Floats:
+    """Return the reference at each step [°C]."""
+    profile = read_profile(path)
+    times = STEP_S * np.arange(round(profile.end_s / STEP_S))
+    return np.asarray(np.interp(times, profile.columns["time_s"], profile.columns["reference_c"]))
+
+
 def _install(found: Commissioned, settings: Settings, folder: Path) -> None:
     keys, models = Path(settings.bundle.trusted_keys), folder / "models"
     for made in (keys, models):
@@ -220,7 +223,7 @@ def _install(found: Commissioned, settings: Settings, folder: Path) -> None:
     store.change(lambda roles: activate(roles, None))
 
 
-def table_of(box: int, minutes: float, reference: str, present: bool) -> list[str]:
+def table_of(box: int, minutes: float, reference: str) -> list[str]:
     """Return the lines of one box."""
     facts = draw_box(box)
     try:
@@ -231,10 +234,10 @@ def table_of(box: int, minutes: float, reference: str, present: bool) -> list[st
     lines = [f"{said}; free runs off by {found.expectation.error_k:.2f} K"]
     lines += [f"    refused: {reason}" for reason in found.refusals]
     for name in ROWS:
-        if found.arx is None and name in ("MPC-P", "MPC-BFGS-P"):
+        if found.arx is None and name.removesuffix(EARLY) in OVER_ARX:
             lines.append(f"    {name:<12} no ARX model could be fitted")
             continue
-        row = drive(facts, box, name, found, reference, present)
+        row = drive(facts, box, name, found, reference)
         figures = f"{row.cost:9.1f}{row.mae_k:8.3f}{row.before_k:8.2f}{row.fan_starts:6d}{row.heat_wh:8.0f}"
         lines.append(f"    {name:<17}{figures}")
     return lines
@@ -246,16 +249,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--boxes", type=int, nargs="+", required=True, help="numbers of bench.boxes.draw")
     parser.add_argument("--minutes", type=float, default=120.0, help="of commissioning; default: 120")
     parser.add_argument("--reference", default="reference_1", help="default: reference_1")
-    parser.add_argument("--present", action="store_true", help="no controller knows the coming reference")
     parser.add_argument("--jobs", type=int, default=2, help="processes; default: 2")
     given = parser.parse_args(words)
     print("\n".join(header()))
     print(f"{given.reference}, {given.minutes:g} min of commissioning; cost, MAE [K],")
-    print("largest error before a step [K], starts of the fan, heat [Wh]", flush=True)
+    print("largest way towards a step before it [K], starts of the fan, heat [Wh]", flush=True)
     with ProcessPoolExecutor(given.jobs) as pool:
-        jobs = [
-            pool.submit(table_of, box, given.minutes, given.reference, given.present) for box in given.boxes
-        ]
+        jobs = [pool.submit(table_of, box, given.minutes, given.reference) for box in given.boxes]
         for job in jobs:
             print("\n".join(job.result()), flush=True)
     return 0

@@ -20,7 +20,7 @@ from edge.models.arx import Arx
 def cost_split(problem: PlanningProblem, duty: Floats, fan: Ints, temps: Floats) -> dict[str, float]:
     """Split a plan's cost into its parts."""
     heater = float(problem.heater_weight * (duty**2).sum())
-    fan_cost = float(problem.fan_weight * fan.sum())
+    fan_cost = float(problem.fan_weight * fan.sum() + problem.clash_weight * (duty * fan).sum())
     tracking = float(problem.tracking(temps).sum())
     return {
         "cost": tracking + heater + fan_cost,

@@ -5,6 +5,7 @@ The disturbance is heat into the air that the twin does not know, a random walk,
 has no steady-state error (offset-free MPC: Pannocchia and Rawlings, AIChE J. 49(2), 2003).
 """
 
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,7 @@ from edge.core.errors import DataError
 from edge.core.messages import Decision
 from edge.core.names import HEATER_LEVELS, levels_allowed
 from edge.models.pbm import Pbm
-from edge.twin.filter import predict, symmetric, update
+from edge.twin.filter import expectation, predict, symmetric, update
 from edge.twin.model import BoxTwin
 from edge.twin.network import HEATER
 from edge.twin.signals import Conditions
@@ -31,6 +32,8 @@ ELEMENT_SD = 0.005  # the same of the element's heat, share of its power
 DISTURBANCE_SD_K = 0.02  # how far the disturbance wanders in a step [K/step]
 DISTURBANCE_START_K = 0.3  # how far it may be off when nothing is known [K/step]
 CLIP_SD = 3.0  # an open door is no disturbance to learn: beyond this an innovation teaches it no more
+USUAL_SURPRISE = 2.0  # a squared innovation by its variance, 1 in the mean where the twin fits
+MISFIT_RATE, MISFIT_MAX = 0.1, 1e3  # half an hour of surprises beyond the clip widens it a thousandfold
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,12 +42,14 @@ class Belief:
 
     state : [n], in the twin's order; disturbance : heat into the air, as what it alone would warm it [K/step]
     covariance : [n + 1, n + 1], the disturbance last
+    misfit : by which the variance of what a step does by chance is larger than in a box that the twin fits
     """
 
     time_s: float
     state: Floats
     disturbance: float
     covariance: Floats
+    misfit: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,20 +81,33 @@ def move_belief(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInp
     transition[:size, :size], transition[:size, size], transition[size, size] = matrix, heat, 1.0
     element_w = ELEMENT_SD * twin.geometry.heater_max_w
     sds = [element_w if name == HEATER else BODY_SD_K for name in twin.states]
-    noise = np.diag(np.square([*sds, DISTURBANCE_SD_K]))
+    noise = belief.misfit * np.diag(np.square([*sds, DISTURBANCE_SD_K]))
     covariance = predict(belief.covariance, transition, noise)
     return replace(belief, time_s=time_s, state=state, covariance=covariance)
 
 
 def correct_belief(belief: Belief, measured: float, shown: int) -> Belief:
-    """By a measurement [°C] of the state `shown`; one that is no number teaches nothing."""
+    """By a measurement [°C] of the state `shown`; one that is no number teaches nothing.
+
+    Innovations larger than expected, one after the other, widen what a step may do by chance (covariance
+    matching: Mehra, IEEE Trans. Autom. Control 17(5), 1972), so that a poor twin follows its box too.
+    """
     if not np.isfinite(measured):
         return belief
     widened = np.append(belief.state, belief.disturbance)
+    innovation, variance = expectation(widened, belief.covariance, measured, MEASUREMENT_SD_K**2, shown)
+    surprise = min(innovation**2 / variance, CLIP_SD**2) - USUAL_SURPRISE
+    misfit = min(max(belief.misfit * math.exp(MISFIT_RATE * surprise), 1.0), MISFIT_MAX)
     mean, covariance = update(
         widened, belief.covariance, measured, MEASUREMENT_SD_K**2, shown, clip_sd=CLIP_SD
     )
-    return replace(belief, state=mean[:-1], disturbance=float(mean[-1]), covariance=symmetric(covariance))
+    return replace(
+        belief,
+        state=mean[:-1],
+        disturbance=float(mean[-1]),
+        covariance=symmetric(covariance),
+        misfit=misfit,
+    )
 
 
 HORIZON = 20  # steps; the heater's element answers for five minutes, a step down needs the fan for three
@@ -111,23 +129,32 @@ def fan_shares(step_s: float, limits: ControlLimits) -> tuple[float, ...]:
 
 EARLY_K = 0.3  # what a plant or a person would not notice
 EARLY_WEIGHT = 1e4  # 0.1 K more costs as much as 3 K off the reference for a step
+STEP_K = 0.6  # a larger change of the reference at once is a step, a smaller one part of a ramp
+SETTLING_STEPS = 10  # after a step of the reference
+CLASH_WEIGHT = 10.0  # full heat for a step against the fan costs as much as 1 K off the reference
 
 
-def band_before_steps(reference: Floats, early_k: float) -> tuple[Floats, Floats]:
+def band_before_steps(reference: Floats, early_k: float, since: int) -> tuple[Floats, Floats]:
     """Return the lowest and the highest air [N] by which it is not early for a step still to come [°C].
 
-    A step is a change by more than twice `early_k` at once; no bound where none comes, and against its
-    direction.
+    No bound where no step comes, against its direction, and while the air may still be on its way after
+    the step before.
+    since : steps since that one, before the first of `reference`
     """
     low, high = np.full(len(reference), -np.inf), np.full(len(reference), np.inf)
+    changes = np.diff(reference, prepend=reference[0])
+    is_step = np.abs(changes) > STEP_K
     direction = 0.0
     for k in range(len(reference) - 2, -1, -1):
-        change = reference[k + 1] - reference[k]
-        direction = np.sign(change) if abs(change) > 2.0 * early_k else direction
+        direction = np.sign(changes[k + 1]) if is_step[k + 1] else direction
         if direction > 0.0:
             high[k] = reference[k] + early_k
         elif direction < 0.0:
             low[k] = reference[k] - early_k
+    for k, steps in enumerate(is_step):
+        since = 0 if steps else since + 1
+        if since <= SETTLING_STEPS:
+            low[k], high[k] = -np.inf, np.inf
     return low, high
 
 
@@ -149,16 +176,18 @@ class MpcTwin:
         self._early_k = early_k
         self._belief: Belief | None = None
         self._step: LinearStep | None = None
+        self._since, self._last_reference = 0, math.nan
 
     def reset(self) -> None:
         """Forget the state: the next decision finds it from the whole history."""
         self._belief = None
+        self._since, self._last_reference = 0, math.nan
 
     def decide(self, context: Context) -> Decision:
         """Return the first step of the cheapest plan found. Errors: DataError of twin or problem"""
         begun = time.perf_counter()
         belief, step = self._follow(context)
-        goal = _goal(context, self._weight, self._preview, self._early_k)
+        goal = self._goal(context)
         last = context.last_sent
         level = round(last.heater_duty * HEATER_LEVELS)
         start = PlanStart(
@@ -178,6 +207,39 @@ class MpcTwin:
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
         return Decision(first_command(plan), self.name, tuple(found.air.tolist()), why, planned_inputs(plan))
+
+    def _goal(self, context: Context) -> PlanningProblem:
+        """Return a plan's goal and limits, without the response, which the twin gives."""
+        limits, asked, steps, weight = context.limits, context.penalty, HORIZON + TAIL, self._weight
+        nothing: Floats = np.zeros(steps)
+        reference = _held_from_tail(goal_ahead(context, steps, self._preview))
+        now = float(reference[0])
+        is_step = not abs(now - self._last_reference) <= STEP_K
+        self._since, self._last_reference = 0 if is_step else self._since + 1, now
+        low, high = band_before_steps(reference, self._early_k, self._since)
+        return PlanningProblem(
+            free=nothing,
+            heater=nothing,
+            fan=nothing,
+            reference=reference,
+            tail=TAIL,
+            heater_weight=weight if asked.heater is None else max(asked.heater, LEAST_WEIGHT),
+            fan_weight=weight if asked.fan is None else max(asked.fan, LEAST_WEIGHT),
+            heater_levels=levels_allowed(limits.heater_max_duty),
+            fan_rules=relay(
+                context.last_sent.fan_at_end,
+                limits.fan_hold_steps,
+                limits.fan_min_on_steps,
+                limits.fan_min_off_steps,
+                HORIZON,
+            ),
+            temp_max=limits.temp_air_max_c,
+            limit_weight=LIMIT_WEIGHT,
+            low=low,
+            high=high,
+            band_weight=EARLY_WEIGHT,
+            clash_weight=CLASH_WEIGHT,
+        )
 
     def _follow(self, context: Context) -> tuple[Belief, LinearStep]:
         """Estimate the present state, from the last tick's or from the whole history."""
@@ -219,34 +281,13 @@ def _inputs(context: Context, row: int) -> StepInputs:
     return StepInputs(float(duty[row]), float(fan[row]), float(duty[before]), float(fan[before]), ambient)
 
 
-def _goal(context: Context, weight: float, preview: bool, early_k: float) -> PlanningProblem:
-    """Return a plan's goal and limits, without the response, which the twin gives."""
-    limits, asked, steps = context.limits, context.penalty, HORIZON + TAIL
-    nothing: Floats = np.zeros(steps)
-    reference = goal_ahead(context, steps, preview)
-    low, high = band_before_steps(reference, early_k)
-    return PlanningProblem(
-        free=nothing,
-        heater=nothing,
-        fan=nothing,
-        reference=reference,
-        tail=TAIL,
-        heater_weight=weight if asked.heater is None else max(asked.heater, LEAST_WEIGHT),
-        fan_weight=weight if asked.fan is None else max(asked.fan, LEAST_WEIGHT),
-        heater_levels=levels_allowed(limits.heater_max_duty),
-        fan_rules=relay(
-            context.last_sent.fan_at_end,
-            limits.fan_hold_steps,
-            limits.fan_min_on_steps,
-            limits.fan_min_off_steps,
-            HORIZON,
-        ),
-        temp_max=limits.temp_air_max_c,
-        limit_weight=LIMIT_WEIGHT,
-        low=low,
-        high=high,
-        band_weight=EARLY_WEIGHT,
-    )
+def _held_from_tail(reference: Floats) -> Floats:
+    """Return the reference [N] without a step in the tail, whose one heat cannot serve both sides of it."""
+    steps = HORIZON + np.flatnonzero(np.abs(np.diff(reference[HORIZON - 1 :])) > STEP_K)
+    if len(steps):
+        reference = reference.copy()
+        reference[steps[0] :] = reference[steps[0] - 1]
+    return reference
 
 
 def _padded_air(found: BeamResult, goal: PlanningProblem) -> Floats:

@@ -59,6 +59,7 @@ class Network:
     heater_scale: float = 1.0
     heater_lag_s: float = 0.0  # 0: the heat is there at once
     radiant_share: float = 0.0  # of the heater, that passes the air by
+    element_by_fan: float = 0.0  # by which the fan makes the element's heat pass faster: 1 is twice as fast
     mixing_m3_s: float = 0.0  # between two halves of the air; 0: one zone
     sensor_lag_s: float = 0.0  # 0: the sensor shows the air
     signals: Signals = field(default_factory=Signals)
@@ -148,10 +149,11 @@ class Network:
     def _behind_element(
         self, states: tuple[str, ...], rates: Floats, drive: Floats, heated: Floats
     ) -> tuple[tuple[str, ...], Floats, Floats]:
-        """Add the element's heat as the last state."""
+        """Add the element's heat in still air as the last state."""
         rates, drive = _one_more(rates, drive, slice(None, -1))
-        rates[0, :-1, -1] = heated
-        rates[0, -1, -1] = -1.0 / self.heater_lag_s
+        for mode, share in ((0, 1.0), (1, self.element_by_fan)):
+            rates[mode, :-1, -1] = share * heated
+            rates[mode, -1, -1] = -share / self.heater_lag_s
         drive[0, -1, 0] = self._power_w() / self.heater_lag_s
         return (*states, HEATER), rates, drive
 

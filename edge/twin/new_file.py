@@ -117,8 +117,12 @@ nuisance: {{heater_power_run_sd: null, heat_noise_sd_w: null}}
 
 def _fan(box: BoxDescription) -> str:
     """Return the fan's lines. An exhaust fan never reaches its rated flow, which holds without resistance."""
-    if box.fan_role != "exhaust":
+    if box.fan_role == "none":
         return ""
+    if box.fan_role == "stirring":
+        return (
+            "  stirred_loss:\n    G_stir: {fit: true}  # heat that leaves faster while the fan runs [W/K]\n"
+        )
     share = "eps_f: {fit: true}  # share of the fan's free flow that changes air in this box"
     return f"  fan_effectiveness:\n    {share}\n"
 

@@ -14,7 +14,8 @@ NOTHING = {
     "tau_h": 0.0, "d_h": 0.0, "eta": 1.0, "f_rad": 0.0, "u_sat": 1.0, "sag": 0.0, "epsA": 0.0,
     "eps_f": 1.0, "s_sc": 0.0, "d_f": 0.0, "tau_f": 0.0, "F_mix": 0.0, "tau_s": 0.0, "bias": 0.0,
     "b_amb": 0.0, "P0": 0.0, "P_led": 0.0, "A_sun": 0.0, "k_e": 0.0, "G_door": 0.0, "ua_drift": 0.0,
-    "P_fan": 0.0, "G_g": 0.0, "T_g": 0.0, "F_st": 0.0, "G_nc": 0.0, "P_res": 0.0,
+    "P_fan": 0.0, "G_g": 0.0, "T_g": 0.0, "F_st": 0.0, "G_nc": 0.0, "P_res": 0.0, "G_stir": 0.0,
+    "k_el": 0.0,
 }  # fmt: skip
 STATES = ("air", "upper", "wall", "soil", "heater", "fan", "sensor")
 
@@ -31,8 +32,9 @@ def slopes(state, duty, fan, now, p):
     room = now["ambient"] - p["b_amb"]
     supply = min(duty, p["u_sat"])
     wanted_w = p["eta"] * HEATER_W * supply * (1.0 - p["sag"] * supply)
-    power = element if p["tau_h"] else wanted_w
     flow = speed if p["tau_f"] else fan
+    freed = 1.0 + p["k_el"] * flow
+    power = freed * element if p["tau_h"] else wanted_w
     to_wall = {(0, 0): 0.0, (1, 0): 1.0, (0, 1): 0.0, (1, 1): 0.6}[p["G_in"] > 0.0, p["G_s"] > 0.0]
     to_soil = 1.0 - to_wall if p["G_s"] > 0.0 else 0.0
     ageing = 1.0 + p["ua_drift"] * now["day"]
@@ -43,6 +45,7 @@ def slopes(state, duty, fan, now, p):
         excess = abs(temp - room) / 10.0
         rising = 1.2 * 1005.0 * p["F_st"] * excess**0.5 + p["G_nc"] * excess ** (1.0 / 3.0)
         radiated += rising * (temp - room) + p["G_g"] * (temp - p["T_g"])
+        radiated += p["G_stir"] * flow * (temp - room)
         return radiated + (ageing * p["UA"] + leak + p["G_door"] * now["door"]) * (temp - room)
 
     deficit = 0.6108 * np.exp(17.27 * air / (air + 237.3)) * (1.0 - now["rel_humidity"] / 100.0)
@@ -74,7 +77,7 @@ def slopes(state, duty, fan, now, p):
         d_air, d_upper, mean = (heated + other - loss(air) - through - exhaust) / capacity, 0.0, air
     d_wall += p["G_in"] * (mean - wall) / p["C_w"]
     d_soil += p["G_s"] * (mean - soil) / p["C_s"]
-    d_element = (wanted_w - element) / p["tau_h"] if p["tau_h"] else 0.0
+    d_element = (wanted_w - freed * element) / p["tau_h"] if p["tau_h"] else 0.0
     d_speed = (fan - speed) / p["tau_f"] if p["tau_f"] else 0.0
     d_sensor = (air - sensor) / p["tau_s"] if p["tau_s"] else d_air
     return np.array([d_air, d_upper, d_wall, d_soil, d_element, d_speed, d_sensor])

@@ -60,7 +60,8 @@ class PlanningProblem:
     heater_levels : highest heater duty allowed, in steps of 1/20
     temp_max, limit_weight : air temperatures above temp_max cost limit_weight (T - temp_max)^2 more
     low, high, band_weight : air temperatures outside low..high [N + M] cost band_weight times the square
-        more; None: nowhere. Only `twin_plan` plans with them
+        more; None: nowhere
+    clash_weight : cost of a step of full heat while the fan runs. Only `twin_plan` plans with these four
     """
 
     free: Floats
@@ -77,6 +78,7 @@ class PlanningProblem:
     low: Floats | None = None
     high: Floats | None = None
     band_weight: float = 0.0
+    clash_weight: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse NaN, with which no comparison in the search would hold. Raises : DataError"""
@@ -114,8 +116,9 @@ class PlanningProblem:
 
     def effort(self, levels: Ints, fan: NDArray[Any]) -> Floats:
         """Cost of inputs, one by one."""
-        effort: Floats = self.heater_weight * (levels / HEATER_LEVELS) ** 2 + self.fan_weight * fan
-        return effort
+        duty = levels / HEATER_LEVELS
+        effort: Floats = self.heater_weight * duty**2 + self.fan_weight * fan
+        return effort + self.clash_weight * duty * fan if self.clash_weight else effort
 
     def cost(self, levels: Ints, fan: Ints) -> Floats:
         """Total cost of plans [..., N]."""

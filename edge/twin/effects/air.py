@@ -8,10 +8,11 @@ from edge.twin.effects.effect import (
     Effect,
     EffectParameter,
     HiddenBy,
+    Offer,
     ParameterKind,
     by_name,
 )
-from edge.twin.network import Network
+from edge.twin.network import AIR, ROOM, Network
 
 _SPEED_STEP = 3e-3  # a fan's speed is rounded (edge/twin/rollout.py): shorter steps of tau_f change nothing
 
@@ -42,6 +43,11 @@ def imperfect_mixing(network: Network, F_mix: float) -> None:
     Walls, soil, leaks and other heat have half their share in each.
     """
     network.mixing_m3_s = F_mix
+
+
+def stirred_loss(network: Network, G_stir: float) -> None:
+    """Films that thin in moving air: Q = -u_f G_stir (T - T_amb)."""
+    network.connect(AIR, ROOM, 0.0, G_stir)
 
 
 FLOW_CHECK = "a calibration of the fan's flow by an anemometer"
@@ -96,5 +102,13 @@ AIR_EFFECTS: Mapping[str, Effect] = by_name(
         starts=({"F_mix": 0.004}, {"F_mix": 0.02}, {"F_mix": 0.1}),
         check="a second thermometer in the heater's half of the box",
         common=4,
+    ),
+    Effect(
+        stirred_loss,
+        (EffectParameter("G_stir", "W/K", 0.0, 100.0, 2.0),),
+        source="forced convection at a wall, Incropera & DeWitt, ch. 7",
+        without="negative with the fan on, in proportion to T - T_amb",
+        offer=Offer.KNOWN_ONLY,
+        check="a run with the fan unplugged and one with it on all the time, at the same duty",
     ),
 )

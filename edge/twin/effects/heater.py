@@ -8,6 +8,7 @@ from edge.twin.effects.effect import (
     Effect,
     EffectParameter,
     HiddenBy,
+    Offer,
     ParameterKind,
     by_name,
 )
@@ -42,6 +43,11 @@ def heater_saturation(network: Network, u_sat: float) -> None:
 def heater_sag(network: Network, sag: float) -> None:
     """Voltage that falls, or resistance that rises, with the load: H = H_max u (1 - sag u)."""
     network.signals.duty_sag = sag
+
+
+def blown_element(network: Network, k_el: float) -> None:
+    """A fan that cools the element: its lag is tau_h / (1 + k_el u_f); nothing without `heater_lag`."""
+    network.element_by_fan = k_el
 
 
 POWER_CHECK = "a power meter at the heater's plug"
@@ -101,5 +107,13 @@ HEATER_EFFECTS: Mapping[str, Effect] = by_name(
         starts=({"sag": 0.05},),
         check=POWER_CHECK,
         hidden_by=_SCALE,
+    ),
+    Effect(
+        blown_element,
+        (EffectParameter("k_el", "", 0.0, 20.0, 1.0),),
+        source="film of a cylinder in cross flow, Incropera & DeWitt, ch. 7",
+        without="positive for a minute after the fan goes on while the element is hot, then gone",
+        offer=Offer.KNOWN_ONLY,
+        check="a thermocouple on the heater's element",
     ),
 )

@@ -9,7 +9,9 @@ import pytest
 
 from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
 from edge.controllers.mpc_twin import (
+    HORIZON,
     StepInputs,
+    _held_from_tail,
     band_before_steps,
     begin,
     correct_belief,
@@ -89,6 +91,45 @@ def test_an_open_door_teaches_less_than_its_size(diagnosed):
     much = correct_belief(belief, belief.state[0] - 20.0, 0).disturbance - belief.disturbance
     assert much < 0.0
     assert much / little < 5.0
+
+
+@pytest.mark.parametrize(("loss_w_k", "widens"), [(3.0, False), (9.0, True)])
+def test_a_twin_that_misfits_follows_its_box(loss_w_k, widens):
+    """A box that loses 3 or 9 W/K, followed by a twin of 3 W/K while heat comes and goes."""
+    twin = BoxTwin(effects=WALL)
+    box = BoxTwin(effects={**WALL, "wall_loss": {"UA": loss_w_k}})
+    mine, its, state = step_of(twin), step_of(box), at_rest(box, 23.0, ROOM_C)
+    belief, missed, last = begin(twin, 0.0, 23.0, ROOM_C), [], 0.0
+    for k in range(120):
+        duty = 0.6 if k // 15 % 2 else 0.1
+        state = its.matrix[0] @ state + its.constant[0] + its.room[0] * ROOM_C + its.now[0] * duty
+        belief = move_belief(belief, twin, mine, StepInputs(duty, 0.0, last, 0.0, ROOM_C), 60.0 * (k + 1))
+        missed.append(belief.state[0] - state[0])
+        belief, last = correct_belief(belief, float(state[0]), mine.shown), duty
+    assert (belief.misfit > 2.0) == widens
+    assert np.abs(missed[60:]).max() < 1.0  # the box warms by 6 K a step of full heat
+
+
+def test_no_plan_knows_of_a_step_in_its_tail():
+    reference = np.array([25.0] * (HORIZON + 4) + [30.0] * 6)
+    assert (_held_from_tail(reference) == 25.0).all()
+    ramp = np.linspace(25.0, 30.0, HORIZON + 10)
+    assert _held_from_tail(ramp) is ramp
+    within = np.array([25.0] * 5 + [30.0] * (HORIZON + 5))
+    assert _held_from_tail(within) is within
+
+
+def test_no_plan_heats_against_the_fan_for_a_step_to_come(diagnosed):
+    reference = np.array([27.0] * 6 + [31.0] * 6)
+    low, high = band_before_steps(reference, 0.3, 99)
+    held = replace(problem(reference.tolist(), weight=0.03), low=low, high=high, band_weight=1e4)
+    begun = PlanStart(at_rest(diagnosed, 27.0, ROOM_C), 0.0, ROOM_C, 5, 0)
+    clash = []
+    for goal in (held, replace(held, clash_weight=10.0)):
+        plan = search(parts_of(diagnosed), goal, begun, 300).plan
+        clash.append(float((plan.levels / HEATER_LEVELS * plan.fan)[:6].sum()))
+    assert clash[0] > 0.5
+    assert clash[1] < 0.2
 
 
 def problem(
@@ -273,15 +314,22 @@ def test_the_parts_that_a_plan_may_use(step_s, part_s, parts_s):
 
 
 def test_before_a_step_the_air_has_a_bound_in_its_direction_alone():
-    reference = np.array([24.0, 24.0, 28.0, 28.2, 28.2, 25.0, 25.0])
-    low, high = band_before_steps(reference, 0.3)
-    assert high.tolist() == [24.3, 24.3, np.inf, np.inf, np.inf, np.inf, np.inf]
-    assert low.tolist() == pytest.approx([-np.inf, -np.inf, 27.7, 27.9, 27.9, -np.inf, -np.inf])
+    reference = np.array([24.0, 24.0, *[28.0] * 12, 25.0, 25.0])
+    low, high = band_before_steps(reference, 0.3, 99)
+    assert high.tolist() == [24.3, 24.3, *[np.inf] * 14]
+    # ten steps after the one before, the air may still be on its way
+    assert low.tolist() == pytest.approx([*[-np.inf] * 13, 27.7, -np.inf, -np.inf])
+
+
+def test_a_step_that_was_just_taken_leaves_the_air_free():
+    reference = np.array([*[24.0] * 5, 28.0])
+    assert np.isinf(band_before_steps(reference, 0.3, 3)[1]).all()
+    assert band_before_steps(reference, 0.3, 8)[1].tolist() == [np.inf] * 2 + [24.3] * 3 + [np.inf]
 
 
 def test_a_ramp_and_a_constant_reference_have_no_bound():
     for reference in (np.linspace(24.0, 28.0, 20), np.full(20, 25.0)):
-        low, high = band_before_steps(reference, 0.3)
+        low, high = band_before_steps(reference, 0.3, 99)
         assert np.isinf(low).all() and np.isinf(high).all()
 
 
@@ -289,7 +337,7 @@ def test_a_ramp_and_a_constant_reference_have_no_bound():
 def test_no_plan_is_early_for_a_step_by_more_than_it_may(diagnosed, goes):
     reference = np.array([27.0] * 6 + [27.0 + goes] * 6)
     free = problem(reference.tolist(), weight=0.03)
-    low, high = band_before_steps(reference, 0.3)
+    low, high = band_before_steps(reference, 0.3, 99)
     held = replace(free, low=low, high=high, band_weight=1e4)
     begun = PlanStart(at_rest(diagnosed, 27.0, ROOM_C), 0.0, ROOM_C, 5, 0)
     early = [

@@ -201,6 +201,26 @@ def test_life_warms_the_box_twice_as_much_for_each_10_k():
     assert run(hot, 0.0, 0.0, temp=45.0, steps=100)[-1] == pytest.approx(61.0, abs=1e-3)
 
 
+def test_a_stirring_fan_loses_as_much_as_it_says():
+    # 0.3 x 100 W over 2 W/K are 15 K over a room of 21 °C, and over 2 + 3 W/K they are 6 K
+    stirred = {"stirred_loss": {"G_stir": 3.0}, "wall_loss": {"UA": 2.0}, "fan_effectiveness": {"eps_f": 0.0}}
+    assert run(stirred, 0.3, 0.0, steps=200)[-1] == pytest.approx(36.0, abs=1e-3)
+    assert run(stirred, 0.3, 1.0, steps=200)[-1] == pytest.approx(27.0, abs=1e-3)
+
+
+def test_a_blown_element_gives_its_heat_sooner_but_no_more():
+    lag = {
+        "wall_loss": {"UA": 2.0},
+        "fan_effectiveness": {"eps_f": 0.0},
+        "heater_lag": {"tau_h": 300.0},
+    }
+    blown = {**lag, "blown_element": {"k_el": 1.0}}
+    half = {**lag, "heater_lag": {"tau_h": 150.0}}  # twice as fast is half the lag
+    assert run(blown, 0.3, 0.0, steps=30) == pytest.approx(run(lag, 0.3, 0.0, steps=30))
+    assert run(blown, 0.3, 1.0, steps=30) == pytest.approx(run(half, 0.3, 1.0, steps=30))
+    assert run(blown, 0.3, 1.0, steps=200)[-1] == pytest.approx(36.0, abs=1e-3)
+
+
 def test_radiation_is_a_little_more_than_a_wall_in_a_warm_box():
     # 4 sigma T^3 at 25 °C is 6.01 W/(m² K) and at 33 °C, between room and box, 8 % more; by UA t / C = 2.0
     # the 24 K have become 3.3 K, and 8 % of 2.0 takes off a further 16 % of them at the most

@@ -22,6 +22,8 @@ SINGLE = {
     "heater_sag": {"sag": 0.2},
     "fan_effectiveness": {"eps_f": 0.7},
     "short_circuit": {"s_sc": 0.3},
+    "stirred_loss": {"G_stir": 3.0},
+    "blown_element": {"k_el": 2.0},
     "fan_deadtime": {"d_f": 25.0},
     "imperfect_mixing": {"F_mix": 0.01},
     "sensor_lag": {"tau_s": 90.0},
