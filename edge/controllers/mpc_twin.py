@@ -131,7 +131,7 @@ EARLY_K = 0.3  # what a plant or a person would not notice
 EARLY_WEIGHT = 1e4  # 0.1 K more costs as much as 3 K off the reference for a step
 STEP_K = 0.6  # a larger change of the reference at once is a step, a smaller one part of a ramp
 SETTLING_STEPS = 10  # after a step of the reference
-CLASH_WEIGHT = 10.0  # full heat for a step against the fan costs as much as 1 K off the reference
+CLASH_WEIGHT = 50.0  # full heat for a step against the fan costs as much as 2.2 K off the reference
 
 
 def band_before_steps(reference: Floats, early_k: float, since: int) -> tuple[Floats, Floats]:

@@ -125,7 +125,7 @@ def test_no_plan_heats_against_the_fan_for_a_step_to_come(diagnosed):
     held = replace(problem(reference.tolist(), weight=0.03), low=low, high=high, band_weight=1e4)
     begun = PlanStart(at_rest(diagnosed, 27.0, ROOM_C), 0.0, ROOM_C, 5, 0)
     clash = []
-    for goal in (held, replace(held, clash_weight=10.0)):
+    for goal in (held, replace(held, clash_weight=50.0)):
         plan = search(parts_of(diagnosed), goal, begun, 300).plan
         clash.append(float((plan.levels / HEATER_LEVELS * plan.fan)[:6].sum()))
     assert clash[0] > 0.5
