@@ -33,7 +33,7 @@ from edge.bundle.predictors import loader
 from edge.bundle.roles import activate
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
 from edge.bundle.store import BundleStore
-from edge.config.settings import DriftSettings, ReferenceSettings, Settings
+from edge.config.settings import ControlSettings, DriftSettings, ReferenceSettings, Settings
 from edge.core.controller import Controller
 from edge.core.errors import GreenhouseError
 from edge.formats.profile_file import read_profile
@@ -116,7 +116,7 @@ def commission(facts: BoxFacts, seed: int, minutes: float) -> Commissioned:
         board = InProcessBoard(seed, plant=Plant(box, box.parts()))
         settings = test_settings(rig_settings(Path(temporary), start))
         run = record(settings, board, start.fan_role != "none", minutes, open_port=board.open)
-    return learn(run, start, STEP_S, lambda text, share: None)
+    return learn(run, start, ControlSettings(), lambda text, share: None)
 
 
 def drive(facts: BoxFacts, seed: int, name: str, found: Commissioned, reference: str) -> BoxRow:
@@ -143,7 +143,9 @@ def drive(facts: BoxFacts, seed: int, name: str, found: Commissioned, reference:
         if base == "PID":
             cools = facts.fan == "exchange"
             courses = [_course(_reference(facts, tuning, folder)) for tuning in TUNING]
-            instead = [tuned(found.twin.twin(), found.expectation.room_c, courses, cools)]
+            known = facts.room_sensor is not None
+            room_c = found.expectation.room_c if known else settings.control.ambient_default_c
+            instead = [tuned(found.twin.twin(), room_c, courses, cools)]
         if base == CLAIRVOYANT:
             instead = [Clairvoyant(box, Pbm(found.twin.twin()), control.penalty_weight, True, early_k)]
         more: dict[str, Any] = {"more_controllers": instead, "experiment": instead[0].name} if instead else {}

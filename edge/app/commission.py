@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from edge.app.daemon import Daemon
 from edge.app.experiment import refuse_stopped
 from edge.board.serial_port import OpenPort, SerialPort
-from edge.config.settings import BundleSettings, DriftSettings, Settings
+from edge.config.settings import BundleSettings, ControlSettings, DriftSettings, Settings
 from edge.controllers.step_tests import StepTests
 from edge.core.clock import Clock
 from edge.core.controller import RULES
@@ -28,6 +28,7 @@ from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
 from edge.storage.runs import export_run, name_run
 from edge.twin.model import BoxTwin
+from edge.twin.new_file import with_room_error
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest
@@ -38,8 +39,9 @@ MINUTES = 120.0
 TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 BAND_BELOW_LIMIT_K = 3.0
 ERROR_MAX_K, ERROR_MAX_SHARE = 1.0, 0.15  # of free runs on those rows, and by the band that was seen
-WORSE_AT_MOST = 0.8  # a simple model that much better says that the twin is none of this box
+WORSE_AT_MOST = 0.8  # a simple twin that much better is taken, an ARX model that much better refuses
 SEEN_MIN_K = 2.0  # that the air must have risen
+LONGEST_MIN = 1440.0  # of tests that it proposes
 RUN_NAME = "commissioning"
 SETTLED_S = 200_000.0
 
@@ -48,8 +50,8 @@ SETTLED_S = 200_000.0
 class Expectation:
     """The control that a twin promises, at the room of the tests.
 
-    room_c : in the mean; reach_c : air at full heat, lasting; fanned_c : air that the fan can hold
-        without heat, NaN without one that cools
+    room_c : in the mean, fitted where no sensor tells; reach_c : air at full heat, lasting
+    fanned_c : air that the fan can hold without heat, NaN without one that cools
     error_k : of free runs over rows that no fit saw; hold_w : heat per 1 K over the room
     """
 
@@ -64,7 +66,8 @@ class Expectation:
 class Commissioned:
     """A twin for the rig's control step and how good it is.
 
-    names : effects that the diagnosis added; refusals : why it must not control, empty where it may
+    names : effects that the twin has beside those of the description
+    refusals : why it must not control, empty where it may
     arx : the fallback, None where none could be fitted
     """
 
@@ -135,17 +138,21 @@ def record(
 
 
 def learn(
-    run: RecordedRun, start: TwinFile, step_s: float, progress: Progress, jobs: int = 1
+    run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int = 1
 ) -> Commissioned:
     """Fit the twin to the tests and judge it.
 
-    start : the box's description, values to be fitted in it; step_s : of the rig's control
+    start : the box's description, values to be fitted in it
+    control : its step, and the room that is assumed without a sensor
     Errors : RequestError for a box that did not answer, DataError for a run that nothing can be fitted to
     """
     if (moved_k := _moved_k(run)) < SEEN_MIN_K:
+        minutes = len(run) * STEP_S / 60.0
+        longer = 30.0 * math.ceil(minutes * SEEN_MIN_K / max(moved_k, 1e-9) / 30.0)
         raise RequestError(
-            f"refused: the air moved by {moved_k:.1f} K in all of the tests: the heater is too small for "
-            "this box or this time, not connected, or the sensor hangs where its heat does not come"
+            f"refused: the air moved by {moved_k:.1f} K in all of the tests, less than {SEEN_MIN_K:g} K: the "
+            "heater is too small for this box or this time, not connected, or the sensor hangs where its "
+            "heat does not come" + (f"; tests of {longer:g} minutes may do" if longer <= LONGEST_MIN else "")
         )
     begin_test = round((1.0 - TEST_SHARE) * len(run))
     train, test = cut(run, 0, begin_test), cut(run, begin_test, len(run))
@@ -157,16 +164,32 @@ def learn(
         "greenhouse commission",
         jobs,
     )
-    twin = replace(found.adopted, sample_s=step_s)
-    expectation = _expect(twin.twin(), run, found.test_k.get("after", math.nan))
+    chosen, error_k = _chosen(found)
+    twin = replace(chosen, sample_s=control.step_s)
+    room_c = float(np.nanmean(found.inputs.runs.ambient))
+    expectation = _expect(twin.twin(), room_c, error_k)
+    if found.inputs.guessed:
+        twin = with_room_error(twin, control.ambient_default_c, room_c)
     return Commissioned(
         twin,
-        tuple(sorted(found.judgement.handover.added)),
+        tuple(sorted({*chosen.effects} - {*start.effects})),
         found,
-        _fallback(train, test, step_s, start),
+        _fallback(train, test, control.step_s, start),
         expectation,
         tuple(_refusals(run, found, expectation)),
     )
+
+
+def _chosen(found: Diagnosis) -> tuple[TwinFile, float]:
+    """Return the twin that was found, or the baseline that predicts the held-out rows clearly better."""
+    error_k = found.test_k.get("after", math.nan)
+    simple = {name: error for name, error in found.test_k.items() if name in found.simple_twins}
+    best = min(simple, key=simple.__getitem__, default="")
+    if not best or not simple[best] < WORSE_AT_MOST * error_k:
+        return found.adopted, error_k
+    origin = {key: value for key, value in found.adopted.provenance.items() if key not in ("added", "after")}
+    after = {"test": {"rmse_k": float(f"{simple[best]:.6g}")}}
+    return replace(found.simple_twins[best], provenance={**origin, "added": {}, "after": after}), simple[best]
 
 
 def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> Iterator[str]:
@@ -191,11 +214,7 @@ def _moved_k(run: RecordedRun) -> float:
     return float(np.nanmax(air) - np.nanmin(air))
 
 
-def _expect(twin: BoxTwin, run: RecordedRun, error_k: float) -> Expectation:
-    room = run.columns.get("temp_ambient_c", np.array([np.nan]))
-    room_c = (
-        float(np.nanmean(room)) if np.isfinite(room).any() else float(np.nanmin(run.columns["temp_air_c"]))
-    )
+def _expect(twin: BoxTwin, room_c: float, error_k: float) -> Expectation:
     reach_c, fanned_c = _settled_c(twin, room_c, 1.0, 0.0), _settled_c(twin, room_c, 0.0, 1.0)
     still_c = _settled_c(twin, room_c, 0.0, 0.0)
     heater_w = twin.geometry.heater_max_w

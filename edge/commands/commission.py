@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     if minutes < LEARN_MIN:
         raise RequestError(f"{minutes:.0f} min are recorded, {LEARN_MIN:g} is the least to learn from")
     with TerminalProgress() as progress:
-        found = learn(recorded, start, settings.control.step_s, progress)
+        found = learn(recorded, start, settings.control, progress)
     with writing(folder):
         write_twin_file(found.twin, folder / "twin.yaml")
     print("\n".join(describe(found)))

@@ -112,7 +112,7 @@ def correct_belief(belief: Belief, measured: float, shown: int) -> Belief:
 
 HORIZON = 20  # steps; the heater's element answers for five minutes, a step down needs the fan for three
 TAIL = 10
-WIDTH = 800  # of the beam: so many kinds of nodes there are, dear ones too, that pay off at a step
+WIDTH = 300  # of the beam: so many kinds of nodes there are, dear ones too, that pay off at a step
 # On the effort of `MPC-Twin`: of two plans that track alike the one that spends less. Alike is what noise
 # hides: full effort for a step costs as much as an error of 0.05 K.
 LEAST_WEIGHT = 0.03
@@ -129,6 +129,7 @@ def fan_shares(step_s: float, limits: ControlLimits) -> tuple[float, ...]:
 
 EARLY_K = 0.3  # what a plant or a person would not notice
 EARLY_WEIGHT = 1e4  # 0.1 K more costs as much as 3 K off the reference for a step
+LEAST_SLOPE = 0.2  # of the first level's, that the heat of any level grows by
 STEP_K = 0.6  # a larger change of the reference at once is a step, a smaller one part of a ramp
 SETTLING_STEPS = 10  # after a step of the reference
 CLASH_WEIGHT = 50.0  # full heat for a step against the fan costs as much as 2.2 K off the reference
@@ -269,8 +270,18 @@ class MpcTwin:
         if self._step is None or self._twin.signals.bends or self._twin.needs:
             now: Conditions = {name: hold(context.history[name])[-1:] for name in self._twin.needs}
             room, fans = context.estimate.temp_ambient, fan_shares(context.step_s, context.limits)
-            self._step = linear_step(self._twin, belief.state, room, now, fans)
+            step = linear_step(self._twin, belief.state, room, now, fans)
+            self._step = replace(step, share=never_flat(step.share))
         return self._step
+
+
+def never_flat(share: Floats) -> Floats:
+    """Return the heat of each level so that each gives more than the one below it.
+
+    A twin that takes a heater's droop for saturation would let a cold box wait below full heat.
+    """
+    least = LEAST_SLOPE * (share[1] - share[0]) * np.arange(len(share))
+    return np.asarray(np.maximum.accumulate(share - least) + least)
 
 
 def _inputs(context: Context, row: int) -> StepInputs:

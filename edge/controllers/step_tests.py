@@ -21,6 +21,8 @@ PROBE_DUTY, PROBE_RISE_K = 0.4, 1.0  # first heat, little enough for the smalles
 PROBE_MAX_S, COAST_MAX_S, FULL_MAX_S = 600.0, 900.0, 1500.0
 PEAK_K = 0.15  # below its peak the air has stopped running on
 DWELL_MIN_S, DWELL_MAX_S = 120.0, 720.0  # of a random leg
+SLOW_RISE_K = 4.0  # a box that full heat warms by less in FULL_MAX_S is slow: it gets longer legs
+SLOW_FULL_MAX_S, SLOW_DWELL_MAX_S = 3600.0, 1800.0
 SLOW_LEG = 4  # every so many legs is SLOW_TIMES as long
 SLOW_TIMES = 2.5
 LOW_K = 1.5  # above the room: a colder box has nothing to tell about its losses
@@ -75,7 +77,7 @@ class StepTests:
         self._begun_s: float | None = None
         self._begun_c = self._highest_c = self._lowest_c = math.nan
         self._steepest = 0.0
-        self._ended: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+        self._is_slow = False
 
     def decide(self, context: Context) -> Decision:
         """Return the command of the present leg, or of the next where this one is over."""
@@ -120,12 +122,14 @@ class StepTests:
     def _dwell_s(self) -> float:
         """Return a random length for a box of this speed [s]."""
         usual = 240.0 if self.response is None else max(2.0 * self.response.runs_on_s, 120.0)
-        return min(max(usual * self._random.uniform(0.5, 2.0), DWELL_MIN_S), DWELL_MAX_S)
+        longest = SLOW_DWELL_MAX_S if self._is_slow else DWELL_MAX_S
+        usual = max(usual, 0.5 * longest) if self._is_slow else usual
+        return min(max(usual * self._random.uniform(0.5, 2.0), DWELL_MIN_S), longest)
 
     def _is_over(self, context: Context, air: float) -> bool:
         assert self._begun_s is not None
         leg, passed_s = self._leg, context.now_s - self._begun_s
-        if passed_s >= leg.max_s - 0.5 * context.step_s:
+        if passed_s >= self._longest_s(air) - 0.5 * context.step_s:
             return True
         if leg.name == "first heat" and air >= self._begun_c + PROBE_RISE_K:
             return True
@@ -136,6 +140,11 @@ class StepTests:
         # A box that is nearly as cold as the room has nothing to tell without heat.
         return leg.duty == 0.0 and leg.name.startswith("heat") and air < context.estimate.temp_ambient + LOW_K
 
+    def _longest_s(self, air: float) -> float:
+        """Return how long this leg may be: full heat goes on in a box that it hardly warms."""
+        is_slow = self._leg.name == "full heat" and air - self._begun_c < SLOW_RISE_K
+        return SLOW_FULL_MAX_S if is_slow else self._leg.max_s
+
     def _watch(self, context: Context, air: float) -> None:
         if air > self._highest_c:
             self._highest_c, self._highest_s = air, context.now_s
@@ -145,10 +154,12 @@ class StepTests:
             self._steepest = max(self._steepest, rise)
 
     def _note(self, context: Context, air: float) -> None:
-        """Learn from a coast how far the box runs on."""
+        """Learn from a coast how far the box runs on, and from full heat whether it is slow."""
+        assert self._begun_s is not None
+        if self._leg.name == "full heat":
+            self._is_slow = context.now_s - self._begun_s > FULL_MAX_S
         if self._leg.name != "coast":
             return
-        assert self._begun_s is not None
         runs_on = max(self._highest_c - self._begun_c, 0.0)
         duty = PROBE_DUTY if self.response is None else 1.0
         self.response = BoxResponse(self._steepest, runs_on / duty, self._highest_s - self._begun_s)

@@ -76,7 +76,7 @@ def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) ->
             effect.name: {
                 **{name: _plain(value).document() for name, value in effect.parameters.items()},
                 "alternatives": list(effect.alternatives),
-                "log_odds": None if effect.log_odds is None else _round(effect.log_odds),
+                "log_odds": None if effect.log_odds is None else rounded(effect.log_odds),
             }
             for effect in added
         },
@@ -93,8 +93,8 @@ def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) ->
 
 def _plain(value: Value) -> Value:
     """Numbers that YAML knows, of a length that a person reads; inside their interval still."""
-    low, high = (None if bound is None else _round(bound) for bound in (value.low, value.high))
-    middle = _round(value.value)
+    low, high = (None if bound is None else rounded(bound) for bound in (value.low, value.high))
+    middle = rounded(value.value)
     if low is not None and high is not None:
         middle = min(max(middle, low), high)
     return replace(
@@ -107,7 +107,8 @@ def _plain(value: Value) -> Value:
     )
 
 
-def _round(value: float) -> float:
+def rounded(value: float) -> float:
+    """Return a value as a file has it."""
     return float(f"{float(value):.{DIGITS}g}")
 
 
@@ -119,4 +120,4 @@ def _numbers(document: Any) -> Any:
         return [_numbers(item) for item in document]
     if isinstance(document, bool | str | int) or document is None:
         return document
-    return _round(document)
+    return rounded(document)

@@ -21,12 +21,12 @@ ONE_MASS = "one mass"
 ROWS_A_WEIGHT = 4  # fewer tell nothing
 LOSING, STORING = "wall_loss", "extra_capacity"
 ORDERS = (2, 3, 4)
-FAN = "fan_effectiveness"
+FAN = {"exhaust": ("fan_effectiveness",), "stirring": ("stirred_loss",)}  # by its role
 
 
 def simple_twins(file: TwinFile, runs: RunBatch) -> dict[str, TwinFile]:
     """By name, with all values to be fitted. file : for the geometry and the step"""
-    fan = (FAN,) if np.ptp(runs.fan) > 0.0 and file.fan_role == "exhaust" else ()
+    fan = FAN.get(file.fan_role, ()) if np.ptp(runs.fan) > 0.0 else ()
     sets = {
         ONE_MASS: (LOSING, STORING, *fan),
         "heater lag": (LOSING, STORING, *fan, "heater_lag"),

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.adopted_twin import AddedEffect, Origin, twin_after
+from edge.diagnosis.adopted_twin import AddedEffect, Origin, rounded, twin_after
 from edge.diagnosis.baselines import ONE_MASS, arx_errors
 from edge.diagnosis.diagnosis_document import GapErrors
 from edge.diagnosis.formulas import formulas
@@ -74,6 +74,17 @@ class Diagnosis:
     def verdict(self) -> DiagnosisVerdict:
         """The names that stand."""
         return self.judgement.verdict
+
+    @property
+    def simple_twins(self) -> dict[str, TwinFile]:
+        """The fitted baselines that are twins, by name; values without intervals."""
+        fitted = {name: item.fit.file for name, item in self.judgement.comparison.simple.items()}
+        return {
+            name: file.with_values(
+                {place: Value(rounded(value.value)) for place, value in file.values().items()}
+            )
+            for name, file in fitted.items()
+        }
 
 
 def diagnose(

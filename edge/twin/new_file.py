@@ -1,9 +1,11 @@
 """A twin file for a box of which little is known: what is measured by hand, and the rest to be fitted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from edge.core.errors import RequestError
 from edge.twin.geometry import Geometry
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
 
 FILM_M2_K_W = 0.26  # both faces of a wall in a room, ISO 6946 table 7: twice 0.13
 # ISO 10456:2007 table 3; of foams and cardboard what makers usually declare.
@@ -113,6 +115,17 @@ effects:
 {_fan(box)}sensor: {{quantisation_k: 0.0, noise_sd_k: null}}  # null: found from the runs
 nuisance: {{heater_power_run_sd: null, heat_noise_sd_w: null}}
 """
+
+
+def with_room_error(file: TwinFile, assumed_c: float, true_c: float) -> TwinFile:
+    """Return a known twin for a rig that has no room sensor and assumes `assumed_c`.
+
+    Errors : DataError where the two are further apart than an error of a sensor can be
+    """
+    error = {"b_amb": Value(float(f"{assumed_c - true_c:.4g}"))}
+    changed = replace(file, effects={**file.effects, "ambient_offset": error})
+    changed.twin()
+    return changed
 
 
 def _fan(box: BoxDescription) -> str:

@@ -17,6 +17,7 @@ from edge.controllers.mpc_twin import (
     correct_belief,
     fan_shares,
     move_belief,
+    never_flat,
 )
 from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _cheapest, _Children, search
 from edge.controllers.twin_plan.linear_step import linear_step
@@ -108,6 +109,13 @@ def test_a_twin_that_misfits_follows_its_box(loss_w_k, widens):
         belief, last = correct_belief(belief, float(state[0]), mine.shown), duty
     assert (belief.misfit > 2.0) == widens
     assert np.abs(missed[60:]).max() < 1.0  # the box warms by 6 K a step of full heat
+
+
+def test_heat_beyond_a_saturation_still_counts():
+    flat = np.minimum(np.arange(21) / 20.0, 0.8)
+    assert never_flat(flat)[:17] == pytest.approx(flat[:17])
+    assert np.diff(never_flat(flat))[16:] == pytest.approx([0.01] * 4)
+    assert never_flat(np.arange(21) / 20.0) == pytest.approx(np.arange(21) / 20.0)
 
 
 def test_no_plan_knows_of_a_step_in_its_tail():
