@@ -46,6 +46,7 @@ BENCHES = {
     "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
     "real_truth": Bench(("--only", "energy balance")),
     "board_fuzz": Bench(("--bytes", "3e6")),
+    "boxes": Bench(("--boxes", "9", "--rows", "PID", "MPC-Twin-P")),
     "house": Bench(()),
     "unchanged": Bench(("--only", "golden vectors"), keeps_its_table=True),
 }  # fmt: skip

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bench.boxes.box import Box
 from bench.boxes.clairvoyant import Clairvoyant
-from bench.boxes.draw import draw_box
+from bench.boxes.draw import DEVELOPMENT, draw_box
 from bench.boxes.facts import BoxFacts
 from bench.boxes.reach import scaled_reference
 from bench.boxes.tuned_pid import tuned
@@ -52,6 +52,7 @@ EARLY = "/early"  # after a name: may leave the reference before a step of it
 CLAIRVOYANT = "clairvoyant"
 PLANNING = ("MPC-P", "MPC-BFGS-P", "MPC-Twin-P", CLAIRVOYANT)
 ROWS = ("rules", "PID", *PLANNING, *(f"{name}{EARLY}" for name in PLANNING))
+OF_TWIN = "MPC-Twin-P"
 OVER_ARX = ("MPC-P", "MPC-BFGS-P")
 TUNING = ("tuning_1", "tuning_2", "tuning_3")
 ANY_K = 20.0
@@ -225,41 +226,76 @@ def _install(found: Commissioned, settings: Settings, folder: Path) -> None:
     store.change(lambda roles: activate(roles, None))
 
 
-def table_of(box: int, minutes: float, reference: str) -> list[str]:
-    """Return the lines of one box."""
+@dataclass(frozen=True, slots=True)
+class BoxResult:
+    """A box's lines, and its cost by row: empty where it was not commissioned."""
+
+    lines: list[str]
+    cost: dict[str, float]
+
+
+def measure(box: int, minutes: float, reference: str, names: Sequence[str]) -> BoxResult:
+    """Commission a box and hold it to the reference by each of the rows that are named."""
     facts = draw_box(box)
     try:
         found = commission(facts, box, minutes)
     except GreenhouseError as error:
-        return [f"{box:3d} not commissioned: {error}"]
+        return BoxResult([f"{box:3d} {facts.kind}: not commissioned: {error}"], {})
     said = f"{box:3d} {facts.kind}: {', '.join(found.names) or 'nothing'} added"
     lines = [f"{said}; free runs off by {found.expectation.error_k:.2f} K"]
     lines += [f"    refused: {reason}" for reason in found.refusals]
-    for name in ROWS:
+    cost = {}
+    for name in names:
         if found.arx is None and name.removesuffix(EARLY) in OVER_ARX:
-            lines.append(f"    {name:<12} no ARX model could be fitted")
+            lines.append(f"    {name:<17} no ARX model could be fitted")
             continue
         row = drive(facts, box, name, found, reference)
+        cost[name] = row.cost
         figures = f"{row.cost:9.1f}{row.mae_k:8.3f}{row.before_k:8.2f}{row.fan_starts:6d}{row.heat_wh:8.0f}"
         lines.append(f"    {name:<17}{figures}")
+    return BoxResult(lines, {} if found.refusals else cost)
+
+
+def summary(costs: Sequence[dict[str, float]]) -> list[str]:
+    """Return how the twin's rows compare, by rule: the limit is the cheapest row under the same one."""
+    lines = [f"commissioned: {sum(map(bool, costs))} of {len(costs)} boxes"]
+    for end in ("", EARLY):
+        own, past, ahead = f"{OF_TWIN}{end}", [], 0
+        for cost in costs:
+            same = {name: value for name, value in cost.items() if name.endswith(EARLY) == bool(end)}
+            rivals = [value for name, value in same.items() if name not in (own, f"{CLAIRVOYANT}{end}")]
+            if own in same and rivals:
+                past.append(same[own] / min(same.values()))
+                ahead += same[own] < min(rivals)
+        if past:
+            middle, worst = float(np.median(past)), max(past)
+            lines.append(
+                f"{own}: by the limit {middle:.2f} in the median, {worst:.2f} in the worst; ahead of every "
+                f"rival in {ahead} of {len(past)}"
+            )
     return lines
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Print a table per box."""
+    """Print a table per box, and what they come to."""
     parser = argparse.ArgumentParser(prog="python -m bench.boxes", description=__doc__)
-    parser.add_argument("--boxes", type=int, nargs="+", required=True, help="numbers of bench.boxes.draw")
+    parser.add_argument("--boxes", type=int, nargs="+", default=DEVELOPMENT, help="of bench.boxes.draw")
     parser.add_argument("--minutes", type=float, default=120.0, help="of commissioning; default: 120")
     parser.add_argument("--reference", default="reference_1", help="default: reference_1")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="default: all")
     parser.add_argument("--jobs", type=int, default=2, help="processes; default: 2")
     given = parser.parse_args(words)
     print("\n".join(header()))
     print(f"{given.reference}, {given.minutes:g} min of commissioning; cost, MAE [K],")
     print("largest way towards a step before it [K], starts of the fan, heat [Wh]", flush=True)
+    costs = []
     with ProcessPoolExecutor(given.jobs) as pool:
-        jobs = [pool.submit(table_of, box, given.minutes, given.reference) for box in given.boxes]
+        jobs = [pool.submit(measure, box, given.minutes, given.reference, given.rows) for box in given.boxes]
         for job in jobs:
-            print("\n".join(job.result()), flush=True)
+            result = job.result()
+            print("\n".join(result.lines), flush=True)
+            costs.append(result.cost)
+    print("\n".join(summary(costs)))
     return 0
 
 

@@ -23,7 +23,7 @@ from edge.core.errors import DataError, GreenhouseError, RequestError
 from edge.core.messages import ReadingQuality, TickRecord
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.progress import Progress
-from edge.diagnosis.runs import diagnosis_runs
+from edge.diagnosis.runs import FROM_S, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
 from edge.storage.runs import export_run, name_run
@@ -156,14 +156,10 @@ def learn(
         )
     begin_test = round((1.0 - TEST_SHARE) * len(run))
     train, test = cut(run, 0, begin_test), cut(run, begin_test, len(run))
-    file = replace(start, sample_s=STEP_S)
-    found = diagnose(
-        file,
-        diagnosis_runs([("tests", train)], [("held out", test)], file),
-        progress,
-        "greenhouse commission",
-        jobs,
-    )
+    # One recording for both, so that its second part begins with all that the first one has stored.
+    whole = replace(run, facts={**run.facts, FROM_S: f"{run.columns['time_s'][begin_test]:.3f}"})
+    file, both = replace(start, sample_s=STEP_S), [("tests", whole)]
+    found = diagnose(file, diagnosis_runs(both, both, file), progress, "greenhouse commission", jobs)
     chosen, error_k = _chosen(found)
     twin = replace(chosen, sample_s=control.step_s)
     room_c = float(np.nanmean(found.inputs.runs.ambient))

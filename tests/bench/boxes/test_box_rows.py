@@ -1,0 +1,58 @@
+"""The rows of the boxes' bench: what they come to, the PID that is tuned, the clairvoyant's step."""
+
+import numpy as np
+import pytest
+
+from bench.boxes.__main__ import summary
+from bench.boxes.box import Box
+from bench.boxes.clairvoyant import tangent
+from bench.boxes.draw import draw_box
+from bench.boxes.tuned_pid import _cost, simc, tuned
+from edge.controllers.twin_plan.linear_step import linear_step
+from edge.twin.model import BoxTwin
+from edge.twin.warm_start import at_rest
+
+WALL = {"wall_loss": {"UA": 3.0}, "extra_capacity": {"kC": 5.0}, "heater_lag": {"tau_h": 120.0}}
+ROOM_C = 21.0
+
+
+def test_a_summary_compares_rows_of_one_rule_and_leaves_out_what_was_refused():
+    costs = [
+        {"PID": 30.0, "MPC-Twin-P": 11.0, "clairvoyant": 10.0, "PID/early": 1.0, "MPC-Twin-P/early": 2.0},
+        {"PID": 10.0, "MPC-Twin-P": 20.0, "clairvoyant": 15.0},
+        {},
+    ]
+    lines = summary(costs)
+    assert lines[0] == "commissioned: 2 of 3 boxes"
+    assert "MPC-Twin-P: by the limit 1.55 in the median, 2.00 in the worst" in lines[1]
+    assert lines[1].endswith("ahead of every rival in 1 of 2")
+    assert lines[2].endswith("2.00 in the worst; ahead of every rival in 0 of 1")
+
+
+def test_the_tuned_pid_costs_less_than_the_rule_that_it_begins_with():
+    twin, course = BoxTwin(effects=WALL), np.repeat([24.0, 30.0, 26.0], 60)
+    rest = at_rest(twin, ROOM_C, ROOM_C)
+    step = linear_step(twin, rest, ROOM_C, {})
+    first, best = simc(twin, ROOM_C), tuned(twin, ROOM_C, [course], cools=True)
+    both = np.array([first, (*best._gains, best._fan_on_k)])
+    cost = _cost(step, both, rest, ROOM_C, course)
+    assert cost[1] < 0.9 * cost[0]
+    assert tuned(twin, ROOM_C, [course], cools=False)._fan_on_k > 1e3
+
+
+@pytest.mark.parametrize("seed", [7, 9])
+def test_the_clairvoyants_step_is_the_boxs_own(seed):
+    box = Box(draw_box(seed), seed)
+    for _ in range(240):
+        box.step(5.0, 0.5, False, 0.0, False)
+    fans = (0.0, 0.25, 1.0)
+    step = tangent(box, 60.0, fans, 0.5)
+    state = np.append(box.physics.reading_c(box.state), box.state[0])
+    for place, fan in enumerate(fans):
+        for duty in (0.4, 0.6):
+            told = step.matrix[place] @ state + step.constant[place] + step.now[place] * duty
+            states = box.state
+            for part in range(12):
+                on = np.array([1.0 if part < 12 * fan else 0.0])
+                states = box.physics.step(states, box.time_s + 5.0 * part, 5.0, np.array([duty]), on)
+            assert told[0] == pytest.approx(float(box.physics.reading_c(states)[0]), abs=0.1)
