@@ -24,7 +24,7 @@ from bench.boxes.clairvoyant import Clairvoyant
 from bench.boxes.draw import DEVELOPMENT, draw_box
 from bench.boxes.facts import BoxFacts
 from bench.boxes.reach import scaled_reference
-from bench.boxes.tuned_pid import tuned
+from bench.boxes.tuned_pid import tune_pid
 from bench.header import header
 from edge.app.commission import Commissioned, learn, record, test_settings
 from edge.board.virtual_rig import settings_in
@@ -146,7 +146,7 @@ def drive(facts: BoxFacts, seed: int, name: str, found: Commissioned, reference:
             courses = [_course(_reference(facts, tuning, folder)) for tuning in TUNING]
             known = facts.room_sensor is not None
             room_c = found.expectation.room_c if known else settings.control.ambient_default_c
-            instead = [tuned(found.twin.twin(), room_c, courses, cools)]
+            instead = [tune_pid(found.twin.twin(), room_c, courses, cools)]
         if base == CLAIRVOYANT:
             instead = [Clairvoyant(box, Pbm(found.twin.twin()), control.penalty_weight, True, early_k)]
         more: dict[str, Any] = {"more_controllers": instead, "experiment": instead[0].name} if instead else {}

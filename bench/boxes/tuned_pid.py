@@ -54,7 +54,7 @@ def simc(twin: BoxTwin, room_c: float) -> Gains:
     return Gains(kp, kp / min(tau_s, 8.0 * delay_s), 0.0, FAN_ON_K[1])
 
 
-def tuned(twin: BoxTwin, room_c: float, courses: list[Floats], cools: bool) -> Pid:
+def tune_pid(twin: BoxTwin, room_c: float, courses: list[Floats], cools: bool) -> Pid:
     """Return the PID that costs least. courses : references by step [°C]; cools : the fan does"""
     first = simc(twin, room_c)
     grid = itertools.product(FACTORS, FACTORS, DERIVATIVES_S, FAN_ON_K if cools else (NO_FAN_K,))

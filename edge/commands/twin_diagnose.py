@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     file = read_twin_file(arguments.twin)
     data = diagnosis_runs_of(arguments, file)
-    limits = _limits(arguments.config)
+    limits = _limits(arguments.config, file.geometry["heater_max_w"].value)
     command = shlex.join(["greenhouse", *sys.argv[1:]])
     with writing(arguments.out):
         arguments.out.mkdir(parents=True, exist_ok=True)
@@ -148,12 +148,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _limits(path: Path | None) -> "ExperimentLimits":
-    """Those of the rig. Errors: ConfigError"""
+def _limits(path: Path | None, heater_w: float) -> "ExperimentLimits":
+    """Those of the rig. heater_w : of the twin. Errors: ConfigError"""
     from edge.commands.experiment import RIG_CONFIG
     from edge.diagnosis.experiment.sequence import ExperimentLimits
 
     if path is None and not os.access(RIG_CONFIG, os.R_OK):
-        return ExperimentLimits()
+        return ExperimentLimits(heater_w=heater_w)
     settings = config.load(path or RIG_CONFIG)
-    return ExperimentLimits(settings.safety, settings.control.step_s)
+    return ExperimentLimits(settings.safety, settings.control.step_s, heater_w=heater_w)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.messages import Command, Decision, Estimate
+from edge.core.names import HEATER_MAX_W
 
 RULES, PID, EXTERNAL = "rules", "PID", "external"
 MPC = ("MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P")
@@ -69,6 +70,7 @@ class ControlLimits:
     temp_air_max_c: float = 60.0
     fan_part_s: float = 5.0  # shortest part of a step for which the fan may be on [s]
     fan_starts: int = 30  # so often the relay may still be closed within the hour
+    heater_w: float = HEATER_MAX_W  # of this box, at full duty
 
 
 @dataclass(frozen=True, slots=True)

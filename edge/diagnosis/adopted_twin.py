@@ -76,7 +76,7 @@ def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) ->
             effect.name: {
                 **{name: _plain(value).document() for name, value in effect.parameters.items()},
                 "alternatives": list(effect.alternatives),
-                "log_odds": None if effect.log_odds is None else rounded(effect.log_odds),
+                "log_odds": None if effect.log_odds is None else round_value(effect.log_odds),
             }
             for effect in added
         },
@@ -93,8 +93,8 @@ def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) ->
 
 def _plain(value: Value) -> Value:
     """Numbers that YAML knows, of a length that a person reads; inside their interval still."""
-    low, high = (None if bound is None else rounded(bound) for bound in (value.low, value.high))
-    middle = rounded(value.value)
+    low, high = (None if bound is None else round_value(bound) for bound in (value.low, value.high))
+    middle = round_value(value.value)
     if low is not None and high is not None:
         middle = min(max(middle, low), high)
     return replace(
@@ -107,7 +107,7 @@ def _plain(value: Value) -> Value:
     )
 
 
-def rounded(value: float) -> float:
+def round_value(value: float) -> float:
     """Return a value as a file has it."""
     return float(f"{float(value):.{DIGITS}g}")
 
@@ -120,4 +120,4 @@ def _numbers(document: Any) -> Any:
         return [_numbers(item) for item in document]
     if isinstance(document, bool | str | int) or document is None:
         return document
-    return rounded(document)
+    return round_value(document)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.adopted_twin import AddedEffect, Origin, rounded, twin_after
+from edge.diagnosis.adopted_twin import AddedEffect, Origin, round_value, twin_after
 from edge.diagnosis.baselines import ONE_MASS, arx_errors
 from edge.diagnosis.diagnosis_document import GapErrors
 from edge.diagnosis.formulas import formulas
@@ -81,7 +81,7 @@ class Diagnosis:
         fitted = {name: item.fit.file for name, item in self.judgement.comparison.simple.items()}
         return {
             name: file.with_values(
-                {place: Value(rounded(value.value)) for place, value in file.values().items()}
+                {place: Value(round_value(value.value)) for place, value in file.values().items()}
             )
             for name, file in fitted.items()
         }

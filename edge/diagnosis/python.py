@@ -168,7 +168,7 @@ def diagnose(
     )
     found = workflow.diagnose(twin.file, data, progress or _silent, "edge.diagnose", jobs)
     places = locate(found)
-    experiment = next_experiment(found, ExperimentLimits())
+    experiment = next_experiment(found, ExperimentLimits(heater_w=twin.file.geometry["heater_max_w"].value))
     planned = None if experiment is None else experiment_document(experiment)
     document = answer(found, places, "edge.diagnose", planned)
     return DiagnosisResult(document, found, places)

@@ -118,6 +118,7 @@ def planning_limits(
         temp_air_max_c=settings.temp_air_max_c,
         fan_part_s=max(FAN_PART_S, settings.fan_min_on_s),
         fan_starts=fan_starts_left(memory, settings, now_s),
+        heater_w=box.heater_w,
     )
 
 

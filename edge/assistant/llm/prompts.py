@@ -4,7 +4,7 @@ from edge.assistant.llm import simulate_tool, sql_tool
 from edge.assistant.llm.ledger import RULE
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.core.controller import Context, LlmVariant, Penalty
-from edge.core.names import HEATER_LEVELS, HEATER_MAX_W
+from edge.core.names import HEATER_LEVELS
 
 EXACTLY = "It is important that the temperature in the greenhouse matches the target temperature exactly."
 SPARE = (
@@ -67,8 +67,9 @@ def _operators_weights(penalty: Penalty) -> str:
 
 def _rig(context: Context) -> str:
     return (
-        f"heater_duty is 0 to 1 in steps of {1 / HEATER_LEVELS:g} (1 is {HEATER_MAX_W:g} W). fan_on is true "
-        "or false; the fan blows room air through the box, and so cools it towards the room's temperature. "
+        f"heater_duty is 0 to 1 in steps of {1 / HEATER_LEVELS:g} (1 is {context.limits.heater_w:g} W). "
+        "fan_on is true or false; the fan blows room air through the box, and so cools it towards the room's "
+        "temperature. "
         f"One step lasts {context.step_s:g} s. All temperatures are in degC."
     )
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from edge.config.settings import Settings
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.core.errors import DataError
-from edge.core.names import HEATER_LEVELS, HEATER_MAX_W
+from edge.core.names import HEATER_LEVELS
 from edge.tick.reference import DAY_S, Reference, make_reference, seconds_of_day, zone_of
 from edge.tick.steering import Steering, in_force, reference_of
 from edge.tick.steering import from_dict as steering_from_dict
@@ -107,13 +107,17 @@ class PlannerGoal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedDay:
-    """A day, a row per step: air and reference at its end [°C], heater duty and fan in it; all [N]."""
+    """A day, a row per step: air and reference at its end [°C], heater duty and fan in it; all [N].
+
+    heater_w : at full duty
+    """
 
     temps: Floats
     reference: Floats
     duty: Floats
     fan: Floats
     step_s: float
+    heater_w: float
 
     def figures(self) -> dict[str, Any]:
         """JSON values, units in the keys."""
@@ -123,7 +127,7 @@ class PredictedDay:
             "temp_air_high_c": round(float(self.temps.max()), 1),
             "mean_error_k": round(float(errors.mean()), 2),
             "within_half_a_degree_pct": round(100.0 * float((errors < NEAR_K).mean())),
-            "heat_wh": round(float(self.duty.sum()) * HEATER_MAX_W * self.step_s / 3600.0),
+            "heat_wh": round(float(self.duty.sum()) * self.heater_w * self.step_s / 3600.0),
             "fan_min": round(float(self.fan.sum()) * self.step_s / 60.0),
         }
 
@@ -141,7 +145,8 @@ def coming_day(twin: BoxTwin, now: DayStart, wanted: PlannerGoal) -> PredictedDa
         chosen[k] = _cheapest(twin, state, now.temp_ambient, ahead, wanted, float(clock[k]))
         state = twin.advance(state, now.temp_ambient, *chosen[k])
         temps[k] = state[0]
-    return PredictedDay(temps, reference[:steps], chosen[:, 0], chosen[:, 1], twin.step_s)
+    heater_w = twin.geometry.heater_max_w
+    return PredictedDay(temps, reference[:steps], chosen[:, 0], chosen[:, 1], twin.step_s, heater_w)
 
 
 def _cheapest(

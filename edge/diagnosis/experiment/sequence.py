@@ -25,12 +25,14 @@ class ExperimentLimits:
 
     safety : of the rig; step_s : its control step, on which a profile's rows stand
     longest_s : duration; margin_k : below the temperature at which safety steps in
+    heater_w : at full duty, for the caps on energy
     """
 
     safety: SafetySettings = field(default_factory=SafetySettings)
     step_s: float = 60.0
     longest_s: float = 10800.0
     margin_k: float = 2.0
+    heater_w: float = HEATER_MAX_W
 
     @property
     def highest_c(self) -> float:
@@ -66,13 +68,22 @@ class ExperimentLimits:
     def are_within(self, duty: Floats, fan: Floats, row_s: float) -> NDArray[np.bool_]:
         """Which of [B, N] keep the relay's times and the caps on energy, [B]."""
         relay = [self._keeps_relay(row, row_s) for row in fan]
-        hour = _most_wh(duty, row_s, HOUR_S, self.safety.energy_hour_max_wh)
-        day = _most_wh(duty, row_s, DAY_S, self.safety.energy_day_max_wh)
+        hour = self._most_wh(duty, row_s, HOUR_S, self.safety.energy_hour_max_wh)
+        day = self._most_wh(duty, row_s, DAY_S, self.safety.energy_day_max_wh)
         return (
             np.array(relay)
             & (hour <= self.safety.energy_hour_max_wh)
             & (day <= self.safety.energy_day_max_wh)
         )
+
+    def _most_wh(self, duty: Floats, row_s: float, window_s: float, cap_wh: float) -> Floats:
+        """Most heat that safety may count in a window, [B]; 0 where the heater can't reach the cap."""
+        if cap_wh >= self.heater_w * window_s / HOUR_S:
+            return np.zeros(len(duty))
+        # Heat is counted in pieces, and with what comes next.
+        rows = round((window_s + HEAT_BUCKET_S) / row_s) + 1
+        sums = np.pad(np.cumsum(duty, axis=1), ((0, 0), (rows, 0)))
+        return np.asarray((sums[:, rows:] - sums[:, :-rows]).max(axis=1) * self.heater_w * row_s / HOUR_S)
 
     def _keeps_relay(self, fan: Floats, row_s: float) -> bool:
         """Return whether the relay's shortest times hold. The first state may be
@@ -84,17 +95,6 @@ class ExperimentLimits:
             if (end - begin) * row_s < least_s - ROUNDING:
                 return False
         return True
-
-
-def _most_wh(duty: Floats, row_s: float, window_s: float, cap_wh: float) -> Floats:
-    """Most heat that safety may count in a window, [B]; 0 where the heater can't reach the cap."""
-    if cap_wh >= HEATER_MAX_W * window_s / HOUR_S:
-        return np.zeros(len(duty))
-    rows = (
-        round((window_s + HEAT_BUCKET_S) / row_s) + 1
-    )  # heat is counted in pieces, and with what comes next
-    sums = np.pad(np.cumsum(duty, axis=1), ((0, 0), (rows, 0)))
-    return np.asarray((sums[:, rows:] - sums[:, :-rows]).max(axis=1) * HEATER_MAX_W * row_s / HOUR_S)
 
 
 class SequencePart(NamedTuple):

@@ -7,7 +7,7 @@ from bench.boxes.__main__ import summary
 from bench.boxes.box import Box
 from bench.boxes.clairvoyant import tangent
 from bench.boxes.draw import draw_box
-from bench.boxes.tuned_pid import _cost, simc, tuned
+from bench.boxes.tuned_pid import _cost, simc, tune_pid
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
@@ -33,11 +33,11 @@ def test_the_tuned_pid_costs_less_than_the_rule_that_it_begins_with():
     twin, course = BoxTwin(effects=WALL), np.repeat([24.0, 30.0, 26.0], 60)
     rest = at_rest(twin, ROOM_C, ROOM_C)
     step = linear_step(twin, rest, ROOM_C, {})
-    first, best = simc(twin, ROOM_C), tuned(twin, ROOM_C, [course], cools=True)
+    first, best = simc(twin, ROOM_C), tune_pid(twin, ROOM_C, [course], cools=True)
     both = np.array([first, (*best._gains, best._fan_on_k)])
     cost = _cost(step, both, rest, ROOM_C, course)
     assert cost[1] < 0.9 * cost[0]
-    assert tuned(twin, ROOM_C, [course], cools=False)._fan_on_k > 1e3
+    assert tune_pid(twin, ROOM_C, [course], cools=False)._fan_on_k > 1e3
 
 
 @pytest.mark.parametrize("seed", [7, 9])

@@ -41,6 +41,8 @@ def test_an_operators_weights_are_told() -> None:
 
 
 def test_a_free_relay_is_not_spoken_of() -> None:
+    small = replace(HERE, limits=ControlLimits(heater_w=38.0))
+    assert "(1 is 38 W)" in system_prompt(LLM["LLM-Te0"], small, 10)
     assert "relay stays" not in system_prompt(LLM["LLM-Te0"], replace(HERE, limits=ControlLimits()), 10)
 
 

@@ -231,6 +231,14 @@ def test_a_dear_fan_runs_less() -> None:
     assert dear < 0.5 * cheap
 
 
+def test_heat_is_that_of_the_twins_own_heater() -> None:
+    steps = Reference(np.arange(24) * H, np.tile([25.0, 28.0], 12), daily=True)
+    predicted = day(None, steps)
+    half = replace(predicted, heater_w=0.5 * predicted.heater_w)
+    assert predicted.heater_w == TWIN.geometry.heater_max_w
+    assert half.figures()["heat_wh"] == pytest.approx(0.5 * predicted.figures()["heat_wh"], abs=1.0)
+
+
 def status(**operation: Any) -> dict[str, Any]:
     return {
         "tick": {"utc": 0.0, "reference_c": 24.0, "estimate": {"temp_air_c": 22.0, "temp_ambient_c": 21.0}},

@@ -1,6 +1,6 @@
 """`greenhouse commission`: what it needs before hours are spent, what it makes, what it refuses."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ from edge.models.arx_file import read_arx
 from edge.state.store import STANDING, restore
 from edge.twin.new_file import BoxDescription, text
 from edge.twin.twin_file import read_twin_file
+from edge.twin.value import Value
 
 pytestmark = pytest.mark.slow
 
@@ -180,3 +181,35 @@ def test_a_heater_that_warms_nothing_is_refused_before_any_fit(rig, capsys):
     path.write_text("\n".join(flat) + "\n")
     said = refused(capsys, "--from-run", str(path), "--out", "found")
     assert "the air moved by 0.0 K" in said and "not connected" in said
+
+
+def test_a_heater_that_warms_little_is_refused_with_the_time_that_may_do(rig, capsys):
+    path = run_file(rig)
+    rows = path.read_text().splitlines()
+    flat = [rows[0]]
+    for k, row in enumerate(rows[1:]):
+        cells = row.split(",")
+        flat.append(",".join([cells[0], f"{21.5 + 0.006 * k:.2f}", *cells[2:]]))
+    path.write_text("\n".join(flat) + "\n")
+    said = refused(capsys, "--from-run", str(path), "--out", "found")
+    assert "the air moved by 1.1 K" in said and "tests of 60 minutes may do" in said
+
+
+@dataclass(frozen=True)
+class FoundTwins:
+    """A diagnosis as far as the choice of the twin goes."""
+
+    test_k: dict[str, float]
+    adopted: object = field(default_factory=lambda: read_twin_file(TWIN))
+
+    @property
+    def simple_twins(self) -> dict[str, object]:
+        return {"heater lag": replace(self.adopted, effects={"wall_loss": {"UA": Value(3.0)}})}
+
+
+@pytest.mark.parametrize(("simple_k", "is_taken"), [(0.39, True), (0.41, False)])
+def test_a_simple_twin_is_taken_where_it_predicts_clearly_better(simple_k, is_taken):
+    twin, error_k = commission._chosen(FoundTwins({"after": 0.5, "heater lag": simple_k, "ARX 2": 0.1}))
+    assert (set(twin.effects) == {"wall_loss"}) == is_taken
+    assert error_k == (simple_k if is_taken else 0.5)
+    assert not is_taken or twin.provenance["after"] == {"test": {"rmse_k": simple_k}}

@@ -77,6 +77,24 @@ def test_the_tests_use_the_band_the_levels_and_the_fan(name):
     assert starts <= 60
 
 
+def longest_leg_s(legs, name):
+    """Longest stretch of one leg [s]."""
+    best = count = 0
+    for before, leg in zip([None, *legs], legs, strict=False):
+        count = count + 1 if leg == before else 1
+        best = max(best, count) if leg.startswith(name) else best
+    return best * STEP_S
+
+
+@pytest.mark.parametrize(("name", "is_slow"), [("paper's", False), ("very heavy", True)])
+def test_a_slow_box_gets_longer_legs(name, is_slow):
+    box = SmallBox(*{**BOXES, "very heavy": (300.0, 20.0, 20_000.0)}[name])
+    airs, _, _, legs = drive(StepTests(HIGH_C, True), box, 240.0)
+    assert (longest_leg_s(legs, "full heat") > 1600.0) == is_slow
+    assert (longest_leg_s(legs, "heat ") > 900.0) == is_slow
+    assert airs.max() < HIGH_C
+
+
 def test_without_a_fan_none_is_driven():
     _, _, fans, _ = drive(StepTests(HIGH_C, False), SmallBox(*BOXES["paper's"]), 60.0)
     assert not fans.any()

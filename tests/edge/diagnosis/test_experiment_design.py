@@ -250,6 +250,13 @@ def test_the_fans_relay_keeps_its_times(fan, allowed):
     assert limits.are_within(np.zeros_like(column), column, 60.0).tolist() == [allowed]
 
 
+@pytest.mark.parametrize(("heater_w", "allowed"), [(100.0, True), (400.0, False)])
+def test_the_caps_on_energy_count_the_boxs_own_heater(heater_w, allowed):
+    limits = ExperimentLimits(SafetySettings(energy_hour_max_wh=60.0), heater_w=heater_w)
+    duty = np.full((1, 60), 0.5)  # 50 Wh of 100 W in an hour
+    assert limits.are_within(duty, np.zeros_like(duty), 60.0).tolist() == [allowed]
+
+
 def test_a_row_of_the_plan_is_made_of_whole_control_steps():
     assert ExperimentLimits(step_s=60.0).row_s(60.0) == 60.0
     assert ExperimentLimits(step_s=60.0).row_s(10.0) == 60.0

@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from edge.__main__ import main
-from edge.core.errors import RequestError
+from edge.core.errors import DataError, RequestError
 from edge.twin.box_words import quantity, volume, wall
+from edge.twin.new_file import with_room_error
 from edge.twin.twin_file import read_twin_file
+from edge.twin.warm_start import at_rest
 
 KNOWN = ("--heater-w", "42", "--fan", "none")
 
@@ -30,6 +33,7 @@ def test_a_fan_that_stirs_changes_no_air(tmp_path: Path) -> None:
     assert main(["twin", "new", str(place), "--volume", "27l", "--heater-w", "42", "--fan", "stirring"]) == 0
     file = read_twin_file(place)
     assert file.fan_role == "stirring"
+    assert file.effects["stirred_loss"]["G_stir"].fit
     assert file.twin().geometry.fan_max_m3_s < 1e-9
     assert file.geometry["fan_max_m3_s"].value > 1e-3
 
@@ -87,3 +91,16 @@ def test_a_wall_needs_a_known_material_and_a_thickness(words: str) -> None:
 def test_a_number_may_stand_without_the_unit_that_was_asked_for() -> None:
     assert quantity("100", {"W": 1.0, "kW": 1000.0}, "W") == 100.0
     assert quantity("0.1 kw", {"W": 1.0, "kW": 1000.0}, "W") == pytest.approx(100.0)
+
+
+def test_a_rig_without_a_room_sensor_has_a_twin_that_knows_how_wrong_its_room_is():
+    file = read_twin_file(Path("training/results/paper_case/interpolation/twin.yaml"))
+    changed = with_room_error(file, 21.0, 15.0)
+    twin, steps = changed.twin(), 2000
+    off = np.zeros((1, steps))
+    given = {name: np.zeros(steps) for name in twin.needs}
+    end_c = twin.rollout(at_rest(twin, 21.0, 21.0), off, off, 21.0, conditions=given)[0, -1]
+    plain = file.twin().rollout(at_rest(file.twin(), 15.0, 15.0), off, off, 15.0, conditions=given)[0, -1]
+    assert end_c == pytest.approx(plain, abs=0.05)
+    with pytest.raises(DataError, match="b_amb"):
+        with_room_error(file, 21.0, -3.0)
