@@ -15,7 +15,7 @@ WINDOW_S = 600  # width of a row of `ten_minutes`
 CHUNK_ROWS = 500  # ticks thinned, and rows deleted per table, in one transaction
 CLOCK_TICKS = 1000
 OUTBOX_MAX = 500_000  # messages; at 60 s steps most of a year without a broker
-VACUUM_PAGES = 200  # pages given back to the file system per chunk
+VACUUM_PAGES = 800  # pages given back to the file system per chunk
 DAY_S = 86400.0
 
 _AMONG = "seq IN (SELECT value FROM json_each(:seqs))"

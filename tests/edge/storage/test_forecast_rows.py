@@ -9,7 +9,7 @@ import pytest
 from history_records import START_UTC, add, eventful_tick, tick
 
 from edge.core.messages import Forecast, ForecastSkill, TickRecord
-from edge.storage.file import connect
+from edge.storage.file import PAGE_BYTES, connect
 from edge.storage.tick_rows import read_ticks
 
 HOUR_S = 3600.0
@@ -75,7 +75,7 @@ def test_a_day_of_four_predictors_is_half_a_megabyte(history: sqlite3.Connection
 
     def grown(*records: TickRecord) -> int:
         add(history, *records)
-        return int(history.execute("PRAGMA page_count").fetchone()[0]) * 4096
+        return int(history.execute("PRAGMA page_count").fetchone()[0]) * PAGE_BYTES
 
     start = grown()
     plain = grown(*(tick(seq, forecasts={}) for seq in range(1, 1441))) - start

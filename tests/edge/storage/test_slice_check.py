@@ -8,7 +8,7 @@ import pytest
 from history_records import HandClock, History, eventful_tick, store, tick
 
 from edge.storage import Storage, file
-from edge.storage.file import FileFault, SliceCheck, fault_of
+from edge.storage.file import PAGE_BYTES, FileFault, SliceCheck, fault_of
 
 TICKS = 300
 
@@ -67,7 +67,7 @@ def test_a_slice_is_small_and_all_slices_together_are_the_file(
 def test_a_damaged_page_is_found_wherever_it_is(path: Path, tree: str) -> None:
     data = bytearray(path.read_bytes())
     page = pages(path)[tree][0]  # the oldest rows: what no other query reads
-    data[(page - 1) * 4096 : (page - 1) * 4096 + 64] = b"\xa5" * 64
+    data[(page - 1) * PAGE_BYTES : (page - 1) * PAGE_BYTES + 64] = b"\xa5" * 64
     path.write_bytes(data)
     with pytest.raises(sqlite3.DatabaseError) as caught:
         check(path)
@@ -84,7 +84,7 @@ def test_a_missing_file_is_not_made(path: Path) -> None:
 def test_the_writer_replaces_a_file_whose_old_rows_are_damaged(path: Path) -> None:
     data = bytearray(path.read_bytes())
     page = pages(path)["decisions"][0]
-    data[(page - 1) * 4096 : (page - 1) * 4096 + 64] = b"\xa5" * 64
+    data[(page - 1) * PAGE_BYTES : (page - 1) * PAGE_BYTES + 64] = b"\xa5" * 64
     path.write_bytes(data)
     storage = Storage(History.at(path), HandClock())
     first = storage.open()
