@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from edge.core.errors import RequestError
+from edge.twin.effects.library import EFFECTS
 from edge.twin.geometry import Geometry
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -25,6 +26,7 @@ CONDUCTIVITY_W_M_K = {
 VOLUME_M3 = (1e-4, 10.0)  # 0.1 litre to a small room
 HEATER_W = (0.1, 20_000.0)
 CHANGES_PER_H = 3600.0  # air changes; a fan that does more has been given in another unit
+ROOM_ERROR = "ambient_offset"
 WALL_REL_SD = 0.3  # of a loss by area and material: edges, seams and floors are not in it
 
 
@@ -122,8 +124,9 @@ def with_room_error(file: TwinFile, assumed_c: float, true_c: float) -> TwinFile
 
     Errors : DataError where the two are further apart than an error of a sensor can be
     """
-    error = {"b_amb": Value(float(f"{assumed_c - true_c:.4g}"))}
-    changed = replace(file, effects={**file.effects, "ambient_offset": error})
+    (parameter,) = EFFECTS[ROOM_ERROR].parameters
+    error = {parameter.name: Value(float(f"{assumed_c - true_c:.4g}"))}
+    changed = replace(file, effects={**file.effects, ROOM_ERROR: error})
     changed.twin()
     return changed
 
