@@ -78,8 +78,8 @@ check() { # TEXT COMMAND...
 not() { ! "$@"; }
 says() { grep -q "$1" "$work/last"; }                 # the last installation
 install_deb() {                                       # VERSION
-    cp "$work/$1.deb" "$root/root/x.deb"
-    within apt-get install -y --no-install-recommends --allow-downgrades /root/x.deb >"$work/last" 2>&1
+    cp "$work/$1.deb" "$root/srv/x.deb"
+    within apt-get install -y --no-install-recommends --allow-downgrades /srv/x.deb >"$work/last" 2>&1
 }
 version_runs() { within greenhouse --version | grep -q "greenhouse $1"; }
 state_is() { [ "$(within dpkg-query -W -f '${db:Status-Status}' greenhouse)" = "$1" ]; }
@@ -109,14 +109,14 @@ without_systemd() {
     check "root alone reads the credentials" within sh -c '[ "$(stat -c %U:%a /etc/greenhouse/credentials)" = root:700 ]'
     check "the command is in the PATH" version_runs "$version"
     check "the service is enabled" test -L "$root/etc/systemd/system/multi-user.target.wants/greenhouse.service"
-    cp "$source/tests/deploy/deb_numbers.py" "$root/root/"
+    cp "$source/tests/deploy/deb_numbers.py" "$root/srv/"
     if [ "$arch" = amd64 ]; then
-        check "computes" within /opt/greenhouse/venv/bin/python /root/deb_numbers.py /root/numbers.json
-        cp "$root/root/numbers.json" "$source/out/deb-test/numbers-amd64.json"
+        check "computes" within /opt/greenhouse/venv/bin/python /srv/deb_numbers.py /srv/numbers.json
+        cp "$root/srv/numbers.json" "$source/out/deb-test/numbers-amd64.json"
     else
-        cp "$source/out/deb-test/numbers-amd64.json" "$root/root/amd64.json" # missing? try the package of amd64 first
+        cp "$source/out/deb-test/numbers-amd64.json" "$root/srv/amd64.json" # missing? try the package of amd64 first
         check "computes as on amd64, to 1e-5 K" \
-            within /opt/greenhouse/venv/bin/python /root/deb_numbers.py /root/numbers.json /root/amd64.json
+            within /opt/greenhouse/venv/bin/python /srv/deb_numbers.py /srv/numbers.json /srv/amd64.json
     fi
     sed 's/^/     /' "$work/out"
     check "its files are those of the package" within dpkg --verify greenhouse
