@@ -39,10 +39,12 @@ from edge.core.errors import GreenhouseError
 from edge.formats.profile_file import read_profile
 from edge.models.arx_file import write_arx
 from edge.models.pbm import Pbm
+from edge.tick.reference import reference_from_profile
 from edge.twin.new_file import BoxDescription, text
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
 from training.control.draw_references import FOLDER
+from training.control.tune import CASES
 from training.lab import InProcessBoard, Lab
 
 Floats = NDArray[np.float64]
@@ -54,7 +56,7 @@ PLANNING = ("MPC-P", "MPC-BFGS-P", "MPC-Twin-P", CLAIRVOYANT)
 ROWS = ("rules", "PID", *PLANNING, *(f"{name}{EARLY}" for name in PLANNING))
 OF_TWIN = "MPC-Twin-P"
 OVER_ARX = ("MPC-P", "MPC-BFGS-P")
-TUNING = ("tuning_1", "tuning_2", "tuning_3")
+TUNING = tuple(name for name, _ in CASES)
 ANY_K = 20.0
 SAMPLE_S, STEP_S = 5.0, 60.0
 EXCURSION_MIN = 15  # before a step of the reference
@@ -166,11 +168,10 @@ def _row(name: str, lab: Lab, seen: Floats, heater_w: float) -> BoxRow:
     # A step of the reference is due at the end of its step.
     error = np.where(known, seen[:, 1] - reference[np.maximum(place, 0)], 0.0)[known]
     steps = np.flatnonzero(np.abs(np.diff(reference)) > 1.0) + 1
+    now = place[known]
     before = [
-        float(
-            (np.sign(reference[k] - reference[k - 1]) * error[_just_before(place[known], k)]).max(initial=0.0)
-        )
-        for k in steps
+        float((np.sign(reference[k] - reference[k - 1]) * error[_is_before(now, k)]).max(initial=0.0))
+        for k in steps.tolist()
         if ticks[k] > ticks[0] + WARM_UP_S + 60.0 * EXCURSION_MIN
     ]
     per_step = 10.0 * error**2 * SAMPLE_S / STEP_S
@@ -197,15 +198,14 @@ def _reference(facts: BoxFacts, name: str, folder: Path) -> Path:
     return path
 
 
-def _just_before(place: Ints, k: np.signedinteger[Any]) -> NDArray[np.bool_]:
+def _is_before(place: Ints, k: int) -> NDArray[np.bool_]:
     return np.asarray((place >= k - EXCURSION_MIN) & (place < k))
 
 
 def _course(path: Path) -> Floats:
     """Return the reference at each step [°C]."""
-    profile = read_profile(path)
-    times = STEP_S * np.arange(round(profile.end_s / STEP_S))
-    return np.asarray(np.interp(times, profile.columns["time_s"], profile.columns["reference_c"]))
+    times: Floats = STEP_S * np.arange(round(read_profile(path).end_s / STEP_S), dtype=np.float64)
+    return reference_from_profile(path).at(times, times)
 
 
 def _install(found: Commissioned, settings: Settings, folder: Path) -> None:

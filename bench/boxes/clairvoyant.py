@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bench.boxes.box import Box
 from edge.controllers.mpc_twin import Belief, MpcTwin, fan_shares
-from edge.controllers.twin_plan.linear_step import LOOKS, LinearStep
+from edge.controllers.twin_plan.linear_step import LinearStep, look_marks
 from edge.core.controller import Context
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import Pbm
@@ -44,8 +44,7 @@ def tangent(box: Box, step_s: float, fans: tuple[float, ...], duty_now: float) -
     for first in range(0, len(states), rows):
         states[first + 1 + np.arange(size), np.arange(size)] += BY_K
         duty[first + size + 1] += by
-    marks = {round(parts * look / LOOKS) for look in range(1, LOOKS)} if parts > 1 else set()
-    seen: list[Floats] = []
+    marks, seen = look_marks(parts), []
     runs = np.repeat(np.array(fans), rows)
     for part in range(parts):
         on = (runs > (part + 0.5) / parts).astype(np.float64)

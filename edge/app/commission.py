@@ -21,6 +21,7 @@ from edge.core.clock import Clock
 from edge.core.controller import RULES
 from edge.core.errors import DataError, GreenhouseError, RequestError
 from edge.core.messages import ReadingQuality, TickRecord
+from edge.diagnosis.adopted_twin import round_value
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, diagnosis_runs
@@ -164,28 +165,36 @@ def learn(
     twin = replace(chosen, sample_s=control.step_s)
     room_c = float(np.nanmean(found.inputs.runs.ambient))
     expectation = _expect(twin.twin(), room_c, error_k)
+    refusals = tuple(_refusals(run, found, expectation))
     if found.inputs.guessed:
-        twin = with_room_error(twin, control.ambient_default_c, room_c)
+        try:
+            twin = with_room_error(twin, control.ambient_default_c, room_c)
+        except DataError:
+            refusals += (
+                f"without a room sensor the tests tell a room of {room_c:.0f} °C: set "
+                f"control.ambient_default_c, now {control.ambient_default_c:g} °C, near to it and learn again "
+                "with --from-run",
+            )
     return Commissioned(
         twin,
         tuple(sorted({*chosen.effects} - {*start.effects})),
         found,
         _fallback(train, test, control.step_s, start),
         expectation,
-        tuple(_refusals(run, found, expectation)),
+        refusals,
     )
 
 
 def _chosen(found: Diagnosis) -> tuple[TwinFile, float]:
     """Return the twin that was found, or the baseline that predicts the held-out rows clearly better."""
-    error_k = found.test_k.get("after", math.nan)
-    simple = {name: error for name, error in found.test_k.items() if name in found.simple_twins}
+    error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
+    simple = {name: error for name, error in found.test_k.items() if name in twins}
     best = min(simple, key=simple.__getitem__, default="")
     if not best or not simple[best] < WORSE_AT_MOST * error_k:
         return found.adopted, error_k
     origin = {key: value for key, value in found.adopted.provenance.items() if key not in ("added", "after")}
-    after = {"test": {"rmse_k": float(f"{simple[best]:.6g}")}}
-    return replace(found.simple_twins[best], provenance={**origin, "added": {}, "after": after}), simple[best]
+    after = {"test": {"rmse_k": round_value(simple[best])}}
+    return replace(twins[best], provenance={**origin, "added": {}, "after": after}), simple[best]
 
 
 def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> Iterator[str]:

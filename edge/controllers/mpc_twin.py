@@ -33,7 +33,10 @@ DISTURBANCE_SD_K = 0.02  # how far the disturbance wanders in a step [K/step]
 DISTURBANCE_START_K = 0.3  # how far it may be off when nothing is known [K/step]
 CLIP_SD = 3.0  # an open door is no disturbance to learn: beyond this an innovation teaches it no more
 USUAL_SURPRISE = 2.0  # a squared innovation by its variance, 1 in the mean where the twin fits
-MISFIT_RATE, MISFIT_MAX = 0.1, 1e3  # half an hour of surprises beyond the clip widens it a thousandfold
+MISFIT_RATE, MISFIT_MAX = (
+    0.1,
+    1e3,
+)  # ten steps of surprises beyond the clip: a factor of a thousand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +191,8 @@ class MpcTwin:
         """Return the first step of the cheapest plan found. Errors: DataError of twin or problem"""
         begun = time.perf_counter()
         belief, step = self._follow(context)
-        goal = self._goal(context)
+        reference = _held_from_tail(goal_ahead(context, HORIZON + TAIL, self._preview))
+        goal = self._goal(context, reference, self._steps_since(float(reference[0])))
         last = context.last_sent
         level = round(last.heater_duty * HEATER_LEVELS)
         start = PlanStart(
@@ -209,15 +213,17 @@ class MpcTwin:
         }
         return Decision(first_command(plan), self.name, tuple(found.air.tolist()), why, planned_inputs(plan))
 
-    def _goal(self, context: Context) -> PlanningProblem:
-        """Return a plan's goal and limits, without the response, which the twin gives."""
-        limits, asked, steps, weight = context.limits, context.penalty, HORIZON + TAIL, self._weight
-        nothing: Floats = np.zeros(steps)
-        reference = _held_from_tail(goal_ahead(context, steps, self._preview))
-        now = float(reference[0])
+    def _steps_since(self, now: float) -> int:
+        """Return the decisions since the reference, now [°C], had a step; after a reset it counts as one."""
         is_step = not abs(now - self._last_reference) <= STEP_K
         self._since, self._last_reference = 0 if is_step else self._since + 1, now
-        low, high = band_before_steps(reference, self._early_k, self._since)
+        return self._since
+
+    def _goal(self, context: Context, reference: Floats, since: int) -> PlanningProblem:
+        """Return a plan's goal and limits, without the response, which the twin gives."""
+        limits, asked, weight = context.limits, context.penalty, self._weight
+        nothing: Floats = np.zeros(len(reference))
+        low, high = band_before_steps(reference, self._early_k, since)
         return PlanningProblem(
             free=nothing,
             heater=nothing,

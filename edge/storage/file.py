@@ -64,7 +64,7 @@ WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
 # Of a new file. A tick touches a dozen pages and changes some hundred bytes in each; each page it touches
 # goes to the card twice, by the log and by the file: 15 kB a tick into the log, with 4096 it was 42 kB.
 PAGE_BYTES = 1024
-CHECKPOINT_PAGES = 3000  # a longer log writes a page that changes often fewer times into the file
+CHECKPOINT_BYTES = 3 << 20  # a longer log writes a page that changes often fewer times into the file
 CACHE_KB = 1024
 
 
@@ -122,7 +122,8 @@ def connect(path: Path, busy_s: float) -> sqlite3.Connection:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute(f"PRAGMA journal_size_limit = {WAL_MAX_BYTES}")
-        connection.execute(f"PRAGMA wal_autocheckpoint = {CHECKPOINT_PAGES}")
+        page_bytes = connection.execute("PRAGMA page_size").fetchone()[0]  # an older file has pages of 4096
+        connection.execute(f"PRAGMA wal_autocheckpoint = {CHECKPOINT_BYTES // page_bytes}")
         connection.execute(f"PRAGMA cache_size = -{CACHE_KB}")
         version = connection.execute("PRAGMA user_version").fetchone()[0]
         if version > SCHEMA_VERSION:

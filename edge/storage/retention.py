@@ -15,7 +15,7 @@ WINDOW_S = 600  # width of a row of `ten_minutes`
 CHUNK_ROWS = 500  # ticks thinned, and rows deleted per table, in one transaction
 CLOCK_TICKS = 1000
 OUTBOX_MAX = 500_000  # messages; at 60 s steps most of a year without a broker
-VACUUM_PAGES = 800  # pages given back to the file system per chunk
+VACUUM_BYTES = 800 << 10  # given back to the file system per chunk
 DAY_S = 86400.0
 
 _AMONG = "seq IN (SELECT value FROM json_each(:seqs))"
@@ -69,7 +69,8 @@ def thin(connection: sqlite3.Connection, settings: RetentionSettings) -> tuple[b
         if connection.in_transaction:
             connection.execute("ROLLBACK")
     # Not execute(): it steps a statement without columns once, and that gives back a single page.
-    connection.executescript(f"PRAGMA incremental_vacuum({VACUUM_PAGES})")
+    page_bytes = connection.execute("PRAGMA page_size").fetchone()[0]
+    connection.executescript(f"PRAGMA incremental_vacuum({VACUUM_BYTES // page_bytes})")
     return max(len(seqs), deleted, dropped) >= CHUNK_ROWS, dropped
 
 

@@ -122,10 +122,14 @@ nuisance: {{heater_power_run_sd: null, heat_noise_sd_w: null}}
 def with_room_error(file: TwinFile, assumed_c: float, true_c: float) -> TwinFile:
     """Return a known twin for a rig that has no room sensor and assumes `assumed_c`.
 
+    true_c : the room that the twin was fitted with, an error of its own not yet taken away
+
     Errors : DataError where the two are further apart than an error of a sensor can be
     """
     (parameter,) = EFFECTS[ROOM_ERROR].parameters
-    error = {parameter.name: Value(float(f"{assumed_c - true_c:.4g}"))}
+    own = file.effects.get(ROOM_ERROR, {})
+    error_k = assumed_c - true_c + sum(value.value for value in own.values())
+    error = {parameter.name: Value(float(f"{error_k:.4g}"))}
     changed = replace(file, effects={**file.effects, ROOM_ERROR: error})
     changed.twin()
     return changed

@@ -68,9 +68,8 @@ def _operators_weights(penalty: Penalty) -> str:
 def _rig(context: Context) -> str:
     return (
         f"heater_duty is 0 to 1 in steps of {1 / HEATER_LEVELS:g} (1 is {context.limits.heater_w:g} W). "
-        "fan_on is true or false; the fan blows room air through the box, and so cools it towards the room's "
-        "temperature. "
-        f"One step lasts {context.step_s:g} s. All temperatures are in degC."
+        "fan_on is true or false; the fan blows room air through the box, and so cools it towards the "
+        f"room's temperature. One step lasts {context.step_s:g} s. All temperatures are in degC."
     )
 
 

@@ -97,7 +97,7 @@ def linear_step(
         conditions,
         Commands(_in_parts(before, parts), _in_parts(fan_before, parts)),
     )
-    marks, seen = _marks(parts), []
+    marks, seen = look_marks(parts), []
     for part in range(parts):
         states = march.step(part, states)
         if part + 1 in marks:
@@ -121,7 +121,7 @@ def linear_step(
     )
 
 
-def _marks(parts: int) -> tuple[int, ...]:
+def look_marks(parts: int) -> tuple[int, ...]:
     """Return after how many parts of a step its course is looked at before its end: never in one part."""
     return tuple(sorted({round(parts * look / LOOKS) for look in range(1, LOOKS)} - {0, parts}))
 

@@ -109,6 +109,5 @@ AIR_EFFECTS: Mapping[str, Effect] = by_name(
         source="forced convection at a wall, Incropera & DeWitt, ch. 7",
         without="negative with the fan on, in proportion to T - T_amb",
         offer=Offer.KNOWN_ONLY,
-        check="a run with the fan unplugged and one with it on all the time, at the same duty",
     ),
 )

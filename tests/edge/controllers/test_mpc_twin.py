@@ -12,7 +12,7 @@ from contexts import context
 from edge.app.active_models import ActiveModels
 from edge.app.controllers import ControllerParts, make
 from edge.config.settings import BundleSettings, ControlSettings, Settings
-from edge.controllers.mpc_twin import HORIZON, LEAST_WEIGHT, MpcTwin
+from edge.controllers.mpc_twin import HORIZON, LEAST_WEIGHT, TAIL, MpcTwin
 from edge.core.controller import ControlLimits, Penalty
 from edge.core.errors import ConfigError, DataError, RequestError
 from edge.forecasts.skill import SkillState
@@ -125,8 +125,8 @@ def test_without_preview_only_the_present_reference_counts(model):
 
 
 def test_a_weight_of_nothing_is_the_least_one():
-    planner = MpcTwin("MPC-Twin-P", Pbm(), 1.0)
-    goal = planner._goal(replace(here(), penalty=Penalty(heater=0.0, fan=0.0)))
+    planner, reference = MpcTwin("MPC-Twin-P", Pbm(), 1.0), np.full(HORIZON + TAIL, 24.0)
+    goal = planner._goal(replace(here(), penalty=Penalty(heater=0.0, fan=0.0)), reference, 0)
     assert goal.heater_weight == goal.fan_weight == LEAST_WEIGHT
-    goal = planner._goal(replace(here(), penalty=Penalty(heater=2.0)))
+    goal = planner._goal(replace(here(), penalty=Penalty(heater=2.0)), reference, 0)
     assert (goal.heater_weight, goal.fan_weight) == (2.0, 1.0)
