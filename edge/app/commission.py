@@ -172,8 +172,8 @@ def learn(
         except DataError:
             refusals += (
                 f"without a room sensor the tests tell a room of {room_c:.0f} °C: set "
-                f"control.ambient_default_c, now {control.ambient_default_c:g} °C, near to it and learn again "
-                "with --from-run",
+                f"control.ambient_default_c, now {control.ambient_default_c:g} °C, near to it and learn "
+                "again with --from-run",
             )
     return Commissioned(
         twin,
