@@ -15,6 +15,7 @@ from edge.controllers.mixed_integer.problem import PlanningProblem
 from edge.controllers.mpc import LIMIT_WEIGHT, binding, cost_split, first_command, planned_inputs, runner_up
 from edge.controllers.twin_plan.beam import BeamResult, PlanStart, relay, search
 from edge.controllers.twin_plan.linear_step import LinearStep, linear_step
+from edge.controllers.twin_plan.rest import AHEAD_STEPS, LONGEST_STEPS, coast_steps, price, step_down
 from edge.core.controller import Context, ControlLimits, Floats, goal_ahead
 from edge.core.errors import DataError
 from edge.core.messages import Decision
@@ -181,17 +182,20 @@ class MpcTwin:
         self._belief: Belief | None = None
         self._step: LinearStep | None = None
         self._since, self._last_reference = 0, math.nan
+        self._rested = 0  # steps of a rest under way
 
     def reset(self) -> None:
         """Forget the state: the next decision finds it from the whole history."""
         self._belief = None
         self._since, self._last_reference = 0, math.nan
+        self._rested = 0
 
     def decide(self, context: Context) -> Decision:
         """Return the first step of the cheapest plan found. Errors: DataError of twin or problem"""
         begun = time.perf_counter()
         belief, step = self._follow(context)
         reference = _held_from_tail(goal_ahead(context, HORIZON + TAIL, self._preview))
+        before = self._last_reference
         goal = self._goal(context, reference, self._steps_since(float(reference[0])))
         last = context.last_sent
         level = round(last.heater_duty * HEATER_LEVELS)
@@ -199,7 +203,7 @@ class MpcTwin:
             belief.state, belief.disturbance, context.estimate.temp_ambient, level, int(last.fan_at_end),
             context.limits.fan_starts,
         )  # fmt: skip
-        found = search(step, goal, start, WIDTH)
+        goal, found = self._with_rest(context.limits.proof_in_steps, before, goal, step, start)
         plan = found.plan
         why = {
             **cost_split(goal, plan.levels / HEATER_LEVELS, plan.fan, _padded_air(found, goal)),
@@ -212,6 +216,32 @@ class MpcTwin:
             "solve_ms": round(1e3 * (time.perf_counter() - begun), 3),
         }
         return Decision(first_command(plan), self.name, tuple(found.air.tolist()), why, planned_inputs(plan))
+
+    def _with_rest(
+        self, due: int | None, before: float, goal: PlanningProblem, step: LinearStep, start: PlanStart
+    ) -> tuple[PlanningProblem, BeamResult]:
+        """Return goal and plan, with a rest for the relay's proof where one is due or comes cheaper now.
+
+        due : steps until the supervisor asks for it; before : the last decision's reference [°C]
+        """
+        found = search(step, goal, start, WIDTH)
+        if due is None or due > AHEAD_STEPS:
+            self._rested = 0
+            return goal, found
+        steps = coast_steps(step, start.state, start.ambient, start.disturbance)
+        if 0 < self._rested < LONGEST_STEPS:
+            due, offered = 0, None
+        else:
+            self._rested, offered = 0, step_down(goal.reference[: goal.horizon], before)
+        for begin, most in ((offered, found.plan.cost + price(steps)), (due, math.inf)):
+            if begin is None or begin > due or begin >= goal.horizon:
+                continue
+            rest = replace(goal, rest=range(begin, begin + steps))
+            rested = search(step, rest, start, WIDTH)
+            if rested.plan.cost <= most:
+                self._rested = self._rested + 1 if begin == 0 else 0
+                return rest, rested
+        return goal, found
 
     def _steps_since(self, now: float) -> int:
         """Return the decisions since the reference, now [°C], had a step; after a reset it counts as one."""

@@ -32,6 +32,14 @@ class RelayProof:
         """Heat and fan are held back."""
         return self.running_s is not None
 
+    @property
+    def due_in_s(self) -> float:
+        """Time until heat and fan will be held back if both go on as they did, inf if that is not so [s]."""
+        if self.running:
+            return 0.0
+        is_busy = self.since_s > 0.0 and min(self.heated_s, self.fanned_s) >= BUSY_SHARE * self.since_s
+        return max(EVERY_S - self.since_s, 0.0) if is_busy else math.inf
+
 
 def follow(
     proof: RelayProof, dt_s: float, temp_air: float, heated: bool, fan: float, quiet: bool

@@ -110,6 +110,7 @@ def planning_limits(
     duty = 0.0 if memory.trips or memory.thermal.proof.running else settings.heater_max_duty
     for window_s in (HOUR_S, DAY_S):
         duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s, box.heater_w))
+    proof_s = memory.thermal.proof.due_in_s
     return ControlLimits(
         heater_max_duty=duty,
         fan_hold_steps=math.ceil(relay_hold_s(memory, settings, now_s) / step_s),
@@ -119,6 +120,7 @@ def planning_limits(
         fan_part_s=max(FAN_PART_S, settings.fan_min_on_s),
         fan_starts=fan_starts_left(memory, settings, now_s),
         heater_w=box.heater_w,
+        proof_in_steps=math.ceil(proof_s / step_s) if math.isfinite(proof_s) else None,
     )
 
 

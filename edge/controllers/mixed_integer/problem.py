@@ -61,7 +61,8 @@ class PlanningProblem:
     temp_max, limit_weight : air temperatures above temp_max cost limit_weight (T - temp_max)^2 more
     low, high, band_weight : air temperatures outside low..high [N + M] cost band_weight times the square
         more; None: nowhere
-    clash_weight : cost of a step of full heat while the fan runs. Only `twin_plan` plans with these four
+    clash_weight : cost of a step of full heat while the fan runs
+    rest : steps in which heater and fan are to be off. Only `twin_plan` plans with these five
     """
 
     free: Floats
@@ -79,6 +80,7 @@ class PlanningProblem:
     high: Floats | None = None
     band_weight: float = 0.0
     clash_weight: float = 0.0
+    rest: range = range(0)
 
     def __post_init__(self) -> None:
         """Refuse NaN, with which no comparison in the search would hold. Raises : DataError"""

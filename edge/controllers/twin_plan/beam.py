@@ -17,6 +17,7 @@ from edge.core.names import HEATER_LEVELS
 Floats = NDArray[np.float64]
 STORED_STEPS = 4  # so long after a node the air tells what is stored in it
 KIND_K = 0.02  # nodes whose air would then be closer than this are of one kind
+REST_WEIGHT = 1e6  # of heat or fan where the plan is to rest: above all but the relay's own rules
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +128,8 @@ def _children(
     tracking = _tracking(step, goal, start, level, mode, air, k)
     cost = level.cost[:, None, None] + tracking + goal.effort(levels, step.fans[:, None])
     hold, starts, allowed = _relay(step.fans, goal, level)
+    if k in goal.rest:
+        cost += REST_WEIGHT * ((levels > 0) | (step.fans[:, None] > 0.0))
     cost[~allowed] = np.inf
     cost[:, :, goal.heater_levels + 1 :] = np.inf
     stored = (base @ weights)[..., None] + (step.now[mode] @ weights)[..., None] * step.share

@@ -12,13 +12,18 @@ from contexts import context
 from edge.app.active_models import ActiveModels
 from edge.app.controllers import ControllerParts, make
 from edge.config.settings import BundleSettings, ControlSettings, Settings
-from edge.controllers.mpc_twin import HORIZON, LEAST_WEIGHT, TAIL, MpcTwin
+from edge.controllers.mpc_twin import HORIZON, LEAST_WEIGHT, TAIL, MpcTwin, fan_shares
+from edge.controllers.twin_plan.linear_step import linear_step
+from edge.controllers.twin_plan.rest import AHEAD_STEPS
 from edge.core.controller import ControlLimits, Penalty
 from edge.core.errors import ConfigError, DataError, RequestError
+from edge.core.messages import Command
 from edge.forecasts.skill import SkillState
 from edge.models.arx_file import read_arx
 from edge.models.pbm import Pbm, read_twin
+from edge.safety.relay_proof import EVERY_S, RelayProof, follow
 from edge.twin.model import BoxTwin
+from edge.twin.warm_start import at_rest
 
 TWINS = {
     "diagnosed": Path("training/results/paper_case/interpolation/twin.yaml"),
@@ -130,3 +135,61 @@ def test_a_weight_of_nothing_is_the_least_one():
     assert goal.heater_weight == goal.fan_weight == LEAST_WEIGHT
     goal = planner._goal(replace(here(), penalty=Penalty(heater=2.0)), reference, 0)
     assert (goal.heater_weight, goal.fan_weight) == (2.0, 1.0)
+
+
+def proven_run(model: Pbm, step_down_k: float, due_steps: int, knows: bool, steps: int = 50) -> float:
+    """Cost of tracking where the twin is the box and the relay's proof is due after `due_steps`."""
+    reference = np.full(steps + 60, 30.0)
+    reference[20:] -= step_down_k
+    controller, room = MpcTwin("MPC-Twin-P", model, 1.0), 22.0
+    state = at_rest(model.twin, 30.0, room)
+    step = linear_step(model.twin, state, room, {}, fan_shares(60.0, ControlLimits()))
+    air, duty, fan, sent, cost = [30.0], [], [], Command(), 0.0
+    proof = RelayProof(since_s=EVERY_S - 60.0 * due_steps, heated_s=3000.0, fanned_s=3000.0)
+    for k in range(steps):
+        due_s = proof.due_in_s
+        known = math.ceil(due_s / 60.0) if knows and math.isfinite(due_s) else None
+        limits = ControlLimits(heater_max_duty=0.0 if proof.running else 1.0, proof_in_steps=known)
+        made = context(temp=air[-1], rows=k + 1, now_s=60.0 * k, last_sent=sent, limits=limits)
+        columns = {"temp_air": air, "temp_air_measured": air, "temp_ambient": [room] * (k + 1)}
+        columns |= {"heater_duty": [*duty, math.nan], "fan_on": [*fan, math.nan]}
+        history = {name: np.array(column)[-120:] for name, column in columns.items()}
+        estimate = replace(made.estimate, temp_ambient=room)
+        now = replace(made, history=history, estimate=estimate, reference=reference[k : k + 60])
+        sent = Command() if proof.running else controller.decide(now).command
+        share = sent.fan_share if sent.fan_on else 0.0
+        before = (duty[-1], fan[-1]) if duty else (0.0, 0.0)
+        mode = int(step.mode(np.array(int(before[1] >= 1.0)), np.array(step.place_of(share))))
+        state = step.matrix[mode] @ state + step.constant[mode] + step.room[mode] * room
+        state += step.now[mode] * step.share_of(sent.heater_duty) + step.late[mode] * step.share_of(before[0])
+        air, duty, fan = [*air, float(state[step.shown])], [*duty, sent.heater_duty], [*fan, share]
+        proof = follow(proof, 60.0, air[-1], sent.heater_duty > 0.0, share, quiet=False)
+        cost += 10.0 * (air[-1] - reference[k]) ** 2
+    assert not proof.running
+    assert proof.since_s < 60.0 * steps
+    return cost
+
+
+@pytest.mark.parametrize(("step_down_k", "due_steps"), [(0.0, 12), (5.0, 30)])
+def test_it_is_ready_for_the_relays_proof(step_down_k, due_steps):
+    model = read_twin(TWINS["packaged"])
+    known, unknown = (proven_run(model, step_down_k, due_steps, knows) for knows in (True, False))
+    assert known < 0.8 * unknown
+
+
+def test_a_rest_is_offered_where_the_reference_falls_and_is_over_where_the_proof_is(model):
+    now = here(temp=30.0, reference=30.0)
+    falling = replace(now, reference=np.repeat([30.0, 26.0], [5, 115]))
+    planner = MpcTwin("MPC-Twin-P", model, 1.0)
+    for due, asks in ((None, falling), (AHEAD_STEPS + 1, falling), (40, now)):
+        planner.reset()
+        plan = planner.decide(replace(asks, limits=ControlLimits(proof_in_steps=due))).plan
+        assert plan == plan_without_proof(model, asks)
+    planner.reset()
+    plan = planner.decide(replace(now, limits=ControlLimits(proof_in_steps=3))).plan
+    assert all(sent == (0.0, 0.0) for sent in plan[3:5])
+
+
+def plan_without_proof(model: Pbm, asks):
+    """Return the plan without any proof in sight."""
+    return MpcTwin("MPC-Twin-P", model, 1.0).decide(asks).plan

@@ -1,10 +1,14 @@
 """When heat and fan are held back, and what ends it."""
 
+import math
 from dataclasses import replace
 
 import pytest
 
+from edge.config.settings import SafetySettings
+from edge.safety.memory import SafetyMemory
 from edge.safety.relay_proof import BUSY_SHARE, EVERY_S, LONGEST_S, PASSED_K, RelayProof, follow
+from edge.safety.supervisor import planning_limits
 from edge.safety.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Observation, ThermalMemory, look
 
 STEP_S = 60.0
@@ -104,3 +108,28 @@ def test_supervision_resets_the_proof_once_heater_and_fan_were_still_long_enough
         memory, findings = look(replace(memory, proof=replace(memory.proof, since_s=0.0)), still)
         assert findings == ()
     assert memory.proof == RelayProof()
+
+
+@pytest.mark.parametrize(
+    ("proof", "due_s"),
+    [
+        (RelayProof(), math.inf),
+        (RUNNING, 0.0),
+        (BUSY, STEP_S),
+        (replace(BUSY, since_s=EVERY_S + 30.0), 0.0),
+        (replace(BUSY, fanned_s=100.0), math.inf),
+        (replace(BUSY, heated_s=100.0), math.inf),
+    ],
+)
+def test_the_time_to_the_next_proof(proof, due_s):
+    assert proof.due_in_s == due_s
+
+
+def test_a_planner_is_told_of_the_proof():
+    def told(proof: RelayProof) -> int | None:
+        memory = SafetyMemory(thermal=ThermalMemory(proof=proof))
+        return planning_limits(memory, SafetySettings(), 0.0, STEP_S).proof_in_steps
+
+    assert told(RelayProof()) is None
+    assert told(RUNNING) == 0
+    assert told(replace(BUSY, since_s=EVERY_S - 1790.0)) == 30
