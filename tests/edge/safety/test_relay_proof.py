@@ -5,10 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from edge.config.settings import SafetySettings
-from edge.safety.memory import SafetyMemory
 from edge.safety.relay_proof import BUSY_SHARE, EVERY_S, LONGEST_S, PASSED_K, RelayProof, follow
-from edge.safety.supervisor import planning_limits
 from edge.safety.thermal_supervision import QUIET_S, SETTLE_S, SHORT_S, Observation, ThermalMemory, look
 
 STEP_S = 60.0
@@ -123,13 +120,3 @@ def test_supervision_resets_the_proof_once_heater_and_fan_were_still_long_enough
 )
 def test_the_time_to_the_next_proof(proof, due_s):
     assert proof.due_in_s == due_s
-
-
-def test_a_planner_is_told_of_the_proof():
-    def told(proof: RelayProof) -> int | None:
-        memory = SafetyMemory(thermal=ThermalMemory(proof=proof))
-        return planning_limits(memory, SafetySettings(), 0.0, STEP_S).proof_in_steps
-
-    assert told(RelayProof()) is None
-    assert told(RUNNING) == 0
-    assert told(replace(BUSY, since_s=EVERY_S - 1790.0)) == 30

@@ -24,7 +24,7 @@ from edge.config.settings import SafetySettings
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
 from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, water_s
-from edge.safety.relay_proof import RelayProof
+from edge.safety.relay_proof import EVERY_S, RelayProof
 from edge.safety.rules import energy_duty
 from edge.safety.supervisor import (
     SafetyMemory,
@@ -837,3 +837,13 @@ def test_what_differs_says_why_and_the_answer_is_always_the_same(wanted, seen, m
         if before is None or not abs(before - after) <= 1e-9:
             assert actuator in changed
     assert all(change.reason and "." in change.rule for change in verdict.changes)
+
+
+def test_a_planner_is_told_of_the_proof():
+    def told(proof: RelayProof) -> int | None:
+        memory = SafetyMemory(thermal=ThermalMemory(proof=proof))
+        return planning_limits(memory, SafetySettings(), 0.0, 60.0).proof_in_steps
+
+    assert told(RelayProof()) is None
+    assert told(RelayProof(running_s=0.0)) == 0
+    assert told(RelayProof(since_s=EVERY_S - 1790.0, heated_s=3000.0, fanned_s=3000.0)) == 30
