@@ -42,7 +42,7 @@ def box_bounds(file: TwinFile) -> BoxBounds:
     """Return the bounds of a fitted twin, by how it warms and how warm it gets."""
     heater_w = file.geometry["heater_max_w"].value
     if file.to_fit():
-        return unknown_box(heater_w)
+        return unknown_box(heater_w, file.fan_role)
     twin = replace(file, sample_s=60.0).twin()
     warming = _rise(twin, 0.0)
     still, fanned = heater_w / float(warming[-1]), heater_w / float(_rise(twin, 1.0)[-1])
@@ -50,6 +50,7 @@ def box_bounds(file: TwinFile) -> BoxBounds:
     fan_w_k = min(max(fanned - still, 0.0), _rated_fan_w_k(file))
     return BoxBounds(
         heater_w=heater_w,
+        fan_role=file.fan_role,
         power_min_w=POWER[0] * heater_w,
         power_max_w=POWER[1] * heater_w,
         element_lag_s=max(LAG_S, LAG_TIMES * _element_lag_s(twin)),

@@ -71,6 +71,7 @@ class ControlLimits:
     fan_part_s: float = 5.0  # shortest part of a step for which the fan may be on [s]
     fan_starts: int = 30  # so often the relay may still be closed within the hour
     heater_w: float = HEATER_MAX_W  # of this box, at full duty
+    fan_role: str = "exhaust"  # of this box, or stirring, or none
     proof_in_steps: int | None = None  # until heat and fan are held back for the relay's proof; None: unseen
 
 

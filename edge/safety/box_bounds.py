@@ -35,14 +35,15 @@ class BoxBounds:
     other_heat_long_w: float = 30.0
     other_heat_k: float = 4.0
     fan_cools: bool = True  # False for one that only stirs, and without a fan
+    fan_role: str = "exhaust"  # of the twin file
 
 
 PAPER_BOX = BoxBounds()
 NO_BOUND = 1e9  # finite, so that its product with nothing is nothing
 
 
-def unknown_box(heater_w: float) -> BoxBounds:
-    """Return the bounds of a box of which only the heater is known: no question about it has an answer."""
+def unknown_box(heater_w: float, fan_role: str) -> BoxBounds:
+    """Return the bounds of a box of which heater and fan alone are known: no question has an answer."""
     return BoxBounds(
         heater_w=heater_w,
         power_max_w=1.1 * heater_w,
@@ -53,6 +54,7 @@ def unknown_box(heater_w: float) -> BoxBounds:
         loss_min_w_k=0.0,
         fan_min_w_k=0.0,
         fan_cools=False,
+        fan_role=fan_role,
         other_heat_w=NO_BOUND,
         other_heat_long_w=NO_BOUND,
     )

@@ -120,6 +120,7 @@ def planning_limits(
         fan_part_s=max(FAN_PART_S, settings.fan_min_on_s),
         fan_starts=fan_starts_left(memory, settings, now_s),
         heater_w=box.heater_w,
+        fan_role=box.fan_role,
         proof_in_steps=math.ceil(proof_s / step_s) if math.isfinite(proof_s) else None,
     )
 

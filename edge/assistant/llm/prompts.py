@@ -21,6 +21,11 @@ _SIMULATE = (
     f"Try several sets of controls with the tool {simulate_tool.NAME}, compare the results, and choose the "
     "best one. Your answer must begin with the first controls of a simulation that you asked for."
 )
+_FAN = {
+    "exhaust": "the fan blows room air through the box, and so cools it towards the room's temperature",
+    "stirring": "the fan stirs the air within the box and lets none in",
+    "none": "this box has no fan, so fan_on changes nothing",
+}
 
 
 def system_prompt(variant: LlmVariant, context: Context, horizon: int) -> str:
@@ -68,8 +73,8 @@ def _operators_weights(penalty: Penalty) -> str:
 def _rig(context: Context) -> str:
     return (
         f"heater_duty is 0 to 1 in steps of {1 / HEATER_LEVELS:g} (1 is {context.limits.heater_w:g} W). "
-        "fan_on is true or false; the fan blows room air through the box, and so cools it towards the "
-        f"room's temperature. One step lasts {context.step_s:g} s. All temperatures are in degC."
+        f"fan_on is true or false; {_FAN[context.limits.fan_role]}. "
+        f"One step lasts {context.step_s:g} s. All temperatures are in degC."
     )
 
 

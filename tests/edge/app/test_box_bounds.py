@@ -45,7 +45,7 @@ def described(folder: Path, size: float):
 def test_a_box_that_is_not_fitted_yet_tells_its_heater_alone(tmp_path):
     path = tmp_path / "twin.yaml"
     path.write_text(text(BoxDescription(0.4, 250.0, "none")))
-    assert box_bounds(read_twin_file(path)) == unknown_box(250.0)
+    assert box_bounds(read_twin_file(path)) == unknown_box(250.0, "none")
 
 
 @pytest.mark.parametrize(("duty", "fan", "air"), [(1.0, False, 21.0), (0.0, False, 60.0), (0.0, True, 60.0)])
@@ -53,7 +53,7 @@ def test_of_an_unknown_box_nothing_is_claimed(duty, fan, air):
     memory = ThermalMemory()
     for minute in range(600):
         moment = Observation(60.0, air + 0.02 * minute * (not duty), 20.0, duty, fan, 0.0)
-        memory, found = look(memory, moment, unknown_box(250.0))
+        memory, found = look(memory, moment, unknown_box(250.0, "exhaust"))
         assert found == ()
 
 

@@ -46,6 +46,14 @@ def test_a_free_relay_is_not_spoken_of() -> None:
     assert "relay stays" not in system_prompt(LLM["LLM-Te0"], replace(HERE, limits=ControlLimits()), 10)
 
 
+@pytest.mark.parametrize(
+    ("role", "words"), [("exhaust", "blows room air"), ("stirring", "lets none in"), ("none", "has no fan")]
+)
+def test_the_fan_is_this_boxes_own(role: str, words: str) -> None:
+    here = replace(HERE, limits=ControlLimits(fan_role=role))
+    assert words in system_prompt(LLM["LLM-Te0"], here, 10)
+
+
 def test_a_script_reads_back_what_was_said() -> None:
     variant = LLM["LLM-HAM-Te0-P"]
     texts = (system_prompt(variant, HERE, 7), question(variant, HERE))
