@@ -1,8 +1,9 @@
 """Step tests that find their own size: the next leg comes from what the box did in the last ones.
 
-First a rest, a little heat and a coast tell how fast the box answers and how far it runs on by itself. After
-these come legs of random heat and fan inside the band, some as long as the box needs to show its slow parts.
-Heat ends before the band's upper edge by what the box was seen to run on. The same seed gives the same tests.
+First a rest with the fan still and on, a little heat and a coast tell how fast the box answers and how far
+it runs on by itself. After these come legs of random heat and fan inside the band, some as long as the box
+needs to show its slow parts. Heat ends before the band's upper edge by what the box was seen to run on. The
+same seed gives the same tests.
 """
 
 import math
@@ -17,6 +18,7 @@ from edge.core.messages import Command, Decision
 from edge.core.names import HEATER_LEVELS
 
 REST_S = 180.0  # the sensor's noise, and the room
+FAN_AT_REST_S = 120.0  # in a box as warm as its room, where what the fan itself warms shows alone
 PROBE_DUTY, PROBE_RISE_K = 0.4, 1.0  # first heat, little enough for the smallest box
 PROBE_MAX_S, COAST_MAX_S, FULL_MAX_S = 600.0, 900.0, 1500.0
 PEAK_K = 0.15  # below its peak the air has stopped running on
@@ -98,6 +100,8 @@ class StepTests:
 
     def _plan(self) -> Iterator[TestLeg]:
         yield TestLeg("rest", 0.0, REST_S)
+        if self._has_fan:
+            yield TestLeg("fan at rest", 0.0, FAN_AT_REST_S, "on")
         yield TestLeg("first heat", PROBE_DUTY, PROBE_MAX_S, above_c=self._begun_c + PROBE_RISE_K)
         yield TestLeg("coast", 0.0, COAST_MAX_S, until_peak=True)
         yield TestLeg("full heat", 1.0, FULL_MAX_S, above_c=self._high_c)

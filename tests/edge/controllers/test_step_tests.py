@@ -95,6 +95,14 @@ def test_a_slow_box_gets_longer_legs(name, is_slow):
     assert airs.max() < HIGH_C
 
 
+def test_the_fan_is_seen_alone_in_a_box_as_warm_as_its_room():
+    airs, duties, fans, legs = drive(StepTests(HIGH_C, True), SmallBox(*BOXES["paper's"]), 60.0)
+    alone = np.array(legs) == "fan at rest"
+    assert alone.sum() == round(120.0 / STEP_S)
+    assert fans[alone].all() and not duties[: alone.argmax() + 12].any()
+    assert abs(airs[:-1][alone] - ROOM_C).max() < 0.5
+
+
 def test_without_a_fan_none_is_driven():
     _, _, fans, _ = drive(StepTests(HIGH_C, False), SmallBox(*BOXES["paper's"]), 60.0)
     assert not fans.any()
