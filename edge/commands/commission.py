@@ -89,10 +89,14 @@ def describe(found: "Commissioned") -> Iterator[str]:
     expected = found.expectation
     yield f"missing in a plain box, and added: {', '.join(found.names) or 'nothing'}"
     yield f"over rows that no fit saw, free runs are off by {expected.error_k:.2f} K"
+    reach = f"{expected.reach_c:.0f} °C"
+    if expected.reach_c > expected.seen_c + 1.0:
+        reach = f"more than {expected.seen_c:.0f} °C, the warmest of these tests"
     yield (
-        f"in a room of {expected.room_c:.1f} °C full heat reaches {expected.reach_c:.0f} °C; "
-        f"to hold takes {expected.hold_w_k:.1f} W for each K over the room"
+        f"in a room of {expected.room_c:.1f} °C, {expected.hours:.1f} h of full heat reach {reach}; "
+        f"to hold takes {expected.hold_w_k:.1f} W then for each K over the room"
     )
+    yield "what days of heat come to, longer tests or a night of the history tell"
     if expected.fanned_c == expected.fanned_c:
         yield f"the fan alone brings the air to {expected.fanned_c:.1f} °C"
     for reason in found.refusals:

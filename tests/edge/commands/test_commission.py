@@ -1,5 +1,6 @@
 """`greenhouse commission`: what it needs before hours are spent, what it makes, what it refuses."""
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from edge.__main__ import main
 from edge.app import commission
 from edge.app.commission import Expectation
 from edge.bundle.sign import generate_key
-from edge.commands.commission import keep
+from edge.commands.commission import describe, keep
 from edge.config.loading import load
 from edge.models.arx_file import read_arx
 from edge.state.store import STANDING, restore
@@ -21,7 +22,7 @@ from edge.twin.value import Value
 pytestmark = pytest.mark.slow
 
 TWIN = Path("training/results/paper_case/interpolation/twin.yaml").resolve()
-GOOD = Expectation(21.0, 40.0, 22.0, 0.2, 5.0)
+GOOD = Expectation(2.0, 40.2, 21.0, 40.0, 22.0, 0.2, 5.0)
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def test_a_box_that_is_good_enough_gets_its_bundle_and_its_controller(rig, monke
     monkeypatch.setattr(commission, "learn", lambda *given: FoundBox())
     assert commissioned("--from-run", str(run_file(rig)), "--out", "found") == 0
     said = capsys.readouterr().out
-    assert "full heat reaches 40 °C" in said and "free runs are off by 0.20 K" in said
+    assert "2.0 h of full heat reach 40 °C" in said and "free runs are off by 0.20 K" in said
     settings = load(rig / "edge.yaml")
     roles = yaml.safe_load(next((rig / "bundles").glob("roles*.json")).read_text())
     assert str(roles["active"]).endswith("-commissioned")
@@ -89,6 +90,15 @@ def test_a_box_that_is_good_enough_gets_its_bundle_and_its_controller(rig, monke
     assert read_twin_file(rig / "found" / "twin.yaml").to_fit() == []
     assert read_twin_file(rig / "box.yaml").to_fit() == []  # safety knows the box now
     assert read_twin_file(rig / "box.yaml.before").to_fit() != []
+
+
+def test_no_more_is_promised_than_the_tests_have_seen():
+    found = FoundBox()
+    assert "full heat reach 40 °C;" in "\n".join(describe(found))
+    found = replace(found, expectation=replace(GOOD, seen_c=36.6, fanned_c=math.nan))
+    said = "\n".join(describe(found))
+    assert "full heat reach more than 37 °C, the warmest of these tests;" in said
+    assert "fan alone" not in said
 
 
 def test_a_box_that_was_learned_is_learned_anew_from_its_description(rig, monkeypatch):
