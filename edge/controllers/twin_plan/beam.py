@@ -3,8 +3,13 @@
 Two nodes are of one kind when the fan stands alike and the air would come to nearly the same temperature by
 itself: what a node has stored is what its future depends on. So a node that heats early for a step that is
 still to come is kept beside a cheaper one that does not.
+
+Where heat shows after many steps only, as in a heavy box with a mat under its floor, no node of a few steps
+has gained by it, and the beam keeps those without. So the plans of constant heat, and of full heat for the
+first steps, are put beside what it finds.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,27 +84,56 @@ def search(step: LinearStep, goal: PlanningProblem, start: PlanStart, width: int
 
     goal : weights, reference, limits and relay rules, its tail too; its own forecast does not count
     """
+    found = _descend(step, goal, start, 1, lambda children, k: _cheapest(children, width))
+    levels = _plain_levels(goal.horizon, goal.heater_levels)
+    plain = _descend(step, goal, start, len(levels), lambda children, k: _as_told(children, levels[:, k]))
+    return plain if plain.plan.cost < found.plan.cost else found
+
+
+def _descend(
+    step: LinearStep,
+    goal: PlanningProblem,
+    start: PlanStart,
+    count: int,
+    choose: Callable[[_Children, int], Ints],
+) -> BeamResult:
+    """Go from `count` equal nodes to the horizon's end. choose : places of the children that are kept"""
     drift = step.constant + step.room * start.ambient + step.heat * start.disturbance
-    one = np.zeros(1, dtype=np.int64)
+    each = np.zeros(count, dtype=np.int64)
     level = _Level(
-        start.state[None],
-        np.zeros(1),
-        one + start.fan,
-        one,
-        one + start.level,
-        one + goal.fan_rules.hold,
-        one + start.fan_starts,
-        one,
+        np.repeat(start.state[None], count, axis=0),
+        np.zeros(count),
+        each + start.fan,
+        each,
+        each + start.level,
+        each + goal.fan_rules.hold,
+        each + start.fan_starts,
+        each,
     )
     trace, nodes, weights = [level], 0, _stored_weights(step)
     for k in range(goal.horizon):
         children = _children(step, goal, start, drift, level, weights, k)
-        kept = _cheapest(children, width)
+        kept = choose(children, k)
         nodes += children.cost.size
         level = _next(step, children, kept)
         trace.append(level)
     total = level.cost + _tail_cost(step, goal, drift, level)
     return _result(step, trace, total, nodes)
+
+
+def _plain_levels(horizon: int, highest: int) -> Ints:
+    """Return levels [P, N]: each one throughout, and the highest for the first 1 to N - 1 steps alone."""
+    throughout = np.repeat(np.arange(highest + 1)[:, None], horizon, axis=1)
+    first = np.where(np.arange(horizon) < np.arange(1, horizon)[:, None], highest, 0)
+    return np.concatenate([throughout, first])
+
+
+def _as_told(children: _Children, levels: Ints) -> Ints:
+    """Places of the child of each node that has its level, the fan still where its relay may be open."""
+    nodes = np.arange(len(levels))
+    still = np.isfinite(children.cost[nodes, 0, levels])
+    place = np.where(still, 0, children.cost.shape[1] - 1)
+    return np.asarray(np.ravel_multi_index((nodes, place, levels), children.cost.shape))
 
 
 def _stored_weights(step: LinearStep) -> Floats:

@@ -22,6 +22,7 @@ from edge.forecasts.skill import SkillState
 from edge.models.arx_file import read_arx
 from edge.models.pbm import Pbm, read_twin
 from edge.safety.relay_proof import EVERY_S, RelayProof, follow
+from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
 
@@ -193,3 +194,14 @@ def test_a_rest_is_offered_where_the_reference_falls_and_is_over_where_the_proof
 def plan_without_proof(model: Pbm, asks):
     """Return the plan without any proof in sight."""
     return MpcTwin("MPC-Twin-P", model, 1.0).decide(asks).plan
+
+
+def test_a_box_whose_heat_shows_late_is_heated_nonetheless():
+    """Box 108 of bench/boxes: a mat far from the sensor, of which the first steps show nothing."""
+    geometry = Geometry(volume_m3=0.31, heater_max_w=133.6, fan_max_m3_s=0.006)
+    effects = {"wall_loss": {"UA": 10.0}, "extra_capacity": {"kC": 168.7}}
+    effects |= {"imperfect_mixing": {"F_mix": 0.004}, "sensor_lag": {"tau_s": 96.6}}
+    planner = MpcTwin("MPC-Twin-P", Pbm(BoxTwin(geometry, effects)), 1.0)
+    decision = planner.decide(here(temp=19.9, reference=24.4))
+    assert [duty for duty, _ in decision.plan[:10]] == [1.0] * 10
+    assert decision.forecast[-1] > 20.2
