@@ -50,8 +50,7 @@ RUN_NAME = "commissioning"
 class Expectation:
     """The control that a twin promises, at the room of the tests and for as long as they took.
 
-    What a box stores beyond that time they cannot tell, nor what happens warmer than they were: over boxes
-    of bench/boxes a twin of two hours said 0.84 to 1.01 of the rise within those, 0.44 to 1.72 of one beyond.
+    What a box stores beyond that time they cannot tell, nor what happens in warmer air than they saw.
 
     hours : of the tests; seen_c : warmest air in them
     room_c : in the mean, fitted where no sensor tells

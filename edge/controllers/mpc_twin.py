@@ -34,10 +34,8 @@ DISTURBANCE_SD_K = 0.02  # how far the disturbance wanders in a step [K/step]
 DISTURBANCE_START_K = 0.3  # how far it may be off when nothing is known [K/step]
 CLIP_SD = 3.0  # an open door is no disturbance to learn: beyond this an innovation teaches it no more
 USUAL_SURPRISE = 2.0  # a squared innovation by its variance, 1 in the mean where the twin fits
-MISFIT_RATE, MISFIT_MAX = (
-    0.1,
-    1e3,
-)  # ten steps of surprises beyond the clip: a factor of a thousand
+MISFIT_RATE = 0.1  # so ten steps of surprises beyond the clip make a factor of a thousand
+MISFIT_MAX = 1e3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,24 +222,27 @@ class MpcTwin:
 
         due : steps until the supervisor asks for it; before : the last decision's reference [°C]
         """
-        found = search(step, goal, start, WIDTH)
         if due is None or due > AHEAD_STEPS:
             self._rested = 0
-            return goal, found
+            return goal, search(step, goal, start, WIDTH)
         steps = coast_steps(step, start.state, start.ambient, start.disturbance)
-        if 0 < self._rested < LONGEST_STEPS:
-            due, offered = 0, None
-        else:
-            self._rested, offered = 0, step_down(goal.reference[: goal.horizon], before)
-        for begin, most in ((offered, found.plan.cost + price(steps)), (due, math.inf)):
-            if begin is None or begin > due or begin >= goal.horizon:
-                continue
+
+        def rest_from(begin: int) -> tuple[PlanningProblem, BeamResult]:
             rest = replace(goal, rest=range(begin, begin + steps))
-            rested = search(step, rest, start, WIDTH)
-            if rested.plan.cost <= most:
-                self._rested = self._rested + 1 if begin == 0 else 0
-                return rest, rested
-        return goal, found
+            return rest, search(step, rest, start, WIDTH)
+
+        if 0 < self._rested < LONGEST_STEPS:  # one begun is not broken off
+            self._rested += 1
+            return rest_from(0)
+        self._rested, free = 0, search(step, goal, start, WIDTH)
+        offered = step_down(goal.reference[: goal.horizon], before)
+        for begin, most in ((offered, free.plan.cost + price(steps)), (due, math.inf)):
+            if begin is not None and begin <= min(due, goal.horizon - 1):
+                rest, found = rest_from(begin)
+                if found.plan.cost <= most:
+                    self._rested = int(begin == 0)
+                    return rest, found
+        return goal, free
 
     def _steps_since(self, now: float) -> int:
         """Return the decisions since the reference, now [°C], had a step; after a reset it counts as one."""

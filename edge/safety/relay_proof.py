@@ -37,8 +37,12 @@ class RelayProof:
         """Time until heat and fan will be held back if both go on as they did, inf if that is not so [s]."""
         if self.running:
             return 0.0
-        is_busy = self.since_s > 0.0 and min(self.heated_s, self.fanned_s) >= BUSY_SHARE * self.since_s
-        return max(EVERY_S - self.since_s, 0.0) if is_busy else math.inf
+        return max(EVERY_S - self.since_s, 0.0) if self.since_s > 0.0 and self.is_busy else math.inf
+
+    @property
+    def is_busy(self) -> bool:
+        """Both have run for their share: where one hardly did, the ordinary balance sees the relay."""
+        return min(self.heated_s, self.fanned_s) >= BUSY_SHARE * self.since_s
 
 
 def follow(
@@ -65,7 +69,4 @@ def follow(
     )
     if proof.since_s < EVERY_S:
         return proof
-    # Where one of them hardly ran, the ordinary balance sees the relay: the proof is not due.
-    if min(proof.heated_s, proof.fanned_s) < BUSY_SHARE * proof.since_s:
-        return RelayProof()
-    return replace(proof, running_s=0.0)
+    return replace(proof, running_s=0.0) if proof.is_busy else RelayProof()
