@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from bench.boxes.box import Box
 from bench.boxes.clairvoyant import Clairvoyant
 from bench.boxes.draw import DEVELOPMENT, draw_box
 from bench.boxes.facts import BoxFacts
-from bench.boxes.reach import scaled_reference
+from bench.boxes.reach import rise_after_k, scaled_reference
 from bench.boxes.tuned_pid import tune_pid
 from bench.header import header
 from edge.app.commission import Commissioned, learn, record, test_settings
@@ -60,6 +61,7 @@ TUNING = tuple(name for name, _ in CASES)
 ANY_K = 20.0
 SAMPLE_S, STEP_S = 5.0, 60.0
 EXCURSION_MIN = 15  # before a step of the reference
+CYCLE = 10  # steps
 WARM_UP_S = 600.0  # that no controller can help
 
 
@@ -79,13 +81,18 @@ class WatchedBox(Box):
 
 @dataclass(frozen=True, slots=True)
 class BoxRow:
-    """A run. before_k : largest error towards a step of the reference in the minutes before it"""
+    """A run.
+
+    before_k : how far it left the reference, at most, towards a step of it that was still to come
+    cycles : starts of the fan within ten minutes of the last one, with heat in between
+    """
 
     controller: str
     cost: float
     mae_k: float
     before_k: float
     fan_starts: int
+    cycles: int
     heat_wh: float
 
 
@@ -170,18 +177,19 @@ def _row(name: str, lab: Lab, seen: Floats, heater_w: float) -> BoxRow:
     steps = np.flatnonzero(np.abs(np.diff(reference)) > 1.0) + 1
     now = place[known]
     before = [
-        float((np.sign(reference[k] - reference[k - 1]) * error[_is_before(now, k)]).max(initial=0.0))
+        left_k(np.sign(reference[k] - reference[k - 1]) * error[_is_before(now, k)])
         for k in steps.tolist()
         if ticks[k] > ticks[0] + WARM_UP_S + 60.0 * EXCURSION_MIN
     ]
     per_step = 10.0 * error**2 * SAMPLE_S / STEP_S
-    ended = np.append(0.0, fan[:-1]) >= 1.0
+    starts = np.flatnonzero((fan > 0.0) & ~(np.append(0.0, fan[:-1]) >= 1.0))
     return BoxRow(
         name,
         float(per_step.sum() + (duty**2).sum() + fan.sum()),
         float(np.abs(error).mean()),
         max(before, default=0.0),
-        int(((fan > 0.0) & ~ended).sum()),
+        len(starts),
+        sum(b - a <= CYCLE and duty[a:b].max() > 0.0 for a, b in pairwise(starts.tolist())),
         float(duty.sum()) * heater_w * STEP_S / 3600.0,
     )
 
@@ -196,6 +204,15 @@ def _reference(facts: BoxFacts, name: str, folder: Path) -> Path:
         "\n".join(["time_s,reference_c", *(f"{time:g},{value:.3f}" for time, value in rows)]) + "\n"
     )
     return path
+
+
+def left_k(towards_k: Floats) -> float:
+    """Return how far the air left the reference in one direction, at most [K].
+
+    towards_k [N] : error in that direction; air on its way back from further out has not left it again
+    """
+    nearest = np.maximum(np.minimum.accumulate(towards_k), 0.0)
+    return float((towards_k - nearest).max(initial=0.0))
 
 
 def _is_before(place: Ints, k: int) -> NDArray[np.bool_]:
@@ -241,8 +258,13 @@ def measure(box: int, minutes: float, reference: str, names: Sequence[str]) -> B
         found = commission(facts, box, minutes)
     except GreenhouseError as error:
         return BoxResult([f"{box:3d} {facts.kind}: not commissioned: {error}"], {})
-    said = f"{box:3d} {facts.kind}: {', '.join(found.names) or 'nothing'} added"
-    lines = [f"{said}; free runs off by {found.expectation.error_k:.2f} K"]
+    told, hours = found.expectation, found.expectation.hours
+    lines = [
+        f"{box:3d} {facts.kind}: {', '.join(found.names) or 'nothing'} added; free runs off by "
+        f"{told.error_k:.2f} K",
+        f"    full heat for {hours:g} h: {told.reach_c - told.room_c:.1f} K promised, "
+        f"{rise_after_k(facts, hours):.1f} K true",
+    ]
     lines += [f"    refused: {reason}" for reason in found.refusals]
     cost = {}
     for name in names:
@@ -251,8 +273,10 @@ def measure(box: int, minutes: float, reference: str, names: Sequence[str]) -> B
             continue
         row = drive(facts, box, name, found, reference)
         cost[name] = row.cost
-        figures = f"{row.cost:9.1f}{row.mae_k:8.3f}{row.before_k:8.2f}{row.fan_starts:6d}{row.heat_wh:8.0f}"
-        lines.append(f"    {name:<17}{figures}")
+        lines.append(
+            f"    {name:<17}{row.cost:9.1f}{row.mae_k:8.3f}{row.before_k:8.2f}{row.fan_starts:6d}"
+            f"{row.cycles:4d}{row.heat_wh:8.0f}"
+        )
     return BoxResult(lines, {} if found.refusals else cost)
 
 
@@ -287,7 +311,12 @@ def main(words: Sequence[str] | None = None) -> int:
     given = parser.parse_args(words)
     print("\n".join(header()))
     print(f"{given.reference}, {given.minutes:g} min of commissioning; cost, MAE [K],")
-    print("largest way towards a step before it [K], starts of the fan, heat [Wh]", flush=True)
+    print(
+        "how far it left the reference towards a step before it [K], starts of the fan,",
+        "cycles of fan and heat, heat [Wh]",
+        sep="\n",
+        flush=True,
+    )
     costs = []
     with ProcessPoolExecutor(given.jobs) as pool:
         jobs = [pool.submit(measure, box, given.minutes, given.reference, given.rows) for box in given.boxes]

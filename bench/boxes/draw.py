@@ -1,4 +1,4 @@
-"""python -m bench.boxes.draw: draw heated boxes from seeds, and print the thirty that are used."""
+"""python -m bench.boxes.draw: draw heated boxes from seeds, and print those that are used."""
 
 import math
 from dataclasses import replace
@@ -14,6 +14,7 @@ from bench.boxes.lots import (
     HUMIDITY_SENSORS,
     HVACS,
     LIGHT,
+    LOT,
     MAT_W_M2,
     MIDDLE,
     POWERS_W,
@@ -27,10 +28,12 @@ from bench.boxes.lots import (
 from bench.boxes.rates import ZERO_C, saturated_g_m3
 from bench.boxes.reach import reach, rise_k
 
-__all__ = ["DEVELOPMENT", "SCORED", "BoxFacts", "draw_box"]
+__all__ = ["DEVELOPMENT", "LOTS", "SCORED", "BoxFacts", "draw_box"]
 
-DEVELOPMENT = tuple(range(1, 16))
-SCORED = tuple(range(101, 116))
+LOTS = tuple(tuple(range(first, first + LOT)) for first in (1, 101, 201))
+BURNT = 10  # boxes of the second lot that were scored once, at 73ddd4e, and are known since
+DEVELOPMENT = (*LOTS[0], *LOTS[1][:BURNT])
+SCORED = (*LOTS[1][BURNT:], *LOTS[2])
 FLOWS_M3_H = (5.0, 200.0)
 CHANGES_1_MIN = (0.8, 5.0)  # of the air by the fan
 WATER_KG_M2 = ((0.2, 2.0), (2.0, 10.0), (5.0, 40.0))  # in pots, plants and jars on the floor, by weight
@@ -207,7 +210,7 @@ def _with_heater(facts: BoxFacts, power_w: float, lag_s: float) -> BoxFacts:
 
 
 def table() -> list[str]:
-    """Return the lines of a table of the thirty boxes, 80 columns wide."""
+    """Return the lines of a table of all boxes that are used, 80 columns wide."""
     head = "                litres heater    W fan m3/h rise  fan 63 %  95 % room none"
     units = "                                              K    K  min     h   C"
     return [head, units, *(_row(draw_box(seed)) for seed in (*DEVELOPMENT, *SCORED))]

@@ -67,6 +67,14 @@ def rise_k(facts: BoxFacts) -> float:
     return float(physics.air_c(physics.rest(room_c, 1.0))[0] - room_c)
 
 
+def rise_after_k(facts: BoxFacts, hours: float) -> float:
+    """Return by how much full power without the fan warms the air within hours, from rest [K]."""
+    physics = BoxPhysics(facts, Still(facts.room.mean_c))
+    times, states = physics.warm_up(facts.room.mean_c, 1.0)
+    air = physics.air_c(states)
+    return float(np.interp(3600.0 * hours, times, air - air[0]))
+
+
 def scaled_reference(reference_k01: Floats, facts: BoxFacts) -> Floats:
     """Return a course 0..1 [N] as a reference that this box can follow [°C].
 
