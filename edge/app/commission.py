@@ -30,6 +30,7 @@ from edge.models.fit_arx import ArxFit, fit_arx
 from edge.storage.runs import export_run, name_run
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
+from edge.twin.plausible import implausible
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest
@@ -172,7 +173,7 @@ def learn(
     hours = len(run) * STEP_S / 3600.0
     seen_c = float(np.nanmax(run.columns["temp_air_c"]))
     expectation = _expect(twin, room_c, error_k, hours, seen_c)
-    refusals = tuple(_refusals(run, found, expectation))
+    refusals = (*_refusals(run, found, expectation), *implausible(chosen))
     if found.inputs.guessed:
         try:
             twin = with_room_error(twin, control.ambient_default_c, room_c)
