@@ -134,26 +134,23 @@ EARLY_WEIGHT = 1e4  # 0.1 K more costs as much as 3 K off the reference for a st
 LEAST_SLOPE = 0.2  # of the first level's, that the heat of any level grows by
 STEP_K = 0.6  # a larger change of the reference at once is a step, a smaller one part of a ramp
 SETTLING_STEPS = 10  # after a step of the reference
-CLASH_WEIGHT = 50.0  # full heat for a step against the fan costs as much as 2.2 K off the reference
+CLASH_WEIGHT = 200.0  # full heat for a step against the fan costs as much as 4.5 K off the reference
+START_WEIGHT = 2.0  # a start of the fan costs as much as a step 0.45 K off the reference: relays wear
 
 
-def band_before_steps(reference: Floats, early_k: float, since: int) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest air [N] by which it is not early for a step still to come [°C].
+def band_before_steps(reference: Floats, early_k: float, since: int, out_k: float) -> tuple[Floats, Floats]:
+    """Return the lowest and the highest air [N] while a step is still to come [°C].
 
-    No bound where no step comes, against its direction, and while the air may still be on its way after
-    the step before.
+    No bound where no step comes, and while the air may still be on its way after the step before.
     since : steps since that one, before the first of `reference`
+    out_k : of the air now, over the reference: what noise took out may come back by half of it a step
     """
     low, high = np.full(len(reference), -np.inf), np.full(len(reference), np.inf)
-    changes = np.diff(reference, prepend=reference[0])
-    is_step = np.abs(changes) > STEP_K
-    direction = 0.0
-    for k in range(len(reference) - 2, -1, -1):
-        direction = np.sign(changes[k + 1]) if is_step[k + 1] else direction
-        if direction > 0.0:
-            high[k] = reference[k] + early_k
-        elif direction < 0.0:
-            low[k] = reference[k] - early_k
+    is_step = np.abs(np.diff(reference, prepend=reference[0])) > STEP_K
+    last = np.flatnonzero(is_step).max(initial=0)
+    back = out_k * 0.5 ** np.arange(1.0, last + 1.0)
+    low[:last] = reference[:last] + np.minimum(back, -early_k)
+    high[:last] = reference[:last] + np.maximum(back, early_k)
     for k, steps in enumerate(is_step):
         since = 0 if steps else since + 1
         if since <= SETTLING_STEPS:
@@ -254,7 +251,8 @@ class MpcTwin:
         """Return a plan's goal and limits, without the response, which the twin gives."""
         limits, asked, weight = context.limits, context.penalty, self._weight
         nothing: Floats = np.zeros(len(reference))
-        low, high = band_before_steps(reference, self._early_k, since)
+        out_k = float(context.history["temp_air"][-1] - reference[0])
+        low, high = band_before_steps(reference, self._early_k, since, out_k)
         return PlanningProblem(
             free=nothing,
             heater=nothing,
@@ -277,6 +275,7 @@ class MpcTwin:
             high=high,
             band_weight=EARLY_WEIGHT,
             clash_weight=CLASH_WEIGHT,
+            start_weight=START_WEIGHT,
         )
 
     def _follow(self, context: Context) -> tuple[Belief, LinearStep]:

@@ -62,7 +62,8 @@ class PlanningProblem:
     low, high, band_weight : air temperatures outside low..high [N + M] cost band_weight times the square
         more; None: nowhere
     clash_weight : cost of a step of full heat while the fan runs
-    rest : steps in which heater and fan are to be off. Only `twin_plan` plans with these five
+    start_weight : cost of a start of the fan
+    rest : steps in which heater and fan are to be off. Only `twin_plan` plans with these six
     """
 
     free: Floats
@@ -80,6 +81,7 @@ class PlanningProblem:
     high: Floats | None = None
     band_weight: float = 0.0
     clash_weight: float = 0.0
+    start_weight: float = 0.0
     rest: range = range(0)
 
     def __post_init__(self) -> None:

@@ -9,7 +9,9 @@ import pytest
 
 from edge.controllers.mixed_integer.problem import FanRules, PlanningProblem
 from edge.controllers.mpc_twin import (
+    CLASH_WEIGHT,
     HORIZON,
+    START_WEIGHT,
     StepInputs,
     _held_from_tail,
     band_before_steps,
@@ -127,17 +129,25 @@ def test_no_plan_knows_of_a_step_in_its_tail():
     assert _held_from_tail(within) is within
 
 
+def test_a_start_of_the_fan_must_be_worth_its_price(diagnosed):
+    warm = PlanStart(at_rest(diagnosed, 27.4, ROOM_C), 0.0, ROOM_C, 0, 0)
+    goal = problem([27.0] * 10, weight=0.03)
+    starts = []
+    for price in (0.0, START_WEIGHT, 1e4):
+        fan = search(parts_of(diagnosed), replace(goal, start_weight=price), warm, 300).plan.fan
+        starts.append(int(((fan > 0.0) & (np.append(0.0, fan[:-1]) < 1.0)).sum()))
+    assert starts == [1, 0, 0]
+
+
 def test_no_plan_heats_against_the_fan_for_a_step_to_come(diagnosed):
-    reference = np.array([27.0] * 6 + [31.0] * 6)
-    low, high = band_before_steps(reference, 0.3, 99)
-    held = replace(problem(reference.tolist(), weight=0.03), low=low, high=high, band_weight=1e4)
+    free = problem([27.0] * 6 + [31.0] * 6, weight=0.03)
     begun = PlanStart(at_rest(diagnosed, 27.0, ROOM_C), 0.0, ROOM_C, 5, 0)
     clash = []
-    for goal in (held, replace(held, clash_weight=50.0)):
+    for goal in (free, replace(free, clash_weight=CLASH_WEIGHT)):
         plan = search(parts_of(diagnosed), goal, begun, 300).plan
         clash.append(float((plan.levels / HEATER_LEVELS * plan.fan)[:6].sum()))
-    assert clash[0] > 0.5
-    assert clash[1] < 0.2
+    assert clash[0] > 0.3
+    assert clash[1] < 0.1
 
 
 def problem(
@@ -321,23 +331,30 @@ def test_the_parts_that_a_plan_may_use(step_s, part_s, parts_s):
     assert [share * step_s for share in shares[1:-1]] == pytest.approx(parts_s)
 
 
-def test_before_a_step_the_air_has_a_bound_in_its_direction_alone():
+def test_before_a_step_the_air_has_bounds():
     reference = np.array([24.0, 24.0, *[28.0] * 12, 25.0, 25.0])
-    low, high = band_before_steps(reference, 0.3, 99)
-    assert high.tolist() == [24.3, 24.3, *[np.inf] * 14]
+    low, high = band_before_steps(reference, 0.3, 99, 0.0)
     # ten steps after the one before, the air may still be on its way
-    assert low.tolist() == pytest.approx([*[-np.inf] * 13, 27.7, -np.inf, -np.inf])
+    assert low.tolist() == pytest.approx([23.7, 23.7, *[-np.inf] * 11, 27.7, -np.inf, -np.inf])
+    assert high.tolist() == pytest.approx([24.3, 24.3, *[np.inf] * 11, 28.3, np.inf, np.inf])
+
+
+def test_air_that_is_outside_may_come_back_by_half_a_step():
+    reference = np.array([*[24.0] * 4, 28.0])
+    low, high = band_before_steps(reference, 0.3, 99, -2.0)
+    assert low.tolist() == pytest.approx([23.0, 23.5, 23.7, 23.7, -np.inf])
+    assert high.tolist() == pytest.approx([24.3] * 4 + [np.inf])
 
 
 def test_a_step_that_was_just_taken_leaves_the_air_free():
     reference = np.array([*[24.0] * 5, 28.0])
-    assert np.isinf(band_before_steps(reference, 0.3, 3)[1]).all()
-    assert band_before_steps(reference, 0.3, 8)[1].tolist() == [np.inf] * 2 + [24.3] * 3 + [np.inf]
+    assert np.isinf(band_before_steps(reference, 0.3, 3, 0.0)[1]).all()
+    assert band_before_steps(reference, 0.3, 8, 0.0)[1].tolist() == [np.inf] * 2 + [24.3] * 3 + [np.inf]
 
 
 def test_a_ramp_and_a_constant_reference_have_no_bound():
     for reference in (np.linspace(24.0, 28.0, 20), np.full(20, 25.0)):
-        low, high = band_before_steps(reference, 0.3, 99)
+        low, high = band_before_steps(reference, 0.3, 99, 0.0)
         assert np.isinf(low).all() and np.isinf(high).all()
 
 
@@ -345,7 +362,7 @@ def test_a_ramp_and_a_constant_reference_have_no_bound():
 def test_no_plan_is_early_for_a_step_by_more_than_it_may(diagnosed, goes):
     reference = np.array([27.0] * 6 + [27.0 + goes] * 6)
     free = problem(reference.tolist(), weight=0.03)
-    low, high = band_before_steps(reference, 0.3, 99)
+    low, high = band_before_steps(reference, 0.3, 99, 0.0)
     held = replace(free, low=low, high=high, band_weight=1e4)
     begun = PlanStart(at_rest(diagnosed, 27.0, ROOM_C), 0.0, ROOM_C, 5, 0)
     early = [
