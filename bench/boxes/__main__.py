@@ -61,7 +61,7 @@ TUNING = tuple(name for name, _ in CASES)
 ANY_K = 20.0
 SAMPLE_S, STEP_S = 5.0, 60.0
 EXCURSION_MIN = 15  # before a step of the reference
-CYCLE = 10  # steps
+CYCLE, CYCLE_DUTY = 10, 0.5  # steps, of full heat
 WARM_UP_S = 600.0  # that no controller can help
 
 
@@ -84,7 +84,8 @@ class BoxRow:
     """A run.
 
     before_k : how far it left the reference, at most, towards a step of it that was still to come
-    cycles : starts of the fan within ten minutes of the last one, with heat in between
+    cycles : starts of the fan within ten minutes of the last one, with half of full heat in between, where
+        no step of the reference asks for it
     """
 
     controller: str
@@ -189,7 +190,7 @@ def _row(name: str, lab: Lab, seen: Floats, heater_w: float) -> BoxRow:
         float(np.abs(error).mean()),
         max(before, default=0.0),
         len(starts),
-        sum(b - a <= CYCLE and duty[a:b].max() > 0.0 for a, b in pairwise(starts.tolist())),
+        sum(_is_cycle(duty, reference, *pair) for pair in pairwise(starts.tolist())),
         float(duty.sum()) * heater_w * STEP_S / 3600.0,
     )
 
@@ -204,6 +205,11 @@ def _reference(facts: BoxFacts, name: str, folder: Path) -> Path:
         "\n".join(["time_s,reference_c", *(f"{time:g},{value:.3f}" for time, value in rows)]) + "\n"
     )
     return path
+
+
+def _is_cycle(duty: Floats, reference: Floats, last: int, start: int) -> bool:
+    calm = np.abs(np.diff(reference[last : start + EXCURSION_MIN])).max(initial=0.0) <= 1.0
+    return bool(start - last <= CYCLE and calm and duty[last:start].max() >= CYCLE_DUTY)
 
 
 def left_k(towards_k: Floats) -> float:

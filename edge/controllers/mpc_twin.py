@@ -134,8 +134,7 @@ EARLY_WEIGHT = 1e4  # 0.1 K more costs as much as 3 K off the reference for a st
 LEAST_SLOPE = 0.2  # of the first level's, that the heat of any level grows by
 STEP_K = 0.6  # a larger change of the reference at once is a step, a smaller one part of a ramp
 SETTLING_STEPS = 10  # after a step of the reference
-CLASH_WEIGHT = 200.0  # full heat for a step against the fan costs as much as 4.5 K off the reference
-START_WEIGHT = 2.0  # a start of the fan costs as much as a step 0.45 K off the reference: relays wear
+CLASH_WEIGHT = 50.0  # full heat for a step against the fan costs as much as 2.2 K off the reference
 
 
 def band_before_steps(reference: Floats, early_k: float, since: int, out_k: float) -> tuple[Floats, Floats]:
@@ -275,7 +274,6 @@ class MpcTwin:
             high=high,
             band_weight=EARLY_WEIGHT,
             clash_weight=CLASH_WEIGHT,
-            start_weight=START_WEIGHT,
         )
 
     def _follow(self, context: Context) -> tuple[Belief, LinearStep]:

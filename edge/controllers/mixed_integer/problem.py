@@ -62,8 +62,7 @@ class PlanningProblem:
     low, high, band_weight : air temperatures outside low..high [N + M] cost band_weight times the square
         more; None: nowhere
     clash_weight : cost of a step of full heat while the fan runs
-    start_weight : cost of a start of the fan
-    rest : steps in which heater and fan are to be off. Only `twin_plan` plans with these six
+    rest : steps in which heater and fan are to be off. Only `twin_plan` plans with these five
     """
 
     free: Floats
@@ -81,7 +80,6 @@ class PlanningProblem:
     high: Floats | None = None
     band_weight: float = 0.0
     clash_weight: float = 0.0
-    start_weight: float = 0.0
     rest: range = range(0)
 
     def __post_init__(self) -> None:

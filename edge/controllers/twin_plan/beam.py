@@ -162,7 +162,6 @@ def _children(
     tracking = _tracking(step, goal, start, level, mode, air, k)
     cost = level.cost[:, None, None] + tracking + goal.effort(levels, step.fans[:, None])
     hold, starts, allowed = _relay(step.fans, goal, level)
-    cost += goal.start_weight * (level.starts[:, None] - starts)[..., None]
     if k in goal.rest:
         cost += REST_WEIGHT * ((levels > 0) | (step.fans[:, None] > 0.0))
     cost[~allowed] = np.inf
