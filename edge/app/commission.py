@@ -42,6 +42,7 @@ TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 BAND_BELOW_LIMIT_K = 3.0
 ERROR_MAX_K, ERROR_MAX_SHARE = 1.0, 0.15  # of free runs on those rows, and by the band that was seen
 WORSE_AT_MOST = 0.8  # a simple twin that much better is taken, an ARX model that much better refuses
+FINE_K = 0.2  # an error that good sensors have, with which a twin is not refused for a better ARX model
 SEEN_MIN_K = 2.0  # that the air must have risen
 LONGEST_MIN = 1440.0  # of tests that it proposes
 RUN_NAME = "commissioning"
@@ -216,6 +217,7 @@ def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> I
     simple = {name: error for name, error in found.test_k.items() if name not in ("before", "after")}
     if (
         simple
+        and expectation.error_k > FINE_K
         and (best := min(simple, key=simple.__getitem__))
         and simple[best] < WORSE_AT_MOST * expectation.error_k
     ):

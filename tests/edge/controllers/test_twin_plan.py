@@ -139,7 +139,7 @@ def test_no_plan_heats_against_the_fan_for_a_step_to_come(diagnosed):
         plan = search(parts_of(diagnosed), goal, begun, 300).plan
         clash.append(float((plan.levels / HEATER_LEVELS * plan.fan)[:6].sum()))
     assert clash[0] > 0.3
-    assert clash[1] < 0.1
+    assert clash[1] < 0.2
 
 
 def problem(
