@@ -12,8 +12,9 @@ from edge.core.errors import DataError
 from edge.data_intake.cells import Cells, is_missing, number, read_cells
 from edge.data_intake.mapping import LogMap, Source
 from edge.data_intake.times import SINCE_1970, formats_of, read_times
-from edge.data_intake.units import BY_TARGET, TARGETS, guess_unit, truth
+from edge.data_intake.units import BY_TARGET, TARGETS, UNITS, guess_unit, truth
 from edge.formats.run_file import OPTION_WITHOUT
+from edge.twin.rollout import has_shares
 
 
 def _words(text: str) -> frozenset[str]:
@@ -100,6 +101,10 @@ def _score(name: str, target: str) -> float:
 Floats = NDArray[np.float64]
 UNKNOWN = "?"  # for a column that a person must name
 NEEDED = ("temp_air_c", "heater_duty")
+BETWEEN = (
+    "a value between off and on is the share of its row for which a relay is on, from the row's beginning: "
+    "where it is a speed, say `fan_control: speed` in the twin file"
+)
 GAP_PERIODS = 10.0  # rows farther apart begin a new run
 NUMERIC = 0.9  # share of the cells of a column that are numbers or words like on
 
@@ -209,6 +214,8 @@ def _columns(
         found[target] = Source(name, unit, full)
         reasons = [f"by its name; {' or '.join(names[1:])} could be it too"] if len(names) > 1 else []
         reasons += [f"by its name, {name!r}"] if name != target and not reasons else []
+        if target == "fan_on" and has_shares(UNITS[unit].to_ours(values[name], full or 1.0)):
+            reasons.append(BETWEEN)
         guesses[f"columns.{target}"] = "; ".join([*reasons, *filter(None, [why])])
     # A mapping with a hole is still written: its reader names the hole, and the person fills it in.
     for target in NEEDED:

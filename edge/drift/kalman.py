@@ -93,7 +93,7 @@ class Filter:
         duty, fan = (off_where_unknown(history[name][past]) for name in ("heater_duty", "fan_on"))
         room = history["temp_ambient"][k : k + 1]
         columns = _known_inputs(history, twin.needs, k)
-        if self._steady:
+        if self._steady and not twin.changes_within(fan[-1:]):
             transition, which = twin.transitions(fan[-1:])
             matrix = transition.state[which[0]]
             inputs = self._inputs(float(duty[-1]), fan[-1:], room, columns)

@@ -22,7 +22,7 @@ from edge.twin.discretisation import distinct, exponentials
 from edge.twin.effects.library import day_counter
 from edge.twin.model import DAY_S, BoxTwin
 from edge.twin.network import AIR
-from edge.twin.rollout import cuts, late, rollout, spun_up
+from edge.twin.rollout import Commands, act, rollout
 from edge.twin.run_batch import RunBatch
 from edge.twin.signals import Conditions, columns_of
 from edge.twin.warm_start import hold
@@ -144,12 +144,10 @@ def _input_effect(drives: Floats, index: Indices, steady: Floats, acting: Floats
 def _acting(twin: BoxTwin, runs: RunBatch) -> _PartInputs:
     signals, shape = twin.signals, runs.fan.T.shape
     room, columns = runs.ambient.T, _columns(twin, runs)
-    lengths = cuts(signals, twin.step_s, twin.step_s)
-    middles = np.cumsum(lengths) - lengths / 2.0
     before = np.zeros((1, shape[1]))  # nothing is known of the time before: both off
-    fan, duty = np.concatenate([before, runs.fan.T]), np.concatenate([before, runs.duty.T])
-    speeds = spun_up(late(fan, signals.fan_dead_s, middles, twin.step_s), lengths, signals.fan_lag_s)[1:]
-    duties = signals.duty(late(duty, signals.heater_dead_s, middles, twin.step_s)[1:])
+    every = Commands(np.concatenate([before, runs.duty.T]), np.concatenate([before, runs.fan.T]))
+    lengths, commands = act(signals, twin.step_s, every, twin.has_relay, twin.step_s)
+    speeds, duties = commands.fan[1:], signals.duty(commands.duty[1:])
     bend = _bend(twin, runs, columns)
     door, day = (columns.get(name, np.zeros(shape)) for name in ("door_open", "day"))
     heat_w = np.empty(speeds.shape)

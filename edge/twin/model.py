@@ -16,10 +16,11 @@ from edge.twin.discretisation import Transition, discretise
 from edge.twin.effects.library import Effects, build, day_counter, needs
 from edge.twin.geometry import Geometry
 from edge.twin.network import AIR, LinearSystem
-from edge.twin.rollout import Commands, March, rollout
+from edge.twin.rollout import Commands, March, has_shares, rollout
 from edge.twin.signals import Conditions, Signals, columns_of
 
 DAY_S = 86400.0
+FAN_CONTROLS = ("relay", "speed")
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
@@ -43,6 +44,8 @@ class BoxTwin:
     effects : parameters by effect, as in `edge.twin.effects.library.EFFECTS`
     step_s : length of a step [s]
     day0_utc : where the days begin that an effect counts [s since 1970], None where no effect counts them
+    fan_control : of FAN_CONTROLS, what a fan of 0 to 1 is. With a relay it is the share of the step, from its
+        beginning, for which the fan is on; else the speed that it has throughout, as share of the full flow
     Errors : DataError naming the key, `effects.wall_loss.UA: ...`
     """
 
@@ -51,6 +54,7 @@ class BoxTwin:
     step_s: float = 60.0
     noise: StateNoise = field(default_factory=StateNoise)
     day0_utc: float | None = None
+    fan_control: str = FAN_CONTROLS[0]
     system: LinearSystem = field(init=False)
     signals: Signals = field(init=False)
 
@@ -83,6 +87,8 @@ class BoxTwin:
         }
         if self.day0_utc is not None:
             content["day0_utc"] = self.day0_utc
+        if not self.has_relay:
+            content["fan_control"] = self.fan_control
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), default=float)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -91,8 +97,20 @@ class BoxTwin:
         """Columns beside the room's that a prediction needs, and the effect that needs each."""
         return needs(self.effects)
 
+    @property
+    def has_relay(self) -> bool:
+        """True if the fan is either off or on, never between."""
+        return self.fan_control == FAN_CONTROLS[0]
+
+    def changes_within(self, fan: Floats) -> bool:
+        """Return True if the fan stops within a step, so that the step is one of parts: see `march`."""
+        return self.has_relay and has_shares(fan)
+
     def transitions(self, fan: Floats) -> tuple[Transition, Indices]:
-        """Return steps for the fan speeds that occur, and the index of each element of `fan` among them."""
+        """Return steps for the fan speeds that occur, and the index of each element of `fan` among them.
+
+        fan : that it does not change within a step, see `changes_within`
+        """
         if ((fan == 0.0) | (fan == 1.0)).all():
             return self.off_on, fan.astype(np.intp)
         speeds, index = np.unique(fan, return_inverse=True)
@@ -123,13 +141,13 @@ class BoxTwin:
         """
         inputs = (np.shape(item) for item in (ambient, duty, fan, source))
         shape = np.broadcast_shapes(state.shape[:-1], *inputs)
-        if not self.signals.plain:
+        fans = np.broadcast_to(np.asarray(fan, dtype=np.float64), shape)
+        if not self.signals.plain or self.changes_within(fans):
             flat = [np.broadcast_to(item, shape).reshape(-1, 1) for item in (duty, fan, ambient, source)]
             before = Commands(np.asarray(flat[0], dtype=np.float64), np.asarray(flat[1], dtype=np.float64))
             rows = np.broadcast_to(state, (*shape, state.shape[-1])).reshape(-1, state.shape[-1])
             march = self.march(before, flat[2], flat[3], before=before)
             return march.step(0, rows).reshape(*shape, -1)
-        fans = np.broadcast_to(np.asarray(fan, dtype=np.float64), shape)
         transition, index = self.transitions(fans)
         driven = _input_effect(transition, index, ambient, duty, source)
         driven += np.einsum("...ij,...j->...i", transition.state[index], state)
@@ -137,6 +155,9 @@ class BoxTwin:
 
     def steps(self, ambient: Floats, duty: Floats, fan: Floats) -> tuple[Floats, Floats]:
         """Matrices [N, n, n], and what the inputs [N] add [N, n], of N steps of a twin that is `plain`."""
+        if self.changes_within(fan):
+            (whole,) = self.march(Commands(duty[None], fan[None]), ambient).parts
+            return whole.matrix[:, 0], whole.driven[:, 0]
         transition, index = self.transitions(fan)
         return transition.state[index], _input_effect(transition, index, ambient, duty, 0.0)
 
@@ -163,7 +184,7 @@ class BoxTwin:
         """
         # Where one matrix per fan speed is exact, the inputs of all steps are added up before the loop.
         states = np.broadcast_to(start, (fan.shape[0], len(self.states)))
-        if not self.signals.steady:
+        if not self.signals.steady or self.changes_within(fan):
             march = self.march(Commands(duty, fan), ambient, source, conditions, before)
             return march.rollout(states, offset)
         if not self.signals.plain:
@@ -201,7 +222,9 @@ class BoxTwin:
                 counter = day_counter(self.effects)
                 raise DataError(f"day0_utc: missing, the twin's {counter} counts days from it")
             columns["day"] = self.signals.days((columns["utc"] - self.day0_utc) / DAY_S)
-        return March.of(self.system, self.signals, self.step_s, commands, ambient, source, columns, before)
+        return March.of(
+            self.system, self.signals, self.step_s, commands, ambient, source, columns, before, self.has_relay
+        )
 
 
 def _input_effect(

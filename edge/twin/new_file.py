@@ -108,6 +108,7 @@ geometry:
   heater_max_w: {box.heater_w:.6g}  # at duty 1; if it is not known, what is fitted is in proportion to it
   fan_max_m3_s: {flow:.6g}  # {_flow(box)}
 fan_role: {box.fan_role}  # exhaust changes the air, stirring mixes it, none: there is no fan
+fan_control: relay  # on or off, 0.3 is on for 0.3 of a step; speed: 0.3 of its flow throughout the step
 sample_s: {box.sample_s:g}  # step of the twin [s]; rows of runs at least as close
 effects:
   wall_loss:

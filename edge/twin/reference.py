@@ -34,13 +34,23 @@ def rk45_rollout(
     states = np.empty((len(duty), len(start)))
     state = start
     for k in range(len(duty)):
-        rates = system.rates + fan[k] * system.fan_rates
-        driven = (system.drive + fan[k] * system.fan_drive) @ np.array([duty[k], ambient[k], source])
+        inputs = np.array([duty[k], ambient[k], source])
+        for speed, length_s in _fan_course(twin, float(fan[k])):
+            rates = system.rates + speed * system.fan_rates
+            driven = (system.drive + speed * system.fan_drive) @ inputs
 
-        # Bound as defaults: this step's values, whenever the solver calls.
-        def slope(_: float, x: Floats, rates: Floats = rates, driven: Floats = driven) -> Floats:
-            return rates @ x + driven
+            # Bound as defaults: this step's values, whenever the solver calls.
+            def slope(_: float, x: Floats, rates: Floats = rates, driven: Floats = driven) -> Floats:
+                return rates @ x + driven
 
-        solution = solve_ivp(slope, (0.0, twin.step_s), state, method="RK45", rtol=rtol, atol=atol)
-        state = states[k] = solution.y[:, -1]
+            solution = solve_ivp(slope, (0.0, length_s), state, method="RK45", rtol=rtol, atol=atol)
+            state = solution.y[:, -1]
+        states[k] = state
     return states
+
+
+def _fan_course(twin: BoxTwin, fan: float) -> tuple[tuple[float, float], ...]:
+    """Return the fan's speeds in a step, and for how long it has each [s]."""
+    if twin.has_relay and 0.0 < fan < 1.0:
+        return (1.0, fan * twin.step_s), (0.0, (1.0 - fan) * twin.step_s)
+    return ((fan, twin.step_s),)

@@ -1,10 +1,10 @@
 """Rollouts of a twin: the loop over linear steps, and `March` for those that one matrix per fan speed lacks.
 
-Such steps have late commands, a fan that spins up, or heat that bends with the temperature.
-A step is cut where a late command arrives, and each part is exact for inputs constant over it. Where the fan
-spins up a part has the fan's mean speed (Magnus expansion, first term), and heat that depends on the air's
-temperature is taken at the middle of a part (exponential midpoint rule, Hochbruck & Ostermann 2010, Acta
-Numerica 19): both of second order in parts of at most `PART_S` or `BENT_PART_S`.
+Such steps have late commands, a fan that spins up or is on for a share of them, or heat that bends with the
+temperature. A step is cut where a late command arrives, and each part is exact for inputs constant over it.
+Where the fan spins up or stops a part has the fan's mean speed (Magnus expansion, first term), and heat that
+depends on the air's temperature is taken at the middle of a part (exponential midpoint rule, Hochbruck &
+Ostermann 2010, Acta Numerica 19): both of second order in parts of at most `PART_S` or `BENT_PART_S`.
 
 Error at steps of 60 s, against SciPy at 1e-9 (test_twin_equations.py): rounding alone in linear
 effects; below 0.01 K with one that is not, beside a lossy wall, and 0.02 K with two; 0.03 K where two zones
@@ -23,7 +23,7 @@ from edge.twin.signals import Conditions, Signals
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
-PART_S = 5.0  # of a fan that spins up
+PART_S = 5.0  # of a fan that spins up, or is on for a share of a step: its relay is on for multiples of 5 s
 BENT_PART_S = 7.5  # of bent heat alone
 SHORTEST_S = 1e-6  # of a part: nothing happens in less, and rounding makes such
 SPEED_DIGITS = 5  # of a mean speed: so that a fan that has nearly arrived needs no matrix of its own
@@ -77,20 +77,21 @@ class March:
         source: ArrayLike,
         columns: Conditions,
         before: Commands | None,
+        relay: bool,
     ) -> "March":
-        """All matrices at once; the arguments as in `edge.twin.model.Twin.march`."""
+        """All matrices at once; the arguments as in `edge.twin.model.Twin.march`.
+
+        relay : the fan is on or off, so that a value between is a share of the step
+        """
         # All steps at once: matrices are made for the modes that occur, not in the loop over the steps.
         shape = (commands.fan.shape[1], commands.fan.shape[0])
         room = _in_time(ambient, shape)
         steps = {name: _in_time(column, shape) for name, column in columns.items()}
         past = before if before and before.duty.shape[-1] else Commands(np.zeros(1), np.zeros(1))
-        duty, fan = _with_past(past.duty, commands.duty), _with_past(past.fan, commands.fan)
-        bent_s = BENT_PART_S if signals.bends else step_s
-        lengths = cuts(signals, step_s, bent_s)
-        middles = np.cumsum(lengths) - lengths / 2.0
-        first = len(fan) - len(room)
-        speeds = spun_up(late(fan, signals.fan_dead_s, middles, step_s), lengths, signals.fan_lag_s)[first:]
-        duties = signals.duty(late(duty, signals.heater_dead_s, middles, step_s)[first:])
+        every = Commands(_with_past(past.duty, commands.duty), _with_past(past.fan, commands.fan))
+        lengths, acting = act(signals, step_s, every, relay, BENT_PART_S if signals.bends else step_s)
+        first = len(every.fan) - len(room)
+        speeds, duties = acting.fan[first:], signals.duty(acting.duty[first:])
         added = _in_time(source, shape)
         others = [steps.get(name, np.zeros(shape)) for name in ("door_open", "day")]
         parts: list[_Part] = []
@@ -169,6 +170,40 @@ def times(matrices: Floats, vectors: Floats) -> Floats:
     """Each matrix times its vector, [..., n, m] and [..., m]."""
     product: Floats = (matrices @ vectors[..., None])[..., 0]
     return product
+
+
+def act(
+    signals: Signals, step_s: float, commands: Commands, relay: bool, longest_s: float
+) -> tuple[Floats, Commands]:
+    """Return the parts of each step [J] [s], and the duty and fan that act in them, [R, J, B] each.
+
+    commands : [R, B]; before the first row as in the first
+    relay : as in `March.of`
+    """
+    parted = relay and has_shares(commands.fan)
+    lengths = cuts(signals, step_s, min(longest_s, PART_S) if parted else longest_s)
+    middles = np.cumsum(lengths) - lengths / 2.0
+    fan = late(commands.fan, signals.fan_dead_s, middles, step_s)
+    if parted:
+        begins = (middles - signals.fan_dead_s) % step_s - lengths / 2.0
+        fan = fan_in_parts(fan, begins[:, None], lengths[:, None], step_s)
+    fan = spun_up(fan, lengths, signals.fan_lag_s)
+    return lengths, Commands(late(commands.duty, signals.heater_dead_s, middles, step_s), fan)
+
+
+def has_shares(fan: Floats) -> bool:
+    """Return True if the fan is on for a share of a step somewhere, neither off nor on throughout."""
+    return bool(((fan > 0.0) & (fan < 1.0)).any())
+
+
+def fan_in_parts(share: Floats, begin_s: Floats, length_s: Floats | float, step_s: float) -> Floats:
+    """Return the share of each part for which the fan is on; it is on at the beginning of the step.
+
+    share : of the step; begin_s, length_s : of the part, from the step's beginning
+    """
+    on = np.clip((share * step_s - begin_s) / length_s, 0.0, 1.0)
+    # Rounded as a mean speed is: 5 s of 60 s is a share that floats do not hold. No -0, which sorts apart.
+    return np.asarray(np.round(on, SPEED_DIGITS) + 0.0)
 
 
 def cuts(signals: Signals, step_s: float, longest_s: float) -> Floats:

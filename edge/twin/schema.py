@@ -7,6 +7,7 @@ from typing import Any
 from edge.twin.effects.effect import Effect
 from edge.twin.effects.library import EFFECTS
 from edge.twin.geometry import Geometry, Scale
+from edge.twin.model import FAN_CONTROLS
 from edge.twin.twin_file import FAN_ROLES, NUISANCE, SENSOR
 
 _NUMBER = {"type": "number"}
@@ -26,6 +27,11 @@ def schema() -> dict[str, Any]:
             "geometry": _object({item.name: _value(0.0, None, "") for item in fields(Geometry)}),
             "sample_s": {"type": "number", "exclusiveMinimum": 0, "description": "length of a step [s]"},
             "fan_role": {"enum": list(FAN_ROLES), "description": "what the fan does; default: exhaust"},
+            "fan_control": {
+                "enum": list(FAN_CONTROLS),
+                "description": "what a fan between 0 and 1 is: with a relay the share of the step, from its "
+                "beginning, for which it is on; else its speed; default: relay",
+            },
             "day0_utc": {
                 "type": ["string", "null"],
                 "description": f"where the days of {' and '.join(ageing)} begin, ISO 8601",

@@ -17,7 +17,7 @@ from edge.formats.reader import read_yaml
 from edge.twin.effects.effect import EffectParameter
 from edge.twin.effects.library import EFFECTS, check_names
 from edge.twin.geometry import Geometry, Scale, scale_of
-from edge.twin.model import BoxTwin, StateNoise
+from edge.twin.model import FAN_CONTROLS, BoxTwin, StateNoise
 from edge.twin.value import Value, read_value
 
 Place = tuple[str, ...]  # ("effects", "wall_loss", "UA") or ("geometry", "heater_max_w")
@@ -34,7 +34,7 @@ class TwinFile:
     """The contents of a twin file; a missing key of `geometry` is the paper's.
 
     day0_utc : where the days begin that an effect counts [s since 1970], None where no effect counts them
-    fan_role : of FAN_ROLES
+    fan_role : of FAN_ROLES; fan_control : of FAN_CONTROLS, as `BoxTwin`
     sensor, nuisance : null or absent where not known; highest_c : that the air may have, for hot boxes
     provenance : where the values come from, any mapping
     answer_s : time constant of the box, for usual values of what is not known; in no file
@@ -48,6 +48,7 @@ class TwinFile:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     day0_utc: float | None = None
     fan_role: str = FAN_ROLES[0]
+    fan_control: str = FAN_CONTROLS[0]
     answer_s: float | None = None
 
     def twin(self) -> BoxTwin:
@@ -67,6 +68,7 @@ class TwinFile:
                 usual.heat_w if (sd := self.nuisance.get("heat_noise_sd_w")) is None else sd,
             ),
             self.day0_utc,
+            self.fan_control,
         )
 
     @property
@@ -111,6 +113,7 @@ class TwinDocument:
 
     geometry: Mapping[Annotated[str, Rule(choices=tuple(_PAPER))], Any] = field(default_factory=dict)
     fan_role: Annotated[str, Rule(choices=FAN_ROLES)] = FAN_ROLES[0]
+    fan_control: Annotated[str, Rule(choices=FAN_CONTROLS)] = FAN_CONTROLS[0]
     sample_s: float = _SAMPLE_S
     day0_utc: str | None = None
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -135,6 +138,7 @@ def write_twin_file(file: TwinFile, path: Path) -> None:
     document = {
         "geometry": {name: value.document() for name, value in file.geometry.items()},
         **({} if file.fan_role == FAN_ROLES[0] else {"fan_role": file.fan_role}),
+        **({} if file.fan_control == FAN_CONTROLS[0] else {"fan_control": file.fan_control}),
         "sample_s": file.sample_s,
         **({} if file.day0_utc is None else {"day0_utc": _time_text(file.day0_utc)}),
         "effects": {
@@ -161,6 +165,7 @@ def _twin_file(document: TwinDocument) -> TwinFile:
         provenance=document.provenance,
         day0_utc=_time(document.day0_utc),
         fan_role=document.fan_role,
+        fan_control=document.fan_control,
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from edge.core.names import HEATER_LEVELS
 from edge.twin.model import BoxTwin
 from edge.twin.network import AIR
-from edge.twin.rollout import Commands
+from edge.twin.rollout import Commands, fan_in_parts
 from edge.twin.signals import Conditions
 
 Floats = NDArray[np.float64]
@@ -89,9 +89,10 @@ def linear_step(
         states[first + 1 + np.arange(size), np.arange(size)] += 1.0
         room[first + size + 1] = duty[first + size + 2] = before[first + size + 3] = 1.0
         source[first + size + 4] = 1.0 / twin.step_s
-    begun = (np.arange(parts) + 0.5) / parts < fan[:, None]
-    march = (twin if parts == 1 else replace(twin, step_s=twin.step_s / parts)).march(
-        Commands(_in_parts(duty, parts), begun.astype(np.float64)),
+    part_s = twin.step_s / parts
+    begins_s = np.linspace(0.0, twin.step_s, parts, endpoint=False, dtype=np.float64)
+    march = (twin if parts == 1 else replace(twin, step_s=part_s)).march(
+        Commands(_in_parts(duty, parts), fan_in_parts(fan[:, None], begins_s, part_s, twin.step_s)),
         _in_parts(ambient + room, parts),
         _in_parts(source, parts),
         conditions,

@@ -256,6 +256,18 @@ def test_files_with_other_columns_are_not_mixed(greenhouse, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
+    ("fans", "between"),
+    [("0 40 100", True), ("0 0.4 1", True), ("0 102 255", True), ("0 100 100", False), ("off on off", False)],
+)
+def test_a_fan_between_off_and_on_is_a_guess(greenhouse, tmp_path: Path, fans: str, between: bool) -> None:
+    rows = "".join(f"{10 * k},2{k},0,{fan}\n" for k, fan in enumerate(fans.split()))
+    path = written(tmp_path, "time,temp,heater,fan_pwm\n" + rows)
+    said = greenhouse("data", "look", path, "--map", tmp_path / "map.yaml")[1]
+    assert ("say `fan_control: speed` in the twin file" in said) == between
+    assert ("`fan_control: speed`" in (tmp_path / "map.yaml").read_text()) == between
+
+
+@pytest.mark.parametrize(
     ("values", "unit", "read"), [([0.0, 480.0, 910.0], "W/m2", 910.0), ([0.0, 0.48, 0.91], "kW/m2", 910.0)]
 )
 def test_sun_is_read_in_watts_or_kilowatts(values: list[float], unit: str, read: float) -> None:

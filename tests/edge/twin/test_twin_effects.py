@@ -12,9 +12,9 @@ CONDITIONS = {"light": 0.5, "solar": 300.0, "rel_humidity": 60.0, "utc": 3.0 * 8
 WRONG = {"nan": np.nan, "inf": np.inf, "below": -1e9, "above": 1e9}
 
 
-def run(effects, duty, fan, temp=21.0, steps=STEPS, **conditions):
+def run(effects, duty, fan, temp=21.0, steps=STEPS, fan_control="relay", **conditions):
     """Free run at a room of 21 °C from rest; duty and fan constant or per step."""
-    twin = BoxTwin(effects=effects, day0_utc=0.0)
+    twin = BoxTwin(effects=effects, day0_utc=0.0, fan_control=fan_control)
     inputs = (np.broadcast_to(np.asarray(item, dtype=float), (1, steps)) for item in (duty, fan))
     columns = {name: np.broadcast_to(column, steps) for name, column in {**CONDITIONS, **conditions}.items()}
     return twin.rollout(at_rest(twin, temp, 21.0), *inputs, 21.0, conditions=columns)[0]
@@ -43,9 +43,9 @@ def test_an_efficient_heater_is_a_smaller_duty():
 
 
 def test_a_weak_fan_is_a_slow_fan():
-    np.testing.assert_allclose(
-        run({"fan_effectiveness": {"eps_f": 0.5}}, 0.4, 1.0), run({}, 0.4, 0.5), atol=1e-9
-    )
+    weak, slow = run({"fan_effectiveness": {"eps_f": 0.5}}, 0.4, 1.0), run({}, 0.4, 0.5, fan_control="speed")
+    np.testing.assert_allclose(weak, slow, atol=1e-9)
+    assert run({}, 0.4, 0.5)[0] > weak[0] + 3.0  # of a relay that is off in half of the step: heated since
 
 
 def test_a_slow_heater_is_late_and_gives_all_its_heat_in_the_end():
@@ -82,7 +82,8 @@ def test_a_leak_stops_while_the_fan_runs():
 
 
 def test_air_that_leaves_unmixed_is_a_slow_fan():
-    np.testing.assert_allclose(run({"short_circuit": {"s_sc": 0.4}}, 0.4, 1.0), run({}, 0.4, 0.6), atol=1e-9)
+    slow = run({}, 0.4, 0.6, fan_control="speed")
+    np.testing.assert_allclose(run({"short_circuit": {"s_sc": 0.4}}, 0.4, 1.0), slow, atol=1e-9)
 
 
 def test_soil_takes_heat_and_gives_it_all_back():

@@ -32,6 +32,7 @@ REFUSED = [
     ("geometry: {volume_m3: 0}", "geometry.volume_m3: 0 is not a finite number above 0"),
     ("geometry: {volume_m3: big}", "geometry.volume_m3: must be a number, not 'big'"),
     ("fan_role: exhaus", "fan_role: 'exhaus' is none of exhaust, stirring, none"),
+    ("fan_control: percent", "fan_control: 'percent' is none of relay, speed"),
     ("day0_utc: today", "day0_utc: 'today' is no time like 2026-07-01T12:00:00Z"),
     ("day0_utc: 5", "day0_utc: must be text, not 5"),
     ("sample_s: 0", "sample_s: 0 is not a finite number above 0"),
@@ -107,6 +108,13 @@ def test_a_day_is_read_and_written_as_a_time(tmp_path):
     assert "day0_utc: '2026-07-01T00:00:00+00:00'" in path.read_text()
     assert read_twin_file(path) == file
     assert file.twin().sha256 != BoxTwin().sha256
+
+
+def test_the_fact_that_the_fan_has_a_speed_reaches_the_twin_and_the_next_file(tmp_path):
+    file, path = read(tmp_path, "fan_control: speed"), tmp_path / "again.yaml"
+    assert file.twin().sha256 == BoxTwin(fan_control="speed").sha256
+    write_twin_file(file.with_values({("geometry", "heater_max_w"): Value(90.0)}), path)
+    assert read_twin_file(path).fan_control == "speed"
 
 
 @pytest.mark.parametrize("number", [0.1 + 0.2, 1e-4, 1.2345678901234567e-5, 99.99999999999999])

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from edge.core.errors import DataError
 from edge.twin.discretisation import exponential
 from edge.twin.geometry import Geometry
-from edge.twin.model import BoxTwin, StateNoise
+from edge.twin.model import FAN_CONTROLS, BoxTwin, StateNoise
 from edge.twin.reference import rk45_rollout
 from edge.twin.warm_start import at_rest
 
@@ -62,9 +62,11 @@ def test_with_the_fan_alone_the_excess_decays_by_the_air_changes():
     assert BoxTwin().step(31.0, 21.0, 0.0, 1.0) == pytest.approx(21.0 + excess, abs=1e-12)
 
 
-def test_a_slower_and_slower_fan_ends_at_no_fan():
-    still = BoxTwin().step(30.0, 20.0, 0.02, 0.0)
-    slow = [abs(float(BoxTwin().step(30.0, 20.0, 0.02, fan)) - still) for fan in (1e-4, 1e-8, 1e-12, 1e-300)]
+@pytest.mark.parametrize("control", FAN_CONTROLS)
+def test_a_shorter_and_a_slower_fan_end_at_no_fan(control):
+    twin = BoxTwin(fan_control=control)
+    still = twin.step(30.0, 20.0, 0.02, 0.0)
+    slow = [abs(float(twin.step(30.0, 20.0, 0.02, fan)) - still) for fan in (1e-4, 1e-8, 1e-12, 1e-300)]
     # to first order F t / V of the excess of 10 K is carried off
     assert slow[0] == pytest.approx(1e-4 * 68.0 / 3600.0 * 60.0 / 0.15 * 10.0, rel=0.1)
     assert slow[1] < 1e-5 and slow[2] < 1e-9 and slow[3] == 0.0
@@ -147,7 +149,7 @@ def test_arrays_step_as_their_elements():
     temp, fan = np.array([[22.0, 25.0], [28.0, 31.0]]), np.array([[0.0, 1.0], [0.5, 0.0]])
     stepped = BoxTwin().step(temp, 20.0, 0.1, fan)
     for place in np.ndindex(2, 2):
-        assert stepped[place] == BoxTwin().step(temp[place], 20.0, 0.1, fan[place])
+        assert stepped[place] == pytest.approx(BoxTwin().step(temp[place], 20.0, 0.1, fan[place]), abs=1e-9)
 
 
 @pytest.mark.parametrize("unknown", ["temp", "ambient", "duty", "fan", "source"])
@@ -188,8 +190,9 @@ def test_the_hash_is_of_what_a_prediction_depends_on():
         BoxTwin(effects=LOSS, step_s=30.0),
         BoxTwin(Geometry(volume_m3=0.16), LOSS),
         BoxTwin(effects=LOSS, noise=StateNoise(heat_w=6.0)),
+        BoxTwin(effects=LOSS, fan_control="speed"),
     ]
-    assert len({twin.sha256, *(other.sha256 for other in others)}) == 6
+    assert len({twin.sha256, *(other.sha256 for other in others)}) == 7
     two = {**LOSS, "heater_lag": {"tau_h": 300}}
     assert BoxTwin(effects=two).sha256 == BoxTwin(effects=dict(reversed(two.items()))).sha256
 
