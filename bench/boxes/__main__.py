@@ -27,7 +27,8 @@ from bench.boxes.facts import BoxFacts
 from bench.boxes.reach import rise_after_k, scaled_reference
 from bench.boxes.tuned_pid import tune_pid
 from bench.header import header
-from edge.app.commission import Commissioned, learn, record, test_settings
+from edge.app.commission import Commissioned, learn
+from edge.app.step_test_record import record, test_settings
 from edge.board.virtual_rig import settings_in
 from edge.bundle.archive import open_archive
 from edge.bundle.predictors import loader
@@ -148,7 +149,7 @@ def drive(facts: BoxFacts, seed: int, name: str, found: Commissioned, reference:
         settings = replace(
             settings, control=control, reference=ReferenceSettings(kind="csv", csv=str(path), min_c=5.0)
         )
-        _install(found, settings, folder)
+        install(found, settings, folder)
         box = WatchedBox(facts, seed + 1000)
         instead: list[Controller] = []
         if base == "PID":
@@ -231,7 +232,8 @@ def _course(path: Path) -> Floats:
     return reference_from_profile(path).at(times, times)
 
 
-def _install(found: Commissioned, settings: Settings, folder: Path) -> None:
+def install(found: Commissioned, settings: Settings, folder: Path) -> None:
+    """Make a bundle of what was found the rig's active one, signed by a key of its own."""
     keys, models = Path(settings.bundle.trusted_keys), folder / "models"
     for made in (keys, models):
         made.mkdir(parents=True, exist_ok=True)

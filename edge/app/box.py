@@ -24,6 +24,7 @@ SETTLED_S = 400_000.0  # when all of it is warm
 ROOM_C = 20.0
 # The paper's box by the same measure has 3000 to 10 000 J/K and 4 to 10 W/K: margins are those of its bounds.
 CAPACITY, LOSS, FAN, WEAK, POWER = (0.6, 1.5), (0.6, 1.6), 0.5, 0.35, (0.75, 1.1)
+BEFORE = ".before"  # ending of the description that a learned twin has replaced
 OTHER_SHARE, OTHER_LONG_SHARE = 0.5, 0.3  # of the heater's power, that nobody ordered
 LAG_S, LAG_TIMES = 300.0, 1.6
 
@@ -36,6 +37,15 @@ def bounds_of(path: str) -> BoxBounds:
         return box_bounds(read_twin_file(Path(path)))
     except DataError as error:
         raise ConfigError(f"box.twin: {error}") from error
+
+
+def description_of(path: Path) -> TwinFile:
+    """Return the description of the box whose twin file this is. Errors: DataError
+
+    A learned twin takes the place of the description, which stays beside it: a box is learned anew from that.
+    """
+    file, before = read_twin_file(path), path.with_name(path.name + BEFORE)
+    return read_twin_file(before) if not file.to_fit() and before.exists() else file
 
 
 def box_bounds(file: TwinFile) -> BoxBounds:

@@ -6,28 +6,22 @@ good enough is refused, with the reason.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.app.daemon import Daemon
-from edge.app.experiment import refuse_stopped
-from edge.board.serial_port import OpenPort, SerialPort
-from edge.config.settings import BundleSettings, ControlSettings, DriftSettings, Settings
-from edge.controllers.step_tests import StepTests
-from edge.core.clock import Clock
-from edge.core.controller import RULES
-from edge.core.errors import DataError, GreenhouseError, RequestError
-from edge.core.messages import ReadingQuality, TickRecord
+from edge.app.step_test_record import STEP_S
+from edge.app.step_test_rows import stretches
+from edge.config.settings import ControlSettings
+from edge.core.errors import DataError, RequestError
 from edge.diagnosis.adopted_twin import round_value
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
-from edge.storage.runs import export_run, name_run
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
 from edge.twin.plausible import implausible
@@ -36,16 +30,13 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest
 
 Floats = NDArray[np.float64]
-STEP_S = 10.0  # of the step tests: fine enough for a fan that runs for a part of a minute
-MINUTES = 120.0
 TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
-BAND_BELOW_LIMIT_K = 3.0
 ERROR_MAX_K, ERROR_MAX_SHARE = 1.0, 0.15  # of free runs on those rows, and by the band that was seen
 WORSE_AT_MOST = 0.8  # a simple twin that much better is taken, an ARX model that much better refuses
 FINE_K = 0.2  # an error that good sensors have, with which a twin is not refused for a better ARX model
 SEEN_MIN_K = 2.0  # that the air must have risen
 LONGEST_MIN = 1440.0  # of tests that it proposes
-RUN_NAME = "commissioning"
+HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,64 +78,6 @@ class Commissioned:
     refusals: tuple[str, ...]
 
 
-def test_settings(settings: Settings) -> Settings:
-    """Return a rig's settings for its step tests: a finer step, and no model that could be in the way."""
-    return replace(
-        settings,
-        control=replace(settings.control, step_s=STEP_S, controller=RULES, model=""),
-        bundle=BundleSettings(path=""),
-        drift=DriftSettings(enabled=False),
-    )
-
-
-def highest_c(settings: Settings) -> float:
-    """Return the upper edge of the tests' band [°C]."""
-    return settings.safety.temp_air_max_c - BAND_BELOW_LIMIT_K
-
-
-def record(
-    settings: Settings,
-    clock: Clock,
-    has_fan: bool,
-    minutes: float = MINUTES,
-    show: Callable[[TickRecord], None] = lambda record: None,
-    open_port: OpenPort = SerialPort,
-) -> RecordedRun:
-    """Run the step tests and return what the history holds of them.
-
-    settings : of `test_settings`
-    Errors : GreenhouseError without a good air temperature, or before there are rows to learn from
-    """
-    refuse_stopped(settings)
-    tests = StepTests(highest_c(settings), has_fan)
-    records: list[TickRecord] = []
-    daemon: Daemon
-
-    def after_tick(tick: TickRecord) -> None:
-        records.append(tick)
-        show(tick)
-        if len(records) * STEP_S >= 60.0 * minutes or not _is_good(records[0]):
-            daemon.stop()
-
-    daemon = Daemon(
-        settings,
-        clock,
-        after_tick=after_tick,
-        experiment=tests.name,
-        more_controllers=(tests,),
-        open_port=open_port,
-    )
-    with daemon:
-        daemon.run()
-    if not records or not _is_good(records[0]):
-        raise GreenhouseError(f"no good air temperature from the board at {settings.board.port}")
-    first, last = records[0].seq, records[-1].seq
-    name = f"{RUN_NAME}@{first}"
-    name_run(settings.history.path, name, "", first, last, {"profile": RUN_NAME})
-    run = export_run(settings.history.path, name=name)
-    return replace(run, columns={key: values for key, values in run.columns.items() if key != "reference_c"})
-
-
 def learn(
     run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int = 1
 ) -> Commissioned:
@@ -162,13 +95,16 @@ def learn(
             "heater is too small for this box or this time, not connected, or the sensor hangs where its "
             "heat does not come" + (f"; tests of {longer:g} minutes may do" if longer <= LONGEST_MIN else "")
         )
-    begin_test = round((1.0 - TEST_SHARE) * len(run))
-    train, test = cut(run, 0, begin_test), cut(run, begin_test, len(run))
+    file, parts = replace(start, sample_s=STEP_S), stretches(run)
+    names = ["tests"] if len(parts) == 1 else [f"tests {i}" for i in range(1, len(parts) + 1)]
+    longest = max(map(len, parts))
+    least = min(round(60.0 * HELD_OUT_MIN / STEP_S), longest)
     # One recording for both, so that its second part begins with all that the first one has stored.
-    whole = replace(run, facts={**run.facts, FROM_S: f"{run.columns['time_s'][begin_test]:.3f}"})
-    file, both = replace(start, sample_s=STEP_S), [("tests", whole)]
-    found = diagnose(file, diagnosis_runs(both, both, file), progress, "greenhouse commission", jobs)
-    chosen, error_k = _chosen(found)
+    judging = [(name, _held_out(part)) for name, part in zip(names, parts, strict=True) if len(part) >= least]
+    held_out = dict(judging)
+    both = [(name, held_out.get(name, part)) for name, part in zip(names, parts, strict=True)]
+    found = diagnose(file, diagnosis_runs(both, judging, file), progress, "greenhouse commission", jobs)
+    chosen, error_k = chosen_twin(found)
     twin = replace(chosen, sample_s=control.step_s)
     room_c = float(np.nanmean(found.inputs.runs.ambient))
     hours = len(run) * STEP_S / 3600.0
@@ -188,13 +124,13 @@ def learn(
         twin,
         tuple(sorted({*chosen.effects} - {*start.effects})),
         found,
-        _fallback(train, test, control.step_s, start),
+        _fallback(parts, control.step_s, start),
         expectation,
         refusals,
     )
 
 
-def _chosen(found: Diagnosis) -> tuple[TwinFile, float]:
+def chosen_twin(found: Diagnosis) -> tuple[TwinFile, float]:
     """Return the twin that was found, or the baseline that predicts the held-out rows clearly better."""
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}
@@ -247,18 +183,23 @@ def _after_c(twin: BoxTwin, room_c: float, hours: float, duty: float, fan: float
     return float(twin.rollout(rest, *inputs, room_c, conditions=conditions, before=inputs)[0, -1])
 
 
-def _fallback(train: RecordedRun, test: RecordedRun, step_s: float, start: TwinFile) -> ArxFit | None:
+def _held_out(run: RecordedRun) -> RecordedRun:
+    """Return a run that says from where on no fit may see it."""
+    return replace(run, facts={**run.facts, FROM_S: f"{run.columns['time_s'][_begin_test(run)]:.3f}"})
+
+
+def _begin_test(run: RecordedRun) -> int:
+    return round((1.0 - TEST_SHARE) * len(run))
+
+
+def _fallback(parts: Sequence[RecordedRun], step_s: float, start: TwinFile) -> ArxFit | None:
     """Return an ARX model of the control step; None where the tests are too short for one."""
-    has_fan = start.fan_role != "none" and bool(np.nanmax(train.columns["fan_on"]) > 0.0)
-    has_room = np.isfinite(train.columns.get("temp_ambient_c", np.array([np.nan]))).all()
+    train = [cut(part, 0, _begin_test(part)) for part in parts]
+    test = [cut(part, _begin_test(part), len(part)) for part in parts]
+    has_fan = start.fan_role != "none" and any(np.nanmax(run.columns["fan_on"]) > 0.0 for run in train)
+    rooms = [run.columns.get("temp_ambient_c", np.array([np.nan])) for run in train]
+    has_room = all(np.isfinite(room).all() for room in rooms)
     try:
-        return fit_arx(
-            [train], [test], step_s, fan_input="on" if has_fan else None, with_ambient=bool(has_room)
-        )
+        return fit_arx(train, test, step_s, fan_input="on" if has_fan else None, with_ambient=has_room)
     except DataError:
         return None
-
-
-def _is_good(record: TickRecord) -> bool:
-    reading = record.readings.get("temp_air")
-    return reading is not None and reading.quality is ReadingQuality.GOOD

@@ -98,6 +98,11 @@ class Daemon:
         assert self._loop is not None
         self._loop.stop()
 
+    def status(self) -> LoopStatus:
+        """Return the standing orders, the trips and the last tick. The control thread calls this."""
+        assert self._loop is not None
+        return self._loop.status()
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.stop()
 
@@ -117,6 +122,8 @@ class Daemon:
             step_s = settings.control.step_s
             raise ConfigError(f"control: {reason or f'{self.experiment} needs a model for {step_s:g} s'}")
         standing = restore(STANDING, settings)
+        # An experiment may lack models that its rig has, so the orders that come back after it are these.
+        ordered = standing.operation
         if standing.operation.controller not in controllers:  # chosen when the rig had a model
             chosen = replace(standing.operation, controller=settings.control.controller)
             standing = replace(standing, operation=chosen)
@@ -167,7 +174,7 @@ class Daemon:
                 event for part in (storage, bundles, nightly, llm) if part for event in part.events_pending()
             ],
             inbox=inbox,
-            save_state=self._save(state, standing.operation),
+            save_state=self._save(state, ordered),
             after_tick=self.after_tick,
             show=show,
             stop_at_s=self.stop_at_s,

@@ -1,7 +1,8 @@
 """`greenhouse commission`: step tests, a twin of this box, and a bundle that controls it.
 
-The tests take the board, so the daemon must not run meanwhile. Ctrl-C or SIGTERM ends them early, and what is
-recorded by then is used; --from-run uses a recording again.
+The tests take the board, so the daemon must not run meanwhile. `p` and Enter pauses them while hands are in
+the box, `g` and Enter goes on; so does `greenhouse maintenance`. Ctrl-C or SIGTERM ends them early, and what
+is recorded by then is used; --go-on records the rest later, --from-run learns from a recording again.
 """
 
 import argparse
@@ -10,19 +11,23 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edge.app.box import BEFORE, description_of
 from edge.commands.arguments import number, writing
 from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.experiment import rig_of
+from edge.commands.hands import Hands
 from edge.config.settings import Settings
 from edge.core.controller import MPC_TWIN
-from edge.core.errors import RequestError
+from edge.core.errors import DataError, RequestError
 from edge.core.messages import TickRecord
 from edge.diagnosis.progress import TerminalProgress
 from edge.formats.atomic_file import write_atomically, write_document
-from edge.formats.run_file import RecordedRun, read_run, write_run
+from edge.formats.run_file import RecordedRun, absence_facts, read_run, write_run
+from edge.sockets.control_socket import NobodyListens, request
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 
 if TYPE_CHECKING:
@@ -30,8 +35,7 @@ if TYPE_CHECKING:
 
 CONTROLLER = MPC_TWIN[-1]
 SHORTEST_MIN = 20.0
-BEFORE = ".before"  # ending of the description that a learned twin has replaced
-LEARN_MIN = 15.0  # that a fit needs, where the tests were ended early
+CHOSEN_STEPS, CHOSEN_LOOK_S = 3.0, 2.0  # for a daemon to take up the bundle, and between two looks [s]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--from-run", type=Path, metavar="RUN", help="learn from this recording, make no tests"
+    )
+    parser.add_argument(
+        "--go-on",
+        type=Path,
+        metavar="FOLDER",
+        help="record the rest of tests that ended early, of this --out",
     )
     parser.add_argument("--out", type=Path, help="folder for run and twin; default: commissioning-DATE")
     parser.add_argument("--key", type=Path, help="private key that signs; default: bundle.signing_key")
@@ -60,17 +70,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """0 when the box is commissioned, 1 when it is refused; the reasons are printed."""
     from edge.app.commission import learn  # late: scipy
+    from edge.app.step_test_record import STEP_S
+    from edge.app.step_test_rows import LEARN_MIN, STOPPED
 
     settings = settings_of(arguments.config)
     start = _start(arguments, settings)
     key = None if arguments.only_learn or arguments.virtual else _key(arguments.key, settings)
-    folder = arguments.out or Path(f"commissioning-{datetime.now(UTC):%Y-%m-%d_%H%M}")
+    dated = Path(f"commissioning-{datetime.now(UTC):%Y-%m-%d_%H%M}")
+    folder = arguments.go_on or arguments.out or dated
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     recorded = read_run(arguments.from_run) if arguments.from_run else _record(arguments, start, folder)
-    minutes = float(recorded.columns["time_s"][-1]) / 60.0
+    if recorded.facts.get(STOPPED) and not arguments.from_run:
+        raise RequestError(
+            f"the tests were stopped: {recorded.facts[STOPPED]}. {_later(folder)} when the cause is gone"
+        )
+    minutes = len(recorded) * STEP_S / 60.0
     if minutes < LEARN_MIN:
-        raise RequestError(f"{minutes:.0f} min are recorded, {LEARN_MIN:g} is the least to learn from")
+        later = "" if arguments.from_run else f"; {_later(folder)}"
+        raise RequestError(f"{minutes:.0f} min are recorded, {LEARN_MIN:g} is the least to learn from{later}")
     with TerminalProgress() as progress:
         found = learn(recorded, start, settings.control, progress)
     with writing(folder):
@@ -110,10 +128,7 @@ def _start(arguments: argparse.Namespace, settings: Settings) -> TwinFile:
     path = arguments.twin or (Path(settings.box.twin) if settings.box.twin else None)
     if path is None:
         raise RequestError("no description of the box: `greenhouse setup` or `greenhouse twin new` makes one")
-    file = read_twin_file(path)
-    before = path.with_name(path.name + BEFORE)
-    # The learned twin has taken the place of the description, which is what a box is learned from anew.
-    return read_twin_file(before) if not file.to_fit() and before.exists() else file
+    return description_of(path)
 
 
 def _key(given: Path | None, settings: Settings) -> Path:
@@ -127,23 +142,41 @@ def _key(given: Path | None, settings: Settings) -> Path:
 
 
 def _record(arguments: argparse.Namespace, start: TwinFile, folder: Path) -> RecordedRun:
-    from edge.app.commission import record, test_settings
+    from edge.app.step_test_record import STEP_S, record, test_settings
 
     path = folder / "run.csv"
-    if path.exists():
-        raise RequestError(f"{path}: exists already; --from-run {path} learns from it")
+    if path.exists() and not arguments.go_on:
+        raise RequestError(f"{path}: exists already; --from-run {path} learns from it, {_later(folder)}")
+    before = read_run(path) if arguments.go_on else None
+    minutes = arguments.minutes - (0.0 if before is None else len(before) * STEP_S / 60.0)
+    if minutes <= 0.0:
+        raise RequestError(f"{path}: has {arguments.minutes:g} min already; --from-run {path} learns from it")
+
     with tempfile.TemporaryDirectory(prefix="greenhouse-commission-") as temporary:
         # The description, not a twin of an earlier box: safety asks of it what it knows.
         box = Path(temporary) / "twin.yaml"
         write_twin_file(start, box)
-        with rig_of(arguments) as (settings, clock):
+        with rig_of(arguments) as (settings, clock), Hands(Path(settings.control_socket.path), print):
             settings = test_settings(replace(settings, box=replace(settings.box, twin=str(box))))
             has_fan = start.fan_role != "none"
-            recorded = record(settings, clock, has_fan, arguments.minutes, _Show(arguments.minutes))
-    with writing(path):
-        write_run(recorded, path)
+            save = partial(save_run, path, before)
+            recorded = save(record(settings, clock, has_fan, minutes, _Show(), save=save))
     print(f"{path}: {len(recorded)} rows; should learning fail, --from-run {path} tries again")
     return recorded
+
+
+def save_run(path: Path, before: RecordedRun | None, run: RecordedRun) -> RecordedRun:
+    """Write a recording behind the one before it; return both as one. Errors: DataError"""
+    from edge.app.step_test_rows import join
+
+    whole = run if before is None else join(before, run)
+    with writing(path):
+        write_run(absence_facts(whole), path)
+    return whole
+
+
+def _later(folder: Path) -> str:
+    return f"--go-on {folder} records the rest"
 
 
 def keep(twin: TwinFile, place: Path) -> None:
@@ -160,19 +193,16 @@ def keep(twin: TwinFile, place: Path) -> None:
 class _Show:
     """Print a line where a leg begins."""
 
-    def __init__(self, minutes: float) -> None:
-        self._minutes, self._leg = minutes, ""
-        self._begun_s: float | None = None
+    def __init__(self) -> None:
+        self._leg = ""
 
-    def __call__(self, record: TickRecord) -> None:
-        self._begun_s = record.time_s if self._begun_s is None else self._begun_s
-        leg = str(record.decision.why.get("leg", record.decision.controller))
+    def __call__(self, tick: TickRecord, minutes_left: float) -> None:
+        leg = str(tick.decision.why.get("leg", tick.decision.controller))
         if leg != self._leg:
             self._leg = leg
-            air = record.readings["temp_air"].value
+            air = tick.readings["temp_air"].value
             shown = "  ?  " if air is None else f"{air:5.1f}"
-            left = self._minutes - (record.time_s - self._begun_s) / 60.0
-            print(f"{left:4.0f} min left  air {shown} °C  {leg}", flush=True)
+            print(f"{minutes_left:4.0f} min left  air {shown} °C  {leg}", flush=True)
 
 
 def _activate(found: "Commissioned", folder: Path, key: Path, settings: Settings) -> None:
@@ -180,7 +210,6 @@ def _activate(found: "Commissioned", folder: Path, key: Path, settings: Settings
     from edge.bundle.archive import open_archive
     from edge.bundle.sign import ManifestFacts, build_bundle
     from edge.models.arx_file import write_arx
-    from edge.state.store import STANDING, restore
 
     now = time.time()
     models, archive = folder / "models", folder / "bundle.zip"
@@ -201,7 +230,29 @@ def _activate(found: "Commissioned", folder: Path, key: Path, settings: Settings
         install(store, settings, file)
     change(store, settings, "activate", manifest.version)
     if settings.box.twin:
-        keep(found.twin, Path(settings.box.twin))
+        try:
+            keep(found.twin, Path(settings.box.twin))
+        except DataError as error:  # the service may not write there: bounds of a described box stay in force
+            print(f"{error}; safety keeps the bounds of the description")
+    _choose(settings)
+
+
+def _choose(settings: Settings) -> None:
+    """Make the twin's planner the controller, by the daemon where one runs. Errors: RequestError"""
+    from edge.state.store import STANDING, restore
+
+    give_up_s = time.monotonic() + CHOSEN_STEPS * settings.control.step_s
+    while True:
+        try:
+            reply = request(Path(settings.control_socket.path), {"do": "set_controller", "name": CONTROLLER})
+        except NobodyListens:
+            break
+        if reply.get("ok"):
+            print(f"{CONTROLLER} controls")
+            return
+        if time.monotonic() > give_up_s:  # the daemon takes up a bundle at its next tick
+            raise RequestError(f"{CONTROLLER} is not chosen: {reply.get('error', reply)}")
+        time.sleep(CHOSEN_LOOK_S)
     standing = restore(STANDING, settings)
     if standing.broken:  # a stop may be in it: nothing is written over it
         raise RequestError(f"{standing.broken}: choose `greenhouse controller {CONTROLLER}` yourself")

@@ -10,6 +10,7 @@ import math
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from edge.core.messages import Command, Decision
 from edge.core.names import HEATER_LEVELS
 
 REST_S = 180.0  # the sensor's noise, and the room
+SETTLE_S = 300.0  # after hands were in the box
 FAN_AT_REST_S = 120.0  # in a box as warm as its room, where what the fan itself warms shows alone
 PROBE_DUTY, PROBE_RISE_K = 0.4, 1.0  # first heat, little enough for the smallest box
 PROBE_MAX_S, COAST_MAX_S, FULL_MAX_S = 600.0, 900.0, 1500.0
@@ -31,6 +33,7 @@ LOW_K = 1.5  # above the room: a colder box has nothing to tell about its losses
 DUTIES = (0.0, 0.0, 0.25, 0.5, 0.75, 1.0)
 PULSES_S = (10.0, 20.0, 40.0)  # of the fan, as plans use them
 PULSE_EVERY_S = 120.0
+PAUSE, SETTLE = "pause", "settle"  # names of legs: hands are in the box, and after they have left
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +83,32 @@ class StepTests:
         self._begun_c = self._highest_c = self._lowest_c = math.nan
         self._steepest = 0.0
         self._is_slow = False
+        self._is_paused = False
+        self._is_opening = True  # legs whose answers the later ones are made from
+
+    def pause(self) -> None:
+        """Rest from the next decision on: hands are in the box."""
+        self._is_paused = True
+
+    def go_on(self) -> None:
+        """Let the box settle, then repeat the leg that was interrupted.
+
+        Heat must be seen from its begin to tell how far the box runs on, so the first legs begin anew.
+        """
+        if not self._is_paused:
+            return
+        self._is_paused = False
+        if self._is_opening:
+            self.reset()
+        if self._leg.name != SETTLE:
+            self._legs = chain([self._leg], self._legs)
+        self._leg, self._begun_s = TestLeg(SETTLE, 0.0, SETTLE_S), None
 
     def decide(self, context: Context) -> Decision:
         """Return the command of the present leg, or of the next where this one is over."""
         air = context.estimate.temp_air
+        if self._is_paused:
+            return Decision(Command(), self.name, why={"leg": PAUSE, "band_c": self._high_c})
         if self._begun_s is None or self._is_over(context, air):
             if self._begun_s is not None:
                 self._note(context, air)
@@ -108,7 +133,7 @@ class StepTests:
         yield TestLeg("coast", 0.0, COAST_MAX_S / 2.0, until_peak=True)
         if self._has_fan:
             yield TestLeg("fan", 0.0, 60.0, "on")
-        count = 0
+        count, self._is_opening = 0, False
         while True:
             count += 1
             duty, dwell_s = self._random.choice(DUTIES), self._dwell_s()

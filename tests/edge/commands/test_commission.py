@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -11,8 +12,9 @@ from edge.__main__ import main
 from edge.app import commission
 from edge.app.commission import Expectation
 from edge.bundle.sign import generate_key
-from edge.commands.commission import describe, keep
+from edge.commands.commission import describe, keep, save_run
 from edge.config.loading import load
+from edge.formats.run_file import read_run
 from edge.models.arx_file import read_arx
 from edge.state.store import STANDING, restore
 from edge.twin.new_file import BoxDescription, text
@@ -205,6 +207,69 @@ def test_a_heater_that_warms_little_is_refused_with_the_time_that_may_do(rig, ca
     assert "the air moved by 1.1 K" in said and "tests of 60 minutes may do" in said
 
 
+def without_room(folder: Path, minutes: int):
+    """A recording of a rig that has no room sensor."""
+    path = run_file(folder, minutes)
+    rows = [row.split(",") for row in path.read_text().splitlines()]
+    path.write_text(
+        "# temp_ambient_c: none\n" + "\n".join(",".join(row[:2] + row[3:]) for row in rows) + "\n"
+    )
+    return read_run(path)
+
+
+def test_a_recording_without_a_room_sensor_is_read_again_and_gone_on_with(tmp_path):
+    path = tmp_path / "run.csv"
+    save_run(path, None, without_room(tmp_path, 20))
+    whole = save_run(path, read_run(path), without_room(tmp_path, 30))
+    again = read_run(path)
+    assert len(whole) == len(again) == 6 * 50 and "temp_ambient_c" not in again.columns
+
+
+def test_a_room_sensor_that_came_later_is_known_from_then_on(tmp_path):
+    path = tmp_path / "run.csv"
+    save_run(path, without_room(tmp_path, 20), read_run(run_file(tmp_path, 30)))
+    room = read_run(path).columns["temp_ambient_c"]
+    assert np.isnan(room[:120]).all() and (room[120:] == 21.0).all()
+
+
+def test_tests_that_are_complete_are_not_gone_on_with(rig, capsys):
+    (rig / "found").mkdir()
+    run_file(rig, minutes=120).rename(rig / "found" / "run.csv")
+    assert "has 120 min already" in refused(capsys, "--go-on", "found")
+
+
+def test_the_rest_of_tests_that_ended_early_is_recorded_behind_them(rig, monkeypatch, capsys):
+    (rig / "found").mkdir()
+    run_file(rig, minutes=25).rename(rig / "found" / "run.csv")
+    seen = []
+    monkeypatch.setattr(commission, "learn", lambda run, *more: seen.append(run) or FoundBox())
+    assert commissioned("--virtual", "--go-on", "found", "--minutes", "30", "--twin", "box.yaml") == 0
+    assert len(seen[0]) == 6 * 30 and "5 min left" in capsys.readouterr().out
+    assert np.diff(seen[0].columns["time_s"])[149] > 60.0
+
+
+def test_tests_that_a_stop_has_ended_are_not_learned_from_at_once(rig, monkeypatch, capsys):
+    run = read_run(run_file(rig))
+    stopped = replace(run, facts={"stopped": "emergency stop"})
+    monkeypatch.setattr("edge.commands.commission._record", lambda *given: stopped)
+    said = refused(capsys, "--out", "found")
+    assert "emergency stop" in said and "--go-on found records the rest" in said
+
+
+def test_a_running_daemon_is_asked_for_the_planner(rig, monkeypatch, capsys):
+    asked, refusals = [], [{"ok": False, "error": "not yet"}]
+    monkeypatch.setattr(
+        "edge.commands.commission.request",
+        lambda socket, message: asked.append(message) or (refusals.pop() if refusals else {"ok": True}),
+    )
+    monkeypatch.setattr("edge.commands.commission.CHOSEN_LOOK_S", 0.0)
+    monkeypatch.setattr(commission, "learn", lambda *given: FoundBox())
+    assert commissioned("--from-run", str(run_file(rig)), "--out", "found") == 0
+    assert asked == [{"do": "set_controller", "name": "MPC-Twin-P"}] * 2
+    assert "MPC-Twin-P controls\n" in capsys.readouterr().out
+    assert not (rig / "state.json").exists()  # the daemon's own
+
+
 @dataclass(frozen=True)
 class FoundTwins:
     """A diagnosis as far as the choice of the twin goes."""
@@ -219,7 +284,7 @@ class FoundTwins:
 
 @pytest.mark.parametrize(("simple_k", "is_taken"), [(0.39, True), (0.41, False)])
 def test_a_simple_twin_is_taken_where_it_predicts_clearly_better(simple_k, is_taken):
-    twin, error_k = commission._chosen(FoundTwins({"after": 0.5, "heater lag": simple_k, "ARX 2": 0.1}))
+    twin, error_k = commission.chosen_twin(FoundTwins({"after": 0.5, "heater lag": simple_k, "ARX 2": 0.1}))
     assert (set(twin.effects) == {"wall_loss"}) == is_taken
     assert error_k == (simple_k if is_taken else 0.5)
     assert not is_taken or twin.provenance["after"] == {"test": {"rmse_k": simple_k}}

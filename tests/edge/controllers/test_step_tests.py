@@ -124,3 +124,56 @@ def test_the_heaters_limit_is_kept():
     limits = ControlLimits(heater_max_duty=0.3)
     _, duties, _, _ = drive(StepTests(HIGH_C, True), SmallBox(*BOXES["paper's"]), 60.0, limits)
     assert duties.max() == 0.3
+
+
+def decide(tests: StepTests, step: int, air: float):
+    """One decision of tests that see this air."""
+    now = context()
+    seen = replace(
+        now,
+        now_s=STEP_S * step,
+        step_s=STEP_S,
+        history={**now.history, "temp_air": np.array([air])},
+        estimate=replace(now.estimate, temp_air=air, temp_ambient=ROOM_C),
+    )
+    return tests.decide(seen)
+
+
+def leg_of_the_random_part(tests: StepTests) -> int:
+    """Drive tests until their legs are random ones; return the next step."""
+    for step in range(3000):
+        if str(decide(tests, step, 25.0).why["leg"]).startswith("heat "):
+            return step + 1
+    raise AssertionError("no random leg came")
+
+
+def test_a_pause_drives_nothing_for_as_long_as_it_lasts():
+    tests = StepTests(HIGH_C, True)
+    step = leg_of_the_random_part(tests)
+    tests.pause()
+    for later in range(step, step + 400):
+        decision = decide(tests, later, 18.0)
+        assert (decision.command.heater_duty, decision.command.fan) == (0.0, 0.0)
+        assert decision.why["leg"] == "pause"
+
+
+def test_a_leg_that_hands_have_interrupted_is_repeated_after_the_box_has_settled():
+    tests = StepTests(HIGH_C, True)
+    step = leg_of_the_random_part(tests)
+    leg, response = tests._leg, tests.response
+    for _ in range(2):  # once in the leg, once while the box still settles
+        tests.pause()
+        decide(tests, step, 20.0)
+        tests.go_on()
+        assert decide(tests, step + 1, 20.0).why["leg"] == "settle"
+    legs = [decide(tests, step + 2 + k, 25.0).why["leg"] for k in range(40)]
+    assert legs[: legs.index(leg.name)] == ["settle"] * 29  # 300 s
+    assert tests._leg is leg or leg.name in legs
+    assert tests.response is response
+
+
+def test_going_on_without_a_pause_changes_nothing():
+    tests = StepTests(HIGH_C, True)
+    decide(tests, 0, 20.0)
+    tests.go_on()
+    assert decide(tests, 1, 20.0).why["leg"] == "rest"
