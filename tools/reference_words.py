@@ -29,6 +29,8 @@ PAYLOADS = {  # MQTT command -> a payload that it takes
     "release_emergency_stop": "PRESS",
     "clear_trip": "PRESS",
     "follow_schedule": "PRESS",
+    "commission": "PRESS",
+    "end_commissioning": "PRESS",
     "status": "PRESS",
     "ask": "keep 26 by day and 20 at night",
     "confirm": "ffe06e",

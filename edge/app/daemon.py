@@ -15,7 +15,7 @@ from typing import Self
 from edge.app.active_models import ActiveModels
 from edge.app.box import bounds_of
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
-from edge.app.request_routes import Routes, outbox_of
+from edge.app.request_routes import Commissioning, Routes, ShowState, outbox_of
 from edge.assistant.llm.language_model import LanguageModel, open_language_model
 from edge.assistant.requests.answer import settings_from
 from edge.assistant.requests.desk import DeskParts, WishDesk
@@ -70,6 +70,7 @@ class Daemon:
     open_port: OpenPort = SerialPort  # else a board in this process
     more_sinks: Sequence[Sink] = ()  # a display
     config_file: Path | None = None  # where the settings were read, for commands that the daemon starts
+    commissioning: Commissioning | None = None  # of a service that can commission its box
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
 
@@ -104,6 +105,8 @@ class Daemon:
         return self._loop.status()
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.commissioning is not None:
+            self.commissioning.signal()
         self.stop()
 
     def _wire(self) -> Loop:
@@ -130,7 +133,7 @@ class Daemon:
         inbox = Inbox()
         stack.callback(inbox.close)
         desk = self._desk(inbox, models, llm)
-        routes = Routes(settings, inbox, bundles, desk)
+        routes = Routes(settings, inbox, bundles, desk, self.commissioning)
         # First of all that is shared: where a daemon runs already nothing else is touched.
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post)
         stack.callback(socket.close)
@@ -146,12 +149,14 @@ class Daemon:
         drift = self._drift(sinks)
         nightly = self._nightly(sinks, bundles)
         show: Callable[[LoopStatus], None] = lambda status: None  # noqa: E731
+        show_commissioning: ShowState | None = None
         if settings.mqtt.enabled:
             telemetry = Telemetry(settings, routes.ask, inbox.post, lambda: outbox_of(settings))
             stack.callback(telemetry.close)
             desk.listeners.append(telemetry.show_proposal)
             sinks.append(telemetry)
             show = telemetry.show
+            show_commissioning = telemetry.show_commissioning
         board = Board(
             settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port
         )
@@ -185,6 +190,8 @@ class Daemon:
         stack.callback(loop.close)
         if standing.broken:
             loop.note("state.broken", standing.broken)
+        if self.commissioning is not None:
+            self.commissioning.serve(self.stop, show_commissioning)
         return loop
 
     def _external(self) -> External:

@@ -41,6 +41,7 @@ START_MAX_S = 120.0  # for systemd to take up a request, on a busy single-board 
 END_MAX_S = 60.0  # for an answer after the time that the request allows
 LOOK_S = 0.5
 LATE = "late"  # instead of an exit code
+_ONE_REQUEST = threading.Lock()  # the unit's folder holds one request: a diagnosis or a commissioning waits
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +163,59 @@ class Places:
     requests: Path | None = None
 
 
+class BackgroundFailure(Exception):
+    """A command that was not run to its end; the text is for people."""
+
+
+class BackgroundProcess:
+    """Runs `greenhouse` at the lowest priority, one command at a time, by the unit or as a child.
+
+    requests : folder in which the unit looks for requests; None: a child
+    program : `greenhouse` as words of a command line
+    """
+
+    def __init__(self, requests: Path | None, program: Sequence[str] = GREENHOUSE) -> None:
+        self._requests, self._program = requests, (*lowest_priority(), *program)
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._closing = False
+
+    def run(self, words: Sequence[str], log: Path, patience_s: float) -> int | str:
+        """Wait for the command and return its exit code, below 0 the signal
+        that ended it; LATE. Errors: BackgroundFailure
+        """
+        if self._requests is not None:
+            with _ONE_REQUEST:
+                try:
+                    return ask(self._requests, words, log, patience_s, lambda: self._closing)
+                except NoUnit as error:
+                    raise BackgroundFailure(str(error)) from None
+        command = [*self._program, *words]
+        with log.open("ab") as out, self._lock:
+            if self._closing:
+                raise BackgroundFailure("the daemon ends")
+            # A group of its own, so that what it starts ends with it.
+            process = self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
+            )
+        try:
+            return process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            _kill(process)
+            process.wait()
+            return LATE
+        finally:
+            with self._lock:
+                self._process = None
+
+    def close(self) -> None:
+        """Kill what runs; nothing is run any more."""
+        with self._lock:
+            self._closing = True
+            if self._process is not None:
+                _kill(self._process)
+
+
 class NightlyDiagnosis:
     """A sink of tick records: a tick at the set hour starts it.
 
@@ -177,14 +231,11 @@ class NightlyDiagnosis:
         program: Sequence[str] = GREENHOUSE,
     ) -> None:
         self._settings, self._places, self._clock, self._zone = settings, places, clock, zone
-        self._program = (*lowest_priority(), *program)
+        self._background = BackgroundProcess(places.requests, program)
         self._before_utc: float | None = None
         self._told: deque[tuple[str, Severity, str]] = deque()
         self._jobs: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # names of the reports' folders
         self._busy = False
-        self._lock = threading.Lock()
-        self._process: subprocess.Popen[bytes] | None = None
-        self._closing = False
         self._thread = threading.Thread(target=self._run, name="diagnosis", daemon=True)
         self._thread.start()
 
@@ -210,10 +261,7 @@ class NightlyDiagnosis:
 
     def close(self) -> None:
         """Kill what runs, and end the thread."""
-        with self._lock:
-            self._closing = True
-            if self._process is not None:
-                _kill(self._process)
+        self._background.close()
         self._jobs.put(None)
         self._thread.join(timeout=5.0)
 
@@ -221,7 +269,7 @@ class NightlyDiagnosis:
         while (name := self._jobs.get()) is not None:
             try:
                 self._diagnose(Path(self._settings.reports) / name)
-            except _DiagnosisFailure as failure:
+            except (_DiagnosisFailure, BackgroundFailure) as failure:
                 self._tell("diagnosis.failed", str(failure), Severity.WARNING)
             except Exception as error:  # a full disk, a bug: told, and the next night tries again
                 self._tell("diagnosis.failed", f"{type(error).__name__}: {error}", Severity.WARNING)
@@ -262,39 +310,12 @@ class NightlyDiagnosis:
         self._tell("diagnosis.adopted", _last_line(report / LOG))
 
     def _call(self, words: Sequence[str | Path], log: Path, patience_s: float) -> None:
-        """Run `greenhouse twin ...` to its end. Errors: _Failed"""
-        code = self._wait(["twin", *map(str, words)], log, patience_s)
+        """Run `greenhouse twin ...` to its end. Errors: _DiagnosisFailure, BackgroundFailure"""
+        code = self._background.run(["twin", *map(str, words)], log, patience_s)
         if code == LATE:
             raise _DiagnosisFailure(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended")
         if code != 0:
             raise _DiagnosisFailure(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
-
-    def _wait(self, words: Sequence[str], log: Path, patience_s: float) -> int | str:
-        """Wait for the command and return its exit code, below 0 the signal
-        that ended it; LATE. Errors: _Failed
-        """
-        if self._places.requests is not None:
-            try:
-                return ask(self._places.requests, words, log, patience_s, lambda: self._closing)
-            except NoUnit as error:
-                raise _DiagnosisFailure(str(error)) from None
-        command = [*self._program, *words]
-        with log.open("ab") as out, self._lock:
-            if self._closing:
-                raise _DiagnosisFailure("the daemon ends")
-            # A group of its own, so that what it starts ends with it.
-            process = self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
-            )
-        try:
-            return process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            _kill(process)
-            process.wait()
-            return LATE
-        finally:
-            with self._lock:
-                self._process = None
 
     def _tell(self, key: str, text: str, severity: Severity = Severity.INFO) -> None:
         self._told.append((key, severity, text))

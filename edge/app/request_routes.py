@@ -1,8 +1,9 @@
 """Who answers which request. What needs the disk or a language model never comes to the control thread."""
 
 import sqlite3
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Protocol
 
 from edge.assistant.requests.desk import WishDesk
 from edge.assistant.why.ask_history import why
@@ -18,6 +19,7 @@ from edge.tick.orders import read_request
 from edge.tick.reference import zone_of
 
 ASKED_OF_THE_DESK = ("ask", "proposal", "confirm", "undo")
+ShowState = Callable[[Mapping[str, str]], None]  # publishes how far commissioning is
 UTC_MAX = 253_402_300_799.0  # the last second of the year 9999, the calendar's end [s since 1970]
 
 
@@ -28,6 +30,22 @@ class WhyRequest:
     at_utc: Annotated[float, Rule(low=0.0, high=UTC_MAX)] | None = None
 
 
+class Commissioning(Protocol):
+    """Commissioning by the service itself, which outlives its daemons."""
+
+    def answer(self, request: Request, status: Callable[[], Reply]) -> Reply:
+        """Begin or end the tests, or say why not. status : asks the control loop. Never raises"""
+        ...
+
+    def serve(self, stop_daemon: Callable[[], None], show: ShowState | None) -> None:
+        """Take a new daemon's way to its end, and where its telemetry wants to see the state."""
+        ...
+
+    def signal(self) -> None:
+        """Note that the whole service ends."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Routes:
     """Called from the threads of the control socket and of MQTT."""
@@ -36,6 +54,7 @@ class Routes:
     inbox: Inbox
     bundles: BundleKeeper | None
     desk: WishDesk
+    commissioning: Commissioning | None = None
 
     def ask(self, request: Request) -> Reply:
         """Return the answer; never raises."""
@@ -49,6 +68,10 @@ class Routes:
                     return {"ok": True, **why(self.settings.history.path, at_utc, zone)}
                 case "bundle":
                     return self.bundles.answer(request) if self.bundles else _no_bundles()
+                case "commission" if self.commissioning is not None:
+                    return self.commissioning.answer(request, lambda: self.inbox.ask({"do": "status"}))
+                case "commission":
+                    return {"ok": False, "error": "only the service commissions: `greenhouse run`"}
                 case what if what in ASKED_OF_THE_DESK:
                     return self.desk.answer(request)
         except GreenhouseError as error:

@@ -1,10 +1,14 @@
 """`greenhouse run`: the daemon, as the systemd service starts it."""
 
 import argparse
+import os
 from pathlib import Path
+from typing import Any
 
-from edge.app.daemon import Daemon
+from edge.app.commission_button import CommissionDesk
+from edge.app.daemon import REQUESTS_VARIABLE, Daemon
 from edge.app.display import LineDisplay
+from edge.app.nightly_diagnosis import BackgroundProcess
 from edge.app.outlet import standard_output
 from edge.app.systemd import Notifier
 from edge.config import loading as config
@@ -40,19 +44,21 @@ class _Report:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGTERM or Ctrl-C; one line per tick on standard output."""
-    settings = config.load(arguments.config)
-    report = _Report()
-    with (
-        standard_output() as out,
-        Daemon(
-            settings,
-            RealClock(),
-            after_tick=report.tick,
-            config_file=arguments.config,
-            more_sinks=(LineDisplay(out),),
-        ) as daemon,
-    ):
-        daemon.run()
-        report.notifier.stopping()
+    settings, clock, report = config.load(arguments.config), RealClock(), _Report()
+    folder = os.environ.get(REQUESTS_VARIABLE)
+    desk = CommissionDesk(settings, arguments.config, BackgroundProcess(Path(folder) if folder else None))
+    with standard_output() as out:
+        shared: dict[str, Any] = {"config_file": arguments.config, "more_sinks": (LineDisplay(out),)}
+        while True:
+            with Daemon(settings, clock, report.tick, commissioning=desk, **shared) as daemon:
+                daemon.run()
+                if not desk.is_due:
+                    report.notifier.stopping()
+            if not desk.is_due:
+                break
+            desk.make_tests(clock, report.tick, **shared)
+            if desk.is_over:
+                break
+    desk.close()
     report.notifier.close()
     return 0

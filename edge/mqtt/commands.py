@@ -150,6 +150,8 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "release_emergency_stop": _press({"do": "release_emergency_stop"}),
     "clear_trip": _press({"do": "clear_trip"}),
     "follow_schedule": _press({"do": "set_reference", "reference_c": None}),
+    "commission": _press({"do": "commission"}),
+    "end_commissioning": _press({"do": "commission", "end": True}),
     "status": _press({"do": "status"}),
     "ask": _wish,
     "confirm": _proposal,

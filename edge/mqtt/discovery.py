@@ -95,6 +95,7 @@ def _components(settings: Settings, topics: Topics) -> Json:
         _buttons(topics),
         _inputs(topics),
         _wishes(settings, topics),
+        _commissioning(settings, topics),
     )
     rig = settings.mqtt.rig
     # Home Assistant makes ids of names; ours are given, so that a later name does not break a dashboard.
@@ -340,6 +341,32 @@ def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
     }
     # Disabled rather than left out: what stands on a dashboard stays there.
     return {key: {**wish, "enabled_by_default": bool(settings.llm.url)} for key, wish in wishes.items()}
+
+
+def _commissioning(settings: Settings, topics: Topics) -> dict[str, Json]:
+    """Entities to learn a new box; without a description of one they exist and are disabled.
+
+    The switch "Maintenance" pauses the tests.
+    """
+    entities: dict[str, Json] = {
+        what: {
+            "platform": "button",
+            "name": name,
+            "command_topic": topics.command(what),
+            "payload_press": PRESS,
+            "entity_category": "config",
+        }
+        for what, name in {"commission": "Commission", "end_commissioning": "End commissioning"}.items()
+    }
+    entities["commissioning"] = {
+        "platform": "sensor",
+        "name": "Commissioning",
+        "state_topic": topics.commissioning,
+        "value_template": _value("text"),
+        "json_attributes_topic": topics.commissioning,
+        "entity_category": "diagnostic",
+    }
+    return {key: {**own, "enabled_by_default": bool(settings.box.twin)} for key, own in entities.items()}
 
 
 def _value(key: str) -> str:

@@ -42,6 +42,7 @@ STOP = "emergency_stop"
 LANES = ((STOP, "release_emergency_stop"), ("maintenance",))  # a release in the order in which it was given
 EVENTS_WAITING_MAX = 200  # live events while the broker is away; all of them are in the outbox too
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step counts as late
+SHORT = ("ok", "error", "warning", "queued", "proposal", "lines", "commissioning")  # keys of short answers
 WINDOW_RESERVE = 4  # room in the broker's receive window for messages that are not the outbox's
 
 
@@ -67,6 +68,8 @@ class Telemetry:
         self._status_published: LoopStatus | None = None
         self._greet = False
         self._events: deque[Event] = deque(maxlen=EVENTS_WAITING_MAX)
+        self._commissioning: Mapping[str, Any] | None = None  # the newest
+        self._commissioning_published: Mapping[str, Any] | None = None
         self._proposals: deque[Mapping[str, Any]] = deque(maxlen=COMMANDS_WAITING_MAX)
         self._commands: queue.Queue[tuple[str, bytes]] = queue.Queue(COMMANDS_WAITING_MAX)
         self._answers: deque[tuple[str, dict[str, Any]]] = deque(maxlen=COMMANDS_WAITING_MAX)
@@ -107,6 +110,11 @@ class Telemetry:
     def show_proposal(self, proposal: Mapping[str, Any]) -> None:
         """Publish the outcome of an operator's request, whoever asked. The desk's thread calls this."""
         self._proposals.append(proposal)
+        self._wake.set()
+
+    def show_commissioning(self, state: Mapping[str, Any]) -> None:
+        """Publish how far commissioning is, from any thread; only the newest matters."""
+        self._commissioning = state
         self._wake.set()
 
     def faults(self) -> Mapping[str, str]:
@@ -282,6 +290,10 @@ class Telemetry:
             self._publish_state(status_json(status))
         # What has come up meanwhile stays to be done.
         self._greet, self._status_published = self._greet and not greet, status
+        commissioning = self._commissioning
+        if commissioning is not None and (greet or commissioning is not self._commissioning_published):
+            self._publish(self._topics.commissioning, commissioning, qos=1, retain=True)
+            self._commissioning_published = commissioning
         while self._proposals:
             self._publish(self._topics.proposal, self._proposals.popleft(), qos=1)
         while self._events:
@@ -345,9 +357,7 @@ def remove(settings: Settings, timeout_s: float = 10.0) -> None:
 
 
 def _short(answer: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        key: answer[key] for key in ("ok", "error", "warning", "queued", "proposal", "lines") if key in answer
-    }
+    return {key: answer[key] for key in SHORT if key in answer}
 
 
 def _bad_command(what: str, error: str) -> Event:

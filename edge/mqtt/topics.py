@@ -55,10 +55,15 @@ class Topics:
         return f"{self.root}/drift"
 
     @property
+    def commissioning(self) -> str:
+        """How far commissioning is, `phase` and `text`; retained."""
+        return f"{self.root}/commissioning"
+
+    @property
     def retained(self) -> tuple[str, ...]:
         """All that stays at the broker until it is taken away."""
         live = (self.state, self.decision, self.forecast, self.forecasts, self.skill, self.drift)
-        return (self.discovery, self.availability, *live)
+        return (self.discovery, self.availability, *live, self.commissioning)
 
     @property
     def decision(self) -> str:

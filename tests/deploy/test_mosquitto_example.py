@@ -62,6 +62,7 @@ def test_the_rig_home_assistant_and_an_archive_can_do_their_work_and_no_more(bro
             wait_for(lambda: home.objects(f"{ROOT}/state") and home.objects(f"{ROOT}/decision"))
             wait_for(lambda: home.objects("homeassistant/device/greenhouse-1/config"))
             own.show_proposal({"id": "a1"})
+            own.show_commissioning({"phase": "idle", "text": "idle"})
             wait_for(lambda: home.objects(f"{ROOT}/proposal") == [{"id": "a1"}])
             written = Topics.of(configured.mqtt).retained  # each has a line in the file
             wait_for(lambda: all(home.payloads(topic) for topic in written))

@@ -9,7 +9,7 @@ from home_assistant import check_device, check_topic
 
 from bench.support.mqtt_rig import ROOT, ControlLoop, record, settings
 from edge.assistant.requests.desk import PendingRequest, new_id
-from edge.config.settings import ControlSettings, LlmSettings, ReferenceSettings, Settings
+from edge.config.settings import BoxSettings, ControlSettings, LlmSettings, ReferenceSettings, Settings
 from edge.core.controller import LLM
 from edge.core.messages import ForecastSkill
 from edge.mqtt import discovery, states
@@ -128,6 +128,16 @@ def test_wishes_are_switched_off_where_there_is_no_language_model():
 
     assert enabled(CONFIGURED) == {False}
     assert enabled(replace(CONFIGURED, llm=LlmSettings(url="http://localhost/v1", model="m"))) == {True}
+
+
+def test_a_box_that_nobody_described_has_no_button_that_commissions_it():
+    def enabled(rig: Settings) -> set[bool]:
+        components = discovery.device(rig)["components"]
+        keys = ("commission", "end_commissioning", "commissioning")
+        return {components[key]["enabled_by_default"] for key in keys}
+
+    assert enabled(CONFIGURED) == {False}
+    assert enabled(replace(CONFIGURED, box=BoxSettings(twin="twin.yaml"))) == {True}
 
 
 def test_a_proposals_id_can_be_typed_and_nothing_else():

@@ -35,6 +35,8 @@ REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
         ("ask", b"26 by day", {"do": "ask", "words": "26 by day"}),
         ("confirm", b"a1b2c3", {"do": "confirm", "id": "a1b2c3"}),
         ("undo", b"PRESS", {"do": "undo"}),
+        ("commission", b"PRESS", {"do": "commission"}),
+        ("end_commissioning", b"PRESS", {"do": "commission", "end": True}),
         ("why", b"", {"do": "why", "at_utc": None}),
         ("why", b"1767225600.5", {"do": "why", "at_utc": 1767225600.5}),
         ("resend", b'{"first_seq": 3, "last_seq": 9}', {"do": "resend", "first_seq": 3, "last_seq": 9}),
@@ -103,7 +105,8 @@ def test_garbage_is_refused_or_is_an_order_the_loop_understands(what, payload):
         request = parse(what, payload, REFERENCE)
     except RequestError:
         return
-    if request["do"] not in ("status", "clear_trip", "resend", "undo", "why", *ASKED_OF_THE_DESK):
+    others = ("status", "clear_trip", "resend", "undo", "why", "commission")
+    if request["do"] not in (*others, *ASKED_OF_THE_DESK):
         operate(Operation("MPC"), request, desk())
 
 
