@@ -7,6 +7,7 @@
 # make model   edge/models/default_arx.json anew, from 15 runs of the virtual board
 # make firmware  the boards' programs anew, firmware_protocol/hex (avr-gcc)
 # make board-programs  every scenario, and two hours, on the boards' programs in simavr (an hour)
+# make walk-through  from an empty board in simavr to commissioned control, each step a command of the manual (hours)
 # make deb     Debian packages for amd64 and arm64, out/deb
 # make deb-test  installs, upgrades, breaks and removes them in a Debian of their own (root, half an hour and more)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
@@ -15,7 +16,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint docs bench model train firmware board-programs deb deb-test tools clean
+.PHONY: run test quick lint docs bench model train firmware board-programs walk-through deb deb-test tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -49,6 +50,9 @@ firmware: tools
 
 board-programs: $(VENV)/dev.installed tools
 	BOARD_PROGRAMS=all $(BIN)/python -m pytest -n 2 tests/hardware_in_the_loop/test_scenarios.py $(ARGS)
+
+walk-through: $(VENV)/dev.installed tools
+	PYTHONPATH=.:tests/firmware_protocol $(BIN)/python tests/hardware_in_the_loop/walk_through.py $(ARGS)
 
 deb: $(VENV)/edge.installed
 	sh deploy/deb/build.sh $(BIN)/python $(ARGS)

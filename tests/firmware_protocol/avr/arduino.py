@@ -46,6 +46,7 @@ class Arduino:
         self._thread = threading.Thread(target=self._run)
         self.cut_after: int | None = None
         self.events: list[AvrEvent] = []
+        self.eeprom = eeprom  # as the last power failure has left it
 
     def __enter__(self) -> "Arduino":
         self._thread.start()
@@ -57,6 +58,7 @@ class Arduino:
         """The power fails."""
         self._stop.set()
         self._thread.join()
+        self.eeprom = self._avr.eeprom()
         self._port.unplug()
         self._avr.__exit__()
 

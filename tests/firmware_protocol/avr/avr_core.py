@@ -3,7 +3,7 @@
     python -m firmware_protocol.virtual_board --core avr.avr_core:uno ...
 
 Box, faults, clock and socket are those of the virtual board. The environment's AVR_HOST names the simulator's
-program; AVR_BLANK=1 is a board that was never configured.
+program; AVR_BLANK=1 is a board that was never configured, AVR_EEPROM a file with the content of its EEPROM.
 """
 
 import atexit
@@ -124,6 +124,8 @@ class AvrBoots:
         self._host, self._wiring = host, WIRINGS[board]
         self._program = next(HEX.glob(f"{board}-*.hex"))
         configuration = b"" if is_blank else configured(self._wiring, all_parts(self._wiring))
+        if saved := os.environ.get("AVR_EEPROM"):
+            configuration = Path(saved).read_bytes()
         self._eeprom = configuration.ljust(EEPROM_SIZE, b"\xff")
         self._core: AvrCore | None = None
 
