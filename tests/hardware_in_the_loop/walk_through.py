@@ -64,11 +64,11 @@ PARTS = {
     "outputs": {"heater": {"pin": "D22"}, "fan": {"pin": "D23"}, "valve": {"pin": "D24"},
                 "cutoff": {"pin": "D25"}, "led": {"pin": "D6"}},
     "sensors": [
-        {"part": "sht4x", "address": 0x44},
+        {"part": "sht4x", "address": "0x44"},
         {"part": "ds18b20", "pin": "D30", "serial": "28-000000000001"},
         {"part": "ds18b20", "place": "outside", "pin": "D30", "serial": "28-000000000002"},
         {"part": "scd4x"},
-        {"part": "bh1750", "address": 0x23, "full_lux": 40000},
+        {"part": "bh1750", "address": "0x23", "full_lux": 40000},
         {"part": "soil", "pin": "A0", "dry": 620, "wet": 280},
         {"part": "hcsr04", "pin": "D31", "echo": "D11", "empty_mm": 400, "full_mm": 100},
     ],
