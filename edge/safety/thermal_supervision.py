@@ -87,7 +87,8 @@ class ThermalMemory:
     off_s: float = 0.0  # heater off for so long
     fan_on: bool = False
     fan_same_s: float = 0.0  # fan unchanged for so long
-    fan_begin_excess_k: float = 0.0  # air over room when the fan was last switched
+    excess_k: float = 0.0  # air over room at the last look
+    fan_begin_excess_k: float = 0.0  # the same when the fan was last switched
     short: Balance | None = None
     later: Balance | None = None  # the next one, begun half-way: the slow element spoils the first half
     long: Balance | None = None
@@ -129,7 +130,9 @@ def _follow_inputs(memory: ThermalMemory, moment: Observation, box: BoxBounds) -
         off_s=memory.off_s + moment.dt_s if moment.heater_duty == 0.0 else 0.0,
         fan_on=moment.fan_on,
         fan_same_s=moment.dt_s if switched else memory.fan_same_s + moment.dt_s,
-        fan_begin_excess_k=excess if switched else max(excess, memory.fan_begin_excess_k),
+        excess_k=excess,
+        # The fan was switched at the last look: quick air has lost most of its heat to it by now.
+        fan_begin_excess_k=max(excess, memory.excess_k if switched else memory.fan_begin_excess_k),
     )
 
 

@@ -172,6 +172,14 @@ def test_a_fan_must_take_three_tenths_of_the_excess_away(left_share, trip):
     assert (found and found[0]) == trip
 
 
+@pytest.mark.parametrize(("left_k", "trip"), [(10.4, None), (10.6, FAN_NO_EFFECT)])
+def test_what_a_fan_takes_away_within_its_first_step_counts(left_k, trip):
+    # 15 K above the room when it is told on; a light box is cool before the next look.
+    cooled = replace(REST, temp_air=21.0 + left_k, fan_on=True)
+    found = first_trip([replace(REST, temp_air=36.0), *[cooled] * 9])
+    assert (found and found[0]) == trip
+
+
 @pytest.mark.parametrize(("left_k", "trip"), [(17.4, None), (17.6, FAN_NO_EFFECT)])
 def test_cooling_counts_from_the_warmest_air_since_the_fan_was_switched(left_k, trip):
     # 15 K above the room when the fan starts, 25 K a minute later: 0.7 * 25 K may be left.
