@@ -1,9 +1,10 @@
 """The bounds of safety from a box's twin file."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from edge.app.box import bounds_of, box_bounds
@@ -11,7 +12,9 @@ from edge.core.errors import ConfigError
 from edge.safety.box_bounds import PAPER_BOX, unknown_box
 from edge.safety.thermal_supervision import Observation, ThermalMemory, look
 from edge.twin.new_file import BoxDescription, text
-from edge.twin.twin_file import read_twin_file
+from edge.twin.rollout import Commands
+from edge.twin.twin_file import TwinFile, read_twin_file
+from edge.twin.warm_start import at_rest
 
 DIAGNOSED = Path("training/results/paper_case/interpolation/twin.yaml")
 
@@ -64,6 +67,81 @@ def test_a_fan_that_only_stirs_is_never_called_blocked(tmp_path):
         "effects: {wall_loss: {UA: 2.0}, extra_capacity: {kC: 12.0}}\n"
     )
     assert not bounds_of(str(path)).fan_cools
+
+
+def test_a_fan_that_stirs_takes_no_heat_for_sure(tmp_path):
+    file = fitted(tmp_path, "stirred_loss: {G_stir: 6.0}", role="stirring")
+    assert box_bounds(file).fan_min_w_k == 0.0 and not box_bounds(file).fan_cools
+
+
+def test_a_slow_sensor_does_not_make_a_box_heavy(tmp_path):
+    plain, slow = (box_bounds(fitted(tmp_path, own)) for own in ("", "sensor_lag: {tau_s: 240.0}"))
+    # The air that is not shown yet counts as stored: 2 W/K for 240 s are 480 J/K, times the margin.
+    assert plain.capacity_max_j_k < slow.capacity_max_j_k < plain.capacity_max_j_k + 1.1 * 1.5 * 480.0
+    assert slow.capacity_min_j_k < 12.0 * 0.05 * 1207.0  # all that is warmed
+
+
+def test_a_heater_under_the_soil_does_not_make_a_box_heavy(tmp_path):
+    """The box holds 720 J/K of air and cover, warmed through an element of an hour."""
+    found = box_bounds(fitted(tmp_path, "heater_lag: {tau_h: 3600.0}"))
+    assert 720.0 < found.capacity_max_j_k < 100_000.0
+
+
+def test_a_mass_that_two_hours_do_not_warm_keeps_the_settled_loss_out_of_the_bounds(tmp_path):
+    """Soil behind 8 W/K that takes a day: 10 W/K at first, 2 W/K in the end; two hours see the first."""
+    file = fitted(tmp_path, "soil_mass: {C_s: 1000000.0, G_s: 8.0}")
+    found = box_bounds(file)
+    assert found.loss_min_w_k < 10.0 < found.loss_max_w_k
+    assert found.loss_max_w_k < 20.0
+
+
+def test_bounds_fresh_from_two_hours_of_tests_claim_less_loss(tmp_path):
+    file = fitted(tmp_path, "")
+    fresh = replace(file, provenance={"command": "greenhouse commission"})
+    assert box_bounds(fresh).loss_min_w_k < 0.7 * box_bounds(file).loss_min_w_k
+    assert box_bounds(fresh).loss_max_w_k == box_bounds(file).loss_max_w_k
+
+
+@pytest.mark.parametrize("fan", [0.0, 1.0])
+@pytest.mark.parametrize(
+    "effect",
+    ["", "soil_mass: {C_s: 60000.0, G_s: 6.0}", "heater_lag: {tau_h: 1800.0}", "sensor_lag: {tau_s: 200.0}"],
+)
+def test_a_healthy_box_that_cools_from_a_long_hold_is_not_blamed(tmp_path, effect, fan):
+    file = fitted(tmp_path, effect)
+    bounds, twin = box_bounds(file), file.twin()
+    steps = np.zeros((1, 600))
+    air = twin.rollout(
+        at_rest(twin, 38.0, 20.0), steps, steps + fan, 20.0, before=Commands(steps + 0.9, steps)
+    )[0]
+    memory, _ = look(ThermalMemory(), Observation(60.0, 38.0, 20.0, 0.9, False, 0.0), bounds)
+    for value in air.tolist():
+        memory, found = look(memory, Observation(60.0, value, 20.0, 0.0, fan > 0.0, 0.0), bounds)
+        assert found == ()
+
+
+@pytest.mark.parametrize("effect", ["", "soil_mass: {C_s: 60000.0, G_s: 1.0}", "sensor_lag: {tau_s: 200.0}"])
+def test_a_relay_that_sticks_while_the_rig_is_off_is_still_named(tmp_path, effect):
+    file = fitted(tmp_path, effect)
+    bounds, twin = box_bounds(file), file.twin()
+    steps = np.ones((1, 120))
+    air = twin.rollout(at_rest(twin, 20.0, 20.0), steps, 0.0 * steps, 20.0)[0]
+    memory, named = ThermalMemory(), []
+    for minute, value in enumerate(air.tolist(), 1):
+        memory, found = look(memory, Observation(60.0, value, 20.0, 0.0, False, 0.0), bounds)
+        named += [(minute, fault.trip) for fault in found]
+    assert named and named[0][1] == "heater_stuck_on" and named[0][0] <= 61
+
+
+def fitted(folder: Path, effects: str, role: str = "exhaust") -> TwinFile:
+    """Return a box of 50 litres and 40 W whose walls lose 2 W/K, with one more effect."""
+    path = folder / "fitted.yaml"
+    path.write_text(
+        "geometry: {volume_m3: 0.05, heater_max_w: 40.0, fan_max_m3_s: 0.004}\n"
+        f"fan_role: {role}\n"
+        f"effects: {{wall_loss: {{UA: 2.0}}, extra_capacity: {{kC: 12.0}}, {effects}}}\n"
+    )
+    return read_twin_file(path)
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
