@@ -154,7 +154,7 @@ def drive(facts: BoxFacts, seed: int, name: str, found: Commissioned, reference:
         instead: list[Controller] = []
         if base == "PID":
             cools = facts.fan == "exchange"
-            courses = [_course(_reference(facts, tuning, folder)) for tuning in TUNING]
+            courses = tuning_courses(facts, folder)
             known = facts.room_sensor is not None
             room_c = found.expectation.room_c if known else settings.control.ambient_default_c
             instead = [tune_pid(found.twin.twin(), room_c, courses, cools)]
@@ -224,6 +224,11 @@ def left_k(towards_k: Floats) -> float:
 
 def _is_before(place: Ints, k: int) -> NDArray[np.bool_]:
     return np.asarray((place >= k - EXCURSION_MIN) & (place < k))
+
+
+def tuning_courses(facts: BoxFacts, folder: Path) -> list[Floats]:
+    """Return the references by step on which a PID is tuned [°C]. folder : of a scratch file"""
+    return [_course(_reference(facts, tuning, folder)) for tuning in TUNING]
 
 
 def _course(path: Path) -> Floats:
