@@ -6,10 +6,11 @@ from pathlib import Path
 from edge.app import controllers as registry
 from edge.assistant.llm.language_model import LanguageModel
 from edge.bundle.keeper import BundleKeeper, Serving
+from edge.bundle.manifest import PACKAGED
 from edge.bundle.store import LoadedBundle
 from edge.bundle.trial import rival_rows
 from edge.config.settings import ControlSettings, Settings
-from edge.core.controller import EXTERNAL, MPC_TWIN, NEED_A_MODEL, NEED_NO_MODEL, Controller
+from edge.core.controller import AUTO, EXTERNAL, MPC, MPC_TWIN, NEED_A_MODEL, NEED_NO_MODEL, Controller
 from edge.core.errors import ConfigError
 from edge.core.messages import Command, Decision
 from edge.core.predictor import Columns, Predictor
@@ -77,6 +78,18 @@ class ActiveModels:
         """The active bundle's; None where it has no physics model."""
         model = _active(self._serving).get("pbm")
         return model.twin if isinstance(model, Pbm) else None
+
+    def first_controller(self) -> tuple[str, str]:
+        """Return who controls a rig on which nobody has chosen, and why.
+
+        The packaged twin is of another box, so MPC-Twin-P is for a bundle that was installed.
+        """
+        if self._control.controller != AUTO:
+            return self._control.controller, "control.controller"
+        bundle = _bundle(self._serving)
+        if bundle is not None and bundle.name != PACKAGED and self.twin is not None:
+            return MPC_TWIN[-1], f"bundle {bundle.name} has a twin"
+        return MPC[1], "no bundle with a twin of this rig is active"
 
     def controllers(self) -> dict[str, Controller]:
         """All that can decide with these models, by name."""

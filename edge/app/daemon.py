@@ -124,12 +124,14 @@ class Daemon:
             reason = settings.unready(self.experiment)
             step_s = settings.control.step_s
             raise ConfigError(f"control: {reason or f'{self.experiment} needs a model for {step_s:g} s'}")
-        standing = restore(STANDING, settings)
+        first, why = models.first_controller()
+        standing, chosen = restore(STANDING, settings), ""
         # An experiment may lack models that its rig has, so the orders that come back after it are these.
         ordered = standing.operation
+        settings = replace(settings, control=replace(settings.control, controller=first))
         if standing.operation.controller not in controllers:  # chosen when the rig had a model
-            chosen = replace(standing.operation, controller=settings.control.controller)
-            standing = replace(standing, operation=chosen)
+            standing = replace(standing, operation=replace(standing.operation, controller=first))
+            chosen = f"{first} controls: {why}"
         inbox = Inbox()
         stack.callback(inbox.close)
         desk = self._desk(inbox, models, llm)
@@ -190,6 +192,8 @@ class Daemon:
         stack.callback(loop.close)
         if standing.broken:
             loop.note("state.broken", standing.broken)
+        if chosen:
+            loop.announce("controller.chosen", chosen)
         if self.commissioning is not None:
             self.commissioning.serve(self.stop, show_commissioning)
         return loop

@@ -5,7 +5,7 @@ from datetime import time
 from itertools import pairwise
 
 from edge.core import hard_limits as hard
-from edge.core.controller import CONTROLLERS, EXTERNAL, LLM, MPC, RULES
+from edge.core.controller import AUTO, CONTROLLERS, EXTERNAL, LLM, MPC, RULES
 from edge.formats.cross_check import Section, clock, flag, items, number, text, whole
 
 URL = r"(https?://[^\s/]+(/\S*)?)?"
@@ -81,7 +81,12 @@ class ControlSettings(Section):
     """The loop and its controller."""
 
     step_s: float = number(60.0, "control step", "s", hard.STEP_MIN_S, hard.STEP_MAX_S, hard=True)
-    controller: str = text("MPC-P", "controller at the first start", CONTROLLERS)
+    controller: str = text(
+        AUTO,
+        "controller at the first start; auto: MPC-Twin-P where the active bundle was installed and has a "
+        "twin, else MPC-P",
+        (*CONTROLLERS, AUTO),
+    )
     fallback: str = text("MPC", "decides when the chosen one fails; when it fails too, rules", FALLBACKS)
     horizon: int = whole(10, "steps an MPC looks ahead", 1, 60)
     tail: int = whole(

@@ -12,6 +12,7 @@ from edge.core.messages import Command, Decision, Estimate
 from edge.core.names import HEATER_MAX_W
 
 RULES, PID, EXTERNAL = "rules", "PID", "external"
+AUTO = "auto"  # the best that the rig's models allow
 MPC = ("MPC", "MPC-P", "MPC-BFGS", "MPC-BFGS-P")
 MPC_TWIN = ("MPC-Twin", "MPC-Twin-P")  # plan with the twin of a bundle
 RL = ("RL-Off", "RL-Off-P", "RL-On-P", "RL-Tr-P")

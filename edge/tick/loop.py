@@ -115,6 +115,10 @@ class Loop:
         """Note a failure of the table that was found at start."""
         self._conditions.set(key, True, self._rig.clock.now(), self._rig.clock.utc(), detail)
 
+    def announce(self, key: str, text: str) -> None:
+        """Emit an event about the start, with the first tick."""
+        self._tell(key, Severity.INFO, text, self._rig.clock.now())
+
     def close(self) -> None:
         """End the decision thread; can be called twice."""
         self._decider.close()

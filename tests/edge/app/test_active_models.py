@@ -1,17 +1,24 @@
 """Which predictor a configuration gets, and which is refused."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from edge.__main__ import main
-from edge.app.active_models import configured_model
+from edge.app.active_models import ActiveModels, configured_model
 from edge.app.daemon import Daemon
+from edge.bundle.keeper import Serving
+from edge.bundle.predictors import loader
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config
-from edge.config.settings import ControlSettings
+from edge.config.settings import ControlSettings, Settings
 from edge.core.clock import RealClock
 from edge.core.errors import ConfigError, DataError
+from edge.forecasts.skill import SkillState
 from edge.formats.atomic_file import write_document
 from edge.models.arx_file import DEFAULT_PATH, read_arx, write_arx
 from edge.models.persistence import Persistence
@@ -105,6 +112,45 @@ def test_a_controller_chosen_when_there_was_a_model_gives_way_to_the_configured_
         standing = daemon._loop.status().operation
     assert standing.controller == "rules"
     assert standing.reference_c == 27.0
+
+
+def models_of(bundle: str, **control: Any) -> ActiveModels:
+    """Models of a rig whose active bundle is the packaged one under a name; it has a twin."""
+    packaged = BundleStore(Path("none"), Path("none"), loader(60.0)).load_folder(PACKAGED_FOLDER, bundle)
+    settings = Settings(control=ControlSettings(**control))
+    return ActiveModels(settings, SimpleNamespace(serving=Serving(packaged)), SkillState())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("bundle", "control", "first", "why"),
+    [
+        ("packaged", {}, "MPC-P", "no bundle with a twin of this rig"),
+        ("2026.1", {}, "MPC-Twin-P", "bundle 2026.1 has a twin"),
+        ("2026.1", {"controller": "PID"}, "PID", "control.controller"),
+    ],
+)
+def test_a_twin_of_this_rig_controls_it_unless_another_is_configured(
+    bundle: str, control: dict[str, str], first: str, why: str
+) -> None:
+    name, reason = models_of(bundle, **control).first_controller()
+    assert name == first and reason.startswith(why)
+
+
+def test_an_installed_bundle_without_a_twin_leaves_the_rig_to_the_arx() -> None:
+    models = models_of("2026.1")
+    bundle = models._serving.active  # type: ignore[union-attr]
+    without = {name: model for name, model in bundle.predictors.items() if name != "pbm"}
+    models._serving = Serving(replace(bundle, predictors=without))
+    assert models.first_controller()[0] == "MPC-P"
+
+
+def test_the_first_start_says_who_controls(tmp_path: Path) -> None:
+    text = PLACES.replace("control: {{step_s: 5, controller: rules}}", "bundle: {{path: {folder}/bundles}}")
+    with Daemon(config.parse(text.format(folder=tmp_path)), RealClock()) as daemon:
+        assert daemon._loop is not None
+        assert daemon._loop.status().operation.controller == "MPC-P"
+        (event,) = daemon._loop._events.take()
+    assert event.key == "controller.chosen" and event.text.startswith("MPC-P controls: no bundle")
 
 
 def test_an_experiment_with_a_controller_that_needs_a_model_is_refused(tmp_path: Path) -> None:

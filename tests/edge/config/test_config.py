@@ -246,6 +246,6 @@ def test_each_changed_key_is_named_with_both_values():
     settings = config.parse('control: {step_s: 30, controller: rules}\nlighting: {on: "07:30"}\n')
     assert list(changed_keys(settings, Settings())) == [
         ("control.step_s", "60.0", "30.0"),
-        ("control.controller", '"MPC-P"', '"rules"'),
+        ("control.controller", '"auto"', '"rules"'),
         ("lighting.on", '"06:00"', '"07:30"'),
     ]
