@@ -67,7 +67,7 @@ fill_system() {
     install -D -m 0644 "$deploy/greenhouse.tmpfiles" "$root/usr/lib/tmpfiles.d/greenhouse.conf"
     install -D -m 0644 "$here/edge.yaml" "$root/etc/greenhouse/edge.yaml"
     install -D -m 0644 -t "$doc" "$deploy/README.md" "$deploy/edge.example.yaml" "$source/CHANGELOG.md"
-    install -D -m 0644 -t "$doc/examples" "$deploy"/mosquitto.*.example "$deploy/board.example.yaml"
+    install -D -m 0644 -t "$doc/examples" "$deploy"/mosquitto.*.example "$deploy"/board.*example.yaml
     { cat "$here/copyright" && sed 's/^$/./; s/^/ /' "$source/LICENSE"; } >"$doc/copyright"
     install -D -m 0644 "$here/lintian-overrides" "$root/usr/share/lintian/overrides/greenhouse"
     {
