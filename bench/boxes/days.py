@@ -136,7 +136,7 @@ def measure(box: int, days: float, twins: Path | None) -> BoxDays:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rig:
-    """What pilots of one box share."""
+    """Parts that the pilots of one box share."""
 
     facts: BoxFacts
     twin: TwinFile

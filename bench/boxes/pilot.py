@@ -87,7 +87,7 @@ class Pilot:
     def tick(self, now_s: float, air_c: Sequence[float], room_c: Sequence[float] | None) -> None:
         """Read the samples of the step that has passed, decide, and let safety have its say."""
         self.hottest_c = max(self.hottest_c, air_c[-1])
-        samples = self._samples(now_s, self._shown(now_s, air_c), room_c)
+        samples = self._samples(now_s, self._show(now_s, air_c), room_c)
         readings = self._health.readings(samples, now_s, self.sent)
         air = readings["temp_air"]
         is_good = air.quality is ReadingQuality.GOOD and air.value is not None
@@ -104,7 +104,7 @@ class Pilot:
         self._memory, self.sent = verdict.memory, verdict.sent
         self.alarms += [(now_s, event.key) for event in verdict.events]
 
-    def _shown(self, now_s: float, air_c: Sequence[float]) -> Sequence[float]:
+    def _show(self, now_s: float, air_c: Sequence[float]) -> Sequence[float]:
         if now_s <= self.task.fault_s:
             return air_c
         if self.task.fault == "sensor_stuck":
