@@ -10,13 +10,14 @@
 # make walk-through  from an empty board in simavr to commissioned control, each step a command of the manual (hours)
 # make deb     Debian packages for amd64 and arm64, out/deb
 # make deb-test  installs, upgrades, breaks and removes them in a Debian of their own (root, half an hour and more)
+# make boot-test  boots an arm64 machine in qemu and tries the package on it: power cuts, watchdog, an hour (root, hours)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint docs bench model train firmware board-programs walk-through deb deb-test tools clean
+.PHONY: run test quick lint docs bench model train firmware board-programs walk-through deb deb-test boot-test tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -59,6 +60,10 @@ deb: $(VENV)/edge.installed
 
 deb-test: $(VENV)/dev.installed
 	sh tests/deploy/deb_all.sh $(BIN)/python
+
+boot-test: $(VENV)/dev.installed tools
+	sh deploy/deb/build.sh $(BIN)/python arm64
+	PYTHONPATH=$(CURDIR) $(BIN)/python tests/deploy/boot_test.py out/deb/greenhouse_*_arm64.deb $(ARGS)
 
 $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)

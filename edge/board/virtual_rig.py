@@ -15,7 +15,7 @@ from edge.core.errors import GreenhouseError
 
 BOARD = "board"  # name of its port
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, linux/prctl.h
-START_PATIENCE_S = 20.0  # real time; a single-board computer imports slowly
+START_PATIENCE_S = 60.0  # real time; a single-board computer that unpacks a package meanwhile imports slowly
 
 
 @dataclass(frozen=True, slots=True)

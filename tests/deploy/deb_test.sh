@@ -1,25 +1,16 @@
 #!/bin/sh
 # Installs, upgrades, breaks, removes and purges the Debian package in a Debian 12 of its own, without a network.
-# usage: deb_test.sh DEB [boot|chroot]   root's; packages: debootstrap, and for boot systemd-container, for another
-#   architecture than the machine's qemu-user-static. `boot` (default) has a running systemd, `chroot` has none.
-# The tree of Debian is made once and kept in out/deb-test.
+# usage: deb_test.sh DEB [boot|chroot]   root's; packages: those of debian.sh, and for boot systemd-container.
+#   `boot` (default) has a running systemd, `chroot` has none.
 set -eu
 deb=$(realpath "${1:?usage: deb_test.sh DEB [boot|chroot]}") mode="${2:-boot}"
 source=$(cd "$(dirname "$0")/../.." && pwd)
 arch=$(dpkg-deb -f "$deb" Architecture) version=$(dpkg-deb -f "$deb" Version)
-base="$source/out/deb-test/debian-$arch.tar"
+mkdir -p "$source/out/deb-test"
+base=$(sh "$source/tests/deploy/debian.sh" "$arch")
 work=$(mktemp -d -p "$source/out/deb-test") root="$work/root" passed=0 nspawn="" pid1=""
 
 # the Debian that it is tried in
-
-make_base() {
-    [ -e "$base" ] && return
-    mkdir -p "${base%/*}"
-    debootstrap --arch="$arch" --variant=minbase --include=python3,systemd-sysv,udev,kmod,libstdc++6 \
-        bookworm "$work/base" >"$work/debootstrap.log" || { cat "$work/debootstrap.log" && return 1; }
-    rm -f "$work"/base/var/cache/apt/archives/*.deb
-    tar -C "$work/base" -cf "$base.new" . && mv "$base.new" "$base"
-}
 
 start() {
     mkdir "$root"
@@ -181,7 +172,6 @@ with_systemd() {
 case "$mode" in boot | chroot) ;; *) echo "deb_test.sh: $mode: boot or chroot" >&2 && exit 2 ;; esac
 [ "$(id -u)" = 0 ] || { echo "deb_test.sh: must be run as root" >&2 && exit 1; }
 echo "greenhouse_${version}_$arch.deb in a Debian 12, $mode"
-make_base
 make_variants
 start
 if [ "$mode" = chroot ]; then without_systemd; else with_systemd; fi
