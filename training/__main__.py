@@ -127,7 +127,11 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
         "--llm-url", default="", help="endpoint of the LLM controllers (usual: the scripted stand-in)"
     )
     sub.add_argument("--llm-model", default="stand-in", help="its model (usual: the scripted stand-in)")
-    sub.add_argument("--kept", action="store_true", help="run nothing, take what is kept")
+    sub.add_argument(
+        "--kept",
+        action="store_true",
+        help="run nothing, take what is kept; with --beside-kept the tables are made anew from the figures",
+    )
     sub.add_argument(
         "--beside-kept",
         action="store_true",

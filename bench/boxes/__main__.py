@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +45,7 @@ from edge.twin.new_file import BoxDescription, text
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
 from training.control.draw_references import FOLDER
+from training.control.figures import cycles, left_k
 from training.control.tune import CASES
 from training.lab import InProcessBoard, Lab
 
@@ -62,7 +62,6 @@ TUNING = tuple(name for name, _ in CASES)
 ANY_K = 20.0
 SAMPLE_S, STEP_S = 5.0, 60.0
 EXCURSION_MIN = 15  # before a step of the reference
-CYCLE, CYCLE_DUTY = 10, 0.5  # steps, of full heat
 WARM_UP_S = 600.0  # that no controller can help
 
 
@@ -191,7 +190,7 @@ def _row(name: str, lab: Lab, seen: Floats, heater_w: float) -> BoxRow:
         float(np.abs(error).mean()),
         max(before, default=0.0),
         len(starts),
-        sum(_is_cycle(duty, reference, *pair) for pair in pairwise(starts.tolist())),
+        cycles(duty, fan, reference),
         float(duty.sum()) * heater_w * STEP_S / 3600.0,
     )
 
@@ -206,20 +205,6 @@ def _reference(facts: BoxFacts, name: str, folder: Path) -> Path:
         "\n".join(["time_s,reference_c", *(f"{time:g},{value:.3f}" for time, value in rows)]) + "\n"
     )
     return path
-
-
-def _is_cycle(duty: Floats, reference: Floats, last: int, start: int) -> bool:
-    calm = np.abs(np.diff(reference[last : start + EXCURSION_MIN])).max(initial=0.0) <= 1.0
-    return bool(start - last <= CYCLE and calm and duty[last:start].max() >= CYCLE_DUTY)
-
-
-def left_k(towards_k: Floats) -> float:
-    """Return how far the air left the reference in one direction, at most [K].
-
-    towards_k [N] : error in that direction; air on its way back from further out has not left it again
-    """
-    nearest = np.maximum(np.minimum.accumulate(towards_k), 0.0)
-    return float((towards_k - nearest).max(initial=0.0))
 
 
 def _is_before(place: Ints, k: int) -> NDArray[np.bool_]:

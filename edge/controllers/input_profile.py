@@ -6,7 +6,10 @@ from edge.formats.profile_file import Profile
 
 
 class InputProfile:
-    """Commands of a profile with `heater_duty, fan_on[, light]`; its time 0 is the first decision."""
+    """Commands of a profile with `heater_duty, fan_on[, light]`; its time 0 is the first decision.
+
+    A fraction of `fan_on` is the share of each step in which the fan is on.
+    """
 
     name = "profile"
 
@@ -24,5 +27,6 @@ class InputProfile:
         # Ticks begin some milliseconds late, rows stand on the grid.
         steps = round((context.now_s - self._start_s) / context.step_s)
         row = self._profile.at(steps * context.step_s)
-        command = Command(row["heater_duty"], row["fan_on"] == 1.0, row.get("light", 0.0))
+        fan = row["fan_on"]
+        command = Command(row["heater_duty"], fan > 0.0, row.get("light", 0.0), fan_share=fan or 1.0)
         return Decision(command, self.name, why={"profile_time_s": steps * context.step_s})

@@ -1,18 +1,24 @@
 """The best that is possible: a beam search on the chamber itself, its future and the reference's known.
 
-Every node is a whole chamber. Its 42 commands are stood for by six, three duties with the fan off and on:
-between them the state a minute later is a parabola in the duty (tests/training/test_control_clairvoyant.py).
+Every node is a whole chamber. Its 21 duties are represented by three for each time that the fan may be on:
+between them the state a minute later is a parabola in the duty (tests/training/control).
 Steps of 5 s are taken in the search; the plan's cost is then worked out in the chamber's own, and run.
+
+What a controller may know and do limits its clairvoyant too: `early_k` is how far the air may leave the
+reference before a step of it, and `held_plan` takes the present reference for all that comes.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from copy import deepcopy
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
+from edge.controllers.mpc_twin import EARLY_WEIGHT, band_before_steps, fan_shares
+from edge.core.controller import ControlLimits
 from edge.core.names import HEATER_LEVELS
 from firmware_protocol.virtual_board.board_config import PWM_SLOTS
 from training.control.chamber_rows import BoxStates, ChamberRows
@@ -22,29 +28,42 @@ Ints = NDArray[np.int64]
 Target = Literal["true", "sensor"]  # the air's mean; what the air's sensor would show without noise and steps
 FINE_S, COARSE_S = 1.0, 5.0  # the chamber's own step; the search's
 PROBED = (0, HEATER_LEVELS // 2, HEATER_LEVELS)  # levels
-WIDTH = 600  # nodes kept
+WIDTH = 400  # nodes kept
 KIND_K = 0.5  # nodes whose elements are closer than this are of one kind: a level held for a quarter minute
 LEAST_WEIGHT = 1e-6  # of two plans that track alike the one that spends less
+AHEAD_STEPS, AGAIN_STEPS = 20, 5  # of a plan for the present reference, and when it is made anew
 _SHARES = np.arange(HEATER_LEVELS + 1) / HEATER_LEVELS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceCourse:
-    """The course to follow. reference : [N], after each step [degC]; begin_s : of the first step"""
+    """The course to follow.
+
+    reference : [N], after each step [degC]; begin_s : of the first step
+    early_k : the air leaves the reference by no more before a step of it [K]
+    whole : the fan is off or on for all of a step
+    """
 
     reference: Floats
     begin_s: float
     step_s: float
     weight: float
     target: Target
+    early_k: float = np.inf
+    whole: bool = False
+
+    @property
+    def fans(self) -> Floats:
+        """Shares of a step for which the fan can be on, from 0 to 1: those of MPC-Twin."""
+        return np.array([0.0, 1.0] if self.whole else fan_shares(self.step_s, ControlLimits()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedCommands:
-    """Commands [N], and what they cost by the chamber's own steps."""
+    """Commands [N], fan as share of the step, and what they cost by the chamber's own steps."""
 
     levels: Ints
-    fan: Ints
+    fan: Floats
     cost: float
 
 
@@ -53,38 +72,75 @@ def best_plan(
 ) -> PlannedCommands:
     """Find the cheapest plan. fresh : the chamber anew, as its future can be asked but once"""
     chamber = fresh()
-    boxes = _idle(chamber, course)
-    cost, level, trace = np.zeros(1), np.zeros(1, dtype=np.int64), []
-    for k, reference in enumerate(course.reference):
+    boxes, level = _idle(chamber, course), np.zeros(1, dtype=np.int64)
+    levels, fan = _search(chamber, boxes, level, course, width, kind_k)
+    return PlannedCommands(levels, fan, plan_cost(fresh(), course, levels, fan))
+
+
+def held_plan(
+    fresh: Callable[[], ChamberRows], course: ReferenceCourse, width: int = WIDTH // 4
+) -> PlannedCommands:
+    """Find the plan of one that knows all but the coming reference, and takes the present one to stay."""
+    chamber = fresh()
+    boxes, before = _idle(chamber, course), np.zeros(1, dtype=np.int64)
+    levels, fans = np.zeros(len(course.reference), dtype=np.int64), np.zeros(len(course.reference))
+    made = -AGAIN_STEPS
+    for k, now in enumerate(course.reference):
         begin_s = course.begin_s + k * course.step_s
-        probes = _probe(chamber, boxes, level, begin_s, course.step_s)
-        target = _interpolate(_target(chamber, probes, course).reshape(-1, 2, len(PROBED)))
-        element = _interpolate(probes.temps[0].reshape(-1, 2, len(PROBED)))
-        effort = _SHARES**2 + np.array([[0.0], [1.0]])
-        total = cost[:, None, None] + TRACKING_WEIGHT * (target - reference) ** 2
-        total += max(course.weight, LEAST_WEIGHT) * effort
-        kept = _cheapest(total, element, width, kind_k)
-        parent, fan, level = np.unravel_index(kept, total.shape)
-        trace.append((parent, fan, level))
-        boxes, cost = _children(probes, parent, fan, level), total.ravel()[kept]
-    levels, fans = _trace_back(trace, int(np.argmin(cost)))
+        if k - made >= AGAIN_STEPS or now != course.reference[k - 1]:
+            made, view = k, replace(course, reference=np.full(AHEAD_STEPS, now), begin_s=begin_s)
+            ahead = _search(deepcopy(chamber), boxes, before, view, width, KIND_K)
+        levels[k], fans[k] = ahead[0][k - made], ahead[1][k - made]
+        boxes = _minute(chamber, boxes, begin_s, course.step_s, levels[k : k + 1], fans[k], before)
+        before = levels[k : k + 1]
     return PlannedCommands(levels, fans, plan_cost(fresh(), course, levels, fans))
 
 
-def plan_cost(chamber: ChamberRows, course: ReferenceCourse, levels: Ints, fan: Ints) -> float:
+def _search(
+    chamber: ChamberRows, boxes: BoxStates, level: Ints, course: ReferenceCourse, width: int, kind_k: float
+) -> tuple[Ints, Floats]:
+    """Return levels and fan [N] of the cheapest plan. boxes, level : one box, and its level until now"""
+    cost, trace, fans = np.zeros(1), [], course.fans
+    low, high = band_before_steps(course.reference, course.early_k, 0)
+    for k, reference in enumerate(course.reference):
+        begin_s = course.begin_s + k * course.step_s
+        probes = _probe(chamber, boxes, level, begin_s, course.step_s, fans)
+        target = _interpolate(_target(chamber, probes, course), len(fans))
+        element = _interpolate(probes.temps[0], len(fans))
+        total = cost[:, None, None] + TRACKING_WEIGHT * (target - reference) ** 2
+        total += EARLY_WEIGHT * np.maximum(np.maximum(target - high[k], low[k] - target), 0.0) ** 2
+        total += max(course.weight, LEAST_WEIGHT) * (_SHARES**2 + fans[:, None])
+        kept = _cheapest(total, element, width, kind_k)
+        parent, fan, level = np.unravel_index(kept, total.shape)
+        trace.append((parent, fan, level))
+        boxes, cost = _children(probes, parent, fan, level, len(fans)), total.ravel()[kept]
+    levels, places = _trace_back(trace, int(np.argmin(cost)))
+    return levels, fans[places]
+
+
+def plan_cost(chamber: ChamberRows, course: ReferenceCourse, levels: Ints, fan: Floats) -> float:
     """Return the paper's cost of a plan by the chamber's own steps."""
     boxes, cost = _idle(chamber, course), 0.0
     before = np.append(0, levels[:-1])
     for k, reference in enumerate(course.reference):
         begin_s = course.begin_s + k * course.step_s
-        for second in range(round(course.step_s / FINE_S)):
-            asked_before = before[k : k + 1] if second == 0 else None
-            on = relay_share(begin_s + second * FINE_S, FINE_S, levels[k : k + 1], asked_before)
-            boxes = chamber.step(boxes, begin_s + second * FINE_S, FINE_S, on, fan[k : k + 1].astype(float))
+        asked, asked_before = levels[k : k + 1], before[k : k + 1]
+        boxes = _minute(chamber, boxes, begin_s, course.step_s, asked, fan[k], asked_before)
         error = float(_target(chamber, boxes, course)[0]) - reference
         cost += TRACKING_WEIGHT * error**2
         cost += course.weight * float((levels[k] / HEATER_LEVELS) ** 2 + fan[k])
     return cost
+
+
+def _minute(
+    chamber: ChamberRows, box: BoxStates, begin_s: float, step_s: float, level: Ints, fan: float, before: Ints
+) -> BoxStates:
+    """One box a step later, by the chamber's own steps. level, before : [1], of this step and the last"""
+    for second in range(round(step_s / FINE_S)):
+        time_s = begin_s + second * FINE_S
+        on = relay_share(time_s, FINE_S, level, before if second == 0 else None)
+        box = chamber.step(box, time_s, FINE_S, on, np.array([float(second * FINE_S < fan * step_s)]))
+    return box
 
 
 def relay_share(time_s: float, length_s: float, levels: Ints, before: Ints | None = None) -> Floats:
@@ -108,16 +164,18 @@ def _idle(chamber: ChamberRows, course: ReferenceCourse) -> BoxStates:
     return boxes
 
 
-def _probe(chamber: ChamberRows, boxes: BoxStates, before: Ints, begin_s: float, step_s: float) -> BoxStates:
-    """[M * 2 * 3]: each box a step later, by fan and probed level. before : levels that led to the boxes"""
+def _probe(
+    chamber: ChamberRows, boxes: BoxStates, before: Ints, begin_s: float, step_s: float, fans: Floats
+) -> BoxStates:
+    """[M * F * 3]: each box a step later, by fan and probed level. before : levels that led to the boxes"""
     count = len(boxes.fan)
-    boxes = boxes.of(np.repeat(np.arange(count), 2 * len(PROBED)))
-    fan = np.tile(np.repeat([0.0, 1.0], len(PROBED)), count)
-    levels, before = np.tile(PROBED, 2 * count), np.repeat(before, 2 * len(PROBED))
+    boxes = boxes.of(np.repeat(np.arange(count), len(fans) * len(PROBED)))
+    runs_s = step_s * np.tile(np.repeat(fans, len(PROBED)), count)
+    levels, before = np.tile(PROBED, len(fans) * count), np.repeat(before, len(fans) * len(PROBED))
     for part in range(round(step_s / COARSE_S)):
         time_s = begin_s + part * COARSE_S
         on = relay_share(time_s, COARSE_S, levels, before if part == 0 else None)
-        boxes = chamber.step(boxes, time_s, COARSE_S, on, fan)
+        boxes = chamber.step(boxes, time_s, COARSE_S, on, (part * COARSE_S < runs_s).astype(float))
     return boxes
 
 
@@ -125,9 +183,9 @@ def _target(chamber: ChamberRows, boxes: BoxStates, course: ReferenceCourse) -> 
     return chamber.air(boxes) if course.target == "true" else chamber.reading(boxes)
 
 
-def _interpolate(probes: Floats) -> Floats:
-    """[M, 2, 3] at the probed levels as [M, 2, 21] at all."""
-    return probes @ lagrange(_SHARES).T
+def _interpolate(probes: Floats, fans: int) -> Floats:
+    """[M * F * 3] at the probed levels as [M, F, 21] at all."""
+    return probes.reshape(-1, fans, len(PROBED)) @ lagrange(_SHARES).T
 
 
 def lagrange(share: Floats) -> Floats:
@@ -141,7 +199,8 @@ def lagrange(share: Floats) -> Floats:
 def _cheapest(total: Floats, element: Floats, width: int, kind_k: float) -> Ints:
     """Places of the cheapest child of each kind (element and fan), the `width` cheapest of them."""
     kinds = np.rint(element / kind_k).astype(np.int64)
-    kinds = 2 * (kinds - kinds.min()) + np.array([[[0], [1]]])
+    kinds = 2 * (kinds - kinds.min())
+    kinds[:, -1] += 1  # a fan that is on at the end makes another kind
     cheapest_last = np.argsort(-total, axis=None, kind="stable")
     best = np.full(int(kinds.max()) + 1, -1)
     best[kinds.ravel()[cheapest_last]] = cheapest_last  # of one kind the last, the cheapest, stays
@@ -149,13 +208,16 @@ def _cheapest(total: Floats, element: Floats, width: int, kind_k: float) -> Ints
     return np.asarray(best[np.argsort(total.ravel()[best], kind="stable")[:width]])
 
 
-def _children(probes: BoxStates, parent: Ints, fan: Ints, level: Ints) -> BoxStates:
-    """Return the boxes of the chosen children, by the parabola through their three probes."""
+def _children(probes: BoxStates, parent: Ints, fan: Ints, level: Ints, fans: int) -> BoxStates:
+    """Return the boxes of the chosen children, by the parabola through their three probes.
+
+    parent, fan, level : places, of `fans` for the fan
+    """
     weights = lagrange(level / HEATER_LEVELS)
     parts = []
     for field in fields(BoxStates):
         values = getattr(probes, field.name)
-        values = values.reshape(*values.shape[:-1], -1, 2, len(PROBED))[..., parent, fan, :]
+        values = values.reshape(*values.shape[:-1], -1, fans, len(PROBED))[..., parent, fan, :]
         parts.append((values * weights).sum(axis=-1))
     return BoxStates(*parts)
 

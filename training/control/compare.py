@@ -36,6 +36,7 @@ from training.control.comparison import (
     column,
     first_change,
     json_of,
+    parts_table,
     read_results,
     read_times,
     references_of,
@@ -55,7 +56,7 @@ from training.llm_stand_in.server import StandIn
 from training.reports.comparison_report import read_findings, words_as_html
 
 Floats = NDArray[np.float64]
-OURS = ("MPC-Twin", "MPC-Twin-P", *SPARING)
+OURS = ("MPC-Twin/early", "MPC-Twin-P/early", *SPARING)
 FAMILIES = {  # beginning of a name -> marker, colour
     "clairvoyant": ("*", "black"), "rules": ("P", "tab:gray"), "PID": ("D", "tab:brown"),
     "MPC-BFGS": ("X", "tab:orange"), "MPC": ("s", "tab:purple"), "RL": ("^", "tab:green"),
@@ -201,7 +202,7 @@ def run(arguments: argparse.Namespace) -> int:
             missing = [*asked, *(job for job in drawn if job not in asked)]
             run_all(missing, arguments.runs, arguments.workers, arguments.dask)
     done = [job for job in asked if is_kept(job, arguments.runs)]
-    if not done:
+    if not done and not is_beside:
         raise DataError(f"{arguments.runs}: no run is kept there")
     results, times = _figures(done, arguments.runs)
     if arguments.check:
@@ -212,7 +213,8 @@ def run(arguments: argparse.Namespace) -> int:
         results = beside(kept, results, names)
         times = times_beside(read_times(arguments.results), times, names)
     print(text_of(results, names), end="")
-    _write(results, times, pictures_of(results, [*done, *drawn], arguments.runs, names), names, arguments)
+    shown = [*done, *(job for job in drawn if is_kept(job, arguments.runs))]
+    _write(results, times, pictures_of(results, shown, arguments.runs, names), names, arguments)
     return 0
 
 
@@ -304,6 +306,7 @@ def _section(
 def _tables(results: Sequence[RunResult], names: Sequence[str]) -> list[Table]:
     references = references_of(results)
     tables = [table(results, names, reference) for reference in references]
+    tables += [one for each in references if (one := parts_table(results, names, each)) is not None]
     return tables + [one for each in references for one in energy_tables(results, names, each)]
 
 

@@ -5,6 +5,7 @@ figures.
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from edge.core.controller import LLM
@@ -17,10 +18,11 @@ from training.control.rig import entries
 from training.evaluate.difference import first_difference
 from training.llm_stand_in import MODEL as STAND_IN
 
-LIMITS = {"": "clairvoyant", "-P": "clairvoyant-P"}
 STAND_IN_MODEL = "stand-in"  # its name as `llm.model`
-KNOWLEDGE = ("everything", "coming reference", "present reference")
-SENSOR_LIMITS = {"": "clairvoyant/sensor", "-P": "clairvoyant/sensor-P"}
+EVERYTHING, COMING, BAND, PRESENT = range(4)
+KNOWLEDGE = (
+    "everything", "coming reference", "coming, kept to until 0.3 K of a step", "present reference",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,48 +49,87 @@ def result(job: ComparisonJob, log: ClosedLoopLog) -> RunResult:
 def column(results: Results, entry: str, reference: str, name: str) -> list[float]:
     """Return a figure by seed, in the seeds' order; empty where there is no run."""
     mine = sorted((one for one in results if (one.entry, one.reference) == (entry, reference)), key=_seed)
-    return [float(getattr(one.figures, name)) for one in mine]
+    return [float(value) for one in mine if (value := getattr(one.figures, name)) is not None]
 
 
-def regret(results: Results, entry: str, reference: str, by_sensor: bool) -> Mean | None:
+def regret(
+    results: Results, entry: str, reference: str, by_sensor: bool, among_equals: bool = False
+) -> Mean | None:
     """Return the cost by the limit's of the same weight, None without a run of either.
 
     The limit of a seed is the cheapest of all its runs by that cost: the clairvoyant's own plan, that of its
     sibling for the other weight, or a controller's. A beam search prunes and may miss the best plan.
+    among_equals : only the runs that do no more with the coming reference than `entry`
     """
     ending = "-P" if "-P" in entry else ""
-    limit = (SENSOR_LIMITS if by_sensor else LIMITS)[ending]
     cost = ("sensor_cost_" if by_sensor else "cost_") + ("1" if ending else "0")
-    both = seeds_of(results, entry, reference) & seeds_of(results, limit, reference)
+    limits = clairvoyants(by_sensor, bool(ending))
+    both = seeds_of(results, entry, reference) & set().union(
+        *(seeds_of(results, limit, reference) for limit in limits)
+    )
     rows = [one for one in results if one.reference == reference and one.seed in both]
-    best = [min(getattr(one.figures, cost) for one in rows if one.seed == seed) for seed in sorted(both)]
+    least = _knowledge(entry) if among_equals else EVERYTHING
+    equals = [one for one in rows if least <= COMING or _knowledge(one.entry) >= least]
+    best = [min(getattr(one.figures, cost) for one in equals if one.seed == seed) for seed in sorted(both)]
     return ratio(column(rows, entry, reference, cost), best) if both else None
 
 
+def clairvoyants(by_sensor: bool, penalised: bool) -> list[str]:
+    """Return the names of those that plan for one air and weight of effort."""
+    air = "sensor" if by_sensor else "true"
+    return [name for name, one in entries().items() if one.clairvoyant == air and ("-P" in name) == penalised]
+
+
+WHOLE = {  # with penalty -> the best plan with a fan of whole steps
+    "MPC-Twin-P": "clairvoyant/sensor-P/band/whole",
+    "MPC-Twin-P/early": "clairvoyant/sensor-P/whole",
+}
 COLUMNS = {  # heading -> figure, digits
     "MAE": ("mae_measured", 3), "true": ("mae_true", 3), "RMSE": ("rmse_true", 3), "near %": ("near_pct", 1),
     "overshoot": ("overshoot_k", 2), "Wh": ("energy_wh", 0), "fan min": ("fan_min", 0),
-    "switches": ("switches", 0), "travel": ("travel", 1), "safety": ("interventions", 1),
-    "fallback": ("fallbacks", 1), "tokens": ("tokens", 0),
+    "switches": ("switches", 0), "cycles": ("cycles", 1), "before": ("before_k", 2), "travel": ("travel", 1),
+    "safety": ("interventions", 1), "fallback": ("fallbacks", 1), "tokens": ("tokens", 0),
 }  # fmt: skip
 NOTE = (
-    "Means of the seeds, +- half of their 95 % interval. MAE: by the sensor; true, RMSE, near (share within "
-    "0.5 K) and overshoot after steps: by the mean of the air in the box [K]; travel: sum of |change of "
-    "duty|; safety: commands changed; fallback: ticks decided by another controller. x best: cost, of "
-    "weight 1 for -P and 0 else, by that of the cheapest plan known, seed by seed; x sensor: the same where "
-    "both are judged by the air at the sensor, its 0.4 K of bias with it, which is all that a controller can "
-    "know. Ranked by x sensor among those that know as much: everything to come, the coming reference, or "
-    "the present reference alone."
+    "Means of the seeds, +- half of their 95 % interval. MAE: by the sensor; true, RMSE, near (share "
+    "within 0.5 K) and overshoot after steps: by the mean of the air in the box [K]; cycles: starts of the"
+    " fan within ten minutes of the last, with heat between; before: how far the air at the sensor left "
+    "the reference towards a step before it, at the ends of steps, the most of the run [K]; travel: sum of"
+    " |change of duty|; safety: commands changed; fallback: ticks decided by another controller. x best: "
+    "cost, of weight 1 for -P and 0 else, by that of the cheapest plan known, seed by seed; x sensor: the "
+    "same where both are judged by the air at the sensor, its 0.4 K of bias with it, which is all that a "
+    "controller can know; x equal: the same by the cheapest plan that does no more with the coming "
+    "reference. Ranked by x sensor among those that do as much with it: everything to come is known; the "
+    "coming reference is; it is, but the air stays within 0.3 K of the present one until a step comes; the"
+    " present one alone is. A dash: not measured."
 )
 
 
 def table(results: Results, names: Sequence[str], reference: str) -> Table:
     """Return one line per controller that has run, ranked within equal knowledge."""
-    heads = ("controller", "knows", "seeds", *COLUMNS, "x best", "x sensor", "remark")
-    remarks = {one.entry: one.remark for one in results}
+    heads = ("controller", "knows", "seeds", *COLUMNS, "x best", "x sensor", "x equal", "remark")
+    remarks = {one.entry: one.remark for one in results if one.reference == reference}
     ranked = ranking(results, names, reference)
     rows = tuple((*_cells(results, name, reference), remarks[name]) for name in ranked)
     return Table(f"{reference}", heads, rows, NOTE)
+
+
+def parts_table(results: Results, names: Sequence[str], reference: str) -> Table | None:
+    """Return what parts of a step of the fan save; None without runs to compare.
+
+    Each of ours with penalty by the clairvoyant of whole steps that may do as much with the coming reference.
+    """
+    rows = []
+    for name, limit in WHOLE.items():
+        shared = seeds_of(results, name, reference) & seeds_of(results, limit, reference)
+        if name in names and shared:
+            mine = [one for one in results if one.seed in shared]
+            remark = next(one.remark for one in mine if (one.entry, one.reference) == (name, reference))
+            costs = (column(mine, one, reference, "sensor_cost_1") for one in (name, limit))
+            rows.append((name, limit, str(len(shared)), spread_text(ratio(*costs), 2), remark))
+    heads = ("controller", "by", "seeds", "x", "remark")
+    note = "Costs at the sensor, seed by seed."
+    return Table(f"{reference}: against a fan of whole steps", heads, tuple(rows), note) if rows else None
 
 
 def ranking(results: Results, names: Sequence[str], reference: str) -> list[str]:
@@ -96,17 +137,24 @@ def ranking(results: Results, names: Sequence[str], reference: str) -> list[str]
 
     def place(name: str) -> tuple[int, float]:
         found = regret(results, name, reference, by_sensor=True)
-        return KNOWLEDGE.index(knowledge(name)), float("inf") if found is None else found.value
+        return _knowledge(name), float("inf") if found is None else found.value
 
     return sorted((name for name in names if column(results, name, reference, "mae_true")), key=place)
 
 
 def knowledge(name: str) -> str:
     """Return how much an entry of the table knows of what is to come: one of KNOWLEDGE."""
+    return KNOWLEDGE[_knowledge(name)]
+
+
+@cache
+def _knowledge(name: str) -> int:
     entry = entries()[name]
+    if entry.keeps_band:
+        return BAND
     if entry.clairvoyant is not None:
-        return KNOWLEDGE[0]
-    return KNOWLEDGE[1] if entry.preview else KNOWLEDGE[2]
+        return PRESENT if entry.rule == "present" else EVERYTHING
+    return COMING if entry.preview else PRESENT
 
 
 def _cells(results: Results, name: str, reference: str) -> Iterator[str]:
@@ -114,9 +162,10 @@ def _cells(results: Results, name: str, reference: str) -> Iterator[str]:
     yield knowledge(name)
     yield str(len(column(results, name, reference, "mae_true")))
     for figure, digits in COLUMNS.values():
-        yield spread_text(mean_of(column(results, name, reference, figure)), digits)
-    for by_sensor in (False, True):
-        found = regret(results, name, reference, by_sensor)
+        values = column(results, name, reference, figure)
+        yield spread_text(mean_of(values), digits) if values else "-"
+    for by_sensor, among_equals in ((False, False), (True, False), (True, True)):
+        found = regret(results, name, reference, by_sensor, among_equals)
         yield "-" if found is None else spread_text(found, 2)
 
 
@@ -226,7 +275,7 @@ def first_change(kept: Results, now: Results, tolerance: float = 0.0) -> str:
 def _round(saved: RunResult, now: RunResult, tolerance: float) -> RunResult:
     """Return `now` with the saved value of each figure that is within the tolerance."""
     pairs = {name: (value, getattr(now.figures, name)) for name, value in asdict(saved.figures).items()}
-    near = {name: a for name, (a, b) in pairs.items() if abs(a - b) <= tolerance * abs(a)}
+    near = {name: a for name, (a, b) in pairs.items() if a is None or abs(a - b) <= tolerance * abs(a)}
     return replace(now, figures=replace(now.figures, **near))
 
 

@@ -5,6 +5,7 @@ Row k's command holds from its time to the next, so the air at row k + 1 is judg
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ def ratio(one: Sequence[float], other: Sequence[float]) -> Mean:
 Floats = NDArray[np.float64]
 NEAR_K = 0.5
 STEP_K = 1.0  # a change of the reference by so much at once is a step; a ramp's are smaller
+BEFORE_STEPS, CYCLE_STEPS, CYCLE_DUTY = 15, 10, 0.5
 STEP_WATCHED = 30  # ticks after a step in which it may be overshot
 SENSOR_BIAS_K = 0.4  # of the virtual rig's air sensor: `chamber.yaml`, air_bias_k
 
@@ -59,6 +61,9 @@ class Figures:
     cost_0, cost_1 : sum of the stage cost by the true air, weight 0 and 1
     sensor_cost_0, sensor_cost_1 : the same by the air where the sensor hangs, its bias with it: what a
         controller can know at best
+    before_k : how far that air left the reference, at most, towards a step of it that was still to come
+    cycles : starts of the fan within ten minutes of the last one, with half of full heat in between, that
+        no step of the reference asks for; both None in figures that are older than they
     """
 
     mae_measured: float
@@ -77,6 +82,8 @@ class Figures:
     cost_1: float
     sensor_cost_0: float
     sensor_cost_1: float
+    before_k: float | None = None
+    cycles: float | None = None
 
 
 def figures(log: ClosedLoopLog) -> Figures:
@@ -105,6 +112,8 @@ def figures(log: ClosedLoopLog) -> Figures:
         cost_1=tracking_cost(true) + effort,
         sensor_cost_0=tracking_cost(sensor),
         sensor_cost_1=tracking_cost(sensor) + effort,
+        before_k=before_k(columns["reference_c"], sensor),
+        cycles=float(cycles(duty, fan, columns["reference_c"])),
     )
 
 
@@ -112,6 +121,41 @@ def fan_switches(fan: Floats) -> float:
     """Return how often the relay switches. fan : share of each step, from its beginning, in which it is on"""
     before = np.append(0.0, fan[:-1])
     return float(((fan > 0.0) != (before >= 1.0)).sum() + ((fan > 0.0) & (fan < 1.0)).sum())
+
+
+def before_k(reference: Floats, error_k: Floats) -> float:
+    """How far the air left the reference towards a step of it before it came, the most of all steps [K].
+
+    reference : [N]; error_k : [N - 1], after each step, looked at for `BEFORE_STEPS`
+    """
+    changes = np.diff(reference)
+    steps = np.flatnonzero(np.abs(changes) >= STEP_K) + 1
+    watched = [k for k in steps.tolist() if k >= BEFORE_STEPS]
+    left = [left_k(np.sign(changes[k - 1]) * error_k[k - BEFORE_STEPS : k]) for k in watched]
+    return max(left, default=0.0)
+
+
+def left_k(towards_k: Floats) -> float:
+    """Return how far the air left the reference in one direction, at most [K].
+
+    towards_k [N] : error in that direction; air on its way back from further out has not left it again
+    """
+    nearest = np.maximum(np.minimum.accumulate(towards_k), 0.0)
+    return float((towards_k - nearest).max(initial=0.0))
+
+
+def cycles(duty: Floats, fan: Floats, reference: Floats) -> int:
+    """Return the starts of the fan within `CYCLE_STEPS` of the last one, with `CYCLE_DUTY` in between.
+
+    duty, fan, reference : [N] each. A step of the reference, soon or just now, asks for both: not counted
+    """
+    starts = np.flatnonzero((fan > 0.0) & ~(np.append(0.0, fan[:-1]) >= 1.0)).tolist()
+
+    def is_cycle(last: int, start: int) -> bool:
+        asked = np.abs(np.diff(reference[last : start + BEFORE_STEPS])).max(initial=0.0) >= STEP_K
+        return bool(start - last <= CYCLE_STEPS and not asked and duty[last:start].max() >= CYCLE_DUTY)
+
+    return sum(is_cycle(last, start) for last, start in pairwise(starts))
 
 
 def error(columns: Mapping[str, Floats], air: str) -> Floats:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -22,12 +23,12 @@ from edge.core.controller import Controller
 from edge.core.errors import DataError
 from edge.core.names import HEATER_LEVELS
 from edge.formats.atomic_file import write_atomically
-from edge.formats.profile_file import read_profile
+from edge.formats.profile_file import Profile, read_profile
 from edge.models.arx_file import read_arx
 from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.chamber_rows import ChamberRows
-from training.control.clairvoyant import ReferenceCourse, best_plan
+from training.control.clairvoyant import ReferenceCourse, best_plan, held_plan
 from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
 from training.control.draw_references import FOLDER
 from training.control.rig import NO_LLM, TWIN, ComparisonEntry, install_twin, settings_for
@@ -67,6 +68,8 @@ class ComparisonJob:
         }
         if (policy := POLICY_FILES.get(self.entry.controller)) is not None:
             facts["policy"] = hashlib.sha256((PACKAGED_FOLDER / policy).read_bytes()).hexdigest()
+        if self.entry.clairvoyant is not None:
+            facts["clairvoyant"] = [self.entry.rule, self.entry.whole]
         if self.entry.thresholds is not None:
             facts["thresholds"] = asdict(self.entry.thresholds)
         if settings.llm.model:
@@ -91,7 +94,7 @@ def run(job: ComparisonJob) -> ClosedLoopLog:
         settings = settings_for(job.entry, job.profile, folder, job.llm)
         if job.entry.models == "twin":
             install_twin(settings.bundle, settings.control.step_s)
-        instead = _instead(job, folder)
+        instead = _instead(job)
         with closed_loop(settings, instead, board="here", seed=job.seed, folder=folder) as lab:
             lab.run(minutes=read_profile(job.profile).end_s / 60.0)
         return log_of(lab, instead)
@@ -107,7 +110,9 @@ def course_of(job: ComparisonJob) -> ReferenceCourse | None:
     step_s = ControlSettings().step_s
     times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1, dtype=np.float64)
     reference = reference_from_profile(job.profile).at(times, times)
-    return ReferenceCourse(reference, FIRST_TICK_S, step_s, float(job.entry.name.endswith("-P")), target)
+    weight = float("-P" in job.entry.name)
+    early_k = ControlSettings().twin_early_k if job.entry.rule == "band" else math.inf
+    return ReferenceCourse(reference, FIRST_TICK_S, step_s, weight, target, early_k, job.entry.whole)
 
 
 def fresh_chamber(job: ComparisonJob) -> ChamberRows:
@@ -115,28 +120,29 @@ def fresh_chamber(job: ComparisonJob) -> ChamberRows:
     return ChamberRows(*load(), job.seed)
 
 
-def _instead(job: ComparisonJob, folder: Path) -> Controller | None:
+def _instead(job: ComparisonJob) -> Controller | None:
     """Return the controller that the daemon does not have, None for one that it has."""
     if job.entry.unbounded:
         weight = float(job.entry.controller.endswith("-P"))
         return MpcBfgs("unbounded", read_arx(), weight, ControlSettings().horizon, bounded=False)
     if job.entry.thresholds is not None:
         return Rules(job.entry.thresholds, name="tuned")
-    return _clairvoyant(job, folder)
+    return _clairvoyant(job)
 
 
-def _clairvoyant(job: ComparisonJob, folder: Path) -> Controller | None:
+def _clairvoyant(job: ComparisonJob) -> Controller | None:
     """Return the best plan as an input profile."""
     course = course_of(job)
     if course is None:
         return None
-    plan = best_plan(lambda: fresh_chamber(job), course)
-    times = course.step_s * np.arange(len(course.reference) + 1)
-    rows = zip(times, plan.levels / HEATER_LEVELS, plan.fan, strict=False)
-    lines = [f"{time_s:g},{duty:g},{fan}" for time_s, duty, fan in rows]
-    path = folder / "plan.csv"
-    path.write_text("\n".join(["time_s,heater_duty,fan_on", *lines, f"{times[-1]:g},0,0"]) + "\n")
-    return InputProfile(read_profile(path))
+    find = held_plan if job.entry.rule == "present" else best_plan
+    plan = find(lambda: fresh_chamber(job), course)
+    columns = {
+        "time_s": course.step_s * np.arange(len(course.reference) + 1),
+        "heater_duty": np.append(plan.levels / HEATER_LEVELS, 0.0),
+        "fan_on": np.append(plan.fan, 0.0),
+    }
+    return InputProfile(Profile(columns, Path("plan")))
 
 
 def keep(job: ComparisonJob, log: ClosedLoopLog, root: Path) -> None:

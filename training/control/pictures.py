@@ -68,7 +68,7 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
     axes.set_xticks(range(len(present)), present, rotation=60, ha="right", fontsize="small")
     axes.set_ylabel("MAE, true air [K]")
     axes.axhspan(0.0, 0.5, color="black", alpha=0.06, lw=0)
-    remarks = sorted({f"LLM: {one.remark}. " for one in results if one.remark})
+    remarks = sorted({f"{_family(one.entry)}: {one.remark}. " for one in results if one.remark})
     title = "-P: with penalty. " + "".join(remarks) + "Grey: within the sensor's ±0.5 K"
     axes.set_title(title, fontsize="medium")
     axes.legend(fontsize="small")
@@ -80,3 +80,8 @@ def png(figure: Figure) -> bytes:
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=DPI, pil_kwargs={"optimize": True})
     return out.getvalue()
+
+
+def _family(entry: str) -> str:
+    """Return the name that an entry's variants share."""
+    return "LLM" if entry.startswith("LLM") else entry.split("/")[0].removesuffix("-P")

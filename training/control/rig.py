@@ -1,7 +1,7 @@
 """The rig that all controllers are compared on: its settings, its models, the entries of the table."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -39,6 +39,9 @@ PLANNING = (*MPC, *MPC_TWIN)  # that have a use for the coming reference
 TUNED = Thresholds(0.2, 0.2, 2.5, 1.0)  # the cheapest of `python -m training.control.tune rules`
 HYBRID = {"predictor": "ham"}
 KNOWS, HELD = {"preview": True}, {"twin_preview": False}
+ANY_K = 20.0  # above what the air can leave the reference by
+EARLY = {"twin_early_k": ANY_K}
+Rule = Literal["free", "band", "present"]  # what a plan may do with the coming reference
 CREATED = "2026-01-01T00:00:00Z"
 
 
@@ -49,6 +52,9 @@ class ComparisonEntry:
     name : in the table; controller : of the daemon
     models : what the rig has; control : settings that differ from the usual ones
     clairvoyant : instead of the controller the best plan for the air's mean, or for what its sensor shows
+    rule : of a clairvoyant, leave the reference before a step as it likes, by at most
+        `control.twin_early_k`, or know the present reference alone
+    whole : a clairvoyant's fan is off or on for all of a step
     unbounded : BFGS without the bounds of the paper's problem, clipped afterwards
     thresholds : of a thermostat other than the daemon's
     """
@@ -58,6 +64,8 @@ class ComparisonEntry:
     models: Models = "arx"
     control: Mapping[str, Any] = field(default_factory=dict)
     clairvoyant: Literal["true", "sensor"] | None = None
+    rule: Rule = "free"
+    whole: bool = False
     unbounded: bool = False
     thresholds: Thresholds | None = None
 
@@ -68,14 +76,19 @@ class ComparisonEntry:
         known = control.twin_preview if self.controller in MPC_TWIN else control.preview
         return self.controller in PLANNING and known
 
+    @property
+    def keeps_band(self) -> bool:
+        """True where the coming reference is known, but the air stays near the present one until a step."""
+        if self.clairvoyant is not None:
+            return self.rule == "band"
+        early_k = replace(ControlSettings(), **self.control).twin_early_k
+        return self.controller in MPC_TWIN and self.preview and early_k < ANY_K
+
 
 def entries() -> dict[str, ComparisonEntry]:
     """All that can be compared so far, by name."""
     listed = [
-        ComparisonEntry("clairvoyant", "rules", clairvoyant="true"),
-        ComparisonEntry("clairvoyant-P", "rules", clairvoyant="true"),
-        ComparisonEntry("clairvoyant/sensor", "rules", clairvoyant="sensor"),
-        ComparisonEntry("clairvoyant/sensor-P", "rules", clairvoyant="sensor"),
+        *_clairvoyants(),
         ComparisonEntry("rules", "rules"),
         ComparisonEntry("rules/tuned", "rules", thresholds=TUNED),
         ComparisonEntry("PID", "PID"),
@@ -85,9 +98,10 @@ def entries() -> dict[str, ComparisonEntry]:
         *(ComparisonEntry(f"{name}/unbounded", name, unbounded=True) for name in ("MPC-BFGS", "MPC-BFGS-P")),
         ComparisonEntry("MPC-Twin", "MPC-Twin", "twin"),
         ComparisonEntry("MPC-Twin-P", "MPC-Twin-P", "twin"),
+        *(ComparisonEntry(f"{name}/early", name, "twin", EARLY) for name in MPC_TWIN),
         *(ComparisonEntry(f"{name}/present", name, "twin", HELD) for name in MPC_TWIN),
         *(
-            ComparisonEntry(name, "MPC-Twin-P", "twin", {"penalty_weight": weight})
+            ComparisonEntry(name, "MPC-Twin-P", "twin", {"penalty_weight": weight} | EARLY)
             for name, weight in SPARING.items()
         ),
         *(ComparisonEntry(f"{name}/HAM", name, "packaged", HYBRID) for name in ("MPC", "MPC-P")),
@@ -98,6 +112,20 @@ def entries() -> dict[str, ComparisonEntry]:
     ]
     listed += [ComparisonEntry(name, name, "packaged") for name in (*RL, *LLM) if name in CONTROLLERS]
     return {entry.name: entry for entry in listed}
+
+
+def _clairvoyants() -> Iterator[ComparisonEntry]:
+    """Yield them by weight of effort: free ones for each air, and those for the sensor with a rule or fan."""
+    for end in ("", "-P"):
+        yield ComparisonEntry(f"clairvoyant{end}", "rules", clairvoyant="true")
+        yield ComparisonEntry(f"clairvoyant{end}/whole", "rules", clairvoyant="true", whole=True)
+        name = f"clairvoyant/sensor{end}"
+        sensor = ComparisonEntry(name, "rules", clairvoyant="sensor")
+        yield sensor
+        yield replace(sensor, name=f"{name}/whole", whole=True)
+        yield replace(sensor, name=f"{name}/band", rule="band")
+        yield replace(sensor, name=f"{name}/band/whole", rule="band", whole=True)
+        yield replace(sensor, name=f"{name}/present", rule="present")
 
 
 def settings_for(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.boxes.__main__ import left_k, summary
+from bench.boxes.__main__ import summary
 from bench.boxes.box import Box
 from bench.boxes.clairvoyant import tangent
 from bench.boxes.draw import draw_box
@@ -11,6 +11,7 @@ from bench.boxes.tuned_pid import _cost, simc, tune_pid
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
+from training.control.figures import left_k
 
 WALL = {"wall_loss": {"UA": 3.0}, "extra_capacity": {"kC": 5.0}, "heater_lag": {"tau_h": 120.0}}
 ROOM_C = 21.0

@@ -5,7 +5,14 @@ import pytest
 
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.chamber_rows import ChamberRows
-from training.control.clairvoyant import ReferenceCourse, best_plan, lagrange, plan_cost, relay_share
+from training.control.clairvoyant import (
+    ReferenceCourse,
+    best_plan,
+    held_plan,
+    lagrange,
+    plan_cost,
+    relay_share,
+)
 from training.control.figures import figures
 from training.control.job import ComparisonJob, run
 from training.control.rig import entries
@@ -17,9 +24,9 @@ def fresh() -> ChamberRows:
     return ChamberRows(*load(), SEED)
 
 
-def course(weight: float = 1.0, target: str = "sensor", minutes: int = 40) -> ReferenceCourse:
+def course(weight: float = 1.0, target: str = "sensor", minutes: int = 40, **more: object) -> ReferenceCourse:
     reference = np.where(np.arange(minutes) < minutes // 2, 24.0, 27.0)
-    return ReferenceCourse(reference, 1.0, 60.0, weight, target)
+    return ReferenceCourse(reference, 1.0, 60.0, weight, target, **more)
 
 
 def test_a_minute_later_the_state_is_a_parabola_in_the_duty():
@@ -46,14 +53,14 @@ def test_more_heat_has_to_wait_for_the_next_slot():
 
 def test_twice_the_beam_changes_next_to_nothing():
     usual = best_plan(fresh, course())
-    wider = best_plan(fresh, course(), width=1200, kind_k=0.25)
+    wider = best_plan(fresh, course(), width=800, kind_k=0.25)
     assert abs(wider.cost / usual.cost - 1.0) < 0.005
 
 
 def test_no_constant_plan_is_better():
     best = best_plan(fresh, course()).cost
     for level in (0, 3, 8):
-        plan = np.full(40, level), np.zeros(40, dtype=int)
+        plan = np.full(40, level), np.zeros(40)
         assert best < plan_cost(fresh(), course(), *plan)
 
 
@@ -62,6 +69,28 @@ def test_a_penalty_saves_effort():
     assert (spared.levels**2).sum() / 400.0 + spared.fan.sum() < (
         free.levels**2
     ).sum() / 400.0 + free.fan.sum()
+
+
+def test_a_fan_for_parts_of_a_step_saves():
+    whole, parts = (best_plan(fresh, course(minutes=30, whole=whole)) for whole in (True, False))
+    assert set(whole.fan) <= {0.0, 1.0}
+    assert not set(parts.fan) <= {0.0, 1.0}
+    assert parts.cost < whole.cost
+
+
+def test_who_knows_less_or_may_do_less_pays_more():
+    free = best_plan(fresh, course(whole=True)).cost
+    near = best_plan(fresh, course(whole=True, early_k=0.0)).cost
+    held = held_plan(fresh, course(whole=True)).cost
+    assert free < near < held
+
+
+def test_what_the_present_reference_does_not_say_changes_no_command():
+    ends = [np.repeat([24.0, after], [15, 5]) for after in (24.0, 28.0)]
+    plans = [held_plan(fresh, ReferenceCourse(end, 1.0, 60.0, 1.0, "sensor"), width=30) for end in ends]
+    np.testing.assert_array_equal(plans[0].levels[:15], plans[1].levels[:15])
+    np.testing.assert_array_equal(plans[0].fan[:15], plans[1].fan[:15])
+    assert (plans[0].levels[15:] != plans[1].levels[15:]).any()
 
 
 def test_the_plan_costs_the_same_on_the_board(tmp_path, monkeypatch):

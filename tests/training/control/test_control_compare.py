@@ -20,6 +20,7 @@ from training.control.comparison import (
     first_change,
     json_of,
     knowledge,
+    parts_table,
     ranking,
     read_results,
     read_times,
@@ -30,6 +31,7 @@ from training.control.comparison import (
     times_json,
 )
 from training.control.figures import DecisionTime, Figures
+from training.control.rig import entries
 from training.llm_stand_in import MODEL as STAND_IN
 
 ZERO = Figures(*[0.0] * 16)
@@ -80,12 +82,35 @@ def test_a_controller_is_ranked_among_those_that_know_as_much():
     }
     found = [made(name, 1, sensor_cost_0=cost) for name, cost in costs.items()]
     assert ranking(found, list(costs), "reference_1") == [
-        *("clairvoyant/sensor", "MPC-Twin", "MPC-BFGS/preview", "MPC/preview"),
+        *("clairvoyant/sensor", "MPC-BFGS/preview", "MPC/preview", "MPC-Twin"),
         *("MPC-BFGS", "MPC-Twin/present", "MPC"),
     ]
-    assert [knowledge(name) for name in ("clairvoyant", "MPC-Twin", "MPC", "RL-Off")] == [
+    assert [knowledge(name) for name in ("clairvoyant", "MPC-Twin/early", "MPC", "RL-Off")] == [
         *("everything", "coming reference", "present reference", "present reference")
     ]
+
+
+def test_a_limit_among_equals_leaves_out_the_runs_that_do_more_with_the_coming_reference():
+    costs = {
+        "clairvoyant/sensor": 50.0,
+        "MPC-Twin/early": 60.0,
+        "clairvoyant/sensor/band": 80.0,
+        "MPC-Twin": 100.0,
+        "clairvoyant/sensor/present": 160.0,
+        "MPC-Twin/present": 200.0,
+    }
+    found = [made(name, 1, sensor_cost_0=cost) for name, cost in costs.items()]
+    limits = {name: regret(found, name, "reference_1", True, among_equals=True).value for name in costs}
+    assert limits == pytest.approx(
+        {
+            "clairvoyant/sensor": 1.0,
+            "MPC-Twin/early": 1.2,
+            "clairvoyant/sensor/band": 1.0,
+            "MPC-Twin": 1.25,
+            "clairvoyant/sensor/present": 1.0,
+            "MPC-Twin/present": 1.25,
+        }
+    )
 
 
 def test_a_stand_in_is_called_one_in_the_table():
@@ -219,6 +244,22 @@ def test_a_few_runs_are_checked_against_theirs_alone():
         RESULTS, [made("MPC-Twin", 2, sensor_cost_0=220.0, mae_true=0.202)], 0.005
     )
     assert "seed 7: no such run is kept" in first_change(RESULTS, [made("MPC-Twin", 7)])
+
+
+def test_ours_stands_beside_the_best_plan_with_a_fan_of_whole_steps():
+    names = ["MPC-Twin-P", "clairvoyant/sensor-P/band/whole"]
+    costs = dict(zip(names, (80.0, 100.0), strict=True))
+    found = [made(name, seed, sensor_cost_1=cost) for seed in (1, 2) for name, cost in costs.items()]
+    shown = parts_table([*found, made("MPC-Twin-P", 3, sensor_cost_1=500.0)], names, "reference_1")
+    assert shown is not None and shown.rows == ((*names, "2", "0.80", ""),)
+    assert parts_table(RESULTS, list(entries()), "reference_1") is None
+
+
+def test_a_figure_that_was_not_measured_then_is_no_change():
+    now = [made("MPC-Twin", 1, sensor_cost_0=110.0, mae_true=0.2, before_k=0.3, cycles=2.0)]
+    assert first_change(RESULTS, now) == ""
+    other = [replace(now[0], figures=replace(now[0].figures, before_k=0.4))]
+    assert "before_k" in first_change(now, other)
 
 
 def test_json_is_json():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from training.control.closed_loop import ClosedLoopLog
-from training.control.figures import figures, overshoot_k
+from training.control.figures import before_k, cycles, figures, overshoot_k
 
 
 def log(**columns: list[float]) -> ClosedLoopLog:
@@ -68,6 +68,26 @@ def test_overshoot_is_what_lies_beyond_the_new_reference(air, beyond):
 def test_overshoot_after_a_step_down_lies_below():
     reference, air = np.array([24.0, 22.0, 22.0]), np.array([24.0, 24.0, 20.5])
     assert overshoot_k(reference, air) == pytest.approx(1.5)
+
+
+def test_the_air_is_early_as_far_as_it_left_the_reference_towards_a_coming_step():
+    reference = np.repeat([20.0, 25.0, 22.0], 20)
+    error = np.zeros(59)
+    error[15:20] = [0.1, -0.2, 0.2, 0.5, 0.3]  # 25 is due after these
+    assert before_k(reference, error) == pytest.approx(0.5)
+    error[36:40] = [3.0, 2.0, 1.0, 0.0]  # on its way back, and not towards 22
+    assert before_k(reference, error) == pytest.approx(0.5)
+    error[39] = -0.8
+    assert before_k(reference, error) == pytest.approx(0.8)
+
+
+def test_a_fan_that_starts_again_soon_after_heat_is_a_cycle():
+    fan = np.zeros(40)
+    fan[[0, 5, 20, 21]] = [0.5, 1.0, 0.25, 0.25]
+    still, stepped = np.full(40, 25.0), np.where(np.arange(40) < 24, 25.0, 28.0)
+    assert cycles(np.full(40, 0.4), fan, still) == 0
+    assert cycles(np.ones(40), fan, still) == 2  # 15 steps between the second and the third
+    assert cycles(np.ones(40), fan, stepped) == 1  # the step asks for the last
 
 
 def test_a_ramp_is_no_step():

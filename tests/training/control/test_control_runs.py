@@ -107,14 +107,14 @@ def test_the_twins_controller_runs_with_the_diagnosed_twin(tmp_path, monkeypatch
     assert abs(log.columns["sensor_air_c"][-1] + 0.4 - 24.0) < 0.7
 
 
-def test_a_variant_is_another_run_with_a_controller_of_its_own(tmp_path):
+def test_a_variant_is_another_run_with_a_controller_of_its_own():
     known = entries()
     hashes = {
         ComparisonJob(known[name], "reference_1", 1).sha256() for name in ("MPC-BFGS", "MPC-BFGS/unbounded")
     }
     assert len(hashes) == 2
     made = {
-        name: control_job._instead(ComparisonJob(known[name], "reference_1", 1), tmp_path)
+        name: control_job._instead(ComparisonJob(known[name], "reference_1", 1))
         for name in ("MPC-BFGS", "MPC-BFGS/unbounded", "rules/tuned")
     }
     assert made["MPC-BFGS"] is None  # the daemon's own
