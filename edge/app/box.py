@@ -76,7 +76,7 @@ def box_bounds(file: TwinFile) -> BoxBounds:
         return unknown_box(heater_w, file.fan_role)
     twin = replace(file, sample_s=STEP_S).twin()
     warming, blown = (_rise(twin, fan, TESTS_S) for fan in (0.0, 1.0))
-    settled_k = float(_rise(replace(twin, step_s=HOUR_S), 0.0, SETTLED_S)[-1])
+    settled_k = float(_rise(_in_long_steps(twin), 0.0, SETTLED_S)[-1])
     loss_w_k = heater_w / warming[-1]
     least = LOSS_FRESH if file.provenance.get("command") == FRESH else LOSS[0]
     is_exhaust = file.fan_role == "exhaust"  # one that stirs may warm the air as well as cool it
@@ -120,6 +120,14 @@ def _without_false_names(bounds: BoxBounds, twin: BoxTwin, warming: Floats, sett
         other_heat_w=max(bounds.other_heat_w, SURE * short_w),
         other_heat_long_w=max(bounds.other_heat_long_w, SURE * long_w),
     )
+
+
+def _in_long_steps(twin: BoxTwin) -> BoxTwin:
+    """Return the twin in steps of an hour, or in its own where a small quick store forbids long ones."""
+    try:
+        return replace(twin, step_s=HOUR_S)
+    except DataError:
+        return twin
 
 
 def _rise(twin: BoxTwin, fan: float, until_s: float) -> Floats:

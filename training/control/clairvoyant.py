@@ -101,7 +101,7 @@ def _search(
 ) -> tuple[Ints, Floats]:
     """Return levels and fan [N] of the cheapest plan. boxes, level : one box, and its level until now"""
     cost, trace, fans = np.zeros(1), [], course.fans
-    low, high = band_before_steps(course.reference, course.early_k, 0)
+    low, high = band_before_steps(course.reference, course.early_k, 0, 0.0)
     for k, reference in enumerate(course.reference):
         begin_s = course.begin_s + k * course.step_s
         probes = _probe(chamber, boxes, level, begin_s, course.step_s, fans)

@@ -144,6 +144,11 @@ def fitted(folder: Path, effects: str, role: str = "exhaust") -> TwinFile:
     return read_twin_file(path)
 
 
+def test_a_store_too_small_for_long_steps_has_bounds_too(tmp_path):
+    small, larger = (box_bounds(fitted(tmp_path, f"soil_mass: {{C_s: {c}, G_s: 0.5}}")) for c in (90, 120))
+    assert small.loss_min_w_k == pytest.approx(larger.loss_min_w_k, rel=0.01)
+
+
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"box.twin: .*missing.yaml"):
         bounds_of(str(tmp_path / "missing.yaml"))
