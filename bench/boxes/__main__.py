@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bench.boxes.box import Box
 from bench.boxes.clairvoyant import Clairvoyant
-from bench.boxes.draw import DEVELOPMENT, draw_box
+from bench.boxes.draw import LOTS, draw_box
 from bench.boxes.facts import BoxFacts
 from bench.boxes.reach import rise_after_k, scaled_reference
 from bench.boxes.tuned_pid import tune_pid
@@ -301,7 +301,7 @@ def summary(costs: Sequence[dict[str, float]]) -> list[str]:
 def main(words: Sequence[str] | None = None) -> int:
     """Print a table per box, and what they come to."""
     parser = argparse.ArgumentParser(prog="python -m bench.boxes", description=__doc__)
-    parser.add_argument("--boxes", type=int, nargs="+", default=DEVELOPMENT, help="of bench.boxes.draw")
+    parser.add_argument("--boxes", type=int, nargs="+", default=LOTS[0], help="of bench.boxes.draw")
     parser.add_argument("--minutes", type=float, default=120.0, help="of commissioning; default: 120")
     parser.add_argument("--reference", default="reference_1", help="default: reference_1")
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="default: all")

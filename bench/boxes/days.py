@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.boxes.__main__ import commission, rig_settings, tuning_courses
 from bench.boxes.bodies import BoxBody, TwinBody
-from bench.boxes.draw import DEVELOPMENT, draw_box
+from bench.boxes.draw import LOTS, draw_box
 from bench.boxes.facts import BoxFacts
 from bench.boxes.pilot import NOT_GOOD, Pilot, Task, fly
 from bench.boxes.reach import scaled_reference
@@ -221,7 +221,7 @@ def _day(facts: BoxFacts) -> Callable[[float], float]:
 def main(words: Sequence[str] | None = None) -> int:
     """Print a table per box, and what they come to."""
     parser = argparse.ArgumentParser(prog="python -m bench.boxes.days", description=__doc__)
-    parser.add_argument("--boxes", type=int, nargs="+", default=DEVELOPMENT, help="of bench.boxes.draw")
+    parser.add_argument("--boxes", type=int, nargs="+", default=LOTS[0], help="of bench.boxes.draw")
     parser.add_argument("--days", type=float, default=3.0, help="without a fault; default: 3")
     parser.add_argument("--twins", type=Path, help="folder of twin files; a missing one is made")
     parser.add_argument("--jobs", type=int, default=2, help="processes; default: 2")
