@@ -22,9 +22,9 @@ from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
+from edge.twin.effects.plausible import implausible
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
-from edge.twin.plausible import implausible
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest

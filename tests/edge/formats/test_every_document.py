@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from edge.app.backup import BackupManifest, read_manifest
+from edge.app.commission_button import CommissionRequest
 from edge.app.nightly_diagnosis import Findings, UnitAnswer, UnitRequest
 from edge.app.request_routes import WhyRequest
 from edge.app.setup import SetupAnswers, read_answers
@@ -247,6 +248,7 @@ KINDS: dict[type, DocumentKind] = {
     ),
     WhyRequest: asked(WhyRequest, {"at_utc": 1.0}, ("at_utc",)),
     BundleRequest: asked(BundleRequest, {"action": "status", "job": 1}, ("job",)),
+    CommissionRequest: asked(CommissionRequest, {"end": True}),
     WishRequest: asked(WishRequest, {"words": "warmer"}),
     ProposalRequest: asked(ProposalRequest, {"id": "a"}),
     Proposal: DocumentKind(

@@ -80,6 +80,7 @@ def test_replies_events_and_proposals_are_not_retained(broker):
             listener.send(f"{ROOT}/set/temperature", "28.5")
             tick(own, record(events=(moment,)))
             own.show_proposal({"state": "ready"})
+            own.show_commissioning({"phase": "idle", "text": "idle"})
             wait_for(lambda: all(listener.payloads(topic) for topic in (REPLY, EVENT, f"{ROOT}/proposal")))
         with Listener(broker.port, name="late") as late:
             allowed = set(Topics.of(settings(broker.port).mqtt).retained)

@@ -1,6 +1,6 @@
 """A twin whose fan does what no fan does."""
 
-from edge.twin.plausible import implausible
+from edge.twin.effects.plausible import implausible
 from tests.support.designed import file_of
 
 
