@@ -10,8 +10,8 @@ if [ ! -e "$tar" ]; then
     work=$(mktemp -d -p "$folder")
     trap 'rm -rf "$work"' EXIT
     debootstrap --arch="$arch" --variant=minbase --include=python3,systemd-sysv,udev,kmod,libstdc++6 \
-        bookworm "$work/root" >"$work/log" || { cat "$work/log" >&2 && exit 1; }
-    rm -f "$work"/root/var/cache/apt/archives/*.deb
-    tar -C "$work/root" -cf "$tar.new" . && mv "$tar.new" "$tar"
+        bookworm "$work/tree" >"$work/log" || { cat "$work/log" >&2 && exit 1; }
+    rm -f "$work"/tree/var/cache/apt/archives/*.deb
+    tar -C "$work/tree" -cf "$tar.new" . && mv "$tar.new" "$tar"
 fi
 echo "$tar"
