@@ -40,7 +40,8 @@ ROOM_C = 20.0
 HOTTEST_K = 20.0  # over the room: little is kept warmer, and the limit of the air is 40 °C
 CAPACITY, LOSS, FAN, WEAK, POWER = (0.6, 1.5), (0.6, 1.6), 0.35, 0.35, (0.75, 1.1)
 # Fresh from its tests: the settled loss is 0.45 of that after two hours in a heavy box, 1.0 in a light one.
-LOSS_FRESH, FRESH = 0.4, "greenhouse commission"
+LOSS_FRESH = 0.4
+COMMISSION = "greenhouse commission"  # in a twin's provenance: it knows no more than its tests
 LOSS_SETTLED = 0.8  # of what the twin itself says of later days
 BEFORE = ".before"  # ending of the description that a learned twin has replaced
 OTHER_SHARE, OTHER_LONG_SHARE = 0.5, 0.3  # of the heater's power, that nobody ordered
@@ -78,7 +79,7 @@ def box_bounds(file: TwinFile) -> BoxBounds:
     warming, blown = (_rise(twin, fan, TESTS_S) for fan in (0.0, 1.0))
     settled_k = float(_rise(_in_long_steps(twin), 0.0, SETTLED_S)[-1])
     loss_w_k = heater_w / warming[-1]
-    least = LOSS_FRESH if file.provenance.get("command") == FRESH else LOSS[0]
+    least = LOSS_FRESH if file.provenance.get("command") == COMMISSION else LOSS[0]
     is_exhaust = file.fan_role == "exhaust"  # one that stirs may warm the air as well as cool it
     fan_w_k = min(max(heater_w / blown[-1] - loss_w_k, 0.0), _rated_fan_w_k(file)) if is_exhaust else 0.0
     bounds = BoxBounds(

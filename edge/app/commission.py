@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.app.box import COMMISSION
 from edge.app.step_test_record import STEP_S
 from edge.app.step_test_rows import stretches
 from edge.config.settings import ControlSettings
@@ -103,7 +104,7 @@ def learn(
     judging = [(name, _held_out(part)) for name, part in zip(names, parts, strict=True) if len(part) >= least]
     held_out = dict(judging)
     both = [(name, held_out.get(name, part)) for name, part in zip(names, parts, strict=True)]
-    found = diagnose(file, diagnosis_runs(both, judging, file), progress, "greenhouse commission", jobs)
+    found = diagnose(file, diagnosis_runs(both, judging, file), progress, COMMISSION, jobs)
     chosen, error_k = chosen_twin(found)
     twin = replace(chosen, sample_s=control.step_s)
     room_c = float(np.nanmean(found.inputs.runs.ambient))

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.app.box import BEFORE, description_of
+from edge.app.box import BEFORE, COMMISSION, description_of
 from edge.commands.arguments import number, writing
 from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.experiment import rig_of
@@ -217,7 +217,7 @@ def _activate(found: "Commissioned", folder: Path, key: Path, settings: Settings
         models.mkdir(exist_ok=True)
         write_twin_file(found.twin, models / "twin.yaml")
         if found.arx is not None:
-            write_arx(found.arx.model, models / "arx.json", {"command": "greenhouse commission"})
+            write_arx(found.arx.model, models / "arx.json", {"command": COMMISSION})
     facts = ManifestFacts(
         version=f"{datetime.fromtimestamp(now, UTC):%Y.%m%d.%H%M}-commissioned",
         created_utc=f"{datetime.fromtimestamp(now, UTC):%Y-%m-%dT%H:%M:%SZ}",

@@ -11,7 +11,6 @@ from bench.boxes.tuned_pid import _cost, simc, tune_pid
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest
-from training.control.figures import left_k
 
 WALL = {"wall_loss": {"UA": 3.0}, "extra_capacity": {"kC": 5.0}, "heater_lag": {"tau_h": 120.0}}
 ROOM_C = 21.0
@@ -28,12 +27,6 @@ def test_a_summary_compares_rows_of_one_rule_and_leaves_out_what_was_refused():
     assert "MPC-Twin-P: by the limit 1.55 in the median, 2.00 in the worst" in lines[1]
     assert lines[1].endswith("ahead of every rival in 1 of 2")
     assert lines[2].endswith("2.00 in the worst; ahead of every rival in 0 of 1")
-
-
-def test_only_air_that_goes_away_from_the_reference_has_left_it():
-    assert left_k(np.array([2.0, 1.5, 1.0, 0.5])) == 0.0  # on its way back
-    assert left_k(np.array([-1.0, -0.2, 0.3])) == pytest.approx(0.3)
-    assert left_k(np.array([1.0, 0.2, 0.1, 0.7])) == pytest.approx(0.6)
 
 
 def test_the_tuned_pid_costs_less_than_the_rule_that_it_begins_with():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from training.control.closed_loop import ClosedLoopLog
-from training.control.figures import before_k, cycles, figures, overshoot_k
+from training.control.figures import before_k, cycles, figures, left_k, overshoot_k
 
 
 def log(**columns: list[float]) -> ClosedLoopLog:
@@ -88,6 +88,12 @@ def test_a_fan_that_starts_again_soon_after_heat_is_a_cycle():
     assert cycles(np.full(40, 0.4), fan, still) == 0
     assert cycles(np.ones(40), fan, still) == 2  # 15 steps between the second and the third
     assert cycles(np.ones(40), fan, stepped) == 1  # the step asks for the last
+
+
+def test_only_air_that_goes_away_from_the_reference_has_left_it():
+    assert left_k(np.array([2.0, 1.5, 1.0, 0.5])) == 0.0  # on its way back
+    assert left_k(np.array([-1.0, -0.2, 0.3])) == pytest.approx(0.3)
+    assert left_k(np.array([1.0, 0.2, 0.1, 0.7])) == pytest.approx(0.6)
 
 
 def test_a_ramp_is_no_step():
