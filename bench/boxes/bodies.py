@@ -60,10 +60,21 @@ class BoxBody:
 
 
 class TwinBody:
-    """A twin in a room that does not change. noise_sd_k : of its sensor, which has to move"""
+    """A twin in a room that does not change.
 
-    def __init__(self, twin: BoxTwin, room_c: float, has_room: bool, noise_sd_k: float, count: int) -> None:
-        self._twin, self._room_c, self._has_room = twin, room_c, has_room
+    noise_sd_k : of its sensor, which has to move; heat : of the heater's, 1 for all
+    """
+
+    def __init__(
+        self,
+        twin: BoxTwin,
+        room_c: float,
+        has_room: bool,
+        noise_sd_k: float,
+        count: int,
+        heat: float = 1.0,
+    ) -> None:
+        self._twin, self._room_c, self._has_room, self._heat = twin, room_c, has_room, heat
         self._states = np.repeat(at_rest(twin, room_c, room_c)[None], count, axis=0)
         self._before = Commands(np.zeros((count, 1)), np.zeros((count, 1)))
         self._given = {name: np.zeros(1) for name in twin.needs}
@@ -71,7 +82,7 @@ class TwinBody:
 
     def pass_step(self, duty: Floats, fan: Floats) -> StepSamples:
         """As `Body`."""
-        now = Commands(duty[:, None], fan[:, None])
+        now = Commands(self._heat * duty[:, None], fan[:, None])
         march = self._twin.march(now, self._room_c, conditions=self._given, before=self._before)
         first = self._states[:, 0]
         self._states, self._before = march.step(0, self._states), now

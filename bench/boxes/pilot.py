@@ -56,7 +56,7 @@ class Pilot:
     _was_good: bool = True
 
     def __post_init__(self) -> None:
-        self._health = SensorHealth(self.settings.sensor_health, self.settings.calibration)
+        self._health = SensorHealth(self.settings.sensor_health, self.settings.calibration, self.bounds)
         self.controller.reset()
 
     @property

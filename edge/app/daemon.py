@@ -164,11 +164,12 @@ class Daemon:
         )
         stack.callback(board.close)
         stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
+        box = bounds_of(settings.box.twin)
         rig = Rig(
             settings=settings,
             clock=self.clock,
             board=board,
-            sensors=SensorHealth(settings.sensor_health, settings.calibration),
+            sensors=SensorHealth(settings.sensor_health, settings.calibration, box),
             estimator=Estimator(
                 settings.estimator, models.model, settings.control.step_s, settings.control.ambient_default_c
             ),
@@ -186,7 +187,7 @@ class Daemon:
             show=show,
             stop_at_s=self.stop_at_s,
             drift=drift,
-            box=bounds_of(settings.box.twin),
+            box=box,
         )
         loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
         stack.callback(loop.close)

@@ -323,8 +323,8 @@ class SensorHealthSettings(Section):
     )
     stuck_after_s: float = number(
         600.0,
-        "an air temperature exactly the same so long while the heat has changed is stuck; "
-        "twice so long where the heat is half or more",
+        "an air temperature exactly the same so long, though the heat must have moved it, is stuck; "
+        "twice so long under full heat",
         "s",
         120.0,
         86400.0,

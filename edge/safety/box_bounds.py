@@ -37,9 +37,14 @@ class BoxBounds:
     fan_cools: bool = True  # False for one that only stirs, and without a fan
     fan_role: str = "exhaust"  # of the twin file
 
+    @property
+    def is_known(self) -> bool:
+        """False for a box of which heater and fan alone are known."""
+        return self.capacity_max_j_k < NO_BOUND
 
-PAPER_BOX = BoxBounds()
+
 NO_BOUND = 1e9  # finite, so that its product with nothing is nothing
+PAPER_BOX = BoxBounds()
 
 
 def unknown_box(heater_w: float, fan_role: str) -> BoxBounds:

@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 from edge.config.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
 from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
+from edge.safety.box_bounds import PAPER_BOX, BoxBounds
+from edge.tick.stillness import Stillness, is_stuck, watch
 
 AVERAGE_S = 5.0
 STALE_PERIODS = 3  # as Quality.STALE
 CONFIRM_SAMPLES = 5  # so many in a row that agree are a step, not a spike
 AIR_RATE_MAX_K_S = 0.1  # no box of this kind warms or cools faster; a gap widens the allowed jump by it
-STUCK_DRIVE_S = (
-    60.0  # 6 kJ more or less than before, counted in full-duty seconds: about 1 K in the whole box
-)
-HOT_DUTY = 0.5  # lifts the box by 11 K at most, and no box comes to rest under more within an hour
 TEMPERATURES = ("temp_air", "temp_ambient")  # light and moisture may jump
 
 
@@ -34,19 +32,19 @@ class Track:
     jumps_s: tuple[float, ...] = ()  # times of the samples of the last AVERAGE_S that jumped
     stepped: bool = False  # a jump was confirmed since the last reading: true or not, it is worth an alarm
     still_since_s: float = math.inf  # since when the raw value has been exactly the same
-    still_duty: float = 0.0  # heater duty at that time
-    still_drive_s: float = 0.0  # integral of |duty - still_duty| since then [s]
-    still_hot_s: float = 0.0  # time at HOT_DUTY or more since then [s]
-    told_s: float = math.inf  # up to when both are counted
 
 
 class SensorHealth:
     """The tracks of all signals."""
 
-    def __init__(self, settings: SensorHealthSettings, calibration: CalibrationSettings) -> None:
+    def __init__(
+        self, settings: SensorHealthSettings, calibration: CalibrationSettings, box: BoxBounds = PAPER_BOX
+    ) -> None:
         self._settings = settings
         self._calibration = calibration
+        self._box = box
         self._tracks = {name: Track() for name in SIGNALS}
+        self._still = Stillness()
 
     def readings(
         self, samples: Sequence[Mapping[str, Reading]], now: float, driven: Command
@@ -60,10 +58,24 @@ class SensorHealth:
         for name, track in self._tracks.items():
             new = [sample[name] for sample in samples if name in sample]
             track = follow(replace(track, stepped=False), new, self._settings)
-            track = watch_stillness(track, now, driven.heater_duty)
             self._tracks[name] = track
             result[name] = assess(name, track, now, self._settings, getattr(self._calibration, name))
+        result["temp_air"] = self._unless_stuck(result["temp_air"], result["temp_ambient"], now, driven)
         return result
+
+    def _unless_stuck(self, air: Reading, room: Reading, now: float, driven: Command) -> Reading:
+        """Return the air's reading, called stuck where the box must have moved it."""
+        excess_k = None
+        if air.value is not None and room.value is not None and room.quality is ReadingQuality.GOOD:
+            excess_k = air.value - room.value
+        since_s = self._tracks["temp_air"].still_since_s
+        self._still = watch(self._still, since_s, now, driven, excess_k, self._box)
+        stuck_after_s = self._settings.stuck_after_s
+        if air.quality is ReadingQuality.GOOD and is_stuck(
+            self._still, now, excess_k, self._box, stuck_after_s
+        ):
+            return replace(air, quality=ReadingQuality.STUCK)
+        return air
 
 
 def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSettings) -> Track:
@@ -116,10 +128,8 @@ def _take(track: Track, samples: Sequence[Reading], moved_s: float | None) -> Tr
     """Return the track with more samples. moved_s : when the raw value last moved, None: it stood still"""
     last_s = samples[-1].time_s
     recent = tuple(s for s in (*track.accepted, *samples) if last_s - s.time_s < AVERAGE_S)
-    track = replace(track, accepted=recent, suspects=())
-    if moved_s is None:
-        return track
-    return replace(track, still_since_s=moved_s, still_drive_s=0.0, still_hot_s=0.0, told_s=moved_s)
+    still_since_s = track.still_since_s if moved_s is None else moved_s
+    return replace(track, accepted=recent, suspects=(), still_since_s=still_since_s)
 
 
 def _jumps(before: Reading, sample: Reading, settings: SensorHealthSettings) -> bool:
@@ -130,20 +140,10 @@ def _jumps(before: Reading, sample: Reading, settings: SensorHealthSettings) -> 
     return abs(sample.value - before.value) > allowed
 
 
-def watch_stillness(track: Track, now: float, duty: float) -> Track:
-    """Count how much the heat has differed, and how long it was strong, since the raw value last moved."""
-    if track.still_drive_s == 0.0 and track.told_s == track.still_since_s:
-        track = replace(track, still_duty=duty)
-    passed_s = max(0.0, now - track.told_s)
-    drive_s = track.still_drive_s + abs(duty - track.still_duty) * passed_s
-    hot_s = track.still_hot_s + (passed_s if duty >= HOT_DUTY else 0.0)
-    return replace(track, still_drive_s=drive_s, still_hot_s=hot_s, told_s=max(now, track.told_s))
-
-
 def assess(
     name: str, track: Track, now: float, settings: SensorHealthSettings, calibration: SensorCalibration
 ) -> Reading:
-    """Return the reading of `name` at `now`."""
+    """Return the reading of `name` at `now`, stillness aside."""
     newest, limit_s = track.newest, STALE_PERIODS * settings.sample_period_s
     if newest is None:
         return Reading(name, None, -math.inf, ReadingQuality.STALE)
@@ -152,8 +152,6 @@ def assess(
     value = trimmed_mean([s.value for s in track.accepted if s.value is not None])
     jumps = sum(1 for t in track.jumps_s if track.accepted[-1].time_s - t < AVERAGE_S)
     quality = ReadingQuality.SPIKE if track.stepped or jumps > len(track.accepted) else ReadingQuality.GOOD
-    if name == "temp_air" and _is_stuck(track, now, settings):
-        quality = ReadingQuality.STUCK
     return Reading(name, calibration.gain * value + calibration.offset, track.accepted[-1].time_s, quality)
 
 
@@ -170,12 +168,6 @@ def _not_good(
         calibration.gain * newest.value + calibration.offset if number and newest.value is not None else None
     )
     return Reading(newest.signal, value, newest.time_s, quality)
-
-
-def _is_stuck(track: Track, now: float, settings: SensorHealthSettings) -> bool:
-    still_s = now - track.still_since_s
-    driven = still_s >= settings.stuck_after_s and track.still_drive_s >= STUCK_DRIVE_S
-    return driven or track.still_hot_s >= 2.0 * settings.stuck_after_s
 
 
 def trimmed_mean(values: Sequence[float]) -> float:

@@ -61,6 +61,13 @@ def test_each_column_has_its_own_fault(twin):
     assert still.named_s is not None and still.named_s <= 1320.0  # bounds.yaml: sensor stuck at full heat
 
 
+def test_a_twin_with_a_weaker_heater_is_less_warm(twin):
+    bodies = [TwinBody(twin.twin(), ROOM_C, True, 0.0, 1, heat) for heat in (1.0, 0.85)]
+    for _ in range(30):
+        strong, weak = (body.pass_step(np.array([1.0]), np.array([0.0])).air[-1, 0] for body in bodies)
+    assert (weak - ROOM_C) / (strong - ROOM_C) == pytest.approx(0.85)
+
+
 def test_an_alarm_before_the_fault_is_wrong_even_with_the_right_name(twin):
     pilot = Pilot(SETTINGS, box_bounds(twin), Rules(), hold(fault_s=600.0, right=frozenset({NOT_GOOD})))
     pilot.alarms = [(300.0, NOT_GOOD), (900.0, NOT_GOOD), (1200.0, "safety.sensor_offset")]

@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from edge.config.settings import CalibrationSettings, SensorCalibration, SensorHealthSettings
 from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
+from edge.safety.box_bounds import PAPER_BOX, BoxBounds, unknown_box
 from edge.tick.sensor_health import CONFIRM_SAMPLES, SensorHealth, Track, follow, trimmed_mean
 
 OFF = Command()
@@ -168,49 +170,94 @@ def test_light_may_jump():
         assert sensors.readings([sample], float(second), OFF)["light"].quality is ReadingQuality.GOOD
 
 
-def minutes(sensors: SensorHealth, start: int, values: list[float], duty: float) -> ReadingQuality:
+def minutes(
+    sensors: SensorHealth,
+    start: int,
+    values: list[float],
+    duty: float,
+    room_c: float | None = 20.0,
+    fan: bool = False,
+) -> ReadingQuality:
     """A tick a minute; the quality at the end."""
     for minute, value in enumerate(values, start):
         now = 60.0 * minute
-        quality = sensors.readings([air(value, now)], now, Command(heater_duty=duty))["temp_air"].quality
-    return quality
+        sample = air(value, now)
+        if room_c is not None:
+            sample["temp_ambient"] = Reading("temp_ambient", room_c, now, ReadingQuality.GOOD)
+        readings = sensors.readings([sample], now, Command(heater_duty=duty, fan_on=fan))
+    return readings["temp_air"].quality
 
 
-def test_a_sensor_that_stands_still_while_heat_comes_is_stuck():
-    sensors = health()
-    assert minutes(sensors, 0, [24.0, 24.0], duty=0.0) is ReadingQuality.GOOD
-    assert minutes(sensors, 2, [24.0] * 8, duty=0.5) is ReadingQuality.GOOD  # nine minutes
-    assert minutes(sensors, 10, [24.0], duty=0.5) is ReadingQuality.STUCK  # ten
+def held(duty: float, air_c: float = 26.0, box: BoxBounds = PAPER_BOX, fan: bool = False) -> SensorHealth:
+    """The sensors of a box held for an hour, up to minute 59, in which the air last moves."""
+    sensors = SensorHealth(SensorHealthSettings(), CalibrationSettings(), box)
+    for minute in range(60):
+        minutes(sensors, minute, [air_c - 0.1 * (minute % 2 == 0)], duty, fan=fan)
+    return sensors
 
 
-def test_a_sensor_that_stands_still_under_strong_heat_that_does_not_change_is_stuck():
-    sensors = health()
-    assert minutes(sensors, 0, [29.0] * 20, duty=1.0) is ReadingQuality.GOOD
-    assert minutes(sensors, 20, [29.0], duty=1.0) is ReadingQuality.STUCK
+def test_a_sensor_that_stands_still_while_the_heat_goes_is_stuck():
+    sensors = held(0.6)
+    # 0.6 of 75 W less, of which sun and walls may give 30 W: 10 kJ, 1 K of the heaviest box, in 11.1 min
+    assert minutes(sensors, 60, [26.0] * 11, duty=0.0) is ReadingQuality.GOOD
+    assert minutes(sensors, 71, [26.0], duty=0.0) is ReadingQuality.STUCK
 
 
-@pytest.mark.parametrize(("duty", "quality"), [(0.5, ReadingQuality.STUCK), (0.45, ReadingQuality.GOOD)])
-def test_heat_that_can_do_no_harm_may_leave_the_sensor_still(duty, quality):
-    assert minutes(health(), 0, [29.0] * 120, duty=duty) is quality
+def test_a_sensor_that_stands_still_under_more_heat_is_stuck_if_the_heater_is_known_to_work():
+    assert minutes(held(0.3), 60, [26.0] * 30, duty=1.0) is ReadingQuality.STUCK
+    cold = held(0.0, air_c=20.5)
+    assert minutes(cold, 60, [20.5] * 600, duty=1.0) is ReadingQuality.GOOD  # as of a dead heater
+
+
+@pytest.mark.parametrize("duty", [0.3, 0.6, 0.8])
+def test_in_a_well_held_box_the_sensor_may_be_still_for_hours_while_the_heat_follows_the_room(duty):
+    sensors = held(duty)
+    for minute in range(60, 60 + 240):
+        now_duty = duty + 0.1 * math.sin(minute / 20.0)
+        assert minutes(sensors, minute, [26.0], now_duty) is ReadingQuality.GOOD
+
+
+def test_the_fan_explains_heat_that_changes_with_it():
+    assert minutes(held(0.1), 60, [26.0] * 60, duty=0.9, fan=True) is ReadingQuality.GOOD
+    assert minutes(held(0.9, fan=True), 60, [26.0] * 60, duty=0.1) is ReadingQuality.GOOD
+    assert minutes(held(0.9), 60, [26.0] * 60, duty=0.1, fan=True) is ReadingQuality.STUCK
+
+
+def test_a_sensor_that_stands_still_under_full_heat_far_from_the_reach_is_stuck():
+    sensors = held(1.0)
+    assert minutes(sensors, 60, [26.0] * 19, duty=1.0) is ReadingQuality.GOOD  # nineteen minutes
+    assert minutes(sensors, 79, [26.0], duty=1.0) is ReadingQuality.STUCK  # twenty
+    assert minutes(held(1.0, air_c=34.0), 60, [34.0] * 600, duty=1.0) is ReadingQuality.GOOD  # at the reach
+
+
+def test_a_light_box_shows_a_stuck_sensor_sooner_than_a_heavy_one():
+    light, heavy = (replace(PAPER_BOX, capacity_max_j_k=capacity) for capacity in (2e3, 1e5))
+    quality = [
+        minutes(held(0.6, box=box), 60, [26.0] * minute, duty=0.0)
+        for box, minute in ((light, 10), (heavy, 10), (heavy, 112))
+    ]
+    assert quality == [ReadingQuality.STUCK, ReadingQuality.GOOD, ReadingQuality.STUCK]
+
+
+@pytest.mark.parametrize(
+    ("box", "duty", "quality"),
+    [
+        (PAPER_BOX, 1.0, ReadingQuality.STUCK),
+        (PAPER_BOX, 0.9, ReadingQuality.GOOD),
+        (unknown_box(100.0, "exhaust"), 0.5, ReadingQuality.STUCK),
+        (unknown_box(100.0, "exhaust"), 0.45, ReadingQuality.GOOD),
+    ],
+)
+def test_where_nothing_can_be_reckoned_strong_heat_for_twenty_minutes_is_enough(box, duty, quality):
+    sensors = SensorHealth(SensorHealthSettings(), CalibrationSettings(), box)
+    assert minutes(sensors, 0, [29.0] * 20, duty, room_c=None) is ReadingQuality.GOOD
+    assert minutes(sensors, 20, [29.0] * 100, duty, room_c=None) is quality
 
 
 def test_one_step_of_the_sensor_frees_it():
-    sensors = health()
-    minutes(sensors, 0, [24.0, 24.0], duty=0.0)
-    assert minutes(sensors, 2, [24.0] * 20, duty=0.5) is ReadingQuality.STUCK
-    assert minutes(sensors, 22, [24.1], duty=0.5) is ReadingQuality.GOOD
-
-
-def test_a_quiet_sensor_in_a_box_at_rest_is_not_stuck():
-    sensors = health()
-    assert minutes(sensors, 0, [24.0] * 600, duty=0.3) is ReadingQuality.GOOD
-
-
-def test_a_little_change_of_heat_need_not_move_the_sensor():
-    sensors = health()
-    minutes(sensors, 0, [24.0, 24.0], duty=0.3)
-    assert minutes(sensors, 2, [24.0], duty=0.8) is ReadingQuality.GOOD  # 30 full-duty seconds
-    assert minutes(sensors, 3, [24.0] * 100, duty=0.3) is ReadingQuality.GOOD
+    sensors = held(0.6)
+    assert minutes(sensors, 60, [26.0] * 20, duty=0.0) is ReadingQuality.STUCK
+    assert minutes(sensors, 80, [26.1], duty=0.0) is ReadingQuality.GOOD
 
 
 def test_a_noisy_sensor_in_steps_of_a_tenth_is_never_stuck():
