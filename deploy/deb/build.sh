@@ -36,7 +36,7 @@ install_packages() { # into $site, for $machine
         --python-version 3.11 $platforms --constraint "$here/versions.txt" "$work"/*.whl
     # sqlite-utils asks for pip, for a command of its own; scripts and direct_url.json name this machine's folders.
     rm -rf "$site/bin" "$site"/pip "$site"/pip-*.dist-info "$site"/*.dist-info/direct_url.json
-    sed -i '/^\.\.\/\.\.\/bin\//d' "$site"/*.dist-info/RECORD
+    sed -i -e '/^\.\.\/\.\.\/bin\//d' -e '/\/direct_url\.json,/d' "$site"/*.dist-info/RECORD
     "$python" -m pip list --path "$site" --format freeze | grep -v ^greenhouse-twin= | LC_ALL=C sort -f >"$work/versions"
     diff "$here/versions.txt" "$work/versions" || die "versions.txt is not what was installed: correct it, try again"
     find "$site" -type d -name tests -prune -exec rm -rf {} + # 40 MB of other people's tests
