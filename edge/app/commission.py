@@ -23,7 +23,7 @@ from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
-from edge.twin.effects.plausible import implausible
+from edge.twin.effects.plausible import implausible, with_usual_fan
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
 from edge.twin.rollout import Commands
@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 ERROR_MAX_K, ERROR_MAX_SHARE = 1.0, 0.15  # of free runs on those rows, and by the band that was seen
 WORSE_AT_MOST = 0.8  # a simple twin that much better is taken, an ARX model that much better refuses
-FINE_K = 0.2  # an error that good sensors have, with which a twin is not refused for a better ARX model
+FINE_K = 0.5  # an error with which a twin holds a box well, and is not refused for a better ARX model
 SEEN_MIN_K = 2.0  # that the air must have risen
 LONGEST_MIN = 1440.0  # of tests that it proposes
 HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
@@ -104,8 +104,12 @@ def learn(
     judging = [(name, _held_out(part)) for name, part in zip(names, parts, strict=True) if len(part) >= least]
     held_out = dict(judging)
     both = [(name, held_out.get(name, part)) for name, part in zip(names, parts, strict=True)]
-    found = diagnose(file, diagnosis_runs(both, judging, file), progress, COMMISSION, jobs)
+    runs = diagnosis_runs(both, judging, file)
+    found = diagnose(file, runs, progress, COMMISSION, jobs)
     chosen, error_k = chosen_twin(found)
+    if any(implausible(chosen)) and (usual := with_usual_fan(file)) is not None:
+        found = diagnose(usual, runs, progress, COMMISSION, jobs)
+        chosen, error_k = chosen_twin(found)
     twin = replace(chosen, sample_s=control.step_s)
     room_c = float(np.nanmean(found.inputs.runs.ambient))
     hours = len(run) * STEP_S / 3600.0

@@ -1,7 +1,12 @@
 """A twin whose fan does what no fan does."""
 
-from edge.twin.effects.plausible import implausible
+import pytest
+
+from edge.twin.effects.plausible import implausible, with_usual_fan
+from edge.twin.value import Value
 from tests.support.designed import file_of
+
+SHARE = ("effects", "fan_effectiveness", "eps_f")
 
 
 def test_a_usual_fan_is_plausible():
@@ -17,3 +22,17 @@ def test_a_fan_that_moves_twice_its_own_flow_is_not():
 def test_a_fan_that_heats_as_the_heater_does_is_not():
     (said,) = implausible(file_of({"fan_heat": {"P_fan": 60.0}}))
     assert "heats by 60 W, where the heater has 100 W" in said
+
+
+def test_a_flow_that_was_fitted_freely_gets_a_usual_share():
+    free = file_of({"fan_effectiveness": {"eps_f": 1.0}}).with_values({SHARE: Value(1.0, fit=True)})
+    usual = with_usual_fan(free)
+    assert usual is not None
+    share = usual.values()[SHARE]
+    assert not share.fit and share.value == 0.8 and share.rel_sd == 0.3
+    assert with_usual_fan(usual) is None
+
+
+@pytest.mark.parametrize("effects", [{}, {"fan_effectiveness": {"eps_f": 1.0}}])
+def test_a_flow_that_is_not_fitted_stays_as_it_is(effects):
+    assert with_usual_fan(file_of(effects)) is None
