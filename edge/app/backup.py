@@ -1,4 +1,4 @@
-"""All that a rig needs to go on elsewhere in one file: configuration, secrets, keys, state, history, bundles.
+"""All that a rig needs to go on elsewhere in one file, from configuration and keys to history and evidence.
 
 The file is a tar with gzip. Its first member, manifest.json, names every other one with its SHA-256; the
 others have names of their role, not of their path, so that a machine with other paths can take them.
@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
+from edge.app.box import BEFORE
 from edge.config import loading
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
@@ -29,7 +30,7 @@ from edge.formats.cross_check import Rule
 from edge.formats.reader import parse_json, read
 
 MANIFEST, LAYOUT = "manifest.json", 1
-CONFIG, HISTORY, STATE = "edge.yaml", "history.db", "state.json"
+CONFIG, HISTORY, STATE, EVIDENCE = "edge.yaml", "history.db", "state.json", "evidence"
 BESIDE_A_DATABASE = ("-wal", "-shm")  # of the old one; beside a new one they would spoil it
 COPIES = 3  # of a folder that changes while it is read
 _NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*", re.ASCII)
@@ -53,17 +54,19 @@ def read_manifest(content: bytes | str, place: str = MANIFEST) -> BackupManifest
 
 def places(config: Path, settings: Settings) -> dict[str, Path]:
     """Return files and folders of a rig by their name in a backup."""
-    bundle = settings.bundle
+    bundle, history = settings.bundle, Path(settings.history.path)
     found = {
         CONFIG: config,
         "board.yaml": config.parent / "board.yaml",
         "twin.yaml": config.parent / "twin.yaml",
+        f"twin.yaml{BEFORE}": config.parent / f"twin.yaml{BEFORE}",
         "credentials": config.parent / "credentials",
         "keys": Path(bundle.trusted_keys),
         "signing.key": Path(bundle.signing_key) if bundle.signing_key else None,
         "bundles": Path(bundle.path) if bundle.path else None,
         "diagnosis": Path(settings.drift.reports),
-        HISTORY: Path(settings.history.path),
+        HISTORY: history,
+        EVIDENCE: history.parent / EVIDENCE,
         STATE: Path(settings.state_file),
     }
     return {name: path for name, path in found.items() if path is not None}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from edge.app.box import BEFORE, COMMISSION, description_of
 from edge.commands.arguments import number, writing
-from edge.commands.bundle import change, install, settings_of, store_of
+from edge.commands.bundle import as_owner, change, install, settings_of, store_of
 from edge.commands.experiment import rig_of
 from edge.commands.hands import Hands
 from edge.config.settings import Settings
@@ -257,5 +257,7 @@ def _choose(settings: Settings) -> None:
     if standing.broken:  # a stop may be in it: nothing is written over it
         raise RequestError(f"{standing.broken}: choose `greenhouse controller {CONTROLLER}` yourself")
     chosen = replace(standing, operation=replace(standing.operation, controller=CONTROLLER))
-    write_document(STANDING.place(settings), STANDING.encode(chosen))
+    place = STANDING.place(settings)
+    with as_owner(place.parent):  # root may have a umask that shuts the daemon out
+        write_document(place, STANDING.encode(chosen))
     print(f"{CONTROLLER} controls from the daemon's next start on: `sudo systemctl start greenhouse`")

@@ -19,6 +19,9 @@ from edge.core.errors import DataError, RequestError
 FILES = {
     "etc/credentials/secret_mqtt": "hunter2",
     "etc/keys/mine.pub": "key",
+    "etc/twin.yaml": "learned",
+    "etc/twin.yaml.before": "described",
+    "var/evidence/chain.jsonl": "{}",
     "var/state.json": "{}",
     "var/bundles/1.2/manifest.json": "{}",
     "var/bundles/roles.json": '{"active": "1.2"}',
@@ -81,7 +84,7 @@ def test_everything_comes_back(rig, tmp_path):
     restored = list(restore(out, rig, replaces=False))
     assert contents(root) == before and rows(root / "var/history.db") == ticks
     assert (root / "etc/credentials/secret_mqtt").stat().st_mode & 0o777 == 0o600
-    assert len(restored) == 7
+    assert len(restored) == 10
     assert not [path for path in tmp_path.rglob(".*")]
 
 

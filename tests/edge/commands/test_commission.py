@@ -1,6 +1,7 @@
 """`greenhouse commission`: what it needs before hours are spent, what it makes, what it refuses."""
 
 import math
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -184,6 +185,24 @@ def test_a_broken_state_is_not_written_over(rig, monkeypatch, capsys):
     said = refused(capsys, "--from-run", str(run_file(rig)), "--out", "found")
     assert "greenhouse controller MPC-Twin-P" in said
     assert (rig / "state.json").read_text() == "{broken"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root")
+def test_the_daemons_user_can_read_the_state_that_root_began(rig, monkeypatch, capsys):
+    for folder in [rig, *list(rig.parents)[:-1]]:  # a user like the daemon's must reach the place
+        folder.chmod(folder.stat().st_mode | 0o005)
+    (rig / "var").mkdir()
+    os.chown(rig / "var", 12345, 12346)
+    config = yaml.safe_load((rig / "edge.yaml").read_text())
+    (rig / "edge.yaml").write_text(yaml.safe_dump(config | {"state_file": str(rig / "var" / "state.json")}))
+    monkeypatch.setattr(commission, "learn", lambda *given: FoundBox())
+    before = os.umask(0o077)
+    try:
+        assert commissioned("--from-run", str(run_file(rig)), "--out", "found") == 0
+    finally:
+        os.umask(before)
+    state = (rig / "var" / "state.json").stat()
+    assert (state.st_uid, state.st_gid) == (12345, 12346)
 
 
 def test_a_heater_that_warms_nothing_is_refused_before_any_fit(rig, capsys):
