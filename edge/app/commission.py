@@ -33,8 +33,7 @@ from edge.twin.warm_start import at_rest
 Floats = NDArray[np.float64]
 TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 ERROR_MAX_K, ERROR_MAX_SHARE = 1.0, 0.15  # of free runs on those rows, and by the band that was seen
-WORSE_AT_MOST = 0.8  # a simple twin that much better is taken, an ARX model that much better refuses
-FINE_K = 0.5  # an error with which a twin holds a box well, and is not refused for a better ARX model
+WORSE_AT_MOST = 0.8  # a simple twin that much better is taken, an ARX model that much better is told
 SEEN_MIN_K = 2.0  # that the air must have risen
 LONGEST_MIN = 1440.0  # of tests that it proposes
 HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
@@ -68,6 +67,7 @@ class Commissioned:
 
     names : effects that the twin has beside those of the description
     refusals : why it must not control, empty where it may
+    better : a simple model that predicts clearly better than the twin, and its error [K]; None without one
     arx : the fallback, None where none could be fitted
     """
 
@@ -77,6 +77,7 @@ class Commissioned:
     arx: ArxFit | None
     expectation: Expectation
     refusals: tuple[str, ...]
+    better: tuple[str, float] | None = None
 
 
 def learn(
@@ -115,7 +116,7 @@ def learn(
     hours = len(run) * STEP_S / 3600.0
     seen_c = float(np.nanmax(run.columns["temp_air_c"]))
     expectation = _expect(twin, room_c, error_k, hours, seen_c)
-    refusals = (*_refusals(run, found, expectation), *implausible(chosen))
+    refusals = (*_refusals(run, expectation), *implausible(chosen))
     if found.inputs.guessed:
         try:
             twin = with_room_error(twin, control.ambient_default_c, room_c)
@@ -132,6 +133,7 @@ def learn(
         _fallback(parts, control.step_s, start),
         expectation,
         refusals,
+        better_model(found, error_k),
     )
 
 
@@ -147,7 +149,14 @@ def chosen_twin(found: Diagnosis) -> tuple[TwinFile, float]:
     return replace(twins[best], provenance={**origin, "added": {}, "after": after}), simple[best]
 
 
-def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> Iterator[str]:
+def better_model(found: Diagnosis, error_k: float) -> tuple[str, float] | None:
+    """Return a simple model that predicts the held-out rows clearly better than a twin, and its error [K]."""
+    simple = {name: error for name, error in found.test_k.items() if name not in ("before", "after")}
+    best = min(simple, key=simple.__getitem__, default="")
+    return (best, simple[best]) if best and simple[best] < WORSE_AT_MOST * error_k else None
+
+
+def _refusals(run: RecordedRun, expectation: Expectation) -> Iterator[str]:
     risen_k = _moved_k(run)
     limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * risen_k)
     if not expectation.error_k <= limit_k:
@@ -155,14 +164,6 @@ def _refusals(run: RecordedRun, found: Diagnosis, expectation: Expectation) -> I
             f"over {TEST_SHARE:.0%} of the tests, which no fit saw, the twin is off by "
             f"{expectation.error_k:.2f} K, more than {limit_k:.2f} K"
         )
-    simple = {name: error for name, error in found.test_k.items() if name not in ("before", "after")}
-    if (
-        simple
-        and expectation.error_k > FINE_K
-        and (best := min(simple, key=simple.__getitem__))
-        and simple[best] < WORSE_AT_MOST * expectation.error_k
-    ):
-        yield f"{best} predicts these rows better, {simple[best]:.2f} K"
 
 
 def _moved_k(run: RecordedRun) -> float:

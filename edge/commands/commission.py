@@ -107,6 +107,9 @@ def describe(found: "Commissioned") -> Iterator[str]:
     expected = found.expectation
     yield f"missing in a plain box, and added: {', '.join(found.names) or 'nothing'}"
     yield f"over rows that no fit saw, free runs are off by {expected.error_k:.2f} K"
+    if found.better is not None:
+        name, error_k = found.better
+        yield f"{name} is off by {error_k:.2f} K: the twin lacks something, which longer tests may show"
     reach = f"{expected.reach_c:.0f} °C"
     if expected.reach_c > expected.seen_c + 1.0:
         reach = f"more than {expected.seen_c:.0f} °C, the warmest of these tests"

@@ -202,7 +202,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--core", choices=("avr", "python"), default="avr", help="default: avr, a Mega in simavr"
     )
-    parser.add_argument("--minutes", type=float, default=40.0, help="of step tests; default: %(default)g")
+    parser.add_argument("--minutes", type=float, default=60.0, help="of step tests; default: %(default)g")
     given = parser.parse_args(words)
     print("\n".join(header()))
     begun = time.monotonic()

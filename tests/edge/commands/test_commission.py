@@ -42,6 +42,7 @@ class FoundBox:
     expectation: Expectation = GOOD
     twin: object = field(default_factory=lambda: read_twin_file(TWIN))
     arx: object = field(default_factory=FoundModel)
+    better: tuple[str, float] | None = None
 
 
 @pytest.fixture
@@ -102,6 +103,12 @@ def test_no_more_is_promised_than_the_tests_have_seen():
     said = "\n".join(describe(found))
     assert "full heat reach more than 37 °C, the warmest of these tests;" in said
     assert "fan alone" not in said
+
+
+def test_a_model_that_predicts_better_is_told_and_refuses_nothing():
+    said = "\n".join(describe(replace(FoundBox(), better=("ARX 2", 0.1))))
+    assert "ARX 2 is off by 0.10 K: the twin lacks something" in said and "refused" not in said
+    assert "lacks" not in "\n".join(describe(FoundBox()))
 
 
 def test_a_box_that_was_learned_is_learned_anew_from_its_description(rig, monkeypatch):
@@ -307,3 +314,9 @@ def test_a_simple_twin_is_taken_where_it_predicts_clearly_better(simple_k, is_ta
     assert (set(twin.effects) == {"wall_loss"}) == is_taken
     assert error_k == (simple_k if is_taken else 0.5)
     assert not is_taken or twin.provenance["after"] == {"test": {"rmse_k": simple_k}}
+
+
+@pytest.mark.parametrize(("arx_k", "better"), [(0.39, ("ARX 2", 0.39)), (0.41, None)])
+def test_a_model_is_better_if_it_is_clearly_so(arx_k, better):
+    found = FoundTwins({"before": 0.1, "after": 0.5, "heater lag": 0.45, "ARX 2": arx_k})
+    assert commission.better_model(found, 0.5) == better
