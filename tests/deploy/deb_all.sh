@@ -42,6 +42,6 @@ every_test() {
 emulate_arm64
 mkdir -p out/deb out/deb-test
 rm -f out/deb/*.deb
-every_test 2>&1 | tee out/deb-test/results.txt
+every_test | tee out/deb-test/results.txt
 tail -n 1 out/deb-test/results.txt | grep -q '^every test has passed' # a pipe hides what every_test returns
 cp out/deb-test/results.txt bench/results/deb.txt
