@@ -26,8 +26,8 @@ from edge.models.arx_file import DEFAULT_PATH
 
 Models = Literal[
     "arx", "packaged", "twin"
-]  # the packaged ARX alone; the packaged bundle; ARX and diagnosed twin
-TWIN = Path(__file__).parents[1] / "results" / "paper_case" / "interpolation" / "twin.yaml"
+]  # the packaged ARX alone; the packaged bundle; ARX and commissioned twin
+TWIN = Path(__file__).parents[1] / "results" / "control" / "twin.yaml"  # of two hours of step tests
 TIME_BOX_MS = (
     60_000.0  # so long that only nodes and rollouts are counted: the same run gives the same figures
 )
