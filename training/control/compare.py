@@ -327,7 +327,7 @@ def pictures_of(
     for reference in references:
         for ending, drawn in DRAWN.items():
             found = _columns(jobs, reference, drawn, runs)
-            shown = {labels[name]: columns for name, columns in found.items()}
+            shown = {labels.get(name, name): columns for name, columns in found.items()}
             if shown:
                 title = f"{reference.replace('_', ' ')}, {'with' if ending else 'without'} penalty"
                 pictures[f"control_{reference}{ending}"] = runs_picture(title, shown)
