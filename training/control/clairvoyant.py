@@ -5,7 +5,8 @@ between them the state a minute later is a parabola in the duty (tests/training/
 Steps of 5 s are taken in the search; the plan's cost is then worked out in the chamber's own, and run.
 
 What a controller may know and do limits its clairvoyant too: `early_k` is how far the air may leave the
-reference before a step of it, and `held_plan` takes the present reference for all that comes.
+reference before a step of it, `clash_weight` the price of heat against the fan, and `held_plan` takes the
+present reference for all that comes.
 """
 
 from collections.abc import Callable
@@ -42,6 +43,7 @@ class ReferenceCourse:
     reference : [N], after each step [degC]; begin_s : of the first step
     early_k : the air leaves the reference by no more before a step of it [K]
     whole : the fan is off or on for all of a step
+    clash_weight : of duty times share of the fan, a step
     """
 
     reference: Floats
@@ -51,6 +53,7 @@ class ReferenceCourse:
     target: Target
     early_k: float = np.inf
     whole: bool = False
+    clash_weight: float = 0.0
 
     @property
     def fans(self) -> Floats:
@@ -110,6 +113,7 @@ def _search(
         total = cost[:, None, None] + TRACKING_WEIGHT * (target - reference) ** 2
         total += EARLY_WEIGHT * np.maximum(np.maximum(target - high[k], low[k] - target), 0.0) ** 2
         total += max(course.weight, LEAST_WEIGHT) * (_SHARES**2 + fans[:, None])
+        total += course.clash_weight * _SHARES * fans[:, None]
         kept = _cheapest(total, element, width, kind_k)
         parent, fan, level = np.unravel_index(kept, total.shape)
         trace.append((parent, fan, level))

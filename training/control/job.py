@@ -2,11 +2,10 @@
 
 import hashlib
 import json
-import math
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from edge.bundle.store import PACKAGED_FOLDER
 from edge.config.settings import ControlSettings, LlmSettings
 from edge.controllers.input_profile import InputProfile
 from edge.controllers.mpc_bfgs import MpcBfgs
+from edge.controllers.mpc_twin import CLASH_WEIGHT
 from edge.controllers.rules import Rules
 from edge.core.controller import Controller
 from edge.core.errors import DataError
@@ -111,8 +111,10 @@ def course_of(job: ComparisonJob) -> ReferenceCourse | None:
     times = step_s * np.arange(int(read_profile(job.profile).end_s / step_s) - 1, dtype=np.float64)
     reference = reference_from_profile(job.profile).at(times, times)
     weight = float("-P" in job.entry.name)
-    early_k = ControlSettings().twin_early_k if job.entry.rule == "band" else math.inf
-    return ReferenceCourse(reference, FIRST_TICK_S, step_s, weight, target, early_k, job.entry.whole)
+    course = ReferenceCourse(reference, FIRST_TICK_S, step_s, weight, target, whole=job.entry.whole)
+    if job.entry.rule != "band":
+        return course
+    return replace(course, early_k=ControlSettings().twin_early_k, clash_weight=CLASH_WEIGHT)
 
 
 def fresh_chamber(job: ComparisonJob) -> ChamberRows:

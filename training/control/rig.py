@@ -52,8 +52,8 @@ class ComparisonEntry:
     name : in the table; controller : of the daemon
     models : what the rig has; control : settings that differ from the usual ones
     clairvoyant : instead of the controller the best plan for the air's mean, or for what its sensor shows
-    rule : of a clairvoyant, leave the reference before a step as it likes, by at most
-        `control.twin_early_k`, or know the present reference alone
+    rule : of a clairvoyant, leave the reference before a step as it likes, keep MPC-Twin's rules (by at most
+        `control.twin_early_k`, and no heat against the fan), or know the present reference alone
     whole : a clairvoyant's fan is off or on for all of a step
     unbounded : BFGS without the bounds of the paper's problem, clipped afterwards
     thresholds : of a thermostat other than the daemon's
