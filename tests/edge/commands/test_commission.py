@@ -308,9 +308,13 @@ class FoundTwins:
         return {"heater lag": replace(self.adopted, effects={"wall_loss": {"UA": Value(3.0)}})}
 
 
-@pytest.mark.parametrize(("simple_k", "is_taken"), [(0.39, True), (0.41, False)])
-def test_a_simple_twin_is_taken_where_it_predicts_clearly_better(simple_k, is_taken):
-    twin, error_k = commission.chosen_twin(FoundTwins({"after": 0.5, "heater lag": simple_k, "ARX 2": 0.1}))
+@pytest.mark.parametrize(
+    ("simple_k", "limit_k", "is_taken"),
+    [(0.24, 1.0, True), (0.26, 1.0, False), (0.39, 0.45, True), (0.41, 0.45, False)],
+)
+def test_a_simple_twin_is_taken_if_it_halves_the_error_or_makes_it_small_enough(simple_k, limit_k, is_taken):
+    found = FoundTwins({"after": 0.5, "heater lag": simple_k, "ARX 2": 0.1})
+    twin, error_k = commission.chosen_twin(found, limit_k)
     assert (set(twin.effects) == {"wall_loss"}) == is_taken
     assert error_k == (simple_k if is_taken else 0.5)
     assert not is_taken or twin.provenance["after"] == {"test": {"rmse_k": simple_k}}
