@@ -34,7 +34,7 @@ from edge.twin.warm_start import at_rest
 Floats = NDArray[np.float64]
 STEP_S, HOUR_S = 60.0, 3600.0
 TESTS_S = 7200.0  # of commissioning; losses are those after so long
-SETTLED_S = 400_000.0  # when all of it is warm
+SETTLED_S = 200_000.0  # when all of it is warm, but for what LOSS_SETTLED allows
 QUICK_S = 300.0  # in which the quickest capacity is seen
 ROOM_C = 20.0
 HOTTEST_K = 20.0  # over the room: little is kept warmer, and the limit of the air is 40 °C
@@ -133,39 +133,36 @@ def _in_long_steps(twin: BoxTwin) -> BoxTwin:
 
 def _rise(twin: BoxTwin, fan: float, until_s: float) -> Floats:
     """Return the air over the room after each step of full heat from rest, from its beginning on [K]."""
-    rest = at_rest(twin, ROOM_C, ROOM_C)
-    duty = np.ones(round(until_s / twin.step_s))
-    heated, idle = (_run(twin, rest, share * duty, fan * duty) for share in (1.0, 0.0))
+    duty: Floats = np.outer([1.0, 0.0], np.ones(round(until_s / twin.step_s)))
+    heated, idle = _run(twin, at_rest(twin, ROOM_C, ROOM_C), duty, np.full_like(duty, fan))
     return np.append(0.0, heated - idle)
 
 
 def _cooling(twin: BoxTwin, hottest_k: float, fan: float) -> Floats:
     """Return the air over the room from a long hold on, each minute without heat [K]."""
-    steps = np.zeros(round((SETTLE_S + 2.0 * LONG_S) / STEP_S))
-    rest = at_rest(twin, ROOM_C, ROOM_C)
-    hot = at_rest(twin, ROOM_C + hottest_k, ROOM_C)
-    air, idle = (_run(twin, start, steps, steps + fan) for start in (hot, rest))
+    off: Floats = np.zeros((2, round((SETTLE_S + 2.0 * LONG_S) / STEP_S)))
+    starts = np.stack([at_rest(twin, ROOM_C + warmer_k, ROOM_C) for warmer_k in (hottest_k, 0.0)])
+    air, idle = _run(twin, starts, off, off + fan)
     return np.append(hottest_k, air - idle)
 
 
 def _late_rise_k(twin: BoxTwin) -> float:
     """Return the largest rise over SHORT_S that begins SETTLE_S or more after full heat has ended."""
     rows, settled, window = (round(seconds / STEP_S) for seconds in (TESTS_S, SETTLE_S, SHORT_S))
-    rest, largest_k = at_rest(twin, ROOM_C, ROOM_C), 0.0
-    off: Floats = np.zeros(rows)
-    for heated in (rows // 8, rows // 4, rows // 2):
-        duty = off.copy()
-        duty[:heated] = 1.0
-        air, idle = (_run(twin, rest, inputs, off) for inputs in (duty, off))
-        after = (air - idle)[heated + settled - 1 :]
+    ends = (0, rows // 8, rows // 4, rows // 2)
+    duty: Floats = np.array([np.arange(rows) < end for end in ends], dtype=np.float64)
+    idle, *heated = _run(twin, at_rest(twin, ROOM_C, ROOM_C), duty, np.zeros_like(duty))
+    largest_k = 0.0
+    for end, air in zip(ends[1:], heated, strict=True):
+        after = (air - idle)[end + settled - 1 :]
         largest_k = max(largest_k, float((after[window:] - after[:-window]).max()))
     return largest_k
 
 
 def _run(twin: BoxTwin, start: Floats, duty: Floats, fan: Floats) -> Floats:
-    given = {name: np.zeros(len(duty)) for name in twin.needs}
-    inputs = Commands(duty[None], fan[None])
-    return np.asarray(twin.rollout(start, *inputs, ROOM_C, conditions=given)[0])
+    """Return the air [M, N] under inputs [M, N]. start : states, or [M, states]"""
+    given = {name: np.zeros(duty.shape[1]) for name in twin.needs}
+    return np.asarray(twin.rollout(start, *Commands(duty, fan), ROOM_C, conditions=given))
 
 
 def _element_lag_s(twin: BoxTwin) -> float:
