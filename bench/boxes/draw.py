@@ -30,10 +30,10 @@ from bench.boxes.reach import reach, rise_k
 
 __all__ = ["DEVELOPMENT", "LOTS", "SCORED", "BoxFacts", "draw_box"]
 
-LOTS = tuple(tuple(range(first, first + LOT)) for first in (1, 101, 201))
-BURNT = 9  # boxes of the last lot; they and the second lot were scored once, and are known since
+LOTS = tuple(tuple(range(first, first + LOT)) for first in (1, 101, 201, 301))
+BURNT = 9  # boxes of the third lot; they and the second lot were scored once, and are known since
 DEVELOPMENT = (*LOTS[0], *LOTS[1], *LOTS[2][:BURNT])
-SCORED = LOTS[2][BURNT:]
+SCORED = (*LOTS[2][BURNT:], *LOTS[3])
 FLOWS_M3_H = (5.0, 200.0)
 CHANGES_1_MIN = (0.8, 5.0)  # of the air by the fan
 WATER_KG_M2 = ((0.2, 2.0), (2.0, 10.0), (5.0, 40.0))  # in pots, plants and jars on the floor, by weight
@@ -187,6 +187,8 @@ def _size_heater(facts: BoxFacts, wished_k: float, hand: Hand) -> BoxFacts | Non
     for _ in range(SIZINGS):
         sized = _with_heater(facts, power_w, lag_s)
         rise = rise_k(sized)
+        if rise <= 0.0:
+            return None
         power_w = float(np.clip(power_w * (wished_k / rise) ** 1.1, POWERS_W[0], most_w))
     if not RISES_K[0] <= rise <= RISES_K[1] + 1.0:
         return None

@@ -146,7 +146,7 @@ def install(rig: BootedRig, report: BootReport) -> None:
     report.check("udev names the adapter", adapter.split() == ["ftdi_sio", "/dev/ttyUSB0"], adapter.split())
     report.check("nothing heats before a person starts it", rig.unit("ActiveState") == "inactive")
     sh("greenhouse board configure /srv/board.yaml")
-    report.check("an empty board is configured", "temp_air" in sh("greenhouse board show"))
+    report.check("an empty board is configured", "Air temperature" in sh("greenhouse board show"))
     sh(f"greenhouse setup --from-answers /srv/answers.json --replace && greenhouse check-config {CONFIG}")
     sh("systemctl start greenhouse", RESTART_MAX_S)
     report.check("setup's settings start it", rig.unit("ActiveState") == "active", rig.unit("StatusText"))
