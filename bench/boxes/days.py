@@ -94,7 +94,7 @@ def _has_room(facts: BoxFacts) -> bool:
 
 CASES = (
     FaultCase("relay stuck on, rig off", "heater_stuck_on", STUCK_ON, off=True),
-    FaultCase("relay stuck on while held", "heater_stuck_on", STUCK_ON),
+    FaultCase("relay stuck on while held", "heater_stuck_on", STUCK_ON | {"safety.fan_no_effect"}),
     FaultCase("heater dead from the start", "heater_dead", NO_HEAT, hour=0.0, has_to=_has_room),
     FaultCase("heater dies while held", "heater_dead", NO_HEAT, has_to=_has_room),
     FaultCase(

@@ -11,10 +11,11 @@ from edge.config.settings import SafetySettings
 from edge.core.messages import ReadingQuality
 from edge.core.names import HEATER_LEVELS
 from edge.safety.memory import DAY_S, HOUR_S, SafetyMemory, SafetyView, heat_wh, water_s
-from edge.safety.thermal_supervision import HEATER_STUCK_ON
+from edge.safety.thermal_supervision import FAN_NO_EFFECT, HEATER_STUCK_ON
 
 OVER_TEMPERATURE = "over_temperature"
-HOT_TRIPS = frozenset({OVER_TEMPERATURE, HEATER_STUCK_ON})  # answered with the fan and the cut-off
+HOT_TRIPS = frozenset({OVER_TEMPERATURE, HEATER_STUCK_ON})  # answered with the fan
+CUTOFF_TRIPS = HOT_TRIPS | {FAN_NO_EFFECT}  # air that a fan does not cool may have a heater that is stuck on
 CLOCK_SLACK_S = 0.5  # a tick may begin this much early without breaking a relay time
 LED_LEVELS = 100
 VALVE_STEPS_PER_S = 10

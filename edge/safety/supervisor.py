@@ -25,11 +25,11 @@ from edge.safety.memory import (
     survives_as,
 )
 from edge.safety.rules import (
+    CUTOFF_TRIPS,
     FAN_FORCED,
     FAN_LIMITS,
     HEATER_LIMITS,
     HEATER_OFF,
-    HOT_TRIPS,
     LED_LIMITS,
     LED_OFF,
     OVER_TEMPERATURE,
@@ -95,7 +95,7 @@ def supervise(
         changes=tuple(changes),
         memory=remember(memory, sent, ramp, view),
         events=events,
-        open_cutoff=view.emergency_stop or view.maintenance or not HOT_TRIPS.isdisjoint(memory.trips),
+        open_cutoff=view.emergency_stop or view.maintenance or not CUTOFF_TRIPS.isdisjoint(memory.trips),
     )
 
 

@@ -11,7 +11,7 @@ questions, each with its own small memory:
 - more heat than was ordered: relay stuck on. With the heater off, a balance over SHORT_S after SETTLE_S
   without switching: 15 to 25 min after the board was told off. Where heater and fan keep switching, a balance
   over LONG_S: within 2 h while little heat is ordered (while much is, the stuck relay gives what is wanted).
-- fan on while warm, and it stays warm: fan stuck or blocked. COOLING_S after the fan was told on.
+- fan on while warm, and it stays warm: fan stuck or blocked, or a relay stuck on. COOLING_S after it went on.
 - air colder than the room for COLD_S: one of the two sensors is wrong.
 
 The first, third and fourth need a good room temperature and are silent without one.
@@ -224,7 +224,8 @@ def _fan_works(
     if excess <= max((1.0 - COOLED_SHARE) * memory.fan_begin_excess_k, heated + box.other_heat_k):
         return memory, None
     text = (
-        f"fan on for {memory.fan_same_s:.0f} s, air still {excess:.1f} K above the room: fan stuck or blocked"
+        f"fan on for {memory.fan_same_s:.0f} s, air still {excess:.1f} K above the room: "
+        "fan stuck or blocked, or heater relay stuck on"
     )
     return memory, PartFault(FAN_NO_EFFECT, text)
 

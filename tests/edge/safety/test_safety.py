@@ -194,13 +194,17 @@ def test_a_latched_trip_outlasts_its_cause_and_is_told_once():
     assert again.memory.trips == ("over_temperature",) and again.events == ()
 
 
-@pytest.mark.parametrize(
-    "trip", ["heater_no_effect", "fan_no_effect", "sensor_offset", "one of a later version"]
-)
+@pytest.mark.parametrize("trip", ["heater_no_effect", "sensor_offset", "one of a later version"])
 def test_a_trip_that_is_not_hot_takes_only_the_heat(trip):
     verdict = judge(FULL, memory=SafetyMemory(trips=(trip,)))
     assert verdict.sent == replace(FULL, heater_duty=0.0)
     assert not verdict.open_cutoff
+
+
+def test_where_a_fan_does_not_cool_the_cutoff_opens_for_the_heater_may_be_stuck_on():
+    verdict = judge(FULL, memory=SafetyMemory(trips=("fan_no_effect",)))
+    assert verdict.sent == replace(FULL, heater_duty=0.0)
+    assert verdict.open_cutoff
 
 
 def test_a_proof_of_the_relay_holds_heat_and_fan_back():
