@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.app import controllers as registry
+from edge.app.box import bounds_of
 from edge.board.recorded_board import RecordedBoard, ReplayClock
 from edge.config.settings import Settings
 from edge.controllers.mpc import Mpc
@@ -93,12 +94,12 @@ def replay(
     start_s = float(run.columns["time_s"][0])
     clock = ReplayClock(start_s, run.start_utc or 0.0)
     step_s = settings.control.step_s
-    tape, inbox = Tape(), Inbox()
+    tape, inbox, box = Tape(), Inbox(), bounds_of(settings.box.twin)
     rig = Rig(
         settings=settings,
         clock=clock,
         board=RecordedBoard(run, clock, step_s, fan_always_on),
-        sensors=SensorHealth(settings.sensor_health, settings.calibration),
+        sensors=SensorHealth(settings.sensor_health, settings.calibration, box),
         estimator=Estimator(settings.estimator, model, step_s, settings.control.ambient_default_c),
         reference=make_reference(settings.reference),
         zone=zone_of(settings.timezone),
@@ -113,6 +114,7 @@ def replay(
         inbox=inbox,
         save_state=_forget,
         stop_at_s=float(run.columns["time_s"][-1]),
+        box=box,
     )
     try:
         Loop(rig, Operation(settings.control.controller), SafetyMemory(), first_seq=1).run()

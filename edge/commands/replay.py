@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     twin = None if arguments.twin is None else read_twin(arguments.twin)
     if twin is None and arguments.controller in MPC_TWIN:
         raise DataError(f"--controller {arguments.controller} needs --twin, the file that it plans with")
-    settings = settings_for(model.step_s, arguments.controller, arguments.reference)
+    settings = settings_for(model.step_s, arguments.controller, arguments.reference, arguments.twin)
     without = [*arguments.without, *(["fan_on"] if arguments.fan_always_on else [])]
     skills = []
     for path in arguments.runs:
@@ -102,13 +102,17 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def settings_for(step_s: float, controller: str, reference_c: float) -> Settings:
-    """Return the default settings at another step, in shadow. Limits in degrees and seconds stay."""
+def settings_for(step_s: float, controller: str, reference_c: float, twin: Path | None = None) -> Settings:
+    """Return the default settings at another step, in shadow. Limits in degrees and seconds stay.
+
+    twin : of the box that safety shall know; None: the paper's
+    """
     settings = config.default()
     return replace(
         settings,
         control=replace(settings.control, step_s=step_s, controller=controller),
         reference=replace(settings.reference, reference_c=reference_c),
+        box=replace(settings.box, twin="" if twin is None else str(twin)),
     )
 
 

@@ -156,6 +156,21 @@ def test_a_twins_controller_is_replayed_bit_for_bit() -> None:
     assert decisions_digest(first) == decisions_digest(second)
 
 
+def test_safety_knows_the_box_of_the_twin_that_is_given(tmp_path: Path) -> None:
+    """In a box of 4 kJ/K a still sensor under full heat is stuck after 20 min, in one of 180 kJ/K not."""
+    rows = 200
+    still = {"time_s": STEP_S * np.arange(rows), "temp_air_c": np.full(rows, 30.0)}
+    more = {"temp_ambient_c": np.full(rows, 20.0), "heater_duty": np.ones(rows), "fan_on": np.zeros(rows)}
+    qualities = []
+    for times_air in (20.0, 1000.0):
+        path = tmp_path / f"{times_air:g}.yaml"
+        path.write_text(f"effects: {{wall_loss: {{UA: 3.0}}, extra_capacity: {{kC: {times_air}}}}}\n")
+        settings = settings_for(STEP_S, "MPC", 24.0, path)
+        ticks = replay(RecordedRun(still | more), settings, TRUE_BOX, fan_always_on=False)
+        qualities.append(ticks[-2].readings["temp_air"].quality)
+    assert qualities == [ReadingQuality.STUCK, ReadingQuality.GOOD]
+
+
 def test_a_twin_of_another_step_is_refused() -> None:
     with pytest.raises(DataError, match="sample_s"):
         replay(recording(), settings_for(STEP_S, "MPC", 24.0), TRUE_BOX, False, twin=Pbm(BoxTwin(step_s=7.0)))
