@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from edge.config.settings import SafetySettings
 from edge.core.messages import ReadingQuality
 from edge.core.names import HEATER_LEVELS
+from edge.safety.box_bounds import BoxBounds
 from edge.safety.memory import DAY_S, HOUR_S, SafetyMemory, SafetyView, heat_wh, water_s
 from edge.safety.thermal_supervision import FAN_NO_EFFECT, HEATER_STUCK_ON
 
@@ -182,6 +183,15 @@ def energy_duty(
     return min(1.0, max(0.0, left_wh / full_wh)) if full_wh > 0.0 else 0.0
 
 
+def duty_below_trip(temp_air: float | None, trip_c: float, dt_s: float, box: BoxBounds) -> float:
+    """Heater duty that keeps a light box below the trip through the next `dt_s`, 0..1."""
+    if temp_air is None or box.capacity_min_j_k <= 0.0:  # `air_unknown` forces; an unknown box has no bound
+        return 1.0
+    full_k = box.power_max_w * dt_s / box.capacity_min_j_k
+    left_k = max(0.0, trip_c - temp_air)
+    return min(1.0, left_k / full_k) if full_k > 0.0 else 1.0
+
+
 def ramp_duty(s: RuleInput) -> float:
     """Heater duty that the slew limit allows now."""
     last_s = s.memory.time_s
@@ -211,6 +221,11 @@ HEATER_LIMITS = (
         "heater.energy_day",
         lambda s: energy_duty(s.memory, s.settings, s.view.now_s, s.view.dt_s, DAY_S, s.view.box.heater_w),
         "energy cap of the day",
+    ),
+    Limit(
+        "heater.below_trip",
+        lambda s: duty_below_trip(s.temp_air, s.settings.temp_trip_c, s.view.dt_s, s.view.box),
+        "more would trip within this step",
     ),
     Limit("heater.slew", ramp_duty, "rises too fast"),
 )

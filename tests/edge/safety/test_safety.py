@@ -23,9 +23,10 @@ from safety_cases import (
 from edge.config.settings import SafetySettings
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
+from edge.safety.box_bounds import PAPER_BOX, unknown_box
 from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, water_s
 from edge.safety.relay_proof import EVERY_S, RelayProof
-from edge.safety.rules import energy_duty
+from edge.safety.rules import duty_below_trip, energy_duty
 from edge.safety.supervisor import (
     SafetyMemory,
     clear_trip,
@@ -330,6 +331,40 @@ def test_a_tripped_board_gets_no_heat():
 
 def test_a_board_that_has_not_answered_yet_may_be_told():
     assert judge(FULL, view(echo=None)).sent == FULL
+
+
+# Heater: a light box, which one step may bring to the trip
+
+LIGHT = replace(PAPER_BOX, capacity_min_j_k=660.0)  # full heat, 110 W, warms it by 10 K in 60 s
+
+
+@pytest.mark.parametrize(
+    ("temp_air", "dt_s", "box", "duty"),
+    [
+        (38.0, 60.0, LIGHT, 0.5),
+        (38.0, 30.0, LIGHT, 1.0),
+        (38.0, 600.0, LIGHT, 0.05),
+        (33.0, 60.0, LIGHT, 1.0),
+        (20.0, 60.0, LIGHT, 1.0),
+        (43.0, 60.0, LIGHT, 0.0),
+        (50.0, 60.0, LIGHT, 0.0),
+        (42.5, 5.0, LIGHT, 0.6),
+        (50.0, 0.0, LIGHT, 1.0),
+        (None, 60.0, LIGHT, 1.0),
+        (42.0, 60.0, replace(PAPER_BOX, capacity_min_j_k=1.0), 1.0 / 6600.0),
+        (42.0, 60.0, unknown_box(100.0, "exhaust"), 1.0),
+        (39.99, 60.0, PAPER_BOX, 1.0),
+    ],
+)
+def test_heat_of_a_step_does_not_reach_the_trip(temp_air, dt_s, box, duty):
+    assert duty_below_trip(temp_air, 43.0, dt_s, box) == pytest.approx(duty)
+
+
+def test_a_light_box_near_its_limit_gets_less_heat():
+    verdict = judge(FULL, view(air=38.0, box=LIGHT))
+    assert verdict.sent.heater_duty == 0.5
+    assert rules(verdict, "heater_duty") == ["heater.below_trip"]
+    assert judge(FULL, view(air=32.0, box=LIGHT)).sent == FULL
 
 
 # Heater: largest duty, slew, energy
