@@ -183,13 +183,18 @@ def energy_duty(
     return min(1.0, max(0.0, left_wh / full_wh)) if full_wh > 0.0 else 0.0
 
 
-def duty_below_trip(temp_air: float | None, trip_c: float, dt_s: float, box: BoxBounds) -> float:
-    """Heater duty that keeps a light box below the trip through the next `dt_s`, 0..1."""
+def duty_below_trip(
+    temp_air: float | None, trip_c: float, dt_s: float, box: BoxBounds, held_duty: float
+) -> float:
+    """Heater duty that keeps a light box below the trip through the next `dt_s`, 0..1.
+
+    held_duty : mean of the last minutes; only heat beyond it warms the air further
+    """
     if temp_air is None or box.capacity_min_j_k <= 0.0:  # `air_unknown` forces; an unknown box has no bound
         return 1.0
     full_k = box.power_max_w * dt_s / box.capacity_min_j_k
     left_k = max(0.0, trip_c - temp_air)
-    return min(1.0, left_k / full_k) if full_k > 0.0 else 1.0
+    return min(1.0, held_duty + left_k / full_k) if full_k > 0.0 else 1.0
 
 
 def ramp_duty(s: RuleInput) -> float:
@@ -224,7 +229,9 @@ HEATER_LIMITS = (
     ),
     Limit(
         "heater.below_trip",
-        lambda s: duty_below_trip(s.temp_air, s.settings.temp_trip_c, s.view.dt_s, s.view.box),
+        lambda s: duty_below_trip(
+            s.temp_air, s.settings.temp_trip_c, s.view.dt_s, s.view.box, s.memory.thermal.heat
+        ),
         "more would trip within this step",
     ),
     Limit("heater.slew", ramp_duty, "rises too fast"),
