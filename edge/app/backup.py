@@ -30,7 +30,7 @@ from edge.formats.cross_check import Rule
 from edge.formats.reader import parse_json, read
 
 MANIFEST, LAYOUT = "manifest.json", 1
-CONFIG, HISTORY, STATE, EVIDENCE = "edge.yaml", "history.db", "state.json", "evidence"
+CONFIG, HISTORY, STATE = "edge.yaml", "history.db", "state.json"
 BESIDE_A_DATABASE = ("-wal", "-shm")  # of the old one; beside a new one they would spoil it
 COPIES = 3  # of a folder that changes while it is read
 _NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*", re.ASCII)
@@ -54,7 +54,7 @@ def read_manifest(content: bytes | str, place: str = MANIFEST) -> BackupManifest
 
 def places(config: Path, settings: Settings) -> dict[str, Path]:
     """Return files and folders of a rig by their name in a backup."""
-    bundle, history = settings.bundle, Path(settings.history.path)
+    bundle = settings.bundle
     found = {
         CONFIG: config,
         "board.yaml": config.parent / "board.yaml",
@@ -65,8 +65,8 @@ def places(config: Path, settings: Settings) -> dict[str, Path]:
         "signing.key": Path(bundle.signing_key) if bundle.signing_key else None,
         "bundles": Path(bundle.path) if bundle.path else None,
         "diagnosis": Path(settings.drift.reports),
-        HISTORY: history,
-        EVIDENCE: history.parent / EVIDENCE,
+        HISTORY: Path(settings.history.path),
+        "evidence": settings.history.evidence,
         STATE: Path(settings.state_file),
     }
     return {name: path for name, path in found.items() if path is not None}

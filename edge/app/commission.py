@@ -141,8 +141,8 @@ def learn(
 def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:
     """Return the twin that was found, or a baseline, and the error of its free run over the held-out rows.
 
-    A baseline is taken if it halves the error, or is good enough where the other is not. It may lack the lag
-    of heater or sensor, and a plan without that swings, which a free run does not show.
+    A baseline is taken if it halves the error, or is clearly better where the other is refused. It may lack
+    the lag of heater or sensor, and a plan without that swings, which a free run does not show.
     """
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}

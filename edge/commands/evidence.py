@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
             _report(arguments)
         case _:
             settings = settings_of(arguments.config)
-            folder = arguments.folder or Path(settings.history.path).parent / "evidence"
+            folder = arguments.folder or settings.history.evidence
             with as_owner(folder):
                 _grow(arguments, settings, folder)
     return 0

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from datetime import time
 from itertools import pairwise
+from pathlib import Path
 
 from edge.core import hard_limits as hard
 from edge.core.controller import AUTO, CONTROLLERS, EXTERNAL, LLM, MPC, RULES
@@ -41,6 +42,11 @@ class HistorySettings(Section):
     queue_ticks: int = whole(
         2000, "ticks that may wait for a slow disk; more are dropped and counted", 10, 100000
     )
+
+    @property
+    def evidence(self) -> Path:
+        """Folder of the sealed record, beside the database."""
+        return Path(self.path).parent / "evidence"
 
     def cross_check(self) -> None:
         """Rows are thinned before they are deleted."""

@@ -69,7 +69,8 @@ class ComparisonJob:
         if (policy := POLICY_FILES.get(self.entry.controller)) is not None:
             facts["policy"] = hashlib.sha256((PACKAGED_FOLDER / policy).read_bytes()).hexdigest()
         if self.entry.clairvoyant is not None:
-            facts["clairvoyant"] = [self.entry.rule, self.entry.whole]
+            clash_weight = CLASH_WEIGHT if self.entry.rule == "band" else 0.0
+            facts["clairvoyant"] = [self.entry.rule, self.entry.whole, clash_weight]
         if self.entry.thresholds is not None:
             facts["thresholds"] = asdict(self.entry.thresholds)
         if settings.llm.model:
