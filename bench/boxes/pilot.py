@@ -1,8 +1,7 @@
 """A pilot of one body: readings, a controller and safety, as in a tick, with faults between.
 
 Pilots fly in a row over the columns of one body, which costs hardly more than one of them alone. The daemon's
-own parts judge: `SensorHealth`, `supervise`. The board and its line are not between them, and samples are too
-rare to show a jump.
+own parts judge: `SensorHealth`, `supervise`. The board and its line are not between them.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +18,6 @@ from edge.safety.supervisor import SafetyMemory, SafetyView, planning_limits, su
 from edge.tick.sensor_health import SensorHealth
 
 NOT_GOOD = "reading.not_good"
-NO_JUMP_K = 20.0  # the air of a small box moves by 4 K in 10 s; a board gives ten times as many samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +55,8 @@ class Pilot:
     _was_good: bool = True
 
     def __post_init__(self) -> None:
-        rare = replace(self.settings.sensor_health, air_jump_k=NO_JUMP_K)
-        self._health = SensorHealth(rare, self.settings.calibration, self.bounds)
+        settings = self.settings
+        self._health = SensorHealth(settings.sensor_health, settings.calibration, self.bounds)
         self.controller.reset()
 
     @property

@@ -47,6 +47,7 @@ BEFORE = ".before"  # ending of the description that a learned twin has replaced
 OTHER_SHARE, OTHER_LONG_SHARE = 0.5, 0.3  # of the heater's power, that nobody ordered
 LATE_SHARE = 0.25  # of the heater's power, that still comes SETTLE_S after it was told off
 LAG_S, LAG_TIMES = 300.0, 1.6
+MOMENT_S = 5.0  # over which the air's fastest change is taken
 LONGER = 1.5  # so many times the rise of TESTS_S comes in a day
 SURE = 1.3  # a healthy twin must stay so many times away from a finding
 
@@ -96,6 +97,7 @@ def box_bounds(file: TwinFile) -> BoxBounds:
         fan_weak_w_k=WEAK * fan_w_k,
         other_heat_w=OTHER_SHARE * heater_w,
         other_heat_long_w=OTHER_LONG_SHARE * heater_w,
+        air_rate_max_k_s=max(PAPER_BOX.air_rate_max_k_s, SURE * _fastest_k_s(twin)),
     )
     return _without_false_names(bounds, twin, warming, settled_k)
 
@@ -138,9 +140,9 @@ def _rise(twin: BoxTwin, fan: float, until_s: float) -> Floats:
     return np.append(0.0, heated - idle)
 
 
-def _cooling(twin: BoxTwin, hottest_k: float, fan: float) -> Floats:
-    """Return the air over the room from a long hold on, each minute without heat [K]."""
-    off: Floats = np.zeros((2, round((SETTLE_S + 2.0 * LONG_S) / STEP_S)))
+def _cooling(twin: BoxTwin, hottest_k: float, fan: float, until_s: float = SETTLE_S + 2.0 * LONG_S) -> Floats:
+    """Return the air over the room from a long hold on, after each step without heat [K]."""
+    off: Floats = np.zeros((2, round(until_s / twin.step_s)))
     starts = np.stack([at_rest(twin, ROOM_C + warmer_k, ROOM_C) for warmer_k in (hottest_k, 0.0)])
     air, idle = _run(twin, starts, off, off + fan)
     return np.append(hottest_k, air - idle)
@@ -163,6 +165,14 @@ def _run(twin: BoxTwin, start: Floats, duty: Floats, fan: Floats) -> Floats:
     """Return the air [M, N] under inputs [M, N]. start : states, or [M, states]"""
     given = {name: np.zeros(duty.shape[1]) for name in twin.needs}
     return np.asarray(twin.rollout(start, *Commands(duty, fan), ROOM_C, conditions=given))
+
+
+def _fastest_k_s(twin: BoxTwin) -> float:
+    """Return the fastest change of the air: full heat from rest, or the fan in the warmest box [K/s]."""
+    quick = replace(twin, step_s=MOMENT_S)
+    warming = _rise(quick, 0.0, QUICK_S)
+    blown = _cooling(quick, HOTTEST_K, 1.0, QUICK_S)
+    return max(float(np.abs(np.diff(air)).max()) for air in (warming, blown)) / MOMENT_S
 
 
 def _element_lag_s(twin: BoxTwin) -> float:

@@ -19,6 +19,7 @@ class BoxBounds:
     other_heat_w : sun through a window, a pump, a wall that is still warm: heat that is nobody's fault;
         other_heat_long_w : the same over an hour, in which the walls' part averages out
     other_heat_k : what it makes at most with the fan on
+    air_rate_max_k_s : its air warms or cools no faster [K/s]
     """
 
     heater_w: float = HEATER_MAX_W
@@ -34,6 +35,7 @@ class BoxBounds:
     other_heat_w: float = 50.0
     other_heat_long_w: float = 30.0
     other_heat_k: float = 4.0
+    air_rate_max_k_s: float = 0.1
     fan_cools: bool = True  # False for one that only stirs, and without a fan
     fan_role: str = "exhaust"  # of the twin file
 
@@ -43,6 +45,7 @@ class BoxBounds:
         return self.capacity_max_j_k < NO_BOUND
 
 
+UNKNOWN_RATE_K_S = 2.0  # 20 K at once, behind a sensor of 10 s
 NO_BOUND = 1e9  # finite, so that its product with nothing is nothing
 PAPER_BOX = BoxBounds()
 
@@ -62,4 +65,5 @@ def unknown_box(heater_w: float, fan_role: str) -> BoxBounds:
         fan_role=fan_role,
         other_heat_w=NO_BOUND,
         other_heat_long_w=NO_BOUND,
+        air_rate_max_k_s=UNKNOWN_RATE_K_S,
     )

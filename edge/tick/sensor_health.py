@@ -18,8 +18,15 @@ from edge.tick.stillness import Stillness, is_stuck, watch
 AVERAGE_S = 5.0
 STALE_PERIODS = 3  # as Quality.STALE
 CONFIRM_SAMPLES = 5  # so many in a row that agree are a step, not a spike
-AIR_RATE_MAX_K_S = 0.1  # no box of this kind warms or cools faster; a gap widens the allowed jump by it
-TEMPERATURES = ("temp_air", "temp_ambient")  # light and moisture may jump
+ROOM_RATE_MAX_K_S = 0.1  # no room warms or cools faster
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How far a signal can move between two samples; light and moisture may jump."""
+
+    jump_k: float = math.inf
+    rate_k_s: float = 0.0  # a gap widens the jump by it
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +51,10 @@ class SensorHealth:
         self._calibration = calibration
         self._box = box
         self._tracks = {name: Track() for name in SIGNALS}
+        self._paces = {
+            "temp_air": Pace(settings.air_jump_k, box.air_rate_max_k_s),
+            "temp_ambient": Pace(settings.air_jump_k, ROOM_RATE_MAX_K_S),
+        }
         self._still = Stillness()
 
     def readings(
@@ -57,7 +68,7 @@ class SensorHealth:
         result = {}
         for name, track in self._tracks.items():
             new = [sample[name] for sample in samples if name in sample]
-            track = follow(replace(track, stepped=False), new, self._settings)
+            track = follow(replace(track, stepped=False), new, self._paces.get(name, Pace()))
             self._tracks[name] = track
             result[name] = assess(name, track, now, self._settings, getattr(self._calibration, name))
         result["temp_air"] = self._unless_stuck(result["temp_air"], result["temp_ambient"], now, driven)
@@ -78,7 +89,7 @@ class SensorHealth:
         return air
 
 
-def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSettings) -> Track:
+def follow(track: Track, samples: Sequence[Reading], pace: Pace) -> Track:
     """Return the track after more samples, oldest first."""
     if not samples:
         return track
@@ -87,10 +98,10 @@ def follow(track: Track, samples: Sequence[Reading], settings: SensorHealthSetti
         if sample_quality(sample) is not ReadingQuality.GOOD:
             continue
         before = quiet[-1] if quiet else (track.accepted[-1] if track.accepted else None)
-        if before is None or not _jumps(before, sample, settings):
+        if before is None or not _jumps(before, sample, pace):
             quiet.append(sample)
         else:
-            track, quiet = _suspect(_accept(track, quiet), sample, settings), []
+            track, quiet = _suspect(_accept(track, quiet), sample, pace), []
     return replace(_accept(track, quiet), newest=samples[-1])
 
 
@@ -104,11 +115,11 @@ def sample_quality(sample: Reading) -> ReadingQuality:
     return ReadingQuality.GOOD if signal.low <= sample.value <= signal.high else ReadingQuality.RANGE
 
 
-def _suspect(track: Track, sample: Reading, settings: SensorHealthSettings) -> Track:
+def _suspect(track: Track, sample: Reading, pace: Pace) -> Track:
     """Return the track after a sample that jumped from the last accepted one."""
     jumps_s = (*(t for t in track.jumps_s if sample.time_s - t < AVERAGE_S), sample.time_s)
     track = replace(track, jumps_s=jumps_s)
-    agree = not track.suspects or not _jumps(track.suspects[-1], sample, settings)
+    agree = not track.suspects or not _jumps(track.suspects[-1], sample, pace)
     suspects = (*track.suspects, sample) if agree else (sample,)
     if len(suspects) < CONFIRM_SAMPLES:
         return replace(track, suspects=suspects)
@@ -132,11 +143,9 @@ def _take(track: Track, samples: Sequence[Reading], moved_s: float | None) -> Tr
     return replace(track, accepted=recent, suspects=(), still_since_s=still_since_s)
 
 
-def _jumps(before: Reading, sample: Reading, settings: SensorHealthSettings) -> bool:
-    if sample.signal not in TEMPERATURES:
-        return False
+def _jumps(before: Reading, sample: Reading, pace: Pace) -> bool:
     assert before.value is not None and sample.value is not None  # both are good
-    allowed = settings.air_jump_k + AIR_RATE_MAX_K_S * max(0.0, sample.time_s - before.time_s)
+    allowed = pace.jump_k + pace.rate_k_s * max(0.0, sample.time_s - before.time_s)
     return abs(sample.value - before.value) > allowed
 
 

@@ -12,7 +12,7 @@ from edge.config.settings import CalibrationSettings, SensorCalibration, SensorH
 from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.safety.box_bounds import PAPER_BOX, BoxBounds, unknown_box
-from edge.tick.sensor_health import CONFIRM_SAMPLES, SensorHealth, Track, follow, trimmed_mean
+from edge.tick.sensor_health import CONFIRM_SAMPLES, Pace, SensorHealth, Track, follow, trimmed_mean
 
 OFF = Command()
 
@@ -161,6 +161,18 @@ def test_after_a_gap_more_change_is_possible():
     after([24.0], sensors)
     reading = sensors.readings([air(32.0, 100.0)], 100.0, OFF)["temp_air"]
     assert (reading.value, reading.quality) == (32.0, ReadingQuality.GOOD)
+
+
+def test_how_fast_the_air_may_move_is_the_boxs_own_the_room_has_one_speed():
+    quick = replace(PAPER_BOX, air_rate_max_k_s=0.5)
+    sensors = SensorHealth(SensorHealthSettings(), CalibrationSettings(), quick)
+    assert after([24.0, 26.4], sensors).value == pytest.approx(25.2)
+    assert after([24.0, 26.4]).value == 24.0  # the second one waits to be confirmed
+    room = [
+        {"temp_ambient": Reading("temp_ambient", value, float(second), ReadingQuality.GOOD)}
+        for second, value in enumerate((20.0, 22.4))
+    ]
+    assert sensors.readings(room, 1.0, OFF)["temp_ambient"].value == 20.0
 
 
 def test_light_may_jump():
@@ -318,11 +330,11 @@ SOME_VALUES = st.sampled_from([None, math.nan, 20.0, 20.0, 20.1, 20.1, 24.0, 24.
 
 @given(st.lists(st.tuples(SOME_VALUES, st.sampled_from([0.5, 1.0, 1.0, 6.0])), max_size=40))
 def test_samples_taken_together_leave_the_track_of_samples_taken_one_by_one(steps):
-    settings, now, samples = SensorHealthSettings(), 0.0, []
+    pace, now, samples = Pace(2.0, 0.1), 0.0, []
     for value, after_s in steps:
         now += after_s
         samples.append(air(value, now)["temp_air"])
     one_by_one = Track()
     for sample in samples:
-        one_by_one = follow(one_by_one, [sample], settings)
-    assert repr(follow(Track(), samples, settings)) == repr(one_by_one)  # NaN differs from itself
+        one_by_one = follow(one_by_one, [sample], pace)
+    assert repr(follow(Track(), samples, pace)) == repr(one_by_one)  # NaN differs from itself
