@@ -29,7 +29,7 @@ from edge.core.predictor import HORIZONS_MIN
 from edge.formats.tick_json import TEMP_DIGITS, WIDTH_DIGITS, json_value, number
 
 HOUR_S = 3600
-_SKILL = "INSERT OR REPLACE INTO skill VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_SKILL = "INSERT OR IGNORE INTO skill VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
 def insert_forecasts(connection: sqlite3.Connection, records: Sequence[TickRecord]) -> None:
@@ -53,17 +53,19 @@ def insert_forecasts(connection: sqlite3.Connection, records: Sequence[TickRecor
 
 
 def keep_skill(connection: sqlite3.Connection, records: Sequence[TickRecord]) -> None:
-    """Let each hour's rows be the skill after its last tick, in the transaction that the caller holds."""
-    last_of_hour = {int(r.utc // HOUR_S) * HOUR_S: r for r in records if r.skill}
+    """Let each hour's rows be the skill at its first tick, in the transaction that the caller holds.
+
+    Rows that change with each tick would be a fifth of what the daemon writes to its card.
+    """
     connection.executemany(
         _SKILL,
         [
             (
-                *(hour_utc, s.predictor, s.horizon_min, s.version, s.scored, number(s.mae_k)),
+                *(int(record.utc // HOUR_S) * HOUR_S, s.predictor, s.horizon_min, s.version, s.scored, number(s.mae_k)),
                 *(number(s.against_persistence), number(s.against_pbm)),
                 *(number(s.half_width_k), number(s.covered)),
             )
-            for hour_utc, record in last_of_hour.items()
+            for record in records
             for s in record.skill
         ],
     )

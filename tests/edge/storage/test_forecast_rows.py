@@ -49,7 +49,7 @@ def test_the_view_has_a_row_per_predictor_and_horizon_with_its_interval(history:
     ]
 
 
-def test_each_hour_keeps_the_skill_after_its_last_tick(history: sqlite3.Connection) -> None:
+def test_each_hour_keeps_the_skill_at_its_first_tick(history: sqlite3.Connection) -> None:
     add(
         history, tick(1, utc=START_UTC, skill=(skill(0.1),)), tick(2, utc=START_UTC + 60, skill=(skill(0.2),))
     )
@@ -57,7 +57,7 @@ def test_each_hour_keeps_the_skill_after_its_last_tick(history: sqlite3.Connecti
     add(history, tick(4, utc=START_UTC + HOUR_S, skill=(skill(0.4),)), tick(5, utc=START_UTC + HOUR_S + 60))
     rows = history.execute("SELECT hour_utc, horizon_min, mae_k FROM v_skill ORDER BY 1, 2").fetchall()
     hour = int(START_UTC)  # the first second of 2026
-    assert rows == [(hour, 5, 0.3), (hour, 60, 0.7), (hour + 3600, 5, 0.4)]
+    assert rows == [(hour, 5, 0.1), (hour, 60, 0.7), (hour + 3600, 5, 0.4)]
 
 
 def test_what_is_not_known_of_a_skill_is_null(history: sqlite3.Connection) -> None:
