@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.app.box import COMMISSION
+from edge.app.sensor_step import step_of
 from edge.app.step_test_record import STEP_S
 from edge.app.step_test_rows import stretches
 from edge.config.settings import ControlSettings
@@ -114,7 +115,8 @@ def learn(
     if any(implausible(chosen)) and (usual := with_usual_fan(file)) is not None:
         found = diagnose(usual, runs, progress, COMMISSION, jobs)
         chosen, error_k = chosen_twin(found, limit_k)
-    twin = replace(chosen, sample_s=control.step_s)
+    step_k = step_of(run.columns["temp_air_c"])
+    twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
     room_c = float(np.nanmean(found.inputs.runs.ambient))
     hours = len(run) * STEP_S / 3600.0
     seen_c = float(np.nanmax(run.columns["temp_air_c"]))

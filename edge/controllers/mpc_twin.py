@@ -27,7 +27,9 @@ from edge.twin.network import HEATER
 from edge.twin.signals import Conditions
 from edge.twin.warm_start import at_rest, hold, spread
 
-MEASUREMENT_SD_K = 0.05  # a reading is the mean of several samples in steps of 0.1 K
+# A reading is the mean of several samples, most of them the same where the air is slow. Steps of 0.5 K that
+# are taken for the air's own make the fan chase each of them.
+MEASUREMENT_SD_K, SD_OF_STEP = 0.05, 0.5
 BODY_SD_K = 0.02  # what each temperature does in a step that the twin does not know, by chance
 ELEMENT_SD = 0.005  # the same of the element's heat, share of its power
 DISTURBANCE_SD_K = 0.02  # how far the disturbance wanders in a step [K/step]
@@ -88,8 +90,15 @@ def move_belief(belief: Belief, twin: BoxTwin, step: LinearStep, inputs: StepInp
     return replace(belief, time_s=time_s, state=state, covariance=covariance)
 
 
-def correct_belief(belief: Belief, measured: float, shown: int) -> Belief:
+def measurement_sd_k(twin: BoxTwin) -> float:
+    """Return how far a reading may be off by chance and by the steps of the sensor."""
+    return max(MEASUREMENT_SD_K, SD_OF_STEP * twin.noise.step_k)
+
+
+def correct_belief(belief: Belief, measured: float, shown: int, sensor_k: float = MEASUREMENT_SD_K) -> Belief:
     """By a measurement [°C] of the state `shown`; one that is no number teaches nothing.
+
+    sensor_k : its standard deviation
 
     Innovations larger than expected, one after the other, widen what a step may do by chance (covariance
     matching: Mehra, IEEE Trans. Autom. Control 17(5), 1972), so that a poor twin follows its box too.
@@ -97,12 +106,10 @@ def correct_belief(belief: Belief, measured: float, shown: int) -> Belief:
     if not np.isfinite(measured):
         return belief
     widened = np.append(belief.state, belief.disturbance)
-    innovation, variance = expectation(widened, belief.covariance, measured, MEASUREMENT_SD_K**2, shown)
+    innovation, variance = expectation(widened, belief.covariance, measured, sensor_k**2, shown)
     surprise = min(innovation**2 / variance, CLIP_SD**2) - USUAL_SURPRISE
     misfit = min(max(belief.misfit * math.exp(MISFIT_RATE * surprise), 1.0), MISFIT_MAX)
-    mean, covariance = update(
-        widened, belief.covariance, measured, MEASUREMENT_SD_K**2, shown, clip_sd=CLIP_SD
-    )
+    mean, covariance = update(widened, belief.covariance, measured, sensor_k**2, shown, clip_sd=CLIP_SD)
     return replace(
         belief,
         state=mean[:-1],
@@ -292,10 +299,10 @@ class MpcTwin:
             belief = begin(
                 self._twin, times[last], float(measured[last]), float(history["temp_ambient"][last])
             )
-        step = self._linear(belief, context)
+        step, sensor_k = self._linear(belief, context), measurement_sd_k(self._twin)
         for row in range(last, rows - 1):
             belief = move_belief(belief, self._twin, step, _inputs(context, row), float(times[row + 1]))
-            belief = correct_belief(belief, float(measured[row + 1]), step.shown)
+            belief = correct_belief(belief, float(measured[row + 1]), step.shown, sensor_k)
         self._belief = belief
         return belief, step
 

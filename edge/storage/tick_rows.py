@@ -61,7 +61,14 @@ def keep_skill(connection: sqlite3.Connection, records: Sequence[TickRecord]) ->
         _SKILL,
         [
             (
-                *(int(record.utc // HOUR_S) * HOUR_S, s.predictor, s.horizon_min, s.version, s.scored, number(s.mae_k)),
+                *(
+                    int(record.utc // HOUR_S) * HOUR_S,
+                    s.predictor,
+                    s.horizon_min,
+                    s.version,
+                    s.scored,
+                    number(s.mae_k),
+                ),
                 *(number(s.against_persistence), number(s.against_pbm)),
                 *(number(s.half_width_k), number(s.covered)),
             )

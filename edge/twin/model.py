@@ -29,12 +29,13 @@ Indices = NDArray[np.intp]
 class StateNoise:
     """The noise with which the twin's state is estimated; it does not enter a prediction from a known state.
 
-    sensor_k : sd of one measured temperature [K]
+    sensor_k : sd of one measured temperature [K]; step_k : of its readings, 0 where it is not known
     heat_w : sd of the heat into the air that the twin does not know, constant over a step [W]
     """
 
     sensor_k: float = 0.1
     heat_w: float = 5.0
+    step_k: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,7 @@ class BoxTwin:
             "geometry": asdict(self.geometry),
             "effects": {name: dict(values) for name, values in self.effects.items()},
             "sample_s": self.step_s,
-            "noise": asdict(self.noise),
+            "noise": {"sensor_k": self.noise.sensor_k, "heat_w": self.noise.heat_w},
         }
         if self.day0_utc is not None:
             content["day0_utc"] = self.day0_utc

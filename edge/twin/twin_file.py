@@ -66,6 +66,7 @@ class TwinFile:
             StateNoise(
                 usual.sensor_k if (sd := self.sensor.get("noise_sd_k")) is None else sd,
                 usual.heat_w if (sd := self.nuisance.get("heat_noise_sd_w")) is None else sd,
+                self.sensor.get("quantisation_k") or 0.0,
             ),
             self.day0_utc,
             self.fan_control,

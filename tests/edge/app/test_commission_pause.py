@@ -194,8 +194,10 @@ def test_a_pause_that_nobody_ends_is_over_after_its_hour(tmp_path):
 
 
 @pytest.mark.timeout(600)
-def test_a_twin_is_learned_from_both_sides_of_a_pause(tmp_path):
+def test_a_twin_is_learned_from_both_sides_of_a_pause_and_knows_the_steps_of_its_sensor(tmp_path):
     run, *_ = recorded(tmp_path, PAUSE, minutes=50.0)
+    coarse = {"temp_air_c": np.round(2.0 * run.columns["temp_air_c"]) / 2.0}
+    run = replace(run, columns={**run.columns, **coarse})
     path = tmp_path / "box.yaml"
     path.write_text(text(BoxDescription(0.15, 100.0, "exhaust", 68.0)))
     found = learn(run, read_twin_file(path), ControlSettings(), lambda said, share: None)
@@ -203,3 +205,4 @@ def test_a_twin_is_learned_from_both_sides_of_a_pause(tmp_path):
     assert names == {"tests 1", "tests 2"}
     assert [item.rest_of for item in found.diagnosis.data.test] == ["tests 2"]  # the first has ten minutes
     assert found.expectation.error_k < 1.0
+    assert found.twin.sensor["quantisation_k"] == 0.5

@@ -17,6 +17,7 @@ from edge.controllers.mpc_twin import (
     begin,
     correct_belief,
     fan_shares,
+    measurement_sd_k,
     move_belief,
     never_flat,
 )
@@ -25,7 +26,7 @@ from edge.controllers.twin_plan.linear_step import linear_step
 from edge.core.controller import ControlLimits
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import read_twin
-from edge.twin.model import BoxTwin
+from edge.twin.model import BoxTwin, StateNoise
 from edge.twin.rollout import Commands
 from edge.twin.warm_start import at_rest
 
@@ -85,6 +86,22 @@ def test_the_disturbance_is_found(diagnosed, holes):
     belief, state = follow(diagnosed, 240, 0.1, holes)
     assert belief.disturbance == pytest.approx(0.1, abs=0.02)
     assert belief.state[0] == pytest.approx(state[0], abs=0.02)
+
+
+@pytest.mark.parametrize(("step_k", "chases"), [(0.0, True), (0.5, False)])
+def test_a_sensor_in_coarse_steps_is_not_followed_from_step_to_step(step_k, chases):
+    """The same box and twin, read in steps of 0.5 K by a twin that knows it and one that does not."""
+    twin = BoxTwin(effects=WALL, noise=StateNoise(step_k=step_k))
+    step, state, last = step_of(twin), at_rest(twin, 23.0, ROOM_C), 0.0
+    belief, missed = begin(twin, 0.0, 23.0, ROOM_C), []
+    for k in range(180):
+        duty = 0.06 if k // 30 % 2 else 0.1
+        state = step.matrix[0] @ state + step.constant[0] + step.room[0] * ROOM_C + step.now[0] * duty
+        belief = move_belief(belief, twin, step, StepInputs(duty, 0.0, last, 0.0, ROOM_C), 60.0 * (k + 1))
+        shown_c = 0.5 * round(2.0 * float(state[0]))
+        belief, last = correct_belief(belief, shown_c, step.shown, measurement_sd_k(twin)), duty
+        missed.append(belief.state[0] - state[0])
+    assert (np.abs(missed[30:]).max() > 0.2) == chases
 
 
 def test_an_open_door_teaches_less_than_its_size(diagnosed):

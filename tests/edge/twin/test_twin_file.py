@@ -85,7 +85,7 @@ def test_the_twin_has_the_values_of_its_file(tmp_path):
     twin = read(tmp_path, EXAMPLE).twin()
     assert twin.geometry == Geometry(heater_max_w=90.0)  # what the file leaves out is the paper's
     assert (twin.effects["wall_loss"], twin.effects["heater_lag"]) == ({"UA": 5.1}, {"tau_h": 240.0})
-    assert (twin.step_s, twin.noise) == (30.0, StateNoise(sensor_k=0.1, heat_w=2.5))
+    assert (twin.step_s, twin.noise) == (30.0, StateNoise(sensor_k=0.1, heat_w=2.5, step_k=0.1))
 
 
 def test_an_empty_file_is_the_papers_model(tmp_path):
