@@ -24,7 +24,7 @@ from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
-from edge.twin.effects.plausible import implausible, with_usual_fan
+from edge.twin.effects.plausible import implausible, odd, with_usual_fan
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
 from edge.twin.rollout import Commands
@@ -70,6 +70,7 @@ class Commissioned:
 
     names : effects that the twin has beside those of the description
     refusals : why it must not control, empty where it may
+    doubts : what is odd about the twin and may be a wrong figure of the description
     better : a simple model that predicts clearly better than the twin, and its error [K]; None without one
     arx : the fallback, None where none could be fitted
     """
@@ -80,6 +81,7 @@ class Commissioned:
     arx: ArxFit | None
     expectation: Expectation
     refusals: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
     better: tuple[str, float] | None = None
 
 
@@ -112,7 +114,7 @@ def learn(
     found = diagnose(file, runs, progress, COMMISSION, jobs)
     limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * moved_k)
     chosen, error_k = chosen_twin(found, limit_k)
-    if any(implausible(chosen)) and (usual := with_usual_fan(file)) is not None:
+    if any((*implausible(chosen), *odd(chosen))) and (usual := with_usual_fan(file)) is not None:
         found = diagnose(usual, runs, progress, COMMISSION, jobs)
         chosen, error_k = chosen_twin(found, limit_k)
     step_k = step_of(run.columns["temp_air_c"])
@@ -138,6 +140,7 @@ def learn(
         _fallback(parts, control.step_s, start),
         expectation,
         refusals,
+        tuple(odd(chosen)),
         better_model(found, error_k),
     )
 

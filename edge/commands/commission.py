@@ -120,6 +120,7 @@ def describe(found: "Commissioned") -> Iterator[str]:
     yield "what days of heat come to, longer tests or a night of the history tell"
     if expected.fanned_c == expected.fanned_c:
         yield f"the fan alone brings the air to {expected.fanned_c:.1f} °C"
+    yield from found.doubts
     for reason in found.refusals:
         yield f"refused: {reason}"
     if found.refusals:

@@ -43,6 +43,7 @@ class FoundBox:
     twin: object = field(default_factory=lambda: read_twin_file(TWIN))
     arx: object = field(default_factory=FoundModel)
     better: tuple[str, float] | None = None
+    doubts: tuple[str, ...] = ()
 
 
 @pytest.fixture
@@ -109,6 +110,11 @@ def test_a_model_that_predicts_better_is_told_and_refuses_nothing():
     said = "\n".join(describe(replace(FoundBox(), better=("ARX 2", 0.1))))
     assert "ARX 2 is off by 0.10 K: the twin lacks something" in said and "refused" not in said
     assert "lacks" not in "\n".join(describe(FoundBox()))
+
+
+def test_what_is_odd_is_told_and_refuses_nothing():
+    said = "\n".join(describe(replace(FoundBox(), doubts=("the fan is odd: is that figure right?",))))
+    assert "the fan is odd: is that figure right?" in said and "refused" not in said
 
 
 def test_a_box_that_was_learned_is_learned_anew_from_its_description(rig, monkeypatch):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from edge.twin.effects.plausible import implausible, with_usual_fan
+from edge.twin.effects.plausible import implausible, odd, with_usual_fan
 from edge.twin.value import Value
 from tests.support.designed import file_of
 
@@ -17,6 +17,15 @@ def test_a_usual_fan_is_plausible():
 def test_a_fan_that_moves_twice_its_own_flow_is_not():
     (said,) = implausible(file_of({"fan_effectiveness": {"eps_f": 1.99}}))
     assert "changes 2.0 times the air" in said and "68 m3/h" in said
+
+
+@pytest.mark.parametrize(
+    ("share", "is_odd", "is_refused"),
+    [(1.5, False, False), (1.51, True, False), (1.9, True, False), (1.91, False, True)],
+)
+def test_a_fan_that_moves_more_than_was_said_is_told_first_and_refused_far_beyond(share, is_odd, is_refused):
+    file = file_of({"fan_effectiveness": {"eps_f": share}})
+    assert (len(list(odd(file))), len(list(implausible(file)))) == (is_odd, is_refused)
 
 
 def test_a_fan_that_heats_as_the_heater_does_is_not():
