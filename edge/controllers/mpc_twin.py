@@ -7,6 +7,7 @@ has no steady-state error (offset-free MPC: Pannocchia and Rawlings, AIChE J. 49
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,6 +142,8 @@ EARLY_WEIGHT = 1e4  # 0.1 K more costs as much as 3 K off the reference for a st
 LEAST_SLOPE = 0.2  # of the first level's, that the heat of any level grows by
 STEP_K = 0.6  # a larger change of the reference at once is a step, a smaller one part of a ramp
 SETTLING_STEPS = 10  # after a step of the reference
+# Heat that is fanned out again is an error of twin or sensor: the fan waits, but for air far too warm.
+CYCLE_S, CYCLE_DUTY, FAR_K = 600.0, 0.5, 1.0
 CLASH_WEIGHT = 50.0  # full heat for a step against the fan costs as much as 2.2 K off the reference
 
 
@@ -162,6 +165,19 @@ def band_before_steps(reference: Floats, early_k: float, since: int, out_k: floa
         if since <= SETTLING_STEPS:
             low[k], high[k] = -np.inf, np.inf
     return low, high
+
+
+def wait_after_heat(history: Mapping[str, Floats], step_s: float) -> int:
+    """Return the steps until a start of the fan is no cycle with the last one and strong heat since then.
+
+    history : `heater_duty` and `fan_on` of past steps, as `Context.history`
+    """
+    rows = round(CYCLE_S / step_s)
+    duty, fan = (np.nan_to_num(history[name][-rows - 1 :]) for name in ("heater_duty", "fan_on"))
+    starts = np.flatnonzero((fan[1:] > 0.0) & ~(fan[:-1] >= 1.0)) + 1
+    if not len(starts) or duty[starts[-1] :].max() < CYCLE_DUTY:
+        return 0
+    return max(rows + 1 - (len(fan) - int(starts[-1])), 0)
 
 
 class MpcTwin:
@@ -259,6 +275,10 @@ class MpcTwin:
         nothing: Floats = np.zeros(len(reference))
         out_k = float(context.history["temp_air"][-1] - reference[0])
         low, high = band_before_steps(reference, self._early_k, since, out_k)
+        # A step of the reference, just now or in the plan, may ask for both.
+        is_level = since > SETTLING_STEPS and not np.isfinite(low).any()
+        is_free = context.last_sent.fan_at_end or not is_level or out_k > FAR_K
+        wait = 0 if is_free else wait_after_heat(context.history, context.step_s)
         return PlanningProblem(
             free=nothing,
             heater=nothing,
@@ -270,7 +290,7 @@ class MpcTwin:
             heater_levels=levels_allowed(limits.heater_max_duty),
             fan_rules=relay(
                 context.last_sent.fan_at_end,
-                limits.fan_hold_steps,
+                max(limits.fan_hold_steps, wait),
                 limits.fan_min_on_steps,
                 limits.fan_min_off_steps,
                 HORIZON,

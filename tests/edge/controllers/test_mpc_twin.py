@@ -205,3 +205,19 @@ def test_a_box_whose_heat_shows_late_is_heated_nonetheless():
     decision = planner.decide(here(temp=19.9, reference=24.4))
     assert [duty for duty, _ in decision.plan[:10]] == [1.0] * 10
     assert decision.forecast[-1] > 20.2
+
+
+@pytest.mark.parametrize(
+    ("over_k", "duty", "waits"),
+    [(0.8, 0.6, True), (0.8, 0.3, False), (1.2, 0.6, False)],
+    ids=["heat that came between", "little heat", "far too warm"],
+)
+def test_the_fan_does_not_take_out_again_what_the_heater_has_just_brought(model, over_k, duty, waits):
+    controller = MpcTwin("MPC-Twin-P", model, 1.0)
+    history = {"heater_duty": np.zeros(31), "fan_on": np.zeros(31)}
+    history["fan_on"][-5], history["heater_duty"][-4:-1] = 0.5, duty
+    for minute in range(12):  # the first minutes after a start, or a step of the reference, are free
+        now = here(temp=25.0 + over_k, reference=25.0, rows=31, now_s=60.0 * minute)
+        decision = controller.decide(replace(now, history={**now.history, **history}))
+    assert any(fan > 0.0 for _, fan in decision.plan[:6]) != waits
+    assert (decision.command.fan > 0.0) != waits

@@ -20,6 +20,7 @@ from edge.controllers.mpc_twin import (
     measurement_sd_k,
     move_belief,
     never_flat,
+    wait_after_heat,
 )
 from edge.controllers.twin_plan.beam import KIND_K, PlanStart, _cheapest, _Children, search
 from edge.controllers.twin_plan.linear_step import linear_step
@@ -380,3 +381,20 @@ def test_no_plan_is_early_for_a_step_by_more_than_it_may(diagnosed, goes):
     ]
     assert early[1] < 0.35
     assert goes < 0.0 or early[0] > 0.35
+
+
+@pytest.mark.parametrize(
+    ("fan", "duty", "steps"),
+    [
+        ([0.0, 0.5, 0.0, 0.0], [0.0, 0.0, 0.5, 0.0], 8),  # started three steps ago, strong heat since
+        ([0.0, 0.5, 0.0, 0.0], [0.0, 0.0, 0.45, 0.0], 0),
+        ([0.0, 0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], 0),  # the heat came before
+        ([0.0, 1.0, 0.5, 0.0], [0.0, 0.0, 0.0, 1.0], 8),  # one start, of three steps ago
+        ([0.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0], 0),
+        ([0.0, 0.5, *[0.0] * 9], [1.0] * 11, 1),
+        ([0.0, 0.5, *[0.0] * 10], [1.0] * 12, 0),
+    ],
+)
+def test_the_fan_waits_ten_minutes_where_strong_heat_followed_its_last_start(fan, duty, steps):
+    history = {"fan_on": np.array(fan), "heater_duty": np.array(duty)}
+    assert wait_after_heat(history, 60.0) == steps
