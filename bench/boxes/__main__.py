@@ -135,7 +135,7 @@ def drive(facts: BoxFacts, seed: int, name: str, found: Commissioned, reference:
     base, is_early = name.removesuffix(EARLY), name.endswith(EARLY)
     with tempfile.TemporaryDirectory(prefix="boxes-") as temporary:
         folder = Path(temporary)
-        path = _reference(facts, reference, folder)
+        path = box_reference(facts, reference, folder)
         settings = rig_settings(folder, found.twin)
         early_k = ANY_K if is_early else settings.control.twin_early_k
         control = replace(
@@ -195,11 +195,12 @@ def _row(name: str, lab: Lab, seen: Floats, heater_w: float) -> BoxRow:
     )
 
 
-def _reference(facts: BoxFacts, name: str, folder: Path) -> Path:
+def box_reference(facts: BoxFacts, name: str, folder: Path) -> Path:
+    """Write a reference scaled to what the box can reach, of that name, in `folder`."""
     profile = read_profile(FOLDER / f"{name}.csv")
     course = profile.columns["reference_c"]
     scaled = scaled_reference((course - course.min()) / (course.max() - course.min()), facts)
-    path = folder / "reference.csv"
+    path = folder / f"{name}.csv"
     rows = zip(profile.columns["time_s"], scaled, strict=True)
     path.write_text(
         "\n".join(["time_s,reference_c", *(f"{time:g},{value:.3f}" for time, value in rows)]) + "\n"
@@ -213,7 +214,7 @@ def _is_before(place: Ints, k: int) -> NDArray[np.bool_]:
 
 def tuning_courses(facts: BoxFacts, folder: Path) -> list[Floats]:
     """Return the references by step on which a PID is tuned [°C]. folder : of a scratch file"""
-    return [_course(_reference(facts, tuning, folder)) for tuning in TUNING]
+    return [_course(box_reference(facts, tuning, folder)) for tuning in TUNING]
 
 
 def _course(path: Path) -> Floats:
@@ -243,14 +244,14 @@ def install(found: Commissioned, settings: Settings, folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class BoxResult:
-    """A box's lines, and its cost by row: empty where it was not commissioned."""
+    """A box's lines, and its cost by reference and row: empty where it was not commissioned."""
 
     lines: list[str]
-    cost: dict[str, float]
+    costs: dict[str, dict[str, float]]
 
 
-def measure(box: int, minutes: float, reference: str, names: Sequence[str]) -> BoxResult:
-    """Commission a box and hold it to the reference by each of the rows that are named."""
+def measure(box: int, minutes: float, references: Sequence[str], names: Sequence[str]) -> BoxResult:
+    """Commission a box and hold it to each reference by each of the rows that are named."""
     facts = draw_box(box)
     try:
         found = commission(facts, box, minutes)
@@ -264,7 +265,18 @@ def measure(box: int, minutes: float, reference: str, names: Sequence[str]) -> B
         f"{rise_after_k(facts, hours):.1f} K true",
     ]
     lines += [f"    refused: {reason}" for reason in found.refusals]
-    cost = {}
+    costs = {}
+    for reference in references:
+        costs[reference], rows = _rows(facts, box, found, reference, names)
+        lines += [f"    {reference}", *rows] if len(references) > 1 else rows
+    return BoxResult(lines, {} if found.refusals else costs)
+
+
+def _rows(
+    facts: BoxFacts, box: int, found: Commissioned, reference: str, names: Sequence[str]
+) -> tuple[dict[str, float], list[str]]:
+    """Return the cost by row, and the lines of them."""
+    cost, lines = {}, []
     for name in names:
         if found.arx is None and name.removesuffix(EARLY) in OVER_ARX:
             lines.append(f"    {name:<17} no ARX model could be fitted")
@@ -275,12 +287,12 @@ def measure(box: int, minutes: float, reference: str, names: Sequence[str]) -> B
             f"    {name:<17}{row.cost:9.1f}{row.mae_k:8.3f}{row.before_k:8.2f}{row.fan_starts:6d}"
             f"{row.cycles:4d}{row.heat_wh:8.0f}"
         )
-    return BoxResult(lines, {} if found.refusals else cost)
+    return cost, lines
 
 
 def summary(costs: Sequence[dict[str, float]]) -> list[str]:
     """Return how the twin's rows compare, by rule: the limit is the cheapest row under the same one."""
-    lines = [f"commissioned: {sum(map(bool, costs))} of {len(costs)} boxes"]
+    lines = []
     for end in ("", EARLY):
         own, past, ahead = f"{OF_TWIN}{end}", [], 0
         for cost in costs:
@@ -303,26 +315,32 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.boxes", description=__doc__)
     parser.add_argument("--boxes", type=int, nargs="+", default=LOTS[0], help="of bench.boxes.draw")
     parser.add_argument("--minutes", type=float, default=120.0, help="of commissioning; default: 120")
-    parser.add_argument("--reference", default="reference_1", help="default: reference_1")
+    parser.add_argument(
+        "--reference", nargs="+", default=["reference_1"], help="one or more; default: reference_1"
+    )
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="default: all")
     parser.add_argument("--jobs", type=int, default=2, help="processes; default: 2")
     given = parser.parse_args(words)
     print("\n".join(header()))
-    print(f"{given.reference}, {given.minutes:g} min of commissioning; cost, MAE [K],")
+    print(f"{', '.join(given.reference)}, {given.minutes:g} min of commissioning; cost, MAE [K],")
     print(
         "how far it left the reference towards a step before it [K], starts of the fan,",
         "cycles of fan and heat, heat [Wh]",
         sep="\n",
         flush=True,
     )
-    costs = []
+    costs: dict[str, list[dict[str, float]]] = {name: [] for name in given.reference}
     with ProcessPoolExecutor(given.jobs) as pool:
         jobs = [pool.submit(measure, box, given.minutes, given.reference, given.rows) for box in given.boxes]
         for job in jobs:
             result = job.result()
             print("\n".join(result.lines), flush=True)
-            costs.append(result.cost)
-    print("\n".join(summary(costs)))
+            for name in result.costs:
+                costs[name].append(result.costs[name])
+    count = len(costs[given.reference[0]])
+    print(f"commissioned: {count} of {len(given.boxes)} boxes")
+    for name, boxes in costs.items():
+        print("\n".join([f"{name}:", *summary(boxes)]))
     return 0
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.boxes.__main__ import summary
+from bench.boxes.__main__ import box_reference, summary, tuning_courses
 from bench.boxes.box import Box
 from bench.boxes.clairvoyant import tangent
 from bench.boxes.draw import draw_box
@@ -16,17 +16,15 @@ WALL = {"wall_loss": {"UA": 3.0}, "extra_capacity": {"kC": 5.0}, "heater_lag": {
 ROOM_C = 21.0
 
 
-def test_a_summary_compares_rows_of_one_rule_and_leaves_out_what_was_refused():
+def test_a_summary_compares_rows_of_one_rule():
     costs = [
         {"PID": 30.0, "MPC-Twin-P": 11.0, "clairvoyant": 10.0, "PID/early": 1.0, "MPC-Twin-P/early": 2.0},
         {"PID": 10.0, "MPC-Twin-P": 20.0, "clairvoyant": 15.0},
-        {},
     ]
     lines = summary(costs)
-    assert lines[0] == "commissioned: 2 of 3 boxes"
-    assert "MPC-Twin-P: by the limit 1.55 in the median, 2.00 in the worst" in lines[1]
-    assert lines[1].endswith("ahead of every rival in 1 of 2")
-    assert lines[2].endswith("2.00 in the worst; ahead of every rival in 0 of 1")
+    assert "MPC-Twin-P: by the limit 1.55 in the median, 2.00 in the worst" in lines[0]
+    assert lines[0].endswith("ahead of every rival in 1 of 2")
+    assert lines[1].endswith("2.00 in the worst; ahead of every rival in 0 of 1")
 
 
 def test_the_tuned_pid_costs_less_than_the_rule_that_it_begins_with():
@@ -56,3 +54,12 @@ def test_the_clairvoyants_step_is_the_boxs_own(seed):
                 on = np.array([1.0 if part < 12 * fan else 0.0])
                 states = box.physics.step(states, box.time_s + 5.0 * part, 5.0, np.array([duty]), on)
             assert told[0] == pytest.approx(float(box.physics.reading_c(states)[0]), abs=0.1)
+
+
+def test_the_tuning_of_the_pid_leaves_the_reference_that_it_is_driven_to(tmp_path):
+    facts = draw_box(7)
+    path = box_reference(facts, "reference_1", tmp_path)
+    before = path.read_text()
+    courses = tuning_courses(facts, tmp_path)
+    assert len(courses) == 3
+    assert path.read_text() == before
