@@ -277,7 +277,8 @@ class MpcTwin:
         low, high = band_before_steps(reference, self._early_k, since, out_k)
         # A step of the reference, just now or in the plan, may ask for both.
         is_level = since > SETTLING_STEPS and not np.isfinite(low).any()
-        is_free = context.last_sent.fan_at_end or not is_level or out_k > FAR_K
+        far_k = min(FAR_K, limits.temp_air_max_c - float(reference[0]))
+        is_free = context.last_sent.fan_at_end or not is_level or out_k > far_k
         wait = 0 if is_free else wait_after_heat(context.history, context.step_s)
         return PlanningProblem(
             free=nothing,
