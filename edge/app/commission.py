@@ -33,7 +33,7 @@ from edge.twin.warm_start import at_rest
 
 Floats = NDArray[np.float64]
 TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
-# Of free runs on those rows, and by the band that was seen: off by 1.03 K in 30 and 1.87 K in 20, plans still
+# Of free runs on those rows, and by the band that was seen. By twins that were off by 1.03 and 1.87 K plans
 # cost 0.4 and 0.8 times those of the paper's MPC (docs/measured/control.md).
 ERROR_MAX_K, ERROR_MAX_SHARE = 2.0, 0.15
 BETTER, FAR_BETTER = 0.8, 0.5  # shares of the twin's error: a simple model is told, or taken in its place
