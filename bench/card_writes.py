@@ -22,6 +22,7 @@ from pathlib import Path
 
 import yaml
 
+from bench.header import header
 from bench.support.daemon_process import ROOT, run_command
 from bench.support.virtual_board import virtual_board
 from edge.board.virtual_rig import end_process, settings_in
@@ -162,7 +163,8 @@ def main() -> int:
     parser.add_argument("--ticks", type=int, default=1440, help="of the accelerated day; 0: not measured")
     parser.add_argument("--speed", type=float, default=300.0, help="of the accelerated day")
     arguments = parser.parse_args()
-    print(f"python -m bench.card_writes {' '.join(sys.argv[1:])}")
+    print(f"python -m bench.card_writes {' '.join(sys.argv[1:])}".rstrip())
+    print("\n".join(header()))
     for line in report(arguments.minutes, arguments.ticks, arguments.speed):
         print(line, flush=True)
     return 0
