@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -505,8 +506,13 @@ def test_a_setup_that_ends_in_the_middle_of_a_test_leaves_nothing_driven(
     board: VirtualBoard, folder: Path, end: signal.Signals, code: int
 ) -> None:
     words = ["setup", "--config", str(folder / "edge.yaml"), "--port", str(board.port)]
+    usual = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored
     with subprocess.Popen(
-        [sys.executable, "-m", "edge", *words], stdin=subprocess.PIPE, env=os.environ, text=True
+        [sys.executable, "-m", "edge", *words],
+        stdin=subprocess.PIPE,
+        env=os.environ,
+        text=True,
+        preexec_fn=usual,
     ) as process:
         try:
             assert process.stdin is not None
