@@ -55,8 +55,7 @@ class Pilot:
     _was_good: bool = True
 
     def __post_init__(self) -> None:
-        settings = self.settings
-        self._health = SensorHealth(settings.sensor_health, settings.calibration, self.bounds)
+        self._health = SensorHealth(self.settings.sensor_health, self.settings.calibration, self.bounds)
         self.controller.reset()
 
     @property

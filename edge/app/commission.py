@@ -117,7 +117,7 @@ def learn(
     if any((*implausible(chosen), *odd(chosen))) and (usual := with_usual_fan(file)) is not None:
         found = diagnose(usual, runs, progress, COMMISSION, jobs)
         chosen, error_k = chosen_twin(found, limit_k)
-    step_k = step_of(run.columns["temp_air_c"])
+    step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
     room_c = float(np.nanmean(found.inputs.runs.ambient))
     hours = len(run) * STEP_S / 3600.0

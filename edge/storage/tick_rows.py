@@ -61,19 +61,12 @@ def keep_skill(connection: sqlite3.Connection, records: Sequence[TickRecord]) ->
         _SKILL,
         [
             (
-                *(
-                    int(record.utc // HOUR_S) * HOUR_S,
-                    s.predictor,
-                    s.horizon_min,
-                    s.version,
-                    s.scored,
-                    number(s.mae_k),
-                ),
+                *(hour_utc, s.predictor, s.horizon_min, s.version, s.scored, number(s.mae_k)),
                 *(number(s.against_persistence), number(s.against_pbm)),
                 *(number(s.half_width_k), number(s.covered)),
             )
-            for record in records
-            for s in record.skill
+            for hour_utc, skill in ((int(r.utc // HOUR_S) * HOUR_S, r.skill) for r in records)
+            for s in skill
         ],
     )
 
