@@ -33,6 +33,7 @@ from edge.core.messages import TickRecord
 from training.lab import Lab
 
 CARD_MB = 256
+BLOCK_BYTES = "4096"  # as on a card; a file system as small as this one would have blocks of 1024
 SECTOR_BYTES = 512  # of /sys/block/*/stat, whatever the device's own are
 DAY_S = 86_400.0
 SETTLE_S = 120.0  # the first start makes the files; the kernel's write-backs of them come within 35 s
@@ -64,7 +65,7 @@ def card() -> Iterator[Card]:
         with image.open("wb") as file:
             file.truncate(CARD_MB << 20)
         options = "lazy_itable_init=0,lazy_journal_init=0"  # nothing is left to initialise later
-        _output("mkfs.ext4", "-q", "-E", options, str(image))
+        _output("mkfs.ext4", "-q", "-b", BLOCK_BYTES, "-E", options, str(image))
         device = _output("losetup", "--find", "--show", str(image))
         try:
             _output("mount", "-o", "noatime", device, str(folder))  # as Raspberry Pi OS mounts it

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from history_records import HandClock, History, eventful_tick, tick
@@ -18,7 +19,7 @@ from sqlite_utils import Database
 from edge.formats.tick_json import tick_json
 from edge.storage import Outbox, Session, Storage, schema
 from edge.storage import storage as storage_module
-from edge.storage.file import connect
+from edge.storage.file import FREE_SHARE, RESERVED_BYTES, connect
 from edge.storage.numbers import NumbersFile, Reservation
 from edge.storage.runs import export_run
 from edge.storage.schema_version import SCHEMA_VERSION, USABLE_VERSION, VIEWS
@@ -84,6 +85,33 @@ def test_a_stored_tick_reads_back_as_the_same_json(path: Path, make) -> None:
         expected["why"] = {"cost": None, "parts": [1, {"a": None}]}
     assert tick_json(back) == expected
     json.dumps(tick_json(back), allow_nan=False)
+
+
+def test_the_log_has_its_whole_length_before_the_first_tick_and_loses_nothing_by_it(
+    path: Path, tmp_path: Path
+) -> None:
+    with opened(path) as (storage, _):
+        write(storage, 1, 2)
+        log = path.with_name(f"{path.name}-wal")
+        assert log.stat().st_size == RESERVED_BYTES
+        # What a power cut leaves is read by whoever comes next, with a log that is shorter too.
+        for cut_bytes in (RESERVED_BYTES, RESERVED_BYTES - 1000, RESERVED_BYTES // 2):
+            copy = tmp_path / f"{cut_bytes}.db"
+            shutil.copyfile(path, copy)
+            copy.with_name(f"{copy.name}-wal").write_bytes(log.read_bytes()[:cut_bytes])
+            with closing(connect(copy, 1.0)):
+                assert seqs(copy) == [1, 2]
+                assert copy.with_name(f"{copy.name}-wal").stat().st_size == RESERVED_BYTES
+
+
+def test_on_a_small_disk_the_log_takes_no_room_that_the_file_needs(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = FREE_SHARE * RESERVED_BYTES
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    with opened(path) as (storage, _):
+        write(storage, 1)
+        assert path.with_name(f"{path.name}-wal").stat().st_size < RESERVED_BYTES // 10
 
 
 def test_a_reading_without_a_number_is_null_and_keeps_its_quality(path: Path) -> None:
@@ -600,7 +628,7 @@ def test_the_writer_of_an_existing_history_needs_no_sqlite_utils(path: Path) -> 
         pass
     code = (
         "import sys; from pathlib import Path; from edge.storage import Storage, Outbox\n"
-        "from edge.storage.file import connect; connect(Path(sys.argv[1]), 1.0)\n"
+        "from edge.storage.file import FREE_SHARE, RESERVED_BYTES, connect; connect(Path(sys.argv[1]), 1.0)\n"
         "assert 'sqlite_utils' not in sys.modules and 'edge.storage.schema' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code, str(path)], cwd=Path(__file__).parents[3], check=True)
