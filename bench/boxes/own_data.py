@@ -1,9 +1,10 @@
 """python -m bench.boxes.own_data: a box's twin after 1 h, 3 h, 12 h, 3 d and 7 d of its own data.
 
 Two hours of step tests, then days held to a daily reference by MPC-Twin-P with the twin of those tests, or by
-PID where commissioning refused it. Each twin is learnt anew from the box's description and the newest rows of
-all data so far, as many as the diagnosis at night takes. The first row has half of the tests alone. Each is
-judged by a free run over the eighth day, which no fit saw, and by the cost of MPC-Twin-P with it.
+PID where commissioning refused it. The first two rows are learnt from the box's description, with half of the
+tests and with all of them. From then on each row is what the diagnosis at night makes of the twin in use and
+the newest rows so far: a twin that it does not offer is not taken, and the one before goes on. Each is judged
+by a free run over the eighth day, which no fit saw, and by the cost of MPC-Twin-P with it.
 """
 
 import argparse
@@ -27,7 +28,7 @@ from bench.boxes.facts import BoxFacts
 from bench.boxes.reach import scaled_reference
 from bench.boxes.tuned_pid import tune_pid
 from bench.header import header
-from edge.app.commission import Commissioned, chosen_twin, learn
+from edge.app.commission import Commissioned, learn
 from edge.app.nightly_diagnosis import ROWS_MAX
 from edge.app.step_test_record import record, test_settings
 from edge.config.settings import ControlSettings, DailyReference, ReferenceSettings
@@ -38,13 +39,12 @@ from edge.diagnosis.history_runs import history_runs
 from edge.diagnosis.runs import NamedRun
 from edge.formats.run_file import RecordedRun, cut, resample
 from edge.storage.runs import export_stretches
-from edge.twin.new_file import with_room_error
 from edge.twin.twin_file import TwinFile
 from firmware_protocol.virtual_board.plant import Plant
 from training.lab import InProcessBoard, Lab
 
 Floats = NDArray[np.float64]
-SPANS_H = (1.0, 3.0, 12.0, 72.0, 168.0)
+SPANS_H = (1.0, 2.0, 3.0, 12.0, 72.0, 168.0)
 TESTS_H, STEP_S = 2.0, 60.0
 DAYS = 8  # of closed loop after the tests, the last one judges
 WARM, COOL = 0.7, 0.25  # references by day and by night, shares as of scaled_reference
@@ -114,18 +114,14 @@ def live(facts: BoxFacts, seed: int, folder: Path) -> tuple[OwnData, Commissione
     return OwnData(tests, dated), found
 
 
-def learn_anew(data: OwnData, start: TwinFile, hours: float) -> TwinFile:
-    """Fit the twin of a description to what was recorded in the first hours."""
-    control = ControlSettings()
-    if hours < TESTS_H:
-        return learn(cut(data.tests, 0, round(hours / TESTS_H * len(data.tests))), start, control, quiet).twin
-    runs = history_runs(data.until(hours), start, rows_max=ROWS_MAX)
-    found = diagnose(start, runs, quiet, "python -m bench.boxes.own_data")
-    twin, _ = chosen_twin(found)
-    if found.inputs.guessed:
-        room_c = float(np.nanmean(found.inputs.runs.ambient))
-        twin = with_room_error(twin, control.ambient_default_c, room_c)
-    return twin
+def learn_more(data: OwnData, described: TwinFile, running: TwinFile, hours: float) -> TwinFile:
+    """Return the twin that would run after the first hours. running : the one of the row before"""
+    if hours <= TESTS_H:
+        rows = round(hours / TESTS_H * len(data.tests))
+        return learn(cut(data.tests, 0, rows), described, ControlSettings(), quiet).twin
+    runs = history_runs(data.until(hours), running, rows_max=ROWS_MAX)
+    found = diagnose(running, runs, quiet, "python -m bench.boxes.own_data")
+    return found.adopted if found.is_offered else running
 
 
 def free_run_k(twin: TwinFile, day: RecordedRun) -> float:
@@ -151,7 +147,7 @@ def _lines(number: int) -> Iterator[str]:
         except GreenhouseError as error:
             yield f"{number:3d} {facts.kind}: {error}"
             return
-    day, start = data.later_day(), description(facts)
+    day, start, running = data.later_day(), description(facts), found.twin
     air = day.columns["temp_air_c"]
     by = "PID, as commissioning refused the twin" if found.refusals else OF_TWIN
     low_c, high_c = np.nanmin(air), np.nanmax(air)
@@ -159,13 +155,16 @@ def _lines(number: int) -> Iterator[str]:
     for hours in SPANS_H:
         begun = time.monotonic()
         try:
-            twin = learn_anew(data, start, hours)
+            twin = learn_more(data, start, running, hours)
         except GreenhouseError as error:
             yield f"    {hours:5.0f} h  {error}"
             continue
+        is_kept = twin is running
         took_s, error_k = time.monotonic() - begun, free_run_k(twin, day)
+        if hours >= TESTS_H:
+            running = twin
         row = drive(facts, number, OF_TWIN, replace(found, twin=twin), REFERENCE)
-        added = ", ".join(sorted({*twin.effects} - {*start.effects})) or "nothing"
+        added = "kept" if is_kept else ", ".join(sorted({*twin.effects} - {*start.effects})) or "nothing"
         yield f"    {hours:5.0f} h{error_k:9.2f}{row.cost:9.1f}{row.mae_k:8.3f}{took_s:8.0f}  {added}"
 
 
