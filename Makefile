@@ -69,7 +69,7 @@ $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/edge.installed: pyproject.toml | $(BIN)/pip
-	$(BIN)/pip install --quiet --editable .
+	$(BIN)/pip install --quiet --editable '.[page]'
 	touch $@
 
 $(VENV)/docs.installed: pyproject.toml | $(BIN)/pip

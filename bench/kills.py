@@ -34,7 +34,7 @@ from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.core.hard_limits import LEASE_S
 from edge.formats.atomic_file import write_document
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 from training.lab import Lab
 
 RIG = "greenhouse/rig-1"

@@ -16,6 +16,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "run": "run the daemon on a rig, as the systemd service does",
     "setup": "make a box of your own known: board, outputs, size, files",
     "check-config": "check a configuration file before the daemon starts with it",
+    "page": "serve the web page of a rig, and say who may open it",
     "watch": "print each tick of the running daemon",
     "why": "explain a command from the recorded decisions",
     "plot": "draw a stretch of the history, or a run file",
@@ -38,7 +39,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
 MESSAGE_MAX = 1500  # characters of an error
 GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "Start here": ("demo", "setup", "check-config", "run"),
-    "See what it does": ("status", "watch", "why", "plot"),
+    "See what it does": ("page", "status", "watch", "why", "plot"),
     "Tell it what to do": ("reference", "mode", "fan", "controller", "manual", "ask", "confirm", "undo"),
     "Stop it": ("emergency-stop", "release", "maintenance", "clear-trip"),
     "Record and model your own greenhouse": (

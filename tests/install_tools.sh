@@ -1,6 +1,6 @@
 #!/bin/sh
 # Debian packages that the tests use: a broker, compilers and a simulator for the board's C code,
-# openssl for test certificates.
+# openssl for test certificates, a browser for the page.
 set -eu
 
 missing=""
@@ -11,6 +11,8 @@ need avr-gcc gcc-avr
 need avrdude avrdude
 need openssl openssl
 need strace strace
+need chromium chromium
+need chromedriver chromium-driver
 need systemd-analyze systemd
 need shellcheck shellcheck
 [ -e /usr/lib/avr/include/avr/io.h ] || missing="$missing avr-libc"

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parent.parent
 # Rooms on one line do not import each other.
 LAYERS = (
     ("commands",),
+    ("page",),
     ("app", "evidence"),
     ("mqtt", "sockets"),
     ("state",),

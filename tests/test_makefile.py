@@ -37,7 +37,7 @@ def test_every_command_has_a_rule() -> None:
 @needs_make
 def test_run_installs_the_edge_packages_only() -> None:
     commands = plan("run")
-    assert re.search(r"pip install .*--editable \.$", commands, re.MULTILINE)
+    assert re.search(r"pip install .*--editable '\.\[page\]'$", commands, re.MULTILINE)
     assert "greenhouse demo" in commands
     assert "install_tools" not in commands
     assert "[dev]" not in commands

@@ -26,7 +26,7 @@ from bench.support.daemon_process import RIG, DaemonProcess
 from bench.support.virtual_board import VirtualBoard, virtual_board
 from bench.support.watched_clock import ACTUATORS
 from edge.core.errors import RequestError
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 OBEYED_S = 1.0
 GIVE_UP_S = 30.0

@@ -31,9 +31,7 @@ from bench.boxes.reach import reach, rise_k
 __all__ = ["DEVELOPMENT", "LOTS", "SCORED", "BoxFacts", "draw_box"]
 
 LOTS = tuple(tuple(range(first, first + LOT)) for first in (1, 101, 201, 301, 401, 501))
-BURNT = (
-    9  # boxes of the third lot; they and lots 2, 4 and 5 were scored once, and are known
-)
+BURNT = 9  # boxes of the third lot; they and lots 2, 4 and 5 were scored once, and are known
 DEVELOPMENT = (*LOTS[0], *LOTS[1], *LOTS[2][:BURNT], *LOTS[3], *LOTS[4])
 SCORED = (*LOTS[2][BURNT:], *LOTS[5])
 FLOWS_M3_H = (5.0, 200.0)

@@ -16,7 +16,7 @@ from edge.board.virtual_rig import die_with_parent
 from edge.core.errors import RequestError
 from edge.models.arx import Arx
 from edge.models.arx_file import write_arx
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 ROOT = Path(__file__).parents[2]
 RIG = "greenhouse/rig-1"  # first part of every topic

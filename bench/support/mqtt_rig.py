@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from edge.config.settings import MqttSettings, Settings
-from edge.core.controller import CONTROLLERS
+from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Decision, Echo, Estimate, Event, Reading, ReadingQuality, TickRecord
 from edge.mqtt.telemetry import Telemetry

@@ -9,7 +9,7 @@ from typing import Any
 
 from edge.board.sim_clock import SimClock
 from edge.core.clock import Port
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 ACTUATORS = ("heater_relay", "fan", "led", "valve")
 ARRIVAL_S = 10.0  # real time an order may take to reach the daemon

@@ -10,7 +10,8 @@ from edge.bundle.manifest import PACKAGED
 from edge.bundle.store import LoadedBundle
 from edge.bundle.trial import rival_rows
 from edge.config.settings import ControlSettings, Settings
-from edge.core.controller import AUTO, EXTERNAL, MPC, MPC_TWIN, NEED_A_MODEL, NEED_NO_MODEL, Controller
+from edge.core.controller import Controller
+from edge.core.controller_names import AUTO, EXTERNAL, MPC, MPC_TWIN, NEED_A_MODEL, NEED_NO_MODEL
 from edge.core.errors import ConfigError
 from edge.core.messages import Command, Decision
 from edge.core.predictor import Columns, Predictor

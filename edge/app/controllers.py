@@ -8,7 +8,7 @@ from edge.config.settings import ControlSettings
 from edge.controllers.mpc import Mpc, MpcSettings
 from edge.controllers.rl import Rl
 from edge.controllers.rules import Rules
-from edge.core import controller as names
+from edge.core import controller_names as names
 from edge.core.controller import Controller
 from edge.core.errors import RequestError
 from edge.core.predictor import Predictor

@@ -38,6 +38,7 @@ from edge.mqtt.telemetry import Telemetry
 from edge.safety.supervisor import SafetyMemory
 from edge.sockets.control_socket import ControlSocket
 from edge.sockets.external_proposals import ExternalProposals
+from edge.sockets.stop_file import StopFile
 from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
 from edge.state.writer import DriftTurns, HourlySink, StandingSink, StateWriter
 from edge.storage import Session, Storage
@@ -65,7 +66,7 @@ class Daemon:
     reference: Reference | None = None  # instead of the configured one
     stop_at_s: float = float("inf")
     experiment: str = ""  # a controller that decides this once; orders but stops wait until it has ended
-    more_controllers: Sequence[Controller] = ()  # than those of edge/core/controller.py
+    more_controllers: Sequence[Controller] = ()  # than those of edge/core/controller_names.py
     client_wait_s: float = 0.0  # how long to wait for a client at `external.socket` before the first tick
     open_port: OpenPort = SerialPort  # else a board in this process
     more_sinks: Sequence[Sink] = ()  # a display
@@ -132,12 +133,15 @@ class Daemon:
         if standing.operation.controller not in controllers:  # chosen when the rig had a model
             standing = replace(standing, operation=replace(standing.operation, controller=first))
             chosen = f"{first} controls: {why}"
+        stop_file = StopFile(settings.stop_folder)
+        if stop_file.author() is not None:  # the socket's thread says whose, and takes it away
+            standing = replace(standing, operation=replace(standing.operation, emergency_stop=True))
         inbox = Inbox()
         stack.callback(inbox.close)
         desk = self._desk(inbox, models, llm)
         routes = Routes(settings, inbox, bundles, desk, self.commissioning)
         # First of all that is shared: where a daemon runs already nothing else is touched.
-        socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post)
+        socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post, stop_file)
         stack.callback(socket.close)
         # Only the machine's clock goes on from process to process.
         boot = boot_id() if isinstance(self.clock, RealClock) else ""

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from edge.core.errors import RequestError
-from edge.sockets.control_socket import NobodyListens, request
+from edge.sockets.client import NobodyListens, request
 
 SOCKET = "control.sock"
 HISTORY = "history.db"

@@ -16,7 +16,8 @@ from edge.board.recorded_board import RecordedBoard, ReplayClock
 from edge.config.settings import Settings
 from edge.controllers.mpc import Mpc
 from edge.controllers.mpc_rollout import MpcRollout
-from edge.core.controller import MPC, MPC_TWIN, PID, RULES, Context, Controller
+from edge.core.controller import Context, Controller
+from edge.core.controller_names import MPC, MPC_TWIN, PID, RULES
 from edge.core.errors import DataError
 from edge.core.messages import Decision, ReadingQuality, TickRecord
 from edge.core.names import SIGNALS

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from edge.config.example import changes
 from edge.config.loading import parse
 from edge.config.settings import Settings
-from edge.core.controller import NEED_NO_MODEL, RULES
+from edge.core.controller_names import NEED_NO_MODEL, RULES
 from edge.core.errors import DataError, RequestError
 from edge.core.hard_limits import (
     HEAT_DAY_MAX_WH,

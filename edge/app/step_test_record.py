@@ -13,7 +13,7 @@ from edge.board.serial_port import OpenPort, SerialPort
 from edge.config.settings import BundleSettings, DriftSettings, Settings
 from edge.controllers.step_tests import StepTests
 from edge.core.clock import Clock
-from edge.core.controller import RULES
+from edge.core.controller_names import RULES
 from edge.core.errors import GreenhouseError
 from edge.core.messages import ReadingQuality, TickRecord
 from edge.formats.run_file import RecordedRun

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from typing import Annotated, Literal
 
-from edge.core.controller import RL
+from edge.core.controller_names import RL
 from edge.core.names import ACTUATORS, SIGNALS
 from edge.core.plain_text import quote
 from edge.core.version import __version__

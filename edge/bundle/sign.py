@@ -28,7 +28,7 @@ from edge.bundle.manifest import (
     parse_manifest,
     write_manifest,
 )
-from edge.core.controller import RL
+from edge.core.controller_names import RL
 from edge.core.errors import DataError
 from edge.core.version import __version__
 from edge.formats.atomic_file import write_atomically

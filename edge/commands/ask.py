@@ -9,7 +9,7 @@ from typing import Any
 from edge.assistant.requests.prediction import effect_table
 from edge.commands.which_rig import add_socket, socket_of
 from edge.core.errors import RequestError
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 PATIENCE_S = 300.0  # a language model on a small machine is slow
 _POLL_S = 0.3

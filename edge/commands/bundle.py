@@ -22,7 +22,7 @@ from edge.bundle.store import BundleStore
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
-from edge.sockets.control_socket import NobodyListens, request
+from edge.sockets.client import NobodyListens, request
 
 CONFIG = Path("/etc/greenhouse/edge.yaml")
 POLL_S = 0.1

@@ -21,13 +21,13 @@ from edge.commands.bundle import as_owner, change, install, settings_of, store_o
 from edge.commands.experiment import rig_of
 from edge.commands.hands import Hands
 from edge.config.settings import Settings
-from edge.core.controller import MPC_TWIN
+from edge.core.controller_names import MPC_TWIN
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import TickRecord
 from edge.diagnosis.progress import TerminalProgress
 from edge.formats.atomic_file import write_atomically, write_document
 from edge.formats.run_file import RecordedRun, absence_facts, read_run, write_run
-from edge.sockets.control_socket import NobodyListens, request
+from edge.sockets.client import NobodyListens, request
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.commands.arguments import SEED_MAX, number, whole
 from edge.config import loading as config
 from edge.config.settings import MqttSettings, Settings
-from edge.core.controller import CONTROLLERS
+from edge.core.controller_names import CONTROLLERS
+from edge.page.child import page_of
 
 RIG = "demo"  # its name over MQTT
 DEMO_YAML = """
@@ -87,8 +88,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.mqtt is not None:
         host, port = arguments.mqtt
         settings = replace(settings, mqtt=replace(settings.mqtt, enabled=True, host=host, port=port, rig=RIG))
-    with virtual_rig(folder, arguments.seed) as rig:
-        _run(arguments, settings, rig.control)
+    with virtual_rig(folder, arguments.seed) as rig, page_of(settings, folder, RIG) as address:
+        _run(arguments, settings, rig.control, address)
     return 0
 
 
@@ -109,14 +110,15 @@ def _broker(text: str) -> tuple[str, int]:
     return host, whole(1, 65535)(port) if colon else MqttSettings().port
 
 
-def _run(arguments: argparse.Namespace, settings: Settings, control: Path) -> None:
+def _run(arguments: argparse.Namespace, settings: Settings, control: Path, address: str) -> None:
     stop_at_s = float("inf") if arguments.minutes is None else 60.0 * arguments.minutes
     clock = SimClock(control, speed=arguments.speed or None)
     with standard_output() as out:
         hint = f"in another terminal: {_program()} status (or --socket {settings.control_socket.path})"
-        if not out.isatty():
-            print(hint, file=sys.stderr)
-        display = make_display(out, hint)
+        print(hint, file=sys.stderr)
+        if address:
+            print(f"in a browser: {address}", file=sys.stderr)
+        display = make_display(out, f"open {address}" if address else hint)
         try:
             with Daemon(
                 settings,

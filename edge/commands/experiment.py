@@ -16,7 +16,7 @@ from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
 from edge.core.clock import Clock, RealClock
-from edge.core.controller import CONTROLLERS
+from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
 from edge.formats.profile_file import Profile, read_profile
 from edge.formats.reader import read_yaml

@@ -6,7 +6,7 @@ from pathlib import Path
 from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.mqtt import telemetry
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from edge.core.errors import RequestError
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 PAUSE_MIN = 60.0  # a pause ends by itself then: longer than watering takes, shorter than a forgotten night
 LINE_MAX = 256

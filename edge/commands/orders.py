@@ -13,7 +13,7 @@ from edge.assistant.why.ask_history import reasons
 from edge.commands.arguments import number, whole
 from edge.commands.which_rig import add_socket, socket_of
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 from edge.tick.inbox import is_in_force, is_urgent
 from edge.tick.orders import FanMode, Mode
 

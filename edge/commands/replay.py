@@ -13,7 +13,7 @@ from edge.app.replay import REPLAYED, Skill, decisions_digest, fired_limits, rep
 from edge.commands.arguments import add_absent_columns, number
 from edge.config import loading as config
 from edge.config.settings import Settings
-from edge.core.controller import MPC_TWIN
+from edge.core.controller_names import MPC_TWIN
 from edge.core.errors import DataError
 from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.messages import TickRecord

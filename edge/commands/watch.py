@@ -7,7 +7,7 @@ import time
 
 from edge.app.display import tick_line
 from edge.commands.which_rig import add_socket, socket_of
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 POLL_S = 0.25  # a demo makes two ticks a second
 

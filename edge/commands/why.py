@@ -7,7 +7,7 @@ from edge.assistant.why.ask_history import why
 from edge.commands.arguments import moment, moment_in
 from edge.commands.which_rig import add_socket, socket_of
 from edge.core.errors import RequestError
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

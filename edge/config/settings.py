@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from edge.core import hard_limits as hard
-from edge.core.controller import AUTO, CONTROLLERS, EXTERNAL, LLM, MPC, RULES
+from edge.core.controller_names import AUTO, CONTROLLERS, EXTERNAL, LLM, MPC, RULES
 from edge.formats.cross_check import Section, clock, flag, items, number, text, whole
 
 URL = r"(https?://[^\s/]+(/\S*)?)?"
@@ -30,6 +30,28 @@ class ControlSocketSettings(Section):
     path: str = text(
         "/run/greenhouse/control.sock", "Unix socket; its file permissions are the access control"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class PageSettings(Section):
+    """The web page, a process of its own: `greenhouse page`."""
+
+    port: int = whole(8420, "TCP port", 1, 65535)
+    host: str = text(
+        "", "address to listen at; empty: this machine alone, and all once `greenhouse page pair` was called"
+    )
+    names: tuple[str, ...] = items(
+        "further names by which browsers reach it, such as a proxy's; its address and this machine's name do",
+        "greenhouse.example.org",
+    )
+    folder: str = text("/var/lib/greenhouse-page", "who may do what lives here")
+    certificate: str = text("", "certificate for https, PEM; empty: http")
+    key_file: str = text("", "its key, PEM")
+
+    def cross_check(self) -> None:
+        """Check that a certificate has its key."""
+        if bool(self.certificate) != bool(self.key_file):
+            self.refuse("key_file", "certificate and key_file go together")
 
 
 @dataclass(frozen=True, slots=True)
@@ -463,6 +485,7 @@ class Settings(Section):
     timezone: str = text("local", 'for daily references and lighting: "local" or a name like "Europe/Oslo"')
     board: BoardSettings = field(default_factory=BoardSettings)
     control_socket: ControlSocketSettings = field(default_factory=ControlSocketSettings)
+    page: PageSettings = field(default_factory=PageSettings)
     history: HistorySettings = field(default_factory=HistorySettings)
     mqtt: MqttSettings = field(default_factory=MqttSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
@@ -494,6 +517,11 @@ class Settings(Section):
             self.refuse("control.controller", reason)
         if self.timezone != "local" and not _known_zone(self.timezone):
             self.refuse("timezone", f'{self.timezone!r} is neither "local" nor a zone of this machine')
+
+    @property
+    def stop_folder(self) -> Path:
+        """The folder of a stop that waits for a daemon, see `edge.sockets.stop_file`."""
+        return Path(self.state_file).parent / "stops"
 
     def unready(self, controller: str) -> str:
         """Why this rig cannot have a controller, "" where it can."""

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Protocol
 
-from edge.core.controller import EXTERNAL, Context
+from edge.core.controller import Context
+from edge.core.controller_names import EXTERNAL
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Decision
 from edge.core.names import HEATER_LEVELS

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from edge.config.settings import ReferenceSettings
-from edge.core.controller import CONTROLLERS
+from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.formats.cross_check import CheckedDocument, Rule

@@ -8,11 +8,9 @@ that sends no whole request for a while is closed, at once where a new client ne
 """
 
 import contextlib
-import json
 import queue
 import selectors
 import socket
-import struct
 import threading
 import time
 from collections import deque
@@ -22,26 +20,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from edge.core.errors import RequestError
 from edge.formats.reader import DocumentError, parse_json
+from edge.sockets.client import encode_line
+from edge.sockets.stop_file import StopFile
 from edge.sockets.unix_socket import listen
-from edge.tick.inbox import is_urgent
+from edge.tick.inbox import is_in_force, is_urgent
 from edge.tick.status import reply_json
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
 Post = Callable[[Mapping[str, Any], Callable[[dict[str, Any]], None]], None]
 
 LINE_MAX = 65536  # longest request [bytes]
-ANSWER_MAX = 16 << 20  # longest answer [bytes]
 CLIENTS_MAX = 64
 IDLE_MAX_S = 30.0  # without a whole request
 GRACE_S = 0.05  # in which a new client can send its request before another one may take its place
 ANSWER_MAX_S = 10.0  # after which a client is told that no answer came
 SWEEP_S = 1.0  # between two looks for idle clients
-
-
-class NobodyListens(RequestError):
-    """There is no daemon to ask."""
 
 
 @dataclass(slots=True, eq=False)
@@ -88,7 +82,7 @@ class _Client:
         return line
 
     def answer(self, reply: Mapping[str, Any]) -> None:
-        self.waits_for, self.unsent = None, _line(reply)
+        self.waits_for, self.unsent = None, encode_line(reply)
 
     def refuse(self, reason: str) -> None:
         self.unread, self.ended = b"", True
@@ -120,12 +114,14 @@ class ControlSocket:
     """Server side, in two threads of its own.
 
     ask : answers a request; may take its time
+    stop_file : looked at every second; what it asks for is asked as if a client had
     post : gives an urgent request to the control thread without waiting, and a place for its answer
     Errors : ConfigError when the place is taken by a running daemon or can't hold a socket
     """
 
-    def __init__(self, path: Path, ask: Ask, post: Post) -> None:
+    def __init__(self, path: Path, ask: Ask, post: Post, stop_file: StopFile | None = None) -> None:
         self._path, self._ask, self._post = path, ask, post
+        self._stop_file, self._stop_is_known = stop_file, False
         self._listener, self._inode = listen(path, "control_socket.path")
         self._wake, self._ring = socket.socketpair()
         self._wake.setblocking(False)
@@ -227,12 +223,27 @@ class ControlSocket:
         if now < self._sweep_at_s:
             return
         self._sweep_at_s = now + SWEEP_S
+        self._look_for_stop()
         for client in list(self._clients.values()):
             if client.waits_for is not None and now - client.active_s > ANSWER_MAX_S:
                 client.answer(_error(f"no answer within {ANSWER_MAX_S:g} s"))
                 self._serve(client, 0)
             elif now - client.active_s > IDLE_MAX_S:
                 self._hang_up(client, f"idle for {IDLE_MAX_S:g} s")
+
+    def _look_for_stop(self) -> None:
+        """Pass on a stop that was left on the disk, once."""
+        if self._stop_file is None or (author := self._stop_file.author()) is None:
+            self._stop_is_known = False
+        elif not self._stop_is_known:
+            self._stop_is_known = True
+            self._post({"do": "emergency_stop", "by": author}, self._note_stop)
+
+    def _note_stop(self, reply: dict[str, Any]) -> None:
+        """Take an answer to it. Thread-safe. The file stays until the stop is on the disk elsewhere."""
+        if reply.get("ok") and self._stop_file is not None:
+            self._stop_file.take_away()
+        self._stop_is_known = is_in_force(reply)
 
     def _serve(self, client: _Client, events: int) -> None:
         """One line at most, so that clients take turns."""
@@ -309,37 +320,9 @@ class ControlSocket:
         self._wake_up()
 
 
-def request(path: Path, message: Mapping[str, Any], timeout_s: float = 15.0) -> dict[str, Any]:
-    """Client side: send one request, wait for its answer. Errors: RequestError, of it NobodyListens."""
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-            # With a full queue a socket with a time-out would fail at once, a blocking one waits its turn.
-            whole_s = int(timeout_s)
-            limit = struct.pack("@ll", whole_s, int(1e6 * (timeout_s - whole_s)) or 1)
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
-            connection.connect(str(path))
-            connection.settimeout(timeout_s)
-            connection.sendall(_line(message))
-            with connection.makefile("rb") as answers:
-                answer = answers.readline()
-    except (FileNotFoundError, ConnectionRefusedError):
-        raise NobodyListens(f"no daemon listens at {path}") from None
-    except (TimeoutError, BlockingIOError):
-        raise RequestError(f"the daemon at {path} did not answer within {timeout_s:g} s") from None
-    except OSError as error:
-        raise RequestError(f"{path}: {error.strerror or error}") from None
-    if not answer.endswith(b"\n"):
-        raise RequestError(f"the daemon at {path} went away before it answered")
-    return parse_json(answer, str(path), ANSWER_MAX)
-
-
 def _importance(client: _Client) -> tuple[int, float]:
     question = client.waits_for
     return (0 if question is None else 2 if question.is_urgent else 1), client.active_s
-
-
-def _line(message: Mapping[str, Any]) -> bytes:
-    return json.dumps(message, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
 def _error(text: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.assistant.llm.budget import Spending
-from edge.core.controller import CONTROLLERS
+from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
 from edge.core.plain_text import quote
 from edge.drift import noise, where

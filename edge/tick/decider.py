@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from edge.config.settings import ControlSettings
-from edge.core.controller import RULES, Context, Controller
+from edge.core.controller import Context, Controller
+from edge.core.controller_names import RULES
 from edge.core.messages import Command, Decision, Event, Severity
 from edge.tick.faults import Conditions
 

@@ -52,6 +52,7 @@ from edge.tick.orders import (
     is_released,
     operate,
     read_request,
+    with_author,
 )
 from edge.tick.reference import seconds_of_day
 from edge.tick.rig import Rig
@@ -371,7 +372,7 @@ class Loop:
                     return
                 case "clear_trip":
                     read_request(NoKeys, request)
-                    self._clear_trip()
+                    self._clear_trip(request)
                 case _:
                     warning = self._order(request)
         except RequestError as error:
@@ -443,11 +444,11 @@ class Loop:
             settings.unready,
         )
 
-    def _clear_trip(self) -> None:
+    def _clear_trip(self, request: Request) -> None:
         clock = self._rig.clock
         self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air())
         self._rig.board.clear_trip()
-        self._tell("operator.clear_trip", Severity.INFO, "trips cleared", clock.now())
+        self._tell("operator.clear_trip", Severity.INFO, with_author("trips cleared", request), clock.now())
 
     def _act_now(self) -> None:
         """Apply new orders to the last decision at once, not a step later, and

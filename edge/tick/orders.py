@@ -23,9 +23,19 @@ from edge.tick.steering import from_dict as steering_from_dict
 Request = Mapping[str, Any]
 
 
+AUTHOR = "by"  # key of any request: who gave it
+AUTHOR_MAX = 60  # characters
+
+
 def in_words(request: Request) -> str:
     """Describe an order that was carried out: `request` has passed `edge.tick.orders.operate`."""
-    return _WORDS[request["do"]](request)
+    return with_author(_WORDS[request["do"]](request), request)
+
+
+def with_author(text: str, request: Request) -> str:
+    """Add who gave a request to what it did, where the request says it."""
+    author = request.get(AUTHOR)
+    return f"{text}, by {plain(author, AUTHOR_MAX)}" if isinstance(author, str) and author else text
 
 
 def _reference(request: Request) -> str:
@@ -212,9 +222,9 @@ def operate(operation: Operation, request: Request, desk: Desk) -> Operation:
 
 
 def read_request(kind: type[Keys], request: Request) -> Keys:
-    """Read the keys of `request` but "do" as an object of `kind`. Errors: RequestError"""
+    """Read the keys of `request` but "do" and AUTHOR as an object of `kind`. Errors: RequestError"""
     try:
-        given = {key: value for key, value in request.items() if key != "do"}
+        given = {key: value for key, value in request.items() if key not in ("do", AUTHOR)}
         return read(kind, given, plain(str(request.get("do")), 40))
     except DocumentError as error:
         raise RequestError(str(error)) from None

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edge.core.messages import Echo, TickRecord
-from edge.formats.tick_json import drift_json, echo_json, skill_json, tick_json
+from edge.formats.tick_json import drift_json, echo_json, number, skill_json, tick_json
 from edge.tick.orders import Operation
 from edge.tick.orders_json import to_dict
 
@@ -26,13 +26,16 @@ class LoopStatus:
 
 
 def status_json(status: LoopStatus) -> dict[str, Any]:
-    """Return JSON values; "tick" is null before the first tick."""
+    """Return JSON values; "tick" is null before the first tick. "plan" has heater duty and fan a step."""
     record = status.record
     return {
         "operation": to_dict(status.operation),
         "since_start_s": status.since_start_s,
         "trips": list(status.trips),
         "tick": None if record is None else tick_json(record),
+        "plan": []
+        if record is None
+        else [[number(share) for share in step] for step in record.decision.plan],
         "skill": {} if record is None else skill_json(record.skill),
         "drift": drift_json(record.drift if record else None),
         "echo": echo_json(status.echo),

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.settings import Settings
-from edge.core.controller import LLM, Controller
+from edge.core.controller import Controller
+from edge.core.controller_names import LLM
 from training.lab import Lab
 
 Floats = NDArray[np.float64]

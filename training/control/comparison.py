@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from edge.core.controller import LLM
+from edge.core.controller_names import LLM
 from edge.core.errors import DataError
 from edge.formats.table import Table
 from training.control.closed_loop import ClosedLoopLog

@@ -21,7 +21,7 @@ from edge.config.settings import (
     Settings,
 )
 from edge.controllers.rules import Thresholds
-from edge.core.controller import CONTROLLERS, LLM, MPC, MPC_TWIN, RL
+from edge.core.controller_names import CONTROLLERS, LLM, MPC, MPC_TWIN, RL
 from edge.models.arx_file import DEFAULT_PATH
 
 Models = Literal[

@@ -3,7 +3,8 @@
 from edge.assistant.llm import simulate_tool, sql_tool
 from edge.assistant.llm.ledger import RULE
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
-from edge.core.controller import Context, LlmVariant, Penalty
+from edge.core.controller import Context, Penalty
+from edge.core.controller_names import LlmVariant
 from edge.core.names import HEATER_LEVELS
 
 EXACTLY = "It is important that the temperature in the greenhouse matches the target temperature exactly."

@@ -15,7 +15,8 @@ from edge.assistant.llm.prompts import question, system_prompt
 from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
 from edge.assistant.llm.sql_tool import SqlTool
 from edge.assistant.llm.wire import Message, Reply, Schema, ToolCall, Usage, assistant_message, tool_message
-from edge.core.controller import Context, Floats, LlmVariant, goal_ahead
+from edge.core.controller import Context, Floats, goal_ahead
+from edge.core.controller_names import LlmVariant
 from edge.core.messages import Command
 from edge.core.plain_text import plain
 from edge.core.predictor import Predictor

@@ -17,7 +17,7 @@ from edge.board.virtual_rig import settings_in
 from edge.config.settings import Settings
 from edge.core.errors import DataError
 from edge.formats.run_file import read_run
-from edge.sockets.control_socket import request
+from edge.sockets.client import request
 from edge.state.store import STANDING, restore
 from edge.state.writer import StateWriter
 from edge.tick.orders import FanMode, Operation

@@ -17,7 +17,8 @@ from edge.board.virtual_rig import settings_in
 from edge.commands.hands import Hands
 from edge.config.settings import ControlSettings, Settings
 from edge.formats.run_file import RecordedRun
-from edge.sockets.control_socket import ControlSocket, request
+from edge.sockets.client import request
+from edge.sockets.control_socket import ControlSocket
 from edge.twin.new_file import BoxDescription, text
 from edge.twin.twin_file import read_twin_file
 from training.lab import InProcessBoard

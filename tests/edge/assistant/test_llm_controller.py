@@ -17,7 +17,8 @@ from edge.assistant.llm.language_model import LanguageModel
 from edge.assistant.llm.line import Interrupt
 from edge.assistant.llm.proposal import Architecture, ModelProposal
 from edge.config.settings import ControlSettings
-from edge.core.controller import LLM, Context
+from edge.core.controller import Context
+from edge.core.controller_names import LLM
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Decision
 from edge.models.arx_file import read_arx

@@ -6,7 +6,8 @@ import pytest
 from contexts import context
 
 from edge.assistant.llm.prompts import EXACTLY, SPARE, question, system_prompt
-from edge.core.controller import LLM, ControlLimits, Penalty
+from edge.core.controller import ControlLimits, Penalty
+from edge.core.controller_names import LLM
 from edge.core.messages import Command
 from training.llm_stand_in.agent import read_prompt
 

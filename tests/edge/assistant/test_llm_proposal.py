@@ -11,7 +11,7 @@ from llm_parts import ScriptedLine, calls, language_model, says
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.line import HttpResponse, Interrupt
 from edge.assistant.llm.proposal import Architecture, ModelProposal
-from edge.core.controller import LLM
+from edge.core.controller_names import LLM
 from edge.models.arx_file import read_arx
 from edge.storage.file import connect
 

@@ -10,7 +10,8 @@ from contexts import context
 from edge.app.controllers import ControllerParts, make
 from edge.config.settings import ControlSettings
 from edge.controllers.mpc import Mpc, MpcSettings
-from edge.core.controller import MPC, RULES, ControlLimits, Penalty
+from edge.core.controller import ControlLimits, Penalty
+from edge.core.controller_names import MPC, RULES
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.models.arx_file import read_arx

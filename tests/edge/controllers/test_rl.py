@@ -14,7 +14,8 @@ from policy_files import policy_file
 from edge.app.controllers import ControllerParts, make
 from edge.config.settings import ControlSettings
 from edge.controllers.rl import Rl
-from edge.core.controller import CONTROLLERS, RL, ControlLimits
+from edge.core.controller import ControlLimits
+from edge.core.controller_names import CONTROLLERS, RL
 from edge.core.errors import DataError
 from edge.core.messages import Command
 from edge.core.names import HEATER_LEVELS

@@ -10,7 +10,7 @@ from home_assistant import check_device, check_topic
 from bench.support.mqtt_rig import ROOT, ControlLoop, record, settings
 from edge.assistant.requests.desk import PendingRequest, new_id
 from edge.config.settings import BoxSettings, ControlSettings, LlmSettings, ReferenceSettings, Settings
-from edge.core.controller import LLM
+from edge.core.controller_names import LLM
 from edge.core.messages import ForecastSkill
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse

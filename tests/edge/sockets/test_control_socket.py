@@ -17,7 +17,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from edge.core.errors import ConfigError, RequestError
-from edge.sockets.control_socket import CLIENTS_MAX, LINE_MAX, ControlSocket, request
+from edge.sockets.client import request
+from edge.sockets.control_socket import CLIENTS_MAX, LINE_MAX, ControlSocket
 
 pytestmark = pytest.mark.slow
 

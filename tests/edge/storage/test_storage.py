@@ -92,6 +92,7 @@ def test_the_log_has_its_whole_length_before_the_first_tick_and_loses_nothing_by
 ) -> None:
     with opened(path) as (storage, _):
         write(storage, 1, 2)
+        assert storage.wait_written(2, 10.0)
         log = path.with_name(f"{path.name}-wal")
         assert log.stat().st_size == RESERVED_BYTES
         # What a power cut leaves is read by whoever comes next, with a log that is shorter too.
@@ -111,6 +112,7 @@ def test_on_a_small_disk_the_log_takes_no_room_that_the_file_needs(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
     with opened(path) as (storage, _):
         write(storage, 1)
+        assert storage.wait_written(1, 10.0)
         assert path.with_name(f"{path.name}-wal").stat().st_size < RESERVED_BYTES // 10
 
 

@@ -1,0 +1,239 @@
+"""Who may do what: links, sessions and passwords, in a SQLite file of the page's own.
+
+A link's or a session's secret is shown once and kept as its SHA-256: it has 256 random bits, so nothing can
+be guessed from that. Passwords are short, so they are kept by scrypt.
+"""
+
+import hashlib
+import hmac
+import secrets
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+from edge.core.errors import DataError, RequestError
+from edge.core.plain_text import plain
+
+DAY_S = 86_400.0
+SESSION_S = 30 * DAY_S  # without a visit, after which a session ends
+SEEN_EVERY_S = 600.0  # a visit is written no more often: a card wears
+SCRYPT = {"n": 1 << 14, "r": 8, "p": 1}  # 16 MB and a quarter of a second of a Raspberry Pi
+PASSWORD_MIN = 8  # characters
+NAME_MAX = 40
+BUSY_S = 5.0
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS links (id INTEGER PRIMARY KEY, secret BLOB UNIQUE, role INTEGER, name TEXT,
+    made_utc REAL, expires_utc REAL, uses_left INTEGER);
+CREATE TABLE IF NOT EXISTS sessions (id INTEGER PRIMARY KEY AUTOINCREMENT, secret BLOB UNIQUE, link INTEGER,
+    role INTEGER, name TEXT, browser TEXT, made_utc REAL, seen_utc REAL, expires_utc REAL);
+CREATE TABLE IF NOT EXISTS people (name TEXT PRIMARY KEY, role INTEGER, salt BLOB, password BLOB);
+CREATE TABLE IF NOT EXISTS facts (key TEXT PRIMARY KEY, value TEXT);
+CREATE TABLE IF NOT EXISTS acknowledged (seq INTEGER, number INTEGER, name TEXT, utc REAL,
+    PRIMARY KEY (seq, number)) WITHOUT ROWID;
+"""
+
+
+class Role(IntEnum):
+    """The rights of a visitor; each may do what those below it may. All may stop the rig."""
+
+    VIEW = 1
+    OPERATE = 2
+    ADMIN = 3
+
+    @property
+    def word(self) -> str:
+        """Return its name as people write it."""
+        return self.name.lower()
+
+
+ROLES = {role.word: role for role in Role}
+
+
+@dataclass(frozen=True, slots=True)
+class Visitor:
+    """Who has a session. name : as it stands beside their orders in the history"""
+
+    session: int
+    name: str
+    role: Role
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The file at `path`, made when it is first written to. All methods are thread-safe; Errors: DataError"""
+
+    path: Path
+    utc: Callable[[], float] = time.time
+
+    def make_link(self, role: Role, name: str, valid_s: float, uses: int | None = 1) -> str:
+        """Return the secret of a new link. uses : how many may enter by it, None for any number"""
+        secret, now = secrets.token_urlsafe(32), self.utc()
+        with self._writing() as db:
+            db.execute(
+                "INSERT INTO links (secret, role, name, made_utc, expires_utc, uses_left)"
+                " VALUES (?, ?, ?, ?, ?, ?)",
+                (_hash(secret), role, _name(name), now, now + valid_s, uses),
+            )
+        return secret
+
+    def enter(self, secret: str, browser: str) -> tuple[str, Visitor] | None:
+        """Begin a session by a link; None where there is no such link, or no longer.
+
+        A session of a link for many ends with the link, one of a link for once when it is not used any more.
+        """
+        now = self.utc()
+        with self._writing() as db:
+            found = db.execute(
+                "SELECT id, role, name, expires_utc, uses_left FROM links WHERE secret = ?"
+                " AND expires_utc > ? AND (uses_left IS NULL OR uses_left > 0)",
+                (_hash(secret), now),
+            ).fetchone()
+            if found is None:
+                return None
+            link, role, name, expires_utc, uses_left = found
+            db.execute("UPDATE links SET uses_left = uses_left - 1 WHERE id = ?", (link,))
+            until_utc = expires_utc if uses_left is None else now + SESSION_S
+            return self._begin(db, link, Role(role), name, browser, until_utc)
+
+    def log_in(self, name: str, password: str, browser: str) -> tuple[str, Visitor] | None:
+        """Begin a session by a password; None where name or password is wrong."""
+        with self._writing() as db:
+            found = db.execute("SELECT role, salt, password FROM people WHERE name = ?", (name,)).fetchone()
+        # Somebody who is not there takes as long to refuse as a wrong password.
+        role, salt, known = found or (Role.VIEW, b"nobody", b"")
+        if not hmac.compare_digest(_scrypt(password, salt), known):
+            return None
+        with self._writing() as db:
+            return self._begin(db, None, Role(role), name, browser, self.utc() + SESSION_S)
+
+    def set_password(self, name: str, role: Role, password: str) -> None:
+        """Let a person log in; sessions that they had under another password end. Errors: RequestError"""
+        if len(password) < PASSWORD_MIN:
+            raise RequestError(f"a password has {PASSWORD_MIN} characters at least")
+        salt = secrets.token_bytes(16)
+        with self._writing() as db:
+            db.execute("DELETE FROM sessions WHERE name = ? AND link IS NULL", (_name(name),))
+            row = (_name(name), role, salt, _scrypt(password, salt))
+            db.execute("INSERT OR REPLACE INTO people VALUES (?, ?, ?, ?)", row)
+
+    def visitor(self, secret: str) -> Visitor | None:
+        """Return whose session it is, None where there is none or it has ended."""
+        now = self.utc()
+        with self._reading() as db:
+            found = db.execute(
+                "SELECT id, name, role, seen_utc, link FROM sessions WHERE secret = ? AND expires_utc > ?",
+                (_hash(secret), now),
+            ).fetchone()
+        if found is None:
+            return None
+        session, name, role, seen_utc, link = found
+        if now - seen_utc > SEEN_EVERY_S:
+            self._note_visit(session, link, now)
+        return Visitor(session, name, Role(role))
+
+    def sessions(self) -> list[dict[str, object]]:
+        """Return those that have not ended, the newest visit first; times in seconds since 1970."""
+        with self._reading() as db:
+            rows = db.execute(
+                "SELECT id, name, role, browser, made_utc, seen_utc, expires_utc FROM sessions"
+                " WHERE expires_utc > ? ORDER BY seen_utc DESC",
+                (self.utc(),),
+            ).fetchall()
+        keys = ("session", "name", "role", "browser", "made_utc", "seen_utc", "expires_utc")
+        return [dict(zip(keys, row, strict=True)) | {"role": Role(row[2]).word} for row in rows]
+
+    def revoke(self, session: int | None = None) -> int:
+        """End a session, or all of them and all links. Returns how many sessions ended."""
+        with self._writing() as db:
+            if session is not None:
+                return db.execute("DELETE FROM sessions WHERE id = ?", (session,)).rowcount
+            db.execute("DELETE FROM links")
+            return db.execute("DELETE FROM sessions").rowcount
+
+    def acknowledge(self, seq: int, number: int, name: str) -> None:
+        """Note who has seen an alarm: event `number` of tick `seq`. The first one stays."""
+        with self._writing() as db:
+            row = (seq, number, name, self.utc())
+            db.execute("INSERT OR IGNORE INTO acknowledged VALUES (?, ?, ?, ?)", row)
+
+    def who_acknowledged(self, first_seq: int) -> dict[tuple[int, int], str]:
+        """Return who has seen which event of tick `first_seq` or later."""
+        with self._reading() as db:
+            rows = db.execute("SELECT seq, number, name FROM acknowledged WHERE seq >= ?", (first_seq,))
+            return {(seq, number): name for seq, number, name in rows}
+
+    def open_to_network(self) -> None:
+        """Note that the page shall listen to other machines."""
+        with self._writing() as db:
+            db.execute("INSERT OR REPLACE INTO facts VALUES ('network', '1')")
+
+    @property
+    def is_open_to_network(self) -> bool:
+        """Somebody has called `greenhouse page pair`."""
+        with self._reading() as db:
+            return db.execute("SELECT 1 FROM facts WHERE key = 'network'").fetchone() is not None
+
+    def _begin(
+        self, db: sqlite3.Connection, link: int | None, role: Role, name: str, browser: str, until_utc: float
+    ) -> tuple[str, Visitor]:
+        secret, now = secrets.token_urlsafe(32), self.utc()
+        row = (_hash(secret), link, role, name, plain(browser, 200), now, now, until_utc)
+        cursor = db.execute(
+            "INSERT INTO sessions (secret, link, role, name, browser, made_utc, seen_utc, expires_utc)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            row,
+        )
+        assert cursor.lastrowid is not None
+        return secret, Visitor(cursor.lastrowid, name, role)
+
+    def _note_visit(self, session: int, link: int | None, now: float) -> None:
+        """Prolong a session, but not past the end of a link for many."""
+        with self._writing() as db:
+            many = db.execute("SELECT 1 FROM links WHERE id = ? AND uses_left IS NULL", (link,)).fetchone()
+            db.execute("UPDATE sessions SET seen_utc = ? WHERE id = ?", (now, session))
+            if many is None:
+                db.execute("UPDATE sessions SET expires_utc = ? WHERE id = ?", (now + SESSION_S, session))
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with closing(sqlite3.connect(self.path, timeout=BUSY_S, isolation_level=None)) as db:
+                self.path.chmod(0o600)
+                db.executescript(SCHEMA)
+                db.execute("BEGIN IMMEDIATE")
+                with db:  # commits, or rolls back
+                    yield db
+        except (sqlite3.Error, OSError) as error:
+            raise DataError(f"{self.path}: {error}") from error
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        if not self.path.exists():
+            with self._writing():
+                pass
+        try:
+            with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as db:
+                yield db
+        except sqlite3.Error as error:
+            raise DataError(f"{self.path}: {error}") from error
+
+
+def _hash(secret: str) -> bytes:
+    return hashlib.sha256(secret.encode(errors="replace")).digest()
+
+
+def _scrypt(password: str, salt: bytes) -> bytes:
+    return hashlib.scrypt(password.encode(errors="replace"), salt=salt, **SCRYPT, maxmem=64 << 20)
+
+
+def _name(name: str) -> str:
+    """Return a name as it may stand in the history. Errors: RequestError"""
+    clean = plain(name, NAME_MAX).strip()
+    if not clean:
+        raise RequestError("a name is needed: it stands beside every order in the history")
+    return clean

@@ -1,0 +1,32 @@
+"""Which request of the control socket needs which role; what is not in the list is not passed on."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from edge.page.access import Role
+
+NEEDS = {
+    "emergency_stop": Role.VIEW,  # whoever sees that something is wrong may stop it
+    "release_emergency_stop": Role.OPERATE,
+    "clear_trip": Role.OPERATE,
+    "maintenance": Role.OPERATE,
+    "set_mode": Role.OPERATE,
+    "set_fan_mode": Role.OPERATE,
+    "set_reference": Role.OPERATE,
+    "set_controller": Role.OPERATE,
+    "set_manual": Role.OPERATE,
+    "ask": Role.OPERATE,
+    "proposal": Role.OPERATE,
+    "confirm": Role.OPERATE,
+    "undo": Role.OPERATE,
+    "bundle": Role.ADMIN,
+}
+
+
+def problem(order: Mapping[str, Any], role: Role) -> str:
+    """Return why a visitor of this role may not give an order, "" where they may."""
+    kind = order.get("do")
+    needed = NEEDS.get(kind) if isinstance(kind, str) else None
+    if needed is None:
+        return f"do: one of {', '.join(NEEDS)}"
+    return "" if role >= needed else f"{kind} needs the role {needed.word}, yours is {role.word}"

@@ -1,0 +1,115 @@
+// The page: who looks, what the rig does, and the parts below each other.
+
+import { html, render, useEffect, useMemo, useState } from "./vendor/preact-htm.js";
+import { call, follow } from "./api.js";
+import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
+import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
+
+const SPANS = [[3600, "1 h"], [6 * 3600, "6 h"], [86400, "1 day"], [7 * 86400, "7 days"]];
+const EMPTY = Object.fromEntries(
+  ["utc", "air_c", "air_low_c", "air_high_c", "estimate_c", "reference_c", "room_c", "heater", "fan"].map((key) => [key, []]),
+);
+
+// The part of the history that is shown: it follows the rig's newest tick until somebody drags it.
+function useCourse(newest) {
+  const [span, setSpan] = useState(SPANS[1][0]);
+  const [back, setBack] = useState(0); // [s] before now; 0: it follows
+  const [course, setCourse] = useState(EMPTY);
+  const [error, setError] = useState("");
+  const ahead = back ? 0 : Math.min(spanAhead, span / 3);
+  const last = (newest ?? Date.now() / 1000) - back + ahead;
+  // A rig that has just begun shows what there is, not an empty day.
+  const first = back ? last - span : Math.max(last - span, Math.min(course.utc[0] ?? 0, newest - span / 4));
+  const fetched = Math.round(back / (span / 40));
+  useEffect(() => {
+    if (newest == null) return undefined;
+    const soon = setTimeout(() => {
+      const asked = `from_utc=${last - 1.5 * span}&to_utc=${last + (back ? span / 2 : 1)}&points=1000`;
+      call("GET", `/api/course?${asked}`).then((found) => { setCourse(found.columns); setError(""); }, (failed) => setError(failed.message));
+    }, 120);
+    return () => clearTimeout(soon);
+  }, [newest, span, fetched]);
+  const pan = (moved) => setBack((before) => Math.max(0, before - moved));
+  return { course, error, first, last, span, back, pan, setSpan, toNow: () => setBack(0) };
+}
+
+function Course({ view, pick }) {
+  const status = view?.status;
+  const shown = useCourse(status?.tick?.utc);
+  const columns = useMemo(() => columnsOf(shown.course, status), [shown.course, status]);
+  return html`<section class="card wide" aria-label="Course">
+    <div class="row">
+      ${SPANS.map(([span, words]) => html`<button key=${span} class=${shown.span === span ? "on" : ""} aria-pressed=${shown.span === span} onClick=${() => shown.setSpan(span)}>${words}</button>`)}
+      <button aria-label="earlier" onClick=${() => shown.pan(-shown.span / 2)}>←</button>
+      <button aria-label="later" disabled=${!shown.back} onClick=${() => shown.pan(shown.span / 2)}>→</button>
+      ${shown.back > 0 && html`<button onClick=${shown.toNow}>Now</button>`}
+    </div>
+    ${shown.error && html`<p class="error">${shown.error}</p>`}
+    <${Chart} columns=${columns} first=${shown.first} last=${shown.last} pick=${pick} pan=${shown.pan} />
+    <ul class="legend">${LEGEND.map(([words, colour, kind]) => html`<li key=${words}><i class=${`${kind} c${colour}`}></i>${words}</li>`)}</ul>
+  </section>`;
+}
+
+function Rig({ me }) {
+  const [view, setView] = useState(null);
+  const [lost, setLost] = useState(null);
+  const [picked, setPicked] = useState(null);
+  useEffect(() => follow((found, error) => {
+    if (found) setView(found);
+    setLost(error ?? null);
+    if (error?.status === 401) location.reload();
+  }), []);
+  const done = () => call("GET", "/api/view").then(setView, () => {});
+  const bad = troubles(view, lost);
+  const seq = view?.status?.tick?.seq;
+  return html`
+    <header><h1>${me.rig}</h1><span class="quiet">${view?.status?.operation.mode ?? ""}</span></header>
+    <div aria-live="assertive">${bad.map(([kind, text]) => html`<p key=${text} class=${`trouble ${kind}`}>${text}</p>`)}</div>
+    <main>
+      <${Now} view=${view} lost=${lost} />
+      <${Course} view=${view} pick=${setPicked} />
+      <${Why} view=${view} picked=${picked} clear=${() => setPicked(null)} />
+      <${Controls} view=${view} me=${me} done=${done} />
+      <${Ask} me=${me} done=${done} />
+      <${Events} me=${me} news=${seq} />
+      <${Models} view=${view} />
+      <${Health} view=${view} />
+      <${Access} me=${me} />
+    </main>
+    <${Stop} view=${view} me=${me} done=${done} />`;
+}
+
+function Door({ reason, entered }) {
+  const [name, setName] = useState("");
+  const [password, setPassword] = useState("");
+  const [error, setError] = useState(reason);
+  const enter = (event) => {
+    event.preventDefault();
+    call("POST", "/api/session", { name, password }).then(entered, (failed) => setError(failed.message));
+  };
+  return html`<main class="door"><section class="card"><h1>Greenhouse</h1>
+    <p>Open the link that <code>greenhouse page pair</code> prints on the rig's computer, or log in.</p>
+    ${error && html`<p class="error" role="alert">${error}</p>`}
+    <form onSubmit=${enter}>
+      <label>Name <input autocomplete="username" value=${name} onInput=${(event) => setName(event.target.value)} /></label>
+      <label>Password <input type="password" autocomplete="current-password" value=${password} onInput=${(event) => setPassword(event.target.value)} /></label>
+      <button class="plain">Log in</button>
+    </form></section></main>`;
+}
+
+function App() {
+  const [me, setMe] = useState(null);
+  const [reason, setReason] = useState(null);
+  const look = () => call("GET", "/api/me").then(setMe, (error) => setReason(error.status === 401 ? "" : error.message));
+  useEffect(() => {
+    const link = new URLSearchParams(location.hash.slice(1)).get("link");
+    if (!link) return void look();
+    // At once out of the address, so that a bookmark or a screenshot does not carry it.
+    history.replaceState(null, "", location.pathname);
+    call("POST", "/api/session", { link }).then(look, (error) => look().then(() => setReason(error.message)));
+  }, []);
+  if (me) return html`<${Rig} me=${me} />`;
+  return reason == null ? html`<p class="quiet">Loading …</p>` : html`<${Door} reason=${reason} entered=${look} />`;
+}
+
+render(html`<${App} />`, document.getElementById("app"));

@@ -1,0 +1,125 @@
+"""Links, sessions, passwords and acknowledgements, by a clock of the test's own."""
+
+from pathlib import Path
+
+import pytest
+
+from edge.core.errors import DataError, RequestError
+from edge.page.access import DAY_S, SESSION_S, Access, Role
+from edge.page.orders import NEEDS, problem
+
+
+class Wall:
+    """A wall clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.utc = 1e9
+
+    def __call__(self) -> float:
+        return self.utc
+
+
+@pytest.fixture
+def wall() -> Wall:
+    return Wall()
+
+
+@pytest.fixture
+def access(tmp_path: Path, wall: Wall) -> Access:
+    return Access(tmp_path / "page" / "page.db", wall)
+
+
+def entered(access: Access, link: str) -> str:
+    begun = access.enter(link, "a browser")
+    assert begun is not None
+    return begun[0]
+
+
+def test_a_link_for_many_ends_with_all_its_sessions(access: Access, wall: Wall) -> None:
+    link = access.make_link(Role.VIEW, "class", 7 * DAY_S, uses=None)
+    sessions = [entered(access, link) for _ in range(3)]
+    wall.utc += 6.9 * DAY_S
+    assert all(access.visitor(secret) for secret in sessions)  # a visit does not prolong them
+    wall.utc += 0.2 * DAY_S
+    assert not any(access.visitor(secret) for secret in sessions)
+    assert access.enter(link, "") is None
+
+
+def test_a_session_of_ones_own_lives_as_long_as_it_is_visited(access: Access, wall: Wall) -> None:
+    secret = entered(access, access.make_link(Role.OPERATE, "Ann", DAY_S))
+    for _ in range(3):
+        wall.utc += 0.9 * SESSION_S
+        visitor = access.visitor(secret)
+        assert visitor is not None
+        assert (visitor.name, visitor.role) == ("Ann", Role.OPERATE)
+    wall.utc += 1.1 * SESSION_S
+    assert access.visitor(secret) is None
+
+
+def test_a_link_is_void_when_its_time_is_over(access: Access, wall: Wall) -> None:
+    link = access.make_link(Role.ADMIN, "Ann", 3600.0)
+    wall.utc += 3601.0
+    assert access.enter(link, "") is None
+    assert access.enter("", "") is None
+
+
+def test_a_new_password_ends_the_sessions_of_the_old_one(access: Access) -> None:
+    access.set_password("Bo", Role.OPERATE, "first password")
+    begun = access.log_in("Bo", "first password", "")
+    assert begun is not None
+    access.set_password("Bo", Role.VIEW, "second password")
+    assert access.visitor(begun[0]) is None
+    assert access.log_in("Bo", "first password", "") is None
+    again = access.log_in("Bo", "second password", "")
+    assert again is not None
+    assert again[1].role is Role.VIEW
+    for name, password in (("Bo", ""), ("nobody", "second password"), ("", "")):
+        assert access.log_in(name, password, "") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "password"), [("Bo", "short"), ("", "long enough"), ("\x00 ", "long enough")]
+)
+def test_a_name_and_a_long_password_are_needed(access: Access, name: str, password: str) -> None:
+    with pytest.raises(RequestError):
+        access.set_password(name, Role.VIEW, password)
+
+
+def test_revoking_ends_one_session_or_all_and_every_link(access: Access) -> None:
+    link = access.make_link(Role.VIEW, "class", DAY_S, uses=None)
+    first, second = entered(access, link), entered(access, link)
+    visitor = access.visitor(first)
+    assert visitor is not None
+    assert access.revoke(visitor.session) == 1
+    assert access.visitor(first) is None
+    assert access.visitor(second) is not None
+    assert access.revoke() == 1
+    assert access.visitor(second) is None
+    assert access.enter(link, "") is None
+    assert access.sessions() == []
+
+
+def test_who_saw_an_alarm_first_stays(access: Access) -> None:
+    access.acknowledge(5, 0, "Ann")
+    access.acknowledge(5, 0, "Bo")
+    access.acknowledge(4, 1, "Bo")
+    assert access.who_acknowledged(5) == {(5, 0): "Ann"}
+    assert access.who_acknowledged(0) == {(5, 0): "Ann", (4, 1): "Bo"}
+
+
+def test_a_file_that_is_no_database_is_told(access: Access) -> None:
+    access.path.parent.mkdir()
+    access.path.write_bytes(b"no database " * 100)
+    for call in (access.sessions, lambda: access.make_link(Role.VIEW, "x", 1.0), lambda: access.visitor("x")):
+        with pytest.raises(DataError, match=r"page\.db"):
+            call()
+
+
+def test_every_role_may_stop_and_what_is_not_listed_nobody_may() -> None:
+    for role in Role:
+        assert problem({"do": "emergency_stop"}, role) == ""
+        for unlisted in ("steer", "resend", "commission", "status", "", None, ["set_mode"], {}):
+            assert problem({"do": unlisted}, role)
+    allowed = {role: {kind for kind in NEEDS if not problem({"do": kind}, role)} for role in Role}
+    assert allowed[Role.VIEW] == {"emergency_stop"}
+    assert allowed[Role.VIEW] < allowed[Role.OPERATE] < allowed[Role.ADMIN] == set(NEEDS)

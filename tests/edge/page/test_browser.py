@@ -1,0 +1,144 @@
+"""The page in a real browser, on a phone and on a desk, against a daemon with a board in real time."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from axe_core_python.selenium import Axe
+from browser import DESK, PHONE, browser
+from page_process import PageProcess, page_of
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webdriver import WebDriver
+
+from bench.support.broker import wait_for
+from bench.support.daemon_process import DaemonProcess
+from bench.support.virtual_board import VirtualBoard
+from edge.core.hard_limits import LEASE_S
+from edge.page.access import DAY_S, Role
+
+pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
+
+
+def text(driver: WebDriver) -> str:
+    return driver.find_element(By.TAG_NAME, "body").text
+
+
+def tap(driver: WebDriver, words: str) -> None:
+    buttons = [each for each in driver.find_elements(By.TAG_NAME, "button") if each.text == words]
+    assert buttons, (words, text(driver))
+    driver.execute_script('arguments[0].scrollIntoView({block: "center"})', buttons[0])
+    buttons[0].click()
+
+
+def enter(driver: WebDriver, page: PageProcess, role: Role, name: str = "Ann") -> None:
+    driver.get(f"{page.base}/#link={page.access.make_link(role, name, DAY_S)}")
+    wait_for(lambda: "confirmed by the board" in text(driver))
+    assert "link=" not in driver.current_url
+
+
+def complaints(driver: WebDriver) -> list[str]:
+    """Lines of the browser's console, but for requests that were refused on purpose."""
+    return [line["message"] for line in driver.get_log("browser") if " 4" not in line["message"]]
+
+
+@pytest.fixture
+def rig(folder: Path, board: VirtualBoard) -> Iterator[tuple[DaemonProcess, PageProcess]]:
+    with DaemonProcess(folder) as daemon, page_of(folder) as page:
+        yield daemon, page
+
+
+def heats(board: VirtualBoard) -> bool:
+    return bool(board.truth()["pins"]["heater_relay"])
+
+
+@pytest.mark.parametrize(("size", "dark"), [(PHONE, False), (DESK, True)])
+def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(rig, board, size, dark) -> None:
+    daemon, page = rig
+    with browser(size, dark) as driver:
+        enter(driver, page, Role.OPERATE)
+        wait_for(lambda: len(driver.find_elements(By.TAG_NAME, "canvas")) == 2)
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= size[0]
+        tap(driver, "+")
+        tap(driver, "Set")
+        wait_for(lambda: daemon.ask("status")["operation"]["reference_c"] == 32.5)
+        tap(driver, "Fan only")
+        wait_for(lambda: daemon.ask("status")["operation"]["mode"] == "fan_only")
+        wait_for(lambda: not heats(board))
+        wait_for(lambda: "the mode was set to fan_only, by Ann (page)" in text(driver))
+        found = Axe().run(driver)["violations"]
+        serious = [each["id"] for each in found if each["impact"] in ("serious", "critical")]
+        assert serious == []
+        assert complaints(driver) == []
+
+
+def test_the_keyboard_alone_reaches_the_stop(rig, board: VirtualBoard) -> None:
+    _, page = rig
+    with browser() as driver:
+        enter(driver, page, Role.VIEW, "guest")
+        wait_for(lambda: heats(board))
+        for _ in range(60):
+            driver.switch_to.active_element.send_keys(Keys.TAB)
+            if driver.switch_to.active_element.text == "STOP":
+                break
+        driver.switch_to.active_element.send_keys(Keys.ENTER)
+        wait_for(lambda: not heats(board))
+        wait_for(lambda: "The board confirms: heater and fan are off." in text(driver))
+        assert "Release the stop" not in text(driver)
+        assert not [each for each in driver.find_elements(By.TAG_NAME, "section") if each.text == "Control"]
+
+
+def test_with_the_daemon_hung_a_tap_stops_and_the_page_claims_nothing_that_no_board_has_said(
+    rig, board: VirtualBoard
+) -> None:
+    daemon, page = rig
+    with browser(PHONE) as driver:
+        enter(driver, page, Role.OPERATE)
+        wait_for(lambda: heats(board))
+        wait_for(lambda: "100 %" in text(driver))
+        os.kill(daemon.process.pid, signal.SIGSTOP)
+        try:
+            tapped_s = time.monotonic()
+            tap(driver, "STOP")
+            wait_for(lambda: not heats(board))
+            assert time.monotonic() - tapped_s <= LEASE_S + 1.0
+            wait_for(lambda: "The daemon does not answer" in text(driver))
+            shown = text(driver)
+            assert "The board confirms" not in shown
+            assert "\nconfirmed by the board" not in shown
+            assert "last confirmed" in shown
+            assert "waits for the daemon" in shown
+        finally:
+            os.kill(daemon.process.pid, signal.SIGCONT)
+        wait_for(lambda: "The board confirms: heater and fan are off." in text(driver))
+        assert not heats(board)
+        tap(driver, "Release the stop")
+        wait_for(lambda: heats(board))
+        wait_for(lambda: "Emergency stop" not in text(driver).partition("Events")[0])
+
+
+def test_a_killed_page_is_told_as_such_and_found_again(rig, board: VirtualBoard) -> None:
+    _, page = rig
+    with browser() as driver:
+        enter(driver, page, Role.VIEW)
+        page.kill()
+        wait_for(lambda: "What follows is old" in text(driver))
+        assert "\nconfirmed by the board" not in text(driver)
+        page.start()
+        wait_for(lambda: "What follows is old" not in text(driver))
+        wait_for(lambda: "confirmed by the board" in text(driver))
+
+
+def test_texts_from_outside_are_texts(rig, board: VirtualBoard) -> None:
+    """A name is the one text that a stranger with a link can bring into the history."""
+    _, page = rig
+    script = "<img src=x onerror=alert(1)>"
+    with browser() as driver:
+        enter(driver, page, Role.OPERATE, script)
+        tap(driver, "Heat only")
+        wait_for(lambda: f"by {script}" in text(driver))
+        assert driver.find_elements(By.CSS_SELECTOR, "img") == []
