@@ -13,7 +13,7 @@ ROOT = Path(__file__).parent.parent
 LAYERS = (
     ("commands",),
     ("page",),
-    ("app", "evidence"),
+    ("app", "evidence", "lab"),
     ("mqtt", "sockets"),
     ("state",),
     ("assistant",),
@@ -70,6 +70,9 @@ PURE = (
     "controllers/external.py",
     "drift",
     "forecasts",
+    "lab/cost.py",
+    "lab/episodes.py",
+    "lab/environment.py",
 )
 WORLD = ("serial", "socket", "sqlite3", "sqlite_utils", "paho", "requests", "time", "threading", "subprocess")
 HEAVY = ("scipy", "sqlite_utils", "matplotlib", "rich", "onnxruntime", "requests", "pandas", "cryptography")

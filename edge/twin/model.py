@@ -212,9 +212,11 @@ class BoxTwin:
         source: ArrayLike = 0.0,
         conditions: Conditions | None = None,
         before: Commands | None = None,
+        step_s: float | None = None,
     ) -> March:
         """Return the N steps of a rollout, to be made one by one; the arguments as in `rollout`.
 
+        step_s : of these steps and of those before [s], None for the twin's own
         Errors : DataError naming a column that is missing, or `day0_utc`
         """
         columns = {**columns_of(self.needs, conditions), "heater_duty": commands.duty}
@@ -224,7 +226,15 @@ class BoxTwin:
                 raise DataError(f"day0_utc: missing, the twin's {counter} counts days from it")
             columns["day"] = self.signals.days((columns["utc"] - self.day0_utc) / DAY_S)
         return March.of(
-            self.system, self.signals, self.step_s, commands, ambient, source, columns, before, self.has_relay
+            self.system,
+            self.signals,
+            self.step_s if step_s is None else step_s,
+            commands,
+            ambient,
+            source,
+            columns,
+            before,
+            self.has_relay,
         )
 
 

@@ -1,4 +1,4 @@
-"""Episodes: their start, their reference, and the behaviour of room and sensor.
+"""Episodes that begin after recorded rows; `edge.lab.episodes` draws their references and rooms.
 
 References are drawn anew for every episode; those that controllers are compared on are fixed files, and none
 of them is drawn.
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun
+from edge.lab.episodes import EpisodeSettings, draw_ambient, draw_reference
 from edge.models.policy_observation import AIR_ROWS, INPUT_ROWS, Recent, observe
 from training.data.pairs import split_all, stretches
 
@@ -40,34 +41,6 @@ def _recents(runs: Sequence[RecordedRun], ahead: int) -> Iterator[Recent]:
 
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class EpisodeSettings:
-    """Ranges that are drawn from, uniformly; times in steps of a minute."""
-
-    steps: int = 240
-    reference_c: tuple[float, float] = (22.0, 35.0)
-    above_room_k: float = 0.5  # a reference below this over the room can't be held by any action
-    hold_steps: tuple[int, int] = (10, 90)
-    ramp_steps: tuple[int, int] = (10, 60)
-    ramp_share: float = 0.4  # of the changes; the others are steps
-    ambient_c: tuple[float, float] = (17.0, 25.0)
-    ambient_wander_k: float = 0.5  # sd of the room about its mean
-    ambient_steps: float = 60.0  # how long it remembers
-
-
-@dataclass(frozen=True, slots=True)
-class Sensor:
-    """A sensor of an air temperature that the loop has averaged over samples."""
-
-    noise_sd_k: float = 0.03
-    quantisation_k: float = 0.1
-
-    def shows(self, air: Floats, rng: np.random.Generator) -> Floats:
-        """Measurements of `air` [°C], same shape."""
-        noisy = air + rng.normal(0.0, self.noise_sd_k, air.shape)
-        return np.round(noisy / self.quantisation_k) * self.quantisation_k
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,28 +124,3 @@ class DrawnEpisodes:
         temp, ambient, duty, fan = (column[first : first + self._rows] for column in stretch)
         moved = ambient_c - ambient[-1]
         return EpisodeStart(temp + moved, ambient + moved, duty, fan)
-
-
-def draw_reference(rng: np.random.Generator, settings: EpisodeSettings, ambient_c: float) -> Floats:
-    """Levels that hold, with steps and ramps between them, [steps] [°C]."""
-    low, high = settings.reference_c
-    low = min(max(low, ambient_c + settings.above_room_k), high)
-    values = [rng.uniform(low, high)]
-    while len(values) < settings.steps:
-        values += [values[-1]] * int(rng.integers(*settings.hold_steps))
-        target = rng.uniform(low, high)
-        if rng.random() < settings.ramp_share:
-            values += list(np.linspace(values[-1], target, int(rng.integers(*settings.ramp_steps))))
-        values.append(target)
-    return np.array(values[: settings.steps])
-
-
-def draw_ambient(rng: np.random.Generator, settings: EpisodeSettings) -> Floats:
-    """Draw the room's temperature: it wanders slowly about a mean, [steps + 1] [°C]."""
-    keep = np.exp(-1.0 / settings.ambient_steps)
-    pushes = rng.normal(0.0, settings.ambient_wander_k * np.sqrt(1.0 - keep**2), settings.steps + 1)
-    wander = np.empty_like(pushes)
-    last = rng.normal(0.0, settings.ambient_wander_k)
-    for k, push in enumerate(pushes):
-        last = wander[k] = keep * last + push
-    return rng.uniform(*settings.ambient_c) + wander

@@ -13,10 +13,11 @@ import numpy as np
 
 from edge.controllers.rl import Rl
 from edge.core.errors import DataError
+from edge.lab.episodes import EpisodeSettings, draw_reference
 from edge.models.onnx_policy import OnnxPolicy, read_policy
 from edge.tick.reference import Reference
 from training.rl.boxes import START_ROWS, World
-from training.rl.episodes import Episode, EpisodeSettings, EpisodeStart, RepeatedEpisode, draw_reference
+from training.rl.episodes import Episode, EpisodeStart, RepeatedEpisode
 from training.rl.models import StepModel
 from training.rl.reward import WEIGHTS, reward
 from training.rl.rig import ROOM_C, Ticks, run_on_rig

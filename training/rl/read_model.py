@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from edge.core.errors import DataError
+from edge.lab.box import draw_twin
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, read_twin_file
-from edge.twin.value import Value
 from training.models.ham_guarded import GuardedHamNet
 from training.models.lstm import LstmNet
 from training.models.registry import NETWORK_FILE, TWIN_FILE
@@ -72,16 +72,5 @@ def draw_twins(file: TwinFile, variants: int, seed: int) -> list[BoxTwin]:
     """
     if waiting := file.to_fit():
         raise DataError(f"{'.'.join(waiting[0])}: is still to be fitted")
-    bounds = {
-        place: (value.low, value.high)
-        for place, value in file.values().items()
-        if value.low is not None and value.high is not None
-    }
-    if variants > 1 and not bounds:
-        raise DataError("no value of the twin has a confidence interval")
     rng = np.random.default_rng(seed)
-    twins = [file.twin()]
-    while len(twins) < variants:
-        values = {place: Value(float(rng.uniform(low, high))) for place, (low, high) in bounds.items()}
-        twins.append(file.with_values(values).twin())
-    return twins
+    return [file.twin(), *(draw_twin(file, rng) for _ in range(variants - 1))]

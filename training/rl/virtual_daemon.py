@@ -20,9 +20,9 @@ from edge.config import loading as config
 from edge.config.settings import ExternalSettings
 from edge.core.controller_names import EXTERNAL
 from edge.core.errors import GreenhouseError
+from edge.lab.episodes import EpisodeSettings, draw_reference
 from edge.tick.reference import Reference
 from training.lab import Lab
-from training.rl.episodes import EpisodeSettings, draw_reference
 from training.rl.rig import ROOM_C, without_forecasts
 
 SOCKET = "external.sock"

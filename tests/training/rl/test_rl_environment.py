@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
+from edge.lab.episodes import EpisodeSettings, Sensor, draw_ambient, draw_reference
 from edge.models.policy_actions import LEVELS
 from edge.models.policy_observation import NAMES
 from edge.twin.twin_file import read_twin_file
@@ -19,12 +20,8 @@ from training.rl.boxes import START_ROWS, EpisodeBoxes, World
 from training.rl.episodes import (
     DrawnEpisodes,
     Episode,
-    EpisodeSettings,
     EpisodeStart,
     RepeatedEpisode,
-    Sensor,
-    draw_ambient,
-    draw_reference,
 )
 from training.rl.models import Window
 from training.rl.read_model import KEPT, TRAINED, draw_twins, read_model
