@@ -34,8 +34,8 @@ def known_twin(path: str | Path | None) -> TwinFile:
     return file
 
 
-def draw_twin(file: TwinFile, rng: np.random.Generator) -> BoxTwin:
-    """Return a twin whose fitted values are drawn, each uniformly between its `low` and `high`.
+def draw_values(file: TwinFile, rng: np.random.Generator) -> TwinFile:
+    """Return a twin file whose fitted values are drawn, each uniformly between its `low` and `high`.
 
     Errors : DataError where no value has an interval
     """
@@ -47,7 +47,7 @@ def draw_twin(file: TwinFile, rng: np.random.Generator) -> BoxTwin:
     if not bounds:
         raise DataError("no value of the twin has a confidence interval")
     values = {place: Value(float(rng.uniform(low, high))) for place, (low, high) in bounds.items()}
-    return file.with_values(values).twin()
+    return file.with_values(values)
 
 
 def sensor_of(file: TwinFile) -> Sensor:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from edge.core.errors import DataError
 from edge.core.names import HEATER_LEVELS
 from edge.formats.profile_file import read_profile
-from edge.lab.box import SimulatedBox, conditions_at, draw_twin, full_rise_k, known_twin, sensor_of
+from edge.lab.box import SimulatedBox, conditions_at, draw_values, full_rise_k, known_twin, sensor_of
 from edge.lab.cost import step_cost
 from edge.lab.episodes import EpisodeSettings, Sensor, draw_ambient, draw_light, draw_reference
 from edge.models.policy_actions import ACTIONS, command_of
@@ -120,7 +120,7 @@ class GreenhouseEnv(gymnasium.Env[Observed, Any]):
         self.action_space = spaces.Box(0.0, 1.0, (2,), np.float32) if continuous else spaces.Discrete(ACTIONS)
         self._step, self._is_begun = 0, False
         if uncertain:
-            draw_twin(self._file, np.random.default_rng(0))  # what cannot be drawn is refused now
+            draw_values(self._file, np.random.default_rng(0))  # what cannot be drawn is refused now
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -128,7 +128,7 @@ class GreenhouseEnv(gymnasium.Env[Observed, Any]):
         """Begin an episode at rest at its first reference. options : none are known"""
         super().reset(seed=seed)
         if self._uncertain:
-            self.twin = draw_twin(self._file, self.np_random)
+            self.twin = draw_values(self._file, self.np_random).twin()
         self._course = self._draw_course()
         start_c, ambient_c = float(self._course.reference[0]), float(self._course.ambient[0])
         self._box, self._is_begun = SimulatedBox(self.twin, start_c, ambient_c), True

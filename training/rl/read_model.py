@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.core.errors import DataError
-from edge.lab.box import draw_twin
+from edge.lab.box import draw_values
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, read_twin_file
 from training.models.ham_guarded import GuardedHamNet
@@ -73,4 +73,4 @@ def draw_twins(file: TwinFile, variants: int, seed: int) -> list[BoxTwin]:
     if waiting := file.to_fit():
         raise DataError(f"{'.'.join(waiting[0])}: is still to be fitted")
     rng = np.random.default_rng(seed)
-    return [file.twin(), *(draw_twin(file, rng) for _ in range(variants - 1))]
+    return [file.twin(), *(draw_values(file, rng).twin() for _ in range(variants - 1))]

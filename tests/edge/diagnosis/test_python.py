@@ -1,6 +1,5 @@
 """edge/diagnosis/python.py: the diagnosis from five lines of Python, and the notebook that shows them."""
 
-import contextlib
 import json
 import subprocess
 import sys
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from notebooks import names_left_by
 
 import edge
 from edge import DiagnosisResult, Run, Twin, diagnose
@@ -22,15 +22,9 @@ NOTEBOOK = ROOT / "examples" / "diagnosis.ipynb"
 
 
 @pytest.fixture(scope="module")
-def notebook() -> dict[str, Any]:
+def notebook(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return the names that the notebook's cells leave behind."""
-    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
-    names: dict[str, Any] = {}
-    with contextlib.chdir(NOTEBOOK.parent):
-        for cell in cells:
-            if cell["cell_type"] == "code":
-                exec("".join(cell["source"]), names)
-    return names
+    return names_left_by(NOTEBOOK, tmp_path_factory.mktemp("notebook"))
 
 
 @pytest.fixture(scope="module")
