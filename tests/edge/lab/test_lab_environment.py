@@ -1,5 +1,6 @@
 """edge/lab/environment.py: Gymnasium's own checker, the twin's rollout, seeds, the cost."""
 
+import math
 import warnings
 from pathlib import Path
 
@@ -10,10 +11,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from edge.core.errors import DataError
-from edge.lab.box import PACKAGED_TWIN, conditions_at
+from edge.lab.box import PACKAGED_TWIN, conditions_at, full_rise_k
 from edge.lab.cost import step_cost
 from edge.lab.environment import AHEAD_STEPS, OBSERVATION, GreenhouseEnv
+from edge.lab.episodes import EpisodeSettings, draw_light
 from edge.models.policy_actions import ACTIONS, LEVELS, duties_and_fans
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import read_twin_file
 from edge.twin.warm_start import at_rest
 
@@ -106,8 +109,9 @@ def test_the_first_reference_is_for_the_end_of_the_step_that_begins():
     for k in range(4):
         shown = [seen[NAMES.index(f"reference_{ahead}_c")] for ahead in AHEAD_STEPS]
         assert shown == [course[k + ahead] for ahead in AHEAD_STEPS]
-        seen, _, _, _, info = own.step(0)
+        seen, reward, _, _, info = own.step(0)
         assert info["reference_c"] == course[k]
+        assert reward == -step_cost(info["temp_air_c"] - course[k], 0.0, 0.0)
 
 
 def test_the_air_is_shown_as_the_sensor_shows_it():
@@ -174,6 +178,20 @@ def test_a_drawn_reference_can_be_reached():
         course = own._course.reference
         # The full heater of the packaged twin reaches 22.5 K in the end: 0.6 of it, and a tenth of that.
         assert 21.3 < course.min() <= course.max() < 33.6
+
+
+def test_the_full_heater_reaches_what_its_limit_and_the_loss_leave(tmp_path: Path):
+    path = tmp_path / "twin.yaml"
+    path.write_text("effects: {wall_loss: {UA: 5.0}, heater_saturation: {u_sat: 0.7}}\n")
+    assert full_rise_k(read_twin_file(path).twin()) == pytest.approx(0.7 * 100.0 / 5.0)
+    assert full_rise_k(BoxTwin()) == math.inf  # the paper's box loses nothing with its fan off
+
+
+def test_a_drawn_lamp_is_on_and_off_by_turns():
+    light = draw_light(np.random.default_rng(1), EpisodeSettings(steps=600))
+    assert len(light) == 601
+    assert set(light) == {0.0, 1.0}
+    assert 600 / 90 - 1 <= np.abs(np.diff(light)).sum() <= 60  # a state holds for 10 to 89 steps
 
 
 def test_a_profile_is_a_reference(tmp_path: Path):

@@ -1,6 +1,7 @@
 """edge/lab/tclab.py: TCLab's calls over the twin, and that package's own clock and historian with it."""
 
 import math
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,8 @@ from edge.lab.box import PACKAGED_TWIN
 from edge.lab.lab_time import LabTime
 from edge.twin.twin_file import read_twin_file
 from edge.twin.warm_start import at_rest
+
+ROOT = Path(__file__).parents[3]
 
 
 class FakeTime:
@@ -129,6 +132,8 @@ def test_only_a_twin_with_a_lamp_feels_the_light(tmp_path: Path):
         labtime.sleep(3600)
         assert abs(lit.T1 - (21.0 + 15.0 / 4.0)) < 0.01  # the lamp's heat over the loss
         assert other.T1 == 21.0
+    labtime.sleep(7200)
+    assert abs(lit.T1 - 21.0) < 0.01  # it is off after the block
 
 
 def test_a_reading_is_the_same_within_a_second_and_the_truth_has_no_steps():
@@ -214,3 +219,12 @@ def test_a_lesson_for_tclab_gives_what_its_own_model_gives_in_kind():
             assert len(box.scan()) == 4
             box.close()
             assert box.Q1() == 0
+
+
+def test_the_lab_needs_neither_gymnasium_nor_scipy():
+    blocked = "sys.modules.update(dict.fromkeys(('gymnasium', 'scipy', 'torch', 'tclab')))"
+    program = f"import sys; {blocked}; from edge.lab import lab; print(lab().Q1(50))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout.strip() == "50.0"
