@@ -6,7 +6,8 @@ import numpy as np
 
 from edge.controllers.pid import Pid
 from edge.controllers.rules import Rules
-from edge.core.controller import PID, RULES, Context, Controller, ControlLimits
+from edge.core.controller import Context, Controller, ControlLimits
+from edge.core.controller_names import PID, RULES
 from edge.core.errors import RequestError
 from edge.core.messages import Command, Estimate
 
