@@ -31,7 +31,7 @@ export function columnsOf(course, status) {
     course.heater, course.fan,
   ];
   const tick = status?.tick;
-  if (!tick) return [...past, ...Array.from({ length: 5 }, () => course.utc.map(() => null))];
+  if (!tick) return [...past, ...Array.from({ length: 6 }, () => course.utc.map(() => null))];
   const forecast = bestForecast(status)?.rows ?? [];
   const band = [
     forecast.map((row) => row[0]), forecast.map((row) => row[1] - row[2]), forecast.map((row) => row[1] + row[2]),
@@ -39,7 +39,9 @@ export function columnsOf(course, status) {
   ];
   const at = (status.plan ?? []).map((_, k) => tick.utc + k * tick.step_s);
   const plan = [at, status.plan.map((step) => step[0]), status.plan.map((step) => step[1])];
-  return uPlot.join([past, band, plan]);
+  const coming = tick.why?.reference_c ?? [];
+  const reference = [coming.map((_, k) => tick.utc + k * tick.step_s), coming];
+  return uPlot.join([past, band, plan, reference]);
 }
 
 function axis(show, size, format) {
@@ -73,6 +75,7 @@ function options(width, height, isTop, pick, pan) {
     hidden("low"), hidden("high"),
     line("forecast", "--air", { dash: [4, 4], spanGaps: true }),
     off, off,
+    line("reference to come", "--reference", { paths: steps, dash: [4, 4], width: 1.5, spanGaps: true }),
   ];
   const drives = [
     off, off, off, off, off,
@@ -81,6 +84,7 @@ function options(width, height, isTop, pick, pan) {
     off, off, off,
     line("heater planned", "--heater", { paths: steps, dash: [4, 4], spanGaps: true }),
     line("fan planned", "--fan", { paths: steps, dash: [4, 4], width: 1.5, spanGaps: true }),
+    off,
   ];
   return {
     width, height, legend: { show: false }, padding: [8, 12, isTop ? 8 : 0, 0],

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 from axe_core_python.selenium import Axe
-from browser import DESK, PHONE, browser
 from page_process import PageProcess, page_of
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
 
 from bench.support.broker import wait_for
+from bench.support.browser import DESK, PHONE, browser
 from bench.support.daemon_process import DaemonProcess
 from bench.support.virtual_board import VirtualBoard
 from edge.core.hard_limits import LEASE_S
